@@ -78,7 +78,7 @@ def run_gui(
         return _ended(application.exec())
     # A screenshot neither depends on remembered settings nor changes them.
     with TemporaryDirectory(prefix="tactune-") as folder:
-        window = MainWindow(start_preset, Settings(Path(folder) / "window.ini"), Path(folder))
+        window = MainWindow(start_preset, Settings(Path(folder) / "window.json"), Path(folder))
         _prepare(window, preset_path, size, theme)
         picture = _Screenshot(window, screenshot, after)
         window.open_source(source)

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+import json
+from base64 import b64decode, b64encode
+from contextlib import suppress
 from pathlib import Path
+from typing import Final
 
 import platformdirs
-from PyQt6.QtCore import QByteArray, QSettings
+from PyQt6.QtCore import QByteArray, QTimer
+
+from ..core.errors import ExportError
+from ..core.model.files import atomic_path
+from ..core.model.loading import read_json
 
 RECENT_LIMIT = 10
+#: Time from a change to its writing, ms.
+_WRITE_AFTER_MS: Final = 1000
 
 
 def default_data_folder() -> Path:
@@ -17,7 +27,7 @@ def default_data_folder() -> Path:
 
 def default_settings_file() -> Path:
     """Return the file for window layout, theme and recent files."""
-    return Path(platformdirs.user_config_dir("tactune")) / "window.ini"
+    return Path(platformdirs.user_config_dir("tactune")) / "window.json"
 
 
 def default_recordings_folder() -> Path:
@@ -26,15 +36,29 @@ def default_recordings_folder() -> Path:
 
 
 class Settings:
-    """Typed access to the remembered values; a missing or damaged file gives the defaults."""
+    """Typed access to the remembered values; a missing or damaged file gives the defaults.
+
+    The file is JSON with plain strings. It is not a `QSettings` file: PyQt unpickles values of those, so that a file of
+    somebody else could run code.
+
+    Parameters
+    ----------
+    path : Path
+        Two windows may share it: each writes only the values that it changed.
+    """
 
     def __init__(self, path: Path) -> None:
-        self._store = QSettings(str(path), QSettings.Format.IniFormat)
+        self._path = path
+        self._values = _read(path)
+        self._changed: dict[str, str] = {}
+        self._timer = QTimer()
+        self._timer.setSingleShot(True)
+        self._timer.setInterval(_WRITE_AFTER_MS)
+        self._timer.timeout.connect(self.sync)
 
     def text(self, key: str, default: str = "") -> str:
         """Return a remembered string."""
-        value = self._store.value(key)
-        return value if isinstance(value, str) else default
+        return self._values.get(key, default)
 
     def number(self, key: str, default: float) -> float:
         """Return a remembered number."""
@@ -45,12 +69,16 @@ class Settings:
 
     def blob(self, key: str) -> QByteArray:
         """Return remembered bytes, such as a window geometry; empty if there are none."""
-        value = self._store.value(key)
-        return value if isinstance(value, QByteArray) else QByteArray()
+        try:
+            return QByteArray(b64decode(self.text(key), validate=True))
+        except ValueError:
+            return QByteArray()
 
     def set(self, key: str, value: str | float | QByteArray) -> None:
         """Remember a value."""
-        self._store.setValue(key, value if isinstance(value, QByteArray) else str(value))
+        text = b64encode(value.data()).decode() if isinstance(value, QByteArray) else str(value)
+        self._values[key] = self._changed[key] = text
+        self._timer.start()
 
     def recent(self, kind: str) -> list[str]:
         """Return the recent items of a kind, newest first."""
@@ -66,5 +94,17 @@ class Settings:
         self.set(f"recent/{kind}", "\n".join(other for other in self.recent(kind) if other != item))
 
     def sync(self) -> None:
-        """Write to disk now."""
-        self._store.sync()
+        """Write to disk now; a disk that refuses loses only what is remembered."""
+        self._timer.stop()
+        if self._changed:
+            with suppress(ExportError), atomic_path(self._path) as temporary:
+                temporary.write_text(json.dumps(_read(self._path) | self._changed, indent=1), encoding="utf-8")
+                self._changed = {}
+
+
+def _read(path: Path) -> dict[str, str]:
+    try:
+        found = read_json(path)
+    except (OSError, ValueError):
+        return {}
+    return {key: it for key, it in found.items() if isinstance(it, str)} if isinstance(found, dict) else {}

@@ -71,7 +71,7 @@ class Stage:
 def stage(preset: Preset, source: str, frame: int = PRESSED_FRAME) -> Iterator[Stage]:
     """Open a window of its own on a source, at a frame; close it afterwards."""
     with tempfile.TemporaryDirectory(prefix="tactune-pictures-") as folder:
-        window = MainWindow(preset, Settings(Path(folder) / "window.ini"), Path(folder), native_dialogs=False)
+        window = MainWindow(preset, Settings(Path(folder) / "window.json"), Path(folder), native_dialogs=False)
         window.set_theme("light", remember=False)
         window.resize(*SIZE)
         window.show()

@@ -313,7 +313,7 @@ def main() -> int:
     preset, _ = start_with(options.preset or default_preset(options.source))
     application = make_application()
     with tempfile.TemporaryDirectory(prefix="tactune-") as folder:
-        settings = Settings(Path(folder) / "window.ini")
+        settings = Settings(Path(folder) / "window.json")
         settings.set("compare/methods", options.methods)
         settings.set("window/hidden", "show_time" if options.no_strip else "")
         stages = watched_stages()

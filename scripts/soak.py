@@ -315,7 +315,7 @@ def run_window(source: str, seconds: float, cycle_s: float) -> Tally:
     application = make_application()
     with tempfile.TemporaryDirectory(prefix="tactune-soak-") as name:
         folder = Path(name)
-        window = MainWindow(preset, Settings(folder / "window.ini"), folder, native_dialogs=False)
+        window = MainWindow(preset, Settings(folder / "window.json"), folder, native_dialogs=False)
         window.error_hook.install()
         window.resize(1280, 800)
         soak = Soak(window, folder, seconds, cycle_s)

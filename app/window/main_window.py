@@ -547,7 +547,6 @@ class MainWindow(QMainWindow):
         settings.set("view/color_by", self.views.chosen_colors().value)
         hidden = [name for name in _TOGGLES if not getattr(self.actions_, name).isChecked()]
         settings.set("window/hidden", ",".join(hidden))
-        settings.sync()
 
     # Events
 
@@ -589,6 +588,7 @@ class MainWindow(QMainWindow):
             return
         self._remember_layout()
         self.shut_down()
+        self.settings.sync()
         self.autosave.close()
         self.error_hook.remove()
         event.accept()

@@ -190,7 +190,7 @@ def import_seconds(statements: Sequence[str], rounds: int) -> list[float]:
 
 
 def _seconds(statement: str) -> float:
-    command = [sys.executable, "-c", _PROGRAM.format(statement)]
+    command = [sys.executable, "-P", "-c", _PROGRAM.format(statement)]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
     return float(done.stdout.splitlines()[-1])
 

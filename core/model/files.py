@@ -12,19 +12,25 @@ from ..errors import ExportError, TactuneError
 
 
 @contextmanager
-def atomic_path(target: Path | str) -> Iterator[Path]:
+def atomic_path(target: Path | str, *, follow_link: bool = False) -> Iterator[Path]:
     """Yield a temporary path beside ``target``; on success it replaces ``target`` in one step.
 
     The temporary file has the suffix of the target, for writers that choose a format by it. Its folder is created if
-    missing. If ``target`` is a link, the file it points to is replaced. On any error the temporary file is removed and
-    ``target`` is unchanged.
+    missing. On any error the temporary file is removed and ``target`` is unchanged.
+
+    Parameters
+    ----------
+    target : path
+    follow_link : bool
+        If ``target`` is a link, replace the file it points to, for a file that a person opened by this name. Otherwise
+        the link itself is replaced: somebody may have planted it under a name that a program derives.
 
     Raises
     ------
     ExportError
         ``target`` is a folder or a device, or the operating system refuses: no permission, disk full.
     """
-    final = Path(os.path.realpath(target))
+    final = Path(os.path.realpath(target)) if follow_link else Path(target)
     temporary = final.parent / f".{final.stem}-{secrets.token_hex(4)}{final.suffix}"
     try:
         if final.exists() and not final.is_file():
@@ -49,7 +55,7 @@ def check_writable(target: Path | str) -> None:
     ExportError
         As `atomic_path`.
     """
-    final = Path(os.path.realpath(target))
+    final = Path(target).absolute()
     folder = next(parent for parent in final.parents if parent.exists())
     temporary = folder / f".{secrets.token_hex(8)}"
     try:

@@ -108,7 +108,7 @@ def save_preset(preset: Preset, path: Path | str) -> None:
     """
     path = Path(path)
     _keep_older_version(path)
-    with atomic_path(path) as temporary:
+    with atomic_path(path, follow_link=True) as temporary:
         temporary.write_text(preset_json(preset), "utf-8")
 
 

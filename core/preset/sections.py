@@ -143,7 +143,7 @@ class UntouchedRecord(Section):
     file: Annotated[
         str,
         described("File", "Name of the file in the preset's own folder.", hidden=True),
-        Field(min_length=1, max_length=255, pattern=r"^[^/\\]+$"),
+        Field(pattern=r"^untouched-[0-9a-f]{12}\.npz$"),
     ]
     sha256: Annotated[
         str,

@@ -191,10 +191,8 @@ def copy_untouched(record: UntouchedRecord, preset_path: Path, to: Path) -> None
             ) from error
         return
     frame = load_untouched(record, preset_path)
-    packed = preset_path.suffix != ".mcap"
-    data = (preset_path.parent / record.file).read_bytes() if packed else untouched_bytes(frame)
     with atomic_path(target) as temporary:
-        temporary.write_bytes(data)
+        temporary.write_bytes(untouched_bytes(frame))  # not the file's own bytes, which may hold more than images
 
 
 def find_untouched(

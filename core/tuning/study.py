@@ -230,7 +230,7 @@ class Study:
             with self._undamaged():
                 self._study = self._open()
                 self.trials()
-            self._alive = self._alive_file(self._searcher).open("wb")
+            self._alive = self._alive_file(self._searcher).open("xb")
             _lock(self._alive)
         except OSError as error:
             raise ExportError(f"cannot write {self.path}: {error.strerror or error}; choose another --study") from error

@@ -55,7 +55,8 @@ def local_workers(jobs: int) -> Iterator[Workers]:
         yield Workers(_Here(), lambda: 1)
         cv2.setNumThreads(threads)
         return
-    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))  # processes inherit it
+    # Processes inherit it. PYTHONSAFEPATH: they import nothing from the working folder.
+    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "PYTHONSAFEPATH"), "1"))
     context = multiprocessing.get_context("spawn")
     ended = context.Event()
     executor = ProcessPoolExecutor(jobs, context, _begin_worker, (os.getpid(), ended))

@@ -49,7 +49,7 @@ def source() -> Iterator[TinySource]:
 
 @pytest.fixture
 def settings_file(tmp_path) -> Path:
-    return tmp_path / "window.ini"
+    return tmp_path / "window.json"
 
 
 @pytest.fixture

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 from threading import get_ident
 
 import numpy as np
 import pytest
-from PyQt6.QtCore import Qt, QTimer
+from PyQt6.QtCore import QByteArray, QSettings, Qt, QTimer
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QDialog, QPushButton, QScrollArea, QWidget
 
 from hands import show_source, text_of
+from tactune.app.settings import Settings
 from tactune.app.worker.results import CloudName, ColorBy
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.errors import SourceError
@@ -214,12 +217,42 @@ def test_a_given_size_wins_over_a_maximised_window(make_window):
 
 
 def test_a_damaged_settings_file_means_defaults(make_window, settings_file):
-    settings_file.write_text(
-        "[window]\ngeometry=rubbish\nacross=@ByteArray(xx)\n[view]\npoint_size=many\ncolor_by=taste\n"
-    )
+    damaged = {"window/geometry": "rubbish", "window/across": "eHg=", "view/point_size": "many", "view/color_by": 7}
+    settings_file.write_text(json.dumps(damaged))
     window = make_window()
     assert window.views.chosen_colors() is ColorBy.CONTACT
     assert window.views.point_size.value() == 2
+
+
+class Harm:
+    """Creates a file when it is unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return Path.touch, (self.path,)
+
+
+def test_a_hostile_settings_file_runs_nothing(make_window, settings_file, tmp_path):
+    hostile = QSettings(str(settings_file), QSettings.Format.IniFormat)
+    for key in ("window/geometry", "window/across", "theme", "view/color_by"):
+        hostile.setValue(key, Harm(tmp_path / "harm"))
+    hostile.sync()
+    assert b"PyQt_PyObject" in settings_file.read_bytes()
+    make_window().close_without_asking()
+    assert not (tmp_path / "harm").exists()
+    assert "window/geometry" in json.loads(settings_file.read_text())
+
+
+def test_two_windows_write_only_what_they_changed(settings_file):
+    one, two = Settings(settings_file), Settings(settings_file)
+    one.set("a", 1)
+    one.sync()
+    two.set("b", QByteArray(b"\0\xff"))
+    two.sync()
+    again = Settings(settings_file)
+    assert (again.number("a", 0), again.blob("b")) == (1, QByteArray(b"\0\xff"))
 
 
 @pytest.mark.parametrize("size", [(1280, 800), (1920, 1080)])

@@ -165,7 +165,7 @@ def test_an_acme_camera_stands_beside_a_realsense_one(found: None) -> None:
 
 def test_the_tab_stands_in_the_analysis_menu(found: None, qtbot, tmp_path: Path) -> None:
     preset = Preset.model_validate({"outliers": {"enabled": False}})
-    window = MainWindow(preset, Settings(tmp_path / "window.ini"), tmp_path, False, "software")
+    window = MainWindow(preset, Settings(tmp_path / "window.json"), tmp_path, False, "software")
     qtbot.addWidget(window)
     window.show()
     window.open_request(SourceRequest("tiny", lambda progress: TinySource()))

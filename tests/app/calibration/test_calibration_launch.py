@@ -41,7 +41,7 @@ class TinySource(SeekableSource):
 @pytest.fixture
 def window(qtbot, tmp_path, scene, frames):
     made = MainWindow(
-        Preset(name="tiny"), Settings(tmp_path / "w.ini"), tmp_path / "data", native_dialogs=False, backend="software"
+        Preset(name="tiny"), Settings(tmp_path / "w.json"), tmp_path / "data", native_dialogs=False, backend="software"
     )
     made.resize(1100, 700)
     made.show()

@@ -402,3 +402,11 @@ def _read(master: int) -> bytes:
         return os.read(master, 4096)
     except OSError:  # how Linux tells that the other end of a terminal is closed
         return b""
+
+
+def test_a_link_under_the_name_of_a_patch_is_not_followed(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "login").write_text("echo welcome")
+    (tmp_path / "out" / "patch_000000.npz").symlink_to(tmp_path / "login")
+    tactune("run", "--source", recording, "--preset", "default", "--frames", "1", "--out", tmp_path / "out")
+    assert (tmp_path / "login").read_text() == "echo welcome"

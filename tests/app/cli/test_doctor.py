@@ -48,6 +48,12 @@ def test_a_child_that_crashes_hangs_fails_or_is_missing_is_told_in_words():
     assert "no answer within" in run_child(python_child("import time; time.sleep(60)"), patience_s=0.3).problem
     assert run_child(python_child("raise ValueError('odd')")).problem == "ValueError: odd"
     assert "cannot be started" in run_child(["/no/such/program"]).problem
+
+
+def test_a_child_imports_nothing_from_the_working_folder(tmp_path, monkeypatch):
+    (tmp_path / "numpy.py").write_text("print('harm')")
+    monkeypatch.chdir(tmp_path)
+    assert run_child(python_child("import numpy; print('done')")).out.split() == ["done"]
     assert run_child(python_child("print('chatter'); print('{\"a\": 1}')")).answer() == {"a": 1}
     assert Child("no json").answer() == {}
     assert Child("[1]").answer() == {}

@@ -204,6 +204,15 @@ def test_a_failed_save_leaves_the_old_file_whole(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_the_copy_of_an_older_file_follows_no_link(tmp_path):
+    (tmp_path / "mine.json").write_text('{"schema": "tactune.preset", "schema_version": 0}')
+    (tmp_path / "login").write_text("echo welcome")
+    (tmp_path / "mine.schema-0.json").symlink_to("login")
+    save_preset(Preset(), tmp_path / "mine.json")
+    assert (tmp_path / "login").read_text() == "echo welcome"
+    assert '"schema_version": 0' in (tmp_path / "mine.schema-0.json").read_text()
+
+
 def test_only_ordinary_files_are_replaced_and_a_link_stays_one(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     for place in (tmp_path / "pipe", tmp_path, Path("/")):

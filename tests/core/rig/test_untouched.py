@@ -20,7 +20,7 @@ from tactune.core.model.untouched_archive import untouched_bytes
 from tactune.core.output import SessionWriter
 from tactune.core.preset import Preset, UntouchedRecord
 from tactune.core.preset.file import save_preset
-from tactune.core.rig.untouched import average_untouched, find_untouched, load_untouched, save_untouched
+from tactune.core.rig.untouched import average_untouched, copy_untouched, find_untouched, load_untouched, save_untouched
 from tactune.core.sources.base import FrameSource
 from tactune.core.sources.mcap.source import McapSource
 from tactune.core.sources.presets import load_preset
@@ -169,6 +169,25 @@ def test_until_the_preset_is_saved_the_old_pair_stays_whole(kept: tuple[Path, Pr
     assert content_hash(load_untouched(record_of(load_preset(path)), path)) == content_hash(frame)
     save_preset(preset.model_copy(update={"untouched": newer}), path)
     assert content_hash(load_untouched(newer, path)) == content_hash(untouched_image(9))
+
+
+def test_beside_another_preset_only_images_are_written(kept: tuple[Path, Preset, SensorFrame], tmp_path: Path) -> None:
+    path, preset, frame = kept
+    record = record_of(preset)
+    file = path.parent / record.file
+    with zipfile.ZipFile(file, "a") as archive:
+        archive.writestr("note", "\necho harm\n")  # now it is a script, too
+    copy_untouched(record, path, tmp_path / "other" / "preset.json")
+    copy = (tmp_path / "other" / record.file).read_bytes()
+    assert copy.startswith(b"PK")
+    assert b"harm" not in copy
+    assert content_hash(load_untouched(record, tmp_path / "other" / "preset.json")) == content_hash(frame)
+
+
+@pytest.mark.parametrize("name", [".bash_profile", "../untouched-0123456789ab.npz", "untouched-0123456789ab.npz\n"])
+def test_a_preset_names_no_other_file(name: str) -> None:
+    with pytest.raises(ValueError, match="file"):
+        UntouchedRecord(file=name, sha256="0" * 64, frames=1)
 
 
 def npz(**arrays: object) -> bytes:

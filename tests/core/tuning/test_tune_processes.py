@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from long_search import LIMIT_S, front_of
+from tactune.core.tuning.workers import local_workers
 
 
 def test_killed_and_begun_again_with_two_processes_it_gives_the_front_of_one(long_search):
@@ -25,6 +26,16 @@ def test_killed_and_begun_again_with_two_processes_it_gives_the_front_of_one(lon
     wait_for_the_end_of(process.pid)
     long_search.file.unlink()
     assert front_of(out) == front_of(long_search.finish("--jobs", "1"))
+
+
+def test_a_worker_imports_nothing_from_the_working_folder(tmp_path, monkeypatch):
+    for name in ("multiprocessing", "joblib", "numpy"):
+        (tmp_path / f"{name}.py").write_text("import pathlib; pathlib.Path('harm').touch()")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    with local_workers(2) as workers:
+        assert workers.executor.submit(os.path.basename, "a/b").result(LIMIT_S) == "b"
+    assert not (tmp_path / "harm").exists()
 
 
 def test_two_searches_on_one_file_share_the_trials_and_one_that_dies_is_replaced(long_search):
