@@ -34,6 +34,7 @@ from ..sources.mcap.messages import (
 )
 
 POSE: Final = "geometry_msgs/msg/PoseWithCovarianceStamped"
+VECTOR: Final = "geometry_msgs/msg/Vector3Stamped"
 NUMBER: Final = "std_msgs/msg/Float64"
 DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
 
@@ -159,11 +160,11 @@ def transforms(poses: Mapping[str, Float64Array], stamp_ns: int) -> bytes:
     """Return poses (4 x 4) of frames, by their names, in the proximity depth frame."""
     header = _header(PROXIMITY_FRAME, stamp_ns)
     stamped_pose = _type("geometry_msgs/msg/TransformStamped")
-    vector, transform = _type("geometry_msgs/msg/Vector3"), _type("geometry_msgs/msg/Transform")
+    translation, transform = _type("geometry_msgs/msg/Vector3"), _type("geometry_msgs/msg/Transform")
     return _serialise(
         _type(TRANSFORMS)(
             [
-                stamped_pose(header, child, transform(vector(*pose[:3, 3].tolist()), _quaternion(pose)))
+                stamped_pose(header, child, transform(translation(*pose[:3, 3].tolist()), _quaternion(pose)))
                 for child, pose in poses.items()
             ]
         ),
@@ -185,6 +186,13 @@ def pose_with_covariance(pose: Float64Array, covariance: Float64Array, stamp_ns:
     body = _type("geometry_msgs/msg/Pose")(point, _quaternion(pose))
     known = _type("geometry_msgs/msg/PoseWithCovariance")(body, np.asarray(covariance, np.float64).ravel())
     return _serialise(_type(POSE)(_header(PROXIMITY_FRAME, stamp_ns), known), POSE)
+
+
+def vector(x: float, y: float, z: float, stamp_ns: int) -> bytes:
+    """Return three numbers about the axes of the proximity depth frame."""
+    return _serialise(
+        _type(VECTOR)(_header(PROXIMITY_FRAME, stamp_ns), _type("geometry_msgs/msg/Vector3")(x, y, z)), VECTOR
+    )
 
 
 def number(value: float) -> bytes:

@@ -8,6 +8,7 @@ listens to its topic.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -22,12 +23,12 @@ from ..contact.pipeline import ContactPatch
 from ..errors import RigMismatchError
 from ..model.arrays import Float64Array
 from ..model.clouds import deproject_image
-from ..model.frames import SensorFrame
+from ..model.frames import Matrix4, SensorFrame
 from ..model.rig_file import json_text, rig_to_json
 from ..preset import Preset
 from ..sources.mcap.messages import CAMERA_INFO, IMAGE, POINT_CLOUD, TACTILE_FRAME, TEXT, TRANSFORMS, Topic
 from . import messages
-from .messages import DIAGNOSTICS, NUMBER, POSE
+from .messages import DIAGNOSTICS, NUMBER, POSE, VECTOR
 
 #: Frame of the known object.
 OBJECT_FRAME: Final = "object"
@@ -38,6 +39,8 @@ _IMAGES: Final = (Topic.PROXIMITY_DEPTH, Topic.PROXIMITY_COLOR, Topic.TACTILE_DE
 LIVE_TOPICS: Final[Mapping[str, str]] = {
     Topic.PATCH: POINT_CLOUD,
     Topic.AREA: NUMBER,
+    Topic.TILT: VECTOR,
+    Topic.TILT_SIGMA: VECTOR,
     Topic.OBJECT_POSE: POSE,
     Topic.TRANSFORMS: TRANSFORMS,
     Topic.STATIC_TRANSFORMS: TRANSFORMS,
@@ -126,20 +129,26 @@ class Sink(Protocol):
         """Return the state; called from any thread."""
 
 
-class ObjectPose(Protocol):
-    """What is published of a tracked object; `tactune.core.estimation.pose.PoseEstimate` has it."""
+@dataclass(frozen=True, eq=False)
+class Estimates:
+    """What was read from a patch; what is None is not published.
 
-    @property
-    def T_proximity_object(self) -> Float64Array:
-        """Pose, 4 x 4, metres."""
+    Attributes
+    ----------
+    tilt : mapping of str to float or None, optional
+        As `tactune.core.estimation.tilt.Tilt.record` returns it.
+    pose : 4 x 4, optional
+        ``T_proximity_object`` of a tracked object that is not lost.
+    covariance : float64, shape (6, 6), optional
+        Of that pose, as in `tactune.core.estimation.pose.PoseEstimate`.
+    """
 
-    @property
-    def covariance(self) -> Float64Array:
-        """Covariance, 6 x 6, as `tactune.core.output.messages.pose_with_covariance` expects it."""
+    tilt: Mapping[str, float | None] | None = None
+    pose: Matrix4 | None = None
+    covariance: Float64Array | None = None
 
-    @property
-    def lost(self) -> bool:
-        """Whether the tracker has lost the object; the pose is then not published."""
+
+_NO_ESTIMATES: Final = Estimates()
 
 
 @dataclass(frozen=True)
@@ -175,13 +184,13 @@ class FrameMessages:
         The one that the patch was computed with.
     shift_ns : int
         Added to the frame's time stamps.
-    pose : ObjectPose, optional
+    estimates : Estimates
     """
 
     def __init__(
-        self, frame: SensorFrame, patch: ContactPatch, preset: Preset, shift_ns: int, pose: ObjectPose | None = None
+        self, frame: SensorFrame, patch: ContactPatch, preset: Preset, shift_ns: int, estimates: Estimates
     ) -> None:
-        self._frame, self._patch, self._preset, self._pose = frame, patch, preset, pose
+        self._frame, self._patch, self._preset, self._estimates = frame, patch, preset, estimates
         self._proximity_ns = messages.nanoseconds(frame.proximity_time_s) + shift_ns
         self._tactile_ns = messages.nanoseconds(frame.tactile_time_s) + shift_ns
         self._built: dict[str, LiveMessage | None] = {}
@@ -209,6 +218,8 @@ class FrameMessages:
         build: dict[str, Callable[[], bytes | None]] = {
             Topic.PATCH: lambda: messages.point_cloud(self._patch.points, stamp_ns),
             Topic.AREA: lambda: messages.number(self._patch.area_mm2),
+            Topic.TILT: lambda: self._build_tilt(""),
+            Topic.TILT_SIGMA: lambda: self._build_tilt("_sigma"),
             Topic.OBJECT_POSE: self._build_pose,
             Topic.TRANSFORMS: self._build_transforms,
             Topic.STATIC_TRANSFORMS: self._build_static_transforms,
@@ -238,17 +249,23 @@ class FrameMessages:
         pixels = np.ascontiguousarray(image).reshape(-1).view(np.uint8)
         return b"".join((messages.stamped(stream.head, stamp_ns), pixels.data))
 
-    def _build_pose(self) -> bytes | None:
-        pose = self._pose
-        if pose is None or pose.lost:
+    def _build_tilt(self, of: str) -> bytes | None:
+        tilt = self._estimates.tilt
+        if tilt is None:
             return None
-        return messages.pose_with_covariance(pose.T_proximity_object, pose.covariance, self.stamp_ns)
+        angles = [tilt[f"{angle}{of}_rad"] for angle in ("roll", "pitch", "axis")]
+        x, y, z = (math.nan if angle is None else angle for angle in angles)
+        return messages.vector(x, y, z, self.stamp_ns)
+
+    def _build_pose(self) -> bytes | None:
+        pose, covariance = self._estimates.pose, self._estimates.covariance
+        if pose is None or covariance is None:
+            return None
+        return messages.pose_with_covariance(np.array(pose), covariance, self.stamp_ns)
 
     def _build_transforms(self) -> bytes | None:
-        pose = self._pose
-        if pose is None or pose.lost:
-            return None
-        return messages.transforms({OBJECT_FRAME: pose.T_proximity_object}, self.stamp_ns)
+        pose = self._estimates.pose
+        return None if pose is None else messages.transforms({OBJECT_FRAME: np.array(pose)}, self.stamp_ns)
 
     def _build_static_transforms(self) -> bytes:
         calibrated = None
@@ -292,7 +309,9 @@ class Publisher:
             self.close()
             raise
 
-    def put(self, frame: SensorFrame, patch: ContactPatch, preset: Preset, *, pose: ObjectPose | None = None) -> None:
+    def put(
+        self, frame: SensorFrame, patch: ContactPatch, preset: Preset, estimates: Estimates = _NO_ESTIMATES
+    ) -> None:
         """Publish a frame and return at once.
 
         Parameters
@@ -302,14 +321,13 @@ class Publisher:
         patch : ContactPatch
         preset : Preset
             The one that the patch was computed with.
-        pose : ObjectPose, optional
-            Of a tracked object.
+        estimates : Estimates
         """
         now_ns, stamp_ns = time.time_ns(), messages.nanoseconds(frame.proximity_time_s)
         if abs(stamp_ns + self._shift_ns - now_ns) > _MAX_CLOCK_ERROR_NS:
             is_live = abs(stamp_ns - now_ns) < _MAX_CLOCK_ERROR_NS
             self._shift_ns = 0 if is_live else now_ns - stamp_ns
-        built = FrameMessages(frame, patch, preset, self._shift_ns, pose)
+        built = FrameMessages(frame, patch, preset, self._shift_ns, estimates)
         for output in self._outputs:
             output.put(built)
 

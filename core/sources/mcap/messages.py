@@ -75,6 +75,8 @@ class Topic(StrEnum):
     TRUTH_DEPTH = "/truth/depth/image"
     PATCH = "/contact/patch"
     AREA = "/contact/area_mm2"
+    TILT = "/contact/tilt"
+    TILT_SIGMA = "/contact/tilt_sigma"
     PROXIMITY_CLOUD = "/proximity/points"
     TACTILE_CLOUD = "/tactile/points"
     OBJECT_POSE = "/object/pose"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,11 +13,12 @@ from mcap_ros2.decoder import DecoderFactory
 
 from tactune.core import ContactPipeline, load_preset, open_source
 from tactune.core.errors import PublishError
+from tactune.core.estimation.tilt import Tilt
 from tactune.core.model.clouds import deproject
 from tactune.core.model.frames import SensorFrame
 from tactune.core.model.patch import ContactPatch
 from tactune.core.output.messages import definition
-from tactune.core.output.publisher import LIVE_TOPICS, FrameMessages, LiveMessage, Publisher, SinkStatus
+from tactune.core.output.publisher import LIVE_TOPICS, Estimates, FrameMessages, LiveMessage, Publisher, SinkStatus
 from tactune.core.preset import Preset
 
 WAIT_S = 60
@@ -41,11 +41,8 @@ def points_of(cloud: Any) -> np.ndarray[Any, Any]:
     return np.frombuffer(bytes(cloud.data), "<f4").reshape(cloud.height, cloud.width, 3)
 
 
-@dataclass
-class Pose:
-    T_proximity_object: np.ndarray[Any, Any]
-    covariance: np.ndarray[Any, Any]
-    lost: bool = False
+TURN = ((0.0, -1.0, 0.0, 0.1), (1.0, 0.0, 0.0, 0.2), (0.0, 0.0, 1.0, 0.3), (0.0, 0.0, 0.0, 1.0))
+TILT = Tilt(0, 0.0, "pca", 9, roll_rad=0.1, roll_sigma_rad=0.01, axis_rad=-0.5, axis_sigma_rad=0.05)
 
 
 @pytest.fixture(scope="module")
@@ -60,9 +57,8 @@ def processed() -> tuple[SensorFrame, ContactPatch, Preset]:
 
 def test_every_topic_arrives_bit_for_bit(processed: tuple[SensorFrame, ContactPatch, Preset]) -> None:
     frame, patch, preset = processed
-    turn = np.array([[0, -1, 0, 0.1], [1, 0, 0, 0.2], [0, 0, 1, 0.3], [0, 0, 0, 1.0]])
     covariance = np.arange(36, dtype=np.float64).reshape(6, 6)
-    built = FrameMessages(frame, patch, preset, 5 * 10**9, Pose(turn, covariance))
+    built = FrameMessages(frame, patch, preset, 5 * 10**9, Estimates(TILT.record(), TURN, covariance))
     seen = {topic: decoded(message) for topic in LIVE_TOPICS if (message := built.get(topic)) is not None}
     assert seen.keys() == LIVE_TOPICS.keys()
 
@@ -94,14 +90,18 @@ def test_every_topic_arrives_bit_for_bit(processed: tuple[SensorFrame, ContactPa
     moving, static = seen["/tf"].transforms, seen["/tf_static"].transforms
     assert [(t.header.frame_id, t.child_frame_id) for t in moving] == [("proximity_depth_optical_frame", "object")]
     assert "tactile_depth_optical_frame" in [t.child_frame_id for t in static]
+    for topic, angles in (("/contact/tilt", [0.1, np.nan, -0.5]), ("/contact/tilt_sigma", [0.01, np.nan, 0.05])):
+        vector = seen[topic].vector
+        assert np.array_equal([vector.x, vector.y, vector.z], angles, equal_nan=True)
     values = {pair.key: pair.value for pair in seen["/diagnostics"].status[0].values}
     assert float(values["total ms"]) == pytest.approx(sum(patch.stage_ms.values()), abs=0.01)
 
 
-def test_a_lost_object_has_no_pose(processed: tuple[SensorFrame, ContactPatch, Preset]) -> None:
-    built = FrameMessages(*processed, 0, Pose(np.eye(4), np.eye(6), lost=True))
+def test_what_was_not_estimated_is_not_sent(processed: tuple[SensorFrame, ContactPatch, Preset]) -> None:
+    built = FrameMessages(*processed, 0, Estimates())
     assert built.get("/object/pose") is None
     assert built.get("/tf") is None
+    assert built.get("/contact/tilt") is None
 
 
 class Collecting:

@@ -1,0 +1,174 @@
+"""The Foxglove server: live messages and preset parameters over WebSocket, for the Foxglove app and its clients.
+
+Channels have the message encoding ``cdr`` and schemas in ``ros2msg``, as ROS 2 bags in MCAP have them, so the bytes are
+those of recordings and of ROS 2.
+"""
+
+from __future__ import annotations
+
+import importlib.resources
+import os
+import re
+import threading
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+from ..errors import MissingExtraError, PublishError, TactuneError
+from .messages import definition
+from .parameters import PresetParameters
+from .publisher import LiveMessage, SinkStatus
+
+if TYPE_CHECKING:
+    from foxglove.websocket import ChannelView, Client, Parameter, WebSocketServer
+
+LOOPBACK: Final = "127.0.0.1"
+DEFAULT_PORT: Final = 8765
+
+
+def layout_text() -> str:
+    """Return the shipped layout of the Foxglove app, which shows all topics, as JSON text."""
+    return importlib.resources.files(__package__).joinpath("foxglove_layout.json").read_text("utf-8")
+
+
+class FoxgloveSink:
+    """A `Sink` that Foxglove clients connect to.
+
+    Parameters
+    ----------
+    parameters : PresetParameters
+    host : str
+        The address to listen on; the loopback address reaches this computer only.
+    port : int
+        0 for any free one.
+    """
+
+    def __init__(self, parameters: PresetParameters, host: str = LOOPBACK, port: int = DEFAULT_PORT) -> None:
+        self._parameters = parameters
+        self._host, self._port = host, port
+        self._server: WebSocketServer | None = None
+        self._channels: dict[str, Any] = {}
+        self._listener = _Listener(self)
+
+    def start(self, topics: Mapping[str, str]) -> None:
+        """Listen; see `Sink`."""
+        try:
+            import foxglove
+            from foxglove.websocket import Capability
+        except ImportError as error:
+            raise MissingExtraError(
+                "Foxglove needs foxglove-sdk: install it with pip install 'tactune[live]'"
+            ) from error
+        listener: Any = self._listener  # the protocol also asks for what servers without parameters call
+        context = foxglove.Context()
+        for topic, kind in topics.items():
+            schema = foxglove.Schema(name=kind, encoding="ros2msg", data=definition(kind).encode())
+            self._channels[topic] = foxglove.Channel(topic, message_encoding="cdr", schema=schema, context=context)
+        try:
+            self._server = foxglove.start_server(
+                name="Tactune",
+                host=self._host,
+                port=self._port,
+                capabilities=[Capability.Parameters],
+                server_listener=listener,
+                context=context,
+                message_backlog_size=len(topics),  # a slow client is at most one frame behind
+            )
+        except (RuntimeError, OverflowError) as error:
+            raise PublishError(_explain(str(error), self._host, self._port)) from error
+        self._port = self._server.port
+        self._parameters.on_change = self._tell_parameters
+
+    def wanted(self) -> Collection[str]:
+        """Return the topics with a subscriber."""
+        return self._listener.topics()
+
+    def send(self, messages: Sequence[LiveMessage]) -> None:
+        """Queue messages for the clients; one that is slow loses its oldest."""
+        for message in messages:
+            self._channels[message.topic].log(message.data, log_time=message.stamp_ns)
+
+    def close(self) -> None:
+        """Disconnect clients and free the port."""
+        if self._server is not None:
+            self._parameters.on_change = lambda values: None
+            self._server.stop()
+            self._server = None
+            for channel in self._channels.values():
+                channel.close()
+
+    def status(self) -> SinkStatus:
+        """Return the state; a client counts once it listens to a topic."""
+        return SinkStatus("Foxglove", f"ws://{self._host}:{self._port}", self._listener.clients())
+
+    def parameters(self, names: Collection[str]) -> list[Parameter]:
+        """Return present values, all of them where no name is given."""
+        from foxglove.websocket import Parameter
+
+        values = self._parameters.values()
+        return [Parameter(name, value=value) for name, value in values.items() if not names or name in names]  # type: ignore[arg-type]
+
+    def set_parameters(self, wanted: Sequence[Parameter]) -> list[Parameter]:
+        """Set values and return the present ones: the old where one was refused, with a message to the clients."""
+        from foxglove import StatusLevel
+
+        for parameter in wanted:
+            try:
+                self._parameters.set(parameter.name, parameter.get_value())
+            except TactuneError as error:
+                if self._server is not None:
+                    self._server.publish_status(str(error), StatusLevel.Warning)
+        names = {parameter.name for parameter in wanted}
+        return self.parameters(names)
+
+    def _tell_parameters(self, values: Mapping[str, object]) -> None:
+        if self._server is not None:
+            self._server.publish_parameter_values(self.parameters(values.keys()))
+
+
+class _Listener:
+    """What the server calls, on its own threads: subscriptions are counted, parameters passed on."""
+
+    def __init__(self, sink: FoxgloveSink) -> None:
+        self._sink = sink
+        self._lock = threading.Lock()
+        self._subscriptions: Counter[tuple[int, str]] = Counter()
+
+    def topics(self) -> frozenset[str]:
+        with self._lock:
+            return frozenset(topic for _, topic in self._subscriptions)
+
+    def clients(self) -> int:
+        with self._lock:
+            return len({client for client, _ in self._subscriptions})
+
+    def on_subscribe(self, client: Client, channel: ChannelView) -> None:
+        with self._lock:
+            self._subscriptions[client.id, channel.topic] += 1
+
+    def on_unsubscribe(self, client: Client, channel: ChannelView) -> None:
+        with self._lock:
+            self._subscriptions[client.id, channel.topic] -= 1
+            self._subscriptions = +self._subscriptions  # without those at 0
+
+    def on_get_parameters(self, client: Client, names: list[str], request: str | None = None) -> list[Parameter]:
+        return self._sink.parameters(names)
+
+    def on_set_parameters(
+        self, client: Client, parameters: list[Parameter], request: str | None = None
+    ) -> list[Parameter]:
+        return self._sink.set_parameters(parameters)
+
+    def on_parameters_subscribe(self, names: list[str]) -> None:
+        """Nothing to do: the server knows who subscribed."""
+
+    def on_parameters_unsubscribe(self, names: list[str]) -> None:
+        """Nothing to do."""
+
+
+def _explain(error: str, host: str, port: int) -> str:
+    number = re.search(r"os error (\d+)", error)
+    if number is not None and int(number[1]) == 98:
+        return f"port {port} is taken on {host}; end the program that listens there, or choose another port"
+    reason = os.strerror(int(number[1])) if number is not None else error.rpartition(": ")[2]
+    return f"Foxglove cannot listen on {host}, port {port} ({reason}); choose an address of this computer and a port"
