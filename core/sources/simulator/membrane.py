@@ -423,6 +423,21 @@ def object_pose(rotation: Any, origin: Any) -> Float64Array:
     return np.hstack([rotation.T, -(rotation.T @ origin)[:, None]])
 
 
+def contact_torque(
+    membrane: Membrane, state: MembraneState, kind: int, pose: Float64Array
+) -> tuple[float, float, float]:
+    """Return the torque of the reactions on the object about its origin, N m, along the membrane's axes.
+
+    The parameters are those of `contact_share`. Friction, where nodes stick, is not counted.
+    """
+    touching = np.flatnonzero(state.reaction_n)
+    points = membrane.surface(state.nodes)[touching]
+    normals = np.array([normal(kind, pose, *point) for point in points]).reshape(-1, 3)
+    origin = -pose[:, :3].T @ pose[:, 3]
+    x, y, z = np.cross(points - origin, -normals * state.reaction_n[touching, None]).sum(axis=0)
+    return float(x), float(y), float(z)
+
+
 def contact_share(membrane: Membrane, state: MembraneState, kind: int, pose: Float64Array) -> Float64Array:
     """Return how much of each node's share of the sheet is in contact, 0 to 1, shape (N,).
 

@@ -58,7 +58,8 @@ NAME_FIELDS: Final = (
         "Scene",
         "What presses the membrane: an object, or a scene with any object",
         DEFAULT_SCENE,
-        {scene: SPECIAL_SCENES.get(scene, "") for scene in (*SCENES, *MORE_SCENES)},
+        {scene: SPECIAL_SCENES.get(scene, "") for scene in (*SCENES, *MORE_SCENES)}
+        | {"tray": "books roll a flat tray that lies 16 mm deep"},
     ),
     NameField("object", "Object", "The object of a scene that takes any", Variant.object, dict.fromkeys(OBJECTS, "")),
     NameField(

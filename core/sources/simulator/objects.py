@@ -30,6 +30,7 @@ HAND: Final = 5
 BALL: Final = 6
 KNOBS: Final = 7
 STAR: Final = 8
+TRAY: Final = 9
 
 #: Radius of ``BALL``, which serves the analytic checks, metres.
 BALL_RADIUS_M: Final = 0.040
@@ -52,6 +53,16 @@ def compiled(function: _Kernel) -> _Kernel:
     return cast(_Kernel, kernel(function, allocates=True, error_model="numpy"))
 
 
+def turn(angles_deg: tuple[float, float, float]) -> Float64Array:
+    """Return the 3 x 3 rotation that turns about the fixed axes x, y and z, in that order, by angles in degrees."""
+    ax, ay, az = (math.radians(angle) for angle in angles_deg)
+    rx = np.array([[1, 0, 0], [0, math.cos(ax), -math.sin(ax)], [0, math.sin(ax), math.cos(ax)]])
+    ry = np.array([[math.cos(ay), 0, math.sin(ay)], [0, 1, 0], [-math.sin(ay), 0, math.cos(ay)]])
+    rz = np.array([[math.cos(az), -math.sin(az), 0], [math.sin(az), math.cos(az), 0], [0, 0, 1]])
+    rotation: Float64Array = rz @ ry @ rx
+    return rotation
+
+
 @dataclass(frozen=True)
 class PressedObject:
     """One object: its shape, how it is turned, where it presses and how it looks.
@@ -59,7 +70,7 @@ class PressedObject:
     Attributes
     ----------
     kind : int
-        ``CUBE``, ``CUP``, ``OCTOPUS``, ``PAIR``, ``MUG``, ``HAND``, ``BALL``, ``KNOBS`` or ``STAR``.
+        ``CUBE``, ``CUP``, ``OCTOPUS``, ``PAIR``, ``MUG``, ``HAND``, ``BALL``, ``KNOBS``, ``STAR`` or ``TRAY``.
     rotation_deg : tuple of float
         Turns about x, y and z of the membrane's frame, applied in that order, degrees.
     offset_m : tuple of float
@@ -78,12 +89,7 @@ class PressedObject:
 
     def rotation(self) -> Float64Array:
         """Return the 3 x 3 rotation from the object's frame to the membrane's."""
-        ax, ay, az = (math.radians(angle) for angle in self.rotation_deg)
-        rx = np.array([[1, 0, 0], [0, math.cos(ax), -math.sin(ax)], [0, math.sin(ax), math.cos(ax)]])
-        ry = np.array([[math.cos(ay), 0, math.sin(ay)], [0, 1, 0], [-math.sin(ay), 0, math.cos(ay)]])
-        rz = np.array([[math.cos(az), -math.sin(az), 0], [math.sin(az), math.cos(az), 0], [0, 0, 1]])
-        rotation: Float64Array = rz @ ry @ rx
-        return rotation
+        return turn(self.rotation_deg)
 
 
 OBJECTS: Final[dict[str, PressedObject]] = {
@@ -93,6 +99,7 @@ OBJECTS: Final[dict[str, PressedObject]] = {
     "two": PressedObject(PAIR, (0.0, 2.0, 12.0), (0.0, 0.002), (0.55, 0.85, 0.15)),
     "knobs": PressedObject(KNOBS, (1.0, 0.8, 15.0), (-0.005, 0.006), (0.80, 0.30, 0.55)),
     "star": PressedObject(STAR, (-0.8, -1.0, 20.0), (0.005, 0.004), (0.90, 0.45, 0.10)),
+    "tray": PressedObject(TRAY, (0.0, 0.0, 0.0), (0.0, 0.0), (0.55, 0.36, 0.18)),
     "mug": PressedObject(MUG, (10.0, -8.0, 35.0), (0.006, 0.004), (0.20, 0.45, 0.90), held_out=True),
     "hand": PressedObject(HAND, (-4.0, 5.0, 60.0), (0.010, -0.006), (0.88, 0.52, 0.36), held_out=True),
 }
@@ -232,6 +239,15 @@ def _hand(x: float, y: float, z: float) -> float:
 
 
 @compiled
+def _tray(x: float, y: float, z: float) -> float:
+    """Return the distance to a tray: 116 x 100 x 16 mm, its flat underside in z = 0, towards the membrane."""
+    rounding = 0.003
+    qx, qy, qz = abs(x) - 0.058 + rounding, abs(y) - 0.050 + rounding, abs(z - 0.008) - 0.008 + rounding
+    outside = math.sqrt(max(qx, 0.0) ** 2 + max(qy, 0.0) ** 2 + max(qz, 0.0) ** 2)
+    return outside + min(max(qx, qy, qz), 0.0) - rounding
+
+
+@compiled
 def distance(kind: int, pose: Float64Array, x: float, y: float, z: float) -> float:
     """Return the signed distance of a point to an object, metres; 1 m where there is none.
 
@@ -268,6 +284,8 @@ def distance(kind: int, pose: Float64Array, x: float, y: float, z: float) -> flo
         gap = _knobs(px, py, pz)
     elif kind == STAR:
         gap = _star(px, py, pz)
+    elif kind == TRAY:
+        gap = _tray(px, py, pz)
     elif kind == BALL:
         gap = math.sqrt(px * px + py * py + pz * pz) - BALL_RADIUS_M
     return gap

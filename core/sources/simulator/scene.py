@@ -12,11 +12,11 @@ from ...model.arrays import AnyArray, Float32Array, Float64Array, Uint8Array, Ui
 from ...model.frames import ColorCamera, DepthCamera, Matrix4, Rig, rigid_transform
 from ...model.intrinsics import Intrinsics
 from .grid_strain import grid_strain
-from .membrane import ATMOSPHERE_PA, Membrane, MembraneState, contact_share, object_pose
+from .membrane import ATMOSPHERE_PA, Membrane, MembraneState, contact_share, contact_torque, object_pose
 from .mesh import MembraneDesign
-from .objects import NO_OBJECT, PressedObject, distance
+from .objects import distance, turn
 from .render import CLEAN_UNIT_M, Camera, Surface, flag, gamma_table, node_normals, rasterise, see_through, shade
-from .scenes import Scene
+from .scenes import Scene, Step
 from .sheet import TEXEL_M, paint_sheet
 
 #: Distance of the standard membrane's inflated, untouched apex from the proximity camera's plane, metres.
@@ -55,9 +55,8 @@ def simulator_rig() -> Rig:
 
 
 def _rigid(degrees: tuple[float, float, float], translation_m: tuple[float, float, float]) -> Matrix4:
-    pressed = PressedObject(NO_OBJECT, degrees, (0.0, 0.0), (0.0, 0.0, 0.0))
     matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = pressed.rotation(), translation_m
+    matrix[:3, :3], matrix[:3, 3] = turn(degrees), translation_m
     return rigid_transform(matrix)
 
 
@@ -127,6 +126,8 @@ class PressFacts:
         The same over the pairs of which the tactile camera sees both dots whole, see `grid_strain`.
     force_n : float
         Sum of the contact reactions' magnitudes, along the object's normals.
+    torque_nm : (float, float, float)
+        Torque of the contact reactions on the object about its origin, N m, along the axes of the membrane's frame.
     gauge_pressure_pa : float
         Air pressure over the atmosphere's.
     residual : float
@@ -142,6 +143,7 @@ class PressFacts:
     strain_length_seen: float
     strain_width_seen: float
     force_n: float
+    torque_nm: tuple[float, float, float]
     gauge_pressure_pa: float
     residual: float
     T_proximity_object: Matrix4
@@ -160,10 +162,11 @@ class Press:
         self._rotation = self.pressed.rotation()
         self._touch_z = self._first_touch()
 
-    def pose(self, step: tuple[float, float, float]) -> Float64Array:
+    def pose(self, step: Step) -> Float64Array:
         """Return the object's pose, shape (3, 4), at one step of the scene's path."""
         x, y = self.pressed.offset_m
-        return object_pose(self._rotation, (x + step[0], y + step[1], self._touch_z - step[2]))
+        origin = x + step.x_m, y + step.y_m, self._touch_z - step.depth_m
+        return object_pose(turn(step.turn_deg) @ self._rotation, origin)
 
     def _first_touch(self) -> float:
         """Lower the object by its distance from the membrane until it touches."""
@@ -184,7 +187,7 @@ class Press:
         way, drawn = self.scene.way, self.scene.drawn
         before, held = self._led_to(drawn[0])
         for number in range(drawn[0], len(way)):
-            pose, depth = self.pose(way[number]), way[number][2]
+            pose, depth = self.pose(way[number]), way[number].depth_m
             if depth <= 0.0:
                 state = self.membrane.rest
             else:
@@ -216,9 +219,9 @@ class Press:
         """Return where the nodes that touch at a step stick at the next one: they move with the object."""
         if not self.membrane.design.sticks or number + 1 == len(self.scene.way):
             return None
-        (x, y, depth), (next_x, next_y, next_depth) = self.scene.way[number : number + 2]
-        moved = np.array([next_x - x, next_y - y, depth - next_depth])
-        return np.where((state.reaction_n > 0.0)[:, None], state.nodes + moved, np.nan)
+        now, after = (self.pose(step) for step in self.scene.way[number : number + 2])
+        on_object = state.nodes @ now[:, :3].T + now[:, 3]
+        return np.where((state.reaction_n > 0.0)[:, None], (on_object - after[:, 3]) @ after[:, :3], np.nan)
 
     def facts(self, depth_m: float, pose: Float64Array, state: MembraneState) -> PressFacts:
         """Return the ground truth of one state."""
@@ -233,6 +236,7 @@ class Press:
             strain_length_seen=grid.length_seen,
             strain_width_seen=grid.width_seen,
             force_n=float(state.reaction_n.sum()),
+            torque_nm=contact_torque(self.membrane, state, self.pressed.kind, pose),
             gauge_pressure_pa=state.pressure_pa - ATMOSPHERE_PA,
             residual=state.residual,
             T_proximity_object=rigid_transform(proximity_membrane @ np.linalg.inv(object_membrane)),

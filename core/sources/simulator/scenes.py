@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -53,6 +53,7 @@ _HIGH: Final = {
     "two": ((0.050, 0.010), 0.070),
     "knobs": ((0.060, 0.010), 0.085),
     "star": ((0.050, 0.005), 0.060),
+    "tray": ((0.050, 0.005), 0.040),
     "mug": ((0.060, 0.010), 0.095),
     "hand": ((0.065, -0.005), 0.080),
 }
@@ -60,6 +61,9 @@ _HIGH: Final = {
 _AWAY_M: Final = 0.060
 _SLIDE_M: Final = 0.045
 _SLIDE_STEP_M: Final = 0.003
+#: How deep the tray's roll axis is, metres, and the rolls at which its scene is solved, degrees.
+_TRAY_DEPTH_M: Final = 0.016
+TRAY_ROLLS_DEG: Final = tuple(0.5 * n for n in range(-16, 17))
 #: Cells of the mesh of a still press, which is ground truth, and of one that resolves the folds.
 _FINE_CELLS: Final = (236, 136)
 #: Height of the folds, metres.
@@ -95,6 +99,25 @@ class Variant:
     membrane: str = STANDARD
 
 
+class Step(NamedTuple):
+    """Where the object is at one solved step of its path.
+
+    Attributes
+    ----------
+    x_m, y_m : float
+        Shift from its offset, metres.
+    depth_m : float
+        How deep its origin is past first touch, metres; gaps are negative.
+    turn_deg : (float, float, float)
+        Turns of the object about its origin, about x, y and z of the membrane's frame in that order, degrees.
+    """
+
+    x_m: float
+    y_m: float
+    depth_m: float
+    turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
 @dataclass(frozen=True)
 class Scene:
     """One scene with all its parameters.
@@ -106,25 +129,27 @@ class Scene:
     pressed : PressedObject
     design : MembraneDesign
     print : {"droplets", "dots"}
-    way : tuple of (float, float, float)
-        Where the object goes, one solved step after the other: shift in x and y from its offset, and
-        how deep past first touch; metres, gaps negative.
+    way : tuple of Step
+        Where the object goes, one solved step after the other.
     drawn : tuple of int
         The steps that are drawn.
-    frames : tuple of int
-        Index into ``drawn`` for each frame.
+    frames : tuple of float
+        Index into ``drawn`` for each frame; between two of them the images are interpolated.
     held_out : bool
         Whether object or membrane is reserved for judging methods, not for developing them.
+    loaded : bool
+        Whether ``drawn`` are the rolls of the tray, among which `tray.carried` chooses by its load.
     """
 
     name: str
     pressed: PressedObject
     design: MembraneDesign
     print: Print
-    way: tuple[tuple[float, float, float], ...]
+    way: tuple[Step, ...]
     drawn: tuple[int, ...]
-    frames: tuple[int, ...]
+    frames: tuple[float, ...]
     held_out: bool
+    loaded: bool = False
 
     @property
     def key(self) -> str:
@@ -182,6 +207,8 @@ def resolve_scene(name: str, variant: Variant | None = None, cells: tuple[int, i
         way, drawn, frames = _still(-variant.gap_mm / 1e3)
     elif name == "slide":
         way, drawn, frames = _slide()
+    elif name == "tray":
+        way, drawn, frames = _roll()
     else:
         way, drawn, frames = _approach()
     words = [
@@ -194,7 +221,9 @@ def resolve_scene(name: str, variant: Variant | None = None, cells: tuple[int, i
     ]
     words += ["dots" if variant.grid == "dots" else "", "{}x{}".format(*design.cells)]
     held_out = pressed.held_out or membrane.held_out
-    return Scene("-".join(word for word in words if word), pressed, design, variant.grid, way, drawn, frames, held_out)
+    title = "-".join(word for word in words if word)
+    loaded = name == "tray" and not press
+    return Scene(title, pressed, design, variant.grid, way, drawn, frames, held_out, loaded)
 
 
 def still_press(shape: str, press: Press, side: Side = "right") -> tuple[PressedObject, float]:
@@ -235,7 +264,7 @@ def _check(name: str, variant: Variant) -> None:
         raise SourceError(f"sim:{name}: grid is {variant.grid!r}; choose dots, or leave it out for droplets")
 
 
-Way = tuple[tuple[tuple[float, float, float], ...], tuple[int, ...], tuple[int, ...]]
+Way = tuple[tuple[Step, ...], tuple[int, ...], tuple[float, ...]]
 
 
 def _approach() -> Way:
@@ -243,13 +272,13 @@ def _approach() -> Way:
     depths = [-gap for gap in HOVER_M] + [PRESS_STEP_M * (n + 1) for n in range(PRESS_STEPS)]
     inward = list(range(len(depths)))
     frames = inward + [inward[-1]] * HOLD_FRAMES + inward[::-1]
-    return tuple((0.0, 0.0, depth) for depth in depths), tuple(inward), tuple(frames)
+    return tuple(Step(0.0, 0.0, depth) for depth in depths), tuple(inward), tuple(frames)
 
 
 def _still(depth_m: float) -> Way:
     """Press to a depth, or stay at a gap, and hold."""
     steps = max(int(np.ceil(depth_m / _WAY_STEP_M)), 1)
-    way = tuple((0.0, 0.0, depth_m * (n + 1) / steps) for n in range(steps))
+    way = tuple(Step(0.0, 0.0, depth_m * (n + 1) / steps) for n in range(steps))
     return way, (len(way) - 1,), (0,) * _STILL_FRAMES
 
 
@@ -258,10 +287,20 @@ def _slide() -> Way:
     depth = _PRESS_DEPTH_M["medium"]
     inward, _, _ = _still(depth)
     shifts = np.linspace(-_SLIDE_M, _SLIDE_M, round(2 * _SLIDE_M / _SLIDE_STEP_M) + 1)
-    way = [(-_SLIDE_M, 0.0, step[2]) for step in inward] + [(float(shift), 0.0, depth) for shift in shifts[1:]]
+    way = [Step(-_SLIDE_M, 0.0, step.depth_m) for step in inward]
+    way += [Step(float(shift), 0.0, depth) for shift in shifts[1:]]
     drawn = list(range(len(inward) - 1, len(way)))
     there = list(range(len(drawn)))
     return tuple(way), tuple(drawn), tuple(there + there[::-1])
+
+
+def _roll() -> Way:
+    """Press the tray into the membrane and turn it about x through `TRAY_ROLLS_DEG`."""
+    inward, _, _ = _still(_TRAY_DEPTH_M)
+    way = [step._replace(turn_deg=(TRAY_ROLLS_DEG[0], 0.0, 0.0)) for step in inward[:-1]]
+    way += [Step(0.0, 0.0, _TRAY_DEPTH_M, (roll, 0.0, 0.0)) for roll in TRAY_ROLLS_DEG]
+    drawn = tuple(range(len(inward) - 1, len(way)))
+    return tuple(way), drawn, tuple(float(n) for n in range(len(drawn)))
 
 
 def light_table(light: Light) -> Uint8Array | None:

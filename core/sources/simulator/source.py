@@ -15,7 +15,7 @@ import zipfile
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final, get_args
 from weakref import WeakValueDictionary
@@ -29,6 +29,7 @@ from ...model.arrays import AnyArray, Uint8Array
 from ...model.files import atomic_path
 from ...model.frames import GroundTruth, SensorFrame, TrueStrain, rigid_transform
 from ..base import Health, Progress, SeekableSource
+from .between import facts_between, state_between
 from .membrane import Membrane
 from .names import write_name
 from .noise import NoiseModel
@@ -36,6 +37,7 @@ from .render import CLEAN_UNIT_M, CONTACT_FLAG
 from .scene import CleanState, Press, PressFacts, simulator_rig
 from .scenes import Light, Scene, Variant, light_table, resolve_scene
 from .sensors import DEFAULT_SENSOR, find_sensor
+from .tray import carried
 
 #: The tactile camera's exposure begins this much after the proximity camera's, seconds.
 _SKEW_S: Final = 0.0021
@@ -122,6 +124,9 @@ class SimulatorSource(SeekableSource):
         super().__init__(_name(scene, seed, noise, variant, light, sensor), simulator_rig(), len(self.scene.frames))
         self._message = ""
         self._solved = self._solve(self.scene, progress or (lambda share, words: None))
+        if self.scene.loaded:
+            self.scene = replace(self.scene, frames=carried(self._solved.facts, self.frame_rate_hz))
+            self._length = len(self.scene.frames)
         self._noise = NoiseModel(self.rig, seed, noise, errors)
         self._light = light_table(light)
         self._made_of = (scene, seed, noise, cells, variant, light, sensor)
@@ -139,8 +144,11 @@ class SimulatorSource(SeekableSource):
 
     def facts(self, index: int) -> PressFacts:
         """Return depth of the press, strain, force and true object pose of a frame."""
-        facts: PressFacts = self._solved.facts[self.scene.frames[index]]
-        return facts
+        return facts_between(self._solved.facts, self.scene.frames[index])
+
+    def solved_facts(self) -> Sequence[PressFacts]:
+        """Return those of the solved states, in the order of ``scene.drawn``."""
+        return self._solved.facts
 
     def health(self) -> Health:
         """Report a cache that could not be written."""
@@ -148,11 +156,15 @@ class SimulatorSource(SeekableSource):
 
     def read(self, index: int) -> SensorFrame:
         """Return frame ``index``, 0 <= index < length."""
-        state = self._solved.states[self.scene.frames[index]]
+        return self.draw(index, self.scene.frames[index])
+
+    def draw(self, index: int, place: float) -> SensorFrame:
+        """Return frame ``index``, from 0, of a state of ``scene.drawn``, or between two of them."""
+        state = state_between(self._solved.states, place)
         noise = self._noise
         depth = state.membrane * np.float32(CLEAN_UNIT_M)
         depth[state.membrane == 0] = np.nan
-        facts = self.facts(index)
+        facts = facts_between(self._solved.facts, place)
         return SensorFrame(
             sequence=index,
             proximity_depth=noise.proximity_depth(index, state.behind, state.membrane, state.cosine, state.flags),

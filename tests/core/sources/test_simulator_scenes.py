@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 
 from tactune.core.errors import SourceError
+from tactune.core.sources.simulator.between import state_between
 from tactune.core.sources.simulator.membranes import MEMBRANES, STANDARD
 from tactune.core.sources.simulator.mesh import STIFF_FACTOR, MembraneDesign, build_mesh
+from tactune.core.sources.simulator.render import CLEAN_UNIT_M, CONTACT_FLAG
 from tactune.core.sources.simulator.scene import RIM_M
 from tactune.core.sources.simulator.scene_list import MORE_SCENES, SCENE_OPTIONS
 from tactune.core.sources.simulator.scene_list import SCENES as COMMON_SCENES
 from tactune.core.sources.simulator.scenes import HELD_OUT, SCENES, Variant, light_table, read_options, resolve_scene
-from tactune.core.sources.simulator.source import SimulatorSource
+from tactune.core.sources.simulator.source import SimulatorSource, cache_file, find_solved
+from tactune.core.sources.simulator.tray import BOOKS, SECONDS
 
 COARSE = (60, 36)
 
@@ -220,3 +223,48 @@ def test_membranes_differ_in_pressure_and_stretch():
     assert share[np.hypot(middle[:, 0], middle[:, 1]) < 0.01].mean() == pytest.approx(0.75, abs=0.02)
     assert next(iter(MEMBRANES)) == STANDARD
     assert [name for name in MEMBRANES if MEMBRANES[name].held_out] == ["held-membrane"]
+
+
+@pytest.fixture(scope="module")
+def tray():
+    return open_coarse("tray")
+
+
+def true_roll_deg(pose):
+    return np.degrees(np.arcsin(-np.array(pose)[1, 2]))
+
+
+def test_books_roll_the_tray_until_the_membrane_s_torque_balances_them(tray):
+    rate = tray.frame_rate_hz
+    assert tray.length == round(SECONDS * rate)
+    for n, book in enumerate(BOOKS):
+        facts = tray.facts(round((book.time_s + 2.9) * rate))
+        roll = np.radians(true_roll_deg(facts.T_proximity_object))
+        load = -0.6 * 0.008 * np.sin(roll)  # of the tray itself
+        load += sum(each.mass_kg * (each.y_m * np.cos(roll) - 0.030 * np.sin(roll)) for each in BOOKS[: n + 1])
+        assert facts.torque_nm[0] == pytest.approx(9.81 * load, rel=0.02)
+        assert np.sign(roll) == -np.sign(load)
+    assert abs(true_roll_deg(tray.facts(round(2.9 * rate)).T_proximity_object)) < 0.1
+
+
+def test_the_tray_s_underside_is_its_plane(tray):
+    index = round(5.9 * tray.frame_rate_hz)
+    frame, pose = tray.read(index), np.array(tray.facts(index).T_proximity_object)
+    points = tray.rig.proximity.intrinsics.rays()[frame.truth.contact]
+    points = np.column_stack([points, np.ones(len(points))]) * frame.truth.depth_m[frame.truth.contact][:, None]
+    off = (points - pose[:3, 3]) @ pose[:3, 2]
+    assert len(points) > 10_000  # some on the round edges
+    assert np.median(np.abs(off)) < 0.00003
+
+
+def test_a_roll_between_two_solved_ones_is_as_if_it_were_solved(tray):
+    """From states one degree apart; the scene's own are half a degree apart."""
+    key = f"{tray.scene.key} {tray.rig.model_dump_json()}"
+    states = find_solved(cache_file(tray.scene.name, key), len(tray.scene.drawn)).states
+    direct, between = states[20], state_between([states[19], states[21]], 0.5)
+    for name in ("membrane", "tactile", "behind"):
+        off = np.abs(getattr(between, name).astype(float) - getattr(direct, name)) * CLEAN_UNIT_M
+        assert np.quantile(off, 0.99) < 0.0001
+    wrong = ((direct.flags ^ between.flags) & CONTACT_FLAG).sum()
+    assert wrong < 0.05 * (direct.flags & CONTACT_FLAG).sum()
+    assert not np.array_equal(states[20].tactile, states[19].tactile)
