@@ -40,8 +40,9 @@ KIND = SourceKind(
     description=(
         f"A simulated sensor with ground truth, pressed by an object: {', '.join(SCENES)}, two; mug and hand, "
         "held out for judging methods. hover (gap=1...20 mm away), stiff (regions 8 times as stiff), wrinkled "
-        "(folds of a twist) and slide take object=cup. tray: books roll a flat tray. press=low, medium or high holds a press, high at "
-        "side=right or left, press=none shows the untouched membrane; grid=dots prints dots 10 mm apart; "
+        "(folds of a twist) and slide take object=cup. tray: books roll a flat tray. press=low, medium "
+        "or high holds a press, high at side=right or left, press=none shows the untouched "
+        "membrane; grid=dots prints dots 10 mm apart; "
         f"membrane={', '.join(MEMBRANES)}; "
         f"light=bright or dim; noise=0, 1 or 2 times the errors of sensor= "
         f"({DEFAULT_SENSOR} by default): {', '.join(SENSORS)}."

@@ -1,7 +1,7 @@
 """The tray on the membrane: how it rolls under books, and how a rig that turns about the same axis carries it.
 
-The model. The tray is hinged on its roll axis, which lies in its flat underside along the proximity camera's x axis, at a
-constant height over the sensor; so only its roll moves. Books stand on it beside the axis. The membrane turns it back
+The model. The tray is hinged on its roll axis, which lies in its flat underside along the proximity camera's x axis, at
+a constant height over the sensor; so only its roll moves. Books stand on it beside the axis. The membrane turns it back
 with a torque M(a) that depends on the roll a of the tray relative to the sensor; M is the solver's. With the roll r of
 the tray and s of the sensor over the ground, a = r - s, and
 
