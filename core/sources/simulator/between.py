@@ -59,8 +59,9 @@ def facts_between(facts: Sequence[PressFacts], place: float) -> PressFacts:
         field.name: (1.0 - share) * np.asarray(getattr(a, field.name)) + share * np.asarray(getattr(b, field.name))
         for field in fields(PressFacts)
     }
-    numbers = {name: value.item() if value.ndim == 0 else tuple(value.tolist()) for name, value in mixed.items()}
-    return PressFacts(**numbers | {"T_proximity_object": _pose_between(a, b, share)})
+    mixed = {name: value.item() if value.ndim == 0 else tuple(value.tolist()) for name, value in mixed.items()}
+    mixed["T_proximity_object"] = _pose_between(a, b, share)
+    return PressFacts(**mixed)
 
 
 def _divide(place: float, count: int) -> tuple[int, float]:
