@@ -280,7 +280,7 @@ def fake_scene(count):
         return CleanState(**depths, **bytes_, **colours)
 
     pose = tuple(tuple(row) for row in np.eye(4).tolist())
-    facts = PressFacts(0.0, 0.1, 0.08, 0.09, 0.07, 0.08, 0.0, 1500.0, 1e-4, pose)
+    facts = PressFacts(0.0, 0.1, 0.08, 0.09, 0.07, 0.08, 0.0, (0.1, 0.2, 0.3), 1500.0, 1e-4, pose)
     return SolvedScene([state()] * count, [facts] * count)
 
 
@@ -293,8 +293,8 @@ def test_cache_keeps_every_bit(tmp_path):
         for name, image in mine.arrays().items():
             assert np.array_equal(image, kept.arrays()[name])
             assert image.dtype == kept.arrays()[name].dtype
-    assert [dataclasses.astuple(facts)[:9] for facts in back.facts] == [
-        (0.0, 0.1, 0.08, 0.09, 0.07, 0.08, 0.0, 1500.0, 1e-4)
+    assert [dataclasses.astuple(facts)[:10] for facts in back.facts] == [
+        (0.0, 0.1, 0.08, 0.09, 0.07, 0.08, 0.0, [0.1, 0.2, 0.3], 1500.0, 1e-4)
     ] * 2
     assert np.array_equal(back.facts[0].T_proximity_object, np.eye(4))
 
