@@ -28,6 +28,7 @@ from .preset import preset_commands
 from .record import convert, record
 from .run import export_folder, run
 from .scan import export_scan
+from .serve import serve
 from .strain import strain
 from .suggest import suggest
 from .tune import tune
@@ -61,6 +62,7 @@ commands.command()(doctor)
 commands.command("export-scan")(export_scan)
 commands.command()(recheck)
 commands.command()(record)
+commands.command()(serve)
 commands.command()(convert)
 commands.command()(strain)
 commands.command()(tune)

@@ -47,6 +47,7 @@ class FoxgloveSink:
         self._parameters = parameters
         self._host, self._port = host, port
         self._server: WebSocketServer | None = None
+        self._context: Any = None  # channels live only as long as it
         self._channels: dict[str, Any] = {}
         self._listener = _Listener(self)
 
@@ -60,7 +61,7 @@ class FoxgloveSink:
                 "Foxglove needs foxglove-sdk: install it with pip install 'tactune[live]'"
             ) from error
         listener: Any = self._listener  # the protocol also asks for what servers without parameters call
-        context = foxglove.Context()
+        context = self._context = foxglove.Context()
         for topic, kind in topics.items():
             schema = foxglove.Schema(name=kind, encoding="ros2msg", data=definition(kind).encode())
             self._channels[topic] = foxglove.Channel(topic, message_encoding="cdr", schema=schema, context=context)

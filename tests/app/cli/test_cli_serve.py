@@ -1,0 +1,220 @@
+"""``tactune serve`` as a program, seen by a Foxglove client of another make."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from commands import Finished
+from foxglove_client import WAIT_S, FoxgloveClient
+from sockets import listening
+from tactune.core import ContactPatch, ContactPipeline, load_preset, open_source
+from tactune.core.model.clouds import deproject_image
+from tactune.core.model.frames import SensorFrame
+from tactune.core.output.publisher import LIVE_TOPICS
+from tactune.core.preset import Preset
+
+TACTUNE = Path(sys.executable).with_name("tactune")
+#: Topics that every frame of the simulator has.
+ALL = sorted(
+    set(LIVE_TOPICS) - {"/tf", "/tf_static", "/tactune/rig", "/object/pose", "/contact/tilt", "/contact/tilt_sigma"}
+)
+
+
+@contextmanager
+def serving(*words: str) -> Iterator[tuple[subprocess.Popen[str], int]]:
+    """Start a server and yield it with its port, once it listens."""
+    command = [str(TACTUNE), "serve", "--foxglove", "--source", "sim:cup", *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            match = re.fullmatch(r"Foxglove: ws://127\.0\.0\.1:(\d+)\n", line)
+            assert match, line
+            yield process, int(match[1])
+        finally:
+            process.kill()
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[tuple[subprocess.Popen[str], int]]:
+    with serving("--port", "0") as started:
+        yield started
+
+
+def number_of(frame: dict[str, Any]) -> int:
+    return int(json.loads(frame["/tactune/frame"].data)["sequence"])
+
+
+def cloud_of(message: Any) -> np.ndarray[Any, Any]:
+    return np.frombuffer(bytes(message.data), "<f4").reshape(message.height, message.width, 3)
+
+
+def find(number: int, preset: Preset) -> tuple[SensorFrame, ContactPatch]:
+    """Return a frame of the source that is served, and its patch."""
+    with open_source("sim:cup") as source:
+        assert source.length is not None
+        source.seek(number % source.length)
+        frame = source.next_frame()
+        assert frame is not None
+        return frame, ContactPipeline(preset, source.rig).process(frame)
+
+
+def test_every_point_and_pixel_arrives(server: tuple[subprocess.Popen[str], int]) -> None:
+    with FoxgloveClient(server[1]) as client:
+        client.subscribe(ALL)
+        seen = next(frame for frame in client.frames(ALL) if frame["/contact/patch"].width > 1000)
+    frame, patch = find(number_of(seen), load_preset("simulator"))
+    assert np.array_equal(cloud_of(seen["/contact/patch"])[0], patch.points)
+    assert seen["/contact/area_mm2"].data == patch.area_mm2
+    for name, camera in (("proximity", patch.rig.proximity), ("tactile", patch.rig.tactile)):
+        depth = getattr(frame, f"{name}_depth")
+        assert cloud_of(seen[f"/{name}/points"]).shape == (480, 640, 3)
+        assert np.array_equal(cloud_of(seen[f"/{name}/points"]), deproject_image(depth, camera), equal_nan=True)
+        assert bytes(seen[f"/{name}/depth/image"].data) == depth.tobytes()
+        assert bytes(seen[f"/{name}/color/image"].data) == getattr(frame, f"{name}_color").tobytes()
+        assert seen[f"/{name}/depth/camera_info"].k[0] == camera.intrinsics.fx
+
+
+def test_a_client_that_comes_late_gets_the_static_transforms(server: tuple[subprocess.Popen[str], int]) -> None:
+    for _ in range(2):
+        with FoxgloveClient(server[1]) as client:
+            client.subscribe(["/tf_static", "/tactune/rig"])
+            seen = next(client.frames(["/tf_static", "/tactune/rig"]))
+            assert "tactile_depth_optical_frame" in [one.child_frame_id for one in seen["/tf_static"].transforms]
+
+
+def test_time_stamps_are_those_of_now(server: tuple[subprocess.Popen[str], int]) -> None:
+    with FoxgloveClient(server[1]) as client:
+        client.subscribe(["/contact/patch"])
+        found = islice(client.messages(), 5)
+        stamps = [(stamp_ns, time.time_ns(), message) for _, stamp_ns, message in found]
+    for stamp_ns, now_ns, message in stamps:
+        assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp_ns
+        assert abs(now_ns - stamp_ns) < WAIT_S * 10**9
+    assert [stamp_ns for stamp_ns, _, _ in stamps] == sorted({stamp_ns for stamp_ns, _, _ in stamps})
+
+
+def test_parameters_are_read_set_and_refused(server: tuple[subprocess.Popen[str], int]) -> None:
+    preset = load_preset("simulator")
+    with FoxgloveClient(server[1]) as client, FoxgloveClient(server[1]) as other:
+        values = client.parameters()
+        assert values["tolerance.t"] == preset.tolerance.t
+        assert values["mask.hue"] == list(preset.mask.hue)
+        assert not {"name", "cameras.proximity.serial"} & values.keys()
+        other.send("subscribeParameterUpdates", parameterNames=["tolerance.t"])
+        other.parameters()
+
+        assert client.set_parameter("tolerance.t", 0.02) == {"tolerance.t": 0.02}
+        assert other.wait_for_text("parameterValues")["parameters"][0]["value"] == 0.02
+        assert client.set_parameter("contact_test", "tolerance") == {"contact_test": "tolerance"}
+        changed = preset.with_values({"tolerance.t": 0.02, "contact_test": "tolerance"})
+        topics = ["/contact/patch", "/tactune/frame", "/diagnostics"]
+        client.subscribe(topics)
+        steps = {f"{step} ms" for step in changed.test.step_names}
+        seen = next(
+            frame
+            for frame in client.frames(topics)
+            if steps <= {pair.key for pair in frame["/diagnostics"].status[0].values} and frame["/contact/patch"].width
+        )
+        assert np.array_equal(cloud_of(seen["/contact/patch"])[0], find(number_of(seen), changed)[1].points)
+
+        refused = {"tolerance.t": 7, "outliers.k": 2.5, "range.limits_m": [0.5, 0.1], "alignment.model": "no"}
+        for name, value in refused.items():
+            present = client.parameters()[name]
+            assert client.set_parameter(name, value) == {name: present}
+            assert client.wait_for_text("status")["message"]
+        assert client.set_parameter("no.such", 1) == {}
+        assert "no.such" in client.wait_for_text("status")["message"]
+        assert client.parameters() == values | {"tolerance.t": 0.02, "contact_test": "tolerance"}
+        for name in ("tolerance.t", "contact_test"):
+            client.set_parameter(name, values[name])
+
+
+def test_a_slow_client_and_one_that_vanishes_cost_their_own_frames_only(
+    server: tuple[subprocess.Popen[str], int],
+) -> None:
+    big = ["/proximity/points", "/tactile/points"]
+    with FoxgloveClient(server[1], max_queue=1) as slow, FoxgloveClient(server[1]) as quick:
+        slow.subscribe([*big, "/tactune/frame"])  # and reads nothing
+        with FoxgloveClient(server[1]) as vanishing:
+            vanishing.subscribe(big)
+            next(vanishing.frames(big))
+            vanishing.vanish()
+        quick.subscribe(["/tactune/frame"])
+        numbers = [number_of({"/tactune/frame": message}) for _, _, message in islice(quick.messages(), 90)]
+        assert len(set(numbers)) == 90
+        assert numbers == sorted(numbers)
+        late = []
+        for topic, _, message in slow.messages():
+            if topic == "/tactune/frame":
+                late.append(number_of({topic: message}))
+                if late[-1] >= numbers[-1]:
+                    break
+        assert len(late) < 90  # its own frames are lost
+
+
+def test_either_side_may_be_killed_and_come_back(tactune: Callable[..., Finished]) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = str(free.getsockname()[1])
+    for _ in range(2):
+        with serving("--port", port) as (process, _):
+            for _ in range(2):
+                with FoxgloveClient(int(port)) as client:
+                    client.subscribe(["/contact/patch"])
+                    assert next(client.messages())[0] == "/contact/patch"
+                    client.vanish()
+            taken = tactune("serve", "--foxglove", "--port", port, "--source", "sim:cup").sentence
+            assert f"port {port} is taken" in taken
+            process.kill()
+            process.wait(WAIT_S)
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_it_listens_where_it_was_told_and_ends_cleanly(sent: signal.Signals) -> None:
+    with serving("--port", "0") as (process, port), FoxgloveClient(port) as client:
+        assert listening(process.pid) == {("tcp", "127.0.0.1", port)}
+        client.subscribe(["/contact/patch"])
+        next(client.messages())
+        process.send_signal(sent)
+        out, err = process.communicate(timeout=WAIT_S)
+        assert process.returncode == 0
+        assert re.fullmatch(r"published \d+ frames? of live:sim:cup\n", out)
+        assert "Traceback" not in err
+
+
+def test_nothing_is_published_unless_asked(tactune: Callable[..., Finished]) -> None:
+    finished = tactune("serve", "--source", "sim:cup")
+    assert finished.status == 2
+    assert "--foxglove or --ros2" in finished.err
+    assert not listening()
+
+
+def test_an_address_of_another_computer_is_refused(tactune: Callable[..., Finished]) -> None:
+    refused = tactune("serve", "--foxglove", "--host", "192.0.2.1", "--source", "sim:cup").sentence
+    assert "cannot listen on 192.0.2.1" in refused
+
+
+def test_the_layout_names_topics_that_exist(tmp_path: Path, tactune: Callable[..., Finished]) -> None:
+    assert tactune("serve", "--layout", tmp_path / "tactune.json").status == 0
+    text = (tmp_path / "tactune.json").read_text()
+    topics = set(re.findall(r'"(/[a-z0-9_/]+)', text))
+    assert len(topics) > 8
+    assert topics <= set(LIVE_TOPICS)
+    layout = json.loads(text)
+    panels = re.findall(r'"(\w+!\w+)"', json.dumps(layout["layout"]))
+    assert sorted(panels) == sorted(layout["configById"])
