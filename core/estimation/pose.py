@@ -2,13 +2,46 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from ..errors import CalibrationError
 from ..model.arrays import Float64Array
-from ..model.frames import Matrix4
+from ..model.frames import Rig, rigid_transform
+from ..model.patch import ContactPatch
+from ..preset import Preset
+from .object_mesh import Axis, ObjectMesh, import_open3d
+from .pose_fit import ON_MESH_M, Fit, PatchPoints, fit, moved, noise_density_m4, patch_points
+from .pose_search import Membrane, Searched, search, search_near, two_way_m
 
 Vector3 = tuple[float, float, float]
+
+#: Fewest image tiles of a patch that can tell a pose; 12 tiles are about 2 cm^2.
+_MIN_TILES: Final = 12
+#: A fit is good if this share of the patch lies on the mesh and its two-way residual is below; a worse one is compared
+#: with others nearby. It is lost below the second share, or above the second residual, metres.
+_GOOD_OVERLAP, _GOOD_M = 0.93, 0.0025
+_LOST_OVERLAP, _LOST_M = 0.80, 0.0035
+#: Another fit nearby replaces the present one if its two-way residual is below this share.
+_BETTER: Final = 0.8
+#: Searches nearby are at least this far apart, and searches everywhere while the object is lost, seconds.
+_NEAR_PAUSE_S, _SEARCH_PAUSE_S = 0.1, 1.0
+#: Time constants of the velocity: of its average, and of its decay along free directions, seconds.
+_VELOCITY_S, _FREE_DECAY_S = 0.1, 0.5
+#: Longest time between frames over which motion is predicted, seconds.
+_MAX_GAP_S: Final = 0.5
+#: Standard deviation of errors that all of a patch shares, metres, such as a bias that varies over the image.
+_SHARED_M: Final = 0.0003
+#: A direction has the name of an axis within this angle, degrees, and a turn within this distance of it, as a share of
+#: the mesh's radius.
+_SAME_DEG, _SAME_SHARE = 20.0, 0.3
+#: A motion is a slide if its turn is below this share.
+_SLIDE: Final = 0.2
 
 
 @dataclass(frozen=True)
@@ -18,7 +51,8 @@ class FreeDirection:
     Attributes
     ----------
     name : str
-        In words, such as "turning about its axis" or "sliding along its flat face".
+        In words, such as "turning about its axis" or "sliding along its x axis". *Its axis* is the mesh's axis of
+        symmetry, even if a part such as a handle breaks it; its x, y and z axes are those of the mesh's file.
     kind : str
         ``turn`` or ``slide``.
     axis : (float, float, float)
@@ -43,7 +77,7 @@ class PoseEstimate:
         The frame's number.
     time_s : float
         The frame's time, seconds.
-    T_proximity_object : 4 x 4
+    T_proximity_object : float64, shape (4, 4)
         Takes the mesh's coordinates to the proximity depth frame, metres. Free directions are held at the motion that
         was predicted.
     covariance : float64, shape (6, 6)
@@ -53,7 +87,7 @@ class PoseEstimate:
     free : tuple of FreeDirection
         Directions that the patch does not determine.
     residual_m : float
-        RMS distance of the patch's points to the mesh, metres; nan without a patch.
+        RMS distance to the mesh, along its normals, of the patch's points that lie on it, metres; nan without any.
     overlap : float
         Share of the patch's points that lie on the mesh, 0 to 1.
     lost : bool
@@ -62,9 +96,262 @@ class PoseEstimate:
 
     sequence: int
     time_s: float
-    T_proximity_object: Matrix4
+    T_proximity_object: Float64Array
     covariance: Float64Array
     free: tuple[FreeDirection, ...]
     residual_m: float
     overlap: float
     lost: bool
+
+
+class PoseTracker:
+    """Tracks the pose of a rigid object of known shape by its contact patches.
+
+    The patch is used, not all that the proximity camera sees through the membrane: in contact both cameras measure the
+    same surface, so a bias between them is removed and their noise is averaged, and it holds for membranes that
+    scatter. ``scripts/measure_track.py`` compares.
+
+    Each call is independent of threads, but a tracker serves one thread at a time.
+
+    Parameters
+    ----------
+    mesh : ObjectMesh
+        From `load_mesh` or `simulated_mesh`.
+    preset : Preset
+        The preset of the patches: the rig's noise and the alignment.
+    rig : Rig
+
+    Raises
+    ------
+    MissingExtraError
+        Open3D is not installed.
+    """
+
+    def __init__(self, mesh: ObjectMesh, preset: Preset, rig: Rig) -> None:
+        import_open3d()
+        self.mesh = mesh
+        self._preset, self._rig = preset, rig
+        self._density_m4 = noise_density_m4(preset, rig)
+        self._last: Fit | None = None
+        self._pose: Float64Array | None = None
+        self._forget()
+
+    def _forget(self) -> None:
+        self._velocity, self._about_m = np.zeros(6), np.zeros(3)
+        self._last, self._time_s = None, math.nan
+        self._due_s = {False: -math.inf, True: -math.inf}
+
+    def start(self, T_proximity_object: npt.ArrayLike) -> None:
+        """Begin with a pose, 4 x 4, metres, such as one of `tactune.core.evaluation.scan.pose.pose_from_pairs`.
+
+        Raises
+        ------
+        CalibrationError
+            It is no rigid transform.
+        """
+        try:
+            self._pose = np.asarray(rigid_transform(T_proximity_object), np.float64)
+        except ValueError as error:
+            raise CalibrationError(f"the object cannot start there: {error}") from error
+        self._forget()
+
+    def find(self, patch: ContactPatch | npt.ArrayLike) -> Float64Array:
+        """Find the object in any orientation and begin there; takes some seconds.
+
+        Of many starts the pose with the smallest two-way residual is taken: the patch lies on the mesh, and no part of
+        the mesh lies in front of the membrane. A symmetric object has equally good poses.
+
+        Parameters
+        ----------
+        patch : ContactPatch or array_like, shape (N, 3)
+            A patch; or points in the proximity depth frame, metres, which say nothing about the membrane beside them.
+
+        Returns
+        -------
+        float64, shape (4, 4)
+            ``T_proximity_object``.
+
+        Raises
+        ------
+        CalibrationError
+            The patch is too small, or the mesh fits it nowhere.
+        """
+        points = patch.points if isinstance(patch, ContactPatch) else np.asarray(patch, np.float64).reshape(-1, 3)
+        tiles = patch_points(points, self._rig, self._density_m4)
+        if len(tiles.points) < _MIN_TILES:
+            raise CalibrationError(
+                f"the patch is too small to find {self.mesh.name}: {len(tiles.points)} image tiles of contact, at "
+                f"least {_MIN_TILES} are needed; press it deeper, or start from a pose"
+            )
+        film = Membrane.of(patch, self._preset) if isinstance(patch, ContactPatch) else None
+        found = search(self.mesh, tiles, film, len(points))
+        if _is_lost(found):
+            raise CalibrationError(
+                f"{self.mesh.name} does not fit the contact: at best {100 * found.fit.overlap:.0f} % of the patch lies "
+                f"within {1e3 * ON_MESH_M:g} mm of it, and the two-way residual is {1e3 * found.cost_m:.1f} mm; check "
+                "that it is the mesh of this object and its unit"
+            )
+        self.start(found.fit.pose)
+        self._last = found.fit
+        return found.fit.pose
+
+    def track(self, patch: ContactPatch, time_s: float) -> PoseEstimate:
+        """Return the object's pose in the next frame; the first one is searched for unless the tracker was started.
+
+        Parameters
+        ----------
+        patch : ContactPatch
+            Of the next frame.
+        time_s : float
+            The frame's time, seconds; must increase.
+        """
+        tiles = patch_points(patch.points, self._rig, self._density_m4)
+        if len(tiles.points) < _MIN_TILES:
+            return self._nowhere(patch, time_s)
+        film = Membrane.of(patch, self._preset)
+        found = self._follow(tiles, film, len(patch.points), time_s)
+        if found is None:
+            return self._nowhere(patch, time_s)
+        self._keep(found.fit, time_s)
+        return self._estimate(found, patch, time_s)
+
+    def _follow(self, tiles: PatchPoints, film: Membrane, patch_px: int, time_s: float) -> Searched | None:
+        """Return the fit of the next frame; None if there is none yet, or if the object is lost and not found."""
+        mesh = self.mesh
+        found: Searched | None = None
+        if self._pose is not None:
+            near = fit(mesh, tiles, self._predicted(time_s))
+            found = Searched(near, two_way_m(mesh, near, film, patch_px))
+            good = near.overlap > _GOOD_OVERLAP and found.cost_m < _GOOD_M
+            if not good and self._may_search(time_s, everywhere=False):
+                around = self._last or near
+                other = search_near(mesh, tiles, film, patch_px, around, self._pose)
+                if other.cost_m < _BETTER * found.cost_m:
+                    found, self._velocity = other, np.zeros(6)
+        if (found is None or _is_lost(found)) and self._may_search(time_s, everywhere=True):
+            found = search(mesh, tiles, film, patch_px)
+            self._velocity = np.zeros(6)
+        return None if found is None or _is_lost(found) else found
+
+    def _may_search(self, time_s: float, *, everywhere: bool) -> bool:
+        """Return whether the last search was long enough ago, and count this one."""
+        if time_s < self._due_s[everywhere]:
+            return False
+        self._due_s[everywhere] = time_s + (_SEARCH_PAUSE_S if everywhere else _NEAR_PAUSE_S)
+        return True
+
+    def _predicted(self, time_s: float) -> Float64Array:
+        """Return the last pose moved on with constant velocity."""
+        assert self._pose is not None
+        passed = time_s - self._time_s
+        if not 0 < passed <= _MAX_GAP_S:
+            return self._pose
+        return moved(self._pose, passed * self._velocity, self._about_m, self.mesh.radius_m)
+
+    def _keep(self, found: Fit, time_s: float) -> None:
+        """Remember a pose and its velocity, which decays along free directions."""
+        passed = time_s - self._time_s
+        if self._pose is not None and 0 < passed <= _MAX_GAP_S:
+            way = _motion(self._pose, found.pose, found.centre_m, self.mesh.radius_m) / passed
+            gain = 1 - math.exp(-passed / _VELOCITY_S)
+            self._velocity = (1 - gain) * self._velocity + gain * way
+            free = found.directions[:, found.free]
+            self._velocity -= (1 - math.exp(-passed / _FREE_DECAY_S)) * free @ (free.T @ self._velocity)
+        else:
+            self._velocity = np.zeros(6)
+        self._pose, self._time_s, self._about_m, self._last = found.pose, time_s, found.centre_m, found
+
+    def _nowhere(self, patch: ContactPatch, time_s: float) -> PoseEstimate:
+        """Return the last pose, marked as lost."""
+        self._velocity = np.zeros(6)
+        pose = self._pose if self._pose is not None else np.eye(4)
+        unknown = np.diag([self.mesh.radius_m**2] * 3 + [1.0] * 3)
+        return PoseEstimate(patch.sequence, time_s, pose, unknown, (), math.nan, 0.0, lost=True)
+
+    def _estimate(self, found: Searched, patch: ContactPatch, time_s: float) -> PoseEstimate:
+        result = found.fit
+        return PoseEstimate(
+            patch.sequence, time_s, result.pose, _covariance(result, self.mesh.radius_m),
+            free_directions(self.mesh, result), result.residual_m, result.overlap, lost=False,
+        )  # fmt: skip
+
+
+def _is_lost(found: Searched) -> bool:
+    return not (found.fit.overlap >= _LOST_OVERLAP and found.cost_m <= _LOST_M)
+
+
+def _motion(before: Float64Array, after: Float64Array, centre_m: Float64Array, radius_m: float) -> Float64Array:
+    """Return the motion of six lengths that takes one pose to another, as `moved` takes it."""
+    turn = after[:3, :3] @ before[:3, :3].T
+    shift = after[:3, 3] - turn @ (before[:3, 3] - centre_m) - centre_m
+    return np.concatenate([shift, Rotation.from_matrix(turn).as_rotvec() * radius_m])
+
+
+def _covariance(found: Fit, radius_m: float) -> Float64Array:
+    """Return the covariance of the mesh's origin and of the rotation about fixed axes."""
+    sigmas = np.where(found.free, radius_m, np.hypot(np.minimum(found.sigmas_m, radius_m), _SHARED_M))
+    to_origin = np.eye(6)
+    x, y, z = (found.pose[:3, 3] - found.centre_m) / radius_m
+    to_origin[:3, 3:] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]  # turn x (origin - centre)
+    to_origin[3:, 3:] /= radius_m
+    spread = to_origin @ found.directions * sigmas
+    return np.asarray(spread @ spread.T)
+
+
+def free_directions(mesh: ObjectMesh, found: Fit) -> tuple[FreeDirection, ...]:
+    """Return the free directions of a fit as slides and turns with names, slides first."""
+    free = found.directions[:, found.free]
+    if free.shape[1] == 0:
+        return ()
+    _, turning, mixed = np.linalg.svd(free[3:], full_matrices=True)
+    is_slide = np.append(turning, np.zeros(len(mixed) - len(turning))) < _SLIDE
+    axes = found.pose[:3, :3]
+    slides, turns = (_along_axes(free @ mixed[rows].T, part, axes) for rows, part in ((is_slide, 0), (~is_slide, 3)))
+    return *(_slide(mesh, found, motion) for motion in slides.T), *(_turn(mesh, found, motion) for motion in turns.T)
+
+
+def _along_axes(motions: Float64Array, part: int, axes: Float64Array) -> Float64Array:
+    """Return a basis of motions, (6, k): slides (part 0) or turns (part 3), for k > 1 along the mesh's axes."""
+    if motions.shape[1] < 2:
+        return motions
+    vectors = motions[part : part + 3]
+    span = np.linalg.svd(vectors, full_matrices=False)[0]
+    nearest = np.argsort(-np.linalg.norm(span.T @ axes, axis=0))[: motions.shape[1]]
+    return np.asarray(motions @ np.linalg.pinv(vectors) @ (span @ span.T @ axes[:, np.sort(nearest)]))
+
+
+def _slide(mesh: ObjectMesh, found: Fit, motion: Float64Array) -> FreeDirection:
+    direction = motion[:3] / np.linalg.norm(motion[:3])
+    name = _axis_name(mesh, found.pose[:3, :3].T @ direction, None)
+    words = f"sliding along its {name}" if name else "sliding in an oblique direction"
+    return FreeDirection(words, "slide", _vector(direction), _vector(found.centre_m))
+
+
+def _turn(mesh: ObjectMesh, found: Fit, motion: Float64Array) -> FreeDirection:
+    spin = motion[3:] / mesh.radius_m
+    point = found.centre_m + np.cross(spin, motion[:3]) / (spin @ spin)
+    direction = spin / np.linalg.norm(spin)
+    rotation, shift = found.pose[:3, :3], found.pose[:3, 3]
+    name = _axis_name(mesh, rotation.T @ direction, rotation.T @ (point - shift))
+    words = f"turning about its {name}" if name else "turning about an oblique axis"
+    return FreeDirection(words, "turn", _vector(direction), _vector(point))
+
+
+def _axis_name(mesh: ObjectMesh, direction: Float64Array, point: Float64Array | None) -> str:
+    """Return the name of the mesh's axis along a direction of the mesh's frame, "" for none."""
+    least = math.cos(math.radians(_SAME_DEG))
+    axis = mesh.round_axis
+    if axis is not None and abs(axis.direction @ direction) > least and (point is None or _is_near(mesh, axis, point)):
+        return "axis"
+    along = int(np.argmax(np.abs(direction)))
+    return "xyz"[along] + " axis" if abs(direction[along]) > least else ""
+
+
+def _is_near(mesh: ObjectMesh, axis: Axis, point: Float64Array) -> bool:
+    away = np.linalg.norm(np.cross(point - axis.point_m, axis.direction))
+    return bool(away < _SAME_SHARE * mesh.radius_m)
+
+
+def _vector(values: Float64Array) -> Vector3:
+    x, y, z = (float(value) for value in values)
+    return x, y, z

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -97,27 +98,72 @@ def load_scan(path: Path | str, unit_m: float = 1.0) -> Scan:
     path = user_path(path)
     if not (math.isfinite(unit_m) and unit_m > 0):
         raise SourceError(f"the unit of {path} is {unit_m} m; give the length of its unit in metres, such as 0.001")
-    _check_file(path)
+    _check_file(path, SUFFIXES)
     try:
         parts = [_coloured(mesh, path, unit_m) for mesh in _meshes(path)]
         scan = _joined(parts, path)
     except TactuneError:
         raise
     except Exception as error:  # trimesh does not wrap the errors of its parsers
-        detail = " ".join(str(error).split())[:200] or type(error).__name__
-        raise SourceError(f"{path} is no readable {path.suffix} mesh ({detail}); export it again") from error
+        raise _unreadable(path, error) from error
     return scan
 
 
-def _check_file(path: Path) -> None:
-    if path.suffix.lower() not in SUFFIXES:
-        raise SourceError(f"{path} has the suffix {path.suffix!r}; a scan is one of {', '.join(SUFFIXES)}")
+def read_triangles(path: Path | str, suffixes: Sequence[str] = SUFFIXES) -> tuple[Float64Array, Int32Array]:
+    """Read the geometry of a mesh.
+
+    Parameters
+    ----------
+    path : path
+    suffixes : sequence of str
+        Formats that are allowed, of those that trimesh reads.
+
+    Returns
+    -------
+    vertices : float64, shape (N, 3)
+        In the file's unit; coincident ones are merged.
+    triangles : int32, shape (M, 3)
+        Vertex numbers, counter-clockwise seen from outside if the surface is closed.
+
+    Raises
+    ------
+    SourceError
+        The file cannot be read, has no triangles or a vertex is not finite.
+    MissingExtraError
+        trimesh or Pillow is not installed.
+    """
+    path = user_path(path)
+    _check_file(path, suffixes)
+    try:
+        grey = [
+            Scan(vertices, triangles.astype(np.int32), np.zeros((len(vertices), 3), np.uint8))
+            for vertices, triangles in (_geometry(mesh, path) for mesh in _meshes(path))
+        ]
+        joined = _merged(grey, path)
+    except TactuneError:
+        raise
+    except Exception as error:  # trimesh does not wrap the errors of its parsers
+        raise _unreadable(path, error) from error
+    vertices, triangles = joined.vertices_m, joined.triangles
+    a, b, c = (vertices[triangles[:, k]] - vertices.mean(axis=0) for k in range(3))
+    inside_out = (a * np.cross(b, c)).sum() < 0
+    return vertices, np.ascontiguousarray(triangles[:, ::-1]) if inside_out else triangles
+
+
+def _unreadable(path: Path, error: Exception) -> SourceError:
+    detail = " ".join(str(error).split())[:200] or type(error).__name__
+    return SourceError(f"{path} is no readable {path.suffix} mesh ({detail}); export it again")
+
+
+def _check_file(path: Path, suffixes: Sequence[str]) -> None:
+    if path.suffix.lower() not in suffixes:
+        raise SourceError(f"{path} has the suffix {path.suffix!r}; a mesh is one of {', '.join(suffixes)}")
     try:
         size = path.stat().st_size
     except OSError as error:
         raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
     if not path.is_file():
-        raise SourceError(f"{path} is no file; give a .ply or .obj")
+        raise SourceError(f"{path} is no file; give one of {', '.join(suffixes)}")
     if not 0 < size <= _FILE_BYTES:
         raise SourceError(f"{path} has {size} bytes; a scan has 1 to {_FILE_BYTES}, so export it again or coarser")
 
@@ -147,16 +193,22 @@ def _meshes(path: Path) -> list[Any]:
     return meshes
 
 
-def _coloured(mesh: Any, path: Path, unit_m: float) -> Scan:
-    """Return one mesh of a file with vertex colours."""
+def _geometry(mesh: Any, path: Path) -> tuple[Float64Array, Int64Array]:
+    """Return vertices, in the file's unit, and triangles of one mesh of a file; unused vertices may become 0."""
     vertices, triangles = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     if triangles.min() < 0 or triangles.max() >= len(vertices):
         raise SourceError(f"{path} has a triangle with an invalid vertex index; export it again")
     used = np.unique(triangles)
     if wrong := int(np.count_nonzero(~np.isfinite(vertices[used]).all(axis=1))):
         raise SourceError(f"{path} has {wrong} vertices that are nan or infinite; export it again")
-    vertices = np.where(np.isfinite(vertices), vertices, 0.0) * unit_m
-    _check_largest(vertices[used], path)
+    return np.where(np.isfinite(vertices), vertices, 0.0), triangles
+
+
+def _coloured(mesh: Any, path: Path, unit_m: float) -> Scan:
+    """Return one mesh of a file with vertex colours."""
+    vertices, triangles = _geometry(mesh, path)
+    vertices = vertices * unit_m
+    _check_largest(vertices[np.unique(triangles)], path)
     kind = mesh.visual.kind
     if kind == "texture":
         return _textured(mesh, vertices, triangles, path)
@@ -197,6 +249,15 @@ def _cut_edge(vertices: Float64Array, triangles: Int64Array) -> float:
 
 
 def _joined(parts: list[Scan], path: Path) -> Scan:
+    """Join meshes and check the size."""
+    scan = _merged(parts, path)
+    _check_largest(scan.vertices_m, path)
+    if scan.size_m < _MIN_SIZE_M:
+        raise SourceError(f"{path} is {1e3 * scan.size_m:.3g} mm across; if its numbers are metres, set the unit to m")
+    return scan
+
+
+def _merged(parts: list[Scan], path: Path) -> Scan:
     """Join meshes: merge coincident vertices, drop triangles without area."""
     starts = np.cumsum([0, *(len(part.vertices_m) for part in parts)])
     vertices, first, number = np.unique(
@@ -209,11 +270,7 @@ def _joined(parts: list[Scan], path: Path) -> Scan:
     if len(triangles) == 0:
         raise SourceError(f"{path} has only triangles without area; export it again")
     used, renumbered = np.unique(triangles, return_inverse=True)
-    vertices = vertices[used]
-    _check_largest(vertices, path)
-    if (size := _size(vertices)) < _MIN_SIZE_M:
-        raise SourceError(f"{path} is {1e3 * size:.3g} mm across; if its numbers are metres, set the unit to m")
-    return Scan(vertices, renumbered.reshape(-1, 3).astype(np.int32), np.ascontiguousarray(colors[used]))
+    return Scan(vertices[used], renumbered.reshape(-1, 3).astype(np.int32), np.ascontiguousarray(colors[used]))
 
 
 def _check_largest(vertices: Float64Array, path: Path) -> None:

@@ -1,0 +1,189 @@
+"""The mesh of a known object: read from a file, its unit found, its axes named, its surface searched by Open3D."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from ..errors import MissingExtraError, SourceError
+from ..evaluation.scan.scan import UNITS_M, read_triangles, triangle_areas
+from ..model.arrays import BoolArray, Float64Array, Int32Array
+from ..sources.simulator.source import SimulatorSource
+
+#: Suffixes of meshes.
+SUFFIXES: Final = (".obj", ".ply", ".stl")
+#: Diagonals, metres, of objects that a membrane of 0.3 m can feel. The range is less than a factor of 1000 wide, so at
+#: most one of metres and millimetres fits.
+_SMALLEST_M, _LARGEST_M = 0.01, 2.0
+#: Side of the quads of a simulated object's mesh, metres.
+_SIMULATED_SIDE_M: Final = 0.0015
+#: Triangles that the symmetry axis is fitted to.
+_AXIS_TRIANGLES: Final = 4000
+#: A surface is round about an axis if this share of it, by area, lies within this share of its size.
+_ROUND_SHARE, _ROUND_ERROR = 0.6, 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Axis:
+    """A line in the mesh's frame: a point, metres, and a unit vector, each float64 (3,)."""
+
+    point_m: Float64Array
+    direction: Float64Array
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectMesh:
+    """The surface of an object in its own frame.
+
+    Attributes
+    ----------
+    vertices_m : float64, shape (N, 3)
+        Metres.
+    triangles : int32, shape (M, 3)
+        Vertex numbers, counter-clockwise seen from outside.
+    name : str
+    unit : str
+        Unit of the file, ``m`` or ``mm``, for messages.
+    """
+
+    vertices_m: Float64Array
+    triangles: Int32Array
+    name: str = "object"
+    unit: str = "m"
+
+    @property
+    def size_m(self) -> Float64Array:
+        """Sides of the bounding box along the mesh's axes, metres, float64 (3,)."""
+        return np.asarray(np.ptp(self.vertices_m, axis=0))
+
+    @property
+    def assumed(self) -> str:
+        """What was assumed about the file, as a sentence."""
+        sides = " x ".join(f"{1e3 * side:.0f}" for side in self.size_m)
+        return f"{self.name} was read in {self.unit}: {sides} mm"
+
+    @cached_property
+    def centre_m(self) -> Float64Array:
+        """Centre of the surface, metres, float64 (3,)."""
+        corners, areas = self.vertices_m[self.triangles], triangle_areas(self.vertices_m, self.triangles)
+        return np.asarray(np.average(corners.mean(axis=1), axis=0, weights=areas))
+
+    @cached_property
+    def radius_m(self) -> float:
+        """RMS distance of the surface from its centre, metres: the lever that turns angles into distances."""
+        corners, areas = self.vertices_m[self.triangles], triangle_areas(self.vertices_m, self.triangles)
+        away = ((corners.mean(axis=1) - self.centre_m) ** 2).sum(axis=1)
+        return math.sqrt(float(np.average(away, weights=areas)))
+
+    @cached_property
+    def scene(self) -> Any:
+        """Open3D's ray casting scene of the mesh, which also finds closest points.
+
+        Raises
+        ------
+        MissingExtraError
+            Open3D is not installed.
+        """
+        scene = import_open3d().t.geometry.RaycastingScene(nthreads=1)
+        scene.add_triangles(self.vertices_m.astype(np.float32), self.triangles.astype(np.uint32))
+        return scene
+
+    @cached_property
+    def round_axis(self) -> Axis | None:
+        """The axis about which most of the surface is round, such as that of a cup without its handle; else None.
+
+        The turn that moves the surface least out of itself is the smallest eigenvector of the sum over the surface of
+        J J^T with J = (p x n, n), as in Gelfand and Guibas, "Shape segmentation using local slippage analysis"
+        (2004). It is fitted again with what does not follow it weighted down.
+        """
+        areas = triangle_areas(self.vertices_m, self.triangles)
+        chosen = np.random.default_rng(0).choice(len(areas), _AXIS_TRIANGLES, p=areas / areas.sum())
+        a, b, c = (self.vertices_m[self.triangles[chosen, k]] for k in range(3))
+        normals = np.cross(b - a, c - a)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        places = ((a + b + c) / 3 - self.centre_m) / self.radius_m
+        rows = np.concatenate([np.cross(places, normals), normals], axis=1)
+        best: Axis | None = None
+        best_share = _ROUND_SHARE
+        for start in np.eye(3):  # about each axis of the file; the fit then finds the true one
+            motion = np.concatenate([start, np.zeros(3)])
+            for _ in range(30):
+                weights = 1 / ((rows @ motion) ** 2 + _ROUND_ERROR**2)
+                motion = np.linalg.eigh((rows * weights[:, None]).T @ rows)[1][:, 0]
+                turn = float(np.linalg.norm(motion[:3]))
+                if turn < 1e-3:
+                    break
+                motion /= turn
+            share = float(np.mean(np.abs(rows @ motion) < 2 * _ROUND_ERROR))
+            pitch = float(np.dot(motion[:3], motion[3:]))
+            if turn >= 1e-3 and abs(pitch) < 0.1 and share > best_share:
+                point = self.centre_m + self.radius_m * np.cross(motion[:3], motion[3:])
+                best, best_share = Axis(point, motion[:3].copy()), share
+        return best
+
+    def closest(self, points: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Return the closest points of the surface and its unit normals there, each (N, 3), in the mesh's frame."""
+        found = self.scene.compute_closest_points(points.astype(np.float32))
+        return found["points"].numpy().astype(np.float64), found["primitive_normals"].numpy().astype(np.float64)
+
+    def hits(self, origin: Float64Array, rays: Float64Array) -> tuple[Float64Array, BoolArray]:
+        """Return where rays, (N, 3), from a point hit the surface first, as multiples of the rays, and which hit."""
+        from_there = np.concatenate([np.broadcast_to(origin, rays.shape), rays], axis=1).astype(np.float32)
+        lengths = self.scene.cast_rays(from_there)["t_hit"].numpy().astype(np.float64)
+        return lengths, np.isfinite(lengths)
+
+
+def load_mesh(path: Path | str, unit: str | None = None) -> ObjectMesh:
+    """Read the mesh of an object.
+
+    Parameters
+    ----------
+    path : path
+        ``.obj``, ``.ply`` or ``.stl``.
+    unit : {"m", "cm", "mm", "in"}, optional
+        By default m if the object then is 10 mm to 2 m large, else mm: a cup of 95 is not 95 m.
+
+    Raises
+    ------
+    SourceError
+        The file cannot be read, has no triangles, a vertex is not finite, or the object is too large or too small.
+    MissingExtraError
+        trimesh is not installed.
+    """
+    if unit is not None and unit not in UNITS_M:
+        raise SourceError(f"there is no unit {unit!r}; choose one of {', '.join(UNITS_M)}")
+    vertices, triangles = read_triangles(path, SUFFIXES)
+    size = math.dist(vertices.min(axis=0), vertices.max(axis=0))
+    for candidate in (unit,) if unit else ("m", "mm"):
+        if _SMALLEST_M <= size * UNITS_M[candidate] <= _LARGEST_M:
+            return ObjectMesh(vertices * UNITS_M[candidate], triangles, Path(path).name, candidate)
+    tried = f"in {unit}" if unit else "in m or in mm"
+    raise SourceError(
+        f"{path} is {size:.4g} across, which {tried} is no object of {1e3 * _SMALLEST_M:g} mm to {_LARGEST_M:g} m; "
+        "check its unit"
+    )
+
+
+def simulated_mesh(source: SimulatorSource) -> ObjectMesh:
+    """Return the mesh of the simulator's object, in the frame of its true pose."""
+    from ..evaluation.scan.simulated import object_surface
+
+    vertices, quads = object_surface(source.scene.pressed.kind, _SIMULATED_SIDE_M)
+    triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]).astype(np.int32)
+    return ObjectMesh(vertices, triangles, source.name)
+
+
+def import_open3d() -> Any:
+    """Import Open3D, or raise `MissingExtraError`."""
+    try:
+        import open3d
+    except (ImportError, OSError) as error:  # OSError: a system library is missing
+        raise MissingExtraError(
+            f'tracking an object needs Open3D, which cannot be imported ({error}): pip install "tactune[open3d]"'
+        ) from error
+    return open3d

@@ -1,0 +1,230 @@
+"""One fit of a mesh to a contact patch: iterated point-to-plane distances, solved in the determined directions only.
+
+Motions of the mesh are six lengths: a translation, and a turn about the patch's centre times the mesh's radius. So all
+six can be compared, in metres.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..model.arrays import BoolArray, Float32Array, Float64Array, Int64Array
+from ..model.frames import Rig
+from ..preset import Preset
+from .object_mesh import ObjectMesh
+
+#: Side of the image tiles whose points are averaged, pixels of an image that is 640 wide; a tile counts from this share
+#: of its pixels.
+_TILE_PX, _FILLED = 6, 0.33
+#: Tiles along the side of a window, over which errors that tiles share are found.
+_WINDOW_TILES: Final = 4
+#: Noise density, m^4, of a real L515 at 0.3 m, for presets whose rig was not measured (`CameraNoise.density_m4`).
+_DENSITY_M4: Final = 1.6e-11
+#: A direction is free if its standard deviation is larger than this, metres, or if it moves the patch out of itself by
+#: less than the square root of this share of what the best determined direction does: that much comes from the mesh's
+#: triangles alone.
+FREE_SIGMA_M: Final = 0.003
+_FREE_SHARE: Final = 1e-3
+#: Iterations at most, and the step at which they end, metres.
+_ROUNDS, _DONE_M = 20, 1e-5
+#: Points within this distance of the mesh lie on it, metres; or within this many standard deviations.
+ON_MESH_M, _ON_MESH_SIGMAS = 0.003, 4.0
+#: Pairs farther apart than this do not count, metres, in the first and in the last iterations.
+_REACH_M: Final = (0.020, 0.008)
+#: Points beyond this many robust standard deviations count less (Huber); the smallest such deviation, metres.
+_HUBER, _SMALLEST_SIGMA_M = 2.0, 0.0003
+
+
+@dataclass(frozen=True, eq=False)
+class PatchPoints:
+    """A patch averaged over image tiles, weighted by the noise.
+
+    Attributes
+    ----------
+    points : float64, shape (N, 3)
+        Means of the points in a tile, metres, proximity depth frame.
+    weights : float64, shape (N,)
+        Inverse variances, 1 / m^2: the tile's area over the noise density. As the density contains what neighbours
+        share, sums over many tiles have the right variance: the effective number of points is taken into account.
+    windows : int64, shape (N,)
+        Number of the window of tiles that each belongs to.
+    """
+
+    points: Float64Array
+    weights: Float64Array
+    windows: Int64Array
+
+    @cached_property
+    def centre_m(self) -> Float64Array:
+        """Weighted mean of the points, metres."""
+        return np.asarray(np.average(self.points, axis=0, weights=self.weights))
+
+    def every(self, step: int) -> PatchPoints:
+        """Return every n-th point."""
+        return PatchPoints(self.points[::step], self.weights[::step], self.windows[::step])
+
+
+def patch_points(points: Float32Array | Float64Array, rig: Rig, density_m4: float) -> PatchPoints:
+    """Average points of the proximity image over its tiles."""
+    camera = rig.proximity.intrinsics
+    points = np.asarray(points, np.float64)
+    side = max(round(_TILE_PX * camera.width / 640), 1)
+    pixels = camera.fx * points[:, 0] / points[:, 2], camera.fy * points[:, 1] / points[:, 2]
+    u, v = (np.floor(where / side).astype(np.int64) + 4096 for where in pixels)
+    tiles, inverse, counts = np.unique(v * 8192 + u, return_inverse=True, return_counts=True)
+    means = np.stack([np.bincount(inverse, points[:, k], len(tiles)) for k in range(3)], axis=1) / counts[:, None]
+    kept = counts >= _FILLED * side**2
+    tiles, means, counts = tiles[kept], means[kept], counts[kept]
+    areas = counts * means[:, 2] ** 2 / (camera.fx * camera.fy)
+    windows = tiles // 8192 // _WINDOW_TILES * 8192 + tiles % 8192 // _WINDOW_TILES
+    return PatchPoints(means, areas / density_m4, windows)
+
+
+def noise_density_m4(preset: Preset, rig: Rig) -> float:
+    """Return the noise power of a patch per area, m^4: that of both cameras' weighted mean.
+
+    `DENSITY_M4` unless the preset holds the rig's measured noise.
+    """
+    if preset.noise is None:
+        return _DENSITY_M4
+    near = preset.noise.proximity.density_m4(rig.proximity.intrinsics.fx)
+    film = preset.noise.tactile.density_m4(rig.tactile.intrinsics.fx)
+    return max(near * film / (near + film) if near + film > 0 else 0.0, 1e-16)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A mesh fitted to a patch.
+
+    Attributes
+    ----------
+    pose : float64, shape (4, 4)
+        ``T_proximity_object``.
+    centre_m : float64, shape (3,)
+        What the turns are about, proximity depth frame.
+    directions : float64, shape (6, 6)
+        Orthonormal motions in columns: the translation, then the turn about ``centre_m`` times the mesh's radius.
+    sigmas_m : float64, shape (6,)
+        Standard deviation along each direction, metres; not finite where nothing determines it.
+    free : bool, shape (6,)
+        Which directions the patch does not determine.
+    residual_m : float
+        RMS distance of the points that lie on the mesh along its normals, metres; nan without any.
+    overlap : float
+        Weighted share of the points that lie on the mesh.
+    cost_m : float
+        RMS distance of all points to the mesh, none counted as more than 10 mm.
+    """
+
+    pose: Float64Array
+    centre_m: Float64Array
+    directions: Float64Array
+    sigmas_m: Float64Array
+    free: BoolArray
+    residual_m: float
+    overlap: float
+    cost_m: float
+
+
+def moved(pose: Float64Array, motion: Float64Array, centre_m: Float64Array, radius_m: float) -> Float64Array:
+    """Return a pose after a motion of six lengths: a translation, and a turn about a centre times the radius."""
+    turn = Rotation.from_rotvec(motion[3:] / radius_m).as_matrix()
+    result = np.eye(4)
+    result[:3, :3] = turn @ pose[:3, :3]
+    result[:3, 3] = turn @ (pose[:3, 3] - centre_m) + centre_m + motion[:3]
+    return result
+
+
+def fit(mesh: ObjectMesh, patch: PatchPoints, start: Float64Array, rounds: int = _ROUNDS) -> Fit:
+    """Fit a mesh to a patch by point-to-plane ICP (Chen and Medioni 1992), held at the start in free directions.
+
+    Each point is paired with the closest point of the mesh, if that faces the camera. A step is solved in the
+    eigenvectors of the Hessian that the patch determines (Zhang, Kaess, Singh, "On degeneracy of optimization-based
+    state estimation problems", ICRA 2016).
+
+    Parameters
+    ----------
+    mesh : ObjectMesh
+    patch : PatchPoints
+    start : float64, shape (4, 4)
+        ``T_proximity_object``, off by less than 20 mm.
+    rounds : int
+        Iterations at most.
+    """
+    pose, centre = start, patch.centre_m
+    for number in range(rounds):
+        pairs = _pair(mesh, patch, pose, centre, _REACH_M[number > 3])
+        values, vectors = np.linalg.eigh((pairs.rows * pairs.weights[:, None]).T @ pairs.rows)
+        known = ~_is_free(values, 1.0)
+        step = vectors[:, known] @ (
+            (vectors[:, known].T @ (pairs.rows.T @ (pairs.weights * pairs.gaps))) / values[known]
+        )
+        step *= min(1.0, _REACH_M[0] / 2 / max(float(np.linalg.norm(step)), 1e-12))
+        pose = moved(pose, step, centre, mesh.radius_m)
+        if number > 3 and np.abs(step).max() < _DONE_M:
+            break
+    return _judged(mesh, patch, pose, centre)
+
+
+@dataclass(frozen=True, eq=False)
+class _Pairs:
+    """Points and the closest points of the mesh: signed distances along its normals, rows of the Jacobian, weights."""
+
+    gaps: Float64Array
+    apart: Float64Array
+    rows: Float64Array
+    weights: Float64Array
+    on_mesh: BoolArray
+
+
+def _pair(mesh: ObjectMesh, patch: PatchPoints, pose: Float64Array, centre: Float64Array, reach_m: float) -> _Pairs:
+    rotation = pose[:3, :3]
+    places, normals = mesh.closest((patch.points - pose[:3, 3]) @ rotation)
+    places, normals = places @ rotation.T + pose[:3, 3], normals @ rotation.T
+    away = patch.points - places
+    gaps, apart = (away * normals).sum(axis=1), np.linalg.norm(away, axis=1)
+    facing = (normals * places).sum(axis=1) < 0
+    used = facing & (apart < reach_m)
+    sigma = max(1.4826 * float(np.median(np.abs(gaps[used]))) if used.any() else 0.0, _SMALLEST_SIGMA_M)
+    weights = patch.weights * used / np.maximum(np.abs(gaps) / (_HUBER * sigma), 1)
+    rows = np.concatenate([normals, np.cross(places - centre, normals) / mesh.radius_m], axis=1)
+    return _Pairs(gaps, apart, rows, weights, facing & (apart < max(ON_MESH_M, _ON_MESH_SIGMAS * sigma)))
+
+
+def _is_free(values: Float64Array, inflation: float) -> BoolArray:
+    """Return which eigenvalues of a Hessian, 1 / m^2, are those of free directions."""
+    return np.asarray((values < _FREE_SHARE * max(values[-1], 1.0)) | (values < inflation / FREE_SIGMA_M**2))
+
+
+def _judged(mesh: ObjectMesh, patch: PatchPoints, pose: Float64Array, centre: Float64Array) -> Fit:
+    """Return a fit with its covariance and what tells how good it is."""
+    pairs = _pair(mesh, patch, pose, centre, _REACH_M[1])
+    values, vectors = np.linalg.eigh((pairs.rows * pairs.weights[:, None]).T @ pairs.rows)
+    inflation = _inflation(pairs, patch)
+    overlap = float(np.average(pairs.on_mesh, weights=patch.weights))
+    residual = math.sqrt(float(np.mean(pairs.gaps[pairs.on_mesh] ** 2))) if pairs.on_mesh.any() else math.nan
+    cost = math.sqrt(float(np.mean(np.minimum(pairs.apart, 0.010) ** 2)))
+    with np.errstate(divide="ignore"):
+        sigmas = np.sqrt(inflation / np.maximum(values, 0.0))
+    return Fit(pose, centre, vectors, sigmas, _is_free(values, inflation), residual, overlap, cost)
+
+
+def _inflation(pairs: _Pairs, patch: PatchPoints) -> float:
+    """Return the factor by which variances are larger than the noise alone says, at least 1.
+
+    Errors that many tiles share, of the mesh or of a camera, show in the mean residuals of windows of tiles.
+    """
+    _, window = np.unique(patch.windows, return_inverse=True)
+    information = np.bincount(window, pairs.weights)
+    pulls = np.bincount(window, pairs.weights * pairs.gaps)
+    counted = information > 0.25 * information.max() if len(information) else np.zeros(0, np.bool_)
+    independent = np.count_nonzero(counted) - 6
+    if independent < 1:
+        return 1.0
+    return max(1.0, float((pulls[counted] ** 2 / information[counted]).sum()) / independent)
