@@ -15,6 +15,8 @@ from .situation import Situation
 _CERTAIN: Final = 3.0
 #: The membrane test finds a bias by itself in firm contact; for small contact it assumes one of up to this, metres.
 _MAX_ASSUMED_M: Final = 2 * UNKNOWN_BIAS_M
+#: A bias that an uncalibrated depth offset causes is reported from this size on, metres: it displaces the patch.
+_MAX_OWN_M: Final = 0.003
 
 
 def find(situation: Situation) -> Finding | None:
@@ -24,8 +26,16 @@ def find(situation: Situation) -> Finding | None:
         return None
     largest_m, expected_m = _largest_m(preset, distance_m), _corrected_m(preset)
     above_m = max(largest_m - abs(expected_m), 0.0)
+    own_m = 0.0 if preset.alignment.calibration is not None else preset.alignment.depth_offset_m
+    if own_m:
+        above_m = min(above_m, _MAX_OWN_M)
     found = quick_disagreement(situation.frame, situation.patch, preset, situation.rig, above_m)
-    if found is None or abs(found.bias.bias_m - expected_m) <= max(largest_m, _CERTAIN * found.bias.sigma_m):
+    if found is None:
+        return None
+    excess_m = found.bias.bias_m - expected_m
+    if abs(excess_m + own_m) < abs(excess_m):  # the cameras agree better without the offset
+        largest_m = min(largest_m, _MAX_OWN_M)
+    if abs(excess_m) <= max(largest_m, _CERTAIN * found.bias.sigma_m):
         return None
     evidence = Evidence(preset, situation.rig, (situation.frame,), situation.untouched)
     proposal = propose_alignment(evidence, found)

@@ -156,7 +156,30 @@ def test_contact_of_nothing_but_prints(sensor, preset):
         < 0.05 * ContactPipeline(preset, rig).process(frame).area_mm2
     )
     assert mended(found, preset, rig, frame)
-    assert "prints" not in findings(preset, *scene(f"{PRESSED}&sensor={sensor}"))
+
+
+@pytest.mark.parametrize("offset_m", [0.008, -0.008])
+@pytest.mark.parametrize("name", ["sim:cup?press=medium", "sim:cube?press=medium", "sim:octopus?press=medium"])
+def test_prints_beside_contact_do_not_hide_themselves_or_an_offset(name, offset_m):
+    rig, frame = scene(name)
+    preset = NO_MASK.with_values({"alignment.depth_offset_m": offset_m})
+    found = findings(preset, rig, frame)
+    assert set(found) == {"peak", "prints"}
+    assert "groups of contact have one colour" in found["prints"].sentence
+    masked = found["prints"].proposal.apply(preset)
+    assert set(findings(masked, rig, frame)) == {"peak"}
+    both = found["peak"].proposal.apply(masked)
+    assert findings(both, rig, frame) == {}
+    mended_area, shipped_area = (ContactPipeline(used, rig).process(frame).area_mm2 for used in (both, SHIPPED))
+    assert mended_area == pytest.approx(shipped_area, rel=0.05)
+
+
+@pytest.mark.parametrize("sensor", ["l515-d405", "datasheet", "heavy"])
+@pytest.mark.parametrize("name", ["sim:cup?press=high", "sim:octopus?press=high", "sim:octopus?press=medium&seed=3"])
+def test_arms_and_handles_are_no_prints(name, sensor):
+    rig, frame = scene(f"{name}&sensor={sensor}")
+    assert findings(SHIPPED, rig, frame) == {}
+    assert findings(TOLERANCE, rig, frame) == {}
 
 
 def test_a_tolerance_below_the_noise():
