@@ -12,7 +12,7 @@ from ...errors import SourceError
 from .membranes import MEMBRANES
 from .objects import OBJECTS
 from .scene_list import DEFAULT_SCENE, MORE_SCENES, SCENE_OPTIONS, SCENES
-from .scenes import SPECIAL_SCENES, Light, Press, Side, Variant, read_options, resolve_scene
+from .scenes import SPECIAL_SCENES, Light, Move, Press, Side, Variant, read_options, resolve_scene
 from .sensors import DEFAULT_SENSOR, SENSORS
 from .sheet import Print
 
@@ -68,6 +68,14 @@ NAME_FIELDS: Final = (
         "A press that is held. Moving: the object approaches, presses and leaves; none: the untouched membrane",
         "",
         dict.fromkeys(get_args(Press), ""),
+    ),
+    NameField(
+        "move",
+        "Move",
+        "How an object moves while it presses; first opening takes a minute. Slide: it turns and slides across folds; "
+        "lift: so does the cup, and its handle leaves the membrane for half of the time",
+        "",
+        dict.fromkeys(get_args(Move), ""),
     ),
     NameField(
         "side", "Side", "Where a high press is, seen by the cameras", Variant.side, dict.fromkeys(get_args(Side), "")

@@ -3,5 +3,5 @@
 SCENES = ("cube", "cup", "octopus")
 #: Further scenes, and the options of all scenes.
 MORE_SCENES = ("two", "knobs", "star", "tray", "mug", "hand", "hover", "stiff", "wrinkled", "slide")
-SCENE_OPTIONS = ("press", "side", "object", "gap", "membrane", "grid", "light", "sensor", "seed", "noise")
+SCENE_OPTIONS = ("press", "move", "side", "object", "gap", "membrane", "grid", "light", "sensor", "seed", "noise")
 DEFAULT_SCENE = "cup"

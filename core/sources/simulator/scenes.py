@@ -6,6 +6,8 @@ Everything that a picture depends on is in `Scene`; light and noise come live on
 
 from __future__ import annotations
 
+import cmath
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, NamedTuple, get_args
@@ -16,11 +18,12 @@ from ...errors import SourceError
 from ...model.arrays import Uint8Array
 from .membranes import MEMBRANES, STANDARD
 from .mesh import MembraneDesign
-from .objects import OBJECTS, PressedObject
+from .objects import CUP, OBJECTS, TRAY, PressedObject
 from .sheet import Print
 
 Press = Literal["", "none", "low", "medium", "high"]
 Side = Literal["right", "left"]
+Move = Literal["", "slide", "lift"]
 Light = Literal["normal", "bright", "dim"]
 
 #: Scenes that are named after their object, and scenes that take any object.
@@ -64,8 +67,23 @@ _SLIDE_STEP_M: Final = 0.003
 #: How deep the tray's roll axis is, metres, and the rolls at which its scene is solved, degrees.
 _TRAY_DEPTH_M: Final = 0.016
 TRAY_ROLLS_DEG: Final = tuple(0.5 * n for n in range(-16, 17))
-#: Cells of the mesh of a still press, which is ground truth, and of one that resolves the folds.
+#: A move presses this deep. From its start to its end: shift along x and turn about z; sway in between along y, and
+#: about x and y. It passes through its states there and back, in 5 s.
+_MOVE_DEPTH_M: Final = 0.030
+_MOVE_ACROSS_M: Final = 0.040
+_MOVE_TURN_DEG: Final = 44.0
+_MOVE_SWAY_M: Final = 0.012
+_MOVE_SWAY_DEG: Final = 4.0
+_MOVE_STATES: Final = 75
+#: Turn of a lifted cup about its own axis at the end, and the power of the path's share that makes its handle leave the
+#: membrane, at 20 degrees, half way. From 85 degrees the handle is hidden behind the cup.
+_LIFT_DEG: Final = 100.0
+_LIFT_POWER: Final = 2.3
+#: The cup's handle, about which it turns, in its own x and y; other objects turn about their origin.
+_HANDLE_M: Final = (0.043, 0.0)
+#: Cells of the mesh of a still press, which is ground truth, and of a press that resolves the folds.
 _FINE_CELLS: Final = (236, 136)
+_MOVE_CELLS: Final = (176, 102)
 #: Height of the folds, metres.
 _FOLD_M: Final = 0.0012
 
@@ -83,6 +101,9 @@ class Variant:
         to the proximity camera. The left one is the right one turned by 180 degrees about the centre.
     object : str
         Object of a special scene.
+    move : {"", "slide", "lift"}
+        A press that turns and moves across a wrinkled membrane instead of the scene's own motion; lift takes the cup's
+        handle off the membrane for half of the time.
     gap_mm : float
         Gap of the object of ``hover``.
     grid : {"droplets", "dots"}
@@ -97,6 +118,7 @@ class Variant:
     gap_mm: float = 5.0
     grid: Print = "droplets"
     membrane: str = STANDARD
+    move: Move = ""
 
 
 class Step(NamedTuple):
@@ -174,7 +196,8 @@ def read_options(name: str, options: Mapping[str, str]) -> tuple[Variant, Light]
     light: Any = options.get("light", "normal")
     side: Any = options.get("side", Variant.side)
     membrane = options.get("membrane", STANDARD)
-    return Variant(press, side, options.get("object", Variant.object), gap_mm, grid, membrane), light
+    move: Any = options.get("move", "")
+    return Variant(press, side, options.get("object", Variant.object), gap_mm, grid, membrane, move), light
 
 
 def resolve_scene(name: str, variant: Variant | None = None, cells: tuple[int, int] | None = None) -> Scene:
@@ -190,11 +213,13 @@ def resolve_scene(name: str, variant: Variant | None = None, cells: tuple[int, i
     special = name in SPECIAL_SCENES
     shape = variant.object if special else name
     membrane = MEMBRANES[variant.membrane]
-    folds_m = _FOLD_M if name == "wrinkled" else 0.0
+    folds_m = _FOLD_M if name == "wrinkled" or variant.move else 0.0
     design = replace(membrane.design, stiff_regions=name == "stiff", fold_m=folds_m)
     press = variant.press or ("medium" if name in ("stiff", "wrinkled") else "")
     if press not in ("", "none") or name == "wrinkled":
         design = replace(design, cells=_FINE_CELLS)
+    elif variant.move:
+        design = replace(design, cells=_MOVE_CELLS)
     if cells:
         design = replace(design, cells=cells)
     pressed = OBJECTS[shape]
@@ -203,6 +228,10 @@ def resolve_scene(name: str, variant: Variant | None = None, cells: tuple[int, i
     elif press:
         pressed, depth = still_press(shape, press, variant.side)
         way, drawn, frames = _still(depth)
+    elif variant.move:
+        about_x, about_y, heading = pressed.rotation_deg
+        pressed = replace(pressed, rotation_deg=(about_x, about_y, 0.0))
+        way, drawn, frames = _move(variant.move, heading, _HANDLE_M if pressed.kind == CUP else (0.0, 0.0))
     elif name == "hover":
         way, drawn, frames = _still(-variant.gap_mm / 1e3)
     elif name == "slide":
@@ -215,6 +244,7 @@ def resolve_scene(name: str, variant: Variant | None = None, cells: tuple[int, i
         name,
         shape if special else "",
         variant.membrane if variant.membrane != STANDARD else "",
+        variant.move,
         press,
         variant.side * (press == "high"),
         f"{variant.gap_mm:g}mm" if name == "hover" else "",
@@ -254,6 +284,8 @@ def _check(name: str, variant: Variant) -> None:
         raise SourceError(f"sim:{name}: press is {variant.press!r}; choose none, low, medium or high, or leave it out")
     if variant.press not in ("", "none") and name in ("hover", "slide"):
         raise SourceError(f"sim:{name}: press is for scenes with a still press; choose none, or leave it out")
+    if variant.move:
+        _check_move(name, variant)
     if variant.side not in get_args(Side) or (variant.side != "right" and variant.press != "high"):
         raise SourceError(f"sim:{name}: side is {variant.side!r}; choose left or right, with press=high only")
     if variant.gap_mm != Variant.gap_mm and name != "hover":
@@ -262,6 +294,19 @@ def _check(name: str, variant: Variant) -> None:
         raise SourceError(f"sim:{name}: gap is {variant.gap_mm:g}, but it must be more than 0 and at most 100 mm")
     if variant.grid not in get_args(Print):
         raise SourceError(f"sim:{name}: grid is {variant.grid!r}; choose dots, or leave it out for droplets")
+
+
+def _check_move(name: str, variant: Variant) -> None:
+    if variant.move not in get_args(Move):
+        raise SourceError(f"sim:{name}: move is {variant.move!r}; choose slide or lift, or leave it out")
+    if name not in OBJECTS or OBJECTS[name].kind == TRAY:
+        raise SourceError(f"sim:{name}: move is for scenes of an object, such as sim:cup; leave it out")
+    if variant.move == "lift" and OBJECTS[name].kind != CUP:
+        raise SourceError(f"sim:{name}: only the cup's handle can be lifted, sim:cup?move=lift; choose slide")
+    if variant.press not in ("", "none"):
+        raise SourceError(f"sim:{name}: a press is held, with move={variant.move} it is not; leave one of them out")
+    if MEMBRANES[variant.membrane].design.sticks:
+        raise SourceError(f"sim:{name}: on the membrane {variant.membrane} nothing slides; choose another one")
 
 
 Way = tuple[tuple[Step, ...], tuple[int, ...], tuple[float, ...]]
@@ -292,6 +337,27 @@ def _slide() -> Way:
     drawn = list(range(len(inward) - 1, len(way)))
     there = list(range(len(drawn)))
     return tuple(way), tuple(drawn), tuple(there + there[::-1])
+
+
+def _move(move: Move, heading_deg: float, centre_m: tuple[float, float]) -> Way:
+    """Press, then turn about a point of the object while it moves across the membrane, and back the same way."""
+    places = [_moved(n / (_MOVE_STATES - 1), move, heading_deg, centre_m) for n in range(_MOVE_STATES)]
+    inward, _, _ = _still(_MOVE_DEPTH_M)
+    way = [places[0]._replace(depth_m=step.depth_m) for step in inward[:-1]] + places
+    there = list(range(_MOVE_STATES))
+    return tuple(way), tuple(range(len(inward) - 1, len(way))), tuple(there + there[::-1])
+
+
+def _moved(time: float, move: Move, heading_deg: float, centre_m: tuple[float, float]) -> Step:
+    """Return the place of a moving object at a share of the time there; it starts and ends at rest."""
+    share = (1.0 - math.cos(math.pi * time)) / 2
+    sway = math.sin(2 * math.pi * share)
+    lift_deg = _LIFT_DEG * share**_LIFT_POWER if move == "lift" else 0.0
+    turn = _MOVE_TURN_DEG * (share - 0.5)
+    before, now = (complex(*centre_m) * cmath.rect(1.0, math.radians(heading_deg + more)) for more in (0.0, turn))
+    shift = complex(_MOVE_ACROSS_M * (share - 0.5), _MOVE_SWAY_M * sway) + before - now
+    turns = _MOVE_SWAY_DEG * sway, _MOVE_SWAY_DEG * sway - lift_deg, heading_deg + turn
+    return Step(shift.real, shift.imag, _MOVE_DEPTH_M, turns)
 
 
 def _roll() -> Way:

@@ -139,7 +139,7 @@ class SimulatorSource(SeekableSource):
     def with_object_away(self, progress: Progress | None = None) -> SimulatorSource:
         """Return the same membrane with the object far away, and with other noise."""
         scene, seed, noise, cells, variant, light, sensor = self._made_of
-        away = Variant(press="none", object=variant.object, grid=variant.grid, membrane=variant.membrane)
+        away = replace(variant, press="none", side=Variant.side, gap_mm=Variant.gap_mm)
         return SimulatorSource(scene, seed + _OTHER_SEEDS, noise, progress, cells, away, light, sensor)
 
     def facts(self, index: int) -> PressFacts:
@@ -239,8 +239,14 @@ def _title(scene: Scene) -> str:
 
 
 def _name(scene: str, seed: int, noise: float, variant: Variant, light: Light, sensor: str) -> str:
-    options = {"press": variant.press, "side": variant.side, "object": variant.object, "gap": f"{variant.gap_mm:g}"}
-    options |= {"membrane": variant.membrane, "grid": variant.grid, "light": light, "sensor": sensor}
+    options = {"press": variant.press, "move": variant.move, "side": variant.side, "object": variant.object}
+    options |= {
+        "gap": f"{variant.gap_mm:g}",
+        "membrane": variant.membrane,
+        "grid": variant.grid,
+        "light": light,
+        "sensor": sensor,
+    }
     return write_name(options | {"scene": scene, "seed": str(seed), "noise": f"{noise:g}"})
 
 

@@ -140,7 +140,7 @@ def test_a_scheme_wins_over_a_folder_of_that_name(
         ("folder:nowhere", r"folder:nowhere: there is no folder nowhere"),
         ("bag:nowhere", r"bag:nowhere: there is no file nowhere"),
         ("sim:table", r"sim:table: there is no scene 'table'; known are cube, cup, octopus"),
-        ("sim:cup?sed=3", r"no option 'sed'; known are press, side, .*, seed, noise"),
+        ("sim:cup?sed=3", r"no option 'sed'; known are press, move, side, .*, seed, noise"),
         ("sim:cup?seed", r"'seed' are no options; write them as seed=3&noise=0\.5"),
         ("sim:cup?seed=", r"seed is '', but it must be a whole number from 0"),
         ("sim:cup?seed=-1", r"seed is '-1'"),
