@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import zipfile
-import zlib
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from functools import cached_property
@@ -22,6 +20,7 @@ from ...core.model.arrays import Float32Array, Float64Array
 from ...core.model.clouds import deproject, valid_depth
 from ...core.model.files import atomic_path
 from ...core.model.frames import Matrix4, rigid_transform
+from ...core.model.loading import parse_npz, read_file
 from ...core.preset import now
 from ..document.history import History
 from ..document.keeping import KeptState, check_version, remove_unnamed, write_json
@@ -299,7 +298,7 @@ class TruthKeeper(KeptState[TruthState]):
         if content["patch"] is not None:
             try:
                 patch = _read_patch(self.folder, content["patch"])
-            except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            except (OSError, ValueError, KeyError) as error:
                 self._lost = str(error)
         return TruthState(
             paint=PaintSettings(**paint),
@@ -353,8 +352,8 @@ def _patch_file(folder: Path, digest: str) -> Path:
 
 
 def _read_patch(folder: Path, told: dict[str, Any]) -> FrozenPatch:
-    with _patch_file(folder, told["digest"]).open("rb") as file, np.load(file) as stored:
-        points, context = stored["points"], stored["context"]
+    stored = parse_npz(read_file(_patch_file(folder, told["digest"])))
+    points, context = stored["points"], stored["context"]
     patch = FrozenPatch(points, context, told["area_mm2"], told["source"], told["frame"], told["preset"])
     if patch.digest != told["digest"]:
         raise ValueError(f"the patch {told['digest']} has been changed")

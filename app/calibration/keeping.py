@@ -16,6 +16,7 @@ from ...core.calibration.snapshots import content_hash
 from ...core.errors import TactuneError
 from ...core.model.files import atomic_path
 from ...core.model.frames import SensorFrame
+from ...core.model.loading import parse_npz, read_file
 from ...core.preset import Preset
 from ...core.preset.alignment import SnapshotRecord
 from ..document.keeping import KeptState, check_version, lock_of, remove_unnamed, write_json
@@ -147,8 +148,8 @@ def _write_images(path: Path, frame: SensorFrame) -> None:
 
 
 def _read_images(path: Path, sequence: int) -> SensorFrame:
-    with np.load(path) as stored:
-        images = {name: stored[name] for name in _IMAGES if name in stored}
+    stored = parse_npz(read_file(path))
+    images: dict[str, Any] = {name: stored[name] for name in _IMAGES if name in stored}
     frame = SensorFrame(sequence=sequence, **images)
     if not path.name.startswith(f"snapshot-{content_hash(frame)[:24]}"):
         raise ValueError(f"{path} has been changed")

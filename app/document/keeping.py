@@ -15,6 +15,7 @@ from PyQt6.QtCore import QLockFile, QObject, QTimer, pyqtSignal
 
 from ...core.errors import TactuneError
 from ...core.model.files import atomic_path
+from ...core.model.loading import read_json
 from ...core.preset import now
 
 T = TypeVar("T")
@@ -109,7 +110,7 @@ class KeptState(QObject, Generic[T], metaclass=_AbstractQObject):
         ``parse`` returns the state in the file's content, or raises one of `DAMAGE`.
         """
         try:
-            content = json.loads(file.read_text(encoding="utf-8"))
+            content = read_json(file)
             kept_at = datetime.fromisoformat(content["kept"])
             return parse(content), kept_at
         except (FileNotFoundError, NotADirectoryError):
@@ -165,7 +166,7 @@ def remove_unnamed(
         Returns the file names in the content of one JSON file.
     """
     with suppress(*DAMAGE):
-        wanted = {name for file in folder.glob(states) for name in names(json.loads(file.read_text(encoding="utf-8")))}
+        wanted = {name for file in folder.glob(states) for name in names(read_json(file))}
         for file in folder.glob(attachments):
             if file.name not in wanted:
                 file.unlink()

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from PyQt6.QtCore import QObject
 
+from ...core.model.loading import read_json
 from ...core.preset import Preset
 from ...core.preset.file import preset_from_text, preset_json
 from .document import Document
@@ -78,7 +79,7 @@ def unsaved_work(folder: Path) -> list[UnsavedWork]:
             continue
         lock.unlock()
         try:
-            content = json.loads(file.read_text(encoding="utf-8"))
+            content = read_json(file)
             path = Path(content["path"]) if content["path"] else None
             found.append(UnsavedWork(file, preset_from_text(json.dumps(content["preset"]), origin=str(file)), path))
         except DAMAGE:

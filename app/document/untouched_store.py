@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from ...core.model.frames import SensorFrame
+from ...core.model.loading import read_file
 from ...core.preset import UntouchedRecord
 from ...core.rig.untouched import save_untouched
 
@@ -50,8 +51,8 @@ class UntouchedStore:
     def tidy(self, unsaved: Path) -> None:
         """Remove old untouched frames that no unsaved work in a folder refers to."""
         with suppress(OSError):
-            named = "".join(file.read_text(encoding="utf-8", errors="replace") for file in unsaved.glob("*.json"))
+            named = b"".join(map(read_file, unsaved.glob("*.json")))
             files = sorted(self._folder.glob("untouched-*.npz"), key=lambda file: file.stat().st_mtime, reverse=True)
             for file in files[_KEPT:]:
-                if file.name not in named:
+                if file.name.encode() not in named:
                     file.unlink()

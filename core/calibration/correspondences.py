@@ -16,6 +16,7 @@ import numpy.typing as npt
 from ..errors import CalibrationError
 from ..model.arrays import Float64Array
 from ..model.files import atomic_path
+from ..model.loading import read_file
 
 ProximityImage = Literal["depth", "color"]
 
@@ -32,6 +33,8 @@ OPTIONAL_COLUMNS = ("proximity_image", "snapshot", "proximity_depth_m")
 
 _QGIS_HEADER = ("mapX", "mapY", "sourceX", "sourceY", "enable", "dX", "dY", "residual")
 _MAX_PIXEL = 1e7
+#: Size limit of a file: 100,000 points.
+_MAX_BYTES = 20_000_000
 _WORDS = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}
 #: Points count as collinear if their spread across the best line is below this share of the spread along it.
 _LINE_SHARE = 2e-3
@@ -119,12 +122,10 @@ def read_points(path: Path | str) -> list[Correspondence]:
         The file cannot be read, has another header or an invalid row; the message names line, field and value.
     """
     path = Path(path)
-    if path.exists() and not path.is_file():
-        raise CalibrationError(f"cannot read the points {path}: it is no ordinary file; choose a CSV or .points file")
     try:
-        text = path.read_text("utf-8-sig")
+        text = read_file(path, _MAX_BYTES).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "it is no UTF-8 text"
+        reason = "it is no UTF-8 text" if isinstance(error, UnicodeDecodeError) else error.strerror or error
         raise CalibrationError(f"cannot read the points {path}: {reason}; choose a CSV or .points file") from error
     return parse_qgis(text, str(path)) if path.suffix == ".points" else parse_csv(text, str(path))
 

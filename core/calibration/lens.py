@@ -13,12 +13,12 @@ import numpy as np
 
 from ..errors import CalibrationError
 from ..model.arrays import AnyArray
-from ..model.files import read_file
 from ..model.intrinsics import Distortion, Intrinsics
+from ..model.loading import decode_image, read_file
 from .detect import detect_chessboard
 
 #: Files that count as pictures.
-PICTURE_ENDINGS: Final = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+PICTURE_ENDINGS: Final = (".png", ".jpg", ".jpeg", ".bmp")
 
 _MIN_PICTURES: Final = 4
 #: Largest RMS distance of corners from where the fitted lens expects them, pixels.
@@ -198,12 +198,9 @@ def _refuse_bad(fit: LensFit, folder: Path) -> None:
 
 def _read(path: Path) -> AnyArray:
     try:
-        picture = cv2.imdecode(np.frombuffer(read_file(path), np.uint8), cv2.IMREAD_GRAYSCALE)
-    except (OSError, cv2.error) as error:
+        return decode_image(read_file(path), gray=True)
+    except (OSError, ValueError) as error:
         raise CalibrationError(f"cannot be read ({error})") from error
-    if picture is None:
-        raise CalibrationError("is no picture")
-    return np.asarray(picture)
 
 
 def _check_size(picture: AnyArray, size: tuple[int, int]) -> None:

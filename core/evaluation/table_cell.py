@@ -20,6 +20,7 @@ from ..model.arrays import Float32Array
 from ..model.clouds import pixel_areas_m2
 from ..model.files import atomic_path
 from ..model.frames import Rig, SensorFrame
+from ..model.loading import read_json
 from ..preset import Preset
 from ..sources.simulator.scenes import HELD_OUT
 from .metrics import (
@@ -400,7 +401,7 @@ class TableCellFolder:
 
     def _read(self, path: Path) -> list[TableCell] | None:
         try:
-            return [table_cell_from_json(found) for found in json.loads(path.read_text(encoding="utf-8"))]
+            return [table_cell_from_json(found) for found in read_json(path)]
         except (OSError, ValueError, TypeError):
             return None
 

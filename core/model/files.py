@@ -101,13 +101,6 @@ def _is_file(path: Path) -> bool:
     return path_exists(path) and path.is_file()
 
 
-def read_file(path: Path) -> bytes:
-    """Return the bytes of a file; `OSError` for a pipe or a device too, reading which might never end."""
-    if path.exists() and not path.is_file() and not path.is_dir():
-        raise OSError("it is no ordinary file")
-    return path.read_bytes()
-
-
 def refuse_devices(path: Path, error: type[TactuneError]) -> None:
     """Raise ``error`` if the path exists but is not a regular file: reading a device might never end."""
     if path.exists() and not path.is_file():

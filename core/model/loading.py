@@ -26,8 +26,8 @@ from .arrays import AnyArray
 
 #: Size limit of a JSON file. Decoded, JSON takes up to 25 times its size in memory.
 MAX_JSON_BYTES: Final = 12_000_000
-#: Pixel limit of an image: 33 megapixels, 200 MB as colour of 16 bits.
-MAX_PIXELS: Final = 2**25
+#: An image has at most this many pixels, plus 8 for each of its bytes: 17 megapixels take 100 MB as colour of 16 bits.
+_MAX_PIXELS: Final = 2**24
 #: Limit of what an archive of arrays unpacks to, beyond 8 times its own size.
 _MAX_UNPACKED_BYTES: Final = 200_000_000
 _PNG_START: Final = b"\x89PNG\r\n\x1a\n"
@@ -45,11 +45,15 @@ _parsing = threading.Lock()
 
 def open_regular(path: Path | str) -> BinaryIO:
     """Open a file for reading; `OSError` for a pipe, a device or a socket, reading which might never end."""
-    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-        os.close(descriptor)
-        raise OSError("it is a folder" if Path(path).is_dir() else "it is no ordinary file")
-    return os.fdopen(descriptor, "rb")
+    file = open(path, "rb", opener=_without_waiting)  # noqa: SIM115  # the caller closes it
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise OSError("it is no ordinary file")
+    return file
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))  # else opening a pipe waits for its writer
 
 
 def read_file(path: Path | str, limit: int | None = None) -> bytes:
@@ -74,11 +78,11 @@ def parse_json(text: str | bytes) -> Any:
     try:
         return json.loads(text, object_pairs_hook=_unique)
     except json.JSONDecodeError as error:
-        raise ValueError(f"not valid JSON: line {error.lineno}, column {error.colno}: {error.msg}") from error
+        raise ValueError(f"not valid JSON (line {error.lineno}, column {error.colno}: {error.msg})") from error
     except UnicodeDecodeError as error:
-        raise ValueError(f"not valid JSON: it is not UTF-8 text (byte {error.start})") from error
+        raise ValueError(f"not valid JSON (no UTF-8 text at byte {error.start})") from error
     except RecursionError as error:
-        raise ValueError("not valid JSON: too deep") from error
+        raise ValueError("not valid JSON (too deep)") from error
     except ValueError as error:
         if "digits" in str(error):  # Python refuses whole numbers of thousands of digits
             raise ValueError("it contains a number of too many digits") from error
@@ -164,15 +168,15 @@ def decode_image(data: bytes, *, gray: bool = False) -> AnyArray:
     Raises
     ------
     ValueError
-        It is none of these, is damaged, or claims more than `MAX_PIXELS`.
+        It is none of these, is damaged, or claims far more pixels than its bytes can hold.
     """
     import cv2  # on demand: presets and patches need no images
 
-    width, height = image_size(data)
-    if not 0 < width * height <= MAX_PIXELS:
-        raise ValueError(f"it claims {width} x {height} pixels; at most {MAX_PIXELS / 1e6:.0f} million are read")
+    image_size(data)
     image = None
     with suppress(cv2.error):
+        if data.startswith(_PNG_START) and not _checksums_are_right(data):
+            raise ValueError("its checksums are wrong")  # OpenCV would complain on the terminal, and return something
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE if gray else cv2.IMREAD_UNCHANGED)
     if image is None:
         raise ValueError("it is damaged")
@@ -180,7 +184,14 @@ def decode_image(data: bytes, *, gray: bool = False) -> AnyArray:
 
 
 def image_size(data: bytes) -> tuple[int, int]:
-    """Return width and height that the header of an image claims; `ValueError` if it is no PNG, JPEG or BMP."""
+    """Return width and height that the header of an image claims; `ValueError` as `decode_image`."""
+    width, height = _claimed_size(data)
+    if not 0 < width * height <= _MAX_PIXELS + 8 * len(data):
+        raise ValueError(f"it claims {width} x {height} pixels in {len(data)} bytes")
+    return width, height
+
+
+def _claimed_size(data: bytes) -> tuple[int, int]:
     if data.startswith(_PNG_START) and len(data) >= 24:
         width, height = struct.unpack_from(">II", data, 16)
         return width, height
@@ -194,3 +205,16 @@ def image_size(data: bytes) -> tuple[int, int]:
             return width, height
         at += 1 if data[at + 1] == 0xFF else 2 + struct.unpack_from(">H", data, at + 2)[0]
     raise ValueError("it is no PNG, JPEG or BMP image")
+
+
+def _checksums_are_right(png: bytes) -> bool:
+    at = len(_PNG_START)
+    while at + 12 <= len(png):
+        (size,) = struct.unpack_from(">I", png, at)
+        end = at + 8 + size
+        if end + 4 > len(png) or zlib.crc32(memoryview(png)[at + 4 : end]) != struct.unpack_from(">I", png, end)[0]:
+            return False
+        if png[at + 4 : at + 8] == b"IEND":
+            return True
+        at = end + 4
+    return False

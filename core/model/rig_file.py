@@ -23,9 +23,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from ..errors import SourceError
-from .files import read_file
 from .frames import DepthCamera, Rig
 from .intrinsics import Intrinsics
+from .loading import read_json
 
 _LENS_FIELDS = tuple(Intrinsics.model_fields)
 
@@ -50,19 +50,13 @@ def json_text(data: dict[str, Any]) -> str:
 def read_json_object(path: Path) -> dict[str, Any]:
     """Read a file that contains one JSON object; `SourceError` names the file and the error."""
     try:
-        data = json.loads(read_file(path).decode("utf-8"))
+        data = read_json(path)
     except FileNotFoundError as error:
         raise SourceError(f"there is no file {path}; a recording needs one") from error
     except OSError as error:
         raise SourceError(f"cannot read {path}: {error.strerror or error}; check its permissions") from error
-    except (UnicodeDecodeError, RecursionError) as error:
-        raise SourceError(f"{path} is no JSON text; write it again as UTF-8") from error
-    except json.JSONDecodeError as error:
-        raise SourceError(
-            f"{path} is no JSON: line {error.lineno}, {error.msg}; correct it or write it again"
-        ) from error
-    except ValueError as error:  # Python refuses whole numbers of thousands of digits
-        raise SourceError(f"{path} contains a number of too many digits; correct it or write it again") from error
+    except ValueError as error:
+        raise SourceError(f"{path} cannot be used: {error}; correct it or write it again") from error
     if not isinstance(data, dict):
         raise SourceError(f"{path} holds a {type(data).__name__}, not a JSON object; wrap its fields in braces")
     return data

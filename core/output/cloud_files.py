@@ -11,8 +11,6 @@ import math
 import re
 import struct
 import warnings
-import zipfile
-import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -25,8 +23,9 @@ from ..contact.pipeline import ContactPatch
 from ..errors import ExportError, SourceError
 from ..model.arrays import AnyArray, Float64Array
 from ..model.clouds import PointCloud
-from ..model.files import atomic_path, refuse_devices
+from ..model.files import atomic_path
 from ..model.frames import Rig, SensorFrame
+from ..model.loading import parse_npz, read_file
 
 #: Every column of a cloud by name, in the order of the file.
 Columns = dict[str, AnyArray]
@@ -122,16 +121,7 @@ def read_cloud(path: Path | str) -> PointCloud:
         return PointCloud(points, colors, dict(columns))
     except OSError as error:
         raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
-    except (
-        ValueError,
-        KeyError,
-        IndexError,
-        TypeError,
-        EOFError,
-        struct.error,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
+    except (ValueError, KeyError, IndexError, TypeError, struct.error) as error:
         detail = " ".join(str(error).split())
         raise SourceError(f"{path} is no readable {path.suffix} cloud ({detail}); export it again") from error
 
@@ -182,7 +172,7 @@ def _write_ply(path: Path, columns: Columns) -> None:
 
 
 def _read_ply(path: Path) -> Columns:
-    header, body = _split(path.read_bytes(), b"end_header")
+    header, body = _split(read_file(path), b"end_header")
     if not header or header[0] != "ply":
         raise ValueError("it does not begin with the line ply")
     if "format binary_little_endian 1.0" not in header:
@@ -223,7 +213,7 @@ def _write_pcd(path: Path, columns: Columns) -> None:
 
 
 def _read_pcd(path: Path) -> Columns:
-    lines, body = _split(path.read_bytes(), b"DATA binary")
+    lines, body = _split(read_file(path), b"DATA binary")
     header = _pcd_header(lines, ("FIELDS", "SIZE", "TYPE", "COUNT", "POINTS"))
     if set(header["COUNT"]) != {"1"}:
         raise ValueError(f"its fields have the counts {' '.join(header['COUNT'])}, only 1 is known")
@@ -293,15 +283,7 @@ def _write_npz(path: Path, columns: Columns) -> None:
 
 
 def _read_npz(path: Path) -> Columns:
-    with path.open("rb") as file:
-        if not zipfile.is_zipfile(file):
-            raise ValueError("it is no archive of NumPy arrays")
-        file.seek(0)
-        with np.load(file, allow_pickle=False) as archive:
-            try:
-                arrays = dict(archive)
-            except ValueError as error:
-                raise ValueError("it holds an array of Python objects, or a damaged one") from error
+    arrays = parse_npz(read_file(path))
     points = arrays.pop("points", None)
     if points is None:
         raise ValueError("it has no array points")
@@ -324,14 +306,21 @@ def _write_csv(path: Path, columns: Columns) -> None:
 
 def _read_csv(path: Path) -> Columns:
     try:
-        first, _, rest = path.read_text(encoding="utf-8-sig").partition("\n")
+        first, _, rest = read_file(path).decode("utf-8-sig").replace("\r\n", "\n").partition("\n")
     except UnicodeDecodeError as error:
         raise ValueError("it is no text") from error
     names = first.strip().split(",")
     if tuple(names[:3]) != _CSV_XYZ:
         raise ValueError(f"its header does not begin with {','.join(_CSV_XYZ)}")
-    rows = [_csv_row(number, line, names) for number, line in enumerate(rest.splitlines(), 2) if line.strip()]
-    table = np.array(rows, dtype=np.float64).reshape(len(rows), len(names))
+    if not rest.strip():
+        return {name: np.empty(0) for name in (*_XYZ, *names[3:])}
+    try:
+        table = np.loadtxt(io.StringIO(rest), delimiter=",", comments=None, ndmin=2)
+    except ValueError:
+        table = np.empty((0, 0))
+    if table.shape[1] != len(names):  # slower, and it names the line
+        rows = [_csv_row(number, line, names) for number, line in enumerate(rest.splitlines(), 2) if line.strip()]
+        table = np.array(rows)
     return dict(zip([*_XYZ, *names[3:]], table.T, strict=True))
 
 
@@ -374,7 +363,6 @@ def read_points(path: Path | str) -> tuple[Float64Array, int]:
         No such file, or none that can be read, or a coordinate is infinite.
     """
     path = Path(path)
-    refuse_devices(path, SourceError)
     header, rows = _text_of(path)
     if header is None:
         points = read_cloud(path).points.astype(np.float64)
@@ -396,7 +384,7 @@ def _text_of(path: Path) -> tuple[list[str] | None, bytes]:
     if end is None:
         return None, b""
     try:
-        data = path.read_bytes()
+        data = read_file(path)
     except OSError as error:
         raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
     match = re.search(end, data[:_HEADER_BYTES], re.MULTILINE)
@@ -423,6 +411,8 @@ def _pcd_points(header: list[str], rows: bytes) -> Float64Array:
     counts = [_whole_number([count], "values a field") for count in facts.get("COUNT", ["1"] * len(facts["FIELDS"]))]
     if len(counts) != len(facts["FIELDS"]):
         raise ValueError(f"it has {len(facts['FIELDS'])} fields and {len(counts)} counts")
+    if sum(counts) > len(rows):
+        raise ValueError(f"it claims {sum(counts)} values a point in {len(rows)} bytes")
     names = [name for name, count in zip(facts["FIELDS"], counts, strict=True) for _ in range(count)]
     return _text_points(rows, names, _whole_number(facts["POINTS"], "points"), len(header) + 2)
 

@@ -8,7 +8,8 @@ from typing import Annotated, Final
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from ..errors import SourceError
-from ..model.files import atomic_path, recording_files, refuse_devices, user_path
+from ..model.files import atomic_path, recording_files, user_path
+from ..model.loading import MAX_JSON_BYTES, read_file
 
 #: Longest name of a marker.
 MAX_NAME: Final = 120
@@ -81,8 +82,7 @@ def load_marks(path: Path) -> Marks:
         The file cannot be read or is damaged; it is unchanged.
     """
     try:
-        refuse_devices(path, SourceError)
-        return Marks.model_validate_json(path.read_bytes())
+        return Marks.model_validate_json(read_file(path, MAX_JSON_BYTES))
     except FileNotFoundError:
         return Marks()
     except OSError as error:

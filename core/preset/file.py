@@ -13,6 +13,7 @@ from pathlib import Path
 
 from ..errors import ExportError, PresetError
 from ..model.files import atomic_path
+from ..model.loading import MAX_JSON_BYTES, parse_json, read_file, read_json
 from .migrations import SCHEMA_VERSION, Document, migrate, migration_note
 from .preset import SCHEMA_NAME, Preset, parse_preset
 
@@ -37,9 +38,7 @@ def preset_text(path_or_name: Path | str) -> tuple[str, str]:
         resource = importlib.resources.files("tactune.presets") / f"{path_or_name}.json"
         return resource.read_text("utf-8"), f"shipped preset {path_or_name}"
     try:
-        if path.is_char_device():  # /dev/zero would never end
-            raise PresetError(f"{path} is no preset: it is a device; choose a .json file")
-        text = path.read_text("utf-8")
+        text = read_file(path, MAX_JSON_BYTES).decode("utf-8")
     except OSError as error:
         raise PresetError(
             f"cannot read preset {path}: {error.strerror or error}; "
@@ -71,14 +70,9 @@ def preset_and_note(text: str, origin: str) -> tuple[Preset, str]:
 
 def _parse_document(text: str, origin: str) -> Document:
     try:
-        document = json.loads(text)
-    except json.JSONDecodeError as error:
-        place = f"line {error.lineno}, column {error.colno}: {error.msg}"
-        raise PresetError(f"{origin} is no preset: not valid JSON ({place})") from error
-    except RecursionError as error:
-        raise PresetError(f"{origin} is no preset: not valid JSON (too deep)") from error
-    except ValueError as error:  # Python refuses whole numbers of thousands of digits
-        raise PresetError(f"{origin} is no preset: it contains a number of too many digits") from error
+        document = parse_json(text)
+    except ValueError as error:
+        raise PresetError(f"{origin} is no preset: {error}") from error
     if not isinstance(document, dict):
         raise PresetError(f'{origin} is no preset: it is no JSON object with "schema": "{SCHEMA_NAME}"')
     if document.get("schema") != SCHEMA_NAME:
@@ -116,9 +110,9 @@ def _keep_older_version(path: Path) -> None:
     if not path.is_file():
         return
     try:
-        document = json.loads(path.read_text("utf-8"))
+        document = read_json(path)
         found = document["schema_version"] if document["schema"] == SCHEMA_NAME else SCHEMA_VERSION
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (OSError, ValueError, KeyError, TypeError):
         return  # nothing there, or no preset: there is no older preset to keep
     if isinstance(found, int) and found > SCHEMA_VERSION:
         raise ExportError(
@@ -128,4 +122,4 @@ def _keep_older_version(path: Path) -> None:
     if isinstance(found, int) and found < SCHEMA_VERSION:
         kept = path.with_name(f"{path.stem}.schema-{found}{path.suffix}")
         with atomic_path(kept) as temporary:
-            temporary.write_bytes(path.read_bytes())
+            temporary.write_bytes(read_file(path))

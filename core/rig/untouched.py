@@ -18,6 +18,7 @@ from ..model.arrays import Float64Array, Uint16Array
 from ..model.clouds import valid_depth
 from ..model.files import atomic_path
 from ..model.frames import SensorFrame
+from ..model.loading import read_file
 from ..model.untouched_archive import frame_from_bytes, untouched_bytes
 from ..preset import Preset, UntouchedRecord
 from ..sources.base import FrameSource, Progress
@@ -153,9 +154,7 @@ def load_untouched(record: UntouchedRecord, preset_path: Path) -> SensorFrame:
     if not path.is_file():
         raise PresetError(f"the untouched frame {path} of the preset is missing; put it there, or {_REMEDY}")
     try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise PresetError(f"{path} is far too large for an untouched frame; {_REMEDY}")
-        frame = frame_from_bytes(path.read_bytes())
+        frame = frame_from_bytes(read_file(path, _MAX_BYTES))
     except OSError as error:
         raise PresetError(f"cannot read the untouched frame {path}: {error.strerror or error}; {_REMEDY}") from error
     except FrameError as error:

@@ -34,8 +34,9 @@ import numpy as np
 from ..errors import ExportError, FrameError, SourceError
 from ..model.arrays import AnyArray, Float32Array, Uint8Array, Uint16Array
 from ..model.clouds import valid_depth
-from ..model.files import read_file, user_path
+from ..model.files import user_path
 from ..model.frames import NO_DEPTH_COUNTS, GroundTruth, Rig, SensorFrame
+from ..model.loading import decode_image, parse_npy, read_file
 from ..model.rig_file import json_text, load_rig, read_json_object, rig_to_json
 from .base import FrameSource, Progress, SeekableSource
 from .registry import SourceKind
@@ -256,16 +257,13 @@ def _read_color(path: Path, shape: tuple[int, int]) -> Uint8Array:
 def _read_image(path: Path, dtype: np.dtype[Any], channels: int, shape: tuple[int, int]) -> AnyArray:
     """Read one image and check its bit depth, its channels and its size."""
     try:
-        # Not cv2.imread: a name that is no valid Unicode makes it crash the whole process.
-        image = cv2.imdecode(np.frombuffer(read_file(path), np.uint8), cv2.IMREAD_UNCHANGED)
+        image = decode_image(read_file(path))
     except OSError as error:
         raise SourceError(
             f"cannot read {path}: {error.strerror or error}; export or copy the recording again"
         ) from error
-    except cv2.error:  # empty, or an absurd size
-        image = None
-    if image is None:
-        raise SourceError(f"{path} is no readable PNG image; export or copy it again")
+    except ValueError as error:
+        raise SourceError(f"{path} is no readable PNG image ({error}); export or copy it again") from error
     found = image.shape[2] if image.ndim == 3 else 1
     if image.dtype != dtype or found != channels:
         raise SourceError(
@@ -283,9 +281,9 @@ def _read_image(path: Path, dtype: np.dtype[Any], channels: int, shape: tuple[in
 
 def _read_metres(path: Path, shape: tuple[int, int]) -> Float32Array:
     try:
-        depth = np.lib.format.read_array(io.BytesIO(read_file(path)), allow_pickle=False)
-    except (OSError, ValueError, EOFError, MemoryError) as error:
-        raise SourceError(f"{path} is no readable NumPy array; export or copy it again") from error
+        depth = parse_npy(read_file(path))
+    except (OSError, ValueError) as error:
+        raise SourceError(f"{path} is no readable NumPy array ({error}); export or copy it again") from error
     if depth.dtype != np.float32 or depth.shape != shape:
         raise SourceError(
             f"{path} holds {depth.dtype}, {depth.shape}, but float32, {shape} is needed; write it again in that form"

@@ -7,13 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from ..errors import ExportError, SourceError
-from ..model.arrays import AnyArray
 from ..model.files import atomic_path, user_path
 from ..model.frames import Rig
+from ..model.loading import decode_image, read_file
 from ..model.rig_file import json_text, rig_to_json
 
 RIG_FILE = "rig.json"
@@ -81,9 +80,11 @@ def find_images(path: Path) -> FolderImages:
             if not file.is_file():
                 problems += [f"{name} is missing"] * needed
                 continue
-            image = _decode(file.read_bytes())
-            found = None if image is None else (image.dtype.itemsize * 8, image.shape[2] if image.ndim == 3 else 1)
-            if image is None or found != (bits, channels):
+            try:
+                image = decode_image(read_file(file))
+            except ValueError:
+                image = np.empty(0, np.bool_)
+            if (image.dtype.itemsize * 8, image.shape[2] if image.ndim == 3 else 1) != (bits, channels):
                 problems.append(f"{name} is no PNG image of {channels} x {bits} bits")
                 continue
             sizes[name] = (image.shape[1], image.shape[0])
@@ -109,13 +110,6 @@ def write_rig(path: Path, rig: Rig) -> None:
         raise ExportError(f"{file} is already there; remove it first")
     with atomic_path(file) as temporary:
         temporary.write_text(json_text(rig_to_json(rig)), encoding="utf-8")
-
-
-def _decode(data: bytes) -> AnyArray | None:
-    try:
-        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:  # empty, or an absurd size
-        return None
 
 
 def _first_frame(path: Path) -> Path | None:

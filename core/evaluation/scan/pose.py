@@ -19,6 +19,7 @@ from ...errors import CalibrationError, SourceError
 from ...model.arrays import Float64Array, IndexArray
 from ...model.files import atomic_path, user_path
 from ...model.frames import Matrix4, rigid_transform
+from ...model.loading import parse_json, read_file
 
 _MIN_PAIRS: Final = 3
 #: Iterations of ICP, at most.
@@ -237,14 +238,10 @@ def load_transform(path: Path | str) -> Matrix4:
     """
     path = user_path(path)
     try:
-        with path.open("rb") as file:
-            text = file.read(_FILE_BYTES + 1).decode("utf-8")
-        if len(text) > _FILE_BYTES:
-            raise ValueError("it is too long for a transform")
-        return rigid_transform(_matrix(text))
+        return rigid_transform(_matrix(read_file(path, _FILE_BYTES).decode("utf-8")))
     except OSError as error:
         raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
-    except (ValueError, TypeError, RecursionError) as error:
+    except (ValueError, TypeError) as error:
         detail = " ".join(str(error).split())
         raise SourceError(
             f'{path} holds no pose of a scan ({detail}); it is JSON {{"T_proximity_scan": 4 x 4}} or '
@@ -254,10 +251,7 @@ def load_transform(path: Path | str) -> Matrix4:
 
 def _matrix(text: str) -> object:
     if text.lstrip().startswith("{"):
-        try:
-            found = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise ValueError(f"line {error.lineno} is no JSON") from error
+        found = parse_json(text)
         if found.keys() != {"T_proximity_scan"}:
             raise ValueError(f"its keys are {sorted(found)}")
         return found["T_proximity_scan"]
@@ -343,8 +337,7 @@ def read_pairs(path: Path | str, unit_m: float = 1.0) -> tuple[Float64Array, Flo
     """
     path = user_path(path)
     try:
-        with path.open("rb") as file:
-            text = file.read(_PAIRS_FILE_BYTES).decode("utf-8-sig")
+        text = read_file(path, _PAIRS_FILE_BYTES).decode("utf-8-sig")
         lines = csv.reader(text.splitlines())
         rows = [(lines.line_num, row) for row in lines if any(word.strip() for word in row)]
     except OSError as error:

@@ -19,6 +19,7 @@ import numpy as np
 from ...errors import MissingExtraError, SourceError, TactuneError
 from ...model.arrays import AnyArray, Float64Array, Int32Array, Int64Array, Uint8Array
 from ...model.files import user_path
+from ...model.loading import image_size, open_regular, read_file
 
 SUFFIXES: Final = (".ply", ".obj")
 #: Units of files by name, metres.
@@ -32,8 +33,12 @@ _MAX_TRIANGLES: Final = 20_000_000
 
 #: Textured triangles are subdivided to this edge length, metres, within this total number of triangles.
 _TEXTURE_EDGE_M: Final = 0.0008
-MAX_TEXTURE_TRIANGLES: Final = 3_000_000
+MAX_TEXTURE_TRIANGLES: Final = 1_000_000
 _MAX_CUTS: Final = 24
+#: Limit of the pixels of all textures, beyond 8 for each byte of their files.
+_MAX_TEXELS: Final = 2**25
+#: Limit of the files that a scan names, each time counted.
+_MAX_NAMED: Final = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +90,7 @@ def load_scan(path: Path | str, unit_m: float = 1.0) -> Scan:
     -------
     Scan
         Coincident vertices are merged, also across texture seams; triangles without area are dropped. A textured mesh
-        is subdivided to edges of 0.8 mm, or coarser to stay below three million triangles.
+        is subdivided to edges of 0.8 mm, or coarser to stay below a million triangles.
 
     Raises
     ------
@@ -100,8 +105,11 @@ def load_scan(path: Path | str, unit_m: float = 1.0) -> Scan:
         raise SourceError(f"the unit of {path} is {unit_m} m; give the length of its unit in metres, such as 0.001")
     _check_file(path, SUFFIXES)
     try:
-        parts = [_coloured(mesh, path, unit_m) for mesh in _meshes(path)]
-        scan = _joined(parts, path)
+        meshes = [(mesh, *_in_metres(mesh, path, unit_m)) for mesh in _meshes(path)]
+        edge = _cut_edge(
+            [(vertices, triangles) for mesh, vertices, triangles in meshes if mesh.visual.kind == "texture"]
+        )
+        scan = _joined([_coloured(*part, edge, path) for part in meshes], path)
     except TactuneError:
         raise
     except Exception as error:  # trimesh does not wrap the errors of its parsers
@@ -184,13 +192,41 @@ def _meshes(path: Path) -> list[Any]:
     """Return trimesh's meshes of a file, each with at most one texture."""
     trimesh = import_trimesh()
     logging.getLogger("trimesh").addHandler(logging.NullHandler())  # it logs tracebacks for a missing texture
-    scene = trimesh.load_scene(path, process=False)
+    with open_regular(path) as file:
+        suffix = path.suffix[1:].lower()
+        scene = trimesh.load_scene(file, file_type=suffix, resolver=_Beside(path.parent), process=False)
     meshes = [mesh for mesh in scene.geometry.values() if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
     if not meshes:
         raise SourceError(f"{path} has no triangles; export the scan as a mesh, not as points")
     if sum(len(mesh.faces) for mesh in meshes) > _MAX_TRIANGLES:
         raise SourceError(f"{path} has more than {_MAX_TRIANGLES} triangles; export it coarser")
     return meshes
+
+
+class _Beside:
+    """Gives trimesh the materials and textures that a mesh names: ordinary files of its folder, of a sensible size."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder.resolve()
+        self._files: dict[Path, bytes] = {}
+        self._named = self._texels = 0
+
+    def get(self, name: str) -> bytes:
+        """Return the bytes of a file."""
+        self._named += 1
+        path = (self._folder / name.strip().replace("\\", "/")).resolve()
+        if self._named > _MAX_NAMED or not path.is_relative_to(self._folder):
+            raise ValueError(f"{name} is outside of the folder, or one of too many")
+        if path not in self._files:
+            data = self._files[path] = read_file(path)
+            if path.suffix.lower() not in (".mtl", ".bin"):
+                width, height = image_size(data)
+                self._texels += width * height - 8 * len(data)
+        if self._texels > _MAX_TEXELS:
+            raise ValueError("its textures are far larger than their files")
+        return self._files[path]
+
+    __getitem__ = get
 
 
 def _geometry(mesh: Any, path: Path) -> tuple[Float64Array, Int64Array]:
@@ -204,20 +240,24 @@ def _geometry(mesh: Any, path: Path) -> tuple[Float64Array, Int64Array]:
     return np.where(np.isfinite(vertices), vertices, 0.0), triangles
 
 
-def _coloured(mesh: Any, path: Path, unit_m: float) -> Scan:
-    """Return one mesh of a file with vertex colours."""
+def _in_metres(mesh: Any, path: Path, unit_m: float) -> tuple[Float64Array, Int64Array]:
+    """Return vertices in metres and triangles of one mesh of a scan."""
     vertices, triangles = _geometry(mesh, path)
-    vertices = vertices * unit_m
-    _check_largest(vertices[np.unique(triangles)], path)
+    _check_largest(vertices[np.unique(triangles)] * unit_m, path)
+    return vertices * unit_m, triangles
+
+
+def _coloured(mesh: Any, vertices: Float64Array, triangles: Int64Array, edge: float, path: Path) -> Scan:
+    """Return one mesh of a file with vertex colours."""
     kind = mesh.visual.kind
     if kind == "texture":
-        return _textured(mesh, vertices, triangles, path)
+        return _textured(mesh, vertices, triangles, edge, path)
     if kind is None:
         raise SourceError(f"{path} has no colours; export it with vertex colours, or with its texture beside it")
     return Scan(vertices, triangles.astype(np.int32), np.asarray(mesh.visual.vertex_colors, np.uint8)[:, :3])
 
 
-def _textured(mesh: Any, vertices: Float64Array, triangles: Int64Array, path: Path) -> Scan:
+def _textured(mesh: Any, vertices: Float64Array, triangles: Int64Array, edge: float, path: Path) -> Scan:
     """Subdivide a mesh to the detail of its texture and colour its vertices."""
     import trimesh
 
@@ -229,7 +269,6 @@ def _textured(mesh: Any, vertices: Float64Array, triangles: Int64Array, path: Pa
             f"{path} has a texture that is missing or cannot be read; "
             "put its image (and an .obj's .mtl) into the same folder"
         )
-    edge = _cut_edge(vertices, triangles)
     # edge lengths are those of the first three columns; all columns are interpolated
     cut, finer = remesh.subdivide_to_size(
         np.column_stack([vertices, mesh.visual.uv]), triangles, edge, max_iter=_MAX_CUTS
@@ -238,12 +277,13 @@ def _textured(mesh: Any, vertices: Float64Array, triangles: Int64Array, path: Pa
     return Scan(np.ascontiguousarray(cut[:, :3]), finer.astype(np.int32), np.asarray(colors, np.uint8)[:, :3])
 
 
-def _cut_edge(vertices: Float64Array, triangles: Int64Array) -> float:
-    """Return the edge length to which a mesh can be subdivided within the limit of triangles."""
-    sides = vertices[triangles] - vertices[np.roll(triangles, 1, axis=1)]
-    longest, edge = np.linalg.norm(sides, axis=2).max(axis=1), _TEXTURE_EDGE_M
+def _cut_edge(meshes: Sequence[tuple[Float64Array, Int64Array]]) -> float:
+    """Return the edge length to which meshes can be subdivided within the limit of triangles."""
+    sides = [vertices[triangles] - vertices[np.roll(triangles, 1, axis=1)] for vertices, triangles in meshes]
+    longest = np.concatenate([np.empty(0), *(np.linalg.norm(side, axis=2).max(axis=1) for side in sides)])
+    edge = _TEXTURE_EDGE_M
     # each subdivision halves the edges of a triangle and makes at most four of it
-    while (4.0 ** np.ceil(np.log2(np.maximum(longest / edge, 1)))).sum() > max(MAX_TEXTURE_TRIANGLES, len(triangles)):
+    while (4.0 ** np.ceil(np.log2(np.maximum(longest / edge, 1)))).sum() > max(MAX_TEXTURE_TRIANGLES, len(longest)):
         edge *= 1.2
     return edge
 

@@ -23,6 +23,7 @@ from mcap.opcode import Opcode
 
 from ...errors import SourceError
 from ...model.arrays import Uint64Array
+from ...model.loading import open_regular
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -34,8 +35,11 @@ MAGIC: Final = b"\x89MCAP0\r\n"
 _OUTSIDE: Final = 2**64 - 1
 
 _FOOTER_BYTES: Final = 9 + 20 + len(MAGIC)
-_LARGEST_CHUNK: Final = 2**30
-_CACHED_CHUNKS: Final = 8
+#: A chunk unpacks to at most this, plus 8 times the size of the file. One frame takes 20 MB.
+_LARGEST_CHUNK: Final = 2**26
+_CACHED_CHUNKS, _CACHED_BYTES = 8, 2**27
+#: A file has at most this many messages, plus one for each 8 of its bytes.
+_MOST_RECORDS: Final = 2**20
 
 #: Exceptions that damaged bytes can raise.
 _DAMAGE: Final = (ValueError, IndexError, KeyError, OverflowError, EOFError, RuntimeError, struct.error, zstd.ZstdError)
@@ -84,7 +88,8 @@ class McapFile:
         self._attachments: dict[str, tuple[int, int]] = {}
         self._metadata: dict[str, dict[str, str]] = {}
         self._cache: OrderedDict[int, memoryview] = OrderedDict()
-        self._file = path.open("rb")
+        self._indexed_bytes = self._records = 0
+        self._file = open_regular(path)
         try:
             with self._damage_told():
                 self._size = self._file.seek(0, 2)
@@ -127,10 +132,16 @@ class McapFile:
         if name not in self._attachments:
             return None
         with self._damage_told():
-            cursor = _Cursor(self._read(*self._attachments[name]))
+            record = self._read(*self._attachments[name])
+            cursor = _Cursor(record)
             cursor.take("<QQ")
             cursor.text(), cursor.text()
-            return bytes(cursor.bytes_(*cursor.take("<Q")))
+            data = cursor.bytes_(*cursor.take("<Q"))
+            end = cursor.position
+            (checksum,) = cursor.take("<I")
+            if checksum and zlib.crc32(memoryview(record)[:end]) != checksum:
+                raise ValueError(f"the checksum of {name} is wrong")
+            return bytes(data)
 
     def metadata(self, name: str) -> dict[str, str]:
         """Return a table of texts by its name; empty if there is none."""
@@ -148,6 +159,7 @@ class McapFile:
                 return True
         for table in (self._schemas, self._channels, self._chunks, self._places, self._attachments, self._metadata):
             table.clear()
+        self._indexed_bytes = self._records = 0
         return False
 
     def _from_scan(self) -> bool:
@@ -201,6 +213,7 @@ class McapFile:
         if length == 0:
             self._look_inside(len(self._chunks) - 1)
             return
+        self._spend(length)
         body = memoryview(self._read(position + chunk_length, length))
         for opcode, offset, size in _records(body):
             if opcode == Opcode.MESSAGE_INDEX:
@@ -250,8 +263,10 @@ class McapFile:
 
     def _look_inside(self, chunk: int) -> None:
         """Decompress a chunk to find its messages."""
+        self._spend(self._chunks[chunk][1])
         data = self._chunk_data(chunk)
         for opcode, offset, length in _records(data):
+            self._count(1)
             if opcode == Opcode.MESSAGE:
                 channel, _, log_time_ns = struct.unpack_from("<HIQ", data, offset)
                 self._places.setdefault(channel, array("Q")).extend((log_time_ns, chunk, offset - 9))
@@ -261,14 +276,28 @@ class McapFile:
     def _add_places(self, record: bytes | memoryview) -> None:
         """Add a message index of the last chunk."""
         channel, length = struct.unpack_from("<HI", record)
+        self._count(length // 16)
         places = self._places.setdefault(channel, array("Q"))
         for log_time_ns, offset in struct.iter_unpack("<QQ", record[6 : 6 + length]):
             places.extend((log_time_ns, len(self._chunks) - 1, offset))
 
     def _add_metadata(self, position: int, length: int) -> None:
+        self._spend(length)
         cursor = _Cursor(self._read(position, length))
         name = cursor.text()
         self._metadata[name] = cursor.text_map()
+
+    def _spend(self, length: int) -> None:
+        """Count bytes that the index sends to; raise where it sends to the same bytes again and again."""
+        self._indexed_bytes += length
+        if self._indexed_bytes > self._size:
+            raise ValueError("its index points to one place more than once")
+
+    def _count(self, records: int) -> None:
+        """Count records; raise where there are far more than its bytes can hold."""
+        self._records += records
+        if self._records > _MOST_RECORDS + self._size // 8:
+            raise ValueError("it claims far more messages than its size allows")
 
     def _declare(self, opcode: int, body: _Cursor) -> None:
         """Add a schema or a channel; ignore other records."""
@@ -287,13 +316,15 @@ class McapFile:
         cursor = _Cursor(self._read(*self._chunks[number]))
         _, _, size, checksum = cursor.take("<QQQI")
         compression, (packed_size,) = cursor.text(), cursor.take("<Q")
-        if size > _LARGEST_CHUNK:
-            raise ValueError(f"a chunk claims to hold {size / 2**30:.1f} GiB")
+        if size > _LARGEST_CHUNK + 8 * self._size:
+            raise ValueError(f"a chunk claims to hold {size / 2**20:.0f} MiB")
         data = _decompress(cursor.bytes_(packed_size), compression, size)
         if len(data) != size or (checksum and zlib.crc32(data) != checksum):
             raise ValueError("the checksum of a chunk is wrong")
         self._cache[number] = memoryview(data)
-        if len(self._cache) > _CACHED_CHUNKS:
+        while len(self._cache) > _CACHED_CHUNKS or (
+            len(self._cache) > 1 and sum(map(len, self._cache.values())) > _CACHED_BYTES
+        ):
             self._cache.popitem(last=False)
         return self._cache[number]
 

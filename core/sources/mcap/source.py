@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -10,11 +9,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ...errors import SourceError
+from ...errors import PresetError, SourceError
 from ...model.arrays import AnyArray, IndexArray, Int64Array, Uint64Array
 from ...model.files import user_path
 from ...model.frames import ColorCamera, DepthCamera, GroundTruth, Matrix4, Rig, SensorFrame, rigid_transform
 from ...model.intrinsics import Distortion, Intrinsics
+from ...model.loading import parse_json
 from ...model.rig_file import parse_rig
 from ...model.untouched_archive import parse_untouched
 from ...preset import Preset
@@ -127,7 +127,10 @@ class McapSource(SeekableSource):
 
     def preset_text(self) -> tuple[str, str] | None:
         """Return the text of the preset and what messages call it, or None if there is none."""
-        data = self._file.attachment(PRESET_NAME)
+        try:
+            data = self._file.attachment(PRESET_NAME)
+        except SourceError as error:
+            raise PresetError(str(error)) from error
         return None if data is None else (_text(data), f"{PRESET_NAME} in {self._path}")
 
     def untouched(self) -> SensorFrame | None:
@@ -264,8 +267,8 @@ class McapSource(SeekableSource):
 
     def _json_object(self, data: str | bytes, what: str) -> dict[str, Any]:
         try:
-            value = json.loads(data)
-        except (ValueError, RecursionError):
+            value = parse_json(data)
+        except ValueError:
             value = None
         if not isinstance(value, dict):
             raise SourceError(f"{self._path}: {what} is no JSON object; copy or record it again")

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import struct
-import zlib
-from contextlib import suppress
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from ...model.arrays import AnyArray, Uint8Array, Uint16Array
+from ...model.loading import decode_image, image_size
 
 #: Upper limit of a message or chunk; a larger claim is damage, and nothing is allocated for it.
 LARGEST_BYTES = 128 * 2**20
@@ -31,7 +30,6 @@ _TO_RGB = {
 }
 
 #: A PNG's signature and the fixed start of its first chunk, which holds the size.
-_PNG_START = b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR"
 _PNG_TO_RGB = {1: cv2.COLOR_GRAY2RGB, 3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA2RGB}
 
 
@@ -173,33 +171,13 @@ def _rows(image: RawImage, shape: tuple[int, int], bytes_per_pixel: int) -> Uint
 
 
 def _decoded(data: Uint8Array, shape: tuple[int, int]) -> AnyArray:
-    # Size and checksums are checked first: the decoder allocates whatever the file claims, and
-    # complains about damage on the terminal.
     raw = data.tobytes()
-    if len(raw) < len(_PNG_START) + 8 or not raw.startswith(_PNG_START):
-        raise DamagedFileError("it is no PNG image")
-    width, height = struct.unpack_from(">II", raw, len(_PNG_START))
-    _check_shape((height, width), shape)
-    image = None
-    if _checksums_are_right(raw):
-        with suppress(cv2.error):
-            image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    if image is None or image.shape[:2] != shape:
-        raise DamagedFileError("its PNG data are damaged")
-    return image
-
-
-def _checksums_are_right(png: bytes) -> bool:
-    at = 8
-    while at + 12 <= len(png):
-        (size,) = struct.unpack_from(">I", png, at)
-        end = at + 8 + size
-        if end + 4 > len(png) or zlib.crc32(memoryview(png)[at + 4 : end]) != struct.unpack_from(">I", png, end)[0]:
-            return False
-        if png[at + 4 : at + 8] == b"IEND":
-            return True
-        at = end + 4
-    return False
+    try:
+        width, height = image_size(raw)
+        _check_shape((height, width), shape)
+        return decode_image(raw)
+    except ValueError as error:
+        raise DamagedFileError(f"its PNG data are damaged: {error}") from error
 
 
 def _check_shape(found: tuple[int, int], stated: tuple[int, int]) -> None:

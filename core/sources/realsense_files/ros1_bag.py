@@ -20,6 +20,7 @@ import lz4.frame
 import numpy as np
 
 from ...model.arrays import Int64Array
+from ...model.loading import open_regular
 from .decoding import Cursor, DamagedFileError, check_size
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -27,6 +28,11 @@ _MESSAGE, _BAG_HEADER, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = range(2, 8)
 _LARGEST_HEADER = 2**20
 #: Upper limit of the compression ratio: LZ4 cannot exceed it, and real images do not.
 _LARGEST_RATIO = 256
+#: A chunk holds at most this, plus 8 times the size of the file. One image takes 3 MB.
+_LARGEST_CHUNK = 2**25
+_LARGEST_RECORD_HEADER = 2**12
+#: Connection records between the place that an index names and its message. Real bags have one at most.
+_MOST_CONNECTIONS = 16
 _CACHED_CHUNKS = 4
 _INDEXING_THREADS = 4
 _Result = TypeVar("_Result")
@@ -81,7 +87,7 @@ class Ros1Bag:
     """
 
     def __init__(self, path: Path) -> None:
-        self._file = path.open("rb")
+        self._file = open_regular(path)
         self._lock = Lock()
         self._claimed = 0
         self._chunks: list[_Chunk] = []
@@ -197,8 +203,8 @@ class Ros1Bag:
         compression, size, stored = _text(header, b"compression"), _number(header, b"size"), self._u32(at)
         if compression not in _UNPACK:
             raise DamagedFileError(f"its compression {compression!r} is not one of {', '.join(_UNPACK)}")
-        self._claimed += check_size(size)
-        if self._claimed > max(self._size * _LARGEST_RATIO, 2**30):
+        self._claimed += check_size(size, _LARGEST_CHUNK + 8 * self._size)
+        if self._claimed > max(self._size * _LARGEST_RATIO, 2**28):
             raise DamagedFileError(f"its {self._size} bytes claim to hold {self._claimed} or more")
         end = at + 4 + stored
         if end > self._size:
@@ -242,7 +248,7 @@ class Ros1Bag:
 
 def message_bounds(chunk: bytes, offset: int) -> tuple[int, int]:
     """Return start and size of the message at ``offset``; a connection record may precede it."""
-    while True:
+    for _ in range(_MOST_CONNECTIONS):
         header, start, size = _record_in(chunk, offset)
         operation = _operation(header)
         if operation == _MESSAGE:
@@ -250,6 +256,7 @@ def message_bounds(chunk: bytes, offset: int) -> tuple[int, int]:
         if operation != _CONNECTION:
             raise DamagedFileError("its index points at something that is no message")
         offset = start + size
+    raise DamagedFileError(f"more than {_MOST_CONNECTIONS} connections precede a message")
 
 
 def _walk(chunk: bytes, names: dict[int, str]) -> Iterator[tuple[str, int, int]]:
@@ -276,6 +283,8 @@ def _record_in(chunk: bytes, offset: int) -> tuple[dict[bytes, bytes], int, int]
         (size,) = struct.unpack_from("<I", chunk, start)
     except struct.error as error:
         raise DamagedFileError("a message lies outside its chunk") from error
+    if header_size > _LARGEST_RECORD_HEADER:
+        raise DamagedFileError(f"a message claims a header of {header_size} bytes")
     if start + 4 + size > len(chunk):
         raise DamagedFileError("a message lies outside its chunk")
     return _fields(chunk[offset + 4 : start]), start + 4, size

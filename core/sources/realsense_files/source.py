@@ -12,6 +12,7 @@ from ...errors import SourceError
 from ...model.arrays import Float64Array, IndexArray, Uint8Array, Uint16Array
 from ...model.files import recording_files, user_path
 from ...model.frames import ColorCamera, Rig, SensorFrame, rigid_transform
+from ...model.loading import open_regular
 from ..base import Health, Progress, SeekableSource
 from ..cameras.camera import Calibration
 from . import db3_recording, ros1_bag
@@ -302,7 +303,7 @@ def _part(progress: Progress | None, number: int, count: int) -> Progress | None
 
 def _open(path: Path, progress: Progress | None) -> Recording:
     # Decided by content, because a .bag may have been renamed.
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         start = file.read(32)
     if not start:
         raise SourceError(f"{path}: this is no readable RealSense recording (it is empty); copy or record it again")

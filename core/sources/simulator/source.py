@@ -28,6 +28,7 @@ from ...errors import ExportError, SourceError
 from ...model.arrays import AnyArray, Uint8Array
 from ...model.files import atomic_path
 from ...model.frames import GroundTruth, SensorFrame, TrueStrain, rigid_transform
+from ...model.loading import decode_image, parse_json
 from ..base import Health, Progress, SeekableSource
 from .between import facts_between, state_between
 from .membrane import Membrane
@@ -267,7 +268,7 @@ def load_scene(path: Path, count: int) -> SolvedScene | None:
     """Return ``count`` states from a file, or None where the file is missing or damaged."""
     try:
         with zipfile.ZipFile(path) as archive:
-            facts = [PressFacts(**entry) for entry in json.loads(archive.read("facts.json"))]
+            facts = [PressFacts(**entry) for entry in parse_json(archive.read("facts.json"))]
             packed = [{name: archive.read(f"{n}/{name}.png") for name in _NAMES} for n in range(count)]
     except (OSError, KeyError, TypeError, ValueError, zipfile.BadZipFile):
         return None
@@ -372,8 +373,8 @@ def _pack(state: CleanState) -> dict[str, bytes]:
 def _unpack(packed: dict[str, bytes]) -> CleanState | None:
     images: dict[str, AnyArray] = {}
     for name, data in packed.items():
-        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
-        if image is None:
+        try:
+            images[name] = decode_image(data)
+        except ValueError:
             return None
-        images[name] = image
     return CleanState(**images)

@@ -8,7 +8,8 @@ import numpy as np
 
 from ...errors import AdviceError, FrameError
 from ...model.arrays import BoolArray
-from ...model.files import atomic_path, refuse_devices
+from ...model.files import atomic_path
+from ...model.loading import parse_npz, read_file
 from ...model.untouched_archive import frame_arrays, frame_from_bytes
 from .proposal import Example
 
@@ -36,11 +37,11 @@ def load_example(path: Path) -> Example:
     AdviceError
         The file is missing or damaged, or a mask has another size than the frame.
     """
-    refuse_devices(path, AdviceError)
     try:
-        frame = frame_from_bytes(path.read_bytes())
-        with np.load(path, allow_pickle=False) as stored:
-            masks: dict[str, BoolArray] = {name: stored[name] for name in _MASKS if name in stored}
+        data = read_file(path)
+        frame = frame_from_bytes(data)
+        stored = parse_npz(data)
+        masks: dict[str, BoolArray] = {name: stored[name] for name in _MASKS if name in stored}
     except (OSError, ValueError, FrameError) as error:
         raise AdviceError(f"{path}: the example cannot be read ({error}); mark or paint it again") from error
     for name, mask in masks.items():

@@ -45,8 +45,11 @@ def claim_shape(path: Path, shape: tuple[int, ...]) -> None:
 F = "000000"
 BAD = {
     "no rig": (lambda p: (p / "rig.json").unlink(), r"there is no file .*rig\.json"),
-    "rig is no JSON": (lambda p: (p / "rig.json").write_text("{\n oops"), r"rig\.json is no JSON: line 2"),
-    "rig is binary": (lambda p: (p / "rig.json").write_bytes(b"\xff\xfe"), r"rig\.json is no JSON text"),
+    "rig is no JSON": (
+        lambda p: (p / "rig.json").write_text("{\n oops"),
+        r"rig\.json cannot be used: .*line 2",
+    ),
+    "rig is binary": (lambda p: (p / "rig.json").write_bytes(b"\xff\xfe"), r"rig\.json cannot be used: not valid JSON"),
     "rig is a list": (lambda p: (p / "rig.json").write_text("[]"), r"rig\.json holds a list"),
     "rig lacks a camera": (lambda p: edit(p / "rig.json", tactile=None), r"rig\.json: tactile is missing"),
     "rig has a stray field": (lambda p: edit(p / "rig.json", tactil={}), r"rig\.json: tactil is no field"),
@@ -124,7 +127,7 @@ BAD = {
     "time is huge": (lambda p: edit(p / F / "frame.json", tactile_time_s=10**400), "tactile_time_s is 1000"),
     "number of 5000 digits": (
         lambda p: (p / F / "frame.json").write_text(f'{{"sequence": {"1" * 5000}}}'),
-        r"frame\.json contains a number of too many digits",
+        r"frame\.json cannot be used: it contains a number of too many digits",
     ),
     "one sequence twice": (
         lambda p: edit(p / "000001/frame.json", sequence=json.loads((p / F / "frame.json").read_text())["sequence"]),

@@ -218,7 +218,7 @@ def test_a_file_that_holds_no_pose_is_refused(tmp_path, text):
     [
         ("-1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1", "mirrors, which no rotation does"),
         ("1 0 0 0\n\n0 1 0 x\n0 0 1 0\n0 0 0 1", "line 3 is '0 1 0 x', not four numbers"),
-        ('{"T_proximity_scan":\n [[1, 0', "line 2 is no JSON"),
+        ('{"T_proximity_scan":\n [[1, 0', r"not valid JSON \(line 2"),
     ],
 )
 def test_what_is_wrong_with_a_pose_is_said(tmp_path, text, words):

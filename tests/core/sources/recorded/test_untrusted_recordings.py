@@ -91,7 +91,7 @@ def test_a_chunk_that_unpacks_to_more_than_it_says_is_refused(tmp_path: Path) ->
 
 @pytest.mark.parametrize(
     ("size", "sentence"),
-    [(2**32 - 1, r"claims 4294967295 bytes, more than any camera writes"), (2**27, r"bytes claim to hold \d+ or more")],
+    [(2**32 - 1, r"claims 4294967295 bytes, more than any camera writes"), (2**25, r"bytes claim to hold \d+ or more")],
 )
 def test_a_chunk_that_claims_too_much_is_refused_unread(tmp_path: Path, size: int, sentence: str) -> None:
     path = tmp_path / "claim.bag"
@@ -146,7 +146,7 @@ def test_a_png_of_another_size_than_the_lens_is_refused_before_it_is_decoded(tmp
     path = tmp_path / "huge.db3"
     size = struct.pack(">II", 48, 32)
     path.write_bytes(PNG_DB3.read_bytes().replace(b"IHDR" + size, b"IHDR" + struct.pack(">II", 16384, 65536)))
-    with BagSource(path) as source, pytest.raises(SourceError, match=r"16384 x 65536 pixels, .* 48 x 32"):
+    with BagSource(path) as source, pytest.raises(SourceError, match=r"16384 x 65536 pixels"):
         source.next_frame()
 
 

@@ -1,0 +1,312 @@
+"""Small files that claim to be large, or that never end: a sentence within 10 s, and memory in proportion to the file.
+
+Each attack is made from nothing, so the seeds are fixed. The limit of memory is 10 times the file plus 300 MB.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import struct
+import time
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import lz4.frame
+import numpy as np
+import pytest
+
+from tactune.core.calibration.correspondences import read_points as read_pairs
+from tactune.core.calibration.lens import fit_lens
+from tactune.core.errors import TactuneError
+from tactune.core.evaluation.scan.pose import load_transform
+from tactune.core.evaluation.scan.scan import load_scan
+from tactune.core.model.loading import parse_json, read_file
+from tactune.core.model.rig_file import load_rig
+from tactune.core.output.cloud_files import read_cloud, read_points
+from tactune.core.output.markers import load_marks
+from tactune.core.sources.presets import load_preset
+from tactune.core.sources.registry import open_source
+from tactune.core.tuning.advice.example_file import load_example
+
+SECONDS = 10
+MIB = 2**20
+pytestmark = pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="measures memory as Linux tells it")
+
+
+@contextmanager
+def bounded(file_bytes: int) -> Iterator[None]:
+    """Fail where more memory or time is taken than a file of this size allows."""
+
+    def too_long(*_: object) -> None:
+        raise AssertionError(f"it takes more than {SECONDS} s")
+
+    before = _status("VmRSS")
+    limit = 10 * file_bytes + 300_000_000
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (_status("VmSize") + 2 * limit + 2**30, hard))  # keeps the machine alive
+    Path("/proc/self/clear_refs").write_text("5")
+    handler = signal.signal(signal.SIGALRM, too_long)
+    signal.alarm(SECONDS)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, handler)
+        resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
+    taken = _status("VmHWM") - before
+    assert taken < limit, f"{taken / 1e6:.0f} MB for a file of {file_bytes / 1e6:.1f} MB"
+
+
+def _status(name: str) -> int:
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith(f"{name}:"):
+            return int(line.split()[1]) * 1024
+    raise AssertionError(name)
+
+
+def refused(read: Callable[[Path], Any], path: Path) -> None:
+    """Read a file, which must give a sentence without line breaks."""
+    size = sum(file.stat().st_size for file in path.rglob("*") if file.is_file()) if path.is_dir() else 0
+    with bounded(size or (path.stat().st_size if path.is_file() else 0)), pytest.raises(TactuneError) as caught:
+        read(path)
+    assert "\n" not in str(caught.value)
+
+
+def play(path: Path) -> None:
+    with open_source(str(path)) as source:
+        list(source)
+
+
+# Makers of files
+
+
+def png(width: int, height: int, content: bytes = b"", bits: int = 8, colour: int = 2) -> bytes:
+    def part(name: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+
+    head = struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + part(b"IHDR", head) + part(b"IDAT", content) + part(b"IEND", b"")
+
+
+def zeros(count: int, level: int = 9) -> bytes:
+    packer = zlib.compressobj(level)
+    return b"".join(packer.compress(bytes(2**24)) for _ in range(count // 2**24)) + packer.flush()
+
+
+def npz_of_zeros(path: Path, name: str, header: bytes, size: int) -> None:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open(name, "w") as file:
+        file.write(header)
+        for _ in range(size // 2**24):
+            file.write(bytes(2**24))
+
+
+def npy_header(shape: str, kind: str = "<f8") -> bytes:
+    text = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}}}".encode().ljust(117) + b"\n"
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text
+
+
+def record(opcode: int, body: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(body)) + body
+
+
+def chunk(content: bytes, size: int, packing: bytes = b"lz4") -> bytes:
+    return record(6, struct.pack("<QQQII", 0, 0, size, 0, 3) + packing + struct.pack("<Q", len(content)) + content)
+
+
+def mcap_of_large_chunks(path: Path) -> None:
+    packed = lz4.frame.compress(bytes(2**28))
+    path.write_bytes(b"\x89MCAP0\r\n" + 12 * chunk(packed, 2**28))
+
+
+def mcap_of_tiny_messages(path: Path) -> None:
+    content = record(5, struct.pack("<H", 0) + bytes(22)) * 1_200_000
+    path.write_bytes(b"\x89MCAP0\r\n" + 12 * chunk(lz4.frame.compress(content), len(content)))
+
+
+def mcap_of_one_index(path: Path, count: int = 4000) -> None:
+    """A summary in which each chunk index points to the same message index."""
+    magic = b"\x89MCAP0\r\n"
+    data = chunk(lz4.frame.compress(bytes(9)), 9)
+    index = record(7, struct.pack("<HI", 1, 16 * 100_000) + bytes(16 * 100_000))
+    body = magic + data + index
+    text = struct.pack("<I", 0)
+    pointer = (
+        struct.pack("<QQQQ", 0, 0, len(magic), len(data)) + text + struct.pack("<Q", len(index)) + text + bytes(16)
+    )
+    channel = record(4, struct.pack("<HH", 1, 0) + struct.pack("<I", 1) + b"a" + struct.pack("<I", 3) + b"cdr" + text)
+    summary = channel + count * record(8, pointer)
+    summary += record(11, struct.pack("<QHIIIIQQ", 1, 0, 1, 0, 0, count, 0, 0) + text)
+    path.write_bytes(body + summary + record(2, struct.pack("<QQI", len(body), 0, 0)) + magic)
+
+
+def ros1_record(fields: dict[bytes, bytes], data: bytes) -> bytes:
+    header = b"".join(struct.pack("<I", len(k) + 1 + len(v)) + k + b"=" + v for k, v in fields.items())
+    return struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data
+
+
+def bag(path: Path, content: bytes, entries: int) -> None:
+    """A bag of one chunk, whose index points to its first byte again and again."""
+    u32 = lambda value: struct.pack("<I", value)  # noqa: E731
+    magic = b"#ROSBAG V2.0\n"
+    counts = {b"conn_count": u32(1), b"chunk_count": u32(1)}
+    head = lambda at: ros1_record({b"op": b"\x03", b"index_pos": struct.pack("<Q", at)} | counts, b"")  # noqa: E731
+    start = len(magic) + len(head(0))
+    body = ros1_record({b"op": b"\x05", b"compression": b"none", b"size": u32(len(content))}, content)
+    places = b"".join(struct.pack("<III", n, 0, 0) for n in range(entries))
+    body += ros1_record({b"op": b"\x04", b"ver": u32(1), b"conn": u32(0), b"count": u32(entries)}, places)
+    topic = b"/device_0/sensor_0/Depth_0/image/data"
+    infos = ros1_record({b"op": b"\x07", b"conn": u32(0), b"topic": topic}, b"")
+    infos += ros1_record(
+        {b"op": b"\x06", b"ver": u32(1), b"chunk_pos": struct.pack("<Q", start), b"count": u32(1)}, b""
+    )
+    path.write_bytes(magic + head(start + len(body)) + body + infos)
+
+
+def bag_of_connections(path: Path) -> None:
+    connection = ros1_record({b"op": b"\x07", b"conn": struct.pack("<I", 0), b"topic": b"a"}, b"")
+    message = ros1_record({b"op": b"\x02", b"conn": struct.pack("<I", 0), b"time": bytes(8)}, bytes(20))
+    bag(path, 2000 * connection + message, 8000)
+
+
+def bag_of_fields(path: Path) -> None:
+    fields = {b"op": b"\x02", b"conn": struct.pack("<I", 0)} | {b"%x" % n: b"" for n in range(8000)}
+    bag(path, ros1_record(fields, bytes(20)), 8000)
+
+
+def textured(path: Path) -> None:
+    """Twelve squares with a texture each."""
+    texture = png(4096, 4096, zeros(4096 * (3 * 4096 + 1) // 2**24 * 2**24 + 2**24))
+    lines = ["mtllib a.mtl"]
+    for n in range(12):
+        (path.parent / f"{n}.png").write_bytes(texture)
+        lines += [f"v {x} {y} {n / 10}" for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
+        lines += [f"vt {x} {y}" for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))] + [f"usemtl m{n}"]
+        lines += ["f " + " ".join(f"{4 * n + k}/{4 * n + k}" for k in corners) for corners in ((1, 2, 3), (1, 3, 4))]
+    path.write_text("\n".join(lines) + "\n")
+    (path.parent / "a.mtl").write_text("".join(f"newmtl m{n}\nmap_Kd {n}.png\n" for n in range(12)))
+
+
+def folder(path: Path, name: str, put: Callable[[Path], None]) -> None:
+    """A folder of one frame of which one file is replaced."""
+    intrinsics = {"width": 8, "height": 6, "fx": 8.0, "fy": 8.0, "cx": 4.0, "cy": 3.0}
+    camera = {"model": "x", "depth_unit_m": 0.001, **intrinsics}
+    frame = path / "000000"
+    frame.mkdir(parents=True)
+    (path / "rig.json").write_text(json.dumps({"proximity": camera, "tactile": camera}))
+    (frame / "frame.json").write_text(json.dumps({"sequence": 0, "proximity_time_s": 0.0, "tactile_time_s": 0.0}))
+    grey = b"".join(b"\0" + bytes(16) for _ in range(6))
+    for image in ("proximity_depth", "tactile_depth"):
+        (frame / f"{image}.png").write_bytes(png(8, 6, zlib.compress(grey), bits=16, colour=0))
+    rows = b"".join(b"\0" + bytes(24) for _ in range(6))
+    (frame / "proximity_color.png").write_bytes(png(8, 6, zlib.compress(rows)))
+    (frame / name).unlink(missing_ok=True)
+    put(frame / name)
+
+
+DEEP = "[" * 100_000 + "]" * 100_000
+HEADER = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z a\nSIZE 4 4 4 4\nTYPE F F F F\n"
+LARGE_PCD = f"{HEADER}COUNT 1 1 1 1000000000\nWIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA ascii\n1 2 3 4\n"
+LARGE_PLY = b"ply\nformat binary_little_endian 1.0\nelement vertex 999999999999\nproperty float x\nend_header\n"
+
+FILES: dict[str, tuple[Callable[[Path], object], Callable[[Path], Any]]] = {
+    "chunks.mcap": (mcap_of_large_chunks, play),
+    "messages.mcap": (mcap_of_tiny_messages, play),
+    "index.mcap": (mcap_of_one_index, play),
+    "connections.bag": (bag_of_connections, play),
+    "fields.bag": (bag_of_fields, play),
+    "cloud.npz": (lambda p: npz_of_zeros(p, "points.npy", npy_header("(26214400, 3)"), 600 * MIB), read_cloud),
+    "claim.npz": (lambda p: npz_of_zeros(p, "points.npy", npy_header("(10000000000, 3)"), 0), read_cloud),
+    "example.npz": (
+        lambda p: npz_of_zeros(p, "contact.npy", npy_header("(629145600,)", "|b1"), 600 * MIB),
+        load_example,
+    ),
+    "count.pcd": (lambda p: p.write_text(LARGE_PCD), read_points),
+    "count.ply": (lambda p: p.write_bytes(LARGE_PLY), read_points),
+    "deep.preset.json": (lambda p: p.write_text(DEEP), load_preset),
+    "deep.rig.json": (lambda p: p.write_text(DEEP), load_rig),
+    "deep.marks.json": (lambda p: p.write_text(DEEP), load_marks),
+    "deep.pose.json": (lambda p: p.write_text('{"T_proximity_scan":' + DEEP + "}"), load_transform),
+    "zeros.json": (lambda p: p.write_bytes(bytes(50_000_000)), load_preset),
+}
+READERS: dict[str, Callable[[Path], Any]] = {
+    "a.json": load_preset, "rig.json": load_rig, "marks.json": load_marks, "pose.txt": load_transform,
+    "a.npz": read_cloud, "a.ply": read_points, "a.pcd": read_points, "a.csv": read_points, "pairs.csv": read_pairs,
+    "example.npz": load_example, "a.bag": play, "a.mcap": play, "scan.obj": load_scan, "scan.ply": load_scan,
+}  # fmt: skip
+IMAGES: dict[str, Callable[[Path], object]] = {
+    "claims gigapixels": lambda p: p.write_bytes(png(60_000, 60_000, zlib.compress(bytes(1000)))),
+    "claims 2 gigapixels as JPEG": lambda p: p.write_bytes(b"\xff\xd8\xff\xc0\x00\x11\x08" + b"\xff" * 8 + bytes(99)),
+    "is a pipe": os.mkfifo,
+    "is endless": lambda p: p.symlink_to("/dev/zero"),
+    "is empty": lambda p: p.write_bytes(b""),
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", FILES)
+def test_a_small_file_takes_little_memory_and_time(name: str, tmp_path: Path) -> None:
+    make, read = FILES[name]
+    make(tmp_path / name)
+    refused(read, tmp_path / name)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["pipe", "endless", "folder", "loop"])
+@pytest.mark.parametrize("name", READERS)
+def test_what_is_no_ordinary_file_is_refused(name: str, kind: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "folder":
+        path.mkdir()
+    else:
+        path.symlink_to("/dev/zero" if kind == "endless" else path)
+    refused(READERS[name], path)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", IMAGES)
+@pytest.mark.parametrize("name", ["proximity_depth.png", "proximity_color.png", "truth_contact.png", "frame.json"])
+def test_a_folder_with_such_an_image_is_refused(name: str, kind: str, tmp_path: Path) -> None:
+    folder(tmp_path / "a", name, IMAGES[kind])
+    refused(play, tmp_path / "a")
+
+
+@pytest.mark.long
+def test_a_picture_that_claims_gigapixels_is_not_decoded(tmp_path: Path) -> None:
+    for n in range(20):
+        (tmp_path / f"{n}.png").write_bytes(png(30_000, 30_000, zlib.compress(bytes(1000))))
+    with bounded(0), pytest.raises(TactuneError):
+        fit_lens(tmp_path, 9, 6, 0.02)
+
+
+@pytest.mark.long
+def test_a_scan_of_many_textures_takes_little_memory(tmp_path: Path) -> None:
+    textured(tmp_path / "a.obj")
+    with bounded(sum(file.stat().st_size for file in tmp_path.iterdir())), pytest.raises(TactuneError, match="texture"):
+        load_scan(tmp_path / "a.obj")
+
+
+@pytest.mark.parametrize(
+    "text", [DEEP, '{"a":' * 50_000, "[" * 50_000, "1" * 5000, '{"a": 1, "a": 2}', b"\xff", " " * 13_000_000]
+)
+def test_json_that_is_refused(text: str | bytes) -> None:
+    with pytest.raises(ValueError, match=r"JSON|digits|twice|MB"):
+        parse_json(text)
+
+
+def test_a_file_beyond_its_limit_is_not_read(tmp_path: Path) -> None:
+    with (tmp_path / "a").open("wb") as file:
+        file.truncate(10_000_000_000)
+    start = time.perf_counter()
+    with pytest.raises(OSError, match="10000 MB, more than the 1 MB"):
+        read_file(tmp_path / "a", 1_000_000)
+    assert time.perf_counter() - start < SECONDS
+    assert np.frombuffer(read_file(__file__), np.uint8).size
