@@ -131,7 +131,7 @@ def install_system_packages(missing: list[tuple[str, ...]]) -> None:
     print("Installing system packages (once) ...", flush=True)
     apt_get = [*prefix, "env", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-qq", "-o", "Dpkg::Use-Pty=0"]
     succeeds(*apt_get, "update")
-    names = [known_to_apt(alternatives) for alternatives in missing]
+    names = [name for name in map(known_to_apt, missing) if succeeds("apt-cache", "show", name, silent=True)]
     if not succeeds(*apt_get, "install", "--yes", "--no-install-recommends", *names):
         print(f"apt-get failed (its message is above); continuing without: {install_hint(missing)}", file=sys.stderr)
 

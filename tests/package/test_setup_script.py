@@ -59,12 +59,12 @@ def test_every_line_of_the_list_names_a_thing_and_its_packages() -> None:
 
 
 def test_what_is_missing_is_found(setup_script: ModuleType, machine: Callable[..., Path]) -> None:
-    machine(ldconfig=known_libraries(without="libusb-1.0.so.0"), Xvfb="", xauth="")
+    machine(ldconfig=known_libraries(without="libusb-1.0.so.0"), Xvfb="", xauth="", **{"g++": ""})
     assert setup_script.missing_system_packages() == [("libusb-1.0-0",)]
 
 
 def test_a_missing_command_is_found(setup_script: ModuleType, machine: Callable[..., Path]) -> None:
-    machine(ldconfig=known_libraries(without=""), xauth="")
+    machine(ldconfig=known_libraries(without=""), xauth="", **{"g++": ""})
     assert setup_script.missing_system_packages() == [("xvfb",)]
 
 
@@ -73,7 +73,7 @@ def test_apt_installs_the_names_that_this_release_knows(
 ) -> None:
     monkeypatch.setattr(os, "geteuid", lambda: 0)
     log = machine(apt_get='echo "$@" >>"$LOG"', apt_cache='[ "$2" != new-name ]')
-    setup_script.install_system_packages([("new-name", "old-name"), ("first", "second")])
+    setup_script.install_system_packages([("new-name", "old-name"), ("new-name",), ("first", "second")])
     update, install = log.read_text().splitlines()
     assert update.endswith("update")
     assert install.endswith("install --yes --no-install-recommends old-name first")

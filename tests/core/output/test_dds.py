@@ -1,0 +1,313 @@
+"""ROS 2 topics without ROS, received in processes of their own by Fast DDS, ROS 2's default, and by Cyclone DDS."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.records import Schema
+from mcap_ros2.decoder import DecoderFactory
+
+from tactune.core import ContactPipeline, load_preset, open_source
+from tactune.core.errors import PublishError
+from tactune.core.model.frames import SensorFrame
+from tactune.core.model.patch import ContactPatch
+from tactune.core.output.dds import DdsSink
+from tactune.core.output.messages import definition
+from tactune.core.output.publisher import LIVE_TOPICS, Estimates, Publisher
+from tactune.core.preset import Preset
+
+SUPPORT = Path(__file__).resolve().parents[2] / "support"
+WAIT_S = 60
+PERIOD_S = 1 / 30
+
+Processed = tuple[SensorFrame, ContactPatch, Preset, Estimates]
+
+
+@pytest.fixture(scope="module")
+def processed() -> Processed:
+    preset = load_preset("simulator")
+    with open_source("sim:cup") as source:
+        source.seek(40)
+        frame = source.next_frame()
+        assert frame is not None
+        T_proximity_object = np.eye(4)
+        T_proximity_object[:3, 3] = 0.1, -0.02, 0.3
+        estimates = Estimates(pose=T_proximity_object, covariance=np.diag(np.arange(1.0, 7.0)))
+        return frame, ContactPipeline(preset, source.rig).process(frame), preset, estimates
+
+
+@pytest.fixture(scope="session")
+def fast_dds_program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build the subscriber of Fast DDS."""
+    if not Path("/usr/include/fastdds").exists() or shutil.which("g++") is None:
+        pytest.skip("FAST DDS IS NOT TESTED: apt-get install libfastrtps-dev g++ (Debian 12, Ubuntu 22.04)")
+    program = tmp_path_factory.mktemp("fast-dds") / "subscriber"
+    source = SUPPORT / "fast_dds_subscriber.cpp"
+    command = ["g++", "-std=c++17", "-o", program, source, "-lfastrtps"]
+    subprocess.run(command, check=True)
+    return program
+
+
+@pytest.fixture
+def domain() -> int:
+    """Return a domain id that nobody on this computer uses."""
+    while True:
+        number = random.SystemRandom().randrange(1, 200)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("0.0.0.0", 7400 + 250 * number + 10))
+            except OSError:
+                continue
+            return number
+
+
+class FastDds:
+    """A subscriber of Fast DDS in a process of its own; ``topics`` are ROS 2 names with their kinds of subscription."""
+
+    def __init__(self, program: Path, domain: int, topics: dict[str, str], namespace: str = "") -> None:
+        self.topics = list(topics)
+        words = [
+            word
+            for topic, qos in topics.items()
+            for word in (f"rt{namespace}{topic}", "::".join(dds_words(LIVE_TOPICS[topic])), qos)
+        ]
+        self.process = subprocess.Popen(
+            [program, str(domain), *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=1 << 20
+        )
+        self.counts = dict.fromkeys(self.topics, 0)
+        self.latest: dict[str, bytes] = {}
+        self._arrived = threading.Condition()
+        self._thread = threading.Thread(target=self._read)
+        self._thread.start()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        while len(head := self.process.stdout.read(8)) == 8:
+            number, length = struct.unpack("<II", head)
+            data = self.process.stdout.read(length)
+            with self._arrived:
+                topic = self.topics[number]
+                self.latest[topic] = data
+                self.counts[topic] += 1
+                self._arrived.notify_all()
+
+    def wait_for(self, is_done: Callable[[], bool]) -> None:
+        with self._arrived:
+            assert self._arrived.wait_for(is_done, WAIT_S), self.counts
+
+    def wait_for_more(self, topic: str, count: int = 3) -> None:
+        """Wait for further messages of a topic."""
+        seen = self.counts[topic]
+        self.wait_for(lambda: self.counts[topic] >= seen + count)
+
+    def decoded(self, topic: str) -> Any:
+        """Return the latest message, decoded by the ROS 2 decoder of MCAP."""
+        schema = Schema(1, definition(LIVE_TOPICS[topic]).encode(), "ros2msg", LIVE_TOPICS[topic])
+        decode = DecoderFactory().decoder_for("cdr", schema)
+        assert decode is not None
+        return decode(self.latest[topic])
+
+    def __enter__(self) -> FastDds:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.process.kill()
+        self._thread.join()
+        self.process.communicate()
+
+
+def dds_words(message_type: str) -> tuple[str, ...]:
+    package, kind, name = message_type.split("/")
+    return package, kind, "dds_", f"{name}_"
+
+
+@contextmanager
+def published(processed: Processed, *sinks: DdsSink) -> Iterator[Publisher]:
+    """Publish the same frame 30 times a second."""
+    frame, patch, preset, estimates = processed
+    ended = threading.Event()
+
+    def run() -> None:
+        while not ended.wait(PERIOD_S):
+            publisher.put(frame, patch, preset, estimates)
+
+    with Publisher(sinks) as publisher:
+        thread = threading.Thread(target=run)
+        thread.start()
+        try:
+            yield publisher
+        finally:
+            ended.set()
+            thread.join()
+
+
+def points_of(cloud: Any) -> np.ndarray[Any, Any]:
+    return np.frombuffer(bytes(cloud.data), "<f4").reshape(cloud.height, cloud.width, 3)
+
+
+def test_fast_dds_receives_every_bit(processed: Processed, fast_dds_program: Path, domain: int) -> None:
+    frame, patch, _, _ = processed
+    topics = {
+        "/contact/patch": "reliable",
+        "/contact/area_mm2": "best_effort",
+        "/proximity/points": "reliable",
+        "/tactile/depth/image": "reliable",
+        "/proximity/depth/camera_info": "reliable",
+        "/object/pose": "reliable",
+        "/diagnostics": "reliable",
+    }
+    with (
+        published(processed, DdsSink(domain, "left_finger")),
+        FastDds(fast_dds_program, domain, topics, "/left_finger") as subscriber,
+        FastDds(fast_dds_program, domain, {"/tf": "reliable", "/tf_static": "transient_local"}) as transforms,
+    ):
+        subscriber.wait_for(lambda: all(subscriber.counts.values()))
+        transforms.wait_for(lambda: all(transforms.counts.values()))
+
+    assert len(patch.points) > 1000
+    assert np.array_equal(points_of(subscriber.decoded("/contact/patch"))[0], patch.points)
+    assert subscriber.decoded("/contact/area_mm2").data == patch.area_mm2
+    cloud = points_of(subscriber.decoded("/proximity/points"))
+    known = ~np.isnan(cloud[..., 2])
+    assert cloud.shape == (*frame.proximity_depth.shape, 3)
+    assert known.sum() > 200_000
+    assert np.array_equal(
+        cloud[known][:, 2], frame.proximity_depth[known] * np.float32(patch.rig.proximity.depth_unit_m)
+    )
+    image = subscriber.decoded("/tactile/depth/image")
+    assert bytes(image.data) == frame.tactile_depth.astype("<u2").tobytes()
+    assert subscriber.decoded("/proximity/depth/camera_info").k[0] == patch.rig.proximity.intrinsics.fx
+    pose = subscriber.decoded("/object/pose").pose
+    assert (pose.pose.position.x, pose.pose.position.y, pose.pose.position.z) == (0.1, -0.02, 0.3)
+    assert "total ms" in {pair.key for pair in subscriber.decoded("/diagnostics").status[0].values}
+    assert transforms.decoded("/tf").transforms[0].child_frame_id == "object"
+    assert "tactile_depth_optical_frame" in {t.child_frame_id for t in transforms.decoded("/tf_static").transforms}
+
+
+def test_cyclone_dds_decodes_cloud_and_pose_by_types_of_its_own(processed: Processed, domain: int) -> None:
+    command = [sys.executable, SUPPORT / "cyclone_subscriber.py", str(domain), "rt/contact/patch", "rt/object/pose"]
+    with published(processed, DdsSink(domain)):
+        finished = subprocess.run(command, check=True, stdout=subprocess.PIPE, timeout=WAIT_S)
+    seen = json.loads(finished.stdout)
+    patch = processed[1]
+    assert (seen["frame"], seen["fields"]) == ("proximity_depth_optical_frame", ["x", "y", "z"])
+    assert seen["width"] == len(patch.points) > 1000
+    assert bytes.fromhex(seen["points"]) == patch.points.astype("<f4").tobytes()
+    assert seen["position"] == [0.1, -0.02, 0.3]
+    assert seen["covariance"] == np.diag(np.arange(1.0, 7.0)).ravel().tolist()
+
+
+def test_a_subscriber_that_hangs_loses_its_own_frames_only(
+    processed: Processed, fast_dds_program: Path, domain: int
+) -> None:
+    cloud = {"/proximity/points": "reliable"}
+    with (
+        published(processed, DdsSink(domain)) as publisher,
+        FastDds(fast_dds_program, domain, cloud) as quick,
+        FastDds(fast_dds_program, domain, cloud) as slow,
+    ):
+        quick.wait_for_more("/proximity/points")
+        slow.wait_for_more("/proximity/points")
+        os.kill(slow.process.pid, signal.SIGSTOP)
+        sent = publisher.status()[0].sent
+        quick.wait_for_more("/proximity/points", 60)
+        status = publisher.status()[0]
+        assert status.error == ""
+        assert status.sent > sent + 50
+        os.kill(slow.process.pid, signal.SIGCONT)
+        slow.wait_for_more("/proximity/points")
+
+
+def test_both_sides_come_back_after_a_crash(processed: Processed, fast_dds_program: Path, domain: int) -> None:
+    area = {"/contact/area_mm2": "reliable"}
+    with FastDds(fast_dds_program, domain, area) as lasting:
+        with published(processed, DdsSink(domain)) as publisher:
+            lasting.wait_for_more("/contact/area_mm2")
+            with FastDds(fast_dds_program, domain, area) as killed:
+                killed.wait_for_more("/contact/area_mm2")
+                assert publisher.status()[0].sink.clients == 2
+            with FastDds(fast_dds_program, domain, area) as restarted:
+                restarted.wait_for_more("/contact/area_mm2")
+        with published(processed, DdsSink(domain)):
+            lasting.wait_for_more("/contact/area_mm2")
+
+
+def udp_sockets() -> dict[int, tuple[str, int, bytes]]:
+    """Return address, port and device of this process's UDP sockets by file descriptor."""
+    found = {}
+    for descriptor in Path("/proc/self/fd").iterdir():
+        if not descriptor.is_socket():
+            continue
+        with socket.socket(fileno=os.dup(int(descriptor.name))) as copy:
+            if (copy.family, copy.type) == (socket.AF_INET, socket.SOCK_DGRAM):
+                device = copy.getsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, 16)
+                found[int(descriptor.name)] = (*copy.getsockname(), device.rstrip(b"\0"))
+    return found
+
+
+def test_nothing_listens_or_leaves_unless_asked(processed: Processed, domain: int) -> None:
+    before = udp_sockets()
+    sink = DdsSink(domain)
+    assert udp_sockets() == before
+    interfaces = [name for _, name in socket.if_nameindex() if name != "lo"]
+    try:
+        outside = [socket.socket(socket.AF_PACKET, socket.SOCK_DGRAM, socket.htons(0x0003)) for _ in interfaces]
+    except PermissionError:  # only root sees the packets
+        outside = []
+    with ExitStack() as opened_here:
+        for listener, name in zip(outside, interfaces, strict=False):
+            opened_here.enter_context(listener)
+            listener.bind((name, 0))
+            listener.settimeout(0)
+        opened_here.enter_context(published(processed, sink))
+        opened = {number: place for number, place in udp_sockets().items() if number not in before}
+        assert opened
+        assert all(address.startswith("127.") or device == b"lo" for address, _, device in opened.values())
+        ports = {port for _, port, _ in opened.values()}
+        time.sleep(3)  # three announcements
+        for listener in outside:
+            while True:
+                try:
+                    packet = listener.recv(65536)
+                except OSError:  # no more, or the interface is down
+                    break
+                start = 4 * (packet[0] & 15)
+                is_udp = packet[0] >> 4 == 4 and packet[9] == socket.IPPROTO_UDP
+                assert not (is_udp and struct.unpack_from(">H", packet, start)[0] in ports)
+    assert udp_sockets() == before
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"domain": 233}, "domain id 233"),
+        ({"namespace": "2nd"}, "'2nd' is no namespace"),
+        ({"namespace": "a b"}, "'a b' is no namespace"),
+        ({"host": "eth0"}, "'eth0' is no IPv4 address"),
+    ],
+)
+def test_what_ros_does_not_allow_is_refused(options: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(PublishError, match=sentence):
+        DdsSink(**options)
+
+
+def test_an_address_that_this_computer_does_not_have_is_named(domain: int) -> None:
+    sink = DdsSink(domain, host="192.0.2.77")
+    with pytest.raises(PublishError, match=r"no network interface with the address 192\.0\.2\.77"):
+        sink.start(LIVE_TOPICS)
