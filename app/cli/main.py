@@ -31,6 +31,7 @@ from .scan import export_scan
 from .serve import serve
 from .strain import strain
 from .suggest import suggest
+from .track import track
 from .tune import tune
 
 #: Exit status of errors that the person can correct: a wrong option, a wrong file.
@@ -65,6 +66,7 @@ commands.command()(record)
 commands.command()(serve)
 commands.command()(convert)
 commands.command()(strain)
+commands.command()(track)
 commands.command()(tune)
 commands.command()(warmup)
 

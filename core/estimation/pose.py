@@ -104,6 +104,49 @@ class PoseEstimate:
     lost: bool
 
 
+@dataclass(frozen=True)
+class PoseError:
+    """How far an estimate is from the true pose: of the mesh's origin, metres, and of the rotation, radians.
+
+    Attributes
+    ----------
+    position_m, angle_rad : float
+        In the directions that the patch determines.
+    full_position_m, full_angle_rad : float
+        In all directions, free ones included.
+    """
+
+    position_m: float
+    angle_rad: float
+    full_position_m: float
+    full_angle_rad: float
+
+
+def pose_error(estimate: PoseEstimate, truth: npt.ArrayLike, mesh: ObjectMesh) -> PoseError:
+    """Compare an estimate with the true ``T_proximity_object``.
+
+    Of the poses that look equal because the mesh is symmetric, the nearest to the estimate counts as the true one.
+    """
+    true, radius_m = np.asarray(truth, np.float64), mesh.radius_m
+    centre = estimate.T_proximity_object[:3, :3] @ mesh.centre_m + estimate.T_proximity_object[:3, 3]
+    equal = (_motion(true @ other, estimate.T_proximity_object, centre, radius_m) for other in mesh.symmetries)
+    full = min(equal, key=lambda motion: float(np.linalg.norm(motion)))
+    free = np.zeros((6, len(estimate.free)))
+    for column, direction in zip(free.T, estimate.free, strict=True):
+        axis = np.array(direction.axis)
+        if direction.kind == "slide":
+            column[:3] = axis
+        else:
+            column[:] = *np.cross(axis, centre - direction.point_m), *(axis * radius_m)
+    known = full - free @ (np.linalg.pinv(free) @ full) if estimate.free else full
+    to_origin = estimate.T_proximity_object[:3, 3] - centre
+    sizes = []
+    for motion in (known, full):
+        turn = motion[3:] / radius_m
+        sizes += [float(np.linalg.norm(motion[:3] + np.cross(turn, to_origin))), float(np.linalg.norm(turn))]
+    return PoseError(*sizes)
+
+
 class PoseTracker:
     """Tracks the pose of a rigid object of known shape by its contact patches.
 
@@ -154,6 +197,15 @@ class PoseTracker:
         except ValueError as error:
             raise CalibrationError(f"the object cannot start there: {error}") from error
         self._forget()
+
+    @property
+    def started(self) -> bool:
+        """Whether there is a pose to track from."""
+        return self._pose is not None
+
+    def is_enough(self, patch: ContactPatch) -> bool:
+        """Return whether a patch is large enough to tell a pose."""
+        return len(patch_points(patch.points, self._rig, self._density_m4).points) >= _MIN_TILES
 
     def find(self, patch: ContactPatch | npt.ArrayLike) -> Float64Array:
         """Find the object in any orientation and begin there; takes some seconds.

@@ -15,14 +15,34 @@ from typing import Any, Final, Self
 from mcap.writer import CompressionType, Writer
 
 from ..errors import ExportError
-from ..model.arrays import Float32Array
+from ..model.arrays import Float32Array, Float64Array
 from ..model.files import user_path
 from ..model.frames import Rig
 from ..model.rig_file import json_text, rig_to_json
 from ..preset import Preset
 from ..preset.file import preset_json
-from ..sources.mcap.messages import FORMAT_VERSION, METADATA_NAME, POINT_CLOUD, PRESET_NAME, RIG_NAME, Topic
-from .messages import SAID_ONCE, STATIC_QOS, LogClock, definition, nanoseconds, point_cloud, type_hash
+from ..sources.mcap.messages import (
+    FORMAT_VERSION,
+    METADATA_NAME,
+    OBJECT_FRAME,
+    POINT_CLOUD,
+    PRESET_NAME,
+    RIG_NAME,
+    TRANSFORMS,
+    Topic,
+)
+from .messages import (
+    POSE,
+    SAID_ONCE,
+    STATIC_QOS,
+    LogClock,
+    definition,
+    nanoseconds,
+    point_cloud,
+    pose_with_covariance,
+    transforms,
+    type_hash,
+)
 
 Buffer = bytes | bytearray | memoryview
 
@@ -251,6 +271,8 @@ class Bag:
 class PatchWriter:
     """Writes patches on the topic ``/contact/patch``, with the rig and the preset in the file.
 
+    With poses also ``/object/pose`` (``geometry_msgs/PoseWithCovarianceStamped``) and the frame ``object`` in ``/tf``.
+
     A context manager that finishes the file, also after an error; without a patch it removes it.
 
     Parameters
@@ -259,6 +281,8 @@ class PatchWriter:
     rig : Rig
     preset : Preset
     frame_rate_hz : float
+    poses : bool
+        Whether there will be poses of an object.
 
     Raises
     ------
@@ -266,12 +290,23 @@ class PatchWriter:
         There is such a file already, or it cannot be written.
     """
 
-    def __init__(self, path: Path | str, rig: Rig, preset: Preset, frame_rate_hz: float) -> None:
+    def __init__(
+        self, path: Path | str, rig: Rig, preset: Preset, frame_rate_hz: float, *, poses: bool = False
+    ) -> None:
         self._clock = LogClock(1.0 / frame_rate_hz)
-        self._bag = Bag(path, {Topic.PATCH: POINT_CLOUD}, rig, preset, frame_rate_hz)
+        topics: dict[str, str] = {Topic.PATCH: POINT_CLOUD}
+        if poses:
+            topics |= {Topic.OBJECT_POSE: POSE, Topic.TRANSFORMS: TRANSFORMS}
+        self._bag = Bag(path, topics, rig, preset, frame_rate_hz)
 
-    def write(self, points: Float32Array, sequence: int, time_s: float) -> None:
-        """Write one patch.
+    def write(
+        self,
+        points: Float32Array,
+        sequence: int,
+        time_s: float,
+        pose: tuple[Float64Array, Float64Array] | None = None,
+    ) -> None:
+        """Write one patch, and the pose of the object.
 
         Parameters
         ----------
@@ -281,6 +316,8 @@ class PatchWriter:
             Number of its frame.
         time_s : float
             The proximity time stamp of its frame.
+        pose : (float64 (4, 4), float64 (6, 6)), optional
+            ``T_proximity_object`` and its covariance, as `pose_with_covariance` expects it.
 
         Raises
         ------
@@ -288,9 +325,17 @@ class PatchWriter:
             The operating system refuses; the patches before stay readable.
         """
         stamp_ns = nanoseconds(time_s)
-        cloud = point_cloud(points, stamp_ns)
         log_ns = self._clock.tick(stamp_ns)
-        self._bag.write([Message(self._bag.channel(Topic.PATCH), sequence, log_ns, max(stamp_ns, 0), (cloud,))])
+        parts = {Topic.PATCH: point_cloud(points, stamp_ns)}
+        if pose is not None:
+            parts[Topic.OBJECT_POSE] = pose_with_covariance(*pose, stamp_ns)
+            parts[Topic.TRANSFORMS] = transforms({OBJECT_FRAME: pose[0]}, stamp_ns)
+        self._bag.write(
+            [
+                Message(self._bag.channel(topic), sequence, log_ns, max(stamp_ns, 0), (data,))
+                for topic, data in parts.items()
+            ]
+        )
 
     def close(self) -> None:
         """Finish the file; twice is harmless."""

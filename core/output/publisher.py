@@ -26,12 +26,18 @@ from ..model.clouds import deproject_image
 from ..model.frames import Matrix4, SensorFrame
 from ..model.rig_file import json_text, rig_to_json
 from ..preset import Preset
-from ..sources.mcap.messages import CAMERA_INFO, IMAGE, POINT_CLOUD, TACTILE_FRAME, TEXT, TRANSFORMS, Topic
+from ..sources.mcap.messages import (
+    CAMERA_INFO,
+    IMAGE,
+    OBJECT_FRAME,
+    POINT_CLOUD,
+    TACTILE_FRAME,
+    TEXT,
+    TRANSFORMS,
+    Topic,
+)
 from . import messages
 from .messages import DIAGNOSTICS, NUMBER, POSE, VECTOR
-
-#: Frame of the known object.
-OBJECT_FRAME: Final = "object"
 
 _IMAGES: Final = (Topic.PROXIMITY_DEPTH, Topic.PROXIMITY_COLOR, Topic.TACTILE_DEPTH, Topic.TACTILE_COLOR)
 

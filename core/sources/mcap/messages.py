@@ -92,6 +92,8 @@ class Topic(StrEnum):
 PROXIMITY_FRAME: Final = "proximity_depth_optical_frame"
 PROXIMITY_COLOR_FRAME: Final = "proximity_color_optical_frame"
 TACTILE_FRAME: Final = "tactile_depth_optical_frame"
+#: Frame of the known object.
+OBJECT_FRAME: Final = "object"
 
 
 def parse(data: memoryview, message_type: str, origin: Path) -> Any:
