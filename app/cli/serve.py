@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Annotated
@@ -25,26 +24,12 @@ from .common import (
 )
 
 if TYPE_CHECKING:
+    from ...core.output.connections import Connections
     from ...core.output.parameters import PresetParameters
-    from ...core.output.publisher import Publisher, Sink
+    from ...core.output.publisher import Publisher
     from ...core.sources import FrameSource
 
 _LAYOUT_HELP = "Write the layout for the Foxglove app (Import from file) and end, unless --foxglove or --ros2 is given."
-
-
-@dataclass(frozen=True)
-class ServeOptions:
-    """Options of ``tactune serve``; see its help."""
-
-    source: str
-    preset: str
-    frames: int | None
-    foxglove: bool
-    ros2: bool
-    host: str
-    port: int
-    domain: int
-    namespace: str
 
 
 def serve(
@@ -70,14 +55,17 @@ def serve(
         _write_layout(layout)
         if not foxglove and not ros2:
             return
+    from ...core.output.connections import Connections
+
     if not foxglove and not ros2:
         raise typer.BadParameter("give --foxglove or --ros2; nothing is published unless it is asked for")
     preset = preset or default_preset(source)
-    serve_frames(ServeOptions(source, preset, frames, foxglove, ros2, host, port, domain, namespace))
+    serve_frames(source, preset, frames, Connections(foxglove, ros2, host, port, domain, namespace))
 
 
-def serve_frames(options: ServeOptions) -> None:
+def serve_frames(name: str, preset_name: str, frames: int | None, connections: Connections) -> None:
     """Publish frames until Ctrl+C or SIGTERM, or until the number of frames is reached."""
+    from ...core.contact.pipeline import ContactPipeline
     from ...core.contact.warmup import warm_up_if_needed
     from ...core.output.parameters import PresetParameters
     from ...core.output.publisher import Publisher
@@ -85,18 +73,18 @@ def serve_frames(options: ServeOptions) -> None:
     from ...core.sources.capture.live import LiveLoop
     from ...core.sources.presets import load_preset
 
-    preset = load_preset(options.preset)
-    with open_with_progress(options.source, preset.cameras) as opened:
+    preset = load_preset(preset_name)
+    with open_with_progress(name, preset.cameras) as opened:
         source = opened if opened.length is None else LiveLoop(opened)
         with CliProgress() as progress:
             warm_up_if_needed(progress.preparing, preset)
         for sentence in check_rig(preset, source.rig):
             warn(sentence)
-        parameters = PresetParameters(preset, check=lambda changed: check_rig(changed, source.rig))
-        with stop_on_signals() as stopped, Publisher(_sinks(options, parameters)) as publisher:
+        parameters = PresetParameters(preset, check=lambda changed: ContactPipeline(changed, source.rig))
+        with stop_on_signals() as stopped, Publisher(connections.make_sinks(parameters)) as publisher:
             for output in publisher.status():
                 typer.echo(f"{output.sink.name}: {output.sink.place}")
-            count = _publish(source, parameters, publisher, options.frames, stopped)
+            count = _publish(source, parameters, publisher, frames, stopped)
         typer.echo(f"published {counted(count, 'frame')} of {source.name}")
         warn_of_lost_frames(source, 0)
 
@@ -121,15 +109,6 @@ def _publish(
         publisher.put(frame, pipeline.process(frame), preset)
         count += 1
     return count
-
-
-def _sinks(options: ServeOptions, parameters: PresetParameters) -> list[Sink]:
-    sinks: list[Sink] = []
-    if options.foxglove:
-        from ...core.output.foxglove import FoxgloveSink
-
-        sinks.append(FoxgloveSink(parameters, options.host, options.port))
-    return sinks
 
 
 def _write_layout(path: Path) -> None:

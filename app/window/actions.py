@@ -44,6 +44,7 @@ class Actions:
     camera_settings: QAction
     record: QAction
     recordings_folder: QAction
+    publish: QAction
     quit: QAction
     undo: QAction
     redo: QAction
@@ -173,6 +174,7 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
         ),
         record=action("&Record", "Record every frame of the source, or finish the recording", "F9", "record", True),
         recordings_folder=action("Recordings fo&lder…", "Choose the folder for recordings"),
+        publish=action("&Publish…", "Send patches live to Foxglove or ROS 2; off until you start it", "Ctrl+Shift+P"),
         quit=action("&Quit", shortcut="Ctrl+Q"),
         undo=undo,
         redo=redo,
@@ -300,6 +302,7 @@ def make_menus(bar: QMenuBar, actions: Actions, tabs: Sequence[QAction]) -> Menu
         [actions.calibrate, actions.recheck, actions.watch_drift, actions.check_cameras, actions.measure_noise]
     )
     _menu(bar, "&Analysis").addActions([*tabs, actions.capture_untouched, actions.findings])
+    _menu(bar, "C&onnect").addAction(actions.publish)
     guide = _menu(bar, "&Help")
     guide.addActions([actions.getting_started, actions.documentation, actions.shortcuts])
     guide.addSeparator()

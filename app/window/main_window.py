@@ -57,6 +57,7 @@ from .frame_presenter import FramePresenter
 from .help import open_guide, show_about, show_shortcuts
 from .history_window import HistoryWindow
 from .pointing import Pointing
+from .publishing import PublishControl
 from .recording import RecordingBar, RecordingControl
 from .status import FrameStatus
 from .toolbar import ToolBar, Transport
@@ -237,6 +238,7 @@ class MainWindow(QMainWindow):
         self.setStatusBar(self.status)
         self.message_history = MessageHistory(self)
         self.computer = ComputerWindow(self)
+        self.publishing = PublishControl(self.context, self.actions_.publish, self.status.publishing)
         self.setAcceptDrops(True)
         self.setMinimumSize(900, 600)
 
@@ -598,6 +600,7 @@ class MainWindow(QMainWindow):
         self.computer.close()
         for part in (
             self.watch,
+            self.publishing,
             self.suggest,
             self.timeline,
             self.export,

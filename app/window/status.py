@@ -110,6 +110,8 @@ class FrameStatus(QStatusBar):
         The other numbers; the window puts it over the views.
     findings : QPushButton
         The number of findings.
+    publishing : QPushButton
+        What is published and to how many; hidden while nothing is.
     """
 
     def __init__(self, parent: QWidget | None = None) -> None:
@@ -137,6 +139,11 @@ class FrameStatus(QStatusBar):
         self.findings.setToolTip("What is wrong with this frame or preset, and what mends it (Ctrl+F)")
         self.findings.hide()
         self.addPermanentWidget(self.findings)
+        self.publishing = QPushButton()
+        self.publishing.setFlat(True)
+        self.publishing.setToolTip("Live connections to Foxglove and ROS 2: state, or end them (Ctrl+Shift+P)")
+        self.publishing.hide()
+        self.addPermanentWidget(self.publishing)
         self._rate = self._number("000 fps", "Frames per second drawn")
         self._area = self._number("patch 0000.0 cm²", "Area of the patch, projected along the optical axis")
 

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from PyQt6.QtCore import QObject, QThread, pyqtSignal
 
@@ -31,6 +31,9 @@ from .reading import PATIENCE_S, FrameReader, LiveReader, SourceRequest, open_re
 from .recorder import Recorder, RecordingRequest
 from .results import Result, SourceInfo, SourceState, Wanted
 from .threads import Mailbox, abandon, leave_room_for_the_window
+
+if TYPE_CHECKING:
+    from ...core.output.publisher import Publisher
 
 #: Grace period before a hung worker is abandoned, in ms; longer than that of a live source.
 PATIENCE_MS = round(1e3 * PATIENCE_S) + 2000
@@ -107,6 +110,7 @@ class Worker(QThread):
         self._told = self._playback.state
         self._redo = False
         self._trim: tuple[int, int] | None = None
+        self._publisher: Publisher | None = None
 
     # Orders, from any thread
 
@@ -137,6 +141,10 @@ class Worker(QThread):
     def set_compared(self, sides: Sides | None) -> None:
         """Process every frame with two presets as well, or with None only with the present one."""
         self._orders.put(lambda: self._change("_compared", sides))
+
+    def set_publisher(self, publisher: Publisher | None) -> None:
+        """Publish every processed frame from now on, or with None no more."""
+        self._publisher = publisher
 
     def set_wanted(self, wanted: Wanted) -> None:
         """Set what is visible; a paused frame is drawn again."""
@@ -434,6 +442,9 @@ class Worker(QThread):
             self.recovered.emit()
         if self._mailbox.put(result):
             self.resultReady.emit()
+        publisher = self._publisher
+        if publisher is not None and result.patch is not None:
+            publisher.put(frame, result.patch, result.preset)
         self._compiler.start()  # after the first picture, which compiles, too
         self._examination.note(result, self._untouched_home)
 

@@ -12,7 +12,7 @@ import re
 import threading
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from ..errors import MissingExtraError, PublishError, TactuneError
 from .messages import definition
@@ -21,9 +21,6 @@ from .publisher import LiveMessage, SinkStatus
 
 if TYPE_CHECKING:
     from foxglove.websocket import ChannelView, Client, Parameter, WebSocketServer
-
-LOOPBACK: Final = "127.0.0.1"
-DEFAULT_PORT: Final = 8765
 
 
 def layout_text() -> str:
@@ -38,12 +35,12 @@ class FoxgloveSink:
     ----------
     parameters : PresetParameters
     host : str
-        The address to listen on; the loopback address reaches this computer only.
+        The address to listen on.
     port : int
         0 for any free one.
     """
 
-    def __init__(self, parameters: PresetParameters, host: str = LOOPBACK, port: int = DEFAULT_PORT) -> None:
+    def __init__(self, parameters: PresetParameters, host: str, port: int) -> None:
         self._parameters = parameters
         self._host, self._port = host, port
         self._server: WebSocketServer | None = None

@@ -51,6 +51,7 @@ ACTIONS = (
     "details",
     "markers",
     "check_computer",
+    "publish",
 )
 NAMES = ("main", *ACTIONS, "compare", "strain", "truth", "tune")
 #: What needs a tooltip, too; over a view or an image one would be in the way.

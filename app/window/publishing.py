@@ -1,0 +1,334 @@
+"""Publishing from the window: the switch and its settings, clients and rates, and values that clients set."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from threading import Event
+from typing import TYPE_CHECKING, Any
+
+from PyQt6.QtCore import QObject, QTimer, pyqtSignal
+from PyQt6.QtGui import QAction
+from PyQt6.QtWidgets import (
+    QCheckBox,
+    QDialog,
+    QDialogButtonBox,
+    QGridLayout,
+    QLabel,
+    QLineEdit,
+    QPushButton,
+    QSpinBox,
+    QVBoxLayout,
+    QWidget,
+)
+
+from ...core.errors import PresetError
+from ...core.model.files import atomic_path
+from ...core.output.connections import FOXGLOVE_PORT, LOOPBACK, Connections
+from ...widgets.basics.controls import AccentButton, NoteLabel, caption, dialog_buttons, push_button
+from ...widgets.basics.dialogs import bring_up
+from ...widgets.basics.messages import Severity
+from ..context import TASK, Context
+from ..document.document import describe_edit
+from ..worker.errors import explain
+from ..worker.jobs import Job
+
+if TYPE_CHECKING:
+    from ...core.output.parameters import PresetParameters
+    from ...core.output.publisher import OutputStatus, Publisher
+
+#: Interval at which clients and rates are shown, ms.
+_INTERVAL_MS = 500
+_OFF = "Nothing is published. Tick Foxglove or ROS 2, then press Start publishing."
+_OPEN_TO_ALL = "Other computers can then connect, read everything and change the preset, without a password."
+
+
+class PublishWindow(QDialog):
+    """What is published where, the switch, and who listens.
+
+    Signals
+    -------
+    switched(on: bool)
+        The button was pressed.
+    layoutRequested()
+    """
+
+    switched = pyqtSignal(bool)
+    layoutRequested = pyqtSignal()
+
+    def __init__(self, parent: QWidget) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Publish")
+        self.foxglove = QCheckBox("&Foxglove")
+        self.foxglove.setToolTip("A WebSocket server: the Foxglove app and its clients read topics and set the preset")
+        self.port = _number(1, 65535, FOXGLOVE_PORT, "Foxglove's port", "TCP port of the Foxglove server, 1 to 65535")
+        self.ros2 = QCheckBox("&ROS 2")
+        self.ros2.setToolTip("ROS 2 topics by DDS; neither side needs anything but its own middleware")
+        self.domain = _number(
+            0, 232, 0, "ROS 2 domain", "ROS 2 domain id, 0 to 232, as ROS_DOMAIN_ID of the subscribers"
+        )
+        self.namespace = _entry(
+            "tactune", "ROS 2 namespace", "Put before every ROS 2 topic, as in /tactune/contact/patch"
+        )
+        self.host = _entry(
+            LOOPBACK, "Address", f"The address to listen on. {LOOPBACK}: this computer only. 0.0.0.0: every network"
+        )
+        self.note = NoteLabel(lines=2)
+        self.start = AccentButton("&Start publishing", "Let clients connect, or disconnect them all and stop listening")
+        self.state = NoteLabel(_OFF, lines=4)
+        self.state.setAccessibleName("Who listens")
+        self.layout_file = push_button(
+            "Save Foxglove &layout…", "Save the layout that shows all topics in the Foxglove app"
+        )
+        self._settings = (self.foxglove, self.port, self.ros2, self.domain, self.namespace, self.host)
+        self._lay_out()
+        self.start.clicked.connect(self.switched)
+        self.layout_file.clicked.connect(self.layoutRequested)
+        for box in (self.foxglove, self.ros2):
+            box.toggled.connect(self._check)
+        self.host.textChanged.connect(self._check)
+        self._check()
+
+    @property
+    def connections(self) -> Connections:
+        """The connections as entered."""
+        return Connections(
+            self.foxglove.isChecked(),
+            self.ros2.isChecked(),
+            self.host.text().strip() or LOOPBACK,
+            self.port.value(),
+            self.domain.value(),
+            self.namespace.text().strip(),
+        )
+
+    def show_connections(self, connections: Connections) -> None:
+        """Enter connections."""
+        self.foxglove.setChecked(connections.foxglove)
+        self.ros2.setChecked(connections.ros2)
+        self.host.setText(connections.host)
+        self.port.setValue(connections.port)
+        self.domain.setValue(connections.domain)
+        self.namespace.setText(connections.namespace)
+
+    def show_running(self, running: bool) -> None:
+        """Show whether something is published; the settings rest meanwhile."""
+        self.start.setChecked(running)
+        self.start.setText("&Stop publishing" if running else "&Start publishing")
+        for control in self._settings:
+            control.setEnabled(not running)
+        self._check()
+
+    def show_state(self, sentence: str, error: bool = False) -> None:
+        """Show who listens, or why nothing is published."""
+        self.state.say(sentence or _OFF, error)
+
+    def _check(self) -> None:
+        self.start.setEnabled(self.start.isChecked() or self.foxglove.isChecked() or self.ros2.isChecked())
+        is_open = self.host.text().strip() not in ("", LOOPBACK, "localhost")
+        self.note.say(_OPEN_TO_ALL if is_open else "")
+
+    def _lay_out(self) -> None:
+        grid = QGridLayout()
+        rows: tuple[tuple[QWidget, ...], ...] = (
+            (self.foxglove, caption("&Port", self.port), self.port),
+            (self.ros2, caption("&Domain", self.domain), self.domain),
+            (QLabel(), caption("&Namespace", self.namespace), self.namespace),
+            (QLabel(), caption("&Address", self.host), self.host),
+        )
+        for row, widgets in enumerate(rows):
+            for column, widget in enumerate(widgets):
+                grid.addWidget(widget, row, column)
+        grid.setColumnStretch(2, 1)
+        buttons = dialog_buttons(QDialogButtonBox.StandardButton.Close)
+        buttons.addButton(self.layout_file, QDialogButtonBox.ButtonRole.ActionRole)
+        buttons.rejected.connect(self.close)
+        layout = QVBoxLayout(self)
+        layout.addLayout(grid)
+        for part in (self.note, self.start, self.state):
+            layout.addWidget(part)
+        layout.addStretch()
+        layout.addWidget(buttons)
+        self.resize(460, 310)
+
+
+class PublishControl(QObject):
+    """Switches publishing on and off. It is off at every start of the window, whatever it was before.
+
+    Parameters
+    ----------
+    context : Context
+    action : QAction
+        Opens the window.
+    indicator : QPushButton
+        In the status bar; shown while something is published.
+    """
+
+    _set_by_client = pyqtSignal(str, object)
+
+    def __init__(self, context: Context, action: QAction, indicator: QPushButton) -> None:
+        super().__init__(context)
+        self._context, self._indicator = context, indicator
+        self._publisher: Publisher | None = None
+        self._parameters: PresetParameters | None = None
+        self._cancelled = Event()
+        self.window = PublishWindow(context.window)
+        self.window.show_connections(self._remembered())
+        self._job = Job(self)
+        self._job.done.connect(self._started)
+        self._job.failed.connect(self._refuse)
+        self._timer = QTimer(self)
+        self._timer.setInterval(_INTERVAL_MS)
+        self._timer.timeout.connect(self._show)
+        action.triggered.connect(self.open)
+        indicator.clicked.connect(self.open)
+        self.window.switched.connect(self._switch)
+        self.window.layoutRequested.connect(self._ask_layout)
+        self._set_by_client.connect(self._edit)  # from a thread of the server
+        context.document.presetChanged.connect(self._pass_on)
+
+    def open(self) -> None:
+        """Show the window."""
+        bring_up(self.window)
+
+    def close(self) -> None:
+        """Stop permanently."""
+        self._stop()
+        self._job.stop()
+        self.window.close()
+
+    def _switch(self, on: bool) -> None:
+        if not on:
+            self._stop()
+            return
+        self.window.show_running(True)
+        self.window.show_state("Starting…")
+        connections, preset = self.window.connections, self._context.document.preset
+        self._remember(connections)
+        cancelled = self._cancelled = Event()
+
+        def start(_: object) -> tuple[Publisher, PresetParameters]:
+            from ...core.output.parameters import PresetParameters
+            from ...core.output.publisher import Publisher
+
+            parameters = PresetParameters(preset, on_set=self._set_by_client.emit)
+            publisher = Publisher(connections.make_sinks(parameters))
+            if cancelled.is_set():
+                publisher.close()
+            return publisher, parameters
+
+        self._job.start(start)
+
+    def _started(self, started: tuple[Publisher, PresetParameters]) -> None:
+        if self._cancelled.is_set():
+            started[0].close()
+            return
+        self._publisher, self._parameters = started
+        self._pass_on()
+        self._context.worker.set_publisher(self._publisher)
+        self._timer.start()
+        self._show()
+
+    def _refuse(self, sentence: str) -> None:
+        if not self._cancelled.is_set():
+            self._stop()
+            self.window.show_state(sentence, error=True)
+
+    def _stop(self) -> None:
+        self._cancelled.set()
+        self._timer.stop()
+        self._context.worker.set_publisher(None)
+        if self._publisher is not None:
+            self._publisher.close()
+        self._publisher = self._parameters = None
+        self._indicator.hide()
+        self.window.show_running(False)
+        self.window.show_state("")
+
+    def _show(self) -> None:
+        """Show clients and rates."""
+        if self._publisher is None:
+            return
+        states = self._publisher.status()
+        self.window.show_state("\n".join(map(_in_words, states)))
+        clients = sum(state.sink.clients for state in states)
+        self._indicator.setText(f"Publishing, {_counted(clients, 'client')}")
+        self._indicator.show()
+
+    def _edit(self, path: str, value: Any) -> None:
+        """Make a value that a client set one step of the undo history."""
+        document = self._context.document
+        if document.preset.value(path) == value:
+            return
+        try:
+            title = describe_edit(document.preset.with_value(path, value), (path,))
+        except PresetError:
+            self._pass_on()  # it fitted the preset that the client knew, but not the present one
+            return
+        document.edit_many({path: value}, title=f"{title} (Foxglove)")
+
+    def _pass_on(self, _: object = None) -> None:
+        """Tell clients the present preset."""
+        if self._parameters is not None:
+            self._parameters.use(self._context.document.preset)
+
+    def _remembered(self) -> Connections:
+        settings, usual = self._context.settings, Connections(foxglove=True)
+        return Connections(
+            foxglove=settings.text("publish/foxglove", "yes") == "yes",
+            ros2=settings.text("publish/ros2") == "yes",
+            port=round(settings.number("publish/port", usual.port)),
+            domain=round(settings.number("publish/domain", usual.domain)),
+            namespace=settings.text("publish/namespace", usual.namespace),
+        )
+
+    def _remember(self, connections: Connections) -> None:
+        """Remember all but the address: listening beyond this computer is asked for each time."""
+        settings = self._context.settings
+        for name in ("foxglove", "ros2"):
+            settings.set(f"publish/{name}", "yes" if getattr(connections, name) else "no")
+        for name in ("port", "domain", "namespace"):
+            settings.set(f"publish/{name}", getattr(connections, name))
+
+    def _ask_layout(self) -> None:
+        folder = Path(self._context.settings.text("folder/export", str(Path.home())))
+        self._context.dialogs.over(self.window).save_file(
+            "Save Foxglove layout", folder / "tactune-foxglove.json", ["Foxglove layouts (*.json)"], self._save_layout
+        )
+
+    def _save_layout(self, path: Path) -> None:
+        from ...core.output.foxglove import layout_text
+
+        show = partial(self._context.messages.show_message, "foxglove layout", subject=TASK)
+        try:
+            with atomic_path(path) as temporary:
+                temporary.write_text(layout_text(), encoding="utf-8")
+        except Exception as error:
+            show(Severity.ERROR, explain(error, f"{path} could not be saved"))
+            return
+        show(Severity.INFO, f"Saved {path}. In Foxglove: Layouts, Import from file.")
+
+
+def _in_words(state: OutputStatus) -> str:
+    sink = state.sink
+    counts = f"{_counted(sink.clients, 'client')}, {state.rate_hz:.0f} frames/s, {state.missed} missed"
+    return f"{sink.name}, {sink.place}: {counts}{'. ' if state.error else ''}{state.error}"
+
+
+def _counted(number: int, thing: str) -> str:
+    return f"{number} {thing}" + ("s" if number != 1 else "")
+
+
+def _number(least: int, most: int, value: int, name: str, tip: str) -> QSpinBox:
+    box = QSpinBox()
+    box.setRange(least, most)
+    box.setValue(value)
+    box.setAccessibleName(name)
+    box.setToolTip(tip)
+    return box
+
+
+def _entry(text: str, name: str, tip: str) -> QLineEdit:
+    entry = QLineEdit(text)
+    entry.setAccessibleName(name)
+    entry.setToolTip(tip)
+    return entry

@@ -1,0 +1,62 @@
+"""Which live connections there are to be, and their sinks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from .parameters import PresetParameters
+from .publisher import Sink
+
+#: The address that only programs on this computer reach.
+LOOPBACK: Final = "127.0.0.1"
+FOXGLOVE_PORT: Final = 8765
+
+
+@dataclass(frozen=True)
+class Connections:
+    """What listens where. Nothing does by default.
+
+    Attributes
+    ----------
+    foxglove : bool
+        A WebSocket server for the Foxglove app.
+    ros2 : bool
+        ROS 2 topics by DDS.
+    host : str
+        The address to listen on.
+    port : int
+        Of the Foxglove server; 0 for any free one.
+    domain : int
+        ROS 2 domain id.
+    namespace : str
+        Of the ROS 2 topics.
+    """
+
+    foxglove: bool = False
+    ros2: bool = False
+    host: str = LOOPBACK
+    port: int = FOXGLOVE_PORT
+    domain: int = 0
+    namespace: str = "tactune"
+
+    def make_sinks(self, parameters: PresetParameters) -> list[Sink]:
+        """Return a sink for each connection, not started yet.
+
+        Raises
+        ------
+        PublishError
+            A value is not valid.
+        MissingExtraError
+            A package is not installed.
+        """
+        sinks: list[Sink] = []
+        if self.foxglove:
+            from .foxglove import FoxgloveSink
+
+            sinks.append(FoxgloveSink(parameters, self.host, self.port))
+        if self.ros2:
+            from .dds import DdsSink
+
+            sinks.append(DdsSink(self.domain, self.namespace, self.host))
+        return sinks

@@ -1,0 +1,121 @@
+"""*Connect > Publish* in the window, seen by a Foxglove client of another make."""
+
+from __future__ import annotations
+
+import socket
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import Qt
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QMenu
+
+from foxglove_client import FoxgloveClient
+from hands import CONTROL, CONTROL_SHIFT, LEFT, show_source, type_into
+from sockets import listening
+from tiny_sensor import TinySource
+
+
+@pytest.fixture
+def port():
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return free.getsockname()[1]
+
+
+@pytest.fixture
+def publishing(window, qtbot, port):
+    """The window of publishing, with a free port; nothing is published yet."""
+    QTest.keyClick(window, Qt.Key.Key_P, CONTROL_SHIFT)
+    dialog = window.publishing.window
+    qtbot.waitUntil(dialog.isVisible)
+    type_into(dialog.port, str(port), Qt.Key.Key_Tab)
+    return dialog
+
+
+def switch_on(dialog, qtbot, port):
+    QTest.mouseClick(dialog.start, LEFT)
+    qtbot.waitUntil(lambda: f"ws://127.0.0.1:{port}" in dialog.state.text())
+
+
+def test_nothing_listens_until_it_is_started_and_after_it_was_stopped(publishing, window, qtbot, port):
+    assert not listening()
+    assert not window.status.publishing.isVisible()
+    [menu] = [menu for menu in window.menuBar().findChildren(QMenu) if menu.title() == "C&onnect"]
+    assert menu.actions() == [window.actions_.publish]
+    switch_on(publishing, qtbot, port)
+    assert listening() == {("tcp", "127.0.0.1", port)}
+    assert not publishing.port.isEnabled()
+    assert "0 clients" in publishing.state.text()
+    assert window.status.publishing.text() == "Publishing, 0 clients"
+    QTest.mouseClick(publishing.start, LEFT)
+    qtbot.waitUntil(lambda: not listening())
+    assert not window.status.publishing.isVisible()
+    assert publishing.port.isEnabled()
+
+
+def test_clients_get_what_the_window_shows_and_are_counted(publishing, window, qtbot, port):
+    switch_on(publishing, qtbot, port)
+    with FoxgloveClient(port) as client:
+        client.subscribe(["/contact/patch"])
+        qtbot.waitUntil(lambda: "1 client," in publishing.state.text())
+        assert window.status.publishing.text() == "Publishing, 1 client"
+        window.worker.seek(5)
+        _, _, cloud = next(client.messages())
+        qtbot.waitUntil(lambda: window.result.playback.index == 5)
+        points = np.frombuffer(bytes(cloud.data), "<f4").reshape(-1, 3)
+        assert np.array_equal(points, window.result.patch.points)
+        assert len(points)
+    qtbot.waitUntil(lambda: "0 clients" in publishing.state.text())
+
+
+def test_a_value_set_by_a_client_is_an_undo_step(publishing, window, qtbot, port):
+    switch_on(publishing, qtbot, port)
+    with FoxgloveClient(port) as client:
+        assert client.parameters()["tolerance.t"] == 0.03
+        client.send("subscribeParameterUpdates", parameterNames=["tolerance.t"])
+        assert client.set_parameter("tolerance.t", 0.02) == {"tolerance.t": 0.02}
+        qtbot.waitUntil(lambda: window.document.preset.tolerance.t == 0.02)
+        assert window.document.undo_stack.undoText() == "Tolerance t 2 % (Foxglove)"
+        assert client.set_parameter("tolerance.t", 5) == {"tolerance.t": 0.02}
+        QTest.keyClick(publishing, Qt.Key.Key_Escape)  # closing the window ends nothing
+        window.activateWindow()
+        qtbot.waitUntil(window.isActiveWindow)
+        QTest.keyClick(window, Qt.Key.Key_Z, CONTROL)
+        assert window.document.preset.tolerance.t == 0.03
+        while client.wait_for_text("parameterValues")["parameters"][0]["value"] != 0.03:  # until it is told
+            pass
+        assert client.parameters()["tolerance.t"] == 0.03
+
+
+def test_a_new_window_remembers_the_settings_but_is_off(publishing, window, make_window, qtbot, port):
+    type_into(publishing.host, "0.0.0.0", Qt.Key.Key_Tab)
+    assert "without a password" in publishing.note.text()
+    type_into(publishing.host, "localhost", Qt.Key.Key_Tab)
+    assert publishing.note.text() == ""
+    QTest.mouseClick(publishing.start, LEFT)
+    qtbot.waitUntil(lambda: bool(listening()))
+    window.close_without_asking()
+    qtbot.waitUntil(lambda: not listening())
+    window.settings.sync()
+    again = make_window()
+    show_source(qtbot, again, TinySource(), 3)
+    assert not listening()
+    assert not again.publishing.window.start.isChecked()
+    assert again.publishing.window.port.value() == port
+    assert again.publishing.window.host.text() == "127.0.0.1"
+
+
+def test_a_taken_port_is_told(publishing, window, qtbot, port):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", port))
+        taken.listen()
+        QTest.mouseClick(publishing.start, LEFT)
+        qtbot.waitUntil(lambda: f"port {port} is taken" in publishing.state.text())
+        assert not publishing.start.isChecked()
+    switch_on(publishing, qtbot, port)
+
+
+def test_without_a_choice_there_is_nothing_to_start(publishing):
+    QTest.keyClick(publishing.foxglove, Qt.Key.Key_Space)
+    assert not publishing.start.isEnabled()
