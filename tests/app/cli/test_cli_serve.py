@@ -197,6 +197,20 @@ def test_it_listens_where_it_was_told_and_ends_cleanly(sent: signal.Signals) -> 
         assert "Traceback" not in err
 
 
+def test_ros_2_beside_foxglove_says_where_it_is() -> None:
+    with serving("--port", "0", "--ros2", "--domain", "77", "--namespace", "left") as (process, port):
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ROS 2: domain 77, 127.0.0.1, /left\n"
+        sockets = listening(process.pid)
+        assert {one for one in sockets if one[0].startswith("tcp")} == {("tcp", "127.0.0.1", port)}
+        assert {one[0] for one in sockets} == {"tcp", "udp"}
+
+
+def test_a_namespace_that_ros_2_refuses_is_told(tactune: Callable[..., Finished]) -> None:
+    refused = tactune("serve", "--ros2", "--namespace", "1 finger", "--source", "sim:cup").sentence
+    assert "no namespace of ROS 2" in refused
+
+
 def test_nothing_is_published_unless_asked(tactune: Callable[..., Finished]) -> None:
     finished = tactune("serve", "--source", "sim:cup")
     assert finished.status == 2
