@@ -65,15 +65,14 @@ class Keeper(KeptState[SessionState]):
     def close(self) -> None:
         """Write the last state, remove unused snapshots, and release the file."""
         self.flush()
-        self.on_disk(
-            remove_unnamed,
+        self.finish()
+        self._lock.unlock()
+        remove_unnamed(
             self.folder,
             "calibration-*.json",
             lambda content: [_images_file(self.folder, entry["digest"]).name for entry in content["snapshots"]],
             "snapshot-*.npz",
         )
-        self.finish()
-        self._lock.unlock()
 
     def write(self, state: SessionState, file: Path) -> None:
         """Write new snapshots, then the state that refers to them."""
@@ -92,7 +91,7 @@ class Keeper(KeptState[SessionState]):
             try:
                 frame = _read_images(_images_file(self.folder, entry["digest"]), entry["sequence"])
                 frame.check_against(self._session.rig)
-            except (OSError, ValueError, KeyError, TactuneError):
+            except (OSError, ValueError, TypeError, TactuneError):  # missing, damaged or of another rig
                 self._missing.append(entry["name"])
                 continue
             snapshots.append(

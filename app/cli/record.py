@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -64,15 +65,19 @@ def record(
     _refuse_existing(out, force)
     kept = None if preset is None else load_preset(preset)
     with open_with_progress(source, kept.cameras if kept else None) as opened:
-        if force:
-            out.unlink(missing_ok=True)
         untouched = _untouched(kept, preset, opened)
+        new = out.with_name(f"{out.stem}.new.mcap") if out.exists() else out  # the old file stays until then
         with SessionWriter(
-            out, opened.rig, preset=kept, frame_rate_hz=opened.frame_rate_hz, untouched=untouched
+            new, opened.rig, preset=kept, frame_rate_hz=opened.frame_rate_hz, untouched=untouched
         ) as writer:
             lost_before = opened.health().dropped
             _record_frames(opened, writer, frames, seconds)
-        _tell(opened, writer.close(), lost_before)
+            with stop_on_signals():  # one more signal must not lose the frames that are queued
+                status = writer.close()
+        if new != out and not status.error:
+            new.replace(out)
+            status = replace(status, path=out)
+        _tell(opened, status, lost_before)
 
 
 def convert(

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from datetime import datetime
+from itertools import chain, count
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -31,7 +32,7 @@ class _AbstractQObject(type(QObject), ABCMeta):  # type: ignore[misc]
 class KeptState(QObject, Generic[T], metaclass=_AbstractQObject):
     """Keeps a file up to date with a state that changes.
 
-    Writing starts ``delay_ms`` after the last change. It happens on a thread of its own and in order, so a slow disk
+    Writing starts ``delay_ms`` after the first change. It happens on a thread of its own and in order, so a slow disk
     never stalls the window. A subclass says what the state is (`present`) and how it is written (`write`).
 
     Parameters
@@ -59,7 +60,7 @@ class KeptState(QObject, Generic[T], metaclass=_AbstractQObject):
         self.file: Path | None = None
         self._noun = noun
         self._written = self.present()
-        self._reported = False
+        self._reported = self._unwritten = False
         self._disk = ThreadPoolExecutor(max_workers=1, thread_name_prefix=f"keep {noun}")
         self._timer = QTimer(self)
         self._timer.setSingleShot(True)
@@ -76,7 +77,8 @@ class KeptState(QObject, Generic[T], metaclass=_AbstractQObject):
 
     def schedule(self, *_: object) -> None:
         """Write soon; connect the signals of changes to it."""
-        self._timer.start()
+        if not self._timer.isActive():  # not anew: a person who edits without a pause would keep nothing
+            self._timer.start()
 
     def follow(self, file: Path | None, written: T) -> None:
         """Keep another file up to date from now on, which holds the state ``written`` already."""
@@ -86,7 +88,7 @@ class KeptState(QObject, Generic[T], metaclass=_AbstractQObject):
         """Start writing the present state now, unless the file holds it already."""
         self._timer.stop()
         state = self.present()
-        if self.file is not None and state != self._written:
+        if self.file is not None and (state != self._written or self._unwritten):
             self._written = state
             self.on_disk(self._write, state, self.file)
 
@@ -118,7 +120,9 @@ class KeptState(QObject, Generic[T], metaclass=_AbstractQObject):
         except DAMAGE as error:
             aside = file.with_suffix(".damaged")
             with suppress(OSError):
-                file.replace(aside)
+                names = chain([".damaged"], (f".damaged-{number}" for number in count(2)))
+                aside = next(place for name in names if not (place := file.with_suffix(name)).exists())
+                file.rename(aside)
             self.failed.emit(
                 f"The saved {self._noun} {file} cannot be read ({error}); it was set aside as {aside.name}."
             )
@@ -127,7 +131,9 @@ class KeptState(QObject, Generic[T], metaclass=_AbstractQObject):
     def _write(self, state: T, file: Path) -> None:
         try:
             self.write(state, file)
+            self._unwritten = False
         except (OSError, TactuneError) as error:
+            self._unwritten = True  # the next flush tries again
             if not self._reported:
                 self._reported = True
                 self.failed.emit(f"The {self._noun} cannot be kept safe in {file.parent} ({error}){self.advice}.")
@@ -152,10 +158,18 @@ def lock_of(file: Path) -> QLockFile:
     return lock
 
 
+def _is_locked(path: Path) -> bool:
+    lock = lock_of(path)
+    return not lock.tryLock(0)
+
+
 def remove_unnamed(
     folder: Path, states: str, names: Callable[[dict[str, Any]], Iterable[str]], attachments: str
 ) -> None:
-    """Remove attached files that no saved state names; remove none where a state cannot be read.
+    """Remove attached files that no saved state names.
+
+    None is removed where a state cannot be read, where one was set aside, or while another window is open: its undo
+    steps may still need them.
 
     Parameters
     ----------
@@ -165,6 +179,8 @@ def remove_unnamed(
     names : callable
         Returns the file names in the content of one JSON file.
     """
+    if any(folder.glob("*.damaged*")) or any(map(_is_locked, folder.glob("*.lock"))):
+        return
     with suppress(*DAMAGE):
         wanted = {name for file in folder.glob(states) for name in names(read_json(file))}
         for file in folder.glob(attachments):

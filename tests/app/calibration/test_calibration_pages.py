@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import threading
 from dataclasses import replace
 
 import cv2
@@ -485,6 +487,80 @@ def test_a_damaged_file_is_set_aside_and_said(scene, frames, feed, tmp_path, qap
     assert again.state.empty
     second.close()
     assert keeper.file.with_suffix(".damaged").exists()
+    assert len(list(tmp_path.glob("snapshot-*.npz"))) == len(session.state.snapshots), "a person may mend the file"
+
+
+def wait_for_disk(keeper):
+    written = threading.Event()
+    keeper.on_disk(written.set)
+    assert written.wait(30)
+
+
+def test_images_that_another_window_may_still_undo_to_stay(scene, frames, feed, tmp_path, qapp):
+    sessions = [Session(scene.rig, lambda *_: None) for _ in range(2)]
+    first, second = (Keeper(session, tmp_path) for session in sessions)
+    state = with_pairs(scene, frames, feed)
+    sessions[1].edit("all", state)
+    second.flush()
+    sessions[1].edit("remove", type(state)())
+    second.flush()
+    wait_for_disk(second)
+    first.close()
+    sessions[1].undo_stack.undo()
+    second.close()
+    again = Session(scene.rig, lambda *_: None)
+    taken = Keeper(sessions[0], tmp_path)  # the first slot
+    third = Keeper(again, tmp_path)
+    third.restore()
+    assert again.state.snapshots
+    assert len(again.state.snapshots) == len(state.snapshots)
+    third.close()
+    taken.close()
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"\x80\x04]", "half", "other", "pipe"])
+def test_damaged_images_keep_their_points(scene, frames, feed, tmp_path, qapp, content):
+    session = Session(scene.rig, lambda *_: None)
+    keeper = Keeper(session, tmp_path)
+    session.edit("all", with_pairs(scene, frames, feed))
+    keeper.close()
+    file = next(iter(tmp_path.glob("snapshot-*.npz")))
+    data = file.read_bytes()
+    file.unlink()
+    if content == "pipe":
+        os.mkfifo(file)
+    elif content == "other":
+        np.savez(file, other=np.zeros(3))
+    else:
+        file.write_bytes(data[: len(data) // 2] if content == "half" else content)
+    again = Session(scene.rig, lambda *_: None)
+    second = Keeper(again, tmp_path)
+    assert second.restore() is not None
+    assert again.state.pairs == session.state.pairs
+    assert len(again.state.snapshots) == len(session.state.snapshots) - 1
+    second.close()
+
+
+def test_what_a_full_disk_refused_is_written_when_there_is_room(scene, frames, feed, tmp_path, qapp, monkeypatch):
+    session = Session(scene.rig, lambda *_: None)
+    keeper = Keeper(session, tmp_path)
+    said = []
+    keeper.failed.connect(said.append)
+
+    def disk_full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as full:
+        full.setattr("tactune.core.model.files.os.fsync", disk_full)
+        session.edit("all", with_pairs(scene, frames, feed))
+        keeper.flush()
+        wait_for_disk(keeper)
+    keeper.close()
+    again = Session(scene.rig, lambda *_: None)
+    second = Keeper(again, tmp_path)
+    assert second.restore() is not None
+    assert len(again.state.snapshots) == len(session.state.snapshots)
+    second.close()
 
 
 def test_lost_images_keep_their_points(scene, frames, feed, tmp_path, qapp):

@@ -174,6 +174,51 @@ def test_ctrl_c_ends_a_recording_cleanly(tmp_path: Path, live: LiveSource, tactu
         assert f"recorded {source.length} frames" in done.out
 
 
+def test_the_old_recording_stays_until_the_new_one_is_complete(
+    tmp_path: Path, live: LiveSource, tactune: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "a.mcap"
+    assert tactune("record", "-s", "live:x", "-o", out, "--frames", 2).status == 0
+
+    def breaks() -> None:
+        raise SourceError("it broke")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(live, "next_frame", breaks)
+        assert "it broke" in tactune("record", "-s", "live:x", "-o", out, "--force").sentence
+    assert length_of(out) == 2
+    assert tactune("record", "-s", "live:x", "-o", out, "--frames", 3, "--force").status == 0
+    assert length_of(out) == 3
+    assert sorted(path.name for path in tmp_path.glob("*.mcap")) == ["a.mcap"]
+
+
+def test_a_signal_while_queued_frames_are_written_loses_none(
+    tmp_path: Path, recording: Path, tactune: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tactune.core.output import bag
+
+    write_chunk = bag.McapWriter.write_chunk
+    sent: list[int] = []
+    ended: list[int] = []
+
+    def slowly(self: bag.McapWriter, messages: Any) -> None:
+        time.sleep(0.2)
+        write_chunk(self, messages)
+        if not sent:
+            sent.append(1)
+            os.kill(os.getpid(), signal.SIGTERM)  # the source has ended; the queue has not
+
+    monkeypatch.setattr(bag.McapWriter, "write_chunk", slowly)
+    usual = signal.signal(signal.SIGTERM, lambda *_: ended.append(1))
+    try:
+        done = tactune("record", "-s", recording, "-o", tmp_path / "a.mcap")
+    finally:
+        signal.signal(signal.SIGTERM, usual)
+    assert done.status == 0
+    assert (sent, ended) == ([1], [])
+    assert length_of(tmp_path / "a.mcap") == 4
+
+
 def test_dropped_frames_are_told(
     tmp_path: Path, live: LiveSource, tactune: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:

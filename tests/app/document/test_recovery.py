@@ -1,6 +1,8 @@
 import gc
+import itertools
 
 import pytest
+from PyQt6.QtCore import QTimer
 
 from tactune.app.document.document import Document
 from tactune.app.document.recovery import Autosave, unsaved_work
@@ -37,6 +39,18 @@ def test_it_is_kept_by_itself_soon_after_an_edit(document, folder, qtbot):
     autosave = Autosave(document, folder)
     document.edit("tolerance.t", 0.01)
     qtbot.waitUntil(autosave.file.exists)
+    autosave.close()
+
+
+def test_it_is_kept_while_a_person_edits_without_a_pause(document, folder, qtbot):
+    autosave = Autosave(document, folder)
+    values = itertools.cycle([0.01, 0.02, 0.03])
+    timer = QTimer()
+    timer.timeout.connect(lambda: document.edit("tolerance.t", next(values)))
+    timer.start(50)
+    qtbot.waitUntil(autosave.file.exists)
+    assert timer.isActive()
+    timer.stop()
     autosave.close()
 
 
