@@ -46,7 +46,9 @@ def serve(
         ),
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, metavar="PORT", help="Port of --foxglove; 0: any.")] = 8765,
-    domain: Annotated[int, typer.Option(min=0, max=232, metavar="N", help="ROS 2 domain id.")] = 0,
+    domain: Annotated[
+        int, typer.Option(min=0, max=232, metavar="N", envvar="ROS_DOMAIN_ID", help="ROS 2 domain id.")
+    ] = 0,
     namespace: Annotated[str, typer.Option(metavar="NAME", help="ROS 2 namespace of the topics.")] = "tactune",
     layout: Annotated[Path | None, typer.Option("--layout", metavar="FILE", help=_LAYOUT_HELP)] = None,
 ) -> None:

@@ -1,9 +1,11 @@
-"""The sockets of a process on which it listens."""
+"""The sockets of a process on which it listens, and free domains of DDS."""
 
 from __future__ import annotations
 
 import os
+import random
 import re
+import socket
 from pathlib import Path
 
 _LISTENING, _UNCONNECTED = "0A", "07"
@@ -29,3 +31,15 @@ def listening(pid: int | None = None) -> set[tuple[str, str, int]]:
                 octets = bytes.fromhex(address)[::-1] if len(address) == 8 else b""
                 found.add((protocol, ".".join(map(str, octets)), int(port, 16)))
     return found
+
+
+def free_domain() -> int:
+    """Return a DDS domain id, as ROS_DOMAIN_ID, that nobody on this computer uses."""
+    while True:
+        number = random.SystemRandom().randrange(1, 200)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("0.0.0.0", 7400 + 250 * number + 10))
+            except OSError:
+                continue
+            return number
