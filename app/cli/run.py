@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -38,6 +39,7 @@ from .common import (
 
 if TYPE_CHECKING:
     from ...core.contact.pipeline import ContactPatch
+    from ...core.estimation.tilt import Tilt
     from ...core.methods.method import MethodPatch
     from ...core.model.clouds import PointCloud
     from ...core.model.frames import GroundTruth, Rig, SensorFrame
@@ -47,6 +49,7 @@ if TYPE_CHECKING:
     from .watching import Watching
 
     SavePatch = Callable[[ContactPatch | MethodPatch, SensorFrame], None]
+    Estimator = Callable[[ContactPatch | MethodPatch, SensorFrame], Tilt]
 
 Record = dict[str, Any]
 
@@ -77,6 +80,14 @@ class Format(StrEnum):
     CSV = "csv"
 
 
+class Estimate(StrEnum):
+    """What ``--estimate`` reads from each patch."""
+
+    TILT = "tilt"
+    TILT_FILTERED = "tilt-filtered"
+    TILT_PCA = "tilt-pca"
+
+
 @dataclass(frozen=True)
 class RunOptions:
     """Options of ``tactune run``; see its help."""
@@ -92,6 +103,7 @@ class RunOptions:
     untouched: str | None = None
     settings: tuple[str, ...] = ()
     watch: bool = False
+    estimate: Estimate | None = None
 
 
 def run(
@@ -142,17 +154,38 @@ def run(
             help="Look once in ten seconds whether a camera moved, the pressure changed or a lens is dirty, and warn.",
         ),
     ] = False,
+    estimate: Annotated[
+        Estimate | None,
+        typer.Option(
+            "--estimate",
+            help="Add roll, pitch and long axis of each patch with their standard deviations: from each frame by the "
+            "measured noise, filtered over time, or by principal components.",
+        ),
+    ] = None,
 ) -> None:
     """Compute contact patches without a window."""
-    if out is None and not json_lines and not truth and not watch:
+    if out is None and not json_lines and not truth and not watch and estimate is None:
         raise typer.BadParameter(
-            "give --out DIR or FILE.mcap for the patches, --json for one line per frame, --truth for a comparison, or "
-            "--watch for the drift watchdog"
+            "give --out DIR or FILE.mcap for the patches, --json for one line per frame, --truth for a comparison, "
+            "--watch for the drift watchdog, or --estimate tilt"
         )
     preset = preset or default_preset(source)
     changed = tuple(settings or ())
     run_frames(
-        RunOptions(source, preset, frames, out, file_format.value, json_lines, truth, method, untouched, changed, watch)
+        RunOptions(
+            source,
+            preset,
+            frames,
+            out,
+            file_format.value,
+            json_lines,
+            truth,
+            method,
+            untouched,
+            changed,
+            watch,
+            estimate,
+        )
     )
 
 
@@ -195,7 +228,8 @@ def run_frames(options: RunOptions) -> None:
             patch_output(options, source, preset) as save,
         ):
             lines = LineOutput(stopped) if options.json_lines else None
-            done, records = process_frames(source, step, options, save, stopped, look, lines)
+            tilt = make_tilt(options.estimate, preset, source.rig)
+            done, records = process_frames(source, step, options, save, stopped, look, lines, tilt)
         if lines is not None and lines.reader_gone:
             raise typer.Exit(READER_GONE_STATUS)
         if not done and not stopped.is_set():
@@ -269,6 +303,7 @@ def process_frames(
     stopped: Event,
     look: Watching | None = None,
     lines: LineOutput | None = None,
+    tilt: Estimator | None = None,
 ) -> tuple[int, list[Record]]:
     """Process and save each frame until ``stopped`` is set.
 
@@ -296,6 +331,8 @@ def process_frames(
             if options.truth:
                 record |= truth_record(patch, frame.truth, source.rig)
                 scored |= record["iou"] is not None
+            if tilt is not None:
+                record["tilt"] = tilt(patch, frame).record()
             if look is not None:
                 record["watch"] = look(frame)
             save(patch, frame)
@@ -308,6 +345,23 @@ def process_frames(
     if options.truth and done and not scored:
         warn(f"{source.name} has no ground truth; iou, precision, recall and rmse_mm are empty")
     return done, records
+
+
+def make_tilt(estimate: Estimate | None, preset: Preset, rig: Rig) -> Estimator | None:
+    """Return the function that estimates the tilt of each patch, in the order of the frames; None without one."""
+    if estimate is None:
+        return None
+    from ...core.estimation.tilt import TiltEstimator
+    from ...core.estimation.tilt_filter import TiltFilter
+
+    estimator = TiltEstimator(preset, rig, "pca" if estimate is Estimate.TILT_PCA else "noise")
+    filtered = TiltFilter() if estimate is Estimate.TILT_FILTERED else None
+
+    def tilt(patch: ContactPatch | MethodPatch, frame: SensorFrame) -> Tilt:
+        found = estimator.estimate(patch, frame.sequence, frame.proximity_time_s)
+        return found if filtered is None else filtered.update(found)
+
+    return tilt
 
 
 def make_folder(folder: Path) -> None:
@@ -360,6 +414,8 @@ def summary(records: list[Record], source: str, preset: str, options: RunOptions
         lines.append(f"{options.method} failed in {len(failures)} of them, such as: {failures[0]}")
     details = ", ".join(f"{stage} {ms:.1f}" for stage, ms in stages.items())
     lines.append(f"{sum(stages.values()):.1f} ms per frame ({details})")
+    if options.estimate is not None:
+        lines += tilt_lines([record["tilt"] for record in records])
     lines += truth_lines(records)
     if options.out is not None and options.out.suffix == MCAP_SUFFIX:
         lines.append(f"wrote {options.out}")
@@ -369,6 +425,19 @@ def summary(records: list[Record], source: str, preset: str, options: RunOptions
     if options.frames is not None and len(records) < options.frames and not stopped:
         lines.append(f"{source} ended after {len(records)} of the {options.frames} frames asked for")
     return "\n".join(lines)
+
+
+def tilt_lines(tilts: list[Record]) -> list[str]:
+    """Return range and median standard deviation of roll and pitch, and in how many frames they are determined."""
+    lines = []
+    for name in ("roll", "pitch"):
+        known = [math.degrees(tilt[f"{name}_rad"]) for tilt in tilts if tilt[f"{name}_rad"] is not None]
+        sigmas = [math.degrees(tilt[f"{name}_sigma_rad"]) for tilt in tilts if tilt[f"{name}_rad"] is not None]
+        line = f"{name}: determined in {len(known)} of {counted(len(tilts), 'frame')}"
+        if known:
+            line += f", {min(known):.2f} to {max(known):.2f} degrees, standard deviation {median(sigmas):.2f} (median)"
+        lines.append(line)
+    return lines
 
 
 def truth_lines(records: list[Record]) -> list[str]:

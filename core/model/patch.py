@@ -121,6 +121,10 @@ class MembraneFacts:
         The one that the test used.
     gap_m : float32, shape (H, W)
         The membrane's gap to the object in equilibrium, along the normal; nan where it is not computed.
+    difference_m : float32, shape (N,)
+        Proximity less tactile depth as measured at each point of the patch, less ``bias_m``; nan where one is missing.
+    tactile_weight : float
+        Weight of the tactile depth in the depth of the points, 0 to 1; the proximity depth has the rest.
     """
 
     bias_m: float
@@ -129,6 +133,8 @@ class MembraneFacts:
     curvature_per_m: float
     used_curvature_per_m: float
     gap_m: Lazy[Float32Array]
+    difference_m: Lazy[Float32Array]
+    tactile_weight: float
 
 
 @dataclass(frozen=True, eq=False)

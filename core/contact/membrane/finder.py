@@ -78,7 +78,6 @@ class MembraneFinder(ContactFinder):
                 self._solution = settle(self._cells, self.bias.bias_m, section.trust_m)
         if (cells := self._cells) is None:
             return Found(NO_CANDIDATES, lambda: self.classify(frame), ("no candidates",))
-        facts = self._facts(differences, cells)
         if due("edge"):
             self._touching = self._within_edge(cells, section.gap_m, differences)
         if due("clusters"):
@@ -89,6 +88,7 @@ class MembraneFinder(ContactFinder):
                 self._large, differences, self.bias.bias_m, weight, rig, self._workspace.buffers
             )
         found = cells, self._solution, self._touching, self._large, self._contact
+        facts = self._facts(differences, cells)
         return Found(self._contact, lambda: full_provenance(self.classify(frame), differences, *found), membrane=facts)
 
     def differences(self, frame: SensorFrame, preset: Preset) -> Differences | None:
@@ -116,7 +116,8 @@ class MembraneFinder(ContactFinder):
 
     def _facts(self, differences: Differences, cells: Cells) -> MembraneFacts:
         """Return what was measured besides contact, for messages."""
-        bias, solution, shape = self.bias, self._solution, self._rig.proximity.intrinsics.shape
+        bias, solution, contact = self.bias, self._solution, self._contact
+        shape = self._rig.proximity.intrinsics.shape
         return MembraneFacts(
             bias_m=differences.bias_m + bias.bias_m,
             firm_m2=bias.firm_m2,
@@ -124,6 +125,8 @@ class MembraneFinder(ContactFinder):
             curvature_per_m=self._measured_per_m,
             used_curvature_per_m=self._free_per_m,
             gap_m=Lazy(lambda: gap_image(differences, cells, solution, shape)),
+            difference_m=Lazy(lambda: differences_at(contact, differences, bias.bias_m, shape[1])),
+            tactile_weight=self._known.tactile_weight,
         )
 
     def _within_edge(self, cells: Cells, gap_m: float, differences: Differences) -> BoolArray:
@@ -242,6 +245,13 @@ def full_provenance(
     part[usable & large] = Provenance.OUTLIER
     verdicts.reshape(-1)[contact.pixels] = Provenance.CONTACT
     return verdicts
+
+
+def differences_at(contact: Candidates, differences: Differences, bias_m: float, width: int) -> Float32Array:
+    """Return the difference of both depths at each contact pixel, less the bias; nan where a depth is missing."""
+    rows, columns = contact.pixels // width - differences.corner[0], contact.pixels % width - differences.corner[1]
+    measured = differences.difference_m[rows, columns] - np.float32(bias_m)
+    return np.where(differences.usable[rows, columns], measured, np.float32(np.nan))
 
 
 def gap_image(differences: Differences, cells: Cells, solution: Equilibrium, shape: tuple[int, int]) -> Float32Array:

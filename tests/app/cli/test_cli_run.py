@@ -410,3 +410,34 @@ def test_a_link_under_the_name_of_a_patch_is_not_followed(tactune: Tactune, reco
     (tmp_path / "out" / "patch_000000.npz").symlink_to(tmp_path / "login")
     tactune("run", "--source", recording, "--preset", "default", "--frames", "1", "--out", tmp_path / "out")
     assert (tmp_path / "login").read_text() == "echo welcome"
+
+
+@pytest.mark.parametrize("estimate", ["tilt", "tilt-filtered", "tilt-pca"])
+def test_estimates_the_tilt_of_each_patch(tactune: Tactune, estimate: str) -> None:
+    options = (
+        "run",
+        "--source",
+        "sim:cube?press=medium",
+        "--preset",
+        "simulator",
+        "--frames",
+        "2",
+        "--estimate",
+        estimate,
+    )
+    tilts = [record["tilt"] for record in json_lines(tactune(*options, "--json").out)]
+    assert len(tilts) == 2
+    for tilt in tilts:
+        assert abs(tilt["roll_rad"]) < 0.2
+        assert 0 < tilt["roll_sigma_rad"] < 0.05
+        assert ("roll_rate_rad_s" in tilt) == (estimate == "tilt-filtered")
+    summary = tactune(*options).out
+    assert "roll: determined in 2 of 2 frames" in summary
+    assert "pitch: determined in 2 of 2 frames" in summary
+
+
+def test_no_tilt_without_contact(tactune: Tactune) -> None:
+    options = ("run", "--source", "sim:cube?press=none", "--preset", "simulator", "--frames", "1", "--estimate", "tilt")
+    (record,) = json_lines(tactune(*options, "--json").out)
+    assert set(record["tilt"].values()) == {None}
+    assert "roll: determined in 0 of 1 frame" in tactune(*options).out

@@ -1,0 +1,212 @@
+"""Roll, pitch and long axis of a patch: exact planes, independent computations, what is not determined, sigmas."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from tactune.core import load_preset
+from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.estimation.tilt import Tilt, TiltEstimator
+from tactune.core.estimation.tilt_filter import TiltFilter
+from tactune.core.preset import CameraNoise, RigNoise, now
+from tactune.core.sources.simulator.scenes import Variant
+from tactune.core.sources.simulator.source import SimulatorSource
+
+PRESET = load_preset("simulator")
+FOCAL, CENTRE = 460.0, (325.0, 238.0)
+METHODS = ("pca", "noise")
+
+
+@pytest.fixture(scope="module")
+def cube():
+    source = SimulatorSource("cube", variant=Variant(press="medium"))
+    return source, ContactPipeline(PRESET, source.rig).process(source.read(0))
+
+
+@pytest.fixture(scope="module")
+def rig(cube):
+    return cube[0].rig
+
+
+def normal_of(roll, pitch):
+    about_x = np.array([[1, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]])
+    about_y = np.array([[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]])
+    return about_y @ about_x @ [0.0, 0.0, 1.0]
+
+
+def pixels(half_u, half_v, turn=0.0):
+    """Return u, v of the pixels in an ellipse, its long side turned from right towards down."""
+    v, u = np.mgrid[:480, :640]
+    du, dv = u - CENTRE[0], v - CENTRE[1]
+    along, across = du * np.cos(turn) + dv * np.sin(turn), dv * np.cos(turn) - du * np.sin(turn)
+    inside = (along / half_u) ** 2 + (across / half_v) ** 2 < 1
+    return u[inside], v[inside]
+
+
+def plane_points(rig, u, v, roll, pitch, distance=0.26):
+    lens = rig.proximity.intrinsics
+    rays = np.stack([(u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy, np.ones(len(u))], axis=1)
+    normal = normal_of(roll, pitch)
+    return rays * (normal[2] * distance / (rays @ normal))[:, None]
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.2, 0.0), (0.0, 0.2), (-0.3, 0.25)])
+def test_exact_planes(rig, method, roll, pitch):
+    points = plane_points(rig, *pixels(90, 50), roll, pitch)
+    tilt = TiltEstimator(PRESET, rig, method).of_points(points)
+    assert (tilt.roll_rad, tilt.pitch_rad) == pytest.approx((roll, pitch), abs=2e-6)
+    assert tilt.centroid_m == pytest.approx(points.mean(axis=0))
+
+
+def test_signs_are_those_of_the_guide(rig):
+    u, v = pixels(90, 50)
+    lower = plane_points(rig, u, v, 0.1, 0.0)
+    right = plane_points(rig, u, v, 0.0, 0.1)
+    assert lower[v.argmax(), 2] > lower[v.argmin(), 2]
+    assert right[u.argmax(), 2] < right[u.argmin(), 2]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_order_of_the_points_does_not_matter(cube, method):
+    source, patch = cube
+    estimator = TiltEstimator(PRESET, source.rig, method)
+    difference = patch.membrane.difference_m.get()
+    order = np.random.default_rng(1).permutation(len(patch.points))
+    one = estimator.of_points(patch.points, difference, 0.5)
+    other = estimator.of_points(patch.points[order], difference[order], 0.5)
+    for name, value in one.record().items():
+        assert getattr(other, name) == pytest.approx(value, rel=1e-6, abs=1e-9), name
+
+
+def test_principal_components_agree_with_an_svd(cube):
+    source, patch = cube
+    tilt = TiltEstimator(PRESET, source.rig, "pca").estimate(patch)
+    away = patch.points.astype(float) - patch.points.mean(axis=0, dtype=float)
+    normal = np.linalg.svd(away, full_matrices=False)[2][2]
+    normal *= np.sign(normal[2])
+    assert normal_of(tilt.roll_rad, tilt.pitch_rad) == pytest.approx(normal, abs=1e-6)
+
+
+def test_least_squares_agrees_with_a_general_solver(cube):
+    """Depth errors along the rays, weighted alike: Levenberg-Marquardt on the depths themselves."""
+    source, patch = cube
+    points = patch.points.astype(float)
+    rays = points / points[:, 2:]
+    tilt = TiltEstimator(PRESET, source.rig).of_points(patch.points)
+    fit = least_squares(lambda plane: 1 / (rays @ plane) - points[:, 2], [0.0, 0.0, 4.0], method="lm")
+    normal = fit.x / np.linalg.norm(fit.x)
+    assert normal_of(tilt.roll_rad, tilt.pitch_rad) == pytest.approx(normal, abs=0.05 * tilt.roll_sigma_rad)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_line_determines_one_angle_and_a_dot_none(rig, method):
+    estimator = TiltEstimator(PRESET, rig, method)
+    u, v = pixels(90, 1.2)
+    line = estimator.of_points(plane_points(rig, u, v, 0.1, 0.05))
+    assert (line.roll_rad, line.roll_sigma_rad) == (None, None)
+    assert line.pitch_rad == pytest.approx(0.05, abs=1e-3)
+    upright = estimator.of_points(plane_points(rig, *pixels(1.2, 90), 0.1, 0.05))
+    assert upright.pitch_rad is None
+    assert upright.roll_rad is not None
+    slanted = estimator.of_points(plane_points(rig, *pixels(90, 1.2, 0.7), 0.1, 0.05))
+    assert (slanted.roll_rad, slanted.pitch_rad) == (None, None)
+    dot = estimator.of_points(plane_points(rig, *pixels(3, 3), 0.1, 0.05))
+    assert dot.points > 12
+    assert set(dot.record().values()) == {None}
+    assert set(estimator.of_points(np.empty((0, 3), np.float32)).record().values()) == {None}
+
+
+@pytest.mark.parametrize("turn", [-1.2, -0.4, 0.0, 0.9])
+def test_long_axis(rig, turn):
+    estimator = TiltEstimator(PRESET, rig)
+    tilt = estimator.of_points(plane_points(rig, *pixels(90, 45, turn), 0.0, 0.0))
+    assert tilt.axis_rad == pytest.approx(turn, abs=0.01)
+    assert 0 < tilt.axis_sigma_rad < 0.1
+    round_ = estimator.of_points(plane_points(rig, *pixels(60, 59, turn), 0.0, 0.0))
+    assert (round_.axis_rad, round_.axis_sigma_rad) == (None, None)
+
+
+def noise_of(proximity, tactile):
+    make = (
+        CameraNoise(white_m=w, correlated_m=c, length_px=px, changing_share=0.5, distance_m=0.26)
+        for w, c, px in (proximity, tactile)
+    )
+    return RigNoise(proximity=next(make), tactile=next(make), measured=now(), frames=30)
+
+
+def smooth_noise(rng, length_px):
+    field = cv2.GaussianBlur(rng.standard_normal((480, 640), dtype=np.float32), (0, 0), length_px)
+    return field / field.std()
+
+
+@pytest.mark.parametrize("length_px", [2.0, 18.0])
+def test_standard_deviation_of_correlated_noise(rig, length_px):
+    """Noise made here, without a slow part. That it has none cannot be known, so the sigma may be larger."""
+    noise = noise_of((0.0006, 0.0009, length_px), (0.0002, 0.0008, 5.0))
+    estimator = TiltEstimator(PRESET.model_copy(update={"noise": noise}), rig)
+    rng, (u, v) = np.random.default_rng(5), pixels(70, 45)
+    flat, scale = plane_points(rig, u, v, 0.1, -0.1), rig.proximity.intrinsics.fx / rig.tactile.intrinsics.fx
+    errors, sigmas = [], []
+    for _ in range(60):
+        proximity = 0.0006 * rng.standard_normal(len(u)) + 0.0009 * smooth_noise(rng, length_px)[v, u]
+        tactile = 0.0008 * smooth_noise(rng, 5.0 * scale)[v, u]
+        noisy = flat * (1 + proximity / flat[:, 2])[:, None]
+        tilt = estimator.of_points(noisy, proximity - tactile)
+        errors += [tilt.roll_rad - 0.1, tilt.pitch_rad + 0.1]
+        sigmas += [tilt.roll_sigma_rad, tilt.pitch_sigma_rad]
+    stated, found = (np.sqrt(np.mean(np.square(values))) for values in (sigmas, errors))
+    assert 0.85 < stated / found < 1.6
+    assert 0.6 < np.mean(np.abs(errors) < sigmas) < 0.92
+
+
+def moving(count=90, sigma=0.004, seed=3):
+    rng = np.random.default_rng(seed)
+    times = np.cumsum(rng.uniform(0.02, 0.05, count))
+    truth = 0.1 * np.sin(1.5 * times)
+    known = {"roll_sigma_rad": sigma, "pitch_rad": 0.0, "pitch_sigma_rad": sigma}
+    measured = truth + sigma * rng.standard_normal(count)
+    raw = [Tilt(i, times[i], "noise", 100, roll_rad=measured[i], **known) for i in range(count)]
+    return times, truth, raw
+
+
+def test_filter_follows_with_less_noise_and_honest_sigmas():
+    times, truth, raw = moving(600)
+    filter_ = TiltFilter()
+    found = [filter_.update(tilt) for tilt in raw][30:]
+    errors = np.array([tilt.roll_rad for tilt in found]) - truth[30:]
+    sigmas = np.array([tilt.roll_sigma_rad for tilt in found])
+    assert np.std(errors) < 0.85 * 0.004
+    assert np.mean(np.abs(errors) < 2 * sigmas) > 0.9
+    rates = np.array([tilt.roll_rate_rad_s for tilt in found])
+    assert np.std(rates - 0.15 * np.cos(1.5 * times[30:])) < 0.08
+
+
+def test_filter_bridges_a_gap_and_forgets_after_a_long_one():
+    times, _, raw = moving(60)
+    filter_ = TiltFilter(max_gap_s=0.5)
+    before = [filter_.update(tilt) for tilt in raw][-1]
+    lost = {"roll_rad": None, "roll_sigma_rad": None, "pitch_rad": None, "pitch_sigma_rad": None}
+    gap = filter_.update(replace(raw[-1], time_s=times[-1] + 0.1, **lost))
+    assert gap.roll_rad == pytest.approx(before.roll_rad + 0.1 * before.roll_rate_rad_s, abs=1e-9)
+    assert gap.roll_sigma_rad > before.roll_sigma_rad
+    assert filter_.update(replace(raw[-1], time_s=times[-1] + 0.8, **lost)).roll_rad is None
+    again = filter_.update(replace(raw[-1], time_s=times[-1] + 0.9, roll_rad=-0.2))
+    assert (again.roll_rad, again.roll_rate_rad_s) == (-0.2, 0.0)
+
+
+def test_filter_rejects_an_outlier_but_follows_a_step_and_a_seek():
+    _, _, raw = moving(60)
+    filter_ = TiltFilter()
+    for tilt in raw:
+        before = filter_.update(tilt)
+    late = [replace(raw[-1], time_s=raw[-1].time_s + 0.03 * (i + 1), roll_rad=1.0) for i in range(3)]
+    assert filter_.update(late[0]).roll_rad == pytest.approx(before.roll_rad, abs=0.02)
+    filter_.update(late[1])
+    assert filter_.update(late[2]).roll_rad == 1.0
+    assert filter_.update(replace(raw[0], roll_rad=-0.3)).roll_rad == -0.3
