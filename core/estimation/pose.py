@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -21,8 +21,8 @@ from .pose_search import Membrane, Searched, search, search_near, two_way_m
 
 Vector3 = tuple[float, float, float]
 
-#: Fewest image tiles of a patch that can tell a pose; 12 tiles are about 2 cm^2.
-_MIN_TILES: Final = 12
+#: Fewest image tiles of a patch that can tell a pose, about 2 cm^2.
+_MIN_TILES: Final = 27
 #: A fit is good if this share of the patch lies on the mesh and its two-way residual is below; a worse one is compared
 #: with others nearby. It is lost below the second share, or above the second residual, metres.
 _GOOD_OVERLAP, _GOOD_M = 0.93, 0.0025
@@ -129,6 +129,10 @@ def pose_error(estimate: PoseEstimate, truth: npt.ArrayLike, mesh: ObjectMesh) -
     """
     true, radius_m = np.asarray(truth, np.float64), mesh.radius_m
     centre = estimate.T_proximity_object[:3, :3] @ mesh.centre_m + estimate.T_proximity_object[:3, 3]
+    for direction in estimate.free:  # on the axis, even a large free turn moves nothing
+        if direction.kind == "turn":
+            centre = np.array(direction.point_m)
+            break
     equal = (_motion(true @ other, estimate.T_proximity_object, centre, radius_m) for other in mesh.symmetries)
     full = min(equal, key=lambda motion: float(np.linalg.norm(motion)))
     free = np.zeros((6, len(estimate.free)))
@@ -279,11 +283,19 @@ class PoseTracker:
                 around = self._last or near
                 other = search_near(mesh, tiles, film, patch_px, around, self._pose)
                 if other.cost_m < _BETTER * found.cost_m:
-                    found, self._velocity = other, np.zeros(6)
+                    found, self._time_s = self._nearest_equal(other, self._pose), math.nan  # a jump is no velocity
         if (found is None or _is_lost(found)) and self._may_search(time_s, everywhere=True):
-            found = search(mesh, tiles, film, patch_px)
-            self._velocity = np.zeros(6)
+            found, self._time_s = search(mesh, tiles, film, patch_px), math.nan
+            if self._pose is not None:
+                found = self._nearest_equal(found, self._pose)
         return None if found is None or _is_lost(found) else found
+
+    def _nearest_equal(self, found: Searched, pose: Float64Array) -> Searched:
+        """Return, of the poses that look equal because the mesh is symmetric, the one nearest to a pose."""
+        fitted, radius_m = found.fit, self.mesh.radius_m
+        equal = (fitted.pose @ other for other in self.mesh.symmetries)
+        nearest = min(equal, key=lambda other: float(np.linalg.norm(_motion(pose, other, fitted.centre_m, radius_m))))
+        return replace(found, fit=replace(fitted, pose=nearest))
 
     def _may_search(self, time_s: float, *, everywhere: bool) -> bool:
         """Return whether the last search was long enough ago, and count this one."""
@@ -315,7 +327,7 @@ class PoseTracker:
 
     def _nowhere(self, patch: ContactPatch, time_s: float) -> PoseEstimate:
         """Return the last pose, marked as lost."""
-        self._velocity = np.zeros(6)
+        self._velocity, self._time_s = np.zeros(6), math.nan
         pose = self._pose if self._pose is not None else np.eye(4)
         unknown = np.diag([self.mesh.radius_m**2] * 3 + [1.0] * 3)
         return PoseEstimate(patch.sequence, time_s, pose, unknown, (), math.nan, 0.0, lost=True)

@@ -21,9 +21,9 @@ from .object_mesh import ObjectMesh
 
 #: Side of the image tiles whose points are averaged, pixels of an image that is 640 wide; a tile counts from this share
 #: of its pixels.
-_TILE_PX, _FILLED = 6, 0.33
+_TILE_PX, _FILLED = 4, 0.1
 #: Tiles along the side of a window, over which errors that tiles share are found.
-_WINDOW_TILES: Final = 4
+_WINDOW_TILES: Final = 6
 #: Noise density, m^4, of a real L515 at 0.3 m, for presets whose rig was not measured (`CameraNoise.density_m4`).
 _DENSITY_M4: Final = 1.6e-11
 #: A direction is free if its standard deviation is larger than this, metres, or if it moves the patch out of itself by
@@ -38,7 +38,9 @@ ON_MESH_M, _ON_MESH_SIGMAS = 0.003, 4.0
 #: Pairs farther apart than this do not count, metres, in the first and in the last iterations.
 _REACH_M: Final = (0.020, 0.008)
 #: Points beyond this many robust standard deviations count less (Huber); the smallest such deviation, metres.
-_HUBER, _SMALLEST_SIGMA_M = 2.0, 0.0003
+_HUBER, _SMALLEST_SIGMA_M = 3.0, 0.0003
+#: Depth noise moves points along the ray, and so by less across an oblique surface; cosines below count as this one.
+_LEAST_COSINE: Final = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +52,9 @@ class PatchPoints:
     points : float64, shape (N, 3)
         Means of the points in a tile, metres, proximity depth frame.
     weights : float64, shape (N,)
-        Inverse variances, 1 / m^2: the tile's area over the noise density. As the density contains what neighbours
-        share, sums over many tiles have the right variance: the effective number of points is taken into account.
+        Inverse variances of their depth, 1 / m^2: the tile's area over the noise density. As the density contains what
+        neighbours share, sums over many tiles have the right variance: the effective number of points is taken into
+        account.
     windows : int64, shape (N,)
         Number of the window of tiles that each belongs to.
     """
@@ -89,7 +92,7 @@ def patch_points(points: Float32Array | Float64Array, rig: Rig, density_m4: floa
 def noise_density_m4(preset: Preset, rig: Rig) -> float:
     """Return the noise power of a patch per area, m^4: that of both cameras' weighted mean.
 
-    `DENSITY_M4` unless the preset holds the rig's measured noise.
+    That of a real L515 unless the preset holds the rig's measured noise.
     """
     if preset.noise is None:
         return _DENSITY_M4
@@ -189,10 +192,13 @@ def _pair(mesh: ObjectMesh, patch: PatchPoints, pose: Float64Array, centre: Floa
     places, normals = places @ rotation.T + pose[:3, 3], normals @ rotation.T
     away = patch.points - places
     gaps, apart = (away * normals).sum(axis=1), np.linalg.norm(away, axis=1)
-    facing = (normals * places).sum(axis=1) < 0
+    cosines = -(normals * places).sum(axis=1) / np.linalg.norm(places, axis=1)
+    facing = cosines > 0
     used = facing & (apart < reach_m)
-    sigma = max(1.4826 * float(np.median(np.abs(gaps[used]))) if used.any() else 0.0, _SMALLEST_SIGMA_M)
-    weights = patch.weights * used / np.maximum(np.abs(gaps) / (_HUBER * sigma), 1)
+    cosines = np.maximum(cosines, _LEAST_COSINE)
+    along_ray = np.abs(gaps) / cosines
+    sigma = max(1.4826 * float(np.median(along_ray[used])) if used.any() else 0.0, _SMALLEST_SIGMA_M)
+    weights = patch.weights / cosines**2 * used / np.maximum(along_ray / (_HUBER * sigma), 1)
     rows = np.concatenate([normals, np.cross(places - centre, normals) / mesh.radius_m], axis=1)
     return _Pairs(gaps, apart, rows, weights, facing & (apart < max(ON_MESH_M, _ON_MESH_SIGMAS * sigma)))
 
