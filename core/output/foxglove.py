@@ -7,6 +7,7 @@ those of recordings and of ROS 2.
 from __future__ import annotations
 
 import importlib.resources
+import logging
 import os
 import re
 import threading
@@ -57,6 +58,7 @@ class FoxgloveSink:
             raise MissingExtraError(
                 "Foxglove needs foxglove-sdk: install it with pip install 'tactune[live]'"
             ) from error
+        logging.getLogger("foxglove").addHandler(logging.NullHandler())  # a client that vanishes is no news on stderr
         listener: Any = self._listener  # the protocol also asks for what servers without parameters call
         context = self._context = foxglove.Context()
         for topic, kind in topics.items():
