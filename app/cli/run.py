@@ -266,11 +266,16 @@ def patch_output(options: RunOptions, source: FrameSource, preset: Preset) -> It
         with PatchWriter(out, source.rig, preset, source.frame_rate_hz) as writer:
             yield lambda patch, frame: writer.write(patch.points, frame.sequence, frame.proximity_time_s)
     else:
+        from ...core.model.frames import note_number
         from ...core.output.cloud_files import write_cloud
 
-        yield lambda patch, frame: write_cloud(
-            patch_path(out, frame.sequence, options.file_format), _cloud(patch, frame, source.rig)
-        )
+        seen: set[int] = set()
+
+        def save(patch: ContactPatch | MethodPatch, frame: SensorFrame) -> None:
+            note_number(seen, frame)
+            write_cloud(patch_path(out, frame.sequence, options.file_format), _cloud(patch, frame, source.rig))
+
+        yield save
 
 
 def _cloud(patch: ContactPatch | MethodPatch, frame: SensorFrame, rig: Rig) -> PointCloud:

@@ -10,6 +10,7 @@ from PyQt6.QtCore import QObject
 
 from ...core.contact.pipeline import ContactPipeline
 from ...core.errors import SourceError
+from ...core.model.frames import note_number
 from ...core.output.cloud_files import patch_cloud, write_cloud
 from ...core.output.writer import export_mcap
 from ...core.preset import Preset
@@ -106,11 +107,13 @@ class FrameExport(QObject):
 
 def _write_patches(source: FrameSource, frames: range, preset: Preset, folder: Path, progress: Progress) -> str:
     pipeline = ContactPipeline(preset, source.rig)
+    seen: set[int] = set()
     for done, index in enumerate(frames):
         progress(done / len(frames), f"Patch {done + 1} of {len(frames)}, into {folder}")
         frame = source.next_frame()
         if frame is None:
             raise SourceError(f"{source.name} ends before frame {index + 1}; {done} patches were written to {folder}")
+        note_number(seen, frame)
         cloud = patch_cloud(pipeline.process(frame), frame, source.rig)
         write_cloud(folder / f"patch_{frame.sequence:06d}.ply", cloud)
     return f"{_counted(len(frames), frames)} written as patches to {folder}."

@@ -163,6 +163,20 @@ class GroundTruth:
     T_proximity_object: Matrix4 | None = None
 
 
+#: Largest time stamp, seconds: 64 bits of nanoseconds.
+MAX_TIME_S = 9e9
+
+
+def note_number(seen: set[int], frame: SensorFrame) -> None:
+    """Add a frame's number to those ``seen``; raise `FrameError` where it is there already: files are named by it."""
+    if frame.sequence in seen:
+        raise FrameError(
+            f"two frames have the number {frame.sequence}, as in a merged recording, and files are named by it; "
+            "use the recordings one by one"
+        )
+    seen.add(frame.sequence)
+
+
 @dataclass(frozen=True, eq=False)
 class SensorFrame:
     """One pair of images from both cameras. The arrays become read-only views.
@@ -192,6 +206,12 @@ class SensorFrame:
     truth: GroundTruth | None = None
 
     def __post_init__(self) -> None:
+        if not 0 <= self.sequence < 2**63:
+            raise FrameError(f"a frame has the number {self.sequence}; numbers are 0 to 2^63 - 1")
+        for name in ("proximity_time_s", "tactile_time_s"):
+            if not abs(getattr(self, name)) <= MAX_TIME_S:  # also nan
+                found = getattr(self, name)
+                raise FrameError(f"frame {self.sequence}: {name} is {found}, not a number up to {MAX_TIME_S:g} s")
         for name, dtype, dimensions in _FRAME_ARRAYS:
             array = getattr(self, name)
             if array is None and name == "tactile_color":

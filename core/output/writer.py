@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 import threading
 import time
 from collections import deque
@@ -15,7 +14,7 @@ from typing import Self
 
 import numpy as np
 
-from ..errors import ExportError, FrameError, TactuneError
+from ..errors import ExportError, TactuneError
 from ..model.files import atomic_path
 from ..model.frames import Rig, SensorFrame
 from ..model.rig_file import json_text, rig_to_json
@@ -180,8 +179,6 @@ class SessionWriter:
 
     def _check(self, frame: SensorFrame) -> int:
         """Check that a frame can be written, and return its size in bytes."""
-        if not (math.isfinite(frame.proximity_time_s) and math.isfinite(frame.tactile_time_s)):
-            raise FrameError(f"frame {frame.sequence}: its time stamps are not finite; it cannot be recorded")
         size = 0
         for topic, image in images_of(frame):
             self._streams[topic].check(image, frame.sequence)

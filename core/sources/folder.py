@@ -35,7 +35,7 @@ from ..errors import ExportError, FrameError, SourceError
 from ..model.arrays import AnyArray, Float32Array, Uint8Array, Uint16Array
 from ..model.clouds import valid_depth
 from ..model.files import user_path
-from ..model.frames import NO_DEPTH_COUNTS, GroundTruth, Rig, SensorFrame
+from ..model.frames import MAX_TIME_S, NO_DEPTH_COUNTS, GroundTruth, Rig, SensorFrame, note_number
 from ..model.loading import decode_image, parse_npy, read_file
 from ..model.rig_file import json_text, load_rig, read_json_object, rig_to_json
 from .base import FrameSource, Progress, SeekableSource
@@ -207,7 +207,7 @@ def _read_stamp(folder: Path, index: int) -> _Stamp:
             raise SourceError(f"{path}: {key} is no field of a frame; it has {', '.join(expected)}")
         whole = key == "sequence"
         good = type(value) is int or (not whole and type(value) is float)
-        if not good or not abs(value) < 2**63 or (whole and value < 0):
+        if not good or not abs(value) <= (2**63 - 1 if whole else MAX_TIME_S) or (whole and value < 0):
             kind = "a whole number from 0" if whole else "a number of seconds"
             raise SourceError(f"{path}: {key} is {value!r}, but it should be {kind}; correct it")
     return _Stamp(data["sequence"], float(data["proximity_time_s"]), float(data["tactile_time_s"]))
@@ -311,7 +311,9 @@ def _write_recording(source: FrameSource, folder: Path, frames: int | None, prog
     if untouched is not None:
         _write_frame(folder / "untouched", untouched, source.rig)
     count = 0
+    seen: set[int] = set()
     while count < total and (frame := source.next_frame()) is not None:
+        note_number(seen, frame)
         _write_frame(folder / f"{count:06d}", frame, source.rig)
         count += 1
         if progress is not None:

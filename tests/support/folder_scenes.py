@@ -65,8 +65,12 @@ class LiveSource(FrameSource):
     name = "live"
     rig = RIG  # type: ignore[assignment]
 
+    def __init__(self) -> None:
+        self._given = 0
+
     def next_frame(self) -> SensorFrame | None:
-        return make_frame(1)
+        self._given += 1
+        return make_frame(self._given)
 
 
 def assert_same(one: SensorFrame, other: SensorFrame) -> None:
