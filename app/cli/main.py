@@ -22,6 +22,7 @@ from .bench import bench_commands
 from .calibrate import calibrate, recheck
 from .check import check
 from .common import SOURCE, PresetOption, SourceOption, default_preset
+from .demo import demo_commands
 from .doctor import devices, doctor, warmup
 from .evaluate import evaluate_commands
 from .preset import preset_commands
@@ -55,6 +56,7 @@ preset_commands.command()(check)
 commands.add_typer(preset_commands, name="preset")
 commands.add_typer(bench_commands, name="bench")
 commands.add_typer(evaluate_commands, name="evaluate")
+commands.add_typer(demo_commands, name="demo")
 commands.command()(run)
 commands.command("export-folder")(export_folder)
 commands.command()(calibrate)

@@ -8,7 +8,15 @@ from __future__ import annotations
 from tactune.core.contact.warmup import warm_up_if_needed
 from tactune.core.sources.registry import open_source
 
-SCENES = ("cup", "cup?press=none", "cup?press=low", "cup?press=medium", "cup?press=low&grid=dots")
+SCENES = (
+    "cup",
+    "cup?press=none",
+    "cup?press=low",
+    "cup?press=medium",
+    "cup?press=low&grid=dots",
+    "tray",
+    "tray?press=none",
+)
 
 if __name__ == "__main__":
     warm_up_if_needed(lambda share, words: None)
