@@ -15,7 +15,7 @@ from typing import Any, Generic, TypeVar
 from PyQt6.QtCore import QLockFile, QObject, QTimer, pyqtSignal
 
 from ...core.errors import TactuneError
-from ...core.model.files import atomic_path
+from ...core.model.files import atomic_path, remove_leftovers
 from ...core.model.loading import read_json
 from ...core.preset import now
 
@@ -158,9 +158,16 @@ def lock_of(file: Path) -> QLockFile:
     return lock
 
 
+def clean_up(folder: Path) -> None:
+    """Remove what killed windows left in a folder and below: temporary files, and locks that nobody holds."""
+    remove_leftovers(folder)
+    for path in folder.rglob("*.lock"):
+        _is_locked(path)
+
+
 def _is_locked(path: Path) -> bool:
     lock = lock_of(path)
-    return not lock.tryLock(0)
+    return not lock.tryLock(0)  # where nobody holds it, trying has removed the file
 
 
 def remove_unnamed(

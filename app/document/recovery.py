@@ -17,7 +17,7 @@ from ...core.model.loading import read_json
 from ...core.preset import Preset
 from ...core.preset.file import preset_from_text, preset_json
 from .document import Document
-from .keeping import DAMAGE, KeptState, lock_of, write_json
+from .keeping import DAMAGE, KeptState, clean_up, lock_of, write_json
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,7 @@ class Autosave(KeptState[tuple[Preset, Path | None] | None]):
         self.follow(folder / f"unsaved-{uuid.uuid4().hex}.json", None)
         self._lock = lock_of(self.file)
         self._lock.tryLock(0)
+        self.on_disk(clean_up, folder)
         document.presetChanged.connect(self.schedule)
         document.fileChanged.connect(self.schedule)
 

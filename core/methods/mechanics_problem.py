@@ -130,15 +130,16 @@ def build_mesh(
     pixels = np.concatenate([outline, inner])
     depth = make_sampler(pixels, spacing, factor_m).sample(untouched) * factor_m + offset_m
     kept, rim = np.isfinite(depth), np.arange(len(pixels)) < len(outline)
-    if np.count_nonzero(kept & ~rim) < _MIN_NODES:
+    pixels, depth, rim = pixels[kept], depth[kept], rim[kept]
+    triangles = _triangulate(pixels, region) if len(pixels) > _MIN_NODES else np.empty((0, 3), np.int64)
+    used = np.unique(triangles)
+    inside = np.count_nonzero(~rim[used])
+    if inside < _MIN_NODES or inside == len(used):
         raise TactuneError(
-            f"only {np.count_nonzero(kept & ~rim)} nodes within the membrane's outline have depth in the untouched "
+            f"only {inside} nodes within the membrane's outline have depth in the untouched "
             f"frame, but the mechanics needs {_MIN_NODES}; take a new untouched frame or ask for more nodes"
         )
-    pixels, depth, rim = pixels[kept], depth[kept], rim[kept]
     positions = np.concatenate([camera.normalise(pixels), np.ones((len(pixels), 1))], axis=1) * depth[:, None]
-    triangles = _triangulate(pixels, region)
-    used = np.unique(triangles)
     renumbered = np.full(len(pixels), -1)
     renumbered[used] = np.arange(len(used))
     triangles = renumbered[triangles]

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import glob
 import os
 import secrets
+import shutil
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Final
 
 from ..errors import ExportError, TactuneError
+
+#: A temporary file that nobody has written to for this time was left by a killed writer, seconds.
+_LEFT_S: Final = 3600
 
 
 @contextmanager
@@ -45,6 +52,24 @@ def atomic_path(target: Path | str, *, follow_link: bool = False) -> Iterator[Pa
     finally:
         with suppress(OSError):  # gone already, or its folder could not be made
             temporary.unlink()
+
+
+def remove_leftovers(folder: Path, name: str = "*") -> None:
+    """Remove temporary files of writers that were killed more than an hour ago.
+
+    Parameters
+    ----------
+    folder : Path
+        Searched with its subfolders only where ``name`` is ``*``.
+    name : str
+        Name of the file or folder that was being written.
+    """
+    stem, suffix = (("*", "*")) if name == "*" else (glob.escape(Path(name).stem), glob.escape(Path(name).suffix))
+    pattern = f".{stem}-{'[0-9a-f]' * 8}{suffix}"
+    with suppress(OSError):
+        for left in folder.rglob(pattern) if name == "*" else folder.glob(pattern):
+            if left.stat().st_mtime < time.time() - _LEFT_S:
+                shutil.rmtree(left) if left.is_dir() else left.unlink()
 
 
 def check_writable(target: Path | str) -> None:

@@ -15,7 +15,7 @@ from typing import Self
 import numpy as np
 
 from ..errors import ExportError, TactuneError
-from ..model.files import atomic_path
+from ..model.files import atomic_path, remove_leftovers
 from ..model.frames import Rig, SensorFrame
 from ..model.rig_file import json_text, rig_to_json
 from ..model.untouched_archive import untouched_bytes
@@ -303,6 +303,7 @@ def export_mcap(
         raise ExportError(f"{source.name} is live and has no end; record it, or say how many frames to convert")
     left = None if source.length is None else source.length - source.position
     total = min(count for count in (left, frames) if count is not None)
+    remove_leftovers(Path(path).parent, Path(path).name)
     with atomic_path(path) as temporary:
         try:
             with SessionWriter(

@@ -34,7 +34,7 @@ import numpy as np
 from ..errors import ExportError, FrameError, SourceError
 from ..model.arrays import AnyArray, Float32Array, Uint8Array, Uint16Array
 from ..model.clouds import valid_depth
-from ..model.files import user_path
+from ..model.files import remove_leftovers, user_path
 from ..model.frames import MAX_TIME_S, NO_DEPTH_COUNTS, GroundTruth, Rig, SensorFrame, note_number
 from ..model.loading import decode_image, parse_npy, read_file
 from ..model.rig_file import json_text, load_rig, read_json_object, rig_to_json
@@ -150,6 +150,7 @@ def export_folder(
             raise ExportError(f"cannot replace {target}, the working folder; name a new folder")
         if target.exists() and (not target.is_dir() or any(target.iterdir())):
             raise ExportError(f"{target} is already there and not an empty folder; choose another name or remove it")
+        remove_leftovers(target.parent, f"{target.name}.partial")
         temporary.mkdir(parents=True)
         count = _write_recording(source, temporary, frames, progress)
         if target.exists():

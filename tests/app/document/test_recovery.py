@@ -1,5 +1,7 @@
 import gc
 import itertools
+import os
+import socket
 
 import pytest
 from PyQt6.QtCore import QTimer
@@ -101,6 +103,33 @@ def test_restored_work_is_kept_anew_before_the_old_file_goes(document, folder, p
     crash(again)
     assert not work.file.exists()
     assert [kept.preset.tolerance.t for kept in unsaved_work(folder)] == [0.01]
+
+
+def test_what_killed_windows_left_is_removed_at_the_next_start(document, folder):
+    (folder / "calibration").mkdir(parents=True)
+    old = [folder / ".unsaved-1-0123abcd.json", folder / "calibration" / ".snapshot-a-89abcdef.npz"]
+    new = folder / ".unsaved-2-0123abcd.json"
+    for file in (*old, new):
+        file.touch()
+    for file in old:
+        os.utime(file, (1e9, 1e9))
+    (folder / "unsaved-dead.lock").write_text(f"{2**22}\ntactune\n{socket.gethostname()}\n")
+    other = Autosave(Document(), folder)
+    autosave = Autosave(document, folder)
+    autosave.finish()
+    assert not any(file.exists() for file in old)
+    assert new.exists(), "it may be being written"
+    assert [file.name for file in folder.glob("*.lock")].count("unsaved-dead.lock") == 0
+    assert other.file.with_suffix(".lock").exists()
+    other.close()
+    autosave.close(keep=True)
+
+
+@pytest.mark.parametrize("content", ["[" * 100_000, '{"path": ' + "[" * 100_000, "\0" * 20_000_000])
+def test_no_file_keeps_the_window_from_starting(folder, content):
+    folder.mkdir()
+    (folder / "unsaved-1.json").write_text(content)
+    assert unsaved_work(folder) == []
 
 
 def test_a_folder_that_cannot_be_written_is_said_once(document, folder, qtbot):

@@ -222,6 +222,15 @@ def test_untouched_frames_that_show_no_membrane_are_refused(bulged, cup_frames):
         MembraneMechanics(Preset(), bulged.rig, cup_frames[1])
 
 
+@pytest.mark.parametrize("size", [(8, 17), (4, 60), (17, 8)])
+def test_images_too_small_for_a_mesh_are_refused(bulged, size):
+    for crop_px in (0, 1, 6):
+        with pytest.raises(TactuneError, match="untouched frame"):
+            membrane_solver.build_mesh(
+                np.full(size, 300, np.uint16), bulged.rig.tactile.intrinsics, 0.001, 0.0, 900, crop_px
+            )
+
+
 def mechanics(membrane, **parameters) -> MembraneMechanics:
     air = {"gauge_pressure_pa": membrane.gauge_pressure_pa, "housing_m3": membrane.housing_m3}
     return MembraneMechanics(Preset(), membrane.rig, membrane.frame(0.0), **(air | parameters))
