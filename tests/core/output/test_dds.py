@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import socket
 import struct
@@ -12,28 +11,25 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from mcap.records import Schema
-from mcap_ros2.decoder import DecoderFactory
 
+from fast_dds import HOW_TO_BUILD, WAIT_S, FastDds, build, can_build
 from sockets import free_domain
 from tactune.core import ContactPipeline, load_preset, open_source
 from tactune.core.errors import PublishError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.model.patch import ContactPatch
 from tactune.core.output.dds import DdsSink
-from tactune.core.output.messages import definition
 from tactune.core.output.publisher import LIVE_TOPICS, Estimates, Publisher
 from tactune.core.preset import Preset
 
 SUPPORT = Path(__file__).resolve().parents[2] / "support"
-WAIT_S = 60
 PERIOD_S = 1 / 30
 
 Processed = tuple[SensorFrame, ContactPatch, Preset, Estimates]
@@ -54,79 +50,14 @@ def processed() -> Processed:
 
 @pytest.fixture(scope="session")
 def fast_dds_program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Build the subscriber of Fast DDS."""
-    if not Path("/usr/include/fastdds").exists() or shutil.which("g++") is None:
-        pytest.skip("FAST DDS IS NOT TESTED: apt-get install libfastrtps-dev g++ (Debian 12, Ubuntu 22.04)")
-    program = tmp_path_factory.mktemp("fast-dds") / "subscriber"
-    source = SUPPORT / "fast_dds_subscriber.cpp"
-    command = ["g++", "-std=c++17", "-o", program, source, "-lfastrtps"]
-    subprocess.run(command, check=True)
-    return program
+    if not can_build():
+        pytest.skip(f"FAST DDS IS NOT TESTED: {HOW_TO_BUILD}")
+    return build(tmp_path_factory.mktemp("fast-dds"))
 
 
 @pytest.fixture
 def domain() -> int:
     return free_domain()
-
-
-class FastDds:
-    """A subscriber of Fast DDS in a process of its own; ``topics`` are ROS 2 names with their kinds of subscription."""
-
-    def __init__(self, program: Path, domain: int, topics: dict[str, str], namespace: str = "") -> None:
-        self.topics = list(topics)
-        words = [
-            word
-            for topic, qos in topics.items()
-            for word in (f"rt{namespace}{topic}", "::".join(dds_words(LIVE_TOPICS[topic])), qos)
-        ]
-        self.process = subprocess.Popen(
-            [program, str(domain), *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=1 << 20
-        )
-        self.counts = dict.fromkeys(self.topics, 0)
-        self.latest: dict[str, bytes] = {}
-        self._arrived = threading.Condition()
-        self._thread = threading.Thread(target=self._read)
-        self._thread.start()
-
-    def _read(self) -> None:
-        assert self.process.stdout is not None
-        while len(head := self.process.stdout.read(8)) == 8:
-            number, length = struct.unpack("<II", head)
-            data = self.process.stdout.read(length)
-            with self._arrived:
-                topic = self.topics[number]
-                self.latest[topic] = data
-                self.counts[topic] += 1
-                self._arrived.notify_all()
-
-    def wait_for(self, is_done: Callable[[], bool]) -> None:
-        with self._arrived:
-            assert self._arrived.wait_for(is_done, WAIT_S), self.counts
-
-    def wait_for_more(self, topic: str, count: int = 3) -> None:
-        """Wait for further messages of a topic."""
-        seen = self.counts[topic]
-        self.wait_for(lambda: self.counts[topic] >= seen + count)
-
-    def decoded(self, topic: str) -> Any:
-        """Return the latest message, decoded by the ROS 2 decoder of MCAP."""
-        schema = Schema(1, definition(LIVE_TOPICS[topic]).encode(), "ros2msg", LIVE_TOPICS[topic])
-        decode = DecoderFactory().decoder_for("cdr", schema)
-        assert decode is not None
-        return decode(self.latest[topic])
-
-    def __enter__(self) -> FastDds:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.process.kill()
-        self._thread.join()
-        self.process.communicate()
-
-
-def dds_words(message_type: str) -> tuple[str, ...]:
-    package, kind, name = message_type.split("/")
-    return package, kind, "dds_", f"{name}_"
 
 
 @contextmanager

@@ -1,0 +1,101 @@
+"""A subscriber of Fast DDS, ROS 2's default middleware, in a process of its own; see fast_dds_subscriber.cpp."""
+
+from __future__ import annotations
+
+import shutil
+import struct
+import subprocess
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from mcap.records import Schema
+from mcap_ros2.decoder import DecoderFactory
+
+from tactune.core.output.messages import definition
+from tactune.core.output.publisher import LIVE_TOPICS
+
+WAIT_S = 60
+HOW_TO_BUILD = "apt-get install libfastrtps-dev g++ (Debian 12, Ubuntu 22.04 and 24.04)"
+
+_SOURCE = Path(__file__).with_name("fast_dds_subscriber.cpp")
+
+
+def can_build() -> bool:
+    """Return whether compiler and headers of Fast DDS 2 are installed."""
+    return Path("/usr/include/fastrtps").exists() and shutil.which("g++") is not None
+
+
+def build(folder: Path) -> Path:
+    """Compile the subscriber, in about 4 s, and return the program."""
+    program = folder / "fast_dds_subscriber"
+    subprocess.run(["g++", "-std=c++17", "-o", program, _SOURCE, "-lfastrtps"], check=True)
+    return program
+
+
+class FastDds:
+    """A subscriber of Fast DDS in a process of its own; ``topics`` are ROS 2 names with their kinds of subscription."""
+
+    def __init__(
+        self,
+        program: Path,
+        domain: int,
+        topics: Mapping[str, str],
+        namespace: str = "",
+        on_message: Callable[[str, bytes], None] = lambda topic, data: None,
+    ) -> None:
+        self.topics, self._on_message = list(topics), on_message
+        words = [
+            word
+            for topic, qos in topics.items()
+            for word in (f"rt{namespace}{topic}", _dds_name(LIVE_TOPICS[topic]), qos)
+        ]
+        self.process = subprocess.Popen(
+            [program, str(domain), *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=1 << 20
+        )
+        self.counts = dict.fromkeys(self.topics, 0)
+        self.latest: dict[str, bytes] = {}
+        self._arrived = threading.Condition()
+        self._thread = threading.Thread(target=self._read)
+        self._thread.start()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        while len(head := self.process.stdout.read(8)) == 8:
+            number, length = struct.unpack("<II", head)
+            data, topic = self.process.stdout.read(length), self.topics[number]
+            self._on_message(topic, data)
+            with self._arrived:
+                self.latest[topic] = data
+                self.counts[topic] += 1
+                self._arrived.notify_all()
+
+    def wait_for(self, is_done: Callable[[], bool]) -> None:
+        with self._arrived:
+            assert self._arrived.wait_for(is_done, WAIT_S), self.counts
+
+    def wait_for_more(self, topic: str, count: int = 3) -> None:
+        """Wait for further messages of a topic."""
+        seen = self.counts[topic]
+        self.wait_for(lambda: self.counts[topic] >= seen + count)
+
+    def decoded(self, topic: str) -> Any:
+        """Return the latest message, decoded by the ROS 2 decoder of MCAP."""
+        schema = Schema(1, definition(LIVE_TOPICS[topic]).encode(), "ros2msg", LIVE_TOPICS[topic])
+        decode = DecoderFactory().decoder_for("cdr", schema)
+        assert decode is not None
+        return decode(self.latest[topic])
+
+    def __enter__(self) -> FastDds:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.process.kill()
+        self._thread.join()
+        self.process.communicate()
+
+
+def _dds_name(message_type: str) -> str:
+    package, kind, name = message_type.split("/")
+    return f"{package}::{kind}::dds_::{name}_"

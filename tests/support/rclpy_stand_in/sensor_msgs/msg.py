@@ -1,0 +1,5 @@
+"""Stand-in for ROS 2's package; see rclpy beside it."""
+
+from ros_types import PointCloud2
+
+__all__ = ["PointCloud2"]
