@@ -88,6 +88,16 @@ class Estimate(StrEnum):
     TILT_PCA = "tilt-pca"
 
 
+EstimateOption = Annotated[
+    Estimate | None,
+    typer.Option(
+        "--estimate",
+        help="Add roll, pitch and long axis of each patch with their standard deviations: from each frame by the "
+        "measured noise, filtered over time, or by principal components.",
+    ),
+]
+
+
 @dataclass(frozen=True)
 class RunOptions:
     """Options of ``tactune run``; see its help."""
@@ -154,14 +164,7 @@ def run(
             help="Look once in ten seconds whether a camera moved, the pressure changed or a lens is dirty, and warn.",
         ),
     ] = False,
-    estimate: Annotated[
-        Estimate | None,
-        typer.Option(
-            "--estimate",
-            help="Add roll, pitch and long axis of each patch with their standard deviations: from each frame by the "
-            "measured noise, filtered over time, or by principal components.",
-        ),
-    ] = None,
+    estimate: EstimateOption = None,
 ) -> None:
     """Compute contact patches without a window."""
     if out is None and not json_lines and not truth and not watch and estimate is None:

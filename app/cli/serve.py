@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Annotated
@@ -22,14 +23,35 @@ from .common import (
     warn,
     warn_of_lost_frames,
 )
+from .run import EstimateOption, make_tilt
+from .track import UnitOption, read_mesh
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from ...core.contact.pipeline import ContactPatch
+    from ...core.model.frames import Rig, SensorFrame
     from ...core.output.connections import Connections
     from ...core.output.parameters import PresetParameters
-    from ...core.output.publisher import Publisher
+    from ...core.output.publisher import Estimates, Publisher
+    from ...core.preset import Preset
     from ...core.sources import FrameSource
+    from .run import Estimate
 
 _LAYOUT_HELP = "Write the layout for the Foxglove app (Import from file) and end, unless --foxglove or --ros2 is given."
+
+
+@dataclass(frozen=True)
+class ServeOptions:
+    """Options of ``tactune serve``; see its help."""
+
+    source: str
+    preset: str
+    frames: int | None
+    connections: Connections
+    estimate: Estimate | None = None
+    mesh: Path | None = None
+    unit: str | None = None
 
 
 def serve(
@@ -50,6 +72,11 @@ def serve(
         int, typer.Option(min=0, max=232, metavar="N", envvar="ROS_DOMAIN_ID", help="ROS 2 domain id.")
     ] = 0,
     namespace: Annotated[str, typer.Option(metavar="NAME", help="ROS 2 namespace of the topics.")] = "tactune",
+    estimate: EstimateOption = None,
+    mesh: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Track this object (.obj, .ply, .stl) and publish its pose.")
+    ] = None,
+    unit: UnitOption = None,
     layout: Annotated[Path | None, typer.Option("--layout", metavar="FILE", help=_LAYOUT_HELP)] = None,
 ) -> None:
     """Publish contact patches live for Foxglove and ROS 2; a recording is repeated at its own rate."""
@@ -62,10 +89,11 @@ def serve(
     if not foxglove and not ros2:
         raise typer.BadParameter("give --foxglove or --ros2; nothing is published unless it is asked for")
     preset = preset or default_preset(source)
-    serve_frames(source, preset, frames, Connections(foxglove, ros2, host, port, domain, namespace))
+    connections = Connections(foxglove, ros2, host, port, domain, namespace)
+    serve_frames(ServeOptions(source, preset, frames, connections, estimate, mesh, unit))
 
 
-def serve_frames(name: str, preset_name: str, frames: int | None, connections: Connections) -> None:
+def serve_frames(options: ServeOptions) -> None:
     """Publish frames until Ctrl+C or SIGTERM, or until the number of frames is reached."""
     from ...core.contact.pipeline import ContactPipeline
     from ...core.contact.warmup import warm_up_if_needed
@@ -75,24 +103,30 @@ def serve_frames(name: str, preset_name: str, frames: int | None, connections: C
     from ...core.sources.capture.live import LiveLoop
     from ...core.sources.presets import load_preset
 
-    preset = load_preset(preset_name)
-    with open_with_progress(name, preset.cameras) as opened:
+    preset = load_preset(options.preset)
+    with open_with_progress(options.source, preset.cameras) as opened:
         source = opened if opened.length is None else LiveLoop(opened)
+        estimated = _estimator(options, preset, source.rig)
         with CliProgress() as progress:
             warm_up_if_needed(progress.preparing, preset)
         for sentence in check_rig(preset, source.rig):
             warn(sentence)
         parameters = PresetParameters(preset, check=lambda changed: ContactPipeline(changed, source.rig))
-        with stop_on_signals() as stopped, Publisher(connections.make_sinks(parameters)) as publisher:
+        with stop_on_signals() as stopped, Publisher(options.connections.make_sinks(parameters)) as publisher:
             for output in publisher.status():
                 typer.echo(f"{output.sink.name}: {output.sink.place}")
-            count = _publish(source, parameters, publisher, frames, stopped)
+            count = _publish(source, parameters, publisher, estimated, options.frames, stopped)
         typer.echo(f"published {counted(count, 'frame')} of {source.name}")
         warn_of_lost_frames(source, 0)
 
 
 def _publish(
-    source: FrameSource, parameters: PresetParameters, publisher: Publisher, frames: int | None, stopped: Event
+    source: FrameSource,
+    parameters: PresetParameters,
+    publisher: Publisher,
+    estimated: Callable[[ContactPatch, SensorFrame], Estimates],
+    frames: int | None,
+    stopped: Event,
 ) -> int:
     """Process and publish frames; return their number."""
     from ...core.contact.pipeline import ContactPipeline
@@ -108,9 +142,31 @@ def _publish(
         preset = parameters.preset
         if preset is not pipeline.preset:
             pipeline.update(preset)
-        publisher.put(frame, pipeline.process(frame), preset)
+        patch = pipeline.process(frame)
+        publisher.put(frame, patch, preset, estimated(patch, frame))
         count += 1
     return count
+
+
+def _estimator(options: ServeOptions, preset: Preset, rig: Rig) -> Callable[[ContactPatch, SensorFrame], Estimates]:
+    """Return the function that makes the estimates asked for from each patch, in the order of the frames."""
+    from ...core.model.patch import Lazy
+    from ...core.output.publisher import Estimates
+
+    tilt, tracker = make_tilt(options.estimate, preset, rig), None
+    if options.mesh is not None:
+        from ...core.estimation.pose import PoseTracker
+
+        tracker = PoseTracker(read_mesh(options.mesh, options.unit), preset, rig)
+
+    def estimated(patch: ContactPatch, frame: SensorFrame) -> Estimates:
+        record = None if tilt is None else Lazy(tilt(patch, frame).record)
+        pose = None if tracker is None else tracker.track(patch, frame.proximity_time_s)
+        if pose is None or pose.lost:
+            return Estimates(record)
+        return Estimates(record, pose.T_proximity_object, pose.covariance)
+
+    return estimated
 
 
 def _write_layout(path: Path) -> None:

@@ -56,6 +56,9 @@ class MeshUnit(StrEnum):
     IN = "in"
 
 
+UnitOption = Annotated[MeshUnit | None, typer.Option(help="Unit of the mesh; default: m or mm, told by its size.")]
+
+
 def track(
     *,
     source: SourceOption = SOURCE,
@@ -63,7 +66,7 @@ def track(
         Path | None,
         typer.Option(metavar="FILE", help="The object: .obj, .ply or .stl; default for sim: its own object."),
     ] = None,
-    unit: Annotated[MeshUnit | None, typer.Option(help="Unit of the mesh; default: m or mm, told by its size.")] = None,
+    unit: UnitOption = None,
     start: Annotated[
         Path | None,
         typer.Option(
@@ -129,13 +132,20 @@ def track(
 
 
 def _mesh(path: Path | None, unit: str | None, source: FrameSource) -> ObjectMesh:
-    from ...core.estimation.object_mesh import load_mesh, simulated_mesh
+    from ...core.estimation.object_mesh import simulated_mesh
     from ...core.sources.simulator.source import SimulatorSource
 
     if path is None:
         if not isinstance(source, SimulatorSource):
             raise typer.BadParameter("give --mesh FILE; only the simulator knows its own object")
         return simulated_mesh(source)
+    return read_mesh(path, unit)
+
+
+def read_mesh(path: Path, unit: str | None) -> ObjectMesh:
+    """Read the mesh of an object, and say which unit was assumed where none is given."""
+    from ...core.estimation.object_mesh import load_mesh
+
     mesh = load_mesh(path, unit)
     if unit is None:
         warn(f"{mesh.assumed}; say --unit if that is wrong")

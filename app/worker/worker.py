@@ -27,6 +27,7 @@ from .errors import explain, guarded
 from .examination import Examination
 from .playback import Playback
 from .processing import FrameProcessor
+from .publishing import publish
 from .reading import PATIENCE_S, FrameReader, LiveReader, SourceRequest, open_requested
 from .recorder import Recorder, RecordingRequest
 from .results import Result, SourceInfo, SourceState, Wanted
@@ -442,9 +443,8 @@ class Worker(QThread):
             self.recovered.emit()
         if self._mailbox.put(result):
             self.resultReady.emit()
-        publisher = self._publisher
-        if publisher is not None and result.patch is not None:
-            publisher.put(frame, result.patch, result.preset)
+        if (publisher := self._publisher) is not None:
+            publish(publisher, result)
         self._compiler.start()  # after the first picture, which compiles, too
         self._examination.note(result, self._untouched_home)
 

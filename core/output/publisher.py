@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -23,7 +23,8 @@ from ..contact.pipeline import ContactPatch
 from ..errors import RigMismatchError
 from ..model.arrays import Float64Array
 from ..model.clouds import deproject_image
-from ..model.frames import Matrix4, SensorFrame
+from ..model.frames import SensorFrame
+from ..model.patch import Lazy
 from ..model.rig_file import json_text, rig_to_json
 from ..preset import Preset
 from ..sources.mcap.messages import (
@@ -141,16 +142,16 @@ class Estimates:
 
     Attributes
     ----------
-    tilt : mapping of str to float or None, optional
-        As `tactune.core.estimation.tilt.Tilt.record` returns it.
-    pose : 4 x 4, optional
+    tilt : Lazy of a dict, optional
+        As `tactune.core.estimation.tilt.Tilt.record` returns it; computed if somebody listens to it.
+    pose : float64, shape (4, 4), optional
         ``T_proximity_object`` of a tracked object that is not lost.
     covariance : float64, shape (6, 6), optional
         Of that pose, as in `tactune.core.estimation.pose.PoseEstimate`.
     """
 
-    tilt: Mapping[str, float | None] | None = None
-    pose: Matrix4 | None = None
+    tilt: Lazy[dict[str, Any]] | None = None
+    pose: Float64Array | None = None
     covariance: Float64Array | None = None
 
 
@@ -256,9 +257,9 @@ class FrameMessages:
         return b"".join((messages.stamped(stream.head, stamp_ns), pixels.data))
 
     def _build_tilt(self, of: str) -> bytes | None:
-        tilt = self._estimates.tilt
-        if tilt is None:
+        if self._estimates.tilt is None:
             return None
+        tilt = self._estimates.tilt.get()
         angles = [tilt[f"{angle}{of}_rad"] for angle in ("roll", "pitch", "axis")]
         x, y, z = (math.nan if angle is None else angle for angle in angles)
         return messages.vector(x, y, z, self.stamp_ns)
@@ -267,11 +268,11 @@ class FrameMessages:
         pose, covariance = self._estimates.pose, self._estimates.covariance
         if pose is None or covariance is None:
             return None
-        return messages.pose_with_covariance(np.array(pose), covariance, self.stamp_ns)
+        return messages.pose_with_covariance(pose, covariance, self.stamp_ns)
 
     def _build_transforms(self) -> bytes | None:
         pose = self._estimates.pose
-        return None if pose is None else messages.transforms({OBJECT_FRAME: np.array(pose)}, self.stamp_ns)
+        return None if pose is None else messages.transforms({OBJECT_FRAME: pose}, self.stamp_ns)
 
     def _build_static_transforms(self) -> bytes:
         calibrated = None

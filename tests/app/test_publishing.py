@@ -13,6 +13,7 @@ from PyQt6.QtWidgets import QMenu
 from foxglove_client import FoxgloveClient
 from hands import CONTROL, CONTROL_SHIFT, LEFT, show_source, type_into
 from sockets import listening
+from tactune.core.estimation.tilt import TiltEstimator
 from tiny_sensor import TinySource
 
 
@@ -57,15 +58,18 @@ def test_nothing_listens_until_it_is_started_and_after_it_was_stopped(publishing
 def test_clients_get_what_the_window_shows_and_are_counted(publishing, window, qtbot, port):
     switch_on(publishing, qtbot, port)
     with FoxgloveClient(port) as client:
-        client.subscribe(["/contact/patch"])
+        client.subscribe(["/contact/patch", "/contact/tilt"])
         qtbot.waitUntil(lambda: "1 client," in publishing.state.text())
         assert window.status.publishing.text() == "Publishing, 1 client"
         window.worker.seek(5)
-        _, _, cloud = next(client.messages())
+        seen = next(client.frames(["/contact/patch", "/contact/tilt"]))
+        cloud, tilt = seen["/contact/patch"], seen["/contact/tilt"].vector
         qtbot.waitUntil(lambda: window.result.playback.index == 5)
         points = np.frombuffer(bytes(cloud.data), "<f4").reshape(-1, 3)
         assert np.array_equal(points, window.result.patch.points)
         assert len(points)
+        patch = window.result.patch
+        assert tilt.x == TiltEstimator(window.document.preset, patch.rig).estimate(patch).roll_rad
     qtbot.waitUntil(lambda: "0 clients" in publishing.state.text())
 
 

@@ -22,10 +22,13 @@ from commands import Finished
 from foxglove_client import WAIT_S, FoxgloveClient
 from sockets import listening
 from tactune.core import ContactPatch, ContactPipeline, load_preset, open_source
+from tactune.core.estimation.object_mesh import simulated_mesh
+from tactune.core.estimation.tilt import TiltEstimator
 from tactune.core.model.clouds import deproject_image
 from tactune.core.model.frames import SensorFrame
 from tactune.core.output.publisher import LIVE_TOPICS
 from tactune.core.preset import Preset
+from tactune.core.sources.simulator.source import SimulatorSource
 
 TACTUNE = Path(sys.executable).with_name("tactune")
 #: Topics that every frame of the simulator has.
@@ -95,6 +98,28 @@ def test_a_client_that_comes_late_gets_the_static_transforms(server: tuple[subpr
             client.subscribe(["/tf_static", "/tactune/rig"])
             seen = next(client.frames(["/tf_static", "/tactune/rig"]))
             assert "tactile_depth_optical_frame" in [one.child_frame_id for one in seen["/tf_static"].transforms]
+
+
+def test_tilt_and_pose_are_published_where_asked(tmp_path: Path) -> None:
+    mesh = tmp_path / "cup.obj"
+    with open_source("sim:cup") as source:
+        assert isinstance(source, SimulatorSource)
+        cup = simulated_mesh(source)
+    lines = [f"v {x} {y} {z}" for x, y, z in cup.vertices_m]
+    mesh.write_text("\n".join(lines + [f"f {a} {b} {c}" for a, b, c in cup.triangles + 1]))
+    topics = ["/contact/tilt", "/object/pose", "/tf", "/contact/patch", "/tactune/frame"]
+    asked = ("--estimate", "tilt", "--mesh", str(mesh), "--unit", "m")
+    with serving("--port", "0", *asked) as (_, port), FoxgloveClient(port) as client:
+        client.subscribe(topics)
+        seen = next(client.frames(topics))
+    frame, patch = find(number_of(seen), load_preset("simulator"))
+    tilt = TiltEstimator(load_preset("simulator"), patch.rig).estimate(patch)
+    assert (seen["/contact/tilt"].vector.x, seen["/contact/tilt"].vector.y) == (tilt.roll_rad, tilt.pitch_rad)
+    assert frame.truth is not None
+    truth = np.array(frame.truth.T_proximity_object)
+    position = seen["/object/pose"].pose.pose.position
+    assert np.linalg.norm(np.array([position.x, position.y, position.z]) - truth[:3, 3]) < 0.03
+    assert seen["/tf"].transforms[0].transform.translation.x == position.x
 
 
 def test_time_stamps_are_those_of_now(server: tuple[subprocess.Popen[str], int]) -> None:

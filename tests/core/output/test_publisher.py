@@ -16,7 +16,7 @@ from tactune.core.errors import PublishError
 from tactune.core.estimation.tilt import Tilt
 from tactune.core.model.clouds import deproject
 from tactune.core.model.frames import SensorFrame
-from tactune.core.model.patch import ContactPatch
+from tactune.core.model.patch import ContactPatch, Lazy
 from tactune.core.output.messages import definition
 from tactune.core.output.publisher import LIVE_TOPICS, Estimates, FrameMessages, LiveMessage, Publisher, SinkStatus
 from tactune.core.preset import Preset
@@ -58,7 +58,7 @@ def processed() -> tuple[SensorFrame, ContactPatch, Preset]:
 def test_every_topic_arrives_bit_for_bit(processed: tuple[SensorFrame, ContactPatch, Preset]) -> None:
     frame, patch, preset = processed
     covariance = np.arange(36, dtype=np.float64).reshape(6, 6)
-    built = FrameMessages(frame, patch, preset, 5 * 10**9, Estimates(TILT.record(), TURN, covariance))
+    built = FrameMessages(frame, patch, preset, 5 * 10**9, Estimates(Lazy(TILT.record), np.array(TURN), covariance))
     seen = {topic: decoded(message) for topic in LIVE_TOPICS if (message := built.get(topic)) is not None}
     assert seen.keys() == LIVE_TOPICS.keys()
 
