@@ -222,7 +222,7 @@ def _lifted(source: Any, estimates: list[PoseEstimate], truths: list[Array], mes
                 ),
                 None,
             )
-            words.append(f"  handle back at {n}: pose back after {'-' if back is None else back - n} frames")
+            words.append(f"  handle back at {n}: pose back after {'-' if back is None else back} frames")
     return "\n".join(words)
 
 

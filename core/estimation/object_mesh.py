@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,12 +24,12 @@ SUFFIXES: Final = (".obj", ".ply", ".stl")
 _SMALLEST_M, _LARGEST_M = 0.01, 2.0
 #: Side of the quads of a simulated object's mesh, metres.
 _SIMULATED_SIDE_M: Final = 0.0015
-#: Triangles that the symmetry axis is fitted to.
-_AXIS_TRIANGLES: Final = 4000
+#: Points of the surface that tell its size, its axis of symmetry and its symmetries.
+_SAMPLE: Final = 4000
 #: A surface is round about an axis if this share of it, by area, lies within this share of its size.
 _ROUND_SHARE, _ROUND_ERROR = 0.6, 0.02
-#: Points that symmetries are tried with, and the largest difference of entries of equal motions.
-_SYMMETRY_POINTS, _SAME_MOTION = 2000, 0.05
+#: Largest difference of the entries of equal motions.
+_SAME_MOTION: Final = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +72,17 @@ class ObjectMesh:
         return f"{self.name} was read in {self.unit}: {sides} mm"
 
     @cached_property
+    def _sample(self) -> tuple[Float64Array, Float64Array]:
+        """Points spread evenly over the surface, and the unit normals there."""
+        random, areas = np.random.default_rng(0), triangle_areas(self.vertices_m, self.triangles)
+        chosen = random.choice(len(areas), _SAMPLE, p=areas / areas.sum())
+        a, b, c = (self.vertices_m[self.triangles[chosen, k]] for k in range(3))
+        s, t = random.random((2, _SAMPLE, 1))
+        s, t = np.where(s + t > 1, 1 - s, s), np.where(s + t > 1, 1 - t, t)
+        normals = np.cross(b - a, c - a)
+        return a + s * (b - a) + t * (c - a), normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+    @cached_property
     def centre_m(self) -> Float64Array:
         """Centre of the surface, metres, float64 (3,)."""
         corners, areas = self.vertices_m[self.triangles], triangle_areas(self.vertices_m, self.triangles)
@@ -79,9 +91,7 @@ class ObjectMesh:
     @cached_property
     def radius_m(self) -> float:
         """RMS distance of the surface from its centre, metres: the lever that turns angles into distances."""
-        corners, areas = self.vertices_m[self.triangles], triangle_areas(self.vertices_m, self.triangles)
-        away = ((corners.mean(axis=1) - self.centre_m) ** 2).sum(axis=1)
-        return math.sqrt(float(np.average(away, weights=areas)))
+        return math.sqrt(float(((self._sample[0] - self.centre_m) ** 2).sum(axis=1).mean()))
 
     @cached_property
     def scene(self) -> Any:
@@ -104,12 +114,8 @@ class ObjectMesh:
         J J^T with J = (p x n, n), as in Gelfand and Guibas, "Shape segmentation using local slippage analysis"
         (2004). It is fitted again with what does not follow it weighted down.
         """
-        areas = triangle_areas(self.vertices_m, self.triangles)
-        chosen = np.random.default_rng(0).choice(len(areas), _AXIS_TRIANGLES, p=areas / areas.sum())
-        a, b, c = (self.vertices_m[self.triangles[chosen, k]] for k in range(3))
-        normals = np.cross(b - a, c - a)
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        places = ((a + b + c) / 3 - self.centre_m) / self.radius_m
+        places, normals = self._sample
+        places = (places - self.centre_m) / self.radius_m
         rows = np.concatenate([np.cross(places, normals), normals], axis=1)
         best: Axis | None = None
         best_share = _ROUND_SHARE
@@ -137,9 +143,8 @@ class ObjectMesh:
         of a round object are endless and not among them.
         """
         corners, areas = self.vertices_m[self.triangles], triangle_areas(self.vertices_m, self.triangles)
-        places = corners.mean(axis=1) - self.centre_m
-        principal = np.linalg.eigh((places * areas[:, None]).T @ places)[1]
-        places = places[np.random.default_rng(0).choice(len(areas), _SYMMETRY_POINTS, p=areas / areas.sum())]
+        away = corners.mean(axis=1) - self.centre_m
+        principal, places = np.linalg.eigh((away * areas[:, None]).T @ away)[1], self._sample[0] - self.centre_m
         found = [np.eye(4)]
         for axes in (np.eye(3), principal * np.sign(np.linalg.det(principal))):
             for turn in Rotation.create_group("O").as_matrix():
@@ -209,7 +214,9 @@ def simulated_mesh(source: SimulatorSource) -> ObjectMesh:
 def import_open3d() -> Any:
     """Import Open3D, or raise `MissingExtraError`."""
     try:
-        import open3d
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ImportWarning)  # a build with CUDA on a computer without
+            import open3d
     except (ImportError, OSError) as error:  # OSError: a system library is missing
         raise MissingExtraError(
             f'tracking an object needs Open3D, which cannot be imported ({error}): pip install "tactune[open3d]"'

@@ -1,0 +1,58 @@
+"""Meshes of objects from files: formats, units and refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from tactune.core.errors import SourceError
+from tactune.core.estimation.object_mesh import load_mesh
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".ply", ".stl"])
+@pytest.mark.parametrize(("scale", "unit"), [(1.0, "m"), (1000.0, "mm")])
+def test_unit_is_told_by_the_size(tmp_path, suffix, scale, unit):
+    cup = trimesh.creation.cylinder(0.04 * scale, 0.095 * scale)
+    cup.export(tmp_path / f"cup{suffix}")
+    mesh = load_mesh(tmp_path / f"cup{suffix}")
+    assert mesh.unit == unit
+    assert mesh.size_m == pytest.approx([0.08, 0.08, 0.095], rel=0.01)
+    assert len(mesh.vertices_m) == len(cup.vertices), "corners that triangles of an STL repeat are merged"
+    assert f"read in {unit}: 80 x 80 x 95 mm" in mesh.assumed
+
+
+def test_given_unit_wins(tmp_path):
+    trimesh.creation.box((4, 4, 4)).export(tmp_path / "box.stl")
+    assert load_mesh(tmp_path / "box.stl", "cm").size_m == pytest.approx([0.04] * 3)
+
+
+def test_mesh_inside_out_is_turned(tmp_path):
+    box = trimesh.creation.box((0.1, 0.1, 0.1))
+    box.invert()
+    box.export(tmp_path / "box.ply")
+    mesh = load_mesh(tmp_path / "box.ply")
+    places, normals = mesh.closest(np.array([[0.0, 0.0, 0.1]]))
+    assert normals[0] == pytest.approx([0, 0, 1], abs=1e-6)
+    assert places[0] == pytest.approx([0, 0, 0.05], abs=1e-6)
+
+
+def test_unusable_files_are_refused_in_one_sentence(tmp_path):
+    trimesh.creation.box((3, 3, 3)).export(tmp_path / "nothing.stl")
+    trimesh.PointCloud(np.eye(3)).export(tmp_path / "points.ply")
+    (tmp_path / "text.obj").write_text("this is no mesh\n")
+    (tmp_path / "torn.stl").write_bytes(b"solid \x00\x01" * 5)
+    (tmp_path / "mesh.step").write_text("ISO-10303-21;")
+    for name, words in {
+        "nothing.stl": "no object of 10 mm to 2 m",
+        "points.ply": "points.ply",
+        "text.obj": "text.obj",
+        "torn.stl": "torn.stl",
+        "mesh.step": "a mesh is one of .obj, .ply, .stl",
+        "absent.ply": "cannot read",
+    }.items():
+        with pytest.raises(SourceError, match=words) as refused:
+            load_mesh(tmp_path / name)
+        assert "\n" not in str(refused.value)
+    with pytest.raises(SourceError, match="no unit 'yd'"):
+        load_mesh(tmp_path / "nothing.stl", "yd")

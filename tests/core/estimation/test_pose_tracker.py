@@ -1,0 +1,253 @@
+"""The pose of a known object, from patches of shapes whose free directions are known, and in simulated scenes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from tactune.core import ContactPipeline, load_preset
+from tactune.core.errors import CalibrationError
+from tactune.core.estimation.object_mesh import ObjectMesh, simulated_mesh
+from tactune.core.estimation.pose import PoseTracker, pose_error
+from tactune.core.estimation.pose_fit import patch_points
+from tactune.core.evaluation.scan.pose import pose_from_pairs
+from tactune.core.model.clouds import ray_table
+from tactune.core.model.patch import AlignedDepth, ContactPatch
+from tactune.core.preset import CameraNoise, RigNoise, now
+from tactune.core.sources.simulator.scene import simulator_rig
+from tactune.core.sources.simulator.scenes import Variant
+from tactune.core.sources.simulator.source import SimulatorSource
+
+RIG = simulator_rig()
+PRESET = load_preset("simulator")
+WHITE_M = 0.004
+#: Directions that a patch of each shape leaves free.
+FREE = {
+    "cylinder": {"sliding along its axis", "turning about its axis"},
+    "cube": {"sliding along its x axis", "sliding along its y axis", "turning about its z axis"},
+    "sphere": {"turning about its x axis", "turning about its y axis", "turning about its z axis"},
+    "wedge": {"sliding along its y axis"},
+}
+
+
+def pose_of(turns_deg=(0.0, 0.0, 0.0), place_m=(0.0, 0.0, 0.33)):
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = Rotation.from_euler("xyz", turns_deg, degrees=True).as_matrix(), place_m
+    return pose
+
+
+def mesh_of(shape):
+    made = {
+        "cylinder": lambda: trimesh.creation.cylinder(0.03, 0.12, sections=180),
+        "cube": lambda: trimesh.creation.box((0.06, 0.06, 0.06)),
+        "sphere": lambda: trimesh.creation.icosphere(5, 0.035),
+        "wedge": lambda: trimesh.creation.box((0.06, 0.2, 0.06)),
+        "egg": lambda: trimesh.creation.icosphere(5, 0.02).apply_scale((2.2, 1.4, 1.0)),
+        "bolt": lambda: trimesh.util.concatenate(
+            [trimesh.creation.icosphere(4, 0.02), trimesh.creation.box((0.07, 0.03, 0.01))]
+        ),
+    }[shape]()
+    return ObjectMesh(np.array(made.vertices), np.array(made.faces, np.int32), shape)
+
+
+def pressed(mesh, pose, deep_m=0.006, half_m=0.02, noise_m=0.0, sequence=0, seed=0):
+    """Return the patch of what of a mesh is nearest to the camera, at most ``half_m`` from the centre of the patch."""
+    rays = ray_table(RIG.proximity.intrinsics).reshape(-1, 2)
+    rays = np.column_stack([rays, np.ones(len(rays))])
+    depth, hit = mesh.hits(-pose[:3, 3] @ pose[:3, :3], rays @ pose[:3, :3])
+    points = rays[hit] * depth[hit, None]
+    near = (points[:, 2] < points[:, 2].min() + deep_m) & (np.abs(points - pose[:3, 3])[:, :2] < half_m).all(axis=1)
+    points = points[near] * (1 + np.random.default_rng(seed).normal(0, noise_m, (near.sum(), 1)) / points[near, 2:])
+    nowhere = AlignedDepth(*(np.full(RIG.proximity.intrinsics.shape, np.nan, np.float32) for _ in range(2)))
+    return ContactPatch(sequence, points.astype(np.float32), np.zeros((480, 640), np.uint8), nowhere, RIG, {})
+
+
+def with_white_noise(noise_m):
+    camera = {"white_m": noise_m, "correlated_m": 0, "length_px": 0, "changing_share": 1, "distance_m": 0.3}
+    far = CameraNoise(**{**camera, "white_m": 1.0})
+    return PRESET.model_copy(
+        update={"noise": RigNoise(proximity=CameraNoise(**camera), tactile=far, measured=now(), frames=10)}
+    )
+
+
+@pytest.mark.parametrize("shape", FREE)
+def test_directions_that_a_shape_leaves_free_have_names_and_are_held(shape):
+    mesh = mesh_of(shape)
+    true = pose_of({"cylinder": (90, 0, 0), "wedge": (0, 45, 0)}.get(shape, (0, 0, 0)))
+    tracker = PoseTracker(mesh, PRESET, RIG)
+    start = true @ pose_of((0, 0, 0), (0.001, 0.0012, -0.001))
+    tracker.start(start)
+    found = tracker.track(pressed(mesh, true, deep_m=0.015), 0.0)
+    assert {direction.name for direction in found.free} == FREE[shape]
+    assert not found.lost
+    assert pose_error(found, true, mesh).position_m < 1e-4, "the determined directions are solved"
+    for direction in found.free:
+        if direction.kind == "slide":
+            along = np.array(direction.axis) @ (found.T_proximity_object[:3, 3] - start[:3, 3])
+            assert abs(along) < 2e-4, "a free slide stays where it was predicted"
+    sigmas = np.sqrt(np.linalg.eigvalsh(found.covariance))
+    assert sigmas[-1] > 0.02, "what is free is not certain"
+
+
+def test_prediction_moves_a_free_direction_on():
+    mesh = mesh_of("cylinder")
+    tracker = PoseTracker(mesh, PRESET, RIG)
+    tracker.start(pose_of((90, 0, 0)))
+    xs = []
+    for n in range(12):
+        found = tracker.track(pressed(mesh, pose_of((90, 0, 0), (0.002 * n, 0, 0.33))), n / 30)
+        xs.append(found.T_proximity_object[0, 3])
+        assert np.abs(found.T_proximity_object[1, 3]) < 1e-3, "along the free axis it does not drift"
+    assert np.allclose(xs, 0.002 * np.arange(12), atol=2e-4)
+
+
+def test_fit_agrees_with_least_squares_on_the_distance_to_the_mesh():
+    mesh, true = mesh_of("bolt"), pose_of((20, 15, 40))
+    patch = pressed(mesh, true, deep_m=0.03, half_m=0.05, noise_m=0.0004)
+    tracker = PoseTracker(mesh, with_white_noise(0.0004), RIG)
+    tracker.start(true @ pose_of((2, -1, 2), (0.001, 0.001, 0.001)))
+    found = tracker.track(patch, 0.0).T_proximity_object
+    tiles = patch_points(patch.points, RIG, 1.0)
+
+    def distances(motion):
+        turn = Rotation.from_rotvec(motion[3:]).as_matrix()
+        own = (tiles.points - motion[:3] - true[:3, 3]) @ (turn @ true[:3, :3])
+        return np.sqrt(tiles.weights) * mesh.scene.compute_distance(own.astype(np.float32)).numpy()
+
+    best = least_squares(distances, np.zeros(6), x_scale=[0.01] * 3 + [0.1] * 3, diff_step=1e-3).x
+    assert np.abs(found[:3, 3] - true[:3, 3] - best[:3]).max() < 4e-4
+    turn = Rotation.from_matrix(found[:3, :3] @ true[:3, :3].T).as_rotvec()
+    assert np.degrees(np.abs(turn - best[3:]).max()) < 1.0
+
+
+def test_covariance_covers_the_errors_of_noise():
+    mesh, true = mesh_of("egg"), pose_of((20, 15, 40))
+    preset, sizes = with_white_noise(WHITE_M), []
+    for seed in range(25):
+        tracker = PoseTracker(mesh, preset, RIG)
+        tracker.start(true)
+        found = tracker.track(pressed(mesh, true, 0.02, 0.05, WHITE_M, seed=seed), 0.0)
+        assert not found.free
+        pose = found.T_proximity_object
+        turn = Rotation.from_matrix(pose[:3, :3] @ true[:3, :3].T).as_rotvec()
+        values, vectors = np.linalg.eigh(found.covariance)
+        sizes.append(np.abs(vectors.T @ np.concatenate([pose[:3, 3] - true[:3, 3], turn])) / np.sqrt(values))
+    assert 0.55 < np.mean(np.array(sizes) < 1) < 0.85
+    assert np.mean(np.array(sizes) < 2) > 0.9
+
+
+def test_axis_of_a_cup_is_found_despite_its_handle():
+    mesh = simulated_mesh(SimulatorSource("cup"))
+    axis = mesh.round_axis
+    assert abs(axis.direction[1]) > 0.999
+    assert np.hypot(axis.point_m[0], axis.point_m[2]) < 0.001
+    assert mesh_of("cube").round_axis is None
+
+
+def test_a_free_turn_counts_only_in_the_full_error():
+    mesh, true = mesh_of("cylinder"), pose_of((90, 0, 0))
+    tracker = PoseTracker(mesh, PRESET, RIG)
+    tracker.start(true)
+    found = tracker.track(pressed(mesh, true), 0.0)
+    error = pose_error(found, true @ pose_of((0, 0, 30), (0, 0, 0.004)), mesh)
+    assert error.position_m < 1e-4
+    assert error.angle_rad < np.radians(0.2)
+    assert error.full_position_m == pytest.approx(0.004, abs=1e-4)
+    assert np.degrees(error.full_angle_rad) == pytest.approx(30, abs=0.2)
+
+
+def frames_of(source, pipeline, numbers):
+    for number in numbers:
+        frame = source.read(number)
+        yield frame, pipeline.process(frame)
+
+
+def test_press_is_tracked_from_a_search_and_lost_without_contact():
+    source = SimulatorSource("cup")
+    pipeline, mesh = ContactPipeline(PRESET, source.rig), simulated_mesh(source)
+    tracker, errors = PoseTracker(mesh, PRESET, source.rig), []
+    for frame, patch in frames_of(source, pipeline, [*range(30, 60, 3), *range(60, source.length, 2)]):
+        found = tracker.track(patch, frame.proximity_time_s)
+        touches = np.count_nonzero(frame.truth.contact) > 2500
+        assert touches <= (not found.lost), f"frame {frame.sequence}"
+        assert found.lost or len(patch.points), "no pose without a patch"
+        if touches:
+            error = pose_error(found, frame.truth.T_proximity_object, mesh)
+            errors.append((1e3 * error.position_m, np.degrees(error.angle_rad)))
+    assert found.lost, "the last frame has no contact"
+    assert np.sqrt(np.mean(np.square(errors), axis=0)).max() < 1.5
+
+
+def test_object_that_jumps_is_found_again_and_never_silently_wrong():
+    mesh = mesh_of("bolt")
+    tracker = PoseTracker(mesh, PRESET, RIG)
+    poses = [pose_of((20, 15, 40))] * 3 + [pose_of((-15, 5, -70), (0.03, -0.02, 0.31))] * 3
+    tracker.start(poses[0])
+    for n, pose in enumerate(poses):
+        found = tracker.track(pressed(mesh, pose, 0.03, 0.05, 0.0003, seed=n), n / 30)
+        error = pose_error(found, pose, mesh)
+        assert found.lost or (error.position_m < 2e-3 and error.angle_rad < np.radians(2))
+    assert not found.lost
+
+
+def test_handle_that_leaves_contact_and_returns():
+    source = SimulatorSource("cup", cells=(68, 40), variant=Variant(move="lift"))
+    pipeline, mesh = ContactPipeline(PRESET, source.rig), simulated_mesh(source)
+    tracker, gone, back = PoseTracker(mesh, PRESET, source.rig), [], []
+    tracker.start(source.read(0).truth.T_proximity_object)
+    was_touching = True
+    for frame, patch in frames_of(source, pipeline, range(source.length)):
+        found = tracker.track(patch, frame.proximity_time_s)
+        true = np.array(frame.truth.T_proximity_object)
+        touching = handle_touches(frame, true)
+        if was_touching and not touching:
+            gone.append([])
+        if touching and not was_touching:
+            back.append([])
+        was_touching = touching
+        assert not found.lost
+        error = pose_error(found, true, mesh)
+        assert error.position_m < 4e-3
+        if gone and not back:
+            gone[-1].append("turning about its axis" in [direction.name for direction in found.free])
+        if back:
+            back[-1].append(error.full_position_m < 3e-3 and np.degrees(error.full_angle_rad) < 4)
+    assert any(gone[0][:5]), "the free direction is named within 5 frames"
+    assert any(back[-1][:10]), "the pose is back within 10 frames"
+    assert all(back[-1][10:])
+
+
+def handle_touches(frame, true):
+    v, u = np.nonzero(frame.truth.contact)
+    depth = frame.truth.depth_m[v, u]
+    points = np.column_stack([ray_table(RIG.proximity.intrinsics)[v, u] * depth[:, None], depth])
+    own = (points - true[:3, 3]) @ true[:3, :3]
+    return bool((np.hypot(own[:, 0], own[:, 2]) > 0.042).any())
+
+
+def test_three_point_pairs_are_enough_to_start():
+    mesh, true = mesh_of("bolt"), pose_of((20, 15, 40))
+    own = mesh.vertices_m[[0, len(mesh.vertices_m) // 2, -1]]
+    clicked = own @ true[:3, :3].T + true[:3, 3] + np.random.default_rng(1).normal(0, 0.002, (3, 3))
+    tracker = PoseTracker(mesh, PRESET, RIG)
+    tracker.start(pose_from_pairs(own, clicked))
+    error = pose_error(tracker.track(pressed(mesh, true, 0.03, 0.05), 0.0), true, mesh)
+    assert error.position_m < 5e-4
+
+
+def test_wrong_mesh_and_small_patch_and_bad_pose_are_refused():
+    bolt, true = mesh_of("bolt"), pose_of((20, 15, 40))
+    patch = pressed(bolt, true, 0.03, 0.05)
+    with pytest.raises(CalibrationError, match=r"sphere does not fit the contact: at best \d+ % .* its unit"):
+        PoseTracker(mesh_of("sphere"), PRESET, RIG).find(patch)
+    tracker = PoseTracker(bolt, PRESET, RIG)
+    with pytest.raises(CalibrationError, match="too small to find bolt"):
+        tracker.find(patch.points[:50])
+    with pytest.raises(CalibrationError, match="cannot start there"):
+        tracker.start(np.diag([2.0, 1, 1, 1]))
+    assert not tracker.started
+    found = PoseTracker(mesh_of("sphere"), PRESET, RIG).track(patch, 0.0)
+    assert found.lost
