@@ -23,7 +23,7 @@ test-long: setup  ## run the soaks and the long random tests
 test-newest-realsense: setup  ## run the tests of the live cameras with the newest camera driver
 	@scripts/test_newest_realsense.sh
 
-lint: setup  ## ruff, its formatter, mypy and the import rules
+lint: setup  ## ruff with its security rules, its formatter, mypy, the import rules, known vulnerabilities
 	@scripts/lint.sh
 
 format: setup  ## let ruff order imports and format

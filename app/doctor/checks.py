@@ -80,7 +80,7 @@ RunChild = Callable[[Sequence[str]], Child]
 def run_child(command: Sequence[str], patience_s: float = PATIENCE_S) -> Child:
     """Run a command and return its output. Never raises, and never waits longer than the limit."""
     try:
-        done = subprocess.run(
+        done = subprocess.run(  # noqa: S603  # commands of this package, no shell
             list(command), check=False, capture_output=True, timeout=patience_s, stdin=subprocess.DEVNULL
         )
     except subprocess.TimeoutExpired:

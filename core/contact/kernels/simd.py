@@ -173,7 +173,7 @@ def _define_operator(symbol: Any, vectors: dict[Vector, str]) -> None:
     @overload(symbol, strict=False)
     def implementation(a: Any, b: Any) -> Any:
         if isinstance(a, Vector) and a == b and a in vectors:
-            return lambda a, b: apply(a, b)  # noqa: PLW0108
+            return lambda a, b: apply(a, b)  # noqa: PLW0108  # numba's overload needs a Python function
         return None
 
 
@@ -202,7 +202,7 @@ def _define_comparison(symbol: Any, sign: str) -> None:
     @overload(symbol, strict=False)
     def implementation(a: Any, b: Any) -> Any:
         if isinstance(a, Vector) and a == b:
-            return lambda a, b: compare(a, b)  # noqa: PLW0108
+            return lambda a, b: compare(a, b)  # noqa: PLW0108  # numba's overload needs a Python function
         return None
 
 
@@ -224,7 +224,7 @@ def _not(typing: Any, a: Any) -> Any:
 @overload(operator.invert, strict=False)
 def _invert(a: Any) -> Any:
     if a is FLAGS:
-        return lambda a: _not(a)  # noqa: PLW0108
+        return lambda a: _not(a)  # noqa: PLW0108  # numba's overload needs a Python function
     return None
 
 

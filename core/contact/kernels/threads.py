@@ -87,7 +87,7 @@ def by_rows(task: Callable[[int, int], object], height: int) -> None:
 
 
 def _helpers() -> ThreadPoolExecutor:
-    global _pool  # noqa: PLW0603
+    global _pool  # noqa: PLW0603  # one pool for the process
     with _lock:
         if _pool is None:
             _pool = ThreadPoolExecutor(max(1, available_threads() - 1), thread_name_prefix="tactune")
@@ -96,7 +96,7 @@ def _helpers() -> ThreadPoolExecutor:
 
 def _forget_threads() -> None:
     """Reset the pool in a forked child, which has none of its parent's threads."""
-    global _pool, _lock  # noqa: PLW0603
+    global _pool, _lock  # noqa: PLW0603  # one pool for the process
     _pool = None
     _lock = threading.Lock()
 

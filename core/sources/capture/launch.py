@@ -52,7 +52,7 @@ class CaptureProcess:
         self._memory = create_memory()
         path = json.dumps([str(entry) or str(Path.cwd()) for entry in sys.path])  # empty: the working folder
         try:
-            self._process = subprocess.Popen(
+            self._process = subprocess.Popen(  # noqa: S603  # our own program, no shell
                 [sys.executable, "-P", "-c", _PROGRAM, str(theirs.fileno()), str(self._memory), path],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,  # what a driver prints must not mix with a command's output
