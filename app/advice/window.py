@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
-from PyQt6.QtCore import QObject, Qt
+from PyQt6.QtCore import QObject, Qt, pyqtSignal
 from PyQt6.QtWidgets import QDialog, QFrame, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
 
 from ...core.errors import AdviceError, PresetError
@@ -59,7 +59,15 @@ def find_suggestions(section: str, gathered: Gathered, progress: Progress) -> Su
 
 
 class SuggestWindow(QDialog):
-    """Shows suggestions, compares them with the present preset in the views, and applies them as one undo step."""
+    """Shows suggestions, compares them with the present preset in the views, and applies them as one undo step.
+
+    Signals
+    -------
+    kept(section: str)
+        The present values of a section follow from the evidence.
+    """
+
+    kept = pyqtSignal(str)
 
     def __init__(
         self, context: Context, gather: Callable[[], Gathered | None], open_examples: Callable[[], None]
@@ -208,6 +216,9 @@ class SuggestWindow(QDialog):
             self._add(card)
         for section, sentence in found.refusals.items():
             self._add(_refusal(section, sentence))
+        for part in found.parts:
+            if not part.changes:
+                self.kept.emit(part.section)
         if not any(card.changes for card in self.cards):
             self._say("The present values already follow from the evidence." if found.parts else "")
         if self._outdated:
@@ -351,7 +362,15 @@ def _refusal(section: str, sentence: str) -> QWidget:
 
 
 class SuggestControl(QObject):
-    """Opens at most one window with suggestions and one with examples, and keeps the examples of each rig."""
+    """Opens at most one window with suggestions and one with examples, and keeps the examples of each rig.
+
+    Signals
+    -------
+    kept(section: str)
+        Suggestions were made, and those of this section are the present values.
+    """
+
+    kept = pyqtSignal(str)
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -375,6 +394,7 @@ class SuggestControl(QObject):
             return
         if self.window is None:
             self.window = SuggestWindow(context, self.gather, self.open_examples)
+            self.window.kept.connect(self.kept)
             corner = context.window.mapToGlobal(context.window.rect().topLeft())
             self.window.move(corner.x() + 8, corner.y() + 110)  # the patch view and the panel stay visible
         bring_up(self.window)

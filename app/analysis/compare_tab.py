@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from PyQt6.QtCore import Qt, QTimer, pyqtSignal
-from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QSplitter
+from PyQt6.QtWidgets import QHBoxLayout, QSplitter
 
 from ...core.methods.registry import method_names, method_problems
-from ...widgets.basics.controls import caption, push_button
+from ...widgets.basics.controls import ChoiceBox, caption, push_button
 from ...widgets.basics.messages import Severity
 from ...widgets.basics.theme import theme_name
 from ..context import Context
@@ -50,7 +50,7 @@ class CompareTab(MeasuringTab):
         self._late = QTimer(self)
         self._late.setSingleShot(True)
         self._late.setInterval(_SETUP_DELAY_MS)
-        self.color_by = QComboBox()
+        self.color_by = ChoiceBox()
         self.give_up = push_button("Cancel", "Cancel preparing the untouched frame, or try again")
         self._lay_out()
         self._connect()

@@ -78,8 +78,8 @@ class CheckPage(QWidget):
         self.table = _comparison_table()
         self.set_tolerance = QCheckBox()
         self.set_tolerance.setToolTip(
-            "Set the tolerance t (no unit) to the smallest that this calibration supports; the membrane contact "
-            "test has no t"
+            "Set the tolerance t, per cent of the distance, to the smallest that this calibration supports; the "
+            "membrane contact test has no t"
         )
         self.export = push_button(
             "Export report…", "Write verdict, numbers and pictures of the new calibration into one HTML file"
@@ -220,9 +220,9 @@ class CheckPage(QWidget):
         used = "tolerance" in preset.test.section_names
         use = "" if used else f", and the preset's {preset.contact_test} test does not use it"
         self.set_tolerance.setEnabled(report is not None)
-        supported = "" if report is None else f" to {report.chosen.effect.supported_tolerance:.4f}"
+        supported = "" if report is None else f" to {100 * report.chosen.effect.supported_tolerance:.2f} %"
         self.set_tolerance.setText(
-            f"Also set the tolerance t{supported} when saving; it is {preset.tolerance.t:.4f} now{use}"
+            f"Also set the tolerance t{supported} when saving; it is {100 * preset.tolerance.t:.3g} % now{use}"
         )
 
     def _frame(self) -> SensorFrame | None:
@@ -307,7 +307,7 @@ class CheckPage(QWidget):
                 _marked(errors.new_px, errors.present_px, "px", 0.1),
                 _marked(errors.new_px * mm, errors.present_px * mm, "mm", 0.1 * mm),
                 _marked(new.boundary_mm, present.boundary_mm, "mm", 0.1 * mm),
-                _marked(new.supported_tolerance, present.supported_tolerance, "", 0.0005),
+                _marked(100 * new.supported_tolerance, 100 * present.supported_tolerance, "%", 0.05),
             ]
         elif report is not None:
             chosen = report.chosen
@@ -315,7 +315,7 @@ class CheckPage(QWidget):
                 (at_least(chosen.alignment_px, "px"), "none"),
                 (at_least(chosen.alignment_mm, "mm"), "none"),
                 (at_least(chosen.effect.boundary_mm, "mm"), "none"),
-                (f"{chosen.effect.supported_tolerance:.4f}", "none"),
+                (at_least(100 * chosen.effect.supported_tolerance, "%"), "none"),
             ]
         cells[4] = self._areas
         for row, values in enumerate(cells):
@@ -346,8 +346,8 @@ _ROWS = (
     ("Expected alignment error (mm)", "The same error across the line of sight, millimetres"),
     ("Patch boundary off by (mm)", "Expected error of the contact patch's boundary, millimetres"),
     (
-        "Smallest t that holds",
-        "With a smaller tolerance t (no unit) the tolerance test loses pixels in true contact",
+        "Smallest t that holds (%)",
+        "With a smaller tolerance t, per cent of the distance, the tolerance test loses pixels in true contact",
     ),
     ("Patch in the present frame (cm²)", "Found by the preset's contact test in the frame that the main window shows"),
 )
@@ -382,7 +382,7 @@ def _comparison_table() -> QTableWidget:
 
 def _marked(new: float, present: float, unit: str, least: float) -> tuple[str, str]:
     """Return both errors in words; one that is clearly smaller, by ``least`` or more, is marked as better."""
-    texts = [at_least(value, unit) if unit else f"{value:.4f}" for value in (new, present)]
+    texts = [at_least(value, unit) for value in (new, present)]
     for number, (error, other) in enumerate(((new, present), (present, new))):
         if clearly_larger(other, error, least):
             texts[number] += "  ✓ better"

@@ -71,8 +71,9 @@ _NUMBERS = (
             lambda q: q.alignment_mm, "mm"),
     _Number("Patch boundary off by", "Expected error of the contact patch's boundary, millimetres",
             lambda q: q.effect.boundary_mm, "mm"),
-    _Number("Smallest t (tolerance test)", "With a smaller t the tolerance test loses pixels in true contact (no unit)",
-            lambda q: q.effect.supported_tolerance, "", 4),
+    _Number("Smallest t (tolerance test)",
+            "With a smaller t the tolerance test loses pixels in true contact, per cent of the distance",
+            lambda q: 100 * q.effect.supported_tolerance, "%", 2),
     _Number("Condition number", "How unevenly the points constrain the fit (no unit); values in the thousands are bad",
             lambda q: q.condition, "", 1),
 )  # fmt: skip

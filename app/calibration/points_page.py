@@ -165,6 +165,14 @@ class PointsPage(QWidget):
         self.drop.setVisible(bool(outcome.rejected))
         self._show_points()
 
+    def show_fitting(self, busy: bool) -> None:
+        """Say that residuals are being computed."""
+        self.table.show_pending(busy)
+        if busy:
+            self.fit_line.setText("Fitting…")
+        elif self.fit_line.text() == "Fitting…":  # cancelled
+            self.fit_line.setText("" if self._outcome.report is None else self._outcome.sentence)
+
     def partner(self, side: Side, place: Place) -> Place | None:
         """Predict the pixel in the other image, from the fit or, before the first fit, from the rig."""
         snapshot = self._session.state.snapshot

@@ -198,7 +198,7 @@ class QualityPage(QWidget):
         self.step.setText(f"Next: {report.verdict.removeprefix(judged).strip()}")
         rows = [
             ("Model", report.model),
-            ("Smallest t (tolerance test)", f"{quality.effect.supported_tolerance:.4f}"),
+            ("Smallest t (tolerance test)", f"{100 * quality.effect.supported_tolerance:.2f} %"),
             ("Patch boundary off by", f"{quality.effect.boundary_mm:.2f} mm"),
             ("Depth difference at contact", f"{quality.effect.depth_mm:.2f} mm"),
             ("Alignment error, 95 % bound", f"{quality.alignment_bound_95_px:.2f} px"),

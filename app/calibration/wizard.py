@@ -162,7 +162,7 @@ class CalibrationWizard(QDialog):
         inside = QVBoxLayout(area)
         inside.setContentsMargins(0, 0, 0, 0)
         inside.addWidget(self.stack)
-        self.messages = Messages(area)
+        self.messages = Messages(area, self._below_views)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(8, 8, 8, 8)
         layout.setSpacing(4)
@@ -201,6 +201,8 @@ class CalibrationWizard(QDialog):
         self._document.refused.connect(self._refused)
         self._document.fileChanged.connect(self._file_changed)
         session.changed.connect(self._show_state)
+        self.points.split.splitterMoved.connect(self.messages.arrange)
+        self.fitter.busyChanged.connect(self.points.show_fitting)
         for changed in (self.fitter.busyChanged, self._document.presetChanged, self._document.fileChanged):
             changed.connect(self._show_steps)
         shortcuts: tuple[tuple[str, Callable[[], object]], ...] = (
@@ -217,6 +219,12 @@ class CalibrationWizard(QDialog):
 
     # Steps
 
+    def _below_views(self) -> int:
+        """Return the height below the images of a page: messages must not cover its table."""
+        views: dict[QWidget | None, QWidget] = {self.points: self.points.view, self.check: self.check.image}
+        view = views.get(self.stack.currentWidget())
+        return 0 if view is None else self.stack.height() - view.mapTo(self.stack, view.rect().bottomLeft()).y()
+
     def go_on(self) -> None:
         """Show the next step, or say what this one lacks."""
         missing = self._missing(self.stack.currentIndex())
@@ -230,6 +238,7 @@ class CalibrationWizard(QDialog):
         number = max(0, min(number, len(STEPS) - 1))
         self.messages.clear("next")
         self.stack.setCurrentIndex(number)
+        self.messages.arrange()
         button = self.steps.button(number)
         assert button is not None
         button.setChecked(True)

@@ -128,4 +128,6 @@ def _in_words(images: FolderImages) -> str:
             size = images.sizes.get(name)
             found.append(f"{name} {size[0]} x {size[1]}" if size else f"no {name}")
         lines.append(f"{role.capitalize()}: {', '.join(found)}")
+    if images.different:
+        lines.append(f"Not all frames can be read: {images.different}.")
     return "\n".join(lines) + (_COLOR_POSE if images.has_own_color_lens else "")

@@ -15,6 +15,8 @@ from ...widgets.basics.messages import Card
 from ..context import Context
 from ..worker.results import SourceInfo
 
+#: What *Find contact…* is about.
+_CONTACT_SECTIONS = ("contact_test", "tolerance", "membrane", "outliers")
 _CLOSED, _DONE = "first_steps/closed", "first_steps/done"
 #: Name, text of the button, and what the step is for.
 _STEPS = (
@@ -113,6 +115,11 @@ class FirstSteps(QObject):
         todo = next((name for name, *_ in _STEPS if name not in self._done), "source")
         self._card.buttons[todo].setFocus(Qt.FocusReason.OtherFocusReason)
 
+    def take_kept(self, section: str) -> None:
+        """Note that suggestions keep the values of a section."""
+        if section in _CONTACT_SECTIONS:
+            self._tick("contact")
+
     def _show_first(self) -> None:
         self._context.frameShown.disconnect(self._show_first)
         self._card.show()
@@ -149,4 +156,4 @@ class FirstSteps(QObject):
 
 
 def _contact(preset: Preset) -> tuple[Any, ...]:
-    return preset.contact_test, preset.tolerance, preset.membrane, preset.outliers
+    return tuple(getattr(preset, name) for name in _CONTACT_SECTIONS)

@@ -166,7 +166,7 @@ class MainWindow(QMainWindow):
         self._show_document()
         self.panel.set_preset(preset)
         self.panel.set_baseline(preset)
-        self.actions_.export_patch.setEnabled(False)
+        self._enable_measuring(False)
         self.views.show_message(_NO_SOURCE)
         self.views.setFocus()
         self._send_wanted()
@@ -233,6 +233,9 @@ class MainWindow(QMainWindow):
                 "save": self.actions_.save.trigger,
             },
         )
+        for name, action in (("calibrate", self.actions_.calibrate), ("contact", self.actions_.suggest_all)):
+            action.enabledChanged.connect(card.buttons[name].setEnabled)
+        self.suggest.kept.connect(self.first_steps.take_kept)
         for part in (self.opening, self.recording_bar, self.export_bar, card, self.status.details):
             self.messages.pin(part)
         self.setStatusBar(self.status)
@@ -424,8 +427,18 @@ class MainWindow(QMainWindow):
     def _show_opening(self, name: str, share: float, words: str) -> None:
         self.opening.show_share(share, f"Opening {name}{': ' + words if words else '…'}")
 
+    def _enable_measuring(self, enabled: bool) -> None:
+        """Enable what needs a source."""
+        actions = self.actions_
+        for action in (actions.record, actions.calibrate, actions.recheck, actions.suggest_all):
+            action.setEnabled(enabled)
+        if not enabled:
+            actions.export_patch.setEnabled(False)  # enabled with the first patch
+        self.panel.enable_measuring(enabled)
+
     def _opened(self, info: SourceInfo) -> None:
         self.opening.hide()
+        self._enable_measuring(True)
         self.settings.add_recent(RECENT, info.name)
         self.toolbar.show_source(info.name)
         self.status.show_source(info)

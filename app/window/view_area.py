@@ -10,7 +10,6 @@ import numpy as np
 from PyQt6.QtCore import QByteArray, QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QResizeEvent
 from PyQt6.QtWidgets import (
-    QComboBox,
     QHBoxLayout,
     QLabel,
     QSlider,
@@ -36,7 +35,7 @@ from ...widgets.basics.colormaps import (
     real_color_legend,
     tactile_use_legend,
 )
-from ...widgets.basics.controls import caption
+from ...widgets.basics.controls import ChoiceBox, caption
 from ...widgets.basics.wipe import Wipe
 from ...widgets.clouds.cloud_data import DepthCloud
 from ...widgets.clouds.cloud_view import BackendChoice, link_cameras
@@ -155,7 +154,7 @@ class ViewArea(QWidget):
             view.wipeDragged.connect(self.wipeDragged)
             view.set_focus_finder(self._focus)
         self.splitter.splitterMoved.connect(self._fit_legends)
-        self.color_by = QComboBox()
+        self.color_by = ChoiceBox()
         self.color_by.setAccessibleName("Colour by")
         self.color_by.setToolTip("What the colours of the points mean")
         for choice in ColorBy:

@@ -54,7 +54,8 @@ def read_json_object(path: Path) -> dict[str, Any]:
     except FileNotFoundError as error:
         raise SourceError(f"there is no file {path}; a recording needs one") from error
     except OSError as error:
-        raise SourceError(f"cannot read {path}: {error.strerror or error}; check its permissions") from error
+        remedy = "check its permissions" if error.errno else "choose another"  # no number: a pipe or a device
+        raise SourceError(f"cannot read {path}: {error.strerror or error}; {remedy}") from error
     except ValueError as error:
         raise SourceError(f"{path} cannot be used: {error}; correct it or write it again") from error
     if not isinstance(data, dict):

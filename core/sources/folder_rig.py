@@ -12,10 +12,12 @@ import numpy as np
 from ..errors import ExportError, SourceError
 from ..model.files import atomic_path, user_path
 from ..model.frames import Rig
-from ..model.loading import decode_image, read_file
+from ..model.loading import decode_image, image_size, read_file
 from ..model.rig_file import json_text, rig_to_json
 
 RIG_FILE = "rig.json"
+#: Frames of a long folder whose images are looked at.
+_LOOKED_AT = 20
 #: The images of a frame: whether it needs each, its bits and its channels.
 IMAGES = {
     "proximity_depth.png": (True, 16, 1),
@@ -38,12 +40,15 @@ class FolderImages:
         Width and height of each image of the first frame, by file name.
     problem : str
         Why no rig makes these images a source; empty if one does.
+    different : str
+        How a later frame differs from the first, so that it cannot be read; empty if none of those looked at does.
     """
 
     path: Path
     frames: int
     sizes: Mapping[str, tuple[int, int]]
     problem: str
+    different: str = ""
 
     @property
     def has_own_color_lens(self) -> bool:
@@ -62,7 +67,7 @@ def folder_without_rig(name: str) -> Path | None:
 
 
 def find_images(path: Path) -> FolderImages:
-    """Look at the images of a folder's first frame.
+    """Look at the images of a folder's first frame, and at the sizes of those of `_LOOKED_AT` frames all over it.
 
     Raises
     ------
@@ -73,7 +78,7 @@ def find_images(path: Path) -> FolderImages:
         first = _first_frame(path)
         if first is None:
             raise SourceError(f"{path} has no images of frames; they are called {', '.join(IMAGES)}")
-        frames = 1 if first == path else len(_numbered(path))
+        numbered = [] if first == path else _numbered(path)
         sizes, problems = {}, []
         for name, (needed, bits, channels) in IMAGES.items():
             file = first / name
@@ -88,13 +93,31 @@ def find_images(path: Path) -> FolderImages:
                 problems.append(f"{name} is no PNG image of {channels} x {bits} bits")
                 continue
             sizes[name] = (image.shape[1], image.shape[0])
+        different = _first_difference(numbered, sizes)
     except OSError as error:
         raise SourceError(
             f"cannot read the images in {path}: {error.strerror or error}; check its permissions"
         ) from error
     if sizes.get("tactile_color.png", sizes.get("tactile_depth.png")) != sizes.get("tactile_depth.png"):
         problems.append("tactile_color.png has another size than tactile_depth.png; align it to the depth image")
-    return FolderImages(path, frames, sizes, f"{first}: {'; '.join(problems)}" if problems else "")
+    problem = f"{first}: {'; '.join(problems)}" if problems else ""
+    return FolderImages(path, len(numbered) or 1, sizes, problem, different)
+
+
+def _first_difference(frames: list[Path], sizes: Mapping[str, tuple[int, int]]) -> str:
+    """Say where the first frame stands whose images are not those of the first one; empty if there is none."""
+    for frame in frames[:: max(len(frames) // _LOOKED_AT, 1)] + frames[-1:]:
+        for name, wanted in sizes.items():
+            file = frame / name
+            try:
+                size = image_size(read_file(file)) if file.is_file() else None
+            except ValueError as error:
+                return f"{file}: {error}"
+            if size is None:
+                return f"{file} is missing"
+            if size != wanted:
+                return f"{file} has {size[0]} x {size[1]} pixels, in the first frame {wanted[0]} x {wanted[1]}"
+    return ""
 
 
 def write_rig(path: Path, rig: Rig) -> None:

@@ -87,6 +87,24 @@ def test_a_real_pair_without_rig_is_typed_and_shows_a_patch(make_window, qtbot, 
     assert written.tactile.intrinsics.fx == typed["tactile"]["fx"]
 
 
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda file: file.unlink(), "is missing"),
+        (
+            lambda file: cv2.imwrite(str(file), np.zeros((4, 6), np.uint16)),
+            "has 6 x 4 pixels, in the first frame 64 x 48",
+        ),
+    ],
+)
+def test_a_later_frame_that_differs_is_told(window, qtbot, bare, spoil, words):
+    file = bare / "000001" / "tactile_depth.png"
+    spoil(file)
+    dialog = rig_dialog(window, qtbot, bare)
+    assert f"Not all frames can be read: {file} {words}." in dialog.found.text()
+    assert dialog.write.isEnabled(), "the other frames can be"
+
+
 def test_the_message_of_the_window_offers_it(window, qtbot, bare):
     dialog = rig_dialog(window, qtbot, bare)
     assert "2 frames" in dialog.found.text()

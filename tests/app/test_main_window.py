@@ -81,7 +81,7 @@ def test_the_window_does_not_look_for_the_reason_itself(window, qtbot, monkeypat
     """The worker thread finds the reason, because that takes longer than finding no contact."""
     threads = []
     monkeypatch.setattr(ContactTest, "why_no_contact", lambda *_: threads.append(get_ident()) or "because")
-    window.document.edit("tolerance.t", 0.0)
+    window.document.edit("tolerance.t", 1e-5)
     qtbot.waitUntil(lambda: window.views.views[CloudName.PATCH].message() == "because")
     assert get_ident() not in threads
 

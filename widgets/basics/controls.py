@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import QEvent, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QPainter, QPaintEvent, QPalette
+from PyQt6.QtGui import QColor, QKeyEvent, QPainter, QPaintEvent, QPalette
 from PyQt6.QtWidgets import (
     QApplication,
+    QComboBox,
     QDialogButtonBox,
     QFrame,
     QHBoxLayout,
@@ -87,6 +88,19 @@ def dialog_buttons(standard: QDialogButtonBox.StandardButton) -> QDialogButtonBo
 def make_verdict(label: QLabel) -> None:
     """Show a label larger and in bold: the sentence that states the result."""
     label.setFont(text_font("title", bold=True))
+
+
+class ChoiceBox(QComboBox):
+    """A list to choose from, in which a letter chooses an entry and is no shortcut of the window."""
+
+    def event(self, event: QEvent | None) -> bool:
+        """Keep letters from the window's shortcuts."""
+        if isinstance(event, QKeyEvent) and event.type() == QEvent.Type.ShortcutOverride:
+            held = event.modifiers() & ~(Qt.KeyboardModifier.ShiftModifier | Qt.KeyboardModifier.KeypadModifier)
+            if held == Qt.KeyboardModifier.NoModifier and event.text().strip().isprintable() and event.text().strip():
+                event.accept()
+                return True
+        return super().event(event)
 
 
 class ProgressBar(QProgressBar):

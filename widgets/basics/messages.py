@@ -211,11 +211,13 @@ class Messages(QWidget):
     ----------
     over : QWidget
         The messages stand over this widget.
+    free : callable, optional
+        Returns how many pixels stay free at its lower edge; call `arrange` when that changes.
     """
 
-    def __init__(self, over: QWidget) -> None:
+    def __init__(self, over: QWidget, free: Callable[[], int] = lambda: 0) -> None:
         super().__init__(over)
-        self._over = over
+        self._over, self._free = over, free
         self._messages: dict[str, Message] = {}
         self._pinned: list[QFrame] = []
         over.installEventFilter(self)
@@ -254,7 +256,7 @@ class Messages(QWidget):
         HISTORY.append(said)
         message = Message(said, subject, offers, lambda: self._dismiss(key), self)
         self._messages[key] = message
-        self._arrange()
+        self.arrange()
         self.setAccessibleName(f"{severity}: {sentence}")  # PyQt has no call that announces; a changed name is reported
 
     def state(self, key: str, severity: Severity, sentence: str, subject: str = "") -> None:
@@ -267,13 +269,13 @@ class Messages(QWidget):
     def clear(self, key: str) -> None:
         """Dismiss the message of a key, if there is one."""
         self._remove(key)
-        self._arrange()
+        self.arrange()
 
     def clear_subject(self, subject: str) -> None:
         """Dismiss the messages of a subject, because what they speak of is no longer there."""
         for key in [key for key, message in self._messages.items() if message.subject == subject]:
             self._remove(key)
-        self._arrange()
+        self.arrange()
 
     def dismiss_newest(self) -> bool:
         """Dismiss the message on top; return whether there was one."""
@@ -314,13 +316,13 @@ class Messages(QWidget):
             return False
         kind = event.type() if event is not None else None
         if kind == QEvent.Type.Resize if watched is self._over else kind in _SHOWN_OR_HIDDEN:
-            self._arrange()
+            self.arrange()
         return False
 
     def event(self, event: QEvent | None) -> bool:
         """Follow the sizes of messages and pinned frames."""
         if event is not None and event.type() == QEvent.Type.LayoutRequest:
-            self._arrange()
+            self.arrange()
         return super().event(event)
 
     def _shown(self) -> list[str]:
@@ -340,12 +342,12 @@ class Messages(QWidget):
             message.hide()
             message.deleteLater()
 
-    def _arrange(self) -> None:
+    def arrange(self) -> None:
         """Show as many messages as there is room for, at the lower left."""
         newest = list(reversed(self._messages.values()))
         pinned = [frame for frame in self._pinned if not frame.isHidden()]
         width = min(_WIDTH_PX, self._over.width() - 2 * _MARGIN_PX)
-        room = self._over.height() - 2 * _MARGIN_PX - _LINE_PX
+        room = self._over.height() - self._free() - 2 * _MARGIN_PX - _LINE_PX
         shown = sorted(newest, key=lambda message: message.rank)[:LIMIT]  # stable: the newest first of each rank
         heights = {frame: _height(frame, width) + _GAP_PX for frame in (*shown, *pinned)}
         while len(shown) > 1 and sum(heights[frame] for frame in (*shown, *pinned)) > room:

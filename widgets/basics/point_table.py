@@ -90,6 +90,8 @@ COLUMNS: Final = (
     _Column("Origin", "Image and snapshot that were clicked, or the helper that found it", lambda row: row.note),
 )
 _ENABLED = 1
+#: Columns that a fit fills.
+_FITTED: Final = ("dX px", "dY px", "Res. px", "Res. mm", "Left out px")
 _WORST = {"light": QColor(255, 214, 209), "dark": QColor(104, 38, 34)}
 
 
@@ -101,6 +103,7 @@ class _Model(QAbstractTableModel):
     def __init__(self) -> None:
         super().__init__()
         self.rows: tuple[PointRow, ...] = ()
+        self.pending = False
 
     def set_rows(self, rows: Sequence[PointRow]) -> None:
         """Replace the rows; equal keys in equal order only repaint."""
@@ -142,7 +145,8 @@ class _Model(QAbstractTableModel):
         elif role == _Role.UserRole:
             answer = value if isinstance(value, str) or isfinite(value) else -1e300
         elif role == _Role.DisplayRole and index.column() != _ENABLED:
-            answer = _shown(value, column.decimals)
+            fitted = self.pending and row.enabled and column.title in _FITTED
+            answer = _shown(value, column.decimals, "…" if fitted else "–")
         elif role == _Role.TextAlignmentRole and isinstance(value, float):
             answer = Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
         elif role == _Role.BackgroundRole and row.worst:
@@ -158,10 +162,10 @@ class _Model(QAbstractTableModel):
         return True
 
 
-def _shown(value: float | str, decimals: int) -> str:
+def _shown(value: float | str, decimals: int, missing: str) -> str:
     if isinstance(value, str):
         return value
-    return f"{value:.{decimals}f}" if isfinite(value) else "–"
+    return f"{value:.{decimals}f}" if isfinite(value) else missing
 
 
 class PointTable(QTableView):
@@ -228,6 +232,13 @@ class PointTable(QTableView):
         self._model.set_rows(rows)
         self._showing = False
         self.select(selected)
+
+    def show_pending(self, pending: bool) -> None:
+        """Show that a fit is being computed: "…" instead of a dash where a residual is not known yet."""
+        self._model.pending = pending
+        viewport = self.viewport()
+        if viewport is not None:
+            viewport.update()
 
     def selected_keys(self) -> tuple[int, ...]:
         """Return the keys of the selected rows, in the order shown."""

@@ -263,6 +263,11 @@ class ParameterPanel(QScrollArea):
         for name, fold in self.folds.items():
             fold.set_open(fold.is_open or name in names)
 
+    def enable_measuring(self, enabled: bool) -> None:
+        """Enable what looks at a frame: the suggestions and *Pick*."""
+        for button in (*self.suggests.values(), self.eyedroppers["set"]):
+            button.setEnabled(enabled)
+
     def set_eyedropper(self, mode: str) -> None:
         """Show which eyedropper is in use ("off" for none); never emits."""
         for name, button in self.eyedroppers.items():

@@ -11,9 +11,10 @@ import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, QPointF, Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QColor, QMouseEvent
-from PyQt6.QtWidgets import QComboBox, QGridLayout, QHBoxLayout, QToolButton, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QGridLayout, QHBoxLayout, QToolButton, QVBoxLayout, QWidget
 
 from ...core.model.arrays import BoolArray, Float64Array
+from ..basics.controls import ChoiceBox
 from ..basics.fields import format_number
 from ..basics.theme import theme_colors
 
@@ -142,8 +143,8 @@ class TimeStrip(QWidget):
 
     # Building
 
-    def _make_curve_box(self) -> QComboBox:
-        box = QComboBox()
+    def _make_curve_box(self) -> ChoiceBox:
+        box = ChoiceBox()
         box.setAccessibleName("Curve of the time strip")
         box.setToolTip("What the time strip shows")
         for number, curve in enumerate(CURVES):

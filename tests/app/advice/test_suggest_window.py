@@ -12,6 +12,7 @@ from PyQt6.QtWidgets import QApplication
 from hands import CONTROL, LEFT, drag_over, drag_slider, show_source, text_of, tolerance_slider
 from printed_source import PrintedSource
 from tactune.app.advice import window as suggest_window
+from tactune.app.window.first_steps import FirstStepsCard
 from tactune.core.errors import AdviceError
 
 
@@ -98,6 +99,19 @@ def test_closing_ends_the_comparison_and_changes_nothing(main, qtbot):
     assert main.document.preset is before
 
 
+def test_suggestions_that_keep_the_contact_test_tick_the_step_of_the_first_start(main, qtbot):
+    main.actions_.getting_started.trigger()
+    tick = main.findChild(FirstStepsCard).ticks["contact"]
+    window = ask(qtbot, main, "mask")
+    assert window.cards[0].changes and not tick.text()
+    QTest.mouseClick(window.apply, LEFT)
+    ask(qtbot, main, "mask")
+    assert not tick.text(), "a mask that is kept finds no contact"
+    window = ask(qtbot, main, "contact_test")
+    assert not window.cards[0].changes
+    assert tick.text()
+
+
 def test_an_edit_after_closing_does_not_start_the_comparison_again(main, qtbot):
     window = ask(qtbot, main)
     QTest.keyClick(window, Qt.Key.Key_Escape)
@@ -136,13 +150,6 @@ def test_measuring_can_be_cancelled(main, qtbot, monkeypatch):
     qtbot.waitUntil(lambda: not window.busy)
     assert window.sentence.text() == "Cancelled; nothing was changed."
     assert not window.cancel.isVisible()
-
-
-def test_without_a_frame_a_message_says_so(make_window):
-    main = make_window()
-    QTest.mouseClick(main.panel.suggests["all"], LEFT)
-    assert "open a source first" in text_of(main.messages)
-    assert main.suggest.window is None
 
 
 def test_a_part_that_fails_leaves_the_window_usable(main, qtbot, monkeypatch):

@@ -10,6 +10,7 @@ from PyQt6.QtWidgets import QApplication
 from hands import type_path
 from pairs import with_pairs
 from tactune.app.settings import Settings
+from tactune.app.window.first_steps import FirstStepsCard
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.contact.alignment import tactile_pose
@@ -53,10 +54,16 @@ def window(qtbot, tmp_path, scene, frames):
     QApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
 
 
-def test_without_a_source_the_window_says_what_is_missing(window):
-    window.actions_.calibrate.trigger()
-    assert window.calibration.wizard is None
-    assert any("open a source" in sentence for sentence in window.messages.sentences())
+def test_what_needs_a_source_is_disabled_without_one(window, scene, frames, qtbot):
+    actions = window.actions_
+    needing = [actions.calibrate, actions.recheck, actions.record, actions.suggest_all]
+    needing += [window.panel.eyedroppers["set"], *window.panel.suggests.values()]
+    actions.getting_started.trigger()
+    needing += [window.findChild(FirstStepsCard).buttons[name] for name in ("calibrate", "contact")]
+    assert not any(needs.isEnabled() for needs in needing)
+    window.open_request(SourceRequest("tiny", lambda progress: TinySource(scene, frames)))
+    qtbot.waitUntil(lambda: window.result is not None, timeout=15000)
+    assert all(needs.isEnabled() for needs in needing)
 
 
 def test_snapshots_come_from_the_present_source(window, scene, frames, qtbot):

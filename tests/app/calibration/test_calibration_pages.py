@@ -403,7 +403,7 @@ def test_the_check_page_shows_both_alignments(open_wizard, scene, frames, feed, 
     assert page.mode is OverlayMode.CHECKER
     assert page.image.grab().toImage() != blended
     assert page.table.horizontalHeaderItem(0).text() == "New"
-    for row, unit in enumerate(("px", "mm", "mm", "")):
+    for row, unit in enumerate(("px", "mm", "mm", "%")):
         new, present = (page.table.item(row, column).text() for column in range(2))
         assert unit in new and unit in present
         assert "✓ better" in new and "better" not in present

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from PyQt6.QtCore import Qt
+from PyQt6.QtCore import QPoint, QRect, Qt
 from PyQt6.QtTest import QTest
 
 from hands import answer_question, press, type_path
@@ -11,6 +11,7 @@ from html_pages import HtmlPage
 from pairs import with_pairs
 from tactune.core.calibration.html_report import USED_RGB
 from tactune.core.sources.presets import load_preset
+from tactune.widgets.basics.messages import Severity
 
 LEFT = Qt.MouseButton.LeftButton
 CONTROL = Qt.KeyboardModifier.ControlModifier
@@ -82,6 +83,20 @@ def test_present_stays_the_old_alignment_until_the_file_is_saved(
     qtbot.waitUntil(lambda: page.image.grab().toImage() != new)
     document.save(tmp_path / "saved.json")
     assert page.present_preset().alignment == document.preset.alignment
+
+
+def test_messages_cover_nothing_below_the_images_of_points(open_wizard, scene, frames, feed):
+    wizard = open_wizard()
+    for number in range(3):
+        wizard.messages.show_message(f"long {number}", Severity.WARNING, "A sentence of many words. " * 6)
+    shown = wizard.messages
+    for step, table in ((1, wizard.points.table), (SAVE, wizard.check.table)):
+        wizard.go_to(step)
+        covered = QRect(shown.mapToGlobal(QPoint(0, 0)), shown.size())
+        assert shown.isVisible()
+        assert not covered.intersects(QRect(table.mapToGlobal(QPoint(0, 0)), table.size()))
+    QTest.keyClick(wizard, Qt.Key.Key_3, CONTROL)
+    assert shown.mapToGlobal(QPoint(0, shown.height())).y() > covered.bottom(), "elsewhere they stand at the lower edge"
 
 
 def test_next_and_save_say_what_is_missing(open_wizard, scene, frames, feed, document, qtbot):

@@ -179,6 +179,16 @@ def test_the_table_shows_numbers_dashes_and_the_worst(table):
     assert cell(table, 0, 3, Qt.ItemDataRole.BackgroundRole) is None
 
 
+def test_a_fit_that_is_being_computed_is_no_missing_residual(table):
+    table.set_rows([*ROWS, PointRow(4, True, (1.0, 2.0), (3.0, 4.0))])
+    assert cell(table, 3, 9) == "–"
+    table.show_pending(True)
+    assert [cell(table, row, 9) for row in range(4)] == ["0.22", "–", "5.00", "…"]
+    assert cell(table, 3, 6) == "–", "a depth comes from no fit"
+    table.show_pending(False)
+    assert cell(table, 3, 9) == "–"
+
+
 def test_sorting_by_residual_puts_the_worst_first_and_unknown_last(table):
     table.sortByColumn(9, Qt.SortOrder.DescendingOrder)
     assert [cell(table, row, 0) for row in range(3)] == ["3", "1", "2"]

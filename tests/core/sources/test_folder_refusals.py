@@ -221,5 +221,5 @@ def test_a_bad_camera_field_is_named_with_its_value(recording: Path, field: str)
 def test_a_pipe_in_place_of_a_file_is_not_waited_for(recording: Path, name: str) -> None:
     (recording / name).unlink(missing_ok=True)
     os.mkfifo(recording / name)
-    with pytest.raises(SourceError, match=f"cannot read .*{name}: it is no ordinary file"):
+    with pytest.raises(SourceError, match=f"cannot read .*{name}: it is no ordinary file; choose another"):
         FolderSource(recording)
