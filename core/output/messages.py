@@ -200,26 +200,11 @@ def number(value: float) -> bytes:
     return _serialise(_type(NUMBER)(float(value)), NUMBER)
 
 
-def diagnostics(name: str, values: Mapping[str, str], warning: str, stamp_ns: int) -> bytes:
-    """Return named values and, where something is wrong, a sentence.
-
-    Parameters
-    ----------
-    name : str
-        What the values belong to.
-    values : mapping of str to str
-    warning : str
-        Sets the level *warn*; empty for *ok*.
-    stamp_ns : int
-    """
+def diagnostics(name: str, values: Mapping[str, str], stamp_ns: int) -> bytes:
+    """Return named values; ``name`` says what they belong to."""
     status, pair = _type("diagnostic_msgs/msg/DiagnosticStatus"), _type("diagnostic_msgs/msg/KeyValue")
-    entry = status(
-        level=status.WARN if warning else status.OK,
-        name=name,
-        message=warning or "ok",
-        hardware_id="",
-        values=[pair(key, value) for key, value in values.items()],
-    )
+    pairs = [pair(key, value) for key, value in values.items()]
+    entry = status(level=status.OK, name=name, message="", hardware_id="", values=pairs)
     return _serialise(_type(DIAGNOSTICS)(_header("", stamp_ns), [entry]), DIAGNOSTICS)
 
 

@@ -289,7 +289,7 @@ class FrameMessages:
             "points": str(len(patch.points)),
             "skew ms": f"{1e3 * self._frame.skew_s:.3f}",
         }
-        return messages.diagnostics("tactune", values, "", self.stamp_ns)
+        return messages.diagnostics("tactune", values, self.stamp_ns)
 
 
 class Publisher:
