@@ -82,3 +82,9 @@ STRAIN: Final = TabKind(
     shortcut="Ctrl+T",
     make=_later("strain_tab:StrainTab"),
 )
+TILT: Final = TabKind(
+    title="T&ilt",
+    tip="Roll and pitch of the contact patch with their standard deviations, and over time",
+    shortcut="Shift+F8",
+    make=_later("tilt_tab:TiltTab"),
+)
