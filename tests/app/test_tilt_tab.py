@@ -63,7 +63,7 @@ def test_switches_method_and_filter_and_remembers_both(qtbot, window):
 
 
 def test_a_frame_without_contact_says_what_to_do(qtbot, window):
-    tab = opened(qtbot, window, GrowingPress(small_rig(64), 4), 0)
+    tab = opened(qtbot, window, GrowingPress(small_rig(64), 4, False), 0)
     assert tab.cloud.message().startswith("No contact yet: press the object")
     assert tab.roll.text() == "Roll not determined"
     assert tab.axis.text() == "Long axis not determined"
