@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from pkgutil import resolve_name
 from typing import Final
 
-from PyQt6.QtWidgets import QWidget
+from PyQt6.QtCore import Qt
+from PyQt6.QtGui import QKeySequence, QUndoStack
+from PyQt6.QtWidgets import QToolButton, QWidget
 
 from ..context import Context
 from ..worker.results import Result
@@ -24,6 +26,25 @@ class AnalysisTab(QWidget):
 
     def shut_down(self) -> None:
         """Stop all threads, for good."""
+
+
+def undo_buttons(tab: QWidget, stack: QUndoStack) -> list[QToolButton]:
+    """Return Undo and Redo of a tab's own work, with the usual shortcuts inside the tab."""
+    made = []
+    for create, keys, word in (
+        (stack.createUndoAction, QKeySequence.StandardKey.Undo, "Undo"),
+        (stack.createRedoAction, QKeySequence.StandardKey.Redo, "Redo"),
+    ):
+        action = create(tab, word)
+        assert action is not None
+        action.setShortcuts(keys)
+        action.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
+        tab.addAction(action)
+        button = QToolButton()
+        button.setDefaultAction(action)
+        button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        made.append(button)
+    return made
 
 
 @dataclass(frozen=True)
@@ -75,6 +96,12 @@ TUNE: Final = TabKind(
     tip="Search for preset values with less error and less time on the open recording",
     shortcut="Shift+F7",
     make=_later("tune_tab:TuneTab"),
+)
+TRACK: Final = TabKind(
+    title="Trac&k an object",
+    tip="Pose of an object of known shape, tracked by its contact patches",
+    shortcut="Shift+F8",
+    make=_later("track_tab:TrackTab"),
 )
 STRAIN: Final = TabKind(
     title="Membrane &strain",

@@ -197,11 +197,11 @@ _REACH = FieldSpec(
 )
 
 
-def _place_spec(axis: str) -> FieldSpec:
+def _place_spec(axis: str, centre: str) -> FieldSpec:
     return FieldSpec(
         path=axis,
         title=axis,
-        description=f"Position of the centre of the scan's contact along {axis} of the proximity camera. "
+        description=f"Position of the centre of the {centre} along {axis} of the proximity camera. "
         "Arrow keys change it by 0.1 mm, page keys by 1 mm.",
         kind="number",
         default=0.0,
@@ -215,12 +215,12 @@ def _place_spec(axis: str) -> FieldSpec:
     )
 
 
-def _turn_spec(name: str, axis: str) -> FieldSpec:
+def _turn_spec(name: str, axis: str, thing: str) -> FieldSpec:
     return FieldSpec(
         path=name.lower(),
         title=name,
         description=(
-            f"Rotation of the scan about {axis} of the proximity camera, in degrees: roll first, then pitch, then "
+            f"Rotation of the {thing} about {axis} of the proximity camera, in degrees: roll first, then pitch, then "
             "yaw. Arrow keys change it by 0.1°, page keys by 1°."
         ),
         kind="number",
@@ -235,6 +235,16 @@ def _turn_spec(name: str, axis: str) -> FieldSpec:
 
 class AlignPanel(CollapsibleSection):
     """Pairs with their residuals, the pose in numbers, and ICP.
+
+    Parameters
+    ----------
+    title : str
+    thing : str
+        What is aligned with the patch.
+    centre : str
+        What its centre of rotation is the centre of.
+    refines : bool
+        Whether there is ICP.
 
     Signals
     -------
@@ -254,18 +264,26 @@ class AlignPanel(CollapsibleSection):
     refineRequested = pyqtSignal(float)
     cancelRequested = pyqtSignal()
 
-    def __init__(self) -> None:
-        super().__init__("Alignment")
+    def __init__(
+        self,
+        title: str = "Alignment",
+        thing: str = "scan",
+        centre: str = "scan's contact",
+        *,
+        refines: bool = True,
+    ) -> None:
+        super().__init__(title)
+        self._thing, self._refines = thing, refines
         self._pose: Float64Array | None = None
         self._pivot = np.zeros(3)
         self.table = QTableWidget(0, 2)
         self.remove = push_button("&Delete pair", "Delete the selected pair (Del) and fit the rest again")
-        self.clear = push_button("Delete all", "Delete all pairs; the scan is not moved")
+        self.clear = push_button("Delete all", f"Delete all pairs; the {thing} is not moved")
         self.center = push_button(
-            "&Move onto patch", "Move the centre of the scan's contact to the patch's, as a start without pairs"
+            "&Move onto patch", f"Move the centre of the {centre} to the patch's, as a start without pairs"
         )
-        self.places = [NumberEntry(_place_spec(axis)) for axis in _AXES]
-        self.turns = [NumberEntry(_turn_spec(name, axis)) for name, axis in zip(_TURNS, _AXES, strict=True)]
+        self.places = [NumberEntry(_place_spec(axis, centre)) for axis in _AXES]
+        self.turns = [NumberEntry(_turn_spec(name, axis, thing)) for name, axis in zip(_TURNS, _AXES, strict=True)]
         self.reach = NumberEntry(_REACH)
         self.refine = push_button(
             "Re&fine by ICP", "Refine the pose by iterative closest points (ICP), starting from the current pose"
@@ -312,10 +330,6 @@ class AlignPanel(CollapsibleSection):
                 numbers.addWidget(entry, line, 2 * column + 1)
         numbers.setColumnStretch(1, 1)
         numbers.setColumnStretch(3, 1)
-        icp = QHBoxLayout()
-        for widget in (self.refine, caption("Reach", self.reach), self.reach, self.cancel):
-            icp.addWidget(widget)
-        icp.addStretch(1)
         layout = QVBoxLayout(self.body)
         layout.setContentsMargins(8, 4, 8, 8)
         layout.setSpacing(4)
@@ -323,9 +337,14 @@ class AlignPanel(CollapsibleSection):
         layout.addLayout(buttons)
         layout.addLayout(numbers)
         layout.addWidget(self.refusal)
-        layout.addLayout(icp)
-        layout.addWidget(self.progress)
-        layout.addWidget(self.outcome)
+        if self._refines:
+            icp = QHBoxLayout()
+            for widget in (self.refine, caption("Reach", self.reach), self.reach, self.cancel):
+                icp.addWidget(widget)
+            icp.addStretch(1)
+            layout.addLayout(icp)
+            layout.addWidget(self.progress)
+            layout.addWidget(self.outcome)
 
     def _connect(self) -> None:
         self.table.itemSelectionChanged.connect(self._selected)
@@ -360,7 +379,7 @@ class AlignPanel(CollapsibleSection):
             if pair.complete:
                 text = f"{left.pop(0):.2f} mm" if left else "–"
             else:
-                text = "click it on the patch" if pair.patch is None else "click it on the scan"
+                text = "click it on the patch" if pair.patch is None else f"click it on the {self._thing}"
             for column, words in enumerate((str(number + 1), text)):
                 item = QTableWidgetItem(words)
                 item.setTextAlignment(Qt.AlignmentFlag.AlignCenter)

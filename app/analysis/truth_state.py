@@ -155,7 +155,7 @@ class TruthState:
 
 
 class TruthSession(History[TruthState]):
-    """What the ground-truth tab edits; every edit is one undoable step.
+    """Alignment of a scan, or of another ``thing``, with a patch; every edit is one undoable step.
 
     Signals
     -------
@@ -165,8 +165,9 @@ class TruthSession(History[TruthState]):
 
     refused = pyqtSignal(str)
 
-    def __init__(self, parent: QObject | None = None) -> None:
+    def __init__(self, parent: QObject | None = None, thing: str = "scan") -> None:
         super().__init__(TruthState(), parent)
+        self._thing = thing
 
     def set_paint(self, paint: PaintSettings, gesture: int = 0) -> None:
         """Change the paint's colours or clean-up."""
@@ -201,7 +202,7 @@ class TruthSession(History[TruthState]):
         try:
             rigid = rigid_transform(pose)
         except ValueError as error:
-            self.refused.emit(f"The scan was not moved: {error}.")
+            self.refused.emit(f"The {self._thing} was not moved: {error}.")
             return
         self.refused.emit("")
         self.edit(text, replace(self._held(patch), pose=rigid, origin=origin), gesture)
@@ -213,7 +214,7 @@ class TruthSession(History[TruthState]):
         pose = change @ np.asarray(self._state.pose)
         left, _, right = np.linalg.svd(pose[:3, :3])
         pose[:3, :3] = left @ right  # keep it a rotation: rounding errors of many small turns add up
-        self.set_pose(pose, "hand", "Nudge the scan", patch, gesture)
+        self.set_pose(pose, "hand", f"Nudge the {self._thing}", patch, gesture)
 
     def _held(self, patch: FrozenPatch | None) -> TruthState:
         return self._state if self._state.patch is not None else replace(self._state, patch=patch)

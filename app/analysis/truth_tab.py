@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from PyQt6.QtCore import Qt
-from PyQt6.QtGui import QAction, QDragEnterEvent, QDropEvent, QKeyEvent, QKeySequence, QUndoStack
+from PyQt6.QtGui import QDragEnterEvent, QDropEvent, QKeyEvent
 from PyQt6.QtWidgets import (
     QComboBox,
     QFrame,
@@ -16,7 +16,6 @@ from PyQt6.QtWidgets import (
     QScrollArea,
     QSlider,
     QSplitter,
-    QToolButton,
     QVBoxLayout,
     QWidget,
 )
@@ -31,7 +30,7 @@ from ...widgets.basics.dialogs import local_files
 from ...widgets.basics.messages import Messages, Severity
 from ..context import Context
 from ..worker.results import Result
-from .tab import AnalysisTab
+from .tab import AnalysisTab, undo_buttons
 from .truth_flow import TruthFlow, next_step
 from .truth_panels import AlignPanel, PaintPanel, ResultPanel
 from .truth_state import TruthState
@@ -126,10 +125,7 @@ class TruthTab(AnalysisTab):
             row.addWidget(widget)
         row.addStretch(1)
         row.addLayout(self._point_size())
-        for action in self._undo_actions(self.flow.session.undo_stack):
-            button = QToolButton()
-            button.setDefaultAction(action)
-            button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        for button in undo_buttons(self, self.flow.session.undo_stack):
             row.addWidget(button)
         return row
 
@@ -146,20 +142,6 @@ class TruthTab(AnalysisTab):
         row.addWidget(caption("Point si&ze", size))
         row.addWidget(size)
         return row
-
-    def _undo_actions(self, stack: QUndoStack) -> list[QAction]:
-        made = []
-        for create, keys, word in (
-            (stack.createUndoAction, QKeySequence.StandardKey.Undo, "Undo"),
-            (stack.createRedoAction, QKeySequence.StandardKey.Redo, "Redo"),
-        ):
-            action = create(self, word)
-            assert action is not None
-            action.setShortcuts(keys)
-            action.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
-            self.addAction(action)
-            made.append(action)
-        return made
 
     def _connect(self) -> None:
         flow, session, views = self.flow, self.flow.session, self.views

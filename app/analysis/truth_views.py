@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -22,11 +23,11 @@ from .truth_flow import TruthFlow
 from .truth_state import FrozenPatch, PickedPair, Side
 from .truth_work import PALETTE, LoadedScan, ScanContact, posed
 
+Rgb = tuple[int, int, int]
+
 #: Colour of the scan's contact over the patch, in both themes.
-SCAN_RGB: Final = (24, 120, 230)
+SCAN_RGB: Final[Rgb] = (24, 120, 230)
 SCAN_COLOR: Final = QColor(*SCAN_RGB)
-_SCAN_ROW = CONTACT_ROW - 1
-_CONTEXT_ROWS = CONTACT_ROW - 1
 #: Brightness of highlighted points.
 _DIMMEST = 0.55
 
@@ -56,16 +57,16 @@ def scan_lut(loaded: LoadedScan, highlight: bool) -> Uint8Array:
     return lut
 
 
-def patch_cloud(patch: FrozenPatch, scan_points: Float64Array | None, theme: Theme) -> DepthCloud:
-    """Return the patch with its surroundings, and with the scan's contact if it has a pose."""
-    depth = patch.context[:, 2]
+def patch_cloud(patch: FrozenPatch, over: Sequence[tuple[Float64Array, Rgb]], theme: Theme) -> DepthCloud:
+    """Return the patch with its surroundings, and other points over it, each group in a colour of its own."""
+    depth, context_rows = patch.context[:, 2], CONTACT_ROW - len(over)
     near, far = (float(depth.min()), float(depth.max())) if len(depth) else (0.0, 1.0)
-    shades = (depth - near) * ((_CONTEXT_ROWS - 1) / max(far - near, 1e-6))
+    shades = (depth - near) * ((context_rows - 1) / max(far - near, 1e-6))
     clouds = [(patch.context, shades.astype(np.uint8)), (patch.points, np.full(len(patch.points), CONTACT_ROW))]
-    if scan_points is not None:
-        clouds.append((scan_points.astype(np.float32), np.full(len(scan_points), _SCAN_ROW)))
     lut = patch_lut(theme).copy()
-    lut[_SCAN_ROW, :3] = SCAN_RGB
+    for row, (points, rgb) in enumerate(over, context_rows):
+        clouds.append((points.astype(np.float32), np.full(len(points), row)))
+        lut[row] = *rgb, 255
     rows = np.concatenate([row for _, row in clouds]).astype(np.uint8)
     return free_cloud(np.concatenate([points for points, _ in clouds]), rows, lut, count=len(patch.points))
 
@@ -206,10 +207,10 @@ class TruthViews(QSplitter):
         if self._drawn[:2] == (pose, theme) and self._drawn[2] is patch and self._drawn[3] is contact:
             return
         self._drawn = pose, theme, patch, contact
-        over = posed(contact, pose) if pose is not None and contact is not None else None
+        over = [(posed(contact, pose), SCAN_RGB)] if pose is not None and contact is not None else []
         self.patch.set_cloud(patch_cloud(patch, over, theme))
         self.patch.set_pickable(len(patch.context) + len(patch.points))
-        self.patch.set_legend(patch_legend(over is not None, theme))
+        self.patch.set_legend(patch_legend(bool(over), theme))
         pivot = flow.pivot()
         self.patch.set_handles(None if pivot is None else PoseHandles(as_place(pivot)))
 

@@ -27,7 +27,6 @@ from .common import (
     stop_on_signals,
     warn,
     warn_of_lost_frames,
-    write_csv,
 )
 from .run import MCAP_SUFFIX, tell_of_stop
 
@@ -40,9 +39,7 @@ if TYPE_CHECKING:
     from ...core.preset import Preset
     from ...core.sources import FrameSource
 
-TUM_SUFFIX = ".tum"
-SUFFIXES = (".csv", TUM_SUFFIX, MCAP_SUFFIX)
-AXES = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
+SUFFIXES = (".csv", ".tum", MCAP_SUFFIX)
 
 Record = dict[str, Any]
 
@@ -178,24 +175,10 @@ def _output(out: Path | None, source: FrameSource, preset: Preset) -> Iterator[A
         return
     records: list[Record] = []
     yield lambda patch, pose, record: records.append(record)
-    if out is None or not records:
-        return
-    if out.suffix.lower() == TUM_SUFFIX:
-        _write_tum(out, records)
-    else:
-        write_csv(out, records)
+    if out is not None and records:
+        from ...core.estimation.pose_files import save_poses
 
-
-def _write_tum(path: Path, records: list[Record]) -> None:
-    """Write the poses that are not lost as ``time x y z qx qy qz qw``."""
-    from ...core.model.files import atomic_path
-
-    keys = ("time_s", *AXES[:3], "qx", "qy", "qz", "qw")
-    lines = [" ".join(repr(record[key]) for key in keys) for record in records if not record["lost"]]
-    if not lines:
-        raise ExportError(f"the object was in no frame, so {path} would be empty; give another --start")
-    with atomic_path(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        save_poses(out, records)
 
 
 def _tracked(
@@ -208,6 +191,9 @@ def _tracked(
     *,
     truth: bool,
 ) -> list[Record]:
+    from ...core.estimation.pose import pose_error
+    from ...core.estimation.pose_files import error_record, pose_record
+
     records: list[Record] = []
     total = number_of_frames(source, frames)
     with CliProgress() as progress:
@@ -222,9 +208,10 @@ def _tracked(
             if not tracker.started and tracker.is_enough(patch):
                 tracker.find(patch)  # refuses a wrong mesh
             pose = tracker.track(patch, frame.proximity_time_s)
-            record = _record(pose, 1e3 * (time.perf_counter() - begun))
+            record = pose_record(pose) | {"ms": round(1e3 * (time.perf_counter() - begun), 2)}
             if truth:
-                record |= _errors(pose, frame.truth.T_proximity_object if frame.truth else None, tracker.mesh)
+                true = frame.truth.T_proximity_object if frame.truth else None
+                record |= error_record(None if true is None or pose.lost else pose_error(pose, true, tracker.mesh))
             save(patch, pose, record)
             records.append(record)
             progress.frames(len(records), total)
@@ -233,43 +220,6 @@ def _tracked(
     if truth and records and all(record["position_error_mm"] == "" for record in records):
         warn(f"{source.name} knows no true pose, or the object was lost in every frame; the errors are empty")
     return records
-
-
-def _record(pose: PoseEstimate, ms: float) -> Record:
-    """Return a line of the table; unknown values are empty."""
-    import numpy as np
-    from scipy.spatial.transform import Rotation
-
-    matrix = pose.T_proximity_object
-    record: Record = {"sequence": pose.sequence, "time_s": pose.time_s, "lost": int(pose.lost)}
-    record |= {key: float(value) for key, value in zip(AXES, matrix[:3, 3], strict=False)}
-    quaternion = Rotation.from_matrix(matrix[:3, :3]).as_quat()
-    record |= {key: float(value) for key, value in zip(("qx", "qy", "qz", "qw"), quaternion, strict=True)}
-    sigmas = np.sqrt(np.diag(pose.covariance))
-    record |= {f"sigma_{key}": float(value) for key, value in zip(AXES, sigmas, strict=True)}
-    record["free"] = "; ".join(direction.name for direction in pose.free)
-    record["residual_mm"] = _rounded(1e3 * pose.residual_m)
-    return record | {"overlap": round(pose.overlap, 4), "ms": round(ms, 2)}
-
-
-def _errors(pose: PoseEstimate, true: Any, mesh: ObjectMesh) -> Record:
-    from ...core.estimation.pose import pose_error
-
-    if true is None or pose.lost:
-        return dict.fromkeys(
-            ("position_error_mm", "angle_error_deg", "full_position_error_mm", "full_angle_error_deg"), ""
-        )
-    error = pose_error(pose, true, mesh)
-    return {
-        "position_error_mm": _rounded(1e3 * error.position_m),
-        "angle_error_deg": _rounded(math.degrees(error.angle_rad)),
-        "full_position_error_mm": _rounded(1e3 * error.full_position_m),
-        "full_angle_error_deg": _rounded(math.degrees(error.full_angle_rad)),
-    }
-
-
-def _rounded(value: float) -> float | str:
-    return round(value, 4) if math.isfinite(value) else ""
 
 
 def _summary(records: list[Record], source: str, mesh: ObjectMesh, *, truth: bool) -> str:

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from ..errors import MissingExtraError, SourceError
 from ..evaluation.scan.scan import UNITS_M, read_triangles, triangle_areas
 from ..model.arrays import BoolArray, Float64Array, Int32Array
+from ..sources.simulator.scenes import Scene
 from ..sources.simulator.source import SimulatorSource
 
 #: Suffixes of meshes.
@@ -204,11 +205,16 @@ def load_mesh(path: Path | str, unit: str | None = None) -> ObjectMesh:
 
 def simulated_mesh(source: SimulatorSource) -> ObjectMesh:
     """Return the mesh of the simulator's object, in the frame of its true pose."""
+    return mesh_of_scene(source.scene, source.name)
+
+
+def mesh_of_scene(scene: Scene, name: str) -> ObjectMesh:
+    """Return the mesh of the object of a simulator's scene that need not be open."""
     from ..evaluation.scan.simulated import object_surface
 
-    vertices, quads = object_surface(source.scene.pressed.kind, _SIMULATED_SIDE_M)
+    vertices, quads = object_surface(scene.pressed.kind, _SIMULATED_SIDE_M)
     triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]).astype(np.int32)
-    return ObjectMesh(vertices, triangles, source.name)
+    return ObjectMesh(vertices, triangles, name)
 
 
 def import_open3d() -> Any:

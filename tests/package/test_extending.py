@@ -192,7 +192,8 @@ def test_a_broken_entry_point_is_one_sentence_and_breaks_nothing_else(broken: Pa
     assert [driver.title for driver in drivers] == ["RealSense"]
     assert sorted(name for name in BROKEN for problem in problems if f"'{name}'" in problem) == ["lost", "strange"]
     tabs = plugins.load_plugins(TABS, lambda name: plugins.load_plugin(TABS, name, TabKind))
-    assert list(tabs.found) == ["compare", "strain", "tilt", "truth", "tune"] and list(tabs.problems) == ["worn"]
+    assert list(tabs.found) == ["compare", "strain", "tilt", "track", "truth", "tune"]
+    assert list(tabs.problems) == ["worn"]
     with pytest.raises(SourceError, match=r"no RealSense camera connected.*package rotten"):
         open_source("cameras:1,2").close()
 

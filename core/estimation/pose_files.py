@@ -1,0 +1,76 @@
+"""Tracked poses as tables: CSV, and the format of the TUM RGB-D benchmark, which ``evo`` reads."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..errors import ExportError
+from ..model.files import atomic_path
+from .pose import PoseError, PoseEstimate
+
+Record = dict[str, Any]
+
+CSV_SUFFIX: Final = ".csv"
+TUM_SUFFIX: Final = ".tum"
+AXES: Final = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
+_TUM: Final = ("time_s", *AXES[:3], "qx", "qy", "qz", "qw")
+_ERRORS: Final = ("position_error_mm", "angle_error_deg", "full_position_error_mm", "full_angle_error_deg")
+
+
+def pose_record(pose: PoseEstimate) -> Record:
+    """Return one frame as a line of a table; unknown values are empty."""
+    matrix = pose.T_proximity_object
+    record: Record = {"sequence": pose.sequence, "time_s": pose.time_s, "lost": int(pose.lost)}
+    record |= {key: float(value) for key, value in zip(AXES, matrix[:3, 3], strict=False)}
+    quaternion = Rotation.from_matrix(matrix[:3, :3]).as_quat()
+    record |= {key: float(value) for key, value in zip(("qx", "qy", "qz", "qw"), quaternion, strict=True)}
+    sigmas = np.sqrt(np.diag(pose.covariance))
+    record |= {f"sigma_{key}": float(value) for key, value in zip(AXES, sigmas, strict=True)}
+    record["free"] = "; ".join(direction.name for direction in pose.free)
+    record["residual_mm"] = _rounded(1e3 * pose.residual_m)
+    return record | {"overlap": round(pose.overlap, 4)}
+
+
+def error_record(error: PoseError | None) -> Record:
+    """Return the columns of the error; empty where it is not known."""
+    if error is None:
+        return dict.fromkeys(_ERRORS, "")
+    values = (
+        1e3 * error.position_m, math.degrees(error.angle_rad),
+        1e3 * error.full_position_m, math.degrees(error.full_angle_rad),
+    )  # fmt: skip
+    return dict(zip(_ERRORS, map(_rounded, values), strict=True))
+
+
+def save_poses(path: Path, records: Sequence[Mapping[str, Any]]) -> None:
+    """Write records of `pose_record` by the file's suffix: ``.tum`` without lost frames, else CSV with all columns.
+
+    Raises
+    ------
+    ExportError
+        There is nothing to write, or the file cannot be written.
+    """
+    text = io.StringIO(newline="")
+    if path.suffix.lower() == TUM_SUFFIX:
+        records = [record for record in records if not record["lost"]]
+        text.writelines(" ".join(repr(record[key]) for key in _TUM) + "\n" for record in records)
+    elif records:
+        writer = csv.DictWriter(text, list(records[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(records)
+    if not records:
+        raise ExportError(f"the object was in no frame, so {path} would be empty; start from another pose")
+    with atomic_path(path) as temporary:
+        temporary.write_text(text.getvalue(), encoding="utf-8")
+
+
+def _rounded(value: float) -> float | str:
+    return round(value, 4) if math.isfinite(value) else ""

@@ -1,0 +1,174 @@
+"""A simulated cup is found, placed by hand, tracked from frame to frame and exported, by real mouse and key events."""
+
+from __future__ import annotations
+
+import csv
+import time
+from threading import Event
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import Qt
+from PyQt6.QtTest import QTest
+
+from hands import LEFT, drop, show_source, type_path
+from tactune.app.analysis import track_tab
+from tactune.core.estimation.object_mesh import mesh_of_scene, simulated_mesh
+from tactune.core.sources.presets import load_preset
+from tactune.core.sources.simulator.scenes import resolve_scene
+from tactune.core.sources.simulator.source import SimulatorSource
+from tiny_sensor import at_rest
+from truth_scene import click_at
+
+PRESSED = 40
+
+
+@pytest.fixture(scope="module")
+def cup_file(tmp_path_factory):
+    pytest.importorskip("open3d")
+    trimesh = pytest.importorskip("trimesh")
+    mesh = mesh_of_scene(resolve_scene("cup"), "cup")
+    path = tmp_path_factory.mktemp("mesh") / "cup.stl"
+    trimesh.Trimesh(1000 * mesh.vertices_m, mesh.triangles, process=False).export(path)
+    return path
+
+
+@pytest.fixture
+def source():
+    with SimulatorSource("cup") as made:
+        yield made
+
+
+@pytest.fixture
+def tab(qtbot, make_window, source, cup_file):
+    """The tab beside a window that stands still at a frame in which the cup is pressed, with its mesh dropped on it."""
+    window = make_window(load_preset("simulator"))
+    show_source(qtbot, window, source, PRESSED)
+    QTest.keyClick(window, Qt.Key.Key_F8, Qt.KeyboardModifier.ShiftModifier)
+    analysis = window.analysis.window
+    qtbot.waitExposed(analysis)
+    made = analysis.made["track"]
+    drop(made, cup_file)
+    qtbot.waitUntil(lambda: made.model is not None)
+    analysis.activateWindow()
+    qtbot.waitUntil(analysis.isActiveWindow)
+    made.main = window
+    return made
+
+
+def true_pose(source, index=PRESSED):
+    return np.array(source.read(index).truth.T_proximity_object)
+
+
+def find(qtbot, tab):
+    QTest.mouseClick(tab.find_button, LEFT)
+    qtbot.waitUntil(lambda: tab.tracked is not None, timeout=30_000)
+
+
+def test_the_unit_of_the_mesh_is_told_by_its_size_and_said(tab):
+    assert "cup.stl was read in mm: 107 x 92 x 74 mm" in tab.messages.sentences()[-1]
+    assert np.ptp(tab.model.mesh.vertices_m[:, 0]) == pytest.approx(0.107, abs=0.002)
+    assert tab.views.model.point_count() > 5000
+    assert "Press Find" in tab.guide.text()
+
+
+def test_the_cup_is_found_and_followed_and_its_poses_exported(qtbot, tab, source, tmp_path):
+    find(qtbot, tab)
+    assert tab.track_button.isChecked() and tab.guide.text().startswith("Tracking")
+    assert tab.tracked.error.position_m < 0.002 and tab.tracked.error.angle_rad < np.radians(2.0)
+    for index in (PRESSED + 1, PRESSED - 1):
+        tab.main.worker.seek(index)
+        qtbot.waitUntil(lambda index=index: at_rest(tab.main, index))
+        qtbot.waitUntil(lambda index=index: tab.tracked.estimate.sequence == index)
+        moved = tab.tracked.estimate.T_proximity_object[2, 3] - true_pose(source, index)[2, 3]
+        assert abs(moved) < 0.001
+    assert "mm" in tab.pose.values[0].text() and "±" in tab.pose.sigmas[2].text()
+    assert np.isfinite(tab.plot.position.yData).all() and len(tab.plot.position.yData) >= 1
+    QTest.mouseClick(tab.export, LEFT)
+    type_path(qtbot, tmp_path / "poses.csv")
+    qtbot.waitUntil(lambda: any("poses were written" in sentence for sentence in tab.messages.sentences()))
+    rows = list(csv.DictReader((tmp_path / "poses.csv").read_text(encoding="utf-8").splitlines()))
+    assert [int(row["sequence"]) for row in rows][-2:] == [PRESSED + 1, PRESSED - 1]
+    assert float(rows[-1]["position_error_mm"]) < 2
+
+
+def test_three_clicked_pairs_give_the_start_and_undo_takes_them_back(qtbot, tab, source):
+    pose = true_pose(source)
+    patch = tab.main.result.patch.points
+    for corner in (patch[:, 0].argmin(), patch[:, 0].argmax(), patch[:, 1].argmax()):
+        place = patch[corner]
+        seen = np.concatenate([points for points, _ in tab.model.groups])
+        on_model = np.linalg.inv(pose) @ [*place, 1.0]
+        model_point = seen[np.linalg.norm(seen - on_model[:3], axis=1).argmin()]
+        click_at(tab.views.model, model_point)
+        click_at(tab.views.scene, place)
+        qtbot.waitUntil(lambda: tab.session.state.pending is None)
+    assert np.abs(np.array(tab.session.state.pose) - pose).max() < 0.15
+    assert tab.views.scene.handles() is not None
+    assert tab.views.follow.isEnabled()  # the frame that was clicked on is held
+    QTest.mouseClick(tab.track_button, LEFT)
+    qtbot.waitUntil(lambda: tab.tracked is not None)
+    assert not tab.tracked.estimate.lost
+    assert tab.tracked.error.position_m < 0.003
+    QTest.mouseClick(tab.track_button, LEFT)
+    assert np.allclose(tab.session.state.pose, tab.tracked.estimate.T_proximity_object)
+    while tab.session.undo_stack.canUndo():
+        QTest.keyClick(tab, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
+    assert tab.session.state.pairs == () and tab.session.state.pose is None
+
+
+def test_without_contact_it_is_lost_and_comes_back(qtbot, tab):
+    find(qtbot, tab)
+    tab.main.worker.seek(0)
+    qtbot.waitUntil(lambda: "No contact" in tab.guide.text())
+    assert tab.pose.values[0].text() == "–"
+    tab.main.worker.seek(PRESSED)
+    qtbot.waitUntil(lambda: tab.guide.text().startswith("Tracking"), timeout=30_000)
+
+
+def test_a_wrong_mesh_is_refused_by_its_residual(qtbot, tab, tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.box((0.09, 0.09, 0.004)).export(tmp_path / "plate.ply")
+    tab.open_mesh(tmp_path / "plate.ply")
+    qtbot.waitUntil(lambda: tab.model.mesh.name == "plate.ply")
+    QTest.mouseClick(tab.find_button, LEFT)
+    words = "Plate.ply does not fit the contact"
+    qtbot.waitUntil(lambda: any(words in sentence for sentence in tab.messages.sentences()), timeout=30_000)
+    assert not tab.track_button.isChecked()
+    assert tab.session.state.pose is None
+
+
+def test_a_search_can_be_given_up_at_once(qtbot, tab, monkeypatch):
+    began, go_on = Event(), Event()
+
+    class Endless:
+        def __init__(self, *_: object) -> None:
+            pass
+
+        def find(self, _result: object) -> None:
+            began.set()
+            go_on.wait(20)
+
+    monkeypatch.setattr(track_tab, "FrameTracker", Endless)
+    QTest.mouseClick(tab.find_button, LEFT)
+    qtbot.waitUntil(began.is_set)
+    assert tab.cancel.isVisible()
+    begun = time.monotonic()
+    QTest.mouseClick(tab.cancel, LEFT)
+    assert not tab.cancel.isVisible() and time.monotonic() - begun < 5
+    go_on.set()
+    assert not tab.track_button.isChecked()
+
+
+def test_the_simulators_own_object_needs_no_file(qtbot, tab, source):
+    QTest.mouseClick(tab.simulated, LEFT)
+    qtbot.waitUntil(lambda: tab.model.mesh.name == "cup")
+    np.testing.assert_array_equal(tab.model.mesh.vertices_m, simulated_mesh(source).vertices_m)
+
+
+def test_what_is_no_mesh_is_said_and_the_present_one_stays(qtbot, tab, tmp_path):
+    model = tab.model
+    (tmp_path / "broken.stl").write_text("no mesh", encoding="ascii")
+    tab.open_mesh(tmp_path / "broken.stl")
+    qtbot.waitUntil(lambda: any("roken.stl" in sentence for sentence in tab.messages.sentences()))
+    assert tab.model is model and not tab.progress.isVisible()

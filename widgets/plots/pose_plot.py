@@ -1,0 +1,107 @@
+"""Curves over the last seconds, such as the errors of a tracked pose."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Final
+
+import numpy as np
+import pyqtgraph as pg
+from PyQt6.QtCore import QEvent, Qt
+from PyQt6.QtWidgets import QLabel, QVBoxLayout, QWidget
+
+from ..basics.theme import text_font, theme_colors
+
+#: Frames that are kept, 20 s at 30 frames/s.
+_FRAMES: Final = 600
+_HEIGHT: Final = 96
+#: A gap in the curves: frames farther apart than this, seconds, are not joined.
+_GAP_S: Final = 0.5
+
+
+class PosePlot(QWidget):
+    """Residual and error of the position in millimetres, error of the rotation in degrees, over time in seconds.
+
+    The rotation's plot is hidden while no error is known.
+    """
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._rows: deque[tuple[float, float, float, float]] = deque(maxlen=_FRAMES)
+        self.setAccessibleName("Errors over time")
+        self.setToolTip(
+            "Over the last 20 s: the residual, the RMS distance of the patch to the model; where the source knows the "
+            "true pose, the errors of position and rotation in the directions that the patch determines"
+        )
+        self.lengths, self.angles = self._plot("mm"), self._plot("degrees")
+        self.residual, self.position, self.angle = (pg.PlotDataItem(connect="finite") for _ in range(3))
+        for plot, curve in ((self.lengths, self.residual), (self.lengths, self.position), (self.angles, self.angle)):
+            plot.addItem(curve)
+        self.angles.setXLink(self.lengths)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(4)
+        self.about = QLabel()
+        self.about.setWordWrap(True)
+        self.about.setFont(text_font("caption"))
+        for widget in (self.lengths, self.angles, self.about):
+            layout.addWidget(widget)
+        self._recolor()
+        self._show()
+
+    def _plot(self, unit: str) -> pg.PlotWidget:
+        plot = pg.PlotWidget()
+        plot.setFixedHeight(_HEIGHT)
+        plot.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        item = plot.getPlotItem()
+        item.setMenuEnabled(False)
+        item.hideButtons()
+        item.setMouseEnabled(x=False, y=False)
+        item.getAxis("left").setWidth(44)
+        item.getAxis("left").enableAutoSIPrefix(False)
+        item.setLabel("left", unit)
+        item.setLimits(yMin=0.0)
+        return plot
+
+    def clear(self) -> None:
+        """Forget all frames."""
+        self._rows.clear()
+        self._show()
+
+    def add(self, time_s: float, residual_mm: float, position_mm: float, angle_deg: float) -> None:
+        """Add a frame; nan where a value is not known. A time before the last one begins anew."""
+        if self._rows and time_s < self._rows[-1][0]:
+            self._rows.clear()
+        if self._rows and time_s > self._rows[-1][0] + _GAP_S:
+            self._rows.append((time_s, *(float("nan"),) * 3))
+        self._rows.append((time_s, residual_mm, position_mm, angle_deg))
+        self._show()
+
+    def _show(self) -> None:
+        times, residual, position, angle = zip(*self._rows, strict=True) if self._rows else ((), (), (), ())
+        for curve, values in ((self.residual, residual), (self.position, position), (self.angle, angle)):
+            curve.setData(times, values)
+        known = bool(np.isfinite(angle).any())
+        self.angles.setVisible(known)
+        true = (
+            "Blue: error in the directions that the patch determines. " if known else "This source knows no true pose. "
+        )
+        self.about.setText(f"{true}Grey: residual. Over time in seconds." if times else "Track an object to see them.")
+
+    def changeEvent(self, event: QEvent | None) -> None:
+        """Follow the theme."""
+        super().changeEvent(event)
+        if event is not None and event.type() == QEvent.Type.PaletteChange:
+            self._recolor()
+
+    def _recolor(self) -> None:
+        colors = theme_colors()
+        for plot in (self.lengths, self.angles):
+            plot.setBackground(colors.base)
+            for name in ("bottom", "left"):
+                axis = plot.getPlotItem().getAxis(name)
+                axis.setPen(colors.border)
+                axis.setTextPen(colors.text)
+        self.residual.setPen(pg.mkPen(colors.outside, width=1))
+        for curve in (self.position, self.angle):
+            curve.setPen(pg.mkPen(colors.accent, width=2))
