@@ -100,7 +100,7 @@ TUNE: Final = TabKind(
 TRACK: Final = TabKind(
     title="Trac&k an object",
     tip="Pose of an object of known shape, tracked by its contact patches",
-    shortcut="Shift+F8",
+    shortcut="Ctrl+F8",
     make=_later("track_tab:TrackTab"),
 )
 STRAIN: Final = TabKind(

@@ -44,7 +44,7 @@ def tab(qtbot, make_window, source, cup_file):
     """The tab beside a window that stands still at a frame in which the cup is pressed, with its mesh dropped on it."""
     window = make_window(load_preset("simulator"))
     show_source(qtbot, window, source, PRESSED)
-    QTest.keyClick(window, Qt.Key.Key_F8, Qt.KeyboardModifier.ShiftModifier)
+    QTest.keyClick(window, Qt.Key.Key_F8, Qt.KeyboardModifier.ControlModifier)
     analysis = window.analysis.window
     qtbot.waitExposed(analysis)
     made = analysis.made["track"]
