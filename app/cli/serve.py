@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from .run import Estimate
 
 _LAYOUT_HELP = "Write the layout for the Foxglove app (Import from file) and end, unless --foxglove or --ros2 is given."
+_RCLPY_HELP = "Publish by the ROS 2 that is sourced in this shell, whose middleware and settings choose the network."
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,7 @@ def serve(
     frames: FrameCount = None,
     foxglove: Annotated[bool, typer.Option("--foxglove", help="Listen for the Foxglove app and its clients.")] = False,
     ros2: Annotated[bool, typer.Option("--ros2", help="Publish ROS 2 topics by DDS; needs no ROS.")] = False,
+    rclpy: Annotated[bool, typer.Option("--rclpy", help=_RCLPY_HELP)] = False,
     host: Annotated[
         str,
         typer.Option(
@@ -82,14 +84,14 @@ def serve(
     """Publish contact patches live for Foxglove and ROS 2; a recording is repeated at its own rate."""
     if layout is not None:
         _write_layout(layout)
-        if not foxglove and not ros2:
+        if not (foxglove or ros2 or rclpy):
             return
     from ...core.output.connections import Connections
 
-    if not foxglove and not ros2:
+    if not (foxglove or ros2 or rclpy):
         raise typer.BadParameter("give --foxglove or --ros2; nothing is published unless it is asked for")
     preset = preset or default_preset(source)
-    connections = Connections(foxglove, ros2, host, port, domain, namespace)
+    connections = Connections(foxglove, ros2, host, port, domain, namespace, rclpy)
     serve_frames(ServeOptions(source, preset, frames, connections, estimate, mesh, unit))
 
 

@@ -22,7 +22,7 @@ class Connections:
     foxglove : bool
         A WebSocket server for the Foxglove app.
     ros2 : bool
-        ROS 2 topics by DDS.
+        ROS 2 topics by DDS, without ROS.
     host : str
         The address to listen on.
     port : int
@@ -31,6 +31,8 @@ class Connections:
         ROS 2 domain id.
     namespace : str
         Of the ROS 2 topics.
+    rclpy : bool
+        ROS 2 topics by the sourced ROS 2, which decides on the network.
     """
 
     foxglove: bool = False
@@ -39,6 +41,7 @@ class Connections:
     port: int = FOXGLOVE_PORT
     domain: int = 0
     namespace: str = "tactune"
+    rclpy: bool = False
 
     def make_sinks(self, parameters: PresetParameters) -> list[Sink]:
         """Return a sink for each connection, not started yet.
@@ -59,4 +62,8 @@ class Connections:
             from .dds import DdsSink
 
             sinks.append(DdsSink(self.domain, self.namespace, self.host))
+        if self.rclpy:
+            from .ros import RosSink
+
+            sinks.append(RosSink(self.domain, self.namespace))
         return sinks

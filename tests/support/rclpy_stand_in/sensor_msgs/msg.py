@@ -2,4 +2,12 @@
 
 from ros_types import PointCloud2
 
-__all__ = ["PointCloud2"]
+__all__ = ["CameraInfo", "Image", "PointCloud2"]
+
+
+class Image:
+    """A name only."""
+
+
+class CameraInfo:
+    """A name only."""

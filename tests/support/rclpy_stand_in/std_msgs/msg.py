@@ -2,4 +2,8 @@
 
 from ros_types import Float64
 
-__all__ = ["Float64"]
+__all__ = ["Float64", "String"]
+
+
+class String:
+    """A name only."""
