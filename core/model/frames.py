@@ -21,7 +21,9 @@ from .intrinsics import Intrinsics
 NO_DEPTH_COUNTS = (0, 65535)
 
 #: Both cameras sit in one housing; a longer translation is a mistake, such as millimetres.
-_MAX_SHIFT_M = 10.0
+_MAX_SHIFT_M = 3.0
+#: Largest depth unit, metres: no camera counts centimetres, but a unit given in millimetres looks like that.
+MAX_UNIT_M = 0.01
 
 Row4 = tuple[float, float, float, float]
 Matrix4 = tuple[Row4, Row4, Row4, Row4]
@@ -53,7 +55,10 @@ def rigid_transform(matrix: Any) -> Matrix4:
     if not np.isfinite(array).all():
         raise ValueError("a pose has finite entries, this one contains nan or inf")
     if np.abs(array[:3]).max() > _MAX_SHIFT_M:
-        raise ValueError(f"a pose has a rotation and metres up to {_MAX_SHIFT_M:g}, this one contains larger numbers")
+        raise ValueError(
+            f"a pose has a rotation and metres up to {_MAX_SHIFT_M:g}, this one contains larger numbers, as if it were "
+            "in millimetres"
+        )
     rotation = array[:3, :3]
     deviation = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if deviation <= 1e-3 and np.linalg.det(rotation) < 0:
@@ -76,7 +81,7 @@ class DepthCamera(_Frozen):
     model: str = "unknown"
     serial: str = ""
     intrinsics: Intrinsics
-    depth_unit_m: Annotated[float, Field(ge=1e-7, le=1.0)]
+    depth_unit_m: Annotated[float, Field(ge=1e-7, le=MAX_UNIT_M)]
 
 
 class ColorCamera(_Frozen):

@@ -8,6 +8,7 @@ tool includes it in the temporal noise and so lowers that.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -37,6 +38,8 @@ _BASELINES_M = {"D405": 0.018, "D415": 0.055, "D430": 0.050, "D435": 0.050, "D45
 #: Share of the points at either end of the depth range that the mean squares leave out, as in the tool.
 CLIPPED_SHARE = 1 / 200
 _MIN_POINTS = 3
+#: Points farther than this share of the median depth from it do not belong to a target that faces the camera.
+_STRAY_SHARE = 0.2
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,8 @@ class CameraQuality:
         Root mean square distance of the points from the plane, metres and as a share of ``distance_m``.
     subpixel_rms_px : float
         Root mean square distance as disparity, pixels; stereo cameras only.
+    stray_tilt_deg : float
+        Angle by which the points that lie more than a fifth off the median depth turn the plane, degrees.
     z_accuracy : float
         Signed error of the plane's distance as a share of the true distance; positive: measured too far.
     temporal_noise_share : float
@@ -77,6 +82,7 @@ class CameraQuality:
     plane_rms_m: float = float("nan")
     plane_rms_share: float = float("nan")
     subpixel_rms_px: float = float("nan")
+    stray_tilt_deg: float = 0.0
     z_accuracy: float = float("nan")
     temporal_noise_share: float = float("nan")
     temporal_noise_m: float = float("nan")
@@ -223,9 +229,13 @@ def camera_quality(
     errors = plane.signed_distances(kept)
     rms = root_mean_square(errors)
     baseline = stereo_baseline_m(camera.model)
+    median_m = np.median(depth)
+    without = fit_plane(points[np.abs(depth - median_m) <= _STRAY_SHARE * median_m])
+    turned = 1.0 if without is None else float(np.dot(plane.normal, without.normal))
     measured = {
         "distance_m": plane.distance_m,
         "angle_deg": plane.angle_deg,
+        "stray_tilt_deg": math.degrees(math.acos(min(turned, 1.0))),
         "plane_rms_m": rms,
         "plane_rms_share": rms / plane.distance_m,
     }

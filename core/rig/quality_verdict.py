@@ -20,6 +20,8 @@ _GOOD_SUBPIXEL_PX, _FAIR_SUBPIXEL_PX = 0.1, 0.3
 #: Plane-fit error as a share of the distance: probably not flat, and certainly not one plane.
 _NOT_FLAT, _NO_PLANE = 0.03, 0.1
 _TILTED_DEG, _EDGE_ON_DEG = 15.0, 70.0
+#: Points off the target may turn the plane by this angle, degrees.
+_STRAY_DEG = 5.0
 _FLAT_STEP = "No flat surface fills the region: choose a flat target, or drag the region onto one."
 _GOOD_ACCURACY = 0.02
 #: If the scatter exceeds this multiple of the fair bias, the cameras do not see the same surface.
@@ -126,6 +128,12 @@ def _plane(quality: CameraQuality) -> Reading:
         return Reading(
             "Plane fit", "", Verdict.UNKNOWN, step="Too few pixels in the region have depth for a plane fit."
         )
+    if quality.stray_tilt_deg > _STRAY_DEG:
+        step = (
+            f"Pixels far from the target turn the plane by {quality.stray_tilt_deg:.0f}°: "
+            "make the region smaller, so that it holds the flat target only."
+        )
+        return Reading("Plane fit", "no flat surface", Verdict.UNKNOWN, step=step)
     if share > _NO_PLANE or quality.angle_deg > _EDGE_ON_DEG:
         return Reading("Plane fit", "no flat surface", Verdict.UNKNOWN, step=_FLAT_STEP)
     value = (

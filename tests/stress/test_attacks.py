@@ -186,7 +186,7 @@ def textured(path: Path) -> None:
     lines = ["mtllib a.mtl"]
     for n in range(12):
         (path.parent / f"{n}.png").write_bytes(texture)
-        lines += [f"v {x} {y} {n / 10}" for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
+        lines += [f"v {x / 10} {y / 10} {n / 100}" for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
         lines += [f"vt {x} {y}" for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))] + [f"usemtl m{n}"]
         lines += ["f " + " ".join(f"{4 * n + k}/{4 * n + k}" for k in corners) for corners in ((1, 2, 3), (1, 3, 4))]
     path.write_text("\n".join(lines) + "\n")

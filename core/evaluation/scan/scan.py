@@ -26,7 +26,7 @@ SUFFIXES: Final = (".ply", ".obj")
 UNITS_M: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 
 #: Plausible size of an object that a hand-sized sensor can touch.
-_MAX_SIZE_M: Final = 3.0
+_MAX_SIZE_M: Final = 1.0
 _MIN_SIZE_M: Final = 0.002
 _FILE_BYTES: Final = 2_000_000_000
 _MAX_TRIANGLES: Final = 20_000_000
@@ -315,7 +315,9 @@ def _merged(parts: list[Scan], path: Path) -> Scan:
 
 def _check_largest(vertices: Float64Array, path: Path) -> None:
     if (size := _size(vertices)) > _MAX_SIZE_M:
-        raise SourceError(f"{path} is {size:.3g} m across; if its numbers are millimetres, set the unit to mm")
+        raise SourceError(
+            f"{path} is {size:.3g} m across; if its numbers are millimetres or inches, set the unit to mm or in"
+        )
 
 
 def _size(vertices: Float64Array) -> float:

@@ -148,7 +148,7 @@ def test_a_pose_that_is_none_is_refused(tmp_path: Path, ours: Path) -> None:
     copy = rewrite(ours, tmp_path / "copy.mcap", without=("/tactune",), **plain)
     far = copy.read_bytes().replace(np.float64(0.04).tobytes(), np.float64(40.0).tobytes())
     copy.write_bytes(far)
-    with pytest.raises(SourceError, match=r"the pose of .* in .*: a pose has a rotation and metres up to 10"):
+    with pytest.raises(SourceError, match=r"the pose of .* in .*: a pose has a rotation and metres up to 3"):
         McapSource(copy)
 
 

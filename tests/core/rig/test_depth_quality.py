@@ -191,6 +191,17 @@ def test_words_say_the_number_what_is_good_and_the_next_step(rig, make_frame):
     assert "over 40 frames" in noise.value
 
 
+def test_a_few_far_pixels_that_tilt_the_plane_are_named(rig):
+    camera = rig.tactile
+    depth = plane_depth(camera, (0.0, 0.0, 1.0), 0.30)
+    assert judge_camera(camera_quality("tactile", [counts(depth, camera)], camera, REGION))[1].verdict is Verdict.GOOD
+    left, top, width, height = REGION
+    depth[top : top + height, left + width - 8 : left + width] = 0.6
+    reading = judge_camera(camera_quality("tactile", [counts(depth, camera)], camera, REGION))[1]
+    assert reading.verdict is Verdict.UNKNOWN
+    assert "make the region smaller" in reading.line
+
+
 @pytest.mark.parametrize(("bias_m", "verdict"), [(0.001, Verdict.GOOD), (-0.005, Verdict.FAIR), (0.017, Verdict.POOR)])
 def test_a_bias_is_judged_by_the_tolerance(rig, make_frame, bias_m, verdict):
     quality = measure_quality([make_frame(0.3 + bias_m, 0.3)], rig, AlignmentSection(), REGION)

@@ -148,7 +148,7 @@ BAD = {
     ),
     "pose in millimetres": (
         lambda p: edit(p / "rig.json", T_proximity_tactile=[[1, 0, 0, 40], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]),
-        r"rig\.json: T_proximity_tactile: .*metres up to 10",
+        r"rig\.json: T_proximity_tactile: .*metres up to 3",
     ),
     "time is nan": (lambda p: edit(p / F / "frame.json", proximity_time_s=float("nan")), r"proximity_time_s is nan"),
 }
@@ -196,7 +196,7 @@ BAD_CAMERA = {
     "height": ("480", "proximity.height is '480', but it should be a valid integer"),
     "width": (6.5, "proximity.width is 6.5, but it should be a valid integer"),
     "fy": (-1.0, "proximity.fy is -1.0, but it should be greater than or equal to 0.1"),
-    "depth_unit_m": (0, "proximity.depth_unit_m is 0, but it should be greater than or equal to 0.0000001"),
+    "depth_unit_m": (0.25, "proximity.depth_unit_m is 0.25, but it should be less than or equal to 0.01"),
     "distortion": ("ftheta", "proximity.distortion is 'ftheta', but it should be 'none', 'brown_conrady'"),
     "coefficients": ([0.1], r"proximity.coefficients.1 is missing \(and 3 more\)"),
     "cx": (None, "proximity.cx is missing; add it"),

@@ -142,7 +142,7 @@ def without(line):
         ("scan.ply", "ply\n", ("no readable .ply mesh",)),
         ("scan.ply", "ply\nformat ascii 1.0\nelement vertex 999999999\nproperty float x\nend_header\n", ("scan.ply",)),
         ("scan.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", ("no triangles", "as a mesh")),
-        ("scan.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", ("no colours", "vertex colours")),
+        ("scan.obj", "v 0 0 0\nv .1 0 0\nv 0 .1 0\nf 1 2 3\n", ("no colours", "vertex colours")),
         ("scan.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", ("scan.obj",)),
         ("scan.obj", "v 0 0 0 1 0 0\nv nan 0 0 1 0 0\nv 0 1 0 1 0 0\nf 1 2 3\n", ("1 vertices", "nan")),
         ("scan.obj", "v 0 0 0 1 0 0\nv .1 0 0 1 0 0\nv .2 0 0 1 0 0\nf 1 2 3\n", ("without area",)),
