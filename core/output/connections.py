@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from .parameters import PresetParameters
-from .publisher import Sink
+if TYPE_CHECKING:
+    from .parameters import PresetParameters
+    from .publisher import Sink
 
 #: The address that only programs on this computer reach.
 LOOPBACK: Final = "127.0.0.1"

@@ -120,6 +120,21 @@ def test_a_taken_port_is_told(publishing, window, qtbot, port):
     switch_on(publishing, qtbot, port)
 
 
+def test_ros_2_with_its_domain_and_namespace(publishing, qtbot):
+    QTest.keyClick(publishing.foxglove, Qt.Key.Key_Space)
+    QTest.keyClick(publishing.ros2, Qt.Key.Key_Space)
+    type_into(publishing.domain, "78", Qt.Key.Key_Tab)
+    type_into(publishing.namespace, "1 finger", Qt.Key.Key_Tab)
+    QTest.mouseClick(publishing.start, LEFT)
+    qtbot.waitUntil(lambda: "no namespace of ROS 2" in publishing.state.text())
+    assert not listening()
+    type_into(publishing.namespace, "left", Qt.Key.Key_Tab)
+    QTest.mouseClick(publishing.start, LEFT)
+    qtbot.waitUntil(lambda: "ROS 2, domain 78, 127.0.0.1, /left: 0 clients" in publishing.state.text())
+    QTest.mouseClick(publishing.start, LEFT)
+    qtbot.waitUntil(lambda: not listening())
+
+
 def test_without_a_choice_there_is_nothing_to_start(publishing):
     QTest.keyClick(publishing.foxglove, Qt.Key.Key_Space)
     assert not publishing.start.isEnabled()
