@@ -8,14 +8,14 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from datetime import datetime
-from itertools import chain, count
+from itertools import count
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from PyQt6.QtCore import QLockFile, QObject, QTimer, pyqtSignal
 
 from ...core.errors import TactuneError
-from ...core.model.files import atomic_path, remove_leftovers
+from ...core.model.files import atomic_path, path_exists, remove_leftovers
 from ...core.model.loading import read_json
 from ...core.preset import now
 
@@ -23,6 +23,13 @@ T = TypeVar("T")
 
 #: What reading a damaged JSON file, or one of another program, can raise.
 DAMAGE = (OSError, ValueError, KeyError, TypeError, TactuneError)
+
+
+def free_aside(place: Path) -> Path:
+    """Return a name for a damaged file that is set aside: ``place``, or with a number if that is taken."""
+    if not path_exists(place):
+        return place
+    return next(other for number in count(2) if not path_exists(other := place.with_name(f"{place.name}-{number}")))
 
 
 class _AbstractQObject(type(QObject), ABCMeta):  # type: ignore[misc]
@@ -118,10 +125,8 @@ class KeptState(QObject, Generic[T], metaclass=_AbstractQObject):
         except (FileNotFoundError, NotADirectoryError):
             return None
         except DAMAGE as error:
-            aside = file.with_suffix(".damaged")
+            aside = free_aside(file.with_suffix(".damaged"))
             with suppress(OSError):
-                names = chain([".damaged"], (f".damaged-{number}" for number in count(2)))
-                aside = next(place for name in names if not (place := file.with_suffix(name)).exists())
                 file.rename(aside)
             self.failed.emit(
                 f"The saved {self._noun} {file} cannot be read ({error}); it was set aside as {aside.name}."

@@ -95,12 +95,13 @@ class Timeline(QObject):
             self._job.stop()
 
     def close(self) -> None:
-        """Stop computing and close the list of markers."""
+        """Stop computing, close the list of markers, and wait until the last one is written."""
         self._job.stop()
         for timer in (self._rest, self._scroll):
             timer.stop()
         if self.list is not None:
             self.list.close()
+        self.keeper.close()
 
     # Marks
 

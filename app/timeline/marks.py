@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
@@ -11,10 +12,11 @@ from PyQt6.QtCore import QObject, pyqtSignal
 from ...core.errors import ExportError, SourceError
 from ...core.output.markers import MAX_MARKERS, MAX_NAME, Marker, Marks, load_marks, markers_file, save_marks
 from ..document.history import History
+from ..document.keeping import free_aside
 
 
 class MarksKeeper(QObject):
-    """The marks of one source, saved with every change.
+    """The marks of one source, saved with every change, by a thread: a slow disk never stalls the window.
 
     A recording has them in a file beside it, or inside its folder. Where that cannot be written, and for sources that
     are no files, such as the simulator, they are kept in a folder of the user's data by the source's name.
@@ -39,6 +41,7 @@ class MarksKeeper(QObject):
         self._beside: Path | None = None
         self._own: Path | None = None
         self._damaged: Path | None = None
+        self._disk = ThreadPoolExecutor(max_workers=1, thread_name_prefix="keep markers")
         self._loading = False
 
     @property
@@ -56,6 +59,8 @@ class MarksKeeper(QObject):
 
     def open(self, source: str, length: int) -> None:
         """Read the marks of a source with this number of frames; 0: a source that has none."""
+        with suppress(RuntimeError):  # the window is closing
+            self._disk.submit(lambda: None).result()  # what was written last may be read now
         self._length = length
         self._beside = markers_file(source)
         digest = hashlib.blake2b(source.encode(), digest_size=4).hexdigest()
@@ -66,6 +71,10 @@ class MarksKeeper(QObject):
         self._loading = True
         self._history.start(marks)
         self._loading = False
+
+    def close(self) -> None:
+        """Wait until the last change is written."""
+        self._disk.shutdown(wait=True)
 
     # Edits
 
@@ -128,7 +137,9 @@ class MarksKeeper(QObject):
 
     def _changed(self, marks: Marks) -> None:
         if not self._loading:
-            self._write(marks)
+            assert self._own is not None
+            self._disk.submit(self._write, marks, self._beside, self._own, self._damaged)
+            self._damaged = None
         self.changed.emit(marks)
 
     def _read(self) -> Marks:
@@ -142,28 +153,25 @@ class MarksKeeper(QObject):
                     self.told.emit(f"{error}. The file stays; with the next mark it becomes {_aside(file).name}.")
         return Marks()
 
-    def _write(self, marks: Marks) -> None:
-        assert self._own is not None
-        if self._damaged is not None:
+    def _write(self, marks: Marks, beside: Path | None, own: Path, damaged: Path | None) -> None:
+        """Write marks, on the disk's thread."""
+        if damaged is not None:
             with suppress(OSError):
-                self._damaged.rename(_aside(self._damaged))
-            self._damaged = None
-        if self._beside is not None:
+                damaged.rename(_aside(damaged))
+        if beside is not None:
             try:
-                save_marks(self._beside, marks)
+                save_marks(beside, marks)
             except ExportError:
-                self.told.emit(
-                    f"{self._beside} cannot be written, so the markers are kept in {self._own} on this computer."
-                )
+                self.told.emit(f"{beside} cannot be written, so the markers are kept in {own} on this computer.")
             else:
                 with suppress(OSError):
-                    self._own.unlink(missing_ok=True)
+                    own.unlink(missing_ok=True)
                 return
         try:
-            save_marks(self._own, marks)
+            save_marks(own, marks)
         except ExportError as error:
             self.told.emit(f"The markers are not kept: {error}.")
 
 
 def _aside(file: Path) -> Path:
-    return file.with_name(f"{file.name}.damaged")
+    return free_aside(file.with_name(f"{file.name}.damaged"))

@@ -192,7 +192,8 @@ def test_a_marker_is_added_renamed_undone_and_survives_a_restart(strip_window, q
     QTest.keyClick(window, Qt.Key.Key_M)
     go_to(qtbot, window, 18)
     QTest.keyClick(window, Qt.Key.Key_M)
-    assert [marker.name for marker in load_marks(scene / "markers.json").markers] == ["Marker 1", "Marker 2"]
+    names = ["Marker 1", "Marker 2"]
+    qtbot.waitUntil(lambda: [marker.name for marker in load_marks(scene / "markers.json").markers] == names)
 
     QTest.keyClick(window, Qt.Key.Key_M, CONTROL)
     listed = window.timeline.list
@@ -225,14 +226,25 @@ def test_a_marker_is_added_renamed_undone_and_survives_a_restart(strip_window, q
 
 
 def test_a_damaged_file_is_explained_and_kept(make_window, qtbot, scene):
-    (scene / "markers.json").write_text("{")
+    file = scene / "markers.json"
+    file.write_text("{")
     window = make_window()
     show_scene(qtbot, window, scene, 2)
     assert "markers.json are damaged" in window.messages.message("markers").sentence
-    assert (scene / "markers.json").read_text() == "{"
+    assert file.read_text() == "{"
     QTest.keyClick(window, Qt.Key.Key_M)
+    window.close_without_asking()
     assert (scene / "markers.json.damaged").read_text() == "{"
-    assert [marker.frame for marker in load_marks(scene / "markers.json").markers] == [2]
+    assert [marker.frame for marker in load_marks(file).markers] == [2]
+
+    file.write_text("second")
+    again = make_window()
+    show_scene(qtbot, again, scene, 2)
+    assert "becomes markers.json.damaged-2" in again.messages.message("markers").sentence
+    QTest.keyClick(again, Qt.Key.Key_M)
+    again.close_without_asking()
+    assert (scene / "markers.json.damaged").read_text() == "{"
+    assert (scene / "markers.json.damaged-2").read_text() == "second"
 
 
 def test_markers_of_a_place_that_cannot_be_written_are_kept_elsewhere(
@@ -247,6 +259,7 @@ def test_markers_of_a_place_that_cannot_be_written_are_kept_elsewhere(
 
     monkeypatch.setattr(marks_module, "save_marks", refuse)
     QTest.keyClick(strip_window, Qt.Key.Key_M)
+    qtbot.waitUntil(lambda: strip_window.messages.message("markers") is not None)
     assert "cannot be written, so the markers are kept in" in strip_window.messages.message("markers").sentence
     strip_window.close_without_asking()
     again = make_window()
