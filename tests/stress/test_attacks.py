@@ -7,14 +7,11 @@ from __future__ import annotations
 
 import json
 import os
-import resource
-import signal
 import struct
 import time
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +19,7 @@ import lz4.frame
 import numpy as np
 import pytest
 
+from attacks import SECONDS, bounded
 from tactune.core.calibration.correspondences import read_points as read_pairs
 from tactune.core.calibration.lens import fit_lens
 from tactune.core.errors import TactuneError
@@ -35,40 +33,8 @@ from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 from tactune.core.tuning.advice.example_file import load_example
 
-SECONDS = 10
 MIB = 2**20
 pytestmark = pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="measures memory as Linux tells it")
-
-
-@contextmanager
-def bounded(file_bytes: int) -> Iterator[None]:
-    """Fail where more memory or time is taken than a file of this size allows."""
-
-    def too_long(*_: object) -> None:
-        raise AssertionError(f"it takes more than {SECONDS} s")
-
-    before = _status("VmRSS")
-    limit = 10 * file_bytes + 300_000_000
-    _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (_status("VmSize") + 2 * limit + 2**30, hard))  # keeps the machine alive
-    Path("/proc/self/clear_refs").write_text("5")
-    handler = signal.signal(signal.SIGALRM, too_long)
-    signal.alarm(SECONDS)
-    try:
-        yield
-    finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, handler)
-        resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
-    taken = _status("VmHWM") - before
-    assert taken < limit, f"{taken / 1e6:.0f} MB for a file of {file_bytes / 1e6:.1f} MB"
-
-
-def _status(name: str) -> int:
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith(f"{name}:"):
-            return int(line.split()[1]) * 1024
-    raise AssertionError(name)
 
 
 def refused(read: Callable[[Path], Any], path: Path) -> None:
