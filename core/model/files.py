@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from ..errors import ExportError, TactuneError
+from ..errors import ExportError
 
 #: A temporary file that nobody has written to for this time was left by a killed writer, seconds.
 _LEFT_S: Final = 3600
@@ -124,9 +124,3 @@ def path_exists(path: Path | str) -> bool:
 
 def _is_file(path: Path) -> bool:
     return path_exists(path) and path.is_file()
-
-
-def refuse_devices(path: Path, error: type[TactuneError]) -> None:
-    """Raise ``error`` if the path exists but is not a regular file: reading a device might never end."""
-    if path.exists() and not path.is_file():
-        raise error(f"{path} is no ordinary file; choose another")

@@ -21,7 +21,6 @@ from typing import IO, Any, Final, Literal, Self
 
 from ..errors import ExportError, MissingExtraError, TactuneError
 from ..evaluation.table_cell import code_version
-from ..model.files import refuse_devices
 from ..preset import Preset, now
 from ..sources.registry import open_source
 from .clips import ALL_FRAMES, Clip, FrameRange, OpenSource, inspect_clips
@@ -224,7 +223,8 @@ class Study:
         ExportError
             It cannot be written.
         """
-        refuse_devices(self.path, TuneError)
+        if self.path.exists() and not self.path.is_file():
+            raise TuneError(f"{self.path} is no ordinary file; choose another --study")
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             with self._undamaged():
