@@ -17,6 +17,7 @@ from ...widgets.basics.messages import Severity
 from ...widgets.clouds.cloud_view import CloudView
 from ..context import Context
 from ..worker.results import Result, SourceInfo
+from .balance_panel import BalancePanel
 from .measuring_tab import MeasuringTab
 from .tilt_views import (
     MAX_ROWS,
@@ -65,6 +66,7 @@ class TiltTab(MeasuringTab):
         self.axis = QLabel("Long axis –")
         self.curve = TiltCurve()
         self.method, self.filtered = QComboBox(), QCheckBox("&Filtered")
+        self.balance = BalancePanel(context)
         self.copy = push_button("C&opy", "Copy the angles of this frame with their standard deviations as text")
         self.reset = push_button("&Reset curve", "Start a new curve; the old one can be restored")
         self._set_up_entries()
@@ -80,6 +82,11 @@ class TiltTab(MeasuringTab):
             self._begin(result.source)
         self._result = result
         self._estimate()
+
+    def shut_down(self) -> None:
+        """Stop all threads, for good."""
+        super().shut_down()
+        self.balance.shut_down()
 
     # Building
 
@@ -130,6 +137,9 @@ class TiltTab(MeasuringTab):
         sheet.addWidget(side)
         sheet.setSizes([480, 480])
         self._lay_out_around(sheet, row)
+        layout = self.layout()
+        assert layout is not None
+        layout.addWidget(self.balance)
 
     def _connect(self) -> None:
         self.method.currentTextChanged.connect(self._method_changed)
