@@ -12,7 +12,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from ..errors import ExportError, PresetError
-from ..model.files import atomic_path
+from ..model.files import atomic_path, remove_leftovers
 from ..model.loading import MAX_JSON_BYTES, parse_json, read_file, read_json
 from .migrations import SCHEMA_VERSION, Document, migrate, migration_note
 from .preset import SCHEMA_NAME, Preset, parse_preset
@@ -102,6 +102,7 @@ def save_preset(preset: Preset, path: Path | str) -> None:
     """
     path = Path(path)
     _keep_older_version(path)
+    remove_leftovers(path.parent, path.name)
     with atomic_path(path, follow_link=True) as temporary:
         temporary.write_text(preset_json(preset), "utf-8")
 

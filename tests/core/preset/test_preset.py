@@ -205,6 +205,17 @@ def test_a_failed_save_leaves_the_old_file_whole(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_what_a_killed_save_left_is_removed(tmp_path):
+    kept = [tmp_path / name for name in (".mine-0123abcd.txt", ".other-0123abcd.json", ".mine-0123.json")]
+    left = tmp_path / ".mine-0123abcd.json"
+    for file in (left, *kept):
+        file.touch()
+        os.utime(file, (1e9, 1e9))
+    save_preset(Preset(), tmp_path / "mine.json")
+    assert not left.exists()
+    assert all(file.exists() for file in kept)
+
+
 def test_the_copy_of_an_older_file_follows_no_link(tmp_path):
     (tmp_path / "mine.json").write_text('{"schema": "tactune.preset", "schema_version": 0}')
     (tmp_path / "login").write_text("echo welcome")
