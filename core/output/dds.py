@@ -252,7 +252,11 @@ def _receive_loopback_only(domain: int) -> None:
     for descriptor in Path("/proc/self/fd").iterdir():
         if not descriptor.is_socket():
             continue
-        with socket.socket(fileno=os.dup(int(descriptor.name))) as copy:
+        try:
+            number = os.dup(int(descriptor.name))
+        except OSError:  # closed meanwhile by another thread
+            continue
+        with socket.socket(fileno=number) as copy:
             if copy.family != socket.AF_INET or copy.getsockname()[1] not in ports:
                 continue
             try:
