@@ -195,6 +195,7 @@ def _tracked(
     from ...core.estimation.pose_files import error_record, pose_record
 
     records: list[Record] = []
+    enough = lost = 0
     total = number_of_frames(source, frames)
     with CliProgress() as progress:
         while len(records) != total and not stopped.is_set():
@@ -205,9 +206,11 @@ def _tracked(
                 break
             patch = pipeline.process(frame)
             begun = time.perf_counter()
-            if not tracker.started and tracker.is_enough(patch):
+            touches = tracker.is_enough(patch)
+            if touches and not tracker.started:
                 tracker.find(patch)  # refuses a wrong mesh
             pose = tracker.track(patch, frame.proximity_time_s)
+            enough, lost = enough + touches, lost + (touches and pose.lost)
             record = pose_record(pose) | {"ms": round(1e3 * (time.perf_counter() - begun), 2)}
             if truth:
                 true = frame.truth.T_proximity_object if frame.truth else None
@@ -215,8 +218,11 @@ def _tracked(
             save(patch, pose, record)
             records.append(record)
             progress.frames(len(records), total)
-    if records and tracker.started and all(record["lost"] for record in records):
-        warn(f"{tracker.mesh.name} was lost in every frame; check the mesh, its unit and the pose it starts from")
+    if lost > enough / 2:
+        warn(
+            f"{tracker.mesh.name} fits the contact in {enough - lost} of {counted(enough, 'frame')} only; check that "
+            "it is the mesh of this object, its unit and the pose it starts from"
+        )
     if truth and records and all(record["position_error_mm"] == "" for record in records):
         warn(f"{source.name} knows no true pose, or the object was lost in every frame; the errors are empty")
     return records

@@ -1,0 +1,113 @@
+"""``tactune track``: poses as other programs read them, and what it refuses."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+import trimesh
+from evo.core import metrics, trajectory
+from evo.tools import file_interface
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from scipy.spatial.transform import Rotation
+
+from tactune.core.estimation.object_mesh import simulated_mesh
+from tactune.core.evaluation.scan.pose import save_transform
+from tactune.core.sources.simulator.source import SimulatorSource
+
+FRAMES = 20
+#: The frames from this one on have enough contact.
+FIRST = 9
+
+
+@pytest.fixture(scope="module")
+def truths():
+    source = SimulatorSource("cup")
+    return [np.array(source.read(n).truth.T_proximity_object) for n in range(FRAMES)]
+
+
+@pytest.fixture(scope="module")
+def cup(tmp_path_factory):
+    """The simulator's cup in millimetres, and its true pose in the first frame."""
+    folder, source = tmp_path_factory.mktemp("cup"), SimulatorSource("cup")
+    mesh = simulated_mesh(source)
+    trimesh.Trimesh(1000 * mesh.vertices_m, mesh.triangles, process=False).export(folder / "cup.stl")
+    save_transform(folder / "start.json", source.read(0).truth.T_proximity_object)
+    return folder
+
+
+def arguments(cup, *more):
+    mesh, start = str(cup / "cup.stl"), str(cup / "start.json")
+    return ["track", "--source", "sim:cup", "--mesh", mesh, "--start", start, "-n", str(FRAMES), *map(str, more)]
+
+
+def test_evo_reads_the_poses_and_finds_them_near_the_truth(tactune, cup, truths, tmp_path):
+    out = tmp_path / "poses.tum"
+    done = tactune(*arguments(cup, "--out", out))
+    assert done.status == 0
+    assert "cup.stl was read in mm: 107 x 92 x 74 mm" in done.err
+    found = file_interface.read_tum_trajectory_file(out)
+    assert found.num_poses >= FRAMES - FIRST
+    same = trajectory.PoseTrajectory3D(
+        poses_se3=[truths[round(30 * time)] for time in found.timestamps], timestamps=found.timestamps
+    )
+    error = metrics.APE(metrics.PoseRelation.translation_part)
+    error.process_data((same, found))
+    assert error.get_statistic(metrics.StatisticsType.rmse) < 0.004
+
+
+def test_table_has_every_frame_with_its_errors(tactune, cup, tmp_path):
+    out = tmp_path / "poses.csv"
+    done = tactune(*arguments(cup, "--out", out, "--truth"))
+    assert done.status == 0
+    assert "error in determined directions" in done.out
+    with out.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["sequence"]) for row in rows] == list(range(FRAMES))
+    assert rows[0]["lost"] == "1"
+    assert rows[0]["position_error_mm"] == rows[0]["residual_mm"] == ""
+    assert rows[-1]["lost"] == "0"
+    assert float(rows[-1]["position_error_mm"]) < 2
+    assert float(rows[-1]["angle_error_deg"]) < 3
+    assert 0 < float(rows[-1]["sigma_x_m"]) < 0.01
+    assert np.linalg.norm([float(rows[-1][key]) for key in ("qx", "qy", "qz", "qw")]) == pytest.approx(1)
+
+
+def test_patches_and_poses_together_as_ros_reads_them(tactune, cup, truths, tmp_path):
+    out = tmp_path / "poses.mcap"
+    assert tactune(*arguments(cup, "--out", out)).status == 0
+    with out.open("rb") as file:
+        read = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
+        found = {}
+        for _, channel, message, decoded in read:
+            found.setdefault(channel.topic, {})[message.sequence] = decoded
+    assert sorted(found) == ["/contact/patch", "/object/pose", "/tf"]
+    assert list(found["/contact/patch"]) == list(range(FRAMES))
+    stamped = found["/object/pose"][FRAMES - 1]
+    pose, transform = stamped.pose.pose, found["/tf"][FRAMES - 1].transforms[0]
+    assert stamped.header.frame_id == transform.header.frame_id == "proximity_depth_optical_frame"
+    assert transform.child_frame_id == "object"
+    place = np.array([pose.position.x, pose.position.y, pose.position.z])
+    assert place == pytest.approx(truths[-1][:3, 3], abs=0.003)
+    assert transform.transform.translation.x == pose.position.x
+    turn = Rotation.from_quat([pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w])
+    assert np.degrees((turn * Rotation.from_matrix(truths[-1][:3, :3]).inv()).magnitude()) < 3
+    covariance = np.reshape(stamped.pose.covariance, (6, 6))
+    assert np.linalg.eigvalsh(covariance).min() > 0
+    assert 0 not in found["/object/pose"], "a lost pose is not published"
+
+
+def test_wrong_mesh_and_wrong_options_end_with_one_sentence(tactune, cup, tmp_path):
+    trimesh.creation.icosphere(3, 0.006).export(tmp_path / "pea.ply")
+    out = tmp_path / "poses.csv"
+    done = tactune("track", "--source", "sim:cup", "--mesh", tmp_path / "pea.ply", "--out", out)
+    assert done.status == 2
+    assert "pea.ply does not fit the contact" in done.err
+    assert not out.exists()
+    done = tactune(*arguments(cup, "--out", tmp_path / "poses.txt"))
+    assert done.status == 2
+    assert "choose one of .csv, .tum, .mcap" in done.err
+    assert tactune(*arguments(cup)).status == 2
+    assert "Traceback" not in done.err
