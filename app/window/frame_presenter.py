@@ -213,7 +213,7 @@ class FramePresenter(QObject):
         histogram = result.rendered.histogram
         if histogram is not None:
             limit = self._context.document.preset.value(histogram.field)
-            self._panel.set_histogram(histogram.field, histogram.counts, histogram.edges, limit)
+            self._panel.set_histogram(histogram.field, histogram.counts, histogram.edges, limit, histogram.known)
 
     def _show_warnings(self, result: Result) -> None:
         """Show problems and warnings once; a dismissed sentence comes back only after a change."""

@@ -505,9 +505,9 @@ def _counted(field: str, image: Float32Array, low: float, high: float, bins: int
     values, edges = image[::2, ::2], np.linspace(low, high, bins + 1)
     values = values[np.isfinite(values)]
     if len(values) == 0:
-        return Histogram(field, np.zeros(bins, np.int64), edges)
+        return Histogram(field, np.zeros(bins, np.int64), edges, 0)
     counts = cv2.calcHist([values[None]], [0], None, [bins], [low, high])
-    return Histogram(field, counts.ravel().astype(np.int64), edges)
+    return Histogram(field, counts.ravel().astype(np.int64), edges, len(values))
 
 
 def _depth_rows(scene: Scene) -> Uint8Array:

@@ -134,11 +134,15 @@ class Wanted:
 
 @dataclass(frozen=True, eq=False)
 class Histogram:
-    """Counts in one frame of what a preset field limits, in the field's unit; ``edges`` has one entry more."""
+    """Counts in one frame of what a preset field limits, in the field's unit; ``edges`` has one entry more.
+
+    ``known`` is the number of all values, with those beyond the edges.
+    """
 
     field: str
     counts: Int64Array
     edges: Float64Array
+    known: int
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,6 +43,15 @@ def drag(histogram: LimitHistogram, start: float, *targets: float) -> None:
     QTest.mouseRelease(viewport, LEFT, pos=at(histogram, targets[-1]))
 
 
+def test_the_caption_tells_the_share_within_the_lines(histogram: LimitHistogram) -> None:
+    assert "%" not in histogram.caption()
+    histogram.set_data(np.full(40, 20), EDGES, 0.03, known=1000)
+    assert histogram.caption() == "24.0 % within t"  # 12 of 40 bars, and 200 values beyond them
+    drag(histogram, 3.0, 6.0)
+    share = float(histogram.caption().split()[0])
+    assert share == pytest.approx(48, abs=2)
+
+
 @pytest.mark.parametrize(("start", "target"), [(3.0, 6.0), (-3.0, -6.0), (3.0, -6.0)])
 def test_dragging_a_line_moves_both_in_one_gesture(histogram: LimitHistogram, start: float, target: float) -> None:
     edits: list[tuple[float, int]] = []

@@ -45,7 +45,7 @@ presets = st.builds(
     ),
     mask=st.builds(MaskSection, enabled=st.booleans(), hue=hues, saturation=spans, value=spans),
     contact_test=st.sampled_from(["tolerance", "membrane"]),
-    tolerance=st.builds(ToleranceSection, t=st.floats(0.0, 1.0)),
+    tolerance=st.builds(ToleranceSection, t=st.floats(1e-5, 1.0)),
     membrane=st.builds(
         MembraneSection, gap_m=st.floats(0.0, 0.005), trust_m=st.floats(0.001, 0.2), shape_px=st.floats(0.5, 30.0)
     ),
@@ -268,7 +268,7 @@ def test_dragging_a_line_of_the_histogram_edits_the_tolerance(
     qapp: QApplication, panel: ParameterPanel, seen: Recorder
 ) -> None:
     panel.set_preset(Preset(contact_test="tolerance"))
-    panel.set_histogram("tolerance.t", np.ones(40), np.linspace(-0.1, 0.1, 41), 0.03)
+    panel.set_histogram("tolerance.t", np.ones(40), np.linspace(-0.1, 0.1, 41), 0.03, 40)
     qapp.processEvents()
     plot = panel.histograms["tolerance.t"].plot_widget
     box = plot.getPlotItem().getViewBox()

@@ -210,7 +210,9 @@ class ParameterPanel(QScrollArea):
             self._median_m = distance_m
             self._show_tolerance_mm()
 
-    def set_histogram(self, path: str, counts: AnyArray, edges: npt.NDArray[np.floating], limit: float) -> None:
+    def set_histogram(
+        self, path: str, counts: AnyArray, edges: npt.NDArray[np.floating], limit: float, known: int
+    ) -> None:
         """Show what a field limits in the latest frame.
 
         Parameters
@@ -222,8 +224,10 @@ class ParameterPanel(QScrollArea):
             In the unit of the field.
         limit : float
             The value in force; a line that is being dragged stays with the mouse.
+        known : int
+            Number of all values, with those beyond the edges.
         """
-        self.histograms[path].set_data(counts, edges, limit)
+        self.histograms[path].set_data(counts, edges, limit, known)
 
     def open_histograms(self) -> frozenset[str]:
         """Return the fields whose histograms are not folded away."""

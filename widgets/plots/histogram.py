@@ -47,7 +47,8 @@ RELATIVE_DIFFERENCE: Final = Quantity(
     "Histogram of relative differences",
     "(dp − dt) / dp",
     "Relative differences (dp - dt) / dp of the latest frame in percent. "
-    "Points between the lines pass the tolerance test; drag a line to change t.",
+    "Points between the lines pass the tolerance test, in per cent of all pixels with both depths; drag a line to "
+    "change t.",
     100.0, "%", (0.001, 1.0), True,
 )  # fmt: skip
 GAP: Final = Quantity(
@@ -85,6 +86,7 @@ class LimitHistogram(QWidget):
         self._limit = limit
         self._counts: Float64Array = np.zeros(1)
         self._edges: Float64Array = np.array([-limit if quantity.symmetric else 0.0, limit])
+        self._known = 0
         self._stale = False
         self._clock = GestureClock()
         self.plot_widget = pg.PlotWidget(axisItems={"bottom": _Axis(quantity.unit)})
@@ -119,7 +121,9 @@ class LimitHistogram(QWidget):
         self._place_lines()
         self._recolor()
 
-    def set_data(self, counts: AnyArray, edges: npt.NDArray[np.floating], limit: float | None = None) -> None:
+    def set_data(
+        self, counts: AnyArray, edges: npt.NDArray[np.floating], limit: float | None = None, known: int = 0
+    ) -> None:
         """Show other counts.
 
         Parameters
@@ -129,7 +133,10 @@ class LimitHistogram(QWidget):
             Increasing.
         limit : float, optional
             Moves the lines too, unless one is being dragged.
+        known : int
+            Number of all values, with those beyond the edges; then the caption tells the share within the lines.
         """
+        self._known = known
         self._counts = np.asarray(counts, dtype=np.float64)
         self._edges = np.asarray(edges, dtype=np.float64)
         if limit is not None and not self._dragging():
@@ -195,6 +202,15 @@ class LimitHistogram(QWidget):
         if not self._dragging():  # a scale that moved under the mouse would run away with the line
             self._plot.getViewBox().setXRange(-reach if symmetric else -0.01 * reach, reach, padding=0)
         self._plot.getViewBox().setYRange(0.0, tallest, padding=0)
+        self._caption.setText(self.caption())
+
+    def caption(self) -> str:
+        """Return what stands in the corner: the share of all values within both lines, else the quantity."""
+        if not (self._quantity.symmetric and self._known):
+            return self._quantity.caption
+        counted = np.concatenate([[0.0], np.cumsum(self._counts)])
+        low, high = np.interp((-self._limit, self._limit), self._edges, counted)
+        return f"{100 * (high - low) / self._known:.1f} % within t"
 
     def _recolor(self) -> None:
         colors = theme_colors()
