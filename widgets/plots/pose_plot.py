@@ -16,7 +16,7 @@ from ..basics.theme import text_font, theme_colors
 _FRAMES: Final = 600
 _HEIGHT: Final = 96
 #: A gap in the curves: frames farther apart than this, seconds, are not joined.
-_GAP_S: Final = 0.5
+_GAP_S: Final = 2.0
 
 
 class PosePlot(QWidget):
@@ -57,10 +57,10 @@ class PosePlot(QWidget):
         item.setMenuEnabled(False)
         item.hideButtons()
         item.setMouseEnabled(x=False, y=False)
+        item.setContentsMargins(0, 6, 8, 0)
         item.getAxis("left").setWidth(44)
         item.getAxis("left").enableAutoSIPrefix(False)
         item.setLabel("left", unit)
-        item.setLimits(yMin=0.0)
         return plot
 
     def clear(self) -> None:
@@ -82,6 +82,9 @@ class PosePlot(QWidget):
         for curve, values in ((self.residual, residual), (self.position, position), (self.angle, angle)):
             curve.setData(times, values)
         known = bool(np.isfinite(angle).any())
+        for plot, values in ((self.lengths, (*residual, *position)), (self.angles, angle)):
+            shown = np.array(values)[np.isfinite(values)]
+            plot.setYRange(0.0, float(shown.max()) if len(shown) else 1.0, padding=0.05)
         self.angles.setVisible(known)
         true = (
             "Blue: error in the directions that the patch determines. " if known else "This source knows no true pose. "
