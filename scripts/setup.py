@@ -46,7 +46,8 @@ def set_up() -> None:
     packages_stamp, project_stamp = Stamp("packages", LOCK), Stamp("project", ROOT / "pyproject.toml")
     missing = missing_system_packages()
     if missing and packages_stamp.holds():
-        print(f"System packages still missing: {install_hint(missing)}", file=sys.stderr)
+        if available := [alternatives for alternatives in missing if is_known(known_to_apt(alternatives))]:
+            print(f"System packages still missing: {install_hint(available)}", file=sys.stderr)
     elif missing:
         install_system_packages(missing)
     if packages_stamp.holds() and project_stamp.holds():
@@ -131,7 +132,7 @@ def install_system_packages(missing: list[tuple[str, ...]]) -> None:
     print("Installing system packages (once) ...", flush=True)
     apt_get = [*prefix, "env", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-qq", "-o", "Dpkg::Use-Pty=0"]
     succeeds(*apt_get, "update")
-    names = [name for name in map(known_to_apt, missing) if succeeds("apt-cache", "show", name, silent=True)]
+    names = [name for name in map(known_to_apt, missing) if is_known(name)]
     if not succeeds(*apt_get, "install", "--yes", "--no-install-recommends", *names):
         print(f"apt-get failed (its message is above); continuing without: {install_hint(missing)}", file=sys.stderr)
 
@@ -143,12 +144,16 @@ def sudo() -> list[str] | None:
     return ["sudo"] if sys.stdin.isatty() else ["sudo", "--non-interactive"]
 
 
+def is_known(package: str) -> bool:
+    """Return whether this release of Debian or Ubuntu has a package; True where that cannot be asked."""
+    return not shutil.which("apt-cache") or succeeds("apt-cache", "show", package, silent=True)
+
+
 def known_to_apt(alternatives: tuple[str, ...]) -> str:
-    """Return the first of several package names that this release of Debian or Ubuntu has."""
+    """Return the first of several package names that this release has, or the last one."""
     if not shutil.which("apt-cache"):
         return alternatives[-1]
-    known = (name for name in alternatives if succeeds("apt-cache", "show", name, silent=True))
-    return next(known, alternatives[-1])
+    return next(filter(is_known, alternatives), alternatives[-1])
 
 
 def install_hint(missing: list[tuple[str, ...]]) -> str:
