@@ -161,8 +161,8 @@ def test_standard_deviation_of_correlated_noise(rig, length_px):
         errors += [tilt.roll_rad - 0.1, tilt.pitch_rad + 0.1]
         sigmas += [tilt.roll_sigma_rad, tilt.pitch_sigma_rad]
     stated, found = (np.sqrt(np.mean(np.square(values))) for values in (sigmas, errors))
-    assert 0.85 < stated / found < 1.6
-    assert 0.6 < np.mean(np.abs(errors) < sigmas) < 0.92
+    assert 0.85 < stated / found < 2.0
+    assert 0.6 < np.mean(np.abs(errors) < sigmas) < 0.96
 
 
 def moving(count=90, sigma=0.004, seed=3):
