@@ -16,10 +16,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PyQt6.QtWidgets import QWidget
 
 from attacks import bounded
 from folder_scenes import RIG, ListSource, make_frame
 from fuzz_recordings import damaged
+from tactune.app.document.keeping import write_json
+from tactune.app.document.recovery import unsaved_work
+from tactune.app.settings import Settings
 from tactune.core import ContactPipeline, load_preset, open_source
 from tactune.core.calibration.correspondences import read_points as read_pairs
 from tactune.core.errors import TactuneError
@@ -139,6 +143,23 @@ def test_damaged_folders_are_read_or_refused(tmp_path: Path) -> None:
         with bounded(len(data)):
             read_or_refused(play, whole, f"{file.name}, seed {seed}")
         file.write_bytes(data)
+
+
+def test_damaged_states_of_the_window_keep_it_from_nothing(tmp_path: Path, qapp: object) -> None:
+    unsaved, settings = tmp_path / "unsaved-1.json", tmp_path / "window.json"
+    write_json(unsaved, {"path": None, "preset": json.loads(preset_json(Preset()))})
+    settings.write_text(json.dumps({"window/geometry": "AdnQywADAAA=", "view/point_size": "2.0", "theme": "dark"}))
+    wholes = {file: file.read_bytes() for file in (unsaved, settings)}
+    found = 0
+    for seed in range(400):
+        for file, whole in wholes.items():
+            file.write_bytes(mutated(whole, random.Random(f"{file.name} {seed}")))
+        found += len(unsaved_work(tmp_path))
+        read = Settings(settings)
+        assert isinstance(read.number("view/point_size", 1.0), float)
+        assert isinstance(read.text("theme"), str)
+        QWidget().restoreGeometry(read.blob("window/geometry"))
+    assert 0 < found < 400
 
 
 def test_an_encrypted_archive_is_refused(tmp_path: Path) -> None:
