@@ -29,7 +29,15 @@ from ...core.evaluation.scan.paint import PaintSettings
 from ...core.model.arrays import Float64Array, Uint8Array
 from ...core.model.frames import Matrix4
 from ...core.preset import MaskSection
-from ...widgets.basics.controls import AccentButton, CollapsibleSection, ProgressBar, caption, copy_text, push_button
+from ...widgets.basics.controls import (
+    AccentButton,
+    CollapsibleSection,
+    ProgressBar,
+    caption,
+    copy_text,
+    push_button,
+    read_only_table,
+)
 from ...widgets.basics.fields import FieldSpec, field_spec
 from ...widgets.basics.gestures import new_gesture
 from ...widgets.images.eyedropper import HsvRanges, Mode, new_ranges
@@ -301,16 +309,12 @@ class AlignPanel(CollapsibleSection):
     def _set_up_table(self) -> None:
         table = self.table
         table.setHorizontalHeaderLabels(["Pair", "Residual"])
-        table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        columns, rows = read_only_table(
+            table,
+            "Pairs of points",
+            "The clicked pairs, with the distance between both points after the fit, in millimetres",
+        )
         table.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
-        table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
-        table.setTabKeyNavigation(False)
-        table.setAccessibleName("Pairs of points")
-        table.setToolTip("The clicked pairs, with the distance between both points after the fit, in millimetres")
-        rows, columns = table.verticalHeader(), table.horizontalHeader()
-        assert rows is not None and columns is not None
-        rows.hide()
-        rows.setDefaultSectionSize(table.fontMetrics().height() + 6)
         columns.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
         table.setFixedHeight(columns.sizeHint().height() + _ROWS * rows.defaultSectionSize() + 4)
 

@@ -76,13 +76,10 @@ class CalibrationWizard(QDialog):
 
     Signals
     -------
-    saved()
-        The alignment is in the document.
     fileSaveRequested()
-        The document is to be saved to its file.
+        The alignment is in the document, which is to be saved to its file.
     """
 
-    saved = pyqtSignal()
     fileSaveRequested = pyqtSignal()
 
     def __init__(
@@ -463,7 +460,6 @@ class CalibrationWizard(QDialog):
         if not self._document.edit_many(values):
             return
         self._saved = True
-        self.saved.emit()
         self._save_file()
 
     def _save_file(self) -> None:

@@ -12,7 +12,7 @@ from html import escape
 from pathlib import Path
 
 import pyqtgraph as pg
-from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import (
     QDoubleSpinBox,
     QGridLayout,
@@ -92,14 +92,7 @@ _MARKS = {Verdict.GOOD: "●", Verdict.FAIR: "▲", Verdict.POOR: "■", Verdict
 
 
 class QualityTab(QWidget):
-    """Measures while it is visible, and ignores frames otherwise.
-
-    Signals
-    -------
-    measured(DepthQuality)
-    """
-
-    measured = pyqtSignal(object)
+    """Measures while it is visible, and ignores frames otherwise."""
 
     def __init__(self, document: Document, dialogs: Dialogs, folder: Path) -> None:
         super().__init__()
@@ -294,7 +287,6 @@ class QualityTab(QWidget):
         self.status.setText(waiting)
         self.copy.setEnabled(True)
         self.save.setEnabled(True)
-        self.measured.emit(quality)
         if self._newer:
             self._measure_soon()
 

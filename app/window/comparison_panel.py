@@ -23,7 +23,7 @@ from PyQt6.QtWidgets import (
 )
 
 from ...core.preset import Preset
-from ...widgets.basics.controls import AccentButton, caption, push_button
+from ...widgets.basics.controls import AccentButton, caption, push_button, read_only_table
 from ...widgets.basics.fields import FieldSpec, field_spec, format_number
 from ..document.comparison import Side, Sides, differing_fields
 from ..document.document import field_title, format_value
@@ -254,16 +254,11 @@ class ComparisonPanel(QWidget):
     def _make_table(self) -> QTableWidget:
         table = QTableWidget(0, 3)
         table.setHorizontalHeaderLabels(["Field", "A", "B"])
-        table.setAccessibleName("Fields in which the presets differ")
-        table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
-        table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
-        table.setTabKeyNavigation(False)
+        columns, _ = read_only_table(
+            table, "Fields in which the presets differ", "Fields in which the presets differ, with the value of each"
+        )
         table.setSizeAdjustPolicy(QAbstractItemView.SizeAdjustPolicy.AdjustToContents)
         table.setMinimumHeight(80)
-        rows, columns = table.verticalHeader(), table.horizontalHeader()
-        assert rows is not None and columns is not None
-        rows.hide()
-        rows.setDefaultSectionSize(table.fontMetrics().height() + 6)
         columns.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
         for column in (1, 2):
             table.setColumnWidth(column, _VALUE_WIDTH)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import (
-    QAbstractItemView,
     QDialog,
     QDialogButtonBox,
     QHeaderView,
@@ -16,7 +15,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from ...widgets.basics.controls import copy_text, dialog_buttons, push_button
+from ...widgets.basics.controls import copy_text, dialog_buttons, push_button, read_only_table
 from ...widgets.basics.theme import theme_colors
 from ..doctor.checks import Check, State
 from ..doctor.report import check_computer, report
@@ -41,17 +40,13 @@ class ComputerWindow(QDialog):
         self.status.setWordWrap(True)
         self.table = QTableWidget(0, 3)
         self.table.setHorizontalHeaderLabels(["Check", "Result", "Found, and what to do"])
-        self.table.setAccessibleName("Checks of this computer")
-        self.table.setToolTip("What was checked, the result, and what to do")
-        self.table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
-        self.table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        header, rows = read_only_table(
+            self.table, "Checks of this computer", "What was checked, the result, and what to do"
+        )
         self.table.setWordWrap(True)
-        header, rows = self.table.horizontalHeader(), self.table.verticalHeader()
-        assert header is not None and rows is not None
         header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         header.setSectionResizeMode(2, QHeaderView.ResizeMode.Stretch)
         header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft)
-        rows.hide()
         rows.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         self.again = push_button("Check &again", "Run all checks again")
         self.copy = push_button("&Copy as text", "Copy the report to the clipboard, for a question or a report")

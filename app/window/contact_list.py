@@ -6,7 +6,7 @@ from PyQt6.QtCore import QObject, Qt
 from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QLabel, QTableWidget, QTableWidgetItem, QVBoxLayout
 
 from ...core.model.patch import Contact
-from ...widgets.basics.controls import CollapsibleSection
+from ...widgets.basics.controls import CollapsibleSection, read_only_table
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..context import Context
@@ -44,22 +44,18 @@ class ContactList(QObject):
 
     def _lay_out(self) -> None:
         table = self.table
-        table.setAccessibleName("Contacts")
-        table.setToolTip("Connected parts of the patch, the largest first. Choose one to mark it in images and views.")
-        table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
-        table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        columns, rows = read_only_table(
+            table,
+            "Contacts",
+            "Connected parts of the patch, the largest first. Choose one to mark it in images and views.",
+        )
         table.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
-        table.setTabKeyNavigation(False)
         for column, (title, tip) in enumerate(_COLUMNS.items()):
             item = QTableWidgetItem(title)
             item.setToolTip(tip)
             table.setHorizontalHeaderItem(column, item)
-        rows, columns = table.verticalHeader(), table.horizontalHeader()
-        assert rows is not None and columns is not None
-        rows.hide()
-        height = table.fontMetrics().height() + 6
-        rows.setDefaultSectionSize(height)
         columns.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
+        height = rows.defaultSectionSize()
         table.setFixedHeight(columns.sizeHint().height() + _ROWS_SEEN * height + 2 * table.frameWidth())
         layout = QVBoxLayout(self.section.body)
         layout.setContentsMargins(8, 4, 4, 4)

@@ -15,7 +15,7 @@ from PyQt6.QtGui import QAction, QColor, QDesktopServices, QPalette
 from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
 from ...core.output.writer import RecordingStatus
-from ...widgets.basics.controls import ElidedLabel
+from ...widgets.basics.controls import ElidedLabel, number_label
 from ...widgets.basics.messages import Offer, Severity
 from ...widgets.basics.theme import theme_colors
 from ..context import TASK, Context
@@ -44,15 +44,15 @@ class RecordingBar(QFrame):
         self._dot = QLabel("●")
         self._dot.setAccessibleName("Recording")
         self._name = ElidedLabel()
-        self._time = self._number("0:00:00", "Time since the recording began")
-        self._frames = self._number("000000 frames", "Frames in the file")
-        self._size = self._number("000.0 GB", "Size of the file")
-        self._dropped = self._number(
+        self._time = number_label("0:00:00", "Time since the recording began")
+        self._frames = number_label("000000 frames", "Frames in the file")
+        self._size = number_label("000.0 GB", "Size of the file")
+        self._dropped = number_label(
             "0000 dropped",
             "Frames missing in the file: lost by the cameras or this computer, dropped because the disk was too slow, "
             "or lost through an error",
         )
-        self._room = self._number("000 GB free, 00 h 00 min", "Free disk space, and the recording time that it allows")
+        self._room = number_label("000 GB free, 00 h 00 min", "Free disk space, and the recording time that it allows")
         self.stop = QPushButton("Stop")
         self.stop.setToolTip("Finish the recording (F9)")
         self.stop.clicked.connect(self.stopRequested)
@@ -113,13 +113,6 @@ class RecordingBar(QFrame):
         red.setColor(QPalette.ColorRole.WindowText, QColor(theme_colors().error))
         self._dot.setPalette(red)
         self._dropped.setPalette(red if self._losses else QPalette())
-
-    def _number(self, widest: str, tip: str) -> QLabel:
-        """Make a label wide enough for its widest text, so that nothing moves as numbers change."""
-        label = QLabel()
-        label.setToolTip(tip)
-        label.setMinimumWidth(label.fontMetrics().horizontalAdvance(widest))
-        return label
 
 
 def clock(seconds: float) -> str:

@@ -14,7 +14,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from ...widgets.basics.controls import ElidedLabel
+from ...widgets.basics.controls import ElidedLabel, number_label
 from ...widgets.basics.icons import icon
 from ...widgets.basics.messages import Card
 from ..worker.playback import PlaybackState
@@ -210,11 +210,8 @@ class FrameStatus(QStatusBar):
             self.state.setAccessibleName(f"{text}: details of the frame")
 
     def _number(self, widest: str, tip: str) -> QLabel:
-        """Make a label wide enough for its widest text, so that nothing moves as numbers change."""
-        label = QLabel()
-        label.setToolTip(tip)
-        label.setText(widest)
-        label.setFixedSize(label.sizeHint())  # otherwise each number would lay out the whole window again
-        label.clear()
+        label = number_label(widest, tip)
+        # otherwise each number would lay out the whole window again
+        label.setFixedSize(label.minimumWidth(), label.fontMetrics().height())
         self.addPermanentWidget(label)
         return label

@@ -5,16 +5,19 @@ from __future__ import annotations
 from PyQt6.QtCore import QEvent, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QKeyEvent, QPainter, QPaintEvent, QPalette
 from PyQt6.QtWidgets import (
+    QAbstractItemView,
     QApplication,
     QComboBox,
     QDialogButtonBox,
     QFrame,
     QHBoxLayout,
+    QHeaderView,
     QLabel,
     QProgressBar,
     QPushButton,
     QSizePolicy,
     QSpinBox,
+    QTableWidget,
     QToolButton,
     QVBoxLayout,
     QWidget,
@@ -88,6 +91,28 @@ def dialog_buttons(standard: QDialogButtonBox.StandardButton) -> QDialogButtonBo
 def make_verdict(label: QLabel) -> None:
     """Show a label larger and in bold: the sentence that states the result."""
     label.setFont(text_font("title", bold=True))
+
+
+def number_label(widest: str, tip: str) -> QLabel:
+    """Return a label wide enough for its widest text, so that nothing moves as numbers change."""
+    label = QLabel()
+    label.setToolTip(tip)
+    label.setMinimumWidth(label.fontMetrics().horizontalAdvance(widest))
+    return label
+
+
+def read_only_table(table: QTableWidget, name: str, tip: str) -> tuple[QHeaderView, QHeaderView]:
+    """Set up a table whose rows are read and selected; return the headers of its columns and its rows."""
+    table.setAccessibleName(name)
+    table.setToolTip(tip)
+    table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+    table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+    table.setTabKeyNavigation(False)
+    columns, rows = table.horizontalHeader(), table.verticalHeader()
+    assert columns is not None and rows is not None
+    rows.hide()
+    rows.setDefaultSectionSize(table.fontMetrics().height() + 6)
+    return columns, rows
 
 
 class ChoiceBox(QComboBox):

@@ -132,7 +132,7 @@ def test_a_whole_calibration_by_mouse_and_keys(  # noqa: PLR0915 - one flow, ste
     press_button(wizard.next)
     assert wizard.quality.grade.text() in {"Good", "Usable"}
     press_button(wizard.next)
-    with qtbot.waitSignal(wizard.saved):
+    with qtbot.waitSignal(wizard.fileSaveRequested):
         press_button(wizard.save)
     assert document.undo_stack.count() == 1
 

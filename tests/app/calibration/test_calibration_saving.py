@@ -55,7 +55,7 @@ def test_a_better_calibration_is_saved_without_a_question_also_twice(open_wizard
     fitted(qtbot, wizard, state)
     wizard.go_to(SAVE)
     for _ in range(2):
-        with qtbot.waitSignal(wizard.saved):
+        with qtbot.waitSignal(wizard.fileSaveRequested):
             QTest.mouseClick(wizard.save, LEFT)
     fewer = state.__class__(state.snapshots, state.pairs[:4]).with_choices(snapshot=state.choices.snapshot)
     fitted(qtbot, wizard, fewer)
@@ -74,7 +74,7 @@ def test_present_stays_the_old_alignment_until_the_file_is_saved(
     qtbot.waitUntil(
         lambda: page.image.empty_label.text() == "" and "cm²" in page.table.item(4, 0).text(), timeout=60_000
     )
-    with qtbot.waitSignal(wizard.saved):
+    with qtbot.waitSignal(wizard.fileSaveRequested):
         QTest.mouseClick(wizard.save, LEFT)
     assert document.preset.alignment != before
     assert page.present_preset().alignment == before
