@@ -19,8 +19,8 @@ from ...widgets.basics.controls import caption
 from .page import SourcePage
 
 _SCHEME = "sim"
-#: Choices whose value is empty.
-_MOVING = "moving"
+#: What an empty choice means, by its field.
+_EMPTY = {"press": "moving", "move": "as the scene does"}
 
 
 class SimulatorPage(SourcePage):
@@ -54,7 +54,8 @@ class SimulatorPage(SourcePage):
         combo = QComboBox()
         combo.setToolTip(field.about)
         for value, about in field.choices.items():
-            combo.addItem(f"{value or _MOVING} – {about}" if about else value or _MOVING, value)
+            word = value or _EMPTY[field.key]
+            combo.addItem(f"{word} – {about}" if about else word, value)
         combo.setMinimumContentsLength(24)
         combo.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         combo.activated.connect(lambda index: self._edited(field.key, combo.itemData(index)))

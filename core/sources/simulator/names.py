@@ -72,10 +72,10 @@ NAME_FIELDS: Final = (
     NameField(
         "move",
         "Move",
-        "How an object moves while it presses; first opening takes a minute. Slide: it turns and slides across folds; "
-        "lift: so does the cup, and its handle leaves the membrane for half of the time",
+        "How an object moves while it presses, for 5 s; the first opening takes a minute",
         "",
-        dict.fromkeys(get_args(Move), ""),
+        dict.fromkeys(get_args(Move), "")
+        | {"slide": "turns and slides across folds", "lift": "so does the cup, half of the time without its handle"},
     ),
     NameField(
         "side", "Side", "Where a high press is, seen by the cameras", Variant.side, dict.fromkeys(get_args(Side), "")
