@@ -4,8 +4,7 @@
 
 All methods start at the true pose and go from frame to frame. *tracker* is `PoseTracker` on the fused patch. The others
 are Open3D's point-to-plane ICP from the last pose to the whole mesh: on the proximity cloud alone, on the tactile cloud
-alone (both cut to the mesh's box about the last pose, plus 10 mm), and on the fused patch; *small_gicp* is its GICP on
-the patch, if it is installed.
+alone (both cut to the mesh's box about the last pose, plus 10 mm), and on the fused patch.
 
 mm and degrees: root mean square errors over the frames in the directions that the tracker says are determined. off:
 frames with errors above 10 mm or 10 degrees in these directions. lost: frames that the tracker says are lost. ms:
@@ -157,22 +156,7 @@ def _others(mesh: ObjectMesh, preset: Preset, rig: Any) -> dict[str, Method]:
         "tactile": tactile,
         "patch": lambda frame, patch, pose: plain(patch.points.astype(np.float64), pose),
     }
-    try:
-        import small_gicp
-    except ImportError:
-        return methods
-    target, tree = small_gicp.preprocess_points(np.asarray(model.points), downsampling_resolution=0.0015)
-
-    def gicp(frame: Any, patch: Any, pose: Array) -> Array:
-        if len(patch.points) < 100:
-            return pose
-        cloud, _ = small_gicp.preprocess_points(patch.points.astype(np.float64), downsampling_resolution=_VOXEL_M)
-        found = small_gicp.align(
-            target, cloud, tree, np.linalg.inv(pose), registration_type="GICP", max_correspondence_distance=_REACH_M
-        )
-        return np.linalg.inv(found.T_target_source)
-
-    return methods | {"small_gicp": gicp}
+    return methods
 
 
 def _as_estimate(pose: Array, tracked: PoseEstimate) -> PoseEstimate:
