@@ -11,9 +11,9 @@ import numpy as np
 from ..model.arrays import Float64Array
 from .tilt import MAX_SIGMA_RAD, Tilt
 
-#: A measurement this many standard deviations from the prediction is an outlier; after this number in a row the filter
-#: starts again at the measurement.
-_OUTLIER, _MAX_OUTLIERS = 5.0, 3
+#: A measurement this many standard deviations from the prediction is a push, not noise: the angle starts again there,
+#: because an object that is hit changes its rate within a frame.
+_PUSHED: Final = 4.0
 #: Standard deviation of the rate at the start, rad/s.
 _START_RATE_RAD_S: Final = 1.0
 
@@ -26,7 +26,6 @@ class _Track:
     covariance: Float64Array | None = None
     fixed_rad2: float = 0.0
     measured_s: float = 0.0
-    outliers: int = 0
 
 
 class TiltFilter:
@@ -116,15 +115,10 @@ class TiltFilter:
         noise = max(changing * variance, 1e-12)
         if track.state is not None and track.covariance is not None:
             residual, total = angle_rad - track.state[0], track.covariance[0, 0] + noise
-            if residual**2 <= _OUTLIER**2 * total:
+            if residual**2 <= _PUSHED**2 * total:
                 gain = track.covariance[:, 0] / total
                 track.state = track.state + gain * residual
                 track.covariance = track.covariance - np.outer(gain, track.covariance[0])
-                track.outliers = 0
                 return
-            track.outliers += 1
-            if track.outliers < _MAX_OUTLIERS:
-                return
-        track.outliers = 0
         track.state = np.array([angle_rad, 0.0])
         track.covariance = np.diag([noise, _START_RATE_RAD_S**2])
