@@ -100,14 +100,15 @@ class Cells:
     @classmethod
     def of(cls, points: Float32Array, difference_m: Float32Array | None, lens: Intrinsics) -> Cells:
         """Sort points, shape (N, 3), N > 0, into cells; cells without any known difference are left out."""
-        inverse = 1.0 / points[:, 2].astype(np.float64)
+        inverse = 1 / points[:, 2]
         x, y = points[:, 0] * inverse, points[:, 1] * inverse
-        u, v = lens.fx * x, lens.fy * y
-        left, top = u.min(), v.min()
-        width, height = u.max() - left, v.max() - top
-        size = max(_MIN_CELL_PX, (max(width, height) + 1e-6) / (_MAX_CELLS - 1))
-        rows, columns = int(height / size) + 1, int(width / size) + 1
-        index = ((v - top) / size).astype(np.intp) * columns + ((u - left) / size).astype(np.intp)
+        left, top = float(x.min()), float(y.min())
+        width, height = lens.fx * (float(x.max()) - left), lens.fy * (float(y.max()) - top)
+        # in steps of half a pixel, so that the tables of `shared_by_cells` serve again
+        size = max(_MIN_CELL_PX, math.ceil(2 * max(width, height) / (_MAX_CELLS - 1)) / 2)
+        rows, columns = int(height / size) + 2, int(width / size) + 2
+        row, column = (y - top) * (lens.fy / size), (x - left) * (lens.fx / size)
+        index = row.astype(np.intp) * columns + column.astype(np.intp)
         count = np.bincount(index, minlength=rows * columns)
         kept, difference = count > 0, None
         if difference_m is not None:

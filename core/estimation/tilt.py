@@ -212,7 +212,7 @@ class TiltEstimator:
         roll, pitch = (
             (float(angles[i]), float(sigma[i])) if sigma[i] <= MAX_SIGMA_RAD else (None, None) for i in (0, 1)
         )
-        axis = _long_axis(points, self._lens)
+        axis = _long_axis(cells, self._lens)
         x, y, z = np.full(len(points), 1 / len(points)) @ points
         return replace(
             found,
@@ -292,19 +292,18 @@ def _principal_plane(points: Float32Array) -> Float64Array:
     return plane
 
 
-def _long_axis(points: Float32Array, lens: Intrinsics) -> tuple[float | None, float | None]:
+def _long_axis(cells: Cells, lens: Intrinsics) -> tuple[float | None, float | None]:
     """Return direction of the long axis in the image and its standard deviation, radians; None where it has none.
 
     It is the direction of the larger principal component of the pixels. A displacement d of the edge changes their
     mixed second moment by the integral of u v d along the edge, over the area; the edge is taken for an ellipse's.
     """
-    depth = points[:, 2].astype(np.float64)
-    u, v = lens.fx * points[:, 0] / depth, lens.fy * points[:, 1] / depth
-    moments = np.cov(u, v, bias=True)
+    moments = np.cov(lens.fx * cells.x, lens.fy * cells.y, bias=True, aweights=cells.count)
+    moments += np.eye(2) * cells.size_px**2 / 12  # within a cell
     angle = 0.5 * math.atan2(2 * moments[0, 1], moments[0, 0] - moments[1, 1])
     small, large = np.linalg.eigvalsh(moments)
     around = 2 * math.pi * math.sqrt(2 * (small + large))
-    pixels = lens.fx / float(depth.mean())
+    pixels = lens.fx * float(np.average(cells.inverse_m, weights=cells.count))
     sigma_px2 = _EDGE_M * math.sqrt(_EDGE_LENGTH_M * around / 8) / math.pi * pixels**1.5
     if sigma_px2 > MAX_AXIS_SIGMA_RAD * (large - small):
         return None, None
