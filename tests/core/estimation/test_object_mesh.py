@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 import trimesh
 
-from tactune.core.errors import SourceError
+from tactune.core import load_preset
+from tactune.core.errors import MissingExtraError, SourceError
 from tactune.core.estimation.object_mesh import load_mesh
+from tactune.core.estimation.pose import PoseTracker
+from tactune.core.sources.simulator.scene import simulator_rig
 
 
 @pytest.mark.parametrize("suffix", [".obj", ".ply", ".stl"])
@@ -56,3 +61,11 @@ def test_unusable_files_are_refused_in_one_sentence(tmp_path):
         assert "\n" not in str(refused.value)
     with pytest.raises(SourceError, match="no unit 'yd'"):
         load_mesh(tmp_path / "nothing.stl", "yd")
+
+
+def test_without_open3d_the_extra_is_named(tmp_path, monkeypatch):
+    trimesh.creation.box((0.1, 0.1, 0.1)).export(tmp_path / "box.ply")
+    mesh = load_mesh(tmp_path / "box.ply")
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(MissingExtraError, match=r"tactune\[open3d\]"):
+        PoseTracker(mesh, load_preset("simulator"), simulator_rig())
