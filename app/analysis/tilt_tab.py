@@ -23,6 +23,7 @@ from .tilt_views import (
     MAX_ROWS,
     PITCH_RGB,
     PLANE_COLOR,
+    PLOTTED,
     ROLL_RGB,
     AngleDial,
     TiltCurve,
@@ -169,6 +170,9 @@ class TiltTab(MeasuringTab):
             self.cloud.set_cloud(None)
             self.cloud.set_message(result.problem)
             self.status.setText(result.problem)
+            for dial in (self.roll, self.pitch):
+                dial.setValue(None, None)
+            self._show_curve()
             return
         frame = result.frame
         estimator = TiltEstimator(result.preset, result.source.rig, _METHODS[self.method.currentText()])
@@ -206,7 +210,7 @@ class TiltTab(MeasuringTab):
 
     def _show_curve(self) -> None:
         filtered = self.filtered.isChecked()
-        rows = sorted(self.rows.values(), key=lambda row: row.raw.time_s)
+        rows = sorted(list(self.rows.values())[-PLOTTED:], key=lambda row: row.raw.time_s)
         self.curve.show_tilts([row.filtered if filtered else row.raw for row in rows])
         self.reset.setEnabled(bool(rows))
         self.export.setEnabled(bool(rows))

@@ -29,7 +29,7 @@ _PLANE_ROW = CONTACT_ROW - 1
 #: Lines of the plane in each direction, and points on each; length of the normal, metres.
 _LINES, _ON_LINE, _NORMAL_M = 9, 160, 0.03
 #: Frames in the CSV, and the newest ones that the plot shows.
-MAX_ROWS, _PLOTTED = 20_000, 1800
+MAX_ROWS, PLOTTED = 20_000, 1800
 #: Ends of a dial's scale, degrees; the first that holds the angle.
 _SCALES = (10, 30, 90)
 _SWEEP_DEG = 75.0
@@ -218,8 +218,7 @@ class TiltCurve(QWidget):
         self._recolor()
 
     def show_tilts(self, tilts: list[Tilt]) -> None:
-        """Draw the newest tilts, in the order of time."""
-        tilts = tilts[-_PLOTTED:]
+        """Draw tilts in the order of time."""
         times = np.array([tilt.time_s for tilt in tilts])
         for name, curve, ends in self._parts:
             pairs = [(getattr(tilt, f"{name}_rad"), getattr(tilt, f"{name}_sigma_rad")) for tilt in tilts]
