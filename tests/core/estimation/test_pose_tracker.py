@@ -45,6 +45,12 @@ def mesh_of(shape):
         "cube": lambda: trimesh.creation.box((0.06, 0.06, 0.06)),
         "sphere": lambda: trimesh.creation.icosphere(5, 0.035),
         "wedge": lambda: trimesh.creation.box((0.06, 0.2, 0.06)),
+        "knob": lambda: trimesh.util.concatenate(
+            [
+                trimesh.creation.box((0.06, 0.2, 0.06)),
+                trimesh.creation.icosphere(4, 0.012).apply_translation((0.03, 0, -0.03)),
+            ]
+        ),
         "egg": lambda: trimesh.creation.icosphere(5, 0.02).apply_scale((2.2, 1.4, 1.0)),
         "bolt": lambda: trimesh.util.concatenate(
             [trimesh.creation.icosphere(4, 0.02), trimesh.creation.box((0.07, 0.03, 0.01))]
@@ -80,10 +86,10 @@ def test_directions_that_a_shape_leaves_free_have_names_and_are_held(shape):
     tracker = PoseTracker(mesh, PRESET, RIG)
     start = true @ pose_of((0, 0, 0), (0.001, 0.0012, -0.001))
     tracker.start(start)
-    found = tracker.track(pressed(mesh, true, deep_m=0.015), 0.0)
+    found = tracker.track(pressed(mesh, true, deep_m=0.015, noise_m=0.0005), 0.0)
     assert {direction.name for direction in found.free} == FREE[shape]
     assert not found.lost
-    assert pose_error(found, true, mesh).position_m < 1e-4, "the determined directions are solved"
+    assert pose_error(found, true, mesh).position_m < 5e-4, "the determined directions are solved"
     for direction in found.free:
         if direction.kind == "slide":
             along = np.array(direction.axis) @ (found.T_proximity_object[:3, 3] - start[:3, 3])
@@ -93,15 +99,23 @@ def test_directions_that_a_shape_leaves_free_have_names_and_are_held(shape):
 
 
 def test_prediction_moves_a_free_direction_on():
-    mesh = mesh_of("cylinder")
+    """The knob on the edge of a prism leaves contact while the prism slides along its edge."""
+    mesh, turned = mesh_of("knob"), (0, 45, 0)
     tracker = PoseTracker(mesh, PRESET, RIG)
-    tracker.start(pose_of((90, 0, 0)))
-    xs = []
-    for n in range(12):
-        found = tracker.track(pressed(mesh, pose_of((90, 0, 0), (0.002 * n, 0, 0.33))), n / 30)
-        xs.append(found.T_proximity_object[0, 3])
-        assert np.abs(found.T_proximity_object[1, 3]) < 1e-3, "along the free axis it does not drift"
-    assert np.allclose(xs, 0.002 * np.arange(12), atol=2e-4)
+    tracker.start(pose_of(turned, (0, -0.02, 0.33)))
+    for n in range(14):
+        true = pose_of(turned, (0, -0.02 + 0.002 * n, 0.33))
+        patch = pressed(mesh, true, 0.03, 0.05, 0.0003, seed=n)
+        if n >= 9:
+            own = (patch.points - true[:3, 3]) @ true[:3, :3]
+            points = patch.points[np.abs(own[:, 1]) > 0.016]
+            patch = ContactPatch(n, points, patch.provenance, patch.aligned, RIG, {})
+        found = tracker.track(patch, n / 30)
+        if n == 8:
+            assert not found.free
+            before = found.T_proximity_object[1, 3]
+    assert [direction.name for direction in found.free] == ["sliding along its y axis"]
+    assert found.T_proximity_object[1, 3] - before == pytest.approx(0.01, abs=0.004)
 
 
 def test_fit_agrees_with_least_squares_on_the_distance_to_the_mesh():
