@@ -173,7 +173,9 @@ MAX_TIME_S = 9e9
 
 
 def note_number(seen: set[int], frame: SensorFrame) -> None:
-    """Add a frame's number to those ``seen``; raise `FrameError` where it is there already: files are named by it."""
+    """Add a frame's number to those ``seen``; raise `FrameError` if it is there or negative: it names a file."""
+    if frame.sequence < 0:
+        raise FrameError(f"a frame has the number {frame.sequence}, and files are named by it; record it again")
     if frame.sequence in seen:
         raise FrameError(
             f"two frames have the number {frame.sequence}, as in a merged recording, and files are named by it; "
@@ -211,8 +213,8 @@ class SensorFrame:
     truth: GroundTruth | None = None
 
     def __post_init__(self) -> None:
-        if not 0 <= self.sequence < 2**63:
-            raise FrameError(f"a frame has the number {self.sequence}; numbers are 0 to 2^63 - 1")
+        if not abs(self.sequence) < 2**63:
+            raise FrameError(f"a frame has the number {self.sequence}; numbers have 63 bits")
         for name in ("proximity_time_s", "tactile_time_s"):
             if not abs(getattr(self, name)) <= MAX_TIME_S:  # also nan
                 found = getattr(self, name)

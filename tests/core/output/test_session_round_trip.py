@@ -190,11 +190,24 @@ def test_a_damaged_rig_is_refused(tmp_path: Path, rig: Rig, make_frames: MakeFra
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("sequence", -1), ("sequence", 2**63), *(("tactile_time_s", it) for it in (math.nan, math.inf, 1e300, -1e10))],
+    [
+        ("sequence", -(2**63)),
+        ("sequence", 2**63),
+        *(("tactile_time_s", it) for it in (math.nan, math.inf, 1e300, -1e10)),
+    ],
 )
 def test_no_frame_has_such_a_number_or_time(rig: Rig, make_frame: MakeFrame, field: str, value: float) -> None:
     with pytest.raises(FrameError, match="number"):
         replace(make_frame(rig), **{field: value})
+
+
+def test_a_negative_number_names_no_file(
+    tmp_path: Path, rig: Rig, make_frame: MakeFrame, record: Record, tactune: Callable[..., Finished]
+) -> None:
+    record(tmp_path / "a.mcap", rig, [replace(make_frame(rig), sequence=-4)])
+    finished = tactune("convert", tmp_path / "a.mcap", tmp_path / "b")
+    assert (finished.status, (tmp_path / "b").exists()) == (2, False)
+    assert "the number -4" in finished.err
 
 
 def test_two_frames_of_one_number_are_not_written_to_one_file(
