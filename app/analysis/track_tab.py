@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -54,7 +55,7 @@ _EXPORTS: Final = ["Table (*.csv)", "TUM trajectory (*.tum)"]
 _FOLDER, _EXPORT_FOLDER = "folder/mesh", "folder/export"
 _BY_SIZE: Final = "by size"
 _PANEL_WIDTH: Final = 340
-#: Poses that are kept for the export: an hour at 30 frames/s.
+#: Poses that are kept for the export: the newest hour at 30 frames/s.
 _KEPT: Final = 108_000
 
 
@@ -71,7 +72,7 @@ class TrackTab(AnalysisTab):
         self._result: Result | None = None
         self._live: FrozenPatch | None = None
         self._tracker: FrameTracker | None = None
-        self._records: list[dict[str, Any]] = []
+        self._records: deque[dict[str, Any]] = deque(maxlen=_KEPT)
         self._loading, self._finding, self._tracking, self._writing = Job(self), Job(self), Job(self), Job(self)
         self.messages = Messages(self)
         self.guide = QLabel()
@@ -203,6 +204,7 @@ class TrackTab(AnalysisTab):
 
     def _open_simulated(self) -> None:
         if self._result is not None:
+            self._path = None  # another unit would read that file again
             self._open(simulated(self._result.source.name))
 
     def _read_again(self) -> None:
@@ -326,8 +328,7 @@ class TrackTab(AnalysisTab):
             nan if error is None else 1e3 * error.position_m,
             nan if error is None else math.degrees(error.angle_rad),
         )
-        if len(self._records) < _KEPT:
-            self._records.append(pose_record(estimate) | error_record(error))
+        self._records.append(pose_record(estimate) | error_record(error))
         self._show()
 
     # Files

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ...core.errors import ExportError, SourceError
+from ...core.errors import ExportError, SourceError, TactuneError
+from ...core.model.files import check_writable
 from .common import (
     SOURCE,
     WAIT_S,
@@ -161,7 +162,9 @@ def _start(tracker: PoseTracker, start: Path | None, pairs: Path | None, mesh: O
 
 @contextmanager
 def _output(out: Path | None, source: FrameSource, preset: Preset) -> Iterator[Any]:
-    """Yield a function that takes each patch, pose and record; the file is whole when this ends."""
+    """Yield a function that takes each patch, pose and record; the file is whole when this ends, also by an error."""
+    from ...core.estimation.pose_files import save_poses
+
     if out is not None and out.suffix.lower() == MCAP_SUFFIX:
         from ...core.output.bag import PatchWriter
 
@@ -174,10 +177,15 @@ def _output(out: Path | None, source: FrameSource, preset: Preset) -> Iterator[A
             yield write
         return
     records: list[Record] = []
-    yield lambda patch, pose, record: records.append(record)
+    if out is not None:
+        check_writable(out)
+    try:
+        yield lambda patch, pose, record: records.append(record)
+    except TactuneError:  # such as an unplugged camera: the poses until then are kept
+        if out is not None and not all(record["lost"] for record in records):
+            save_poses(out, records)
+        raise
     if out is not None and records:
-        from ...core.estimation.pose_files import save_poses
-
         save_poses(out, records)
 
 

@@ -206,7 +206,7 @@ class PublishControl(QObject):
         self._remember(connections)
         cancelled = self._cancelled = Event()
 
-        def start(_: object) -> tuple[Publisher, PresetParameters]:
+        def start(_: object) -> tuple[Publisher, PresetParameters] | None:
             from ...core.output.parameters import PresetParameters
             from ...core.output.publisher import Publisher
 
@@ -214,11 +214,14 @@ class PublishControl(QObject):
             publisher = Publisher(connections.make_sinks(parameters))
             if cancelled.is_set():
                 publisher.close()
+                return None
             return publisher, parameters
 
         self._job.start(start)
 
-    def _started(self, started: tuple[Publisher, PresetParameters]) -> None:
+    def _started(self, started: tuple[Publisher, PresetParameters] | None) -> None:
+        if started is None:
+            return
         if self._cancelled.is_set():
             started[0].close()
             return

@@ -18,7 +18,6 @@ from .pose import PoseError, PoseEstimate
 
 Record = dict[str, Any]
 
-CSV_SUFFIX: Final = ".csv"
 TUM_SUFFIX: Final = ".tum"
 AXES: Final = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 _TUM: Final = ("time_s", *AXES[:3], "qx", "qy", "qz", "qw")

@@ -164,6 +164,9 @@ def test_the_simulators_own_object_needs_no_file(qtbot, tab, source):
     QTest.mouseClick(tab.simulated, LEFT)
     qtbot.waitUntil(lambda: tab.model.mesh.name == "cup")
     np.testing.assert_array_equal(tab.model.mesh.vertices_m, simulated_mesh(source).vertices_m)
+    tab.unit.setFocus()
+    QTest.keyClick(tab.unit, Qt.Key.Key_Down)
+    assert not tab.progress.isVisible(), "another unit reads the file that was open before"
 
 
 def test_what_is_no_mesh_is_said_and_the_present_one_stays(qtbot, tab, tmp_path):

@@ -106,8 +106,26 @@ def test_wrong_mesh_and_wrong_options_end_with_one_sentence(tactune, cup, tmp_pa
     assert done.status == 2
     assert "pea.ply does not fit the contact" in done.err
     assert not out.exists()
+    (tmp_path / "file").touch()
+    done = tactune("track", "--source", "sim:cup", "--mesh", tmp_path / "pea.ply", "--out", tmp_path / "file" / "a.csv")
+    assert done.status == 2
+    assert "a.csv" in done.err and "does not fit" not in done.err, "told before anything is computed"
     done = tactune(*arguments(cup, "--out", tmp_path / "poses.txt"))
     assert done.status == 2
     assert "choose one of .csv, .tum, .mcap" in done.err
     assert tactune(*arguments(cup)).status == 2
     assert "Traceback" not in done.err
+
+
+def test_a_source_that_fails_leaves_the_poses_until_then(tactune, cup, tmp_path):
+    frames, out = tmp_path / "frames", tmp_path / "poses.csv"
+    assert tactune("export-folder", "--source", "sim:cup", "--out", frames, "-n", FRAMES).status == 0
+    broken = sorted(frames.glob("*/proximity_depth.png"))[FRAMES - 2]
+    broken.write_bytes(broken.read_bytes()[:1000])
+    command = arguments(cup, "--out", out, "--preset", "simulator")
+    command[command.index("sim:cup")] = f"folder:{frames}"
+    done = tactune(*command)
+    assert done.status == 2
+    assert broken.name in done.err
+    with out.open(encoding="utf-8", newline="") as file:
+        assert len(list(csv.DictReader(file))) == FRAMES - 2
