@@ -89,15 +89,8 @@ def simulated(name: str) -> Callable[[Progress], Model]:
 
 def shown(path: Path, mesh: ObjectMesh) -> Model:
     """Return a mesh with points spread evenly over its surface."""
-    a, b, c = (mesh.vertices_m[mesh.triangles[:, corner]] for corner in range(3))
-    normals = np.cross(b - a, c - a)
-    doubled = np.linalg.norm(normals, axis=1)
-    random = np.random.default_rng(0)
-    chosen = random.choice(len(doubled), _MODEL_POINTS, p=doubled / doubled.sum())
-    along, across = random.random((2, _MODEL_POINTS, 1))
-    root = np.sqrt(along)
-    points = (1 - root) * a[chosen] + root * (1 - across) * b[chosen] + root * across * c[chosen]
-    lit = 0.5 - 0.5 * (normals[chosen] @ _LIGHT) / doubled[chosen]
+    points, normals = mesh.sample(_MODEL_POINTS)
+    lit = 0.5 - 0.5 * (normals @ _LIGHT)
     shade = np.minimum((lit * _SHADES).astype(int), _SHADES - 1)
     groups = []
     for number in range(_SHADES):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from ...core.contact.pipeline import ContactPatch
+    from ...core.estimation.pose import PoseEstimate, PoseTracker
     from ...core.model.frames import Rig, SensorFrame
     from ...core.output.connections import Connections
     from ...core.output.parameters import PresetParameters
@@ -39,6 +41,8 @@ if TYPE_CHECKING:
     from .run import Estimate
 
 _LAYOUT_HELP = "Write the layout for the Foxglove app (Import from file) and end, unless --foxglove or --ros2 is given."
+#: Longest that a frame waits for its pose, seconds; tracking takes a few hundredths.
+_POSE_S = 0.1
 _RCLPY_HELP = "Publish by the ROS 2 that is sourced in this shell, whose middleware and settings choose the network."
 
 
@@ -155,20 +159,41 @@ def _estimator(options: ServeOptions, preset: Preset, rig: Rig) -> Callable[[Con
     from ...core.model.patch import Lazy
     from ...core.output.publisher import Estimates
 
-    tilt, tracker = make_tilt(options.estimate, preset, rig), None
+    tilt, poses = make_tilt(options.estimate, preset, rig), None
     if options.mesh is not None:
         from ...core.estimation.pose import PoseTracker
 
-        tracker = PoseTracker(read_mesh(options.mesh, options.unit), preset, rig)
+        poses = _Poses(PoseTracker(read_mesh(options.mesh, options.unit), preset, rig))
 
     def estimated(patch: ContactPatch, frame: SensorFrame) -> Estimates:
         record = None if tilt is None else Lazy(tilt(patch, frame).record)
-        pose = None if tracker is None else tracker.track(patch, frame.proximity_time_s)
+        pose = None if poses is None else poses.of(patch, frame.proximity_time_s)
         if pose is None or pose.lost:
             return Estimates(record)
         return Estimates(record, pose.T_proximity_object, pose.covariance)
 
     return estimated
+
+
+class _Poses:
+    """Tracks an object on a thread of its own: while a search takes seconds, frames go on without a pose."""
+
+    def __init__(self, tracker: PoseTracker) -> None:
+        self._tracker = tracker
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="track")
+        self._running: Future[PoseEstimate] | None = None
+
+    def of(self, patch: ContactPatch, time_s: float) -> PoseEstimate | None:
+        """Return the pose in a frame; None if the tracker is busy, or takes longer than `_POSE_S`."""
+        if self._running is not None and not self._running.done():
+            return None
+        if self._running is not None:
+            self._running.result()  # raises what a search has raised meanwhile
+        self._running = self._thread.submit(self._tracker.track, patch, time_s)
+        try:
+            return self._running.result(_POSE_S)
+        except TimeoutError:
+            return None
 
 
 def _write_layout(path: Path) -> None:

@@ -74,11 +74,14 @@ class ObjectMesh:
 
     @cached_property
     def _sample(self) -> tuple[Float64Array, Float64Array]:
-        """Points spread evenly over the surface, and the unit normals there."""
+        return self.sample(_SAMPLE)
+
+    def sample(self, count: int) -> tuple[Float64Array, Float64Array]:
+        """Return points spread evenly over the surface, metres, and the unit normals there, each (count, 3)."""
         random, areas = np.random.default_rng(0), triangle_areas(self.vertices_m, self.triangles)
-        chosen = random.choice(len(areas), _SAMPLE, p=areas / areas.sum())
+        chosen = random.choice(len(areas), count, p=areas / areas.sum())
         a, b, c = (self.vertices_m[self.triangles[chosen, k]] for k in range(3))
-        s, t = random.random((2, _SAMPLE, 1))
+        s, t = random.random((2, count, 1))
         s, t = np.where(s + t > 1, 1 - s, s), np.where(s + t > 1, 1 - t, t)
         normals = np.cross(b - a, c - a)
         return a + s * (b - a) + t * (c - a), normals / np.linalg.norm(normals, axis=1, keepdims=True)

@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -23,6 +24,7 @@ from foxglove_client import WAIT_S, FoxgloveClient
 from sockets import listening
 from tactune.core import ContactPatch, ContactPipeline, load_preset, open_source
 from tactune.core.estimation.object_mesh import simulated_mesh
+from tactune.core.estimation.pose import PoseTracker
 from tactune.core.estimation.tilt import TiltEstimator
 from tactune.core.model.clouds import deproject_image
 from tactune.core.model.frames import SensorFrame
@@ -100,13 +102,19 @@ def test_a_client_that_comes_late_gets_the_static_transforms(server: tuple[subpr
             assert "tactile_depth_optical_frame" in [one.child_frame_id for one in seen["/tf_static"].transforms]
 
 
-def test_tilt_and_pose_are_published_where_asked(tmp_path: Path) -> None:
-    mesh = tmp_path / "cup.obj"
+@pytest.fixture
+def mesh(tmp_path: Path) -> Path:
+    """The mesh of the simulator's cup, in metres."""
     with open_source("sim:cup") as source:
         assert isinstance(source, SimulatorSource)
         cup = simulated_mesh(source)
     lines = [f"v {x} {y} {z}" for x, y, z in cup.vertices_m]
-    mesh.write_text("\n".join(lines + [f"f {a} {b} {c}" for a, b, c in cup.triangles + 1]))
+    path = tmp_path / "cup.obj"
+    path.write_text("\n".join(lines + [f"f {a} {b} {c}" for a, b, c in cup.triangles + 1]))
+    return path
+
+
+def test_tilt_and_pose_are_published_where_asked(mesh: Path) -> None:
     topics = ["/contact/tilt", "/object/pose", "/tf", "/contact/patch", "/tactune/frame"]
     asked = ("--estimate", "tilt", "--mesh", str(mesh), "--unit", "m")
     with serving("--port", "0", *asked) as (_, port), FoxgloveClient(port) as client:
@@ -120,6 +128,22 @@ def test_tilt_and_pose_are_published_where_asked(tmp_path: Path) -> None:
     position = seen["/object/pose"].pose.pose.position
     assert np.linalg.norm(np.array([position.x, position.y, position.z]) - truth[:3, 3]) < 0.03
     assert seen["/tf"].transforms[0].transform.translation.x == position.x
+
+
+def test_frames_go_on_while_the_object_is_searched(
+    mesh: Path, monkeypatch: pytest.MonkeyPatch, tactune: Callable[..., Finished]
+) -> None:
+    searches, found = [], threading.Event()
+
+    def search(*frame: object) -> None:
+        searches.append(frame)
+        found.wait(WAIT_S)
+
+    monkeypatch.setattr(PoseTracker, "track", search)
+    done = tactune("serve", "--foxglove", "--port", 0, "--source", "sim:cup", "--mesh", mesh, "--unit", "m", "-n", 5)
+    found.set()
+    assert "published 5 frames" in done.out
+    assert len(searches) == 1
 
 
 def test_time_stamps_are_those_of_now(server: tuple[subprocess.Popen[str], int]) -> None:

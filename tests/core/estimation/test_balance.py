@@ -32,7 +32,7 @@ def test_books_are_levelled_by_the_patch(tray):
     assert summary.patch.rms_deg < 0.6 and summary.patch.missing == 0
     assert max(abs(np.degrees(step.roll_rad)) for step in steps) > 2.0  # the books do roll the tray
     assert abs(np.degrees(steps[-1].sensor_rad)) > 2.0  # the sensor has turned below it
-    assert summary.noise_factor > 0.0 and summary.rms_factor > 0.0
+    assert summary.rms_factor == pytest.approx(summary.proximity.rms_deg / summary.patch.rms_deg)
     for step in steps[::60]:
         assert step.measured_rad == pytest.approx(step.patch.roll_rad + step.sensor_rad)
         assert step.true_rad == pytest.approx(step.roll_rad - step.sensor_rad)
