@@ -313,7 +313,7 @@ class TrackTab(AnalysisTab):
         """Track in the newest frame; one that waits for the present step is replaced by a newer one."""
         tracker, result = self._tracker, self._result
         if tracker is not None and result is not None:
-            self._tracking.start(lambda _: (tracker, tracker.track(result, "")))
+            self._tracking.start(lambda _: (tracker, tracker.track(result)))
 
     def _follow(self, done: tuple[FrameTracker, Tracked | None]) -> None:
         tracker, tracked = done

@@ -37,7 +37,6 @@ _AXIS_POINTS, _AXIS_REACH = 300, 2.0
 class Model:
     """A mesh and the points that it is drawn with, in its own frame, each group with its shade."""
 
-    path: Path
     mesh: ObjectMesh
     groups: tuple[tuple[Float64Array, Rgb], ...]
 
@@ -59,7 +58,6 @@ class Tracked:
     estimate: PoseEstimate
     error: PoseError | None
     patch: FrozenPatch
-    searched: bool
 
 
 def opening(path: Path, unit: str | None) -> Callable[[Progress], Model]:
@@ -69,7 +67,7 @@ def opening(path: Path, unit: str | None) -> Callable[[Progress], Model]:
         progress(0.1, f"Reading {path.name}")
         mesh = load_mesh(path, unit)
         progress(0.6, "Preparing the view")
-        return shown(path, mesh)
+        return shown(mesh)
 
     return read
 
@@ -82,12 +80,12 @@ def simulated(name: str) -> Callable[[Progress], Model]:
         rest = name.removeprefix("live:").removeprefix("sim:")
         values = read_name(rest)
         scene = resolve_scene(values["scene"], read_options(name, values)[0])
-        return shown(Path(f"{values['scene']}.ply"), mesh_of_scene(scene, values["scene"]))
+        return shown(mesh_of_scene(scene, values["scene"]))
 
     return make
 
 
-def shown(path: Path, mesh: ObjectMesh) -> Model:
+def shown(mesh: ObjectMesh) -> Model:
     """Return a mesh with points spread evenly over its surface."""
     points, normals = mesh.sample(_MODEL_POINTS)
     lit = 0.5 - 0.5 * (normals @ _LIGHT)
@@ -96,7 +94,7 @@ def shown(path: Path, mesh: ObjectMesh) -> Model:
     for number in range(_SHADES):
         red, green, blue = (round(channel * (0.45 + 0.55 * number / (_SHADES - 1))) for channel in MODEL_RGB)
         groups.append((points[shade == number], (red, green, blue)))
-    return Model(path, mesh, tuple(groups))
+    return Model(mesh, tuple(groups))
 
 
 def axes_of(estimate: PoseEstimate, mesh: ObjectMesh) -> list[tuple[Float64Array, Rgb]]:
@@ -131,19 +129,18 @@ class FrameTracker:
             raise CalibrationError("there is no contact to find the object by; press it into the membrane")
         return self._ready(result).find(result.patch)
 
-    def track(self, result: Result, preset: str) -> Tracked | None:
+    def track(self, result: Result) -> Tracked | None:
         """Return the pose in a frame; None if the frame has no patch because the preset does not fit the rig."""
         if result.patch is None:
             return None
         tracker = self._ready(result)
-        searched = self._pose is None
         estimate = tracker.track(result.patch, result.frame.proximity_time_s)
         if not estimate.lost:
             self._pose = estimate.T_proximity_object
         truth = result.frame.truth
         true = truth.T_proximity_object if truth is not None else None
         error = None if true is None or estimate.lost else pose_error(estimate, true, self.mesh)
-        return Tracked(estimate, error, FrozenPatch.of(result, preset), searched)
+        return Tracked(estimate, error, FrozenPatch.of(result, ""))
 
     def _ready(self, result: Result) -> PoseTracker:
         """Return the tracker for a frame; after a jump back in time it starts anew from the last pose."""
