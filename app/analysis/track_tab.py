@@ -217,6 +217,7 @@ class TrackTab(AnalysisTab):
         self._loading.start(work)
 
     def _opened(self, model: Model) -> None:
+        self._finding.stop()  # it searches for the former object
         self._show_busy(1.0, "")
         self.track_button.setChecked(False)
         self.model, self.tracked = model, None

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from ...core.errors import CalibrationError
-from ...core.estimation.object_mesh import ObjectMesh, load_mesh, mesh_of_scene
+from ...core.errors import CalibrationError, MissingExtraError
+from ...core.estimation.object_mesh import ObjectMesh, import_open3d, load_mesh, mesh_of_scene
 from ...core.estimation.pose import PoseError, PoseEstimate, PoseTracker, pose_error
 from ...core.model.arrays import Float64Array
 from ...core.model.frames import Matrix4
@@ -87,6 +88,8 @@ def simulated(name: str) -> Callable[[Progress], Model]:
 
 def shown(mesh: ObjectMesh) -> Model:
     """Return a mesh with points spread evenly over its surface."""
+    with suppress(MissingExtraError):  # told when tracking starts; importing takes seconds and would stall the window
+        import_open3d()
     points, normals = mesh.sample(_MODEL_POINTS)
     lit = 0.5 - 0.5 * (normals @ _LIGHT)
     shade = np.minimum((lit * _SHADES).astype(int), _SHADES - 1)

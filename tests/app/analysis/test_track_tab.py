@@ -137,25 +137,35 @@ def test_a_wrong_mesh_is_refused_by_its_residual(qtbot, tab, tmp_path):
     assert tab.session.state.pose is None
 
 
-def test_a_search_can_be_given_up_at_once(qtbot, tab, monkeypatch):
-    began, go_on = Event(), Event()
+@pytest.mark.parametrize("how", ["cancel", "another mesh"])
+def test_a_search_can_be_given_up_at_once(qtbot, tab, monkeypatch, cup_file, how):
+    began, go_on, ended = Event(), Event(), Event()
 
     class Endless:
         def __init__(self, *_: object) -> None:
             pass
 
-        def find(self, _result: object) -> None:
+        def find(self, _result: object) -> np.ndarray:
             began.set()
             go_on.wait()
+            ended.set()
+            return np.eye(4)
 
     monkeypatch.setattr(track_tab, "FrameTracker", Endless)
     QTest.mouseClick(tab.find_button, LEFT)
     qtbot.waitUntil(began.is_set)
     assert tab.cancel.isVisible()
-    QTest.mouseClick(tab.cancel, LEFT)
+    if how == "cancel":
+        QTest.mouseClick(tab.cancel, LEFT)
+    else:
+        model = tab.model
+        tab.open_mesh(cup_file)
+        qtbot.waitUntil(lambda: tab.model is not model)
     assert not tab.cancel.isVisible() and not go_on.is_set()
     go_on.set()
-    assert not tab.track_button.isChecked()
+    qtbot.waitUntil(ended.is_set)
+    qtbot.wait(200)  # a pose would come now
+    assert not tab.track_button.isChecked() and tab.session.state.pose is None
 
 
 def test_the_simulators_own_object_needs_no_file(qtbot, tab, source):
