@@ -1,4 +1,4 @@
-"""Which live connections there are to be, and their sinks."""
+"""Settings of live connections, and the sinks that follow from them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FOXGLOVE_PORT: Final = 8765
 
 @dataclass(frozen=True)
 class Connections:
-    """What listens where. Nothing does by default.
+    """Settings of live connections. By default nothing listens.
 
     Attributes
     ----------
