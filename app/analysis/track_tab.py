@@ -176,7 +176,7 @@ class TrackTab(AnalysisTab):
         self.find_button.clicked.connect(self._search)
         self.cancel.clicked.connect(self._give_up)
         self.track_button.toggled.connect(self._toggled)
-        self.export.clicked.connect(self._ask_export)
+        self.export.clicked.connect(lambda: self._ask_export(list(self._records)))
         self.views.model.pointClicked.connect(lambda _, place: self._click("scan", place))
         self.views.scene.pointClicked.connect(lambda _, place: self._click("patch", place))
         self.views.scene.nudged.connect(lambda change, gesture: self.session.nudge(change, None, gesture))
@@ -220,6 +220,11 @@ class TrackTab(AnalysisTab):
         self._finding.stop()  # it searches for the former object
         self._show_busy(1.0, "")
         self.track_button.setChecked(False)
+        former, records = self.model, list(self._records)
+        if former is not None and records:
+            sentence = f"Tracking {former.mesh.name} ended after {len(records)} poses, because a mesh was opened."
+            ask = partial(self._ask_export, records)
+            self.messages.show_message("former", Severity.INFO, sentence, [("Save them…", ask)])
         self.model, self.tracked = model, None
         self._records.clear()
         self.plot.clear()
@@ -334,14 +339,15 @@ class TrackTab(AnalysisTab):
 
     # Files
 
-    def _ask_export(self) -> None:
+    def _ask_export(self, records: list[dict[str, Any]]) -> None:
         folder = Path(self._settings.text(_EXPORT_FOLDER) or Path.home())
         suggestion = folder / "poses.csv"
-        self._dialogs.over(self.window() or self).save_file("Export the poses", suggestion, _EXPORTS, self._write)
+        self._dialogs.over(self.window() or self).save_file(
+            "Export the poses", suggestion, _EXPORTS, partial(self._write, records)
+        )
 
-    def _write(self, path: Path) -> None:
+    def _write(self, records: list[dict[str, Any]], path: Path) -> None:
         self._settings.set(_EXPORT_FOLDER, str(path.parent))
-        records = list(self._records)
 
         def write(_progress: object) -> str:
             save_poses(path, records)

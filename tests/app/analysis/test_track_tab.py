@@ -71,7 +71,7 @@ def test_the_unit_of_the_mesh_is_told_by_its_size_and_said(tab):
     assert "Press Find" in tab.guide.text()
 
 
-def test_the_cup_is_found_and_followed_and_its_poses_exported(qtbot, tab, source, tmp_path):
+def test_the_cup_is_found_and_followed_and_its_poses_exported(qtbot, tab, source, tmp_path, cup_file):
     find(qtbot, tab)
     assert tab.track_button.isChecked() and tab.guide.text().startswith("Tracking")
     assert tab.tracked.error.position_m < 0.002 and tab.tracked.error.angle_rad < np.radians(2.0)
@@ -89,6 +89,10 @@ def test_the_cup_is_found_and_followed_and_its_poses_exported(qtbot, tab, source
     rows = list(csv.DictReader((tmp_path / "poses.csv").read_text(encoding="utf-8").splitlines()))
     assert [int(row["sequence"]) for row in rows][-2:] == [PRESSED + 1, PRESSED - 1]
     assert float(rows[-1]["position_error_mm"]) < 2
+    tab.open_mesh(cup_file)
+    ended = f"Tracking cup.stl ended after {len(rows)} poses"
+    qtbot.waitUntil(lambda: any(ended in sentence for sentence in tab.messages.sentences()))
+    assert not tab.export.isEnabled(), "the poses can be saved from the message"
 
 
 def test_three_clicked_pairs_give_the_start_and_undo_takes_them_back(qtbot, tab, source):
