@@ -175,10 +175,10 @@ class BalancePanel(CollapsibleSection):
             self.steps.append(self._run.steps.popleft())
         self.curves.show_steps(self.steps)
         last = self.steps[-1]
-        measured = "no angle" if last.measured_rad is None else f"measured {math.degrees(last.measured_rad):+.1f}°"
+        measured = "no angle" if last.measured_rad is None else f"measured {_degrees(last.measured_rad)}"
         self.status.setText(
-            f"{last.time_s:.1f} s: tray {math.degrees(last.roll_rad):+.1f}°, {measured}, sensor turned "
-            f"{math.degrees(last.sensor_rad):+.1f}°; {1e3 * last.latency_s:.0f} ms from frame to angle"
+            f"{last.time_s:.1f} s: tray {_degrees(last.roll_rad)}, {measured}, sensor turned "
+            f"{_degrees(last.sensor_rad)}; {1e3 * last.latency_s:.0f} ms from frame to angle"
         )
 
     def _ended(self, problem: str) -> None:
@@ -261,6 +261,10 @@ class BalancePlot(QWidget):
         for sample, label in self._legend.items:
             label.setText(label.text)
             sample.update()
+
+
+def _degrees(radians: float) -> str:
+    return f"{round(math.degrees(radians), 1) + 0.0:+.1f}°"  # 0.0 is added to have no -0.0
 
 
 def _gain(name: str, tip: str, limits: tuple[float, float, float], suffix: str, value: float) -> QDoubleSpinBox:

@@ -205,8 +205,9 @@ class StrainCurve(QWidget):
         self.plot.setMenuEnabled(False)
         self.plot.hideButtons()
         self.plot.getViewBox().setLimits(minXRange=_MIN_RANGE, minYRange=_MIN_RANGE)
-        self.plot.setLabel("bottom", "Displacement, mm")
-        self.plot.setLabel("left", "Largest strain, %")
+        for axis, text in (("bottom", "Displacement, mm"), ("left", "Largest strain, %")):
+            self.plot.getAxis(axis).enableAutoSIPrefix(False)
+            self.plot.setLabel(axis, text)
         self.plot.getPlotItem().showGrid(x=True, y=True, alpha=0.2)
         self.plot.setToolTip(
             "Largest strain along length and width against the displacement of the membrane, in the order of the "

@@ -195,8 +195,9 @@ class TiltCurve(QWidget):
         self.plot = pg.PlotWidget()
         self.plot.setMenuEnabled(False)
         self.plot.hideButtons()
-        self.plot.setLabel("bottom", "Time, s")
-        self.plot.setLabel("left", "Angle, degrees")
+        for axis, text in (("bottom", "Time, s"), ("left", "Angle, degrees")):
+            self.plot.getAxis(axis).enableAutoSIPrefix(False)
+            self.plot.setLabel(axis, text)
         self.plot.getViewBox().setLimits(minXRange=0.2, minYRange=0.5)
         self.plot.getPlotItem().showGrid(x=True, y=True, alpha=0.2)
         self.plot.setToolTip(

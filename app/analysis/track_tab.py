@@ -99,7 +99,10 @@ class TrackTab(AnalysisTab):
     def show_result(self, result: Result) -> None:
         """Track the object in a frame of the main window, or show its patch."""
         self._result = result
-        self.simulated.setVisible(result.source.name.removeprefix("live:").startswith("sim:"))
+        simulated = result.source.name.removeprefix("live:").startswith("sim:")
+        if simulated != self.simulated.isVisibleTo(self):
+            self.simulated.setVisible(simulated)
+            self._show()
         if self.track_button.isChecked():
             self._step()
         elif self.session.state.patch is None:
@@ -123,11 +126,18 @@ class TrackTab(AnalysisTab):
         top = QHBoxLayout()
         unit = caption("&Unit", self.unit)
         row: tuple[QWidget, ...] = (self.open_button, self.simulated, unit, self.unit)
-        for widget in (*row, self.find_button, self.track_button, self.progress, self.cancel):
+        for widget in (*row, self.find_button, self.track_button):
             top.addWidget(widget)
         top.addStretch(1)
         for button in (*undo_buttons(self, self.session.undo_stack), self.export):
             top.addWidget(button)
+        state = QHBoxLayout()
+        state.addWidget(self.guide, 1)
+        for widget in (self.progress, self.cancel):
+            state.addWidget(widget)
+        policy = self.cancel.sizePolicy()
+        policy.setRetainSizeWhenHidden(True)
+        self.cancel.setSizePolicy(policy)
         panels = QWidget()
         column = QVBoxLayout(panels)
         column.setContentsMargins(0, 0, 4, 0)
@@ -154,7 +164,7 @@ class TrackTab(AnalysisTab):
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.addLayout(top)
-        layout.addWidget(self.guide)
+        layout.addLayout(state)
         layout.addWidget(across, 1)
 
     def _connect(self) -> None:
@@ -393,7 +403,8 @@ class TrackTab(AnalysisTab):
         """Return the state of tracking or the next step, as a sentence."""
         state, patch = self.session.state, self._patch
         if self.model is None:
-            return "Open the mesh of the object that is pressed, or drop it here."
+            other = "Press Simulated object, or open" if self.simulated.isVisibleTo(self) else "Open"
+            return f"{other} the mesh of the object that is pressed, or drop it here."
         if patch is None:
             return "There is no frame yet: open a source in the main window."
         if self.track_button.isChecked():

@@ -240,7 +240,7 @@ def _summary(records: list[Record], source: str, mesh: ObjectMesh, *, truth: boo
     from statistics import median
 
     tracked = [record for record in records if not record["lost"]]
-    lines = [f"{counted(len(records), 'frame')} of {source}, {mesh.name}: pose known in {len(tracked)}"]
+    lines = [f"{counted(len(records), 'frame')} of {source}, object {mesh.name}: pose known in {len(tracked)}"]
     if tracked:
         free: dict[str, int] = {}
         for name in (name for record in tracked for name in record["free"].split("; ") if name):

@@ -181,8 +181,9 @@ class SkewTab(QWidget):
         ):
             plot.setMenuEnabled(False)
             plot.hideButtons()
-            plot.setLabel("bottom", bottom)
-            plot.setLabel("left", left)
+            for axis, text in (("bottom", bottom), ("left", left)):
+                plot.getAxis(axis).enableAutoSIPrefix(False)
+                plot.setLabel(axis, text)
             plot.getPlotItem().showGrid(x=True, y=True, alpha=0.2)
             plot.setAccessibleName(bottom)
         self.motion.addLegend(offset=(-10, 10))

@@ -334,6 +334,8 @@ class Publisher:
         if abs(stamp_ns + self._shift_ns - now_ns) > _MAX_CLOCK_ERROR_NS:
             is_live = abs(stamp_ns - now_ns) < _MAX_CLOCK_ERROR_NS
             self._shift_ns = 0 if is_live else now_ns - stamp_ns
+        elif self._shift_ns:  # a frame that took less time than those before: no stamp lies in the future
+            self._shift_ns = min(self._shift_ns, now_ns - stamp_ns)
         built = FrameMessages(frame, patch, preset, self._shift_ns, estimates)
         for output in self._outputs:
             output.put(built)

@@ -81,8 +81,9 @@ class TradeOffPlot(QWidget):
 
     def set_axes(self, x: str, y: str) -> None:
         """Name the axes, with their units."""
-        self._plot.setLabel("bottom", x)
-        self._plot.setLabel("left", y)
+        for axis, text in (("bottom", x), ("left", y)):
+            self._plot.getAxis(axis).enableAutoSIPrefix(False)
+            self._plot.setLabel(axis, text)
 
     def set_dots(self, dots: Sequence[Dot], front: Sequence[int], present: int = -1) -> None:
         """Show other dots.

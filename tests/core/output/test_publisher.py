@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -161,6 +163,19 @@ def test_a_slow_sink_loses_its_own_frames_and_no_other(processed: tuple[SensorFr
     assert not quick.is_open
     assert not slow.is_open
     assert quick.messages[0] is slow.messages[0]  # nothing is encoded twice
+
+
+def test_no_stamp_lies_in_the_future_where_the_first_frame_was_late(
+    processed: tuple[SensorFrame, ContactPatch, Preset],
+) -> None:
+    frame, patch, preset = processed
+    sink = Collecting(["/contact/area_mm2"])
+    with Publisher([sink]) as publisher:
+        publisher.put(frame, patch, preset)
+        sink.wait_for(lambda messages: len(messages) == 1)
+        publisher.put(replace(frame, proximity_time_s=frame.proximity_time_s + 0.5), patch, preset)
+        sink.wait_for(lambda messages: len(messages) == 2)
+        assert sink.messages[0].stamp_ns < sink.messages[1].stamp_ns <= time.time_ns()
 
 
 def test_nothing_is_built_for_nobody(processed: tuple[SensorFrame, ContactPatch, Preset]) -> None:
