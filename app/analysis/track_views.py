@@ -42,7 +42,11 @@ class PosePanel(CollapsibleSection):
         grid.setHorizontalSpacing(12)
         for row, name in enumerate(self._ROWS):
             column = 3 * (row // 3)
-            about = f"rotation about the camera's {'xyz'[row - 3]} axis, degrees" if row > 2 else "position, mm"
+            about = (
+                f"rotation about the camera's {'xyz'[row - 3]} axis, degrees"
+                if row > 2
+                else "position of the mesh's origin, mm"
+            )
             tip = f"{name}: {about}, and its standard deviation; red: the patch does not determine it"
             for offset, label in enumerate((QLabel(name), self.values[row], self.sigmas[row])):
                 label.setToolTip(tip)

@@ -400,6 +400,8 @@ class AlignPanel(CollapsibleSection):
             widget.setEnabled(posed)
         self._pose = None if pose is None else np.asarray(pose)
         if self._pose is None or pivot is None:
+            for entry in (*self.places, *self.turns):
+                entry.setValue(0.0)
             return
         self._pivot = pivot
         for entry, metres in zip(self.places, pivot, strict=True):

@@ -443,7 +443,8 @@ def tilt_lines(tilts: list[Record]) -> list[str]:
         sigmas = [math.degrees(tilt[f"{name}_sigma_rad"]) for tilt in tilts if tilt[f"{name}_rad"] is not None]
         line = f"{name}: determined in {len(known)} of {counted(len(tilts), 'frame')}"
         if known:
-            line += f", {min(known):.2f} to {max(known):.2f} degrees, standard deviation {median(sigmas):.2f} degrees (median)"
+            line += f", {min(known):.2f} to {max(known):.2f} degrees"
+            line += f", standard deviation {median(sigmas):.2f} degrees (median)"
         lines.append(line)
     return lines
 

@@ -243,9 +243,9 @@ class PoseTracker:
         found = search(self.mesh, tiles, film, len(points))
         if _is_lost(found):
             raise CalibrationError(
-                f"{self.mesh.name} does not fit the contact: at best {100 * found.fit.overlap:.0f} % of the patch lies "
-                f"within {1e3 * ON_MESH_M:g} mm of it, and the two-way residual is {1e3 * found.cost_m:.1f} mm; check "
-                "that it is the mesh of this object and its unit"
+                f"the mesh {self.mesh.name} does not fit the contact: at best {100 * found.fit.overlap:.0f} % of the "
+                f"patch lies within {1e3 * ON_MESH_M:g} mm of it, and the two-way residual is {1e3 * found.cost_m:.1f} "
+                "mm; check that it is the mesh of this object and its unit"
             )
         self.start(found.fit.pose)
         self._last = found.fit

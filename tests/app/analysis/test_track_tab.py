@@ -135,7 +135,7 @@ def test_a_wrong_mesh_is_refused_by_its_residual(qtbot, tab, tmp_path):
     tab.open_mesh(tmp_path / "plate.ply")
     qtbot.waitUntil(lambda: tab.model.mesh.name == "plate.ply")
     QTest.mouseClick(tab.find_button, LEFT)
-    words = "Plate.ply does not fit the contact"
+    words = "The mesh plate.ply does not fit the contact"
     qtbot.waitUntil(lambda: any(words in sentence for sentence in tab.messages.sentences()), timeout=30_000)
     assert not tab.track_button.isChecked()
     assert tab.session.state.pose is None
