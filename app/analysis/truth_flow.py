@@ -143,6 +143,7 @@ class TruthFlow(QObject):
         self._loading.cancel()
 
     def _scan_read(self, loaded: LoadedScan) -> None:
+        self.message.emit("scan", Severity.ERROR, "")  # of a unit that was passed on the way to this one
         self._refining.cancel()
         self.loaded, self.contact = loaded, None
         self._wanted_paint = None

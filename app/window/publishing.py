@@ -313,7 +313,9 @@ class PublishControl(QObject):
 
 def _in_words(state: OutputStatus) -> str:
     sink = state.sink
-    counts = f"{_counted(sink.clients, 'client')}, {state.rate_hz:.0f} frames/s, {state.missed} missed"
+    counts = _counted(sink.clients, "client")
+    if sink.clients:
+        counts += f", {state.rate_hz:.0f} frames/s, {state.missed} missed"
     return f"{sink.name}, {sink.place}: {counts}{'. ' if state.error else ''}{state.error}"
 
 
