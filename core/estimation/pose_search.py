@@ -88,6 +88,8 @@ def search(mesh: ObjectMesh, patch: PatchPoints, film: Membrane | None, patch_px
     starts = []
     for rotation in _spread_rotations(_ORIENTATIONS):
         seen = np.minimum(normals @ rotation.T @ toward, 0.0)  # area that faces the camera
+        if not seen.any():
+            continue  # the back of an open surface
         pose = np.eye(4)
         pose[:3, :3] = rotation
         pose[:3, 3] = patch.centre_m - rotation @ ((places * seen[:, None]).sum(axis=0) / seen.sum())

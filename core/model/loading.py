@@ -61,7 +61,7 @@ def read_file(path: Path | str, limit: int | None = None) -> bytes:
     with open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size
         if limit is not None and size > limit:
-            raise OSError(f"it has {size / 1e6:.0f} MB, more than the {limit / 1e6:.0f} MB that are read")
+            raise OSError(f"it has {size / 1e6:.1f} MB, more than the {limit / 1e6:.1f} MB that are read")
         return file.read()
 
 
@@ -74,7 +74,7 @@ def parse_json(text: str | bytes) -> Any:
         No JSON, too large or too deeply nested, a key that stands twice in one object, or a number of too many digits.
     """
     if len(text) > MAX_JSON_BYTES:
-        raise ValueError(f"it has {len(text) / 1e6:.0f} MB, more than the {MAX_JSON_BYTES / 1e6:.0f} MB that are read")
+        raise ValueError(f"it has {len(text) / 1e6:.1f} MB, more than the {MAX_JSON_BYTES / 1e6:.1f} MB that are read")
     try:
         return json.loads(text, object_pairs_hook=_unique)
     except json.JSONDecodeError as error:

@@ -265,3 +265,11 @@ def test_wrong_mesh_and_small_patch_and_bad_pose_are_refused():
     assert not tracker.started
     found = PoseTracker(mesh_of("sphere"), PRESET, RIG).track(patch, 0.0)
     assert found.lost
+
+
+def test_plate_with_one_side_is_found():
+    corners = np.array([[-0.03, -0.1, 0], [0.03, -0.1, 0], [0.03, 0.1, 0], [-0.03, 0.1, 0]])
+    plate = ObjectMesh(corners, np.array([[0, 2, 1], [0, 3, 2]], np.int32), "plate")
+    true = pose_of((10, 5, 20))
+    found = PoseTracker(plate, PRESET, RIG).find(pressed(plate, true, 0.03, 0.05))
+    assert abs(found[:3, 2] @ true[:3, 2]) > np.cos(np.radians(1))
