@@ -173,9 +173,12 @@ class CliProgress:
 
 @contextmanager
 def stop_on_signals() -> Iterator[threading.Event]:
-    """Yield an event that the first Ctrl+C or SIGTERM sets; the second ends the program as usual."""
+    """Yield an event that the first Ctrl+C, SIGTERM or closed terminal sets; the second ends the program as usual."""
     stopped = threading.Event()
     usual = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    hangup: signal.Signals | None = getattr(signal, "SIGHUP", None)  # Windows has none
+    if hangup is not None and signal.getsignal(hangup) != signal.SIG_IGN:  # nohup goes on
+        usual[hangup] = signal.getsignal(hangup)
 
     def restore() -> None:
         for number, handler in usual.items():

@@ -99,7 +99,8 @@ class FoxgloveSink:
 
     def status(self) -> SinkStatus:
         """Return the state; a client counts once it listens to a topic."""
-        return SinkStatus("Foxglove", f"ws://{self._host}:{self._port}", self._listener.clients())
+        host = f"[{self._host}]" if ":" in self._host else self._host
+        return SinkStatus("Foxglove", f"ws://{host}:{self._port}", self._listener.clients())
 
     def parameters(self, names: Collection[str]) -> list[Parameter]:
         """Return present values, all of them where no name is given."""

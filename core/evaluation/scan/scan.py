@@ -236,7 +236,7 @@ def _geometry(mesh: Any, path: Path) -> tuple[Float64Array, Int64Array]:
         raise SourceError(f"{path} has a triangle with an invalid vertex index; export it again")
     used = np.unique(triangles)
     if wrong := int(np.count_nonzero(~np.isfinite(vertices[used]).all(axis=1))):
-        raise SourceError(f"{path} has {wrong} vertices that are nan or infinite; export it again")
+        raise SourceError(f"{path} has vertices that are nan or infinite ({wrong}); export it again")
     return np.where(np.isfinite(vertices), vertices, 0.0), triangles
 
 

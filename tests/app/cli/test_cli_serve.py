@@ -233,7 +233,7 @@ def test_either_side_may_be_killed_and_come_back(tactune: Callable[..., Finished
             process.wait(WAIT_S)
 
 
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_it_listens_where_it_was_told_and_ends_cleanly(sent: signal.Signals) -> None:
     with serving("--port", "0") as (process, port), FoxgloveClient(port) as client:
         assert listening(process.pid) == {("tcp", "127.0.0.1", port)}
