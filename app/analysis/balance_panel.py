@@ -285,7 +285,8 @@ def _summary(steps: list[BalanceStep]) -> str:
     found = summarise(steps)
     settled = ", ".join("never" if each is None else f"{each:.2f} s" for each in found.settle_s)
     return (
-        f"Level after {settled or 'no book'}. RMS error of the angle: patch {found.patch.rms_deg:.2f}°, proximity "
-        f"alone {found.proximity.rms_deg:.2f}° ({found.rms_factor:.1f} times). From frame to angle "
+        f"{f'Level after {settled}' if settled else 'No book yet'}. "
+        f"RMS error of the angle: patch {found.patch.rms_deg:.2f}°, proximity alone "
+        f"{found.proximity.rms_deg:.2f}° ({found.rms_factor:.1f} times). From frame to angle "
         f"{found.latency_median_ms:.0f} ms, 95 % below {found.latency_p95_ms:.0f} ms."
     )

@@ -255,7 +255,7 @@ def settle_times(steps: Sequence[BalanceStep]) -> list[float | None]:
     level = np.degrees(np.abs([step.roll_rad for step in steps])) <= LEVEL_DEG
     settled: list[float | None] = []
     put_on = [book.time_s for book in BOOKS if book.time_s < times[-1]]
-    for begin, end in zip(put_on, [*put_on[1:], math.inf], strict=True):
+    for begin, end in zip(put_on, [*put_on[1:], math.inf][: len(put_on)], strict=True):
         during = np.flatnonzero((times >= begin) & (times < end))
         off = during[~level[during]]
         if off.size and off[-1] == during[-1]:

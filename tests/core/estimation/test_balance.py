@@ -45,7 +45,9 @@ def test_without_gains_the_tray_stays_as_the_books_leave_it(tray):
 
 
 def test_the_proximity_camera_alone_can_control(tray):
-    step = run(tray, 0.1, method="proximity")[-1]
+    steps = run(tray, 0.1, method="proximity")
+    assert summarise(steps).settle_s == []  # no book yet
+    step = steps[-1]
     assert step.measured_rad == pytest.approx(step.proximity.roll_rad + step.sensor_rad)
     assert step.measured_rad != pytest.approx(step.patch.roll_rad + step.sensor_rad)
 
