@@ -34,7 +34,7 @@ class ToleranceSection(Section):
             slider=(0.001, 0.3),
             step=0.001,
         ),
-        Field(ge=1e-5, le=1.0),
+        Field(ge=0.0, le=1.0),
     ] = 0.03
 
 

@@ -69,6 +69,6 @@ class LongSearch:
         trials = trials_of(out).values()
         assert all(trial["failure"] == "" for trial in trials)
         points = [(trial["values"]["tolerance.t"], trial["values"]["outliers.k"]) for trial in trials]
-        assert len(points) == len(set(points)) == 80
+        assert (len(points), len(set(points))) == (80, 80)
         assert self.measured() == 80, "a trial was measured twice"
         assert not list(self.file.parent.glob("*.alive"))

@@ -57,7 +57,7 @@ class PosePlot(QWidget):
         item.setMenuEnabled(False)
         item.hideButtons()
         item.setMouseEnabled(x=False, y=False)
-        item.setContentsMargins(0, 6, 8, 0)
+        item.setContentsMargins(0, 8, 8, 0)
         item.getAxis("left").setWidth(44)
         item.getAxis("left").enableAutoSIPrefix(False)
         item.setLabel("left", unit)

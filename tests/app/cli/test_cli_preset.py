@@ -272,7 +272,7 @@ def test_validate_names_the_older_schema_version_of_files_and_recordings(
     ]
 
 
-def test_validate_reads_what_can_be_read_only_once(tactune: Tactune, tmp_path: Path) -> None:
+def test_validate_refuses_a_pipe_and_goes_on(tactune: Tactune, tmp_path: Path) -> None:
     beside = tmp_path / "beside.json"
     save_preset(Preset(name="beside"), beside)
     read, write = os.pipe()
@@ -280,8 +280,8 @@ def test_validate_reads_what_can_be_read_only_once(tactune: Tactune, tmp_path: P
     os.close(write)
     found = tactune("preset", "validate", f"/dev/fd/{read}", beside)
     os.close(read)
-    assert found.status == 0
-    assert "'from a pipe'" in found.out and "'beside'" in found.out
+    assert found.status == 2
+    assert "no ordinary file" in found.err and "'beside'" in found.out
 
 
 def test_schema_is_the_schema(tactune: Tactune) -> None:

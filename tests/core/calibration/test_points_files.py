@@ -79,6 +79,6 @@ def test_a_file_that_is_not_there_is_named(tmp_path):
 
 
 def test_devices_and_folders_are_no_points_files(tmp_path):
-    for path in (tmp_path, "/dev/zero"):
-        with pytest.raises(CalibrationError, match="no ordinary file"):
+    for path, words in ((tmp_path, "Is a directory"), ("/dev/zero", "no ordinary file")):
+        with pytest.raises(CalibrationError, match=words):
             read_points(path)

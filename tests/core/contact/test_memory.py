@@ -21,7 +21,7 @@ PRESET = Preset(contact_test="tolerance")
 
 FRAMES = 50
 #: Python's objects of one frame: the patch, its closures, views; far less than any array with an element per point.
-SLACK_BYTES = 32 * 1024
+SLACK_BYTES = 64 * 1024
 
 
 @pytest.fixture

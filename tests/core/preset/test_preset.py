@@ -22,7 +22,7 @@ byte_range = st.tuples(st.integers(0, 255), st.integers(0, 255)).map(lambda pair
 presets = st.fixed_dictionaries(
     {
         "name": st.text(min_size=1, max_size=40).filter(lambda text: text.isprintable()),
-        "tolerance.t": st.floats(1e-5, 1),
+        "tolerance.t": st.floats(0, 1),
         "mask.enabled": st.booleans(),
         "mask.hue": st.tuples(st.integers(0, 179), st.integers(0, 179)),
         "mask.saturation": byte_range,
@@ -76,8 +76,7 @@ def test_the_default_preset_holds_the_papers_values():
 @pytest.mark.parametrize(
     ("path", "value", "words"),
     [
-        ("tolerance.t", 2, ["tolerance.t is 2", "1e-05 to 1"]),
-        ("tolerance.t", 1e-320, ["1e-320", "1e-05 to 1"]),
+        ("tolerance.t", 2, ["tolerance.t is 2", "0 to 1"]),
         ("tolerance.t", float("nan"), ["tolerance.t is nan"]),
         ("tolerance.t", "0.1", ["tolerance.t is '0.1'", "number"]),
         ("mask.hue", [1, 200], ["mask.hue[1] is 200", "0 to 179"]),

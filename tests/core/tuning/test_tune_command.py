@@ -176,7 +176,7 @@ def test_an_out_that_cannot_be_written_is_refused_before_the_search(tune, record
     [
         ((), "give --source"),
         (("-s", "REC", "--set", "tolerance.q=1"), "did you mean tolerance.t"),
-        (("-s", "REC", "--set", "tolerance.t=0.001:1:1000", "--set", "outliers.k=1:1000:1000"), "--trials N"),
+        (("-s", "REC", "--set", "tolerance.t=0:1:1000", "--set", "outliers.k=1:1000:1000"), "--trials N"),
         (("-s", "REC", "--set", "tolerance.t=0.1", "--set", "tolerance.t=0.2"), "given twice"),
         (("-s", "REC", "--set", "tolerance.t=0.1:0.2", "--sampler", "grid"), "no number of steps"),
         (("-s", "REC", "--objective", "beauty"), "there is no objective 'beauty'"),

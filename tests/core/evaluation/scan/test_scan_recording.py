@@ -180,7 +180,7 @@ def test_a_method_that_averages_is_shown_the_frames_before(tactune, source, scan
     [
         ((), ("is not given", "--transform", "--pairs", "Analysis > Ground truth")),
         (("--transform", "{pose}", "--pairs", "{pose}"), ("both",)),
-        (("--transform", "{scan}"), ("holds no pose",)),
+        (("--transform", "{scan}"), ("more than the 0.1 MB",)),
         (("--transform", "{pose}", "--paint", "hue=20:30"), ("hue 20:30", "--paint")),
         (("--transform", "{pose}", "--paint", "colour=pink"), ("'colour'", "known are")),
         (("--transform", "{pose}", "--paint", "hue=pink"), ("hue=150:179",)),

@@ -19,7 +19,7 @@ from tactune.core.tuning.advice.suggest import SECTIONS, suggest, suggest_all
 
 SHIPPED = load_preset("simulator")
 TOLERANCE = SHIPPED.with_value("contact_test", "tolerance")
-SCRIPT = Path(__file__).parents[3] / "scripts" / "measure_suggest.py"
+SCRIPT = Path(__file__).parents[4] / "scripts" / "measure_suggest.py"
 
 
 @pytest.fixture(scope="module")
