@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from threading import Event
+from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 from PyQt6.QtCore import QObject, QTimer, pyqtSignal
@@ -151,6 +151,35 @@ class PublishWindow(QDialog):
         self.resize(460, 310)
 
 
+class _Start:
+    """One press of *Start publishing*: the publisher that its job makes, closed wherever the press is taken back."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._cancelled = False
+        self._publisher: Publisher | None = None
+
+    @property
+    def cancelled(self) -> bool:
+        return self._cancelled
+
+    def keep(self, publisher: Publisher) -> bool:
+        """Take the publisher; return False, with the publisher closed, if the start was cancelled before."""
+        with self._lock:
+            if self._cancelled:
+                publisher.close()
+                return False
+            self._publisher = publisher
+            return True
+
+    def cancel(self) -> None:
+        """Close the publisher, now or once it is made."""
+        with self._lock:
+            self._cancelled = True
+            if self._publisher is not None:
+                self._publisher.close()
+
+
 class PublishControl(QObject):
     """Switches publishing on and off. It is off at every start of the window, whatever it was before.
 
@@ -170,7 +199,7 @@ class PublishControl(QObject):
         self._context, self._indicator = context, indicator
         self._publisher: Publisher | None = None
         self._parameters: PresetParameters | None = None
-        self._cancelled = Event()
+        self._start = _Start()
         self.window = PublishWindow(context.window)
         self.window.show_connections(self._remembered())
         self._job = Job(self)
@@ -204,44 +233,36 @@ class PublishControl(QObject):
         self.window.show_state("Starting…")
         connections, preset = self.window.connections, self._context.document.preset
         self._remember(connections)
-        cancelled = self._cancelled = Event()
+        pressed = self._start = _Start()
 
-        def start(_: object) -> tuple[Publisher, PresetParameters] | None:
+        def start(_: object) -> tuple[_Start, Publisher, PresetParameters] | None:
             from ...core.output.parameters import PresetParameters
             from ...core.output.publisher import Publisher
 
             parameters = PresetParameters(preset, on_set=self._set_by_client.emit)
             publisher = Publisher(connections.make_sinks(parameters))
-            if cancelled.is_set():
-                publisher.close()
-                return None
-            return publisher, parameters
+            return (pressed, publisher, parameters) if pressed.keep(publisher) else None
 
         self._job.start(start)
 
-    def _started(self, started: tuple[Publisher, PresetParameters] | None) -> None:
-        if started is None:
+    def _started(self, started: tuple[_Start, Publisher, PresetParameters] | None) -> None:
+        if started is None or started[0].cancelled:
             return
-        if self._cancelled.is_set():
-            started[0].close()
-            return
-        self._publisher, self._parameters = started
+        _, self._publisher, self._parameters = started
         self._pass_on()
         self._context.worker.set_publisher(self._publisher)
         self._timer.start()
         self._show()
 
     def _refuse(self, sentence: str) -> None:
-        if not self._cancelled.is_set():
+        if not self._start.cancelled:
             self._stop()
             self.window.show_state(sentence, error=True)
 
     def _stop(self) -> None:
-        self._cancelled.set()
         self._timer.stop()
         self._context.worker.set_publisher(None)
-        if self._publisher is not None:
-            self._publisher.close()
+        self._start.cancel()
         self._publisher = self._parameters = None
         self._indicator.hide()
         self.window.show_running(False)
