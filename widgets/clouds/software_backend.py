@@ -143,7 +143,8 @@ def squares(pixels: Any, size: Any, colors: Any, background: Any, image: Any) ->
     nearest = np.empty(pixels.shape[1], np.uint32)
     widened = np.empty(width, np.uint32)
     for i in range(height):
-        nearest[:] = pixels[i + size]
+        for j in range(nearest.shape[0]):  # assigning the row as a whole would take 3 s longer to compile
+            nearest[j] = pixels[i + size, j]
         for below in range(1, size):
             for j in range(nearest.shape[0]):
                 nearest[j] = min(nearest[j], pixels[i + size + below, j])
