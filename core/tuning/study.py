@@ -291,7 +291,7 @@ class Study:
                     running[workers.executor.submit(measure_batch, batch)] = trials
                 except BrokenProcessPool as error:
                     raise TuneError(_KILLED) from error
-            if not running and not self._all(TrialState.RUNNING, TrialState.WAITING):
+            if not running and not self._all(TrialState.RUNNING, TrialState.WAITING) and not self._missing_points():
                 break
             if not running:
                 time.sleep(_LOOK_S)  # another search is about to finish the last trials
@@ -349,7 +349,7 @@ class Study:
             return optuna.samplers.NSGAIISampler(population_size=_POPULATION, seed=seed)
         if self.plan.sampler == "tpe":
             return optuna.samplers.TPESampler(seed=seed)
-        return optuna.samplers.RandomSampler(seed=seed)  # never asked: all points of a grid are queued
+        return optuna.samplers.RandomSampler(seed=seed)  # its draws do not count: all points of a grid are queued
 
     def _ask(self, workers: int) -> list[optuna.Trial]:
         """Begin the trials of one batch; none if all are measured or running."""
@@ -383,11 +383,14 @@ class Study:
         return [point for point in range(len(self._grid)) if point not in known]
 
     def _is_surplus(self, number: int) -> bool:
-        """Return whether another search has begun the same point, or the last trial, before this trial."""
+        """Return whether another search has begun the same point, or the last trial, before this trial.
+
+        A trial of a grid without a point was drawn at random, since another search had begun the queued one.
+        """
         *before, mine = [trial for trial in self._all() if trial.number <= number and _is_begun(trial)]
         point = mine.user_attrs.get("point")
         doubled = point is not None and any(trial.user_attrs.get("point") == point for trial in before)
-        return doubled or (not self._grid and len(before) >= self.plan.trials)
+        return doubled or (point is None if self._grid else len(before) >= self.plan.trials)
 
     def _offer(self, point: int | str, values: dict[str, Any]) -> None:
         """Queue a trial unless there is one."""

@@ -11,9 +11,10 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import optuna
 import pytest
 
-from long_search import LIMIT_S, front_of
+from long_search import LIMIT_S, front_of, trials_of
 from tactune.core.tuning.workers import local_workers
 
 
@@ -39,10 +40,11 @@ def test_a_worker_imports_nothing_from_the_working_folder(tmp_path, monkeypatch)
 
 
 def test_two_searches_on_one_file_share_the_trials_and_one_that_dies_is_replaced(long_search):
-    first = long_search.start("--jobs", "1")
-    second = subprocess.Popen([*long_search.command, "--jobs", "1"], stdout=subprocess.PIPE, text=True)
+    command = [*long_search.command, "--jobs", "1"]
+    first, second = (subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(2))
     for _ in range(20 * LIMIT_S):
-        if len(list(long_search.file.parent.glob("*.alive"))) == 2:
+        both = len(list(long_search.file.parent.glob("*.alive"))) == 2
+        if (both and long_search.measured() > 10) or first.poll() is not None:
             break
         time.sleep(0.05)
     first.kill()
@@ -50,6 +52,21 @@ def test_two_searches_on_one_file_share_the_trials_and_one_that_dies_is_replaced
     out, _ = second.communicate(timeout=LIMIT_S)
     assert second.returncode == 0
     long_search.check(out)
+
+
+def test_a_queued_point_that_another_search_takes_is_not_replaced_by_a_random_one(tune, recording, monkeypatch):
+    enqueue, taken = optuna.Study.enqueue_trial, []
+
+    def enqueue_and_lose(study: optuna.Study, *words: object, **named: object) -> None:
+        enqueue(study, *words, **named)
+        if not taken:
+            taken.append(study.ask())  # by a search that ends at once
+
+    monkeypatch.setattr(optuna.Study, "enqueue_trial", enqueue_and_lose)
+    grid = ("--set", "tolerance.t=0.004:0.02:3", "--set", "outliers.k=5:24:3", "--objective", "iou,area_error")
+    trials = trials_of(tune("-s", recording, *grid, "--json").out)
+    points = [tuple(trial["values"].values()) for trial in trials.values()]
+    assert len(taken) == 1 and len(points) == len(set(points)) == 9
 
 
 def test_ctrl_c_in_a_terminal_keeps_what_is_done_and_the_same_command_goes_on(long_search):
