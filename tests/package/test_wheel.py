@@ -93,8 +93,25 @@ def test_nothing_of_the_window_is_importable_there(robot: Path) -> None:
     assert done.stdout == "[]\n"
 
 
-def test_the_headless_job_runs_there(robot: Path, tmp_path: Path) -> None:
-    words = ["run", "--source", "sim", "--preset", "simulator", "--frames", "3", "--out", str(tmp_path), "--json"]
+@pytest.mark.parametrize(
+    "method",
+    [pytest.param((), marks=pytest.mark.long), ("--method", "proximity-only")],
+    ids=["compiled", "proximity-only"],
+)
+def test_the_headless_job_runs_there(robot: Path, tmp_path: Path, method: tuple[str, ...]) -> None:
+    words = [
+        "run",
+        "--source",
+        "sim",
+        "--preset",
+        "simulator",
+        "--frames",
+        "3",
+        "--out",
+        str(tmp_path),
+        "--json",
+        *method,
+    ]
     done = subprocess.run([robot / "tactune", *words], check=False, capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     lines = [json.loads(line) for line in done.stdout.splitlines()]

@@ -6,10 +6,12 @@ import json
 from dataclasses import asdict
 
 import numpy as np
+import pytest
 
 from tactune.core.sources.simulator.source import SHIPPED, SimulatorSource, load_shipped
 
 
+@pytest.mark.long
 def test_the_shipped_scene_is_the_solver_s():
     (path,) = SHIPPED.glob("*.zip")
     simulator = SimulatorSource()

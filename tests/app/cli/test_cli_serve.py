@@ -56,7 +56,7 @@ def serving(*words: str) -> Iterator[tuple[subprocess.Popen[str], int]]:
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[tuple[subprocess.Popen[str], int]]:
-    with serving("--port", "0") as started:
+    with serving("--port", "0", "--estimate", "tilt") as started:
         yield started
 
 
@@ -114,15 +114,24 @@ def mesh(tmp_path: Path) -> Path:
     return path
 
 
-def test_tilt_and_pose_are_published_where_asked(mesh: Path) -> None:
-    topics = ["/contact/tilt", "/object/pose", "/tf", "/contact/patch", "/tactune/frame"]
-    asked = ("--estimate", "tilt", "--mesh", str(mesh), "--unit", "m")
+def test_tilt_is_published_where_asked(server: tuple[subprocess.Popen[str], int]) -> None:
+    topics = ["/contact/tilt", "/tactune/frame"]
+    with FoxgloveClient(server[1]) as client:
+        client.subscribe(topics)
+        seen = next(client.frames(topics))
+    _, patch = find(number_of(seen), load_preset("simulator"))
+    tilt = TiltEstimator(load_preset("simulator"), patch.rig).estimate(patch)
+    assert (seen["/contact/tilt"].vector.x, seen["/contact/tilt"].vector.y) == (tilt.roll_rad, tilt.pitch_rad)
+
+
+@pytest.mark.long
+def test_a_pose_is_published_where_a_mesh_is_given(mesh: Path) -> None:
+    topics = ["/object/pose", "/tf", "/contact/patch", "/tactune/frame"]
+    asked = ("--mesh", str(mesh), "--unit", "m")
     with serving("--port", "0", *asked) as (_, port), FoxgloveClient(port) as client:
         client.subscribe(topics)
         seen = next(client.frames(topics))
-    frame, patch = find(number_of(seen), load_preset("simulator"))
-    tilt = TiltEstimator(load_preset("simulator"), patch.rig).estimate(patch)
-    assert (seen["/contact/tilt"].vector.x, seen["/contact/tilt"].vector.y) == (tilt.roll_rad, tilt.pitch_rad)
+    frame, _ = find(number_of(seen), load_preset("simulator"))
     assert frame.truth is not None
     truth = np.array(frame.truth.T_proximity_object)
     position = seen["/object/pose"].pose.pose.position
@@ -193,6 +202,7 @@ def test_parameters_are_read_set_and_refused(server: tuple[subprocess.Popen[str]
             client.set_parameter(name, values[name])
 
 
+@pytest.mark.long
 def test_a_slow_client_and_one_that_vanishes_cost_their_own_frames_only(
     server: tuple[subprocess.Popen[str], int],
 ) -> None:
@@ -233,7 +243,9 @@ def test_either_side_may_be_killed_and_come_back(tactune: Callable[..., Finished
             process.wait(WAIT_S)
 
 
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(
+    "sent", [signal.SIGINT, *(pytest.param(more, marks=pytest.mark.long) for more in (signal.SIGTERM, signal.SIGHUP))]
+)
 def test_it_listens_where_it_was_told_and_ends_cleanly(sent: signal.Signals) -> None:
     with serving("--port", "0") as (process, port), FoxgloveClient(port) as client:
         assert listening(process.pid) == {("tcp", "127.0.0.1", port)}

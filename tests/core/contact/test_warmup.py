@@ -85,6 +85,7 @@ TOLERANCE = {
 }  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "steps",
     [

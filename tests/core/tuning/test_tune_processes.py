@@ -79,11 +79,14 @@ def test_ctrl_c_in_a_terminal_keeps_what_is_done_and_the_same_command_goes_on(lo
     long_search.finish("--jobs", "2")
 
 
-def test_a_line_that_a_crash_cut_off_is_dropped(long_search):
-    long_search.finish("--jobs", "2")
-    with long_search.file.open("a") as file:
+def test_a_line_that_a_crash_cut_off_is_dropped(tune, recording, tmp_path):
+    journal = tmp_path / "cut.log"
+    words = ("-s", recording, "--set", "tolerance.t=0.004:0.02:4", "--study", journal, "--json")
+    first = trials_of(tune(*words).out)
+    with journal.open("a") as file:
         file.write('{"op_code":4,"worker')
-    long_search.finish("--jobs", "1")
+    assert len(first) == 4 and trials_of(tune(*words).out) == first
+    assert all(json.loads(line) for line in journal.read_text().splitlines())
 
 
 def wait_for_the_end_of(session: int) -> None:
@@ -174,6 +177,7 @@ def test_a_scheduler_that_ends_is_said_in_a_sentence(long_search, cluster):
     assert "Traceback" not in err
 
 
+@pytest.mark.long
 def test_no_scheduler_and_no_worker_are_said_in_a_sentence(long_search, cluster):
     expected = {"tcp://127.0.0.1:1": "no Dask scheduler answers", cluster.address: "has no worker"}
     commands = {
