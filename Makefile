@@ -8,7 +8,7 @@ OUT ?= out
 unexport PYTHONPATH
 export PYTHONNOUSERSITE = 1
 
-.PHONY: run test test-long test-newest-realsense lint format setup guide pictures lock clean help
+.PHONY: run test test-long test-newest-realsense lint format setup guide pictures benchmarks lock clean help
 .DEFAULT_GOAL := help
 
 run: setup guide  ## start the application on the simulator; without a display do the same job headless, into out/
@@ -39,6 +39,9 @@ app/guide/index.html: docs/mkdocs.yml $(wildcard docs/guide/*.md docs/guide/imag
 
 pictures: setup  ## make the pictures of README and guide from the program itself
 	@xvfb-run --auto-servernum --server-args '-screen 0 1920x1080x24' .venv/bin/python scripts/make_pictures.py
+
+benchmarks: setup  ## measure anew what docs/benchmarks.md says, on an idle machine
+	@scripts/benchmarks.sh
 
 lock: setup  ## write requirements.lock from the ranges in pyproject.toml
 	@.venv/bin/uv pip compile pyproject.toml --quiet --all-extras --generate-hashes --python-version 3.11 \

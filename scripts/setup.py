@@ -50,10 +50,11 @@ def set_up() -> None:
             print(f"System packages still missing: {install_hint(available)}", file=sys.stderr)
     elif missing:
         install_system_packages(missing)
-    if packages_stamp.holds() and project_stamp.holds():
+    another_python = bool(os.environ.get("PYTHON")) and is_from_another_python()
+    if packages_stamp.holds() and project_stamp.holds() and not another_python:
         return
-    if not packages_stamp.holds():
-        make_venv(recreate=packages_stamp.is_from_another_folder())
+    if not packages_stamp.holds() or another_python:
+        make_venv(recreate=packages_stamp.is_from_another_folder() or another_python)
         install_packages()
         packages_stamp.set()
     editable = ["--quiet", "--no-deps", "--no-build-isolation", "--editable", str(ROOT)]
@@ -161,6 +162,13 @@ def install_hint(missing: list[tuple[str, ...]]) -> str:
     return "sudo apt-get install " + " ".join(map(known_to_apt, missing))
 
 
+def is_from_another_python() -> bool:
+    """Return whether the environment's Python is of another version than this one, such as 3.11 and not 3.12."""
+    version = tuple(sys.version_info[:2])
+    program = f"import sys; sys.exit(tuple(sys.version_info[:2]) != {version})"
+    return VENV_PYTHON.exists() and not succeeds(VENV_PYTHON, "-c", program, silent=True)
+
+
 def make_venv(recreate: bool) -> None:
     """Make .venv. A working one is kept unless ``recreate`` is set."""
     if not recreate and VENV_PYTHON.exists() and succeeds(VENV_PYTHON, "-c", ""):
@@ -177,7 +185,8 @@ def install_packages() -> None:
     """Install the locked packages; the version ranges of pyproject.toml if the lock does not apply."""
     found = output_of(VENV_PYTHON, "-c", "import sys; print(*sys.version_info[:2])")
     python = tuple(int(part) for part in found.split())
-    if python == LOCKED_PYTHON and (platform.system(), platform.machine()) == LOCKED_MACHINE:
+    machine = (platform.system(), platform.machine())
+    if python == LOCKED_PYTHON and machine == LOCKED_MACHINE:
         print("Installing the locked packages into .venv (once; about 1 GB to download) ...", flush=True)
         locked = ["--require-hashes", "--no-deps", "--only-binary", ":all:", "--requirement", str(LOCK)]
         pip("install", *locked, what="the locked packages")
@@ -187,7 +196,8 @@ def install_packages() -> None:
             f"{platform.machine()} the newest versions that pyproject.toml allows are installed instead ...",
             flush=True,
         )
-        pip("install", "--editable", f"{ROOT}[gui,dev]", "setuptools>=77", what="the packages of pyproject.toml")
+        extras = "gui,realsense,dev" if machine == LOCKED_MACHINE else "gui,dev"
+        pip("install", "--editable", f"{ROOT}[{extras}]", "setuptools>=77", what="the packages of pyproject.toml")
 
 
 def pip(*arguments: str, what: str) -> None:

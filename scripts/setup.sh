@@ -9,12 +9,12 @@ if [ -n "${PYTHON:-}" ]; then
     if is "$PYTHON" 'sys.version_info >= (3, 11)'; then
         exec "$PYTHON" scripts/setup.py "$@"
     fi
-    echo "PYTHON=$PYTHON is no Python 3.11 or newer: name another one, or leave PYTHON out." >&2
+    echo "PYTHON=$PYTHON cannot be run, or is older than Python 3.11: name another one, or leave PYTHON out." >&2
     exit 1
 fi
 
-for wanted in 'sys.version_info[:2] == (3, 11)' '(3, 11) <= sys.version_info < (3, 13)'; do
-    for python in python3.11 python3 python3.12 .venv/bin/python; do
+for wanted in 'sys.version_info[:2] == (3, 11)' '(3, 11) <= sys.version_info < (3, 14)'; do
+    for python in python3.11 python3 python3.12 python3.13 .venv/bin/python; do
         if is "$python" "$wanted"; then
             exec "$python" scripts/setup.py "$@"
         fi

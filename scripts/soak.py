@@ -278,7 +278,7 @@ def open_things() -> dict[str, Counter[str]]:
     """Count the resources that must be released: threads, processes, descriptors, shared-memory segments."""
     return {
         "Python threads": Counter(thread.name for thread in threading.enumerate() if not is_foreign(thread)),
-        "all threads": Counter("thread" for _ in Path("/proc/self/task").iterdir()),
+        "all threads": Counter(name_of(task) for task in Path("/proc/self/task").iterdir()),
         "processes": Counter("process" for _ in children()),
         "descriptors": Counter(target(entry) for entry in Path("/proc/self/fd").iterdir()),
         "shared memory": Counter(path.name for path in Path("/dev/shm").iterdir()),  # noqa: S108  # only listed
@@ -288,6 +288,14 @@ def open_things() -> dict[str, Counter[str]]:
 def is_foreign(thread: threading.Thread) -> bool:
     """Return whether the thread was not started by Python, but for example by Qt."""
     return thread.name.startswith("Dummy-")
+
+
+def name_of(task: Path) -> str:
+    """Return the name of a thread; threads that a library starts often have the name of the process."""
+    try:
+        return (task / "comm").read_text().strip()
+    except OSError:  # it has just ended
+        return ""
 
 
 def target(entry: Path) -> str:

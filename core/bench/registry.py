@@ -18,8 +18,6 @@ class Job(StrEnum):
 
     PIPELINE = "pipeline"
     PER_PIXEL = "per pixel"
-    ALIGN = "align"
-    DEPROJECT = "deproject"
     OUTLIERS = "outliers"
 
 
@@ -34,13 +32,10 @@ class Outcome:
         after the clock has stopped, because most consumers need the points only.
     points : float, shape (N, 3), or None
         Metres, proximity depth frame.
-    values : float, shape (H, W) or (N,), or None
-        Other results to compare, such as aligned depths in metres.
     """
 
     make_mask: Callable[[], BoolArray] | None = None
     points: AnyArray | None = None
-    values: AnyArray | None = None
 
     @property
     def mask(self) -> BoolArray | None:
@@ -87,7 +82,7 @@ class Engine:
 _ENGINES: dict[str, Engine] = {}
 
 #: Modules of `engines`; each registers its engines when it is imported.
-_MODULES = ("reference", "unorganised", "librealsense", "tactune")
+_MODULES = ("reference", "unorganised", "tactune")
 
 
 def engine(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -144,3 +145,24 @@ def test_an_environment_that_was_moved_is_noticed(
     assert not setup_script.Stamp("packages", lock).is_from_another_folder()
     monkeypatch.setattr(setup_script, "ROOT", tmp_path / "moved")
     assert setup_script.Stamp("packages", lock).is_from_another_folder()
+
+
+@pytest.mark.parametrize(("asked", "anew"), [("", False), ("python3.9", True)])
+def test_another_python_than_the_environments_is_used_if_asked_for(
+    setup_script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: str, anew: bool
+) -> None:
+    monkeypatch.setattr(setup_script, "VENV", tmp_path)
+    monkeypatch.setattr(setup_script, "VENV_PYTHON", tmp_path / "python")
+    (tmp_path / "python").symlink_to(sys.executable)
+    monkeypatch.setattr(setup_script, "missing_system_packages", list)
+    made: list[bool] = []
+    monkeypatch.setattr(setup_script, "make_venv", lambda *, recreate: made.append(recreate))
+    monkeypatch.setattr(setup_script, "install_packages", lambda: None)
+    monkeypatch.setattr(setup_script, "pip", lambda *arguments, what: None)
+    monkeypatch.setenv("PYTHON", "")
+    setup_script.set_up()
+    assert made == [False]
+    monkeypatch.setenv("PYTHON", asked)
+    monkeypatch.setattr(sys, "version_info", (3, 9, 1))
+    setup_script.set_up()
+    assert made == [False, True][: 1 + anew]
