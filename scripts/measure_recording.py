@@ -32,7 +32,7 @@ def endless(scene: str) -> Iterator[SensorFrame]:
     """Yield the press of a scene repeatedly, with new noise each time, at 30 Hz of source time."""
     count = itertools.count()
     for seed in itertools.count():
-        with open_source(f"{scene}?seed={seed}") as source:
+        with open_source(f"{scene}{'&' if '?' in scene else '?'}seed={seed}") as source:
             for frame in source:
                 number = next(count)
                 time_s = 1.7e9 + number / RATE_HZ

@@ -50,6 +50,8 @@ LOOK_MS = 20
 LOOKS = 30
 HEARTBEAT_MS = 10
 SETTLING_S = 5.0
+#: Qt paints large images on threads of its own pool; it starts them when it likes and ends them after 30 s.
+QT_POOL = Counter({"Thread (pooled)": os.cpu_count() or 1})
 WARM_UP_FRAMES = 30
 
 
@@ -278,7 +280,7 @@ def open_things() -> dict[str, Counter[str]]:
     """Count the resources that must be released: threads, processes, descriptors, shared-memory segments."""
     return {
         "Python threads": Counter(thread.name for thread in threading.enumerate() if not is_foreign(thread)),
-        "all threads": Counter(name_of(task) for task in Path("/proc/self/task").iterdir()),
+        "all threads": Counter(name_of(task) for task in Path("/proc/self/task").iterdir()) - QT_POOL,
         "processes": Counter("process" for _ in children()),
         "descriptors": Counter(target(entry) for entry in Path("/proc/self/fd").iterdir()),
         "shared memory": Counter(path.name for path in Path("/dev/shm").iterdir()),  # noqa: S108  # only listed
@@ -291,7 +293,7 @@ def is_foreign(thread: threading.Thread) -> bool:
 
 
 def name_of(task: Path) -> str:
-    """Return the name of a thread; threads that a library starts often have the name of the process."""
+    """Return the name of a thread; a thread without one has that of the process."""
     try:
         return (task / "comm").read_text().strip()
     except OSError:  # it has just ended
