@@ -14,7 +14,7 @@ export PYTHONNOUSERSITE = 1
 run: setup guide  ## start the application on the simulator; without a display do the same job headless, into out/
 	@scripts/run.sh "$(SOURCE)" "$(PRESET)" "$(OUT)"
 
-test: setup  ## run the tests: OpenGL under Xvfb, then all others offscreen in two processes
+test: setup  ## run the tests: OpenGL under Xvfb, then all others offscreen in three processes
 	@scripts/test.sh
 
 test-long: setup  ## run the soaks and the long random tests
