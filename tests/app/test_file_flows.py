@@ -6,7 +6,6 @@ import csv
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
@@ -67,7 +66,7 @@ def test_saving_again_asks_nothing(window, qtbot, tmp_path):
     assert load_preset(path).tolerance.t == 0.02
 
 
-@pytest.mark.parametrize("suffix", ["ply", "pcd", "npz", "csv"])
+@pytest.mark.parametrize("suffix", ["ply", "csv"])
 def test_export_writes_a_readable_file(window, qtbot, tmp_path, suffix):
     path = tmp_path / f"patch.{suffix}"
     QTest.keyClick(window, Qt.Key.Key_E, CONTROL)
@@ -76,13 +75,10 @@ def test_export_writes_a_readable_file(window, qtbot, tmp_path, suffix):
     qtbot.waitUntil(lambda: any(str(path) in sentence for sentence in window.messages.sentences()))
     count = len(window.result.patch.points)
     assert count > 0
-    if suffix == "npz":
-        np.testing.assert_array_equal(np.load(path)["points"], window.result.patch.points)
-    elif suffix == "csv":
+    if suffix == "csv":
         assert len(list(csv.reader(path.read_text().splitlines()))) == count + 1
     else:
-        head = path.read_bytes()[:400].decode("latin-1")
-        assert f"element vertex {count}" in head or f"POINTS {count}" in head
+        assert f"element vertex {count}" in path.read_bytes()[:400].decode("latin-1")
 
 
 def test_export_to_an_unknown_format_is_said(window, qtbot, tmp_path):
@@ -110,22 +106,21 @@ def test_drop_a_recording(window, qtbot, tmp_path):
     assert "recording" in window.toolbar.source.text()
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "words"),
-    [
-        ("notes.txt", "hello", "neither a preset"),
-        ("broken.json", "{", "not valid JSON"),
-        ("other.json", json.dumps({"schema": "other"}), "no preset"),
-        ("empty.bag", "", "empty.bag"),
-    ],
-)
-def test_drop_a_wrong_file_changes_nothing(window, qtbot, tmp_path, name, content, words):
+WRONG_FILES = [
+    ("notes.txt", "hello", "neither a preset"),
+    ("broken.json", "{", "not valid JSON"),
+    ("other.json", json.dumps({"schema": "other"}), "no preset"),
+    ("empty.bag", "", "empty.bag"),
+]
+
+
+def test_drop_a_wrong_file_changes_nothing(window, qtbot, tmp_path):
     before, source = window.document.preset, window.result.source
-    path = tmp_path / name
-    path.write_text(content)
-    drop(window, path)
-    qtbot.waitUntil(lambda: any(words in sentence for sentence in window.messages.sentences()))
-    assert window.document.preset is before
+    for name, content, words in WRONG_FILES:
+        (tmp_path / name).write_text(content)
+        drop(window, tmp_path / name)
+        qtbot.waitUntil(lambda words=words: any(words in sentence for sentence in window.messages.sentences()))
+        assert window.document.preset is before
     window.worker.seek(4)
     qtbot.waitUntil(lambda: at_rest(window, 4))
     assert window.result.source is source
@@ -314,19 +309,16 @@ def test_two_bags_are_opened_together(make_window, tmp_path):
     assert names == [f"bag:{tmp_path / 'a.bag'},{tmp_path / 'b.bag'}"]
 
 
-@pytest.mark.parametrize(
-    ("names", "words"),
-    [
+def test_what_cannot_be_opened_together_is_said(make_window, tmp_path):
+    window = make_window()
+    for names, words in (
         (("a.bag", "b.bag", "c.bag"), "one recording at a time, or the two"),
         (("a.mcap", "b.mcap"), "one recording at a time"),
         (("a.mcap", "b.bag"), "a.mcap, b.bag are recordings of different kinds"),
         (("a.txt",), "a.txt is neither a preset"),
-    ],
-)
-def test_what_cannot_be_opened_together_is_said(make_window, tmp_path, names, words):
-    window = make_window()
-    drop(window, *(tmp_path / name for name in names))
-    assert any(words in sentence for sentence in window.messages.sentences())
+    ):
+        drop(window, *(tmp_path / name for name in names))
+        assert words in window.messages.sentences()[-1]
 
 
 def record(path: Path, preset: bool = True) -> Path:

@@ -91,7 +91,7 @@ sys.exit(gui.run_gui(sys.argv[1], "simulator", None, 1))
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of Unix")
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("sent", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
 def test_a_signal_ends_the_window_once_and_keeps_unsaved_work(recording, tmp_path, sent):
     homes = {name: str(tmp_path / name) for name in ("XDG_CONFIG_HOME", "XDG_DATA_HOME")}
     environment = os.environ | homes | {"QT_QPA_PLATFORM": "offscreen"}

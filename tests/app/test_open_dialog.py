@@ -201,10 +201,12 @@ def test_a_recording_that_is_gone_is_grey_and_can_be_removed(window, qtbot, tmp_
     assert all(not dialog.page.list.item(row).text().startswith(gone) for row in range(dialog.page.list.count()))
 
 
-@pytest.mark.parametrize("name", ["x" * 5000, "folder:/tmp/\udcff"])
-def test_a_strange_name_is_listed(window, qtbot, name):
-    window.settings.add_recent("sources", name)
-    assert open_dialog(window, qtbot, RECENT).page.list.item(0).text().startswith(name)
+def test_strange_names_are_listed(window, qtbot):
+    names = ["x" * 5000, "folder:/tmp/\udcff"]
+    for name in reversed(names):
+        window.settings.add_recent("sources", name)
+    listed = open_dialog(window, qtbot, RECENT).page.list
+    assert all(listed.item(row).text().startswith(name) for row, name in enumerate(names))
 
 
 # Files and others

@@ -55,6 +55,14 @@ def strip_window(qtbot, make_window, scene):
     return window
 
 
+@pytest.fixture
+def plain_window(qtbot, make_window):
+    """The same without a file, so that no process computes the curve."""
+    window = make_window()
+    show_source(qtbot, window, TinySource(LENGTH), 3)
+    return window
+
+
 def mark(qtbot, window, first, last):
     """Set the in and out marks with the keys."""
     for index, key in ((first, Qt.Key.Key_I), (last, Qt.Key.Key_O)):
@@ -91,8 +99,8 @@ def test_a_recording_that_was_written_anew_is_computed_anew(window, qtbot, tmp_p
         qtbot.waitUntil(lambda length=length: computed(window) and len(window.timeline.series) == length)
 
 
-def test_a_click_and_a_drag_seek(strip_window, qtbot):
-    window = strip_window
+def test_a_click_and_a_drag_seek(plain_window, qtbot):
+    window = plain_window
     plot, strip = window.time_strip.plot_widget, window.time_strip
     assert strip.isVisible()
     QTest.mouseClick(plot.viewport(), LEFT, pos=strip.position_of(17).toPoint())
@@ -178,8 +186,8 @@ def test_a_recording_that_is_behind_the_out_mark_ends(strip_window, qtbot, tmp_p
     assert frames == list(range(9, 9 + len(frames))), "looping, it would record the first frames again"
 
 
-def test_an_out_mark_before_the_in_mark_removes_it(strip_window, qtbot):
-    window = strip_window
+def test_an_out_mark_before_the_in_mark_removes_it(plain_window, qtbot):
+    window = plain_window
     mark(qtbot, window, 15, 8)
     assert window.context.trim == (0, 9)
     mark(qtbot, window, 12, LENGTH - 1)
@@ -267,8 +275,8 @@ def test_markers_of_a_place_that_cannot_be_written_are_kept_elsewhere(
     assert [marker.frame for marker in again.timeline.keeper.marks.markers] == [3]
 
 
-def test_letters_typed_into_a_field_set_no_marks(strip_window):
-    window = strip_window
+def test_letters_typed_into_a_field_set_no_marks(plain_window):
+    window = plain_window
     for entry in (window.panel.rows["tolerance.t"].widget.entry, window.transport.position):
         entry.setFocus()
         QTest.keyClicks(entry, "iom")
@@ -277,22 +285,19 @@ def test_letters_typed_into_a_field_set_no_marks(strip_window):
     assert window.timeline.keeper.marks.markers == ()
 
 
-@pytest.mark.parametrize(
-    ("text", "index"), [("12", 11), ("frame 5", 4), ("0.5 s", 15), ("0:00.3", 9), ("99", LENGTH - 1), ("99 s", 23)]
-)
-def test_a_frame_or_a_time_can_be_typed(strip_window, qtbot, text, index):
-    window = strip_window
-    QTest.keyClick(window, Qt.Key.Key_G, CONTROL)
-    entry = window.transport.position
-    qtbot.waitUntil(entry.hasFocus)
-    type_into(entry, text)
-    qtbot.waitUntil(lambda: at_rest(window, index))
-    assert entry.text() == f"{index / 30:.1f} s, frame {index + 1} of {LENGTH}"
-    assert not entry.hasFocus()
+def test_a_frame_or_a_time_can_be_typed(plain_window, qtbot):
+    window, entry = plain_window, plain_window.transport.position
+    for text, index in (("12", 11), ("frame 5", 4), ("0.5 s", 15), ("0:00.3", 9), ("99", 23), ("1", 0), ("99 s", 23)):
+        QTest.keyClick(window, Qt.Key.Key_G, CONTROL)
+        qtbot.waitUntil(entry.hasFocus)
+        type_into(entry, text)
+        qtbot.waitUntil(lambda index=index: at_rest(window, index))
+        assert entry.text() == f"{index / 30:.1f} s, frame {index + 1} of {LENGTH}"
+        assert not entry.hasFocus()
 
 
-def test_what_means_no_frame_changes_nothing(strip_window):
-    entry = strip_window.transport.position
+def test_what_means_no_frame_changes_nothing(plain_window):
+    entry = plain_window.transport.position
     type_into(entry, "soon")
     assert entry.hasFocus()
     QTest.keyClick(entry, Qt.Key.Key_Escape)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache, lru_cache
 from pathlib import Path
 
 from tactune.core.calibration.snapshots import take_snapshot
@@ -17,11 +18,13 @@ from tactune.core.sources.simulator.scenes import Variant
 AVERAGED = 15
 
 
+@lru_cache(maxsize=16)
 def drifted(drift: Drift | None = None, press: str = "none") -> DriftedSimulator:
     variant = Variant(press=press)
     return DriftedSimulator(drift or Drift(), scene="cup", variant=variant, cells=(60, 36))
 
 
+@cache
 def untouched() -> SensorFrame:
     rest = drifted()
     return take_snapshot([rest.read(index) for index in range(AVERAGED)]).frame

@@ -348,7 +348,7 @@ def test_patches_go_into_one_bag_with_the_stamps_of_their_frames(tmp_path: Path,
     assert "holds contact patches, no images" in tactune("run", "-s", out, "--json").sentence
 
 
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("sent", [pytest.param(signal.SIGINT, marks=pytest.mark.long), signal.SIGTERM])
 def test_the_command_itself_ends_on_a_signal_with_a_whole_file(
     tmp_path: Path, recording: Path, sent: signal.Signals
 ) -> None:

@@ -288,7 +288,7 @@ def test_a_killed_reader_of_a_live_source_ends_the_command_with_a_whole_file(rec
         assert make_reader(file).get_summary().statistics.message_count > 0
 
 
-@pytest.mark.parametrize("reads", [True, False])
+@pytest.mark.parametrize("reads", [pytest.param(True, marks=pytest.mark.long), False])
 def test_sigterm_ends_json_lines_of_a_live_source_with_a_whole_line(recording: Path, reads: bool) -> None:
     """Also where nobody reads and the pipe is full."""
     read_end, write_end = os.pipe()
@@ -362,7 +362,7 @@ def test_interrupted_with_finished_files_intact(recording: Path, tmp_path: Path)
         assert len(saved["points"]) > 0
 
 
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("sent", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
 def test_a_signal_ends_patches_of_a_live_source_with_a_whole_file_and_a_summary(
     recording: Path, tmp_path: Path, sent: signal.Signals
 ) -> None:

@@ -22,6 +22,8 @@ from tactune.core.sources.base import Health
 from tactune.core.sources.capture import ProcessSource
 from tactune.core.sources.registry import open_source
 
+#: Faults of the ordinary run; the window meets those of the process there, the live source those of the cameras.
+ORDINARY = ("stutters", "tactile removed", "killed")
 #: When waiting gives up, in seconds.
 ALLOWED_S = 60.0
 
@@ -78,7 +80,9 @@ def is_well(health: Health) -> bool:
     return not health.stale and all(camera.state == "streaming" for camera in health.cameras)
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize(
+    "fault", [name if name in ORDINARY else pytest.param(name, marks=pytest.mark.long) for name in FAULTS]
+)
 def test_a_fault_is_told_and_mended_and_the_recording_stays_whole(
     nothing_left: None, tmp_path: Path, fault: str
 ) -> None:
