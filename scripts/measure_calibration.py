@@ -33,7 +33,7 @@ from tactune.core.calibration.homography import (
     fit_homography,
     normalisation,
 )
-from tactune.core.calibration.quality import bound_95
+from tactune.core.calibration.quality import bound
 from tactune.core.calibration.rigid import fit_rigid
 from tactune.core.errors import CalibrationError
 from tactune.core.sources.simulator.scene import simulator_rig
@@ -108,7 +108,7 @@ def coverage_rigid(trials, count=12):
 def within_bound(fit, places, true):
     """Return whether the true error over all positions lies within its bound."""
     error = np.hypot(*(fit.predict(places) - true).T)
-    return np.sqrt(np.mean(error**2)) <= bound_95(fit.sensitivity(places), fit.degrees)
+    return np.sqrt(np.mean(error**2)) <= bound(fit.sensitivity(places), fit.degrees)
 
 
 def measure_coverage():

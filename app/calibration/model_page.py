@@ -56,13 +56,14 @@ _NUMBERS = (
     _Number("Worst residual", "The largest residual of a pair, pixels", lambda q: q.worst_px),
     _Number(
         "Left-out error",
-        "Cross-validation: the error of each pair in a fit of the others, pixels. The best measure of a model's "
-        "quality",
+        "Cross-validation: the error of a region's pairs, a part of the image and of depth, in a fit of the others, "
+        "pixels. The best measure of a model's quality",
         lambda q: q.cross_validated_px,
     ),
     _Number(
         "Expected alignment error",
-        "Alignment error over the whole membrane due to the clicks' noise, pixels, assuming that the model is correct",
+        "Alignment error over the whole membrane due to the clicks' noise and to smooth errors that the pairs show, "
+        "such as lens distortion, pixels",
         lambda q: q.alignment_px,
     ),
     _Number("  95 % bound", "The alignment error is smaller than this with 95 % probability, pixels",

@@ -60,8 +60,7 @@ def uncertainty_picture(report: CalibrationReport, frame: SensorFrame, rig: Rig,
     unit : {"px", "mm"}
         Proximity pixels, or millimetres across the line of sight.
     """
-    fit = report.rigid if report.model == "rigid" else report.homography
-    assert fit is not None
+    fit = report.chosen.agreement
     shown = picture(frame, rig, "proximity", "color", stretch=True)
     height, width = shown.gray.shape
     places = membrane_grid(frame, rig, _STEP_PX)
@@ -204,7 +203,7 @@ class QualityPage(QWidget):
             ("Alignment error, 95 % bound", f"{quality.alignment_bound_95_px:.2f} px"),
             ("Residual, RMS", "exact fit, not informative" if quality.rms_px is None else f"{quality.rms_px:.2f} px"),
             (
-                f"Cross-validated ({quality.cross_validation})",
+                "Cross-validated by region",
                 "needs six pairs" if quality.cross_validated_px is None else f"{quality.cross_validated_px:.2f} px",
             ),
             ("Condition number", f"{quality.condition:.1f}"),

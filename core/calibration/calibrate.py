@@ -13,12 +13,14 @@ from ..errors import CalibrationError
 from ..model.arrays import BoolArray, Float64Array
 from ..model.frames import Rig
 from ..preset import now
+from .agreement import Agreement, judge_agreement
 from .correspondences import Correspondence, enabled_pairs, pixel_arrays
 from .depth_advice import advise_depth_fit
 from .homography import CLICK_SIGMA_PX, HomographyFit, fit_homography
 from .quality import (
     PatchEffect,
-    bound_95,
+    UncertaintyMap,
+    bound,
     coverage,
     membrane_places,
     millimetres_per_pixel,
@@ -27,7 +29,6 @@ from .quality import (
 )
 from .report import CalibrationReport, ModelName, ModelQuality, PairQuality, verdict
 from .rigid import DepthFit, RigidFit, RigidPoints, color_pose, color_to_depth_pixels, fit_rigid, ray_seen
-from .robust import FOLDS, LEAVE_ONE_OUT
 
 Model = Literal["auto", "homography", "rigid"]
 DepthChoice = DepthFit | Literal["auto"]
@@ -193,39 +194,46 @@ def _homography_quality(
     places: Float64Array,
     rig: Rig,
 ) -> ModelQuality:
-    spread = uncertainty_map(fit, places, rig)
+    _, tactile, _ = pixel_arrays(pairs)
+    agreement, spread = _judged(fit, np.column_stack([tactile, depth]), places, rig)
     lateral, along, distance = spread.sigma_mm, np.zeros(len(spread.places)), spread.places[:, 2]
-    if rigid is None and fit.degrees > 0:
-        misfit_px = np.sqrt(max(fit.rms_px**2 - 4 * CLICK_SIGMA_PX**2, 0.0))
-        lateral = np.hypot(lateral, misfit_px * millimetres_per_pixel(distance, rig))
     if rigid is not None:
-        _, tactile, _ = pixel_arrays(pairs)
         clicked = np.column_stack([tactile, depth])[np.isfinite(depth)]
         points = rigid.points_m(clicked)
         distance = points[:, 2]
         gap = np.hypot(*(fit.predict(clicked) - rigid.predict(clicked)).T) * millimetres_per_pixel(distance, rig)
         lateral = np.hypot(gap, np.sqrt(np.mean(spread.sigma_mm**2)))
         along = 1e3 * (distance - rigid.pose.scale * clicked[:, 2] - rigid.pose.offset_m)
-    return _quality("homography", fit, pairs, depth, places, rig, patch_effect(lateral, along, distance))
+    effect = patch_effect(lateral, along, distance)
+    return _quality("homography", fit, agreement, spread, pairs, depth, rig, effect)
 
 
 def _rigid_quality(
     fit: RigidFit, pairs: list[Correspondence], depth: Float64Array, places: Float64Array, rig: Rig
 ) -> ModelQuality:
     known = np.isfinite(depth)
-    spread = uncertainty_map(fit, places, rig)
+    with_depth = [pair for pair, has in zip(pairs, known, strict=True) if has]
+    agreement, spread = _judged(fit, rigid_points(with_depth).places, places, rig)
     along = 1e3 * np.sqrt((fit.depth_sensitivity(spread.places) ** 2).sum(axis=1))
     effect = patch_effect(spread.sigma_mm, along, spread.places[:, 2])
-    with_depth = [pair for pair, has in zip(pairs, known, strict=True) if has]
-    return _quality("rigid", fit, with_depth, depth[known], places, rig, effect)
+    return _quality("rigid", fit, agreement, spread, with_depth, depth[known], rig, effect)
+
+
+def _judged(
+    fit: HomographyFit | RigidFit, pairs: Float64Array, places: Float64Array, rig: Rig
+) -> tuple[Agreement, UncertaintyMap]:
+    """Return the agreement of a fit's regions, and its uncertainty over the places with it."""
+    agreement = judge_agreement(fit, pairs, uncertainty_map(fit, places, rig).places, rig)
+    return agreement, uncertainty_map(agreement, places, rig)
 
 
 def _quality(
     name: ModelName,
     fit: HomographyFit | RigidFit,
+    agreement: Agreement,
+    spread: UncertaintyMap,
     pairs: list[Correspondence],
     depth: Float64Array,
-    places: Float64Array,
     rig: Rig,
     effect: PatchEffect,
 ) -> ModelQuality:
@@ -247,34 +255,26 @@ def _quality(
         for i, pair in enumerate(pairs)
     )
     used: BoolArray = fit.used
-    validated = np.hypot(*left_out[used].T)
-    spread = uncertainty_map(fit, places, rig)
     worst = int(np.argmax(np.where(used, lengths, -1.0)))
     known_mm = millimetres[used & np.isfinite(depth)]
-    whole = bool(np.isfinite(validated).all()) and not exact
     return ModelQuality(
         model=name,
         rms_px=None if exact else fit.rms_px,
         rms_mm=None if exact or not len(known_mm) else float(np.sqrt(np.mean(known_mm**2))),
         worst_px=None if exact else float(lengths[worst]),
         worst_id=None if exact else pairs[worst].id,
-        cross_validated_px=float(np.sqrt(np.mean(validated**2))) if whole else None,
-        cross_validation=_validation_name(int(used.sum())) if whole else "none",
+        agreement=agreement,
         click_noise_px=None if exact else fit.noise_factor * CLICK_SIGMA_PX,
         degrees=fit.degrees,
         condition=fit.condition,
         alignment_px=float(np.sqrt(np.mean(spread.sigma_px**2))),
         alignment_mm=float(np.sqrt(np.mean(spread.sigma_mm**2))),
-        alignment_bound_95_px=bound_95(fit.sensitivity(spread.places), fit.degrees),
+        alignment_bound_95_px=bound(agreement.sensitivity(spread.places), fit.degrees),
         effect=effect,
         excluded=tuple(pair.id for pair, kept in zip(pairs, used, strict=True) if not kept),
         pairs=details,
         map=spread,
     )
-
-
-def _validation_name(used: int) -> str:
-    return "leave-one-out" if used <= LEAVE_ONE_OUT else f"{FOLDS}-fold"
 
 
 def _recommend(quality: dict[str, ModelQuality], refused: dict[str, str], span_mm: float) -> tuple[ModelName, str]:

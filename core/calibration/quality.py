@@ -111,8 +111,8 @@ def millimetres_per_pixel(depth_m: npt.ArrayLike, rig: Rig) -> Float64Array:
     return np.asarray(np.asarray(depth_m) * 2000.0 / (lens.fx + lens.fy))
 
 
-def bound_95(derivative: Float64Array, degrees: int) -> float:
-    """Return the 95 % bound of the root mean square error over places, pixels.
+def bound(derivative: Float64Array, degrees: int, share: float = 0.95) -> float:
+    """Return the bound of the root mean square error over places that holds with a probability, pixels.
 
     The squared error ``e^T M e``, ``M = mean J^T J``, is a sum of chi-squares weighted by M's eigenvalues.
     If the noise was estimated from ``degrees`` surplus measurements, it is divided by their chi-square; with equal
@@ -124,11 +124,15 @@ def bound_95(derivative: Float64Array, degrees: int) -> float:
         `FittedModel.sensitivity` at the places.
     degrees : int
         0 for the stated noise.
+    share : float
+        The probability.
     """
     rows = derivative.reshape(-1, derivative.shape[2])
-    weights = np.linalg.svd(rows, compute_uv=False) ** 2 / len(derivative)
+    weights = np.maximum(np.linalg.eigvalsh(rows.T @ rows)[::-1], 0.0) / len(derivative)
     squares = _squares()[:, : len(weights)]
-    return float(np.sqrt(np.quantile(squares @ weights / _noise(degrees), 0.95)))
+    count = squares.shape[1]
+    errors = squares @ weights[:count] + weights[count:].sum()
+    return float(np.sqrt(np.quantile(errors / _noise(degrees), share)))
 
 
 @dataclass(frozen=True)

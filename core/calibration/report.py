@@ -16,6 +16,7 @@ from ..model.arrays import Float64Array
 from ..model.frames import Rig
 from ..preset import AlignmentSection, HomographyAlignment, Preset, RigidAlignment, now
 from ..preset.alignment import CalibrationRecord, ClickedPair, ModelSummary, SnapshotRecord
+from .agreement import Agreement
 from .correspondences import Correspondence
 from .depth_advice import DepthAdvice
 from .homography import HomographyFit
@@ -74,10 +75,8 @@ class ModelQuality:
     rms_px, rms_mm, worst_px : float or None
         Residuals of the correspondences used; None if the model fits exactly for lack of surplus ones.
     worst_id : str or None
-    cross_validated_px : float or None
-        Root mean square residual of correspondences under the fit of the others.
-    cross_validation : str
-        ``"leave-one-out"``, ``"10-fold"`` or ``"none"``.
+    agreement : Agreement
+        Of the regions of the image and of depth.
     click_noise_px : float or None
         Click noise estimated from the residuals, including model error.
     degrees : int
@@ -85,7 +84,7 @@ class ModelQuality:
     condition : float
         Condition number of the scaled design.
     alignment_px, alignment_mm : float
-        Expected root mean square alignment error over the membrane, from the click noise.
+        Expected root mean square alignment error over the membrane, from the click noise and smooth errors.
     alignment_bound_95_px : float
         95 % bound of the root mean square alignment error.
     effect : PatchEffect
@@ -100,8 +99,7 @@ class ModelQuality:
     rms_mm: float | None
     worst_px: float | None
     worst_id: str | None
-    cross_validated_px: float | None
-    cross_validation: str
+    agreement: Agreement
     click_noise_px: float | None
     degrees: int
     condition: float
@@ -113,6 +111,11 @@ class ModelQuality:
     pairs: tuple[PairQuality, ...]
     map: UncertaintyMap
 
+    @property
+    def cross_validated_px(self) -> float | None:
+        """Root mean square residual of regions under the fit of the other correspondences."""
+        return self.agreement.cross_validated_px
+
     def to_json(self) -> dict[str, Any]:
         """Return JSON values without the map; missing numbers are None."""
         return {
@@ -121,7 +124,7 @@ class ModelQuality:
             "worst_px": self.worst_px,
             "worst_id": self.worst_id,
             "cross_validated_px": self.cross_validated_px,
-            "cross_validation": self.cross_validation,
+            "agreement": self.agreement.to_json(),
             "click_noise_px": self.click_noise_px,
             "degrees_of_freedom": self.degrees,
             "condition_number": self.condition,
@@ -382,20 +385,22 @@ def verdict(quality: ModelQuality, coverage: Coverage, proximity: Float64Array, 
 
 
 def grade(quality: ModelQuality) -> str:
-    """Return the grade of a fit, one sentence."""
+    """Return the grade of a fit, and what disagrees, in one sentence each."""
     if quality.degrees <= 0:
         used = sum(pair.used for pair in quality.pairs)
         return (
             f"Unknown: {used} points fit a {quality.model} exactly, so residuals of 0 mean nothing; clicks of usual "
             f"noise would leave an alignment error of {quality.alignment_px:.1f} px."
         )
-    word = "Good" if quality.alignment_px <= GOOD_PX else "Usable" if quality.alignment_px <= USABLE_PX else "Poor"
+    good = quality.alignment_px <= GOOD_PX and not quality.agreement.sloppy
+    word = "Good" if good else "Usable" if quality.alignment_px <= USABLE_PX else "Poor"
     effect = quality.effect
-    return (
+    numbers = (
         f"{word}: expected alignment error {quality.alignment_px:.2f} px ({quality.alignment_mm:.2f} mm), with 95 % "
         f"certainty below {quality.alignment_bound_95_px:.2f} px; patch boundary off by "
         f"{effect.boundary_mm:.1f} mm; the tolerance test needs t from {effect.supported_tolerance:.3f}."
     )
+    return f"{numbers} {quality.agreement.words()}".strip()
 
 
 def next_step(quality: ModelQuality, coverage: Coverage, proximity: Float64Array, rig: Rig) -> str:
@@ -412,7 +417,8 @@ def next_step(quality: ModelQuality, coverage: Coverage, proximity: Float64Array
     if missing > 0:
         return f"Add {missing} more point{'s' if missing > 1 else ''}: with six the quality can be estimated."
     found = (
-        _large_residuals(quality)
+        quality.agreement.next_step()
+        or _large_residuals(quality)
         or _weakest_place(quality, proximity, rig)
         or _shallow_points(quality, coverage)
         or _suspicious_pair(quality)

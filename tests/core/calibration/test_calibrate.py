@@ -44,6 +44,36 @@ def test_wrong_depths_make_it_recommend_the_homography(rig, plane):
     assert plane.error(report.homography).mean() < 4.0
 
 
+def test_distortion_left_in_the_clicks_is_named_and_contained_in_the_bound(rig):
+    centre = np.array([320.0, 240.0])
+
+    def distorted(pixels):
+        from_centre = pixels - centre
+        return pixels + from_centre * (from_centre**2).sum(axis=-1, keepdims=True) * 6.0 / 400**3
+
+    places, true = judged_places(rig)
+    for factor in (0, 1):
+        pairs = clicked(rig, 120, 0)
+        if factor:
+            moved = [distorted(np.array(pair.proximity)) for pair in pairs]
+            pairs = [
+                replace(pair, proximity_u=float(u), proximity_v=float(v))
+                for pair, (u, v) in zip(pairs, moved, strict=True)
+            ]
+        report = calibrate(pairs, rig, "rigid", membrane=places)
+        seen = distorted(true) if factor else true
+        error = np.sqrt(np.mean(np.sum((report.rigid.predict(places) - seen) ** 2, axis=1)))
+        assert error < report.chosen.alignment_bound_95_px < 4 * error
+        assert ("lens distortion" in report.verdict) == bool(factor)
+
+
+def test_clicks_several_times_as_noisy_as_stated_are_never_good(rig):
+    report = calibrate(clicked(rig, 300, 0, noise=ClickNoise(2.5, 2.5, 0.0005)), rig, "rigid")
+    assert report.chosen.cross_validated_px > 4.0
+    assert report.verdict.startswith("Usable")
+    assert "Regions left out of the fit are off by" in report.verdict
+
+
 def test_points_without_depth_give_a_homography_and_say_why(rig, plane):
     tactile, proximity = plane.clicks(0, 8)
     points = [Correspondence(str(i), *proximity[i], *tactile[i]) for i in range(8)]
@@ -114,7 +144,8 @@ def test_the_expected_error_is_the_one_that_happens(rig):
         report = calibrate(clicked(rig, 12, seed), rig, "rigid", membrane=places[::9])
         expected.append(report.chosen.alignment_px**2)
         happened.append(np.mean(np.sum((report.rigid.predict(places) - true) ** 2, axis=1)))
-    assert np.mean(happened) == pytest.approx(np.mean(expected), rel=0.35)
+    # twelve pairs cannot exclude smooth errors, so some is added for them
+    assert 0.8 * np.mean(happened) < np.mean(expected) < 2.0 * np.mean(happened)
 
 
 def test_the_tolerance_follows_its_formula():

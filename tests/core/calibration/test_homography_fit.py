@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from simulated_clicks import normalised_transform
 from tactune.core.calibration.homography import direct_linear_transform, fit_homography
-from tactune.core.calibration.quality import bound_95
+from tactune.core.calibration.quality import bound
 from tactune.core.errors import CalibrationError
 
 
@@ -41,7 +41,7 @@ def test_the_95_percent_bound_holds_in_95_percent_of_trials(plane):
     for seed in range(600):
         fit = fit_homography(*plane.clicks(seed, 10))
         derivative, error = fit.sensitivity(places), plane.error(fit, places=places)
-        whole.append(np.sqrt(np.mean(error**2)) <= bound_95(derivative, fit.degrees))
+        whole.append(np.sqrt(np.mean(error**2)) <= bound(derivative, fit.degrees))
     assert 0.93 <= np.mean(whole) <= 0.97
 
 

@@ -16,7 +16,7 @@ from simulated_clicks import (
     make_clicks,
 )
 from tactune.core.calibration.depth_advice import advise_depth_fit
-from tactune.core.calibration.quality import bound_95
+from tactune.core.calibration.quality import bound
 from tactune.core.calibration.rigid import RigidPoints, fit_rigid
 from tactune.core.errors import CalibrationError
 from tactune.core.model.frames import ColorCamera
@@ -65,7 +65,7 @@ def test_the_95_percent_bound_holds_in_95_percent_of_trials(rig):
     for seed in range(600):
         fit = fit_rigid(make_clicks(rig, 10, seed, color_share=0.5).noisy, rig)
         derivative, error = fit.sensitivity(places), np.hypot(*(fit.predict(places) - true).T)
-        whole.append(np.sqrt(np.mean(error**2)) <= bound_95(derivative, fit.degrees))
+        whole.append(np.sqrt(np.mean(error**2)) <= bound(derivative, fit.degrees))
     assert 0.93 <= np.mean(whole) <= 0.97
 
 

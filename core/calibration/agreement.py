@@ -1,0 +1,393 @@
+"""Agreement of regions: whether the errors of a fit are independent, and what they do to the alignment if not.
+
+A missing lens model, a wrong depth or a bent surface moves neighbouring pairs alike. The residuals of a fit show a part
+of this; the fit absorbs the rest. Everything here follows from the fit's linearisation, without further fits: with the
+whitened design Q (orthonormal columns) and the whitened residuals r,
+
+- a region B left out has the residuals ``(I - Q_B Q_B^T)^-1 r_B`` (Cook and Weisberg, *Residuals and Influence in
+  Regression*, section 2.2),
+- the fit of a half B differs from that of all by ``(Q_B^T Q_B)^-1 Q_B^T r_B``,
+- a smooth error ``F z`` of the pairs, z normal with variance g, has the restricted likelihood of a variance component
+  (Patterson and Thompson 1971; Searle, Casella and McCulloch, *Variance Components*, section 6.6). The kinds of error
+  are the lens, the depth, the surface and any smooth field. They and independent noise are weighed by their marginal
+  likelihoods (Kass and Raftery 1995), so the bound grows with the evidence, not by a threshold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..model.arrays import BoolArray, Float64Array
+from ..model.frames import Rig
+from .homography import HomographyFit
+from .maximum_likelihood import inverse_information
+from .quality import FittedModel, bound
+from .rigid import RigidFit
+
+#: Variances of a smooth error, relative to the noise of a pair, that are tried.
+_VARIANCES = np.geomspace(0.003, 300.0, 26)
+#: Lengths over which a smooth field changes, as shares of the judged region, and the order of its cosines.
+_LENGTHS, _ORDER, _DEPTH_ORDER, _MARGIN = (0.25, 0.4, 0.7), 5, 3, 0.3
+#: Odds of a smooth error before the pairs are seen. They are chosen for the coverage of the 95 % bound
+#: (``scripts/measure_calibration.py coverage``).
+_PRIOR_ODDS = 1.0
+#: Directions of a smooth error that a fit absorbs almost entirely carry no information.
+_ABSORBED = 3e-3
+_NEGLIGIBLE = 1e-3
+#: Independent noise exceeds the limit for two halves in one of a thousand calibrations.
+_RARE = 0.999
+#: A smooth error counts as found from this probability.
+_FOUND = 0.95
+#: Cross-validated residuals this many times those of careful clicks show wrong clicks or a wrong model.
+_SLOPPY = 2.0
+_MAX_CONDITION = 1e6
+_DEPTH_SPAN_M, _DEPTH_STEP_M = 0.010, 1e-4
+
+
+#: What to do about each kind of smooth error.
+_STEPS = {
+    "lens": "This looks like lens distortion: use the rig's lens model, or estimate the distortion from the pairs.",
+    "depth": "This looks like a wrong tactile depth: check its unit and the camera, or fit an offset or a scale of it.",
+    "surface": "The points do not lie on one plane: give tactile depths and use the rigid model.",
+    "field": "Check the lens models of both cameras, the tactile depth, and that both images show the same moment.",
+}
+
+
+@dataclass(frozen=True)
+class Halves:
+    """Two halves of the pairs, fitted separately.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Such as ``("left", "right")``.
+    apart_px : float
+        Root mean square difference of both alignments over the judged places.
+    limit_px : float
+        What independent noise exceeds in one of a thousand calibrations.
+    """
+
+    names: tuple[str, str]
+    apart_px: float
+    limit_px: float
+
+    @property
+    def disagree(self) -> bool:
+        """Whether independent noise does not explain the difference."""
+        return self.apart_px > self.limit_px
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """A fit whose uncertainty contains smooth errors; a `FittedModel`.
+
+    Attributes
+    ----------
+    fit : FittedModel
+    probability : float
+        Of a smooth error.
+    cause : {"lens", "depth", "surface", "field", ""}
+        The most likely kind of it.
+    cross_validated_px : float or None
+        Root mean square residual of regions under the fit of the other pairs; None if they determine no model.
+    expected_px : float
+        The same for independent clicks of the stated noise.
+    halves : tuple of Halves
+    """
+
+    fit: FittedModel
+    probability: float
+    cause: str
+    cross_validated_px: float | None
+    expected_px: float
+    halves: tuple[Halves, ...]
+    noise_ratio: float
+    shapes: _Shapes | None
+    errors: tuple[tuple[str, float, Float64Array], ...]
+    field_is_true: bool
+
+    @property
+    def degrees(self) -> int:
+        """Surplus measurements."""
+        return self.fit.degrees
+
+    @property
+    def found(self) -> bool:
+        """Whether the errors are not independent."""
+        return self.probability > _FOUND or any(halves.disagree for halves in self.halves)
+
+    @property
+    def sloppy(self) -> bool:
+        """Whether regions left out are several times as far off as careful clicks would be."""
+        return self.cross_validated_px is not None and self.cross_validated_px > _SLOPPY * self.expected_px
+
+    def words(self) -> str:
+        """Return what disagrees, one sentence; empty if nothing does."""
+        worst = max(self.halves, key=lambda halves: halves.apart_px / halves.limit_px, default=None)
+        if worst is not None and worst.disagree:
+            one, other = worst.names
+            return (
+                f"The {one} and the {other} half of the pairs disagree by {worst.apart_px:.1f} px, independent clicks "
+                f"by at most {worst.limit_px:.1f} px."
+            )
+        if self.probability > _FOUND:
+            return "Neighbouring pairs are off in the same direction, which independent clicks are not."
+        if self.sloppy:
+            return (
+                f"Regions left out of the fit are off by {self.cross_validated_px:.1f} px, with careful clicks by "
+                f"{self.expected_px:.1f} px."
+            )
+        return ""
+
+    def next_step(self) -> str:
+        """Return what to do about smooth errors, one sentence; empty if there are none."""
+        return _STEPS[self.cause] if self.found else ""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return {
+            "smooth_error_probability": self.probability,
+            "smooth_error": self.cause,
+            "cross_validated_expected_px": self.expected_px,
+            "halves": [vars(halves) for halves in self.halves],
+        }
+
+    def predict(self, places: npt.ArrayLike) -> Float64Array:
+        """Map places (tactile u, v, depth) to proximity pixels."""
+        return self.fit.predict(places)
+
+    def sensitivity(self, places: npt.ArrayLike) -> Float64Array:
+        """Return the derivative (N, 2, P + K) of the prediction's error by unit variates of noise and smooth errors."""
+        by_noise = self.fit.sensitivity(places)
+        columns = [by_noise * self.noise_ratio]
+        if self.shapes is not None and self.errors:
+            there = self.shapes(np.asarray(places, np.float64))
+            for name, size, absorbed in self.errors:
+                columns.append(by_noise @ absorbed - (size * there[name] if self.field_is_true else 0.0))
+        return np.concatenate(columns, axis=2)
+
+
+def judge_agreement(fit: HomographyFit | RigidFit, pairs: Float64Array, places: Float64Array, rig: Rig) -> Agreement:
+    """Compare the regions of a fit.
+
+    Parameters
+    ----------
+    fit : HomographyFit or RigidFit
+    pairs : float64, shape (N, 3)
+        Tactile u, v and depth (metres; nan if unknown) of all pairs of the fit.
+    places : float64, shape (M, 3)
+        Places of the membrane over which the alignment is judged.
+    rig : Rig
+    """
+    if fit.degrees <= 0:
+        return Agreement(fit, 0.0, "", None, 0.0, (), 1.0, None, (), False)
+    pairs = pairs[fit.used]
+    design, residuals = _whitened(fit)
+    rows = design.reshape(-1, design.shape[2])
+    basis = np.linalg.qr(rows)[0]
+    rest = residuals.ravel() - basis @ (basis.T @ residuals.ravel())
+    by_noise = fit.sensitivity(pairs)
+    pixel = float(np.sqrt((by_noise**2).sum() / (rows**2).sum())) / fit.noise_factor
+    shapes = _Shapes(fit, rig, pairs, places)
+    kinds = _weigh(shapes(pairs), rows, basis, rest, residuals.shape, fit.degrees)
+    cause = max(_STEPS, key=lambda cause: sum(kind.weight for kind in kinds if kind.cause == cause))
+    observed = float(rest @ rest) / fit.degrees
+    weight = sum(kind.weight for kind in kinds)
+    noise = (1.0 - weight) * observed + sum(kind.weight * kind.noise for kind in kinds)
+    errors = tuple(
+        (kind.name, pixel * kind.scale * kind.size, kind.absorbed * kind.size / fit.noise_factor)
+        for kind in kinds
+        if kind.weight > _NEGLIGIBLE
+    )
+    labels = _halves(pairs)
+    crossed, expected = _left_out(basis.reshape(design.shape), rest.reshape(residuals.shape), labels)
+    noise_ratio = float(np.sqrt(noise / observed)) if observed > 0 else 1.0
+    made = [
+        Agreement(
+            fit=fit,
+            probability=weight,
+            cause=cause,
+            cross_validated_px=None if crossed is None else crossed * pixel,
+            expected_px=expected * pixel,
+            halves=tuple(_compare(fit, design, residuals, labels, places)),
+            noise_ratio=noise_ratio,
+            shapes=shapes,
+            errors=errors,
+            field_is_true=true,
+        )
+        for true in (True, False)
+    ]
+    return max(made, key=lambda one: float((one.sensitivity(places) ** 2).sum()))
+
+
+@dataclass(frozen=True, eq=False)
+class _Kind:
+    """A kind of smooth error: its posterior probability, its size, and what the fit absorbs of it (P, K)."""
+
+    name: str
+    weight: float
+    noise: float
+    size: float
+    scale: float
+    absorbed: Float64Array
+
+    @property
+    def cause(self) -> str:
+        return self.name.partition(" ")[0]
+
+
+class _Shapes:
+    """The shapes of smooth errors at places (N, 3): displacements (N, 2, K) by unit variates, any scale."""
+
+    def __init__(self, fit: HomographyFit | RigidFit, rig: Rig, pairs: Float64Array, places: Float64Array) -> None:
+        self.fit, self.rig = fit, rig
+        size = 3 if isinstance(fit, RigidFit) else 2
+        both = np.concatenate([pairs, places])[:, :size]
+        self.low, high = both.min(axis=0), both.max(axis=0)
+        self.width = np.maximum(high - self.low, (100.0, 100.0, 0.02)[:size])
+        orders = product(range(_ORDER), range(_ORDER), *[range(_DEPTH_ORDER)] * (size - 2))
+        self.orders = np.array([order for order in orders if sum(order) < _ORDER])
+
+    def __call__(self, places: Float64Array) -> Mapping[str, Float64Array]:
+        proximity = self.fit.predict(places)
+        tactile = _centred(places[:, :2], self.rig.tactile.intrinsics.shape)
+        x, y = tactile.T
+        across = np.stack([np.ones(len(x)), x, y, x**2, x * y, y**2], axis=1)
+        radial = [tactile, _centred(proximity, self.rig.proximity.intrinsics.shape)]
+        found = {"lens": np.stack([at * (at**2).sum(axis=1, keepdims=True) for at in radial], axis=2)}
+        if isinstance(self.fit, RigidFit):
+            farther = self.fit.predict(places + np.array([0.0, 0.0, _DEPTH_STEP_M]))
+            found["depth"] = (farther - proximity)[:, :, None] * across[:, None, :]
+        else:
+            found["surface"] = _in_both(across[:, 3:])
+        inside = (places[:, : len(self.low)] - self.low) / self.width
+        waves = np.pi * self.orders * ((inside[:, None] + _MARGIN) / (1 + 2 * _MARGIN))
+        field = np.cos(waves).prod(axis=2) * np.sqrt(2.0) ** (self.orders > 0).sum(axis=1)
+        for length in _LENGTHS:
+            power = np.exp(-((np.pi * self.orders * length / (1 + 2 * _MARGIN)) ** 2) / 2).prod(axis=1)
+            found[f"field {length}"] = _in_both(field * np.sqrt(power))
+        return found
+
+
+def _whitened(fit: HomographyFit | RigidFit) -> tuple[Float64Array, Float64Array]:
+    """Return design (N, M, P) and residuals (N, M) of the inliers, with unit noise and whitened parameters."""
+    data, solution = fit.problem.measurements.keep(fit.used), fit.fit.solution
+    predicted, by_theta, by_place = fit.problem.linearise(solution.theta, solution.places, data.camera)  # type: ignore[arg-type]
+    residual = data.seen - predicted - (by_place @ (data.known - solution.places)[:, :, None])[:, :, 0]
+    covariance = data.seen_covariance + by_place @ data.known_covariance @ by_place.transpose(0, 2, 1)
+    root = np.linalg.cholesky(np.linalg.inv(covariance)).transpose(0, 2, 1)
+    design = root @ by_theta @ np.linalg.cholesky(inverse_information(solution.information))
+    return np.asarray(design), np.asarray((root @ residual[:, :, None])[:, :, 0])
+
+
+def _weigh(
+    shapes: Mapping[str, Float64Array],
+    rows: Float64Array,
+    basis: Float64Array,
+    rest: Float64Array,
+    shape: tuple[int, ...],
+    degrees: int,
+) -> list[_Kind]:
+    """Return each kind of smooth error with its posterior probability and its most likely size."""
+    total = float(rest @ rest)
+    kinds, evidence, priors = [], [], []
+    for name, of_pairs in shapes.items():
+        error = np.zeros((*shape, of_pairs.shape[2]))
+        error[:, :2] = of_pairs
+        scale = 1.0 / float(np.sqrt((error[:, :2] ** 2).sum() / (2 * len(error))))
+        error = scale * error.reshape(len(rest), -1)
+        visible = error - basis @ (basis.T @ error)
+        values, vectors = np.linalg.eigh(visible.T @ visible)
+        kept = values > _ABSORBED * values[-1]
+        values = values[kept]
+        along = ((visible.T @ rest) @ vectors[:, kept]) ** 2 / values
+        growth = 1.0 + _VARIANCES[:, None] * values
+        noise = np.maximum(total - along.sum() + (along / growth).sum(axis=1), 1e-12 * total + 1e-300) / degrees
+        gain = -0.5 * (degrees * np.log(noise * degrees / max(total, 1e-300)) + np.log(growth).sum(axis=1))
+        best = int(gain.argmax())
+        evidence.append(np.exp(np.minimum(gain, 600.0)).mean())
+        priors.append(1.0 / (len(_LENGTHS) if name.startswith("field") else 1))
+        size = float(np.sqrt(_VARIANCES[best] * noise[best]))
+        kinds.append((name, float(noise[best]), size, scale, rows.T @ error))
+    odds = _PRIOR_ODDS * np.array(evidence) * priors / sum(priors)
+    weights = odds / (1.0 + odds.sum())
+    return [
+        _Kind(name, float(weight), noise, size * float(np.sqrt(weight)), scale, absorbed)
+        for (name, noise, size, scale, absorbed), weight in zip(kinds, weights, strict=True)
+    ]
+
+
+def _halves(pairs: Float64Array) -> dict[tuple[str, str], BoolArray]:
+    """Return which pairs are in the second half, for each way to halve them."""
+    u, v, depth = pairs.T
+    halves = {("left", "right"): u > np.median(u), ("upper", "lower"): v > np.median(v)}
+    if np.ptp(depth) > _DEPTH_SPAN_M:
+        halves["near", "far"] = depth > np.median(depth)
+    return halves
+
+
+def _left_out(
+    basis: Float64Array, residuals: Float64Array, halves: Mapping[tuple[str, str], BoolArray]
+) -> tuple[float | None, float]:
+    """Return the RMS length of residuals of regions under the fit of the others, and that of unit noise, whitened.
+
+    Regions are the parts of the image and of depth that all halvings together make; single pairs if those are too few.
+    """
+    for groups in (list(halves.values()), list(halves.values())[:2], []):
+        label = np.arange(len(residuals)) if not groups else sum(2**i * half for i, half in enumerate(groups))
+        squares, expected = 0.0, 0.0
+        for region in np.unique(label):
+            own = basis[label == region].reshape(-1, basis.shape[2])
+            values, vectors = np.linalg.eigh(np.eye(own.shape[1]) - own.T @ own)
+            if values[0] < 1.0 / _MAX_CONDITION:
+                break
+            # (I - Q Q^T)^-1 = I + Q (I - Q^T Q)^-1 Q^T
+            inverse = np.eye(len(own)) + (own @ vectors / values) @ (own @ vectors).T
+            squares += float(((inverse @ residuals[label == region].ravel()) ** 2).sum())
+            expected += float(np.trace(inverse))
+        else:
+            return float(np.sqrt(squares / len(residuals))), float(np.sqrt(expected / len(residuals)))
+    return None, 0.0
+
+
+def _compare(
+    fit: HomographyFit | RigidFit,
+    design: Float64Array,
+    residuals: Float64Array,
+    halves: Mapping[tuple[str, str], BoolArray],
+    places: Float64Array,
+) -> Sequence[Halves]:
+    """Return the halves that determine a model each."""
+    by_noise = fit.sensitivity(places)
+    found = []
+    for names, second in halves.items():
+        moved, roots = [], []
+        for half in (~second, second):
+            own = design[half].reshape(-1, design.shape[2])
+            information = own.T @ own
+            if len(own) < own.shape[1] or np.linalg.cond(information) > _MAX_CONDITION:
+                break
+            moved.append(np.linalg.solve(information, own.T @ residuals[half].ravel()))
+            roots.append(np.linalg.cholesky(np.linalg.inv(information)))
+        else:
+            apart = by_noise @ (moved[0] - moved[1]) / fit.noise_factor
+            limit = bound(by_noise @ np.concatenate(roots, axis=1), fit.degrees, _RARE)
+            found.append(Halves(names, float(np.sqrt((apart**2).sum(axis=1).mean())), limit))
+    return found
+
+
+def _centred(pixels: Float64Array, shape: tuple[int, int]) -> Float64Array:
+    """Return pixels relative to the image's centre, in half diagonals."""
+    height, width = shape
+    return np.asarray((pixels - ((width - 1) / 2, (height - 1) / 2)) / (np.hypot(width, height) / 2))
+
+
+def _in_both(columns: Float64Array) -> Float64Array:
+    """Return columns (N, K) as displacements along u and along v, shape (N, 2, 2 K)."""
+    return np.asarray(np.einsum("nk,ij->nikj", columns, np.eye(2)).reshape(len(columns), 2, -1))
