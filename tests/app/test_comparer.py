@@ -113,15 +113,6 @@ def test_a_method_that_averages_counts_each_frame_once(preset, monkeypatch):
     assert timed == [False, False, True, False, True, False]
 
 
-def test_over_how_many_frames_a_method_has_averaged_comes_with_its_patch(preset):
-    compare = Comparer().compare
-    averaged = []
-    for index in (1, 2, 2, 3):
-        both = replace(task(preset, index), methods=("fusion-membrane", "fusion-averaged"))
-        averaged.append([outcome.averaged_frames for outcome in compare(both).outcomes])
-    assert averaged == [[1, 1], [1, 2], [1, 2], [1, 3]]
-
-
 def test_a_preset_that_does_not_fit_is_said_and_the_next_one_works(preset):
     compare = Comparer().compare
     compare(task(preset))

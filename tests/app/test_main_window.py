@@ -62,21 +62,6 @@ def test_says_what_to_do_while_there_is_nothing(make_window, qtbot, preset):
     assert window.transport.position.text() == "0.0 s, frame 1 of 1"
 
 
-@pytest.mark.parametrize(
-    ("path", "value", "words"),
-    [
-        ("mask.enabled", True, "the mask dropped all: correct if nothing touches; otherwise narrow its colour ranges"),
-        ("outliers.min_cluster_area_mm2", 1e5, "the limit on small clusters dropped all: lower"),
-    ],
-)
-def test_says_which_stage_dropped_everything(window, qtbot, path, value, words):
-    view = window.views.views[CloudName.PATCH]
-    passed = view.point_count()
-    window.document.edit(path, value)
-    qtbot.waitUntil(lambda: view.message() != "")
-    assert view.message().startswith(f"{passed:,} points passed the contact test, but {words}")
-
-
 def test_the_window_does_not_look_for_the_reason_itself(window, qtbot, monkeypatch):
     """The worker thread finds the reason, because that takes longer than finding no contact."""
     threads = []

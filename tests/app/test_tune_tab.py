@@ -77,13 +77,16 @@ def test_a_search_finds_a_better_preset_which_is_previewed_and_used_as_one_step(
     assert document.undo_stack.undoText() == f"Trial {best} of the search"
     document.undo_stack.undo()
     assert document.preset == before
+    use_by_keys(tab)
 
 
-def test_the_arrow_keys_walk_along_the_front_and_enter_uses_a_trial(qtbot, tab):
-    search(qtbot, tab, 12)
+def use_by_keys(tab):
+    """The arrow keys walk along the front, and Enter uses a trial."""
     tab.plot.setFocus()
-    walked = []
-    for _ in tab.plot.front:
+    while tab.plot.number != tab.plot.front[0]:
+        QTest.keyClick(tab.plot, Qt.Key.Key_Left)
+    walked = [tab.plot.number]
+    for _ in tab.plot.front[1:]:
         QTest.keyClick(tab.plot, Qt.Key.Key_Right)
         walked.append(tab.plot.number)
     assert tuple(walked) == tab.plot.front

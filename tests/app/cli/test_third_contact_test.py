@@ -32,6 +32,16 @@ print([table.item(row, 0).text() for row in range(table.rowCount())])
 print(method_rgb("fusion-toy", "dark"), method_tip("fusion-toy"))
 """
 
+#: Commands one after the other; a line "=" ends what each prints.
+COMMANDS = """
+import json, sys
+from tactune.app.cli.main import main
+for words in json.loads(sys.argv[1]):
+    sys.argv = ["tactune", *words]
+    assert main() == 0, words
+    print("=")
+"""
+
 #: A paused frame while the person tries one test after another.
 SWITCHED = """
 import sys
@@ -74,39 +84,25 @@ def python(program: Path, *words: str) -> str:
 
 
 def test_a_third_contact_test_is_one_file_and_one_line(program: Path, recording: Path, tmp_path: Path) -> None:
-    tactune = ("-m", "tactune.app")
-    schema = json.loads(python(program, *tactune, "preset", "schema"))["properties"]
-    assert schema["contact_test"]["enum"] == ["membrane", "tolerance", "toy"]
-    assert "toy: both depths differ" in schema["contact_test"]["description"]
-
-    preset = tmp_path / "toy.json"
-    python(
-        program,
-        *tactune,
-        "preset",
-        "new",
-        "--rig",
-        str(recording / "rig.json"),
-        "--out",
-        str(preset),
-        "--set",
-        "toy.limit_m=0.02",
-    )
-    assert json.loads(preset.read_text())["contact_test"] == "toy"
-
-    frames = [json.loads(line) for line in python(
-        program, *tactune, "run", "-s", str(recording), "-p", str(preset), "--json"
-    ).splitlines()]  # fmt: skip
-    assert set(frames[0]["stage_ms"]) == {"compare", "border"}
-    assert max(frame["points"] for frame in frames) > 0
-
-    words = ("--set", "toy.limit_m=0.01,0.02", "--set", "toy.left_px=0,5", "--frames", "2", "--jobs", "1", "--json")
-    tuned = python(
-        program, *tactune, "tune", "-s", str(recording), "-p", str(preset), *words, "--study", str(tmp_path / "toy.log")
-    )
+    preset, rig = str(tmp_path / "toy.json"), str(recording / "rig.json")
+    run = ["-s", str(recording), "-p"]
+    grid = ["--set", "toy.limit_m=0.01,0.02", "--set", "toy.left_px=0,5", "--frames", "2", "--jobs", "1", "--json"]
+    schema, _, frames, tuned, one, _ = python(program, "-c", COMMANDS, json.dumps([
+        ["preset", "schema"],
+        ["preset", "new", "--rig", rig, "--out", preset, "--set", "toy.limit_m=0.02"],
+        ["run", *run, preset, "--json"],
+        ["tune", *run, preset, *grid, "--study", str(tmp_path / "toy.log")],
+        ["run", *run, "default", "--method", "fusion-toy", "--json"],
+    ])).split("=\n")  # fmt: skip
+    contact_test = json.loads(schema)["properties"]["contact_test"]
+    assert contact_test["enum"] == ["membrane", "tolerance", "toy"]
+    assert "toy: both depths differ" in contact_test["description"]
+    assert json.loads(Path(preset).read_text())["contact_test"] == "toy"
+    found = [json.loads(frame) for frame in frames.splitlines()]
+    assert set(found[0]["stage_ms"]) == {"compare", "border"}
+    assert max(frame["points"] for frame in found) > 0
     assert tuned.count("toy.left_px") == 4
-    one = python(program, *tactune, "run", "-s", str(recording), "-p", "default", "--method", "fusion-toy", "--json")
-    assert len(one.splitlines()) == len(frames)
+    assert len(one.splitlines()) == len(found)
 
     shown = python(program, "-c", PANEL).splitlines()
     assert shown[0] == "['alignment', 'mask', 'contact_test', 'toy', 'range', 'region']"

@@ -19,7 +19,7 @@ from tactune.core.preset import Preset
 
 PRESET = Preset(contact_test="tolerance")
 
-FRAMES = 50
+FRAMES = 20
 #: Python's objects of one frame: the patch, its closures, views; far less than any array with an element per point.
 SLACK_BYTES = 64 * 1024
 
@@ -35,7 +35,7 @@ def pipeline_and_frame(make_rig, make_frame):
     return pipeline, frame, len(patch.points)
 
 
-def test_fifty_frames_leave_nothing_behind_and_take_no_more_than_the_results(pipeline_and_frame):
+def test_frames_leave_nothing_behind_and_take_no_more_than_the_results(pipeline_and_frame):
     """Results: pixel and point of every candidate, inlier and contact pixel, and flags for each."""
     pipeline, frame, contact = pipeline_and_frame
     provenance = pipeline.process(replace(frame)).provenance

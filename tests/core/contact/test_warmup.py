@@ -145,7 +145,7 @@ wanted = ContactPipeline(Preset(), rig).process(frame)
 wrong = []
 def work():
     pipeline = ContactPipeline(Preset(), rig)
-    for _ in range(150):
+    for _ in range(50):
         patch = pipeline.process(type(frame)(0, frame.proximity_depth, frame.tactile_depth, frame.proximity_color))
         if not np.array_equal(patch.points, wanted.points) or not np.array_equal(patch.provenance, wanted.provenance):
             wrong.append(patch)
