@@ -66,6 +66,7 @@ def test_noise_is_brought_to_the_named_distance_and_incidence(script):
     assert script.growth(tilted, middle, lens, sensor) == pytest.approx(1.35, abs=0.03)
 
 
+@pytest.mark.long
 def test_the_fitted_sensor_agrees_with_real_cameras_and_the_data_sheets_do_not(
     script, shared_data, monkeypatch, capsys
 ):
