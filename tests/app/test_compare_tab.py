@@ -295,7 +295,7 @@ def test_a_slow_method_holds_up_nothing_and_its_frames_are_skipped(qtbot, window
             self.remembers = method.remembers
 
         def find(self, frame):
-            go_on.wait(10)
+            go_on.wait(60)
             return self._method.find(frame)
 
     monkeypatch.setattr(comparer, "make_method", lambda *args: Slow(make_method(*args)))
@@ -392,7 +392,7 @@ def test_closing_does_not_wait_for_a_method_that_takes_long(qtbot, window, monke
 
     def stuck(*_args):
         begun.set()
-        go_on.wait(30)
+        go_on.wait(60)
         raise ZeroDivisionError
 
     monkeypatch.setattr(comparer, "make_method", stuck)
@@ -404,4 +404,4 @@ def test_closing_does_not_wait_for_a_method_that_takes_long(qtbot, window, monke
     assert not window.isVisible() and thread.isRunning()
     assert not wait_for_abandoned(0.0)
     go_on.set()
-    assert wait_for_abandoned(10.0)
+    assert wait_for_abandoned(60.0)

@@ -96,7 +96,7 @@ def test_a_signal_ends_the_window_once_and_keeps_unsaved_work(recording, tmp_pat
     homes = {name: str(tmp_path / name) for name in ("XDG_CONFIG_HOME", "XDG_DATA_HOME")}
     environment = os.environ | homes | {"QT_QPA_PLATFORM": "offscreen"}
     command = [sys.executable, "-c", INTERRUPT, recording, str(int(sent))]
-    done = subprocess.run(command, check=False, capture_output=True, text=True, env=environment, timeout=60)
+    done = subprocess.run(command, check=False, capture_output=True, text=True, env=environment, timeout=300)
     assert done.returncode == 128 + sent
     assert done.stdout == "ended\n"
     assert "Traceback" not in done.stderr

@@ -124,7 +124,7 @@ def test_suggestions_of_a_source_that_was_left_while_they_were_made_say_so(main,
     found, go_on = suggest_window.find_suggestions, Event()
 
     def late(*arguments):
-        go_on.wait(20)
+        go_on.wait(60)
         return found(*arguments)
 
     monkeypatch.setattr(suggest_window, "find_suggestions", late)

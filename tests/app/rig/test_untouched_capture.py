@@ -222,7 +222,7 @@ def test_once_no_more_frames_are_taken_the_membrane_may_be_touched(qtbot, window
 
     def slow(frames):
         came = list(frames)
-        go_on.wait(30)
+        go_on.wait(60)
         return average_untouched(came)
 
     monkeypatch.setattr("tactune.app.rig.untouched_capture.average_untouched", slow)
@@ -340,7 +340,7 @@ def test_closing_does_not_wait_for_what_is_still_being_computed(qtbot, window, m
 
     def stuck(frames):
         begun.set()
-        go_on.wait(30)
+        go_on.wait(60)
         return average_untouched(frames)
 
     monkeypatch.setattr("tactune.app.rig.untouched_capture.average_untouched", stuck)
@@ -351,5 +351,5 @@ def test_closing_does_not_wait_for_what_is_still_being_computed(qtbot, window, m
     assert window.untouched.window is None
     assert not wait_for_abandoned(0.0)
     go_on.set()
-    assert wait_for_abandoned(10.0)
+    assert wait_for_abandoned(60.0)
     assert window.document.preset.untouched is None

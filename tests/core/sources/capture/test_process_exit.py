@@ -110,7 +110,7 @@ except KeyboardInterrupt:
 
 def test_no_source_is_opened_twice_without_a_main_guard_or_a_file() -> None:
     done = subprocess.run(
-        [sys.executable, "-c", OPEN + "source.close()"], capture_output=True, text=True, check=True, timeout=60
+        [sys.executable, "-c", OPEN + "source.close()"], capture_output=True, text=True, check=True, timeout=300
     )
     assert len(done.stdout.splitlines()) == 1
     assert done.stderr == ""
