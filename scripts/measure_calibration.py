@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import sys
 import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -27,6 +28,7 @@ from simulated_clicks import (
     make_clicks,
     normalised_transform,
 )
+from tactune.core.calibration.agreement import judge_agreement
 from tactune.core.calibration.homography import (
     design_matrix,
     direct_linear_transform,
@@ -80,43 +82,166 @@ def measure_homography():
             )
 
 
-def coverage_homography(trials, count=12):
-    """Share of trials whose true error over the image lies within the reported 95 % bound."""
-    places = image_grid()[::7]
-    H = HOMOGRAPHIES["mild"]
-    inside = []
-    for seed in range(trials):
-        rng = np.random.default_rng(seed)
-        tactile = rng.uniform((20, 20), (620, 460), (count, 2))
-        proximity = transfer(H, tactile) + rng.normal(0, 0.7, (count, 2))
-        fit = fit_homography(tactile + rng.normal(0, 0.7, (count, 2)), proximity)
-        inside.append(within_bound(fit, places, transfer(H, places)))
-    return np.mean(inside)
+#: Kinds of error and the trials of each with a number of pairs. All but the first are correlated:
+#: a field of 0.3 to 1.5 px RMS that is part of what the cameras see, or an error of the clicks alone; radial distortion
+#: of 1 to 8 px at the corners; depth wrong by 1 to 5 %; a surface bent by 2 to 8 mm.
+ERRORS = {"independent": 160, "field": 60, "field, clicks only": 60, "radial": 60, "depth": 60, "bent": 60}
+COUNTS = (8, 12, 20, 60, 300)
 
 
-def coverage_rigid(trials, count=12):
-    """As `coverage_homography`, with half of the clicks in the colour image."""
-    rig = simulator_rig()
-    places, true = judged_places(rig)
-    inside = []
-    for seed in range(trials):
-        fit = fit_rigid(make_clicks(rig, count, seed, color_share=0.5).noisy, rig)
-        inside.append(within_bound(fit, places[::11], true[::11]))
-    return np.mean(inside)
+def smooth_field(rng, rms):
+    """Return a random field (N, 2) -> (N, 2) over the image with a correlation length of 120 to 350 px."""
+    waves, phases = rng.normal(0, 1 / rng.uniform(120, 350), (2, 40, 2)), rng.uniform(0, 2 * np.pi, (2, 40))
+
+    def raw(pixels):
+        return np.stack([np.cos(pixels @ k.T + phase).sum(axis=1) for k, phase in zip(waves, phases, strict=True)], 1)
+
+    scale = rms / np.sqrt((raw(image_grid()) ** 2).sum(axis=1).mean())
+    return lambda pixels: scale * raw(pixels)
 
 
-def within_bound(fit, places, true):
-    """Return whether the true error over all positions lies within its bound."""
-    error = np.hypot(*(fit.predict(places) - true).T)
-    return np.sqrt(np.mean(error**2)) <= bound(fit.sensitivity(places), fit.degrees)
+def image_error(kind, rng):
+    """Return the displacement of proximity pixels (N, 2) for a kind of error."""
+    if kind.startswith("field"):
+        return smooth_field(rng, rng.uniform(0.3, 1.5))
+    if kind == "radial":
+        size, center = rng.uniform(1, 8) * rng.choice([-1, 1]), np.array([320.0, 240.0])
+        return lambda pixels: (pixels - center) * ((pixels - center) ** 2).sum(axis=1, keepdims=True) * size / 400**3
+    return np.zeros_like
+
+
+def bend(rng):
+    """Return a quadratic bend (N, 2) tactile pixels -> metres, 2 to 8 mm at the rim."""
+    size, shape = 1e-3 * rng.uniform(2, 8) * rng.choice([-1, 1]), rng.standard_normal(3)
+    shape /= np.linalg.norm(shape)
+
+    def raised(pixels):
+        x, y = ((pixels - (320, 240)) / (240, 180)).T
+        return size * np.stack([x**2, x * y, y**2], axis=1) @ shape
+
+    return raised
+
+
+def plane_trial(kind, count, rng):
+    """Fit a homography to clicks with an error: the fit, the pairs, places (M, 3), and their true proximity pixels."""
+    H, places, tactile = HOMOGRAPHIES["mild"], image_grid()[::3], rng.uniform((20, 20), (620, 460), (count, 2))
+    proximity, true, error = transfer(H, tactile), transfer(H, places), image_error(kind, rng)
+    if kind == "bent":
+        raised = bend(rng)
+        # parallax of the simulator's cameras, 0.22 px / mm at 0.29 m
+        proximity = proximity + np.outer(220 * raised(tactile), (1, 0))
+        true = true + np.outer(220 * raised(places), (1, 0))
+    true = true + (0.0 if kind == "field, clicks only" else error(true))
+    tactile = tactile + rng.normal(0, 0.7, tactile.shape)
+    fit = fit_homography(tactile, proximity + error(proximity) + rng.normal(0, 0.7, tactile.shape))
+    without = np.full((count, 1), np.nan)
+    return fit, np.hstack([tactile, without]), np.column_stack([places, np.full(len(places), 0.3)]), true
+
+
+def rigid_trial(kind, count, rng, rig, places, true):
+    """As `plane_trial`; the wrong depth is that of the clicks and of the places."""
+    points, error = make_clicks(rig, count, int(rng.integers(1 << 31))).noisy, image_error(kind, rng)
+    factor = 1 + (kind == "depth") * rng.uniform(0.01, 0.05) * rng.choice([-1, 1])
+    raised = bend(rng) if kind == "bent" else (lambda pixels: 0.0)
+
+    def wrong(depth, pixels):
+        return factor * depth + raised(pixels)
+
+    depth = wrong(points.tactile_depth_m, points.tactile)
+    points = replace(points, tactile_depth_m=depth, proximity=points.proximity + error(points.proximity))
+    places = np.column_stack([places[:, :2], wrong(places[:, 2], places[:, :2])])
+    true = true + (0.0 if kind == "field, clicks only" else error(true))
+    return fit_rigid(points, rig), points.places, places, true
 
 
 def measure_coverage():
-    """Share of trials in which the reported 95 % bound holds."""
-    for count in (6, 12, 30):
-        for name, coverage in (("homography", coverage_homography), ("rigid", coverage_rigid)):
-            share = 100 * coverage(1000, count)
-            print(f"95 % bound, {name:10}, {count:2} pairs: {share:.1f} % of 1,000 trials within it over the membrane")
+    """Share of trials in which the true error over the membrane is within the 95 % bound, then real images."""
+    rig = simulator_rig()
+    places, true = judged_places(rig)
+    trials = {
+        "homography": plane_trial,
+        "rigid": partial(rigid_trial, rig=rig, places=places[::4], true=true[::4]),
+    }
+    for model, trial in trials.items():
+        for kind, repeats in ERRORS.items():
+            if (model, kind) == ("homography", "depth"):
+                continue
+            cells, shares, before = [], [], []
+            for count in COUNTS:
+                rows = []
+                for seed in range(repeats):
+                    fit, pairs, at, seen = trial(kind, count, np.random.default_rng((count, seed)))
+                    agreement = judge_agreement(fit, pairs, at, rig)
+                    error = np.sqrt(np.mean(np.sum((fit.predict(at) - seen) ** 2, axis=1)))
+                    limits = (bound(one.sensitivity(at), fit.degrees) for one in (agreement, fit))
+                    rows.append((*(error <= limit for limit in limits), agreement.found))
+                within, noise_only, found = 100 * np.mean(rows, axis=0)
+                cells.append(f"{count:3} {within:3.0f} ({noise_only:3.0f}; {found:3.0f})")
+                shares.append(within)
+                before.append(noise_only)
+            print(
+                f"95 % bound, {model:10} {kind:18}: pairs, % within it (noise only; error told): {', '.join(cells)}; "
+                f"mean {np.mean(shares):.1f} ({np.mean(before):.1f})"
+            )
+    measure_real_halves()
+
+
+def measure_real_halves():
+    """Difference of the fits to two halves of real pairs, against what both state for it."""
+    rows = []
+    for name, rig, places, fit in [*board_halves(), *texture_halves()]:
+        for axis, halves in enumerate(("left and right", "upper and lower")):
+            first = places[:, axis] <= np.median(places[:, axis])
+            fits = [fit(first), fit(~first)]
+            judged = [
+                judge_agreement(one, places[use], places, rig) for one, use in zip(fits, (first, ~first), strict=True)
+            ]
+            apart = np.sqrt(np.mean(np.sum((fits[0].predict(places) - fits[1].predict(places)) ** 2, axis=1)))
+            noise_only, stated = (
+                np.hypot(*(bound(one.sensitivity(places), one.degrees) for one in both)) for both in (fits, judged)
+            )
+            rows.append((apart / noise_only, apart / stated))
+            whole = judge_agreement(fit(np.ones(len(places), bool)), places, places, rig)
+            print(
+                f"{name}, {halves} half: {apart:.2f} px apart, 95 % bounds of both {stated:.2f} px (noise only "
+                f"{noise_only:.2f} px); bound of all pairs {bound(whole.sensitivity(places), whole.degrees):.2f} px "
+                f"(noise only {bound(whole.fit.sensitivity(places), whole.degrees):.2f} px). {whole.words()}"
+            )
+    for name, ratios in zip(("noise only", "stated"), np.transpose(rows) if rows else (), strict=False):
+        print(f"real halves, {name}: {(ratios > 1).sum()} of {len(rows)} beyond, median {np.median(ratios):.2f} times")
+
+
+def board_halves():
+    """Yield name, rig, places and fit of each real chessboard."""
+    from tactune.core.calibration.detect import detect_chessboard
+
+    if not BOARDS.is_dir():
+        print(f"coverage: {BOARDS} is not here, so no real chessboards were tried")
+        return
+    for left in sorted(BOARDS.glob("left0*.jpg")):
+        images = [cv2.imread(str(path), 0) for path in (left, left.with_name("right" + left.name[4:]))]
+        a, b = (detect_chessboard(image, 9, 6).pixels for image in images)
+        places = np.column_stack([a, np.full(len(a), np.nan)])
+        yield left.stem, simulator_rig(), places, lambda use, a=a, b=b: fit_homography(a[use], b[use])
+
+
+def texture_halves():
+    """Yield name, rig, places and fit of the texture helper's pairs on a real scene."""
+    from tactune.core.calibration.calibrate import rigid_points
+    from tactune.core.calibration.texture import match_texture
+    from tactune.core.sources.registry import open_source
+
+    folder = BOARDS.parent / "real_pair"
+    if not folder.is_dir():
+        print(f"coverage: {folder} is not here, so no real scene was tried")
+        return
+    with open_source(f"folder:{folder}") as source:
+        rig, pairs = source.rig, match_texture([source.read(0)], source.rig).pairs
+
+    def fit(use):
+        return fit_rigid(rigid_points([pair for pair, chosen in zip(pairs, use, strict=True) if chosen]), rig)
+
+    yield "real_pair", rig, rigid_points(pairs).places, fit
 
 
 def measure_wrong():

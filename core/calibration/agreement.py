@@ -36,14 +36,14 @@ _VARIANCES = np.geomspace(0.003, 300.0, 26)
 _LENGTHS, _ORDER, _DEPTH_ORDER, _MARGIN = (0.25, 0.4, 0.7), 5, 3, 0.3
 #: Odds of a smooth error before the pairs are seen. They are chosen for the coverage of the 95 % bound
 #: (``scripts/measure_calibration.py coverage``).
-_PRIOR_ODDS = 1.0
+_PRIOR_ODDS = 4.0
 #: Directions of a smooth error that a fit absorbs almost entirely carry no information.
 _ABSORBED = 3e-3
 _NEGLIGIBLE = 1e-3
 #: Independent noise exceeds the limit for two halves in one of a thousand calibrations.
 _RARE = 0.999
 #: A smooth error counts as found from this probability.
-_FOUND = 0.95
+_FOUND = 0.98
 #: Cross-validated residuals this many times those of careful clicks show wrong clicks or a wrong model.
 _SLOPPY = 2.0
 _MAX_CONDITION = 1e6
@@ -169,7 +169,9 @@ class Agreement:
         if self.shapes is not None and self.errors:
             there = self.shapes(np.asarray(places, np.float64))
             for name, size, absorbed in self.errors:
-                columns.append(by_noise @ absorbed - (size * there[name] if self.field_is_true else 0.0))
+                # what a lens, a depth or a surface does, the cameras see; a field may be an error of the clicks alone
+                seen = self.field_is_true or not name.startswith("field")
+                columns.append(by_noise @ absorbed - (size * there[name] if seen else 0.0))
         return np.concatenate(columns, axis=2)
 
 
