@@ -89,7 +89,7 @@ class Agreement:
 
     Attributes
     ----------
-    fit : FittedModel
+    fit : HomographyFit or RigidFit
     probability : float
         Of a smooth error.
     cause : {"lens", "depth", "surface", "field", ""}
@@ -101,7 +101,7 @@ class Agreement:
     halves : tuple of Halves
     """
 
-    fit: FittedModel
+    fit: HomographyFit | RigidFit
     probability: float
     cause: str
     cross_validated_px: float | None
@@ -163,9 +163,9 @@ class Agreement:
         return self.fit.predict(places)
 
     def sensitivity(self, places: npt.ArrayLike) -> Float64Array:
-        """Return the derivative (N, 2, P + K) of the prediction's error by unit variates of noise and smooth errors."""
+        """Return the derivative (N, 2, P + K) of the error by unit variates of noise, rivals and smooth errors."""
         by_noise = self.fit.sensitivity(places)
-        columns = [by_noise * self.noise_ratio]
+        columns = [by_noise * self.noise_ratio, self.fit.rivals_px(places)]
         if self.shapes is not None and self.errors:
             there = self.shapes(np.asarray(places, np.float64))
             for name, size, absorbed in self.errors:

@@ -76,7 +76,8 @@ def calibrate(
     fitted_depth = advice.depth_fit if depth_fit == "auto" else depth_fit
     rigid, refused_rigid = _try_rigid(pairs, rig, fitted_depth)
     clicked = depth_pixels(pairs, rig, rigid)
-    homography, refused_homography = _try_homography(tactile, clicked, rigid, depth)
+    names = [pair.id for pair in pairs]
+    homography, refused_homography = _try_homography(tactile, clicked, rigid, depth, names)
     refused = {"homography": refused_homography, "rigid": refused_rigid}
     _raise_if_missing(model, refused)
 
@@ -150,13 +151,14 @@ def _try_rigid(pairs: list[Correspondence], rig: Rig, depth_fit: DepthFit) -> tu
             "click where the tactile camera sees depth"
         )
     try:
-        return fit_rigid(points, rig, depth_fit=depth_fit), ""
+        names = [pair.id for pair in pairs if pair.tactile_depth_m is not None]
+        return fit_rigid(points, rig, depth_fit=depth_fit, names=names), ""
     except CalibrationError as error:
         return None, str(error)
 
 
 def _try_homography(
-    tactile: Float64Array, proximity: Float64Array, rigid: RigidFit | None, depth: Float64Array
+    tactile: Float64Array, proximity: Float64Array, rigid: RigidFit | None, depth: Float64Array, names: list[str]
 ) -> tuple[HomographyFit | None, str]:
     """Fit the homography; if the rigid fit has more inliers, fit it to those.
 
@@ -165,7 +167,7 @@ def _try_homography(
     own: HomographyFit | None = None
     reason = ""
     try:
-        own = fit_homography(tactile, proximity)
+        own = fit_homography(tactile, proximity, names=names)
     except CalibrationError as error:
         reason = str(error)
     if rigid is None or rigid.degrees <= 0 or not np.isfinite(depth).all():
@@ -272,6 +274,7 @@ def _quality(
         alignment_bound_95_px=bound(agreement.sensitivity(spread.places), fit.degrees),
         effect=effect,
         excluded=tuple(pair.id for pair, kept in zip(pairs, used, strict=True) if not kept),
+        doubtful=tuple(pairs[i].id for i in fit.doubtful if used[i]),
         pairs=details,
         map=spread,
     )

@@ -8,6 +8,7 @@ map and equal noise per pixel, but worse under strong perspective.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,7 @@ from ..errors import CalibrationError
 from ..model.arrays import BoolArray, Float64Array, IndexArray
 from .correspondences import check_pairs, spread
 from .maximum_likelihood import Linearised, Measurements, Prior, inverse_information
-from .robust import Problem, RobustFit, fit_robustly, left_out_residuals_px
+from .robust import Problem, RobustFit, doubtful, fit_robustly, left_out_residuals_px, numbered, rivals_px
 
 #: Standard deviation of a careful click with magnifier, pixels.
 CLICK_SIGMA_PX = 0.7
@@ -48,8 +49,8 @@ class HomographyFit:
         Observed noise relative to the stated click noise; 1 without degrees of freedom.
     condition : float
         Condition number of the scaled design.
-    log10_nfa : float
-        log10 of the number of false alarms of the consensus.
+    doubtful : tuple of int
+        Pairs of which the data do not decide whether they are right.
     """
 
     H_p_t: Float64Array
@@ -58,7 +59,7 @@ class HomographyFit:
     degrees: int
     noise_factor: float
     condition: float
-    log10_nfa: float
+    doubtful: tuple[int, ...]
     problem: HomographyProblem
     fit: RobustFit[Float64Array]
 
@@ -87,6 +88,11 @@ class HomographyFit:
         root = np.linalg.cholesky(inverse_information(self.fit.solution.information))
         return np.asarray(by_theta @ root * self.noise_factor / self.problem.proximity_scale)
 
+    def rivals_px(self, tactile: npt.ArrayLike) -> Float64Array:
+        """Return how far other fits that the pairs do not rule out are from this one (N, 2, K), for their probability."""
+        pixels = np.asarray(tactile, np.float64)[:, :2]
+        return rivals_px(self.fit, lambda theta: self.problem.predict(theta, pixels))
+
 
 class HomographyProblem(Problem[Float64Array]):
     """Homography estimation in coordinates with centroid 0 and mean distance sqrt(2)."""
@@ -96,8 +102,14 @@ class HomographyProblem(Problem[Float64Array]):
     prior: Prior[Float64Array] | None = None
 
     def __init__(
-        self, tactile: Float64Array, proximity: Float64Array, sigma_tactile: float, sigma_proximity: float
+        self,
+        tactile: Float64Array,
+        proximity: Float64Array,
+        sigma_tactile: float,
+        sigma_proximity: float,
+        names: Sequence[str] | None,
     ) -> None:
+        self.names = numbered(len(tactile)) if names is None else names
         self.tactile_center, self.tactile_scale = normalisation(tactile)
         self.proximity_center, self.proximity_scale = normalisation(proximity)
         count, unit = len(tactile), np.eye(2)
@@ -108,6 +120,8 @@ class HomographyProblem(Problem[Float64Array]):
             np.broadcast_to(unit * (sigma_proximity * self.proximity_scale) ** 2, (count, 2, 2)),
             np.zeros(count, np.intp),
         )
+        self.square_pixels = np.full(count, self.proximity_scale**-2.0)
+        self.noise_px = float(np.hypot(sigma_tactile * self.tactile_scale / self.proximity_scale, sigma_proximity))
         extent, self.area = spread(proximity)
         self.largest_px, self.largest_rms_px = np.inf, _MAX_RMS_SHARE * extent
 
@@ -186,6 +200,7 @@ def fit_homography(
     sigma_tactile_px: float = CLICK_SIGMA_PX,
     sigma_proximity_px: float = CLICK_SIGMA_PX,
     use: npt.ArrayLike | None = None,
+    names: Sequence[str] | None = None,
 ) -> HomographyFit:
     """Fit the homography from tactile to proximity pixels; outliers are left out.
 
@@ -198,6 +213,8 @@ def fit_homography(
         pairs.
     use : bool, shape (N,), optional
         Inliers, if already known.
+    names : sequence of str, optional
+        Names of the pairs for refusals; default: their numbers from 1.
 
     Raises
     ------
@@ -206,7 +223,7 @@ def fit_homography(
         one homography.
     """
     tactile, proximity = check_pairs(tactile, proximity, _SAMPLE, "homography")
-    problem = HomographyProblem(tactile, proximity, sigma_tactile_px, sigma_proximity_px)
+    problem = HomographyProblem(tactile, proximity, sigma_tactile_px, sigma_proximity_px, names)
     fit = fit_robustly(problem, None if use is None else np.asarray(use, bool))
     theta = fit.solution.theta
     _refuse_mirrored(problem, theta, fit.used)
@@ -215,9 +232,9 @@ def fit_homography(
         used=fit.used,
         residuals_px=problem.residual_vectors_px(theta),
         degrees=fit.solution.degrees,
-        noise_factor=fit.solution.noise_factor,
+        noise_factor=fit.noise_factor,
         condition=fit.condition,
-        log10_nfa=fit.log10_nfa,
+        doubtful=doubtful(fit),
         problem=problem,
         fit=fit,
     )

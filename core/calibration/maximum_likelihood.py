@@ -179,41 +179,46 @@ def maximise(
     )
 
 
-def deleted_distances(
-    solution: Solution[Theta],
-    measurements: Measurements,
-    linearise: Linearise[Theta],
-    used: BoolArray,
-) -> Float64Array:
-    """Return the squared Mahalanobis distance of each pair from the fit of all *other* pairs.
+@dataclass(frozen=True, eq=False)
+class Examined:
+    """All pairs under a fit to some of them.
+
+    Attributes
+    ----------
+    distances : float64, shape (N,)
+        Squared Mahalanobis distance of each pair from the fit of all *other* pairs; infinite for a pair without which
+        they determine no model.
+    spread : float64, shape (N,)
+        Square root of the determinant of each residual's covariance, first two components: an area over 2 pi.
+    information : float64, shape (P, P)
+        Information that all pairs together would give.
+    """
+
+    distances: Float64Array
+    spread: Float64Array
+    information: Float64Array
+
+
+def examine(
+    solution: Solution[Theta], measurements: Measurements, linearise: Linearise[Theta], used: BoolArray
+) -> Examined:
+    """Judge all pairs, N of them, by a solution fitted to ``measurements.keep(used)``.
 
     The covariance of the residual is ``W - A C A^T`` for a pair that the fit used (Cook and Weisberg, *Residuals and
     Influence in Regression*, section 2.2), and ``W + A C A^T`` for one that it did not. Both distances follow a
     chi-square distribution with M degrees of freedom, times the squared noise factor.
-
-    Parameters
-    ----------
-    solution : Solution
-        Fitted to ``measurements.keep(used)``.
-    measurements : Measurements
-        All pairs, N of them.
-    used : bool, shape (N,)
-
-    Returns
-    -------
-    float64, shape (N,)
-        Infinite for a pair without which the others determine no model.
     """
     state = _evaluate(solution.theta, measurements.known, measurements, linearise, None)
     covariance = inverse_information(solution.information)
     pull = state.by_theta @ covariance @ state.by_theta.transpose(0, 2, 1)
-    spread = np.linalg.inv(state.weight)
-    spread = spread + np.where(used, -1.0, 1.0)[:, None, None] * pull
-    values, vectors = np.linalg.eigh(spread)
+    noise = np.linalg.inv(state.weight)
+    values, vectors = np.linalg.eigh(noise + np.where(used, -1.0, 1.0)[:, None, None] * pull)
     along = (vectors.transpose(0, 2, 1) @ state.residual[:, :, None])[:, :, 0]
-    floor = 1e-9 * np.trace(np.linalg.inv(state.weight), axis1=1, axis2=2)[:, None]
+    floor = 1e-9 * np.trace(noise, axis1=1, axis2=2)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.where(values > floor, along**2 / values, np.where(used[:, None], np.inf, 0.0)).sum(axis=1))
+        distances = np.where(values > floor, along**2 / values, np.where(used[:, None], np.inf, 0.0)).sum(axis=1)
+    spread = np.sqrt(np.linalg.det(noise[:, :2, :2]))
+    return Examined(distances, spread, state.information)
 
 
 def _evaluate(

@@ -88,8 +88,8 @@ class ModelQuality:
     alignment_bound_95_px : float
         95 % bound of the root mean square alignment error.
     effect : PatchEffect
-    excluded : tuple of str
-        Ids of outliers.
+    excluded, doubtful : tuple of str
+        Ids of outliers, and of pairs that may be some.
     pairs : tuple of PairQuality
     map : UncertaintyMap
     """
@@ -108,6 +108,7 @@ class ModelQuality:
     alignment_bound_95_px: float
     effect: PatchEffect
     excluded: tuple[str, ...]
+    doubtful: tuple[str, ...]
     pairs: tuple[PairQuality, ...]
     map: UncertaintyMap
 
@@ -135,6 +136,7 @@ class ModelQuality:
             "depth_difference_mm": self.effect.depth_mm,
             "supported_tolerance": self.effect.supported_tolerance,
             "excluded": list(self.excluded),
+            "doubtful": list(self.doubtful),
             "pairs": [{name: _number_or_none(value) for name, value in vars(pair).items()} for pair in self.pairs],
         }
 
@@ -411,8 +413,11 @@ def next_step(quality: ModelQuality, coverage: Coverage, proximity: Float64Array
         worst = max((pair for pair in quality.pairs if not pair.used), key=lambda pair: pair.residual_px)
         return (
             f"Click again or delete pair {listed}: left out, because the others contradict it "
-            f"(pair {worst.id} by {worst.residual_px:.0f} px)."
+            f"(pair {worst.id} by {worst.residual_px:.0f} px){_or_doubtful(quality)}."
         )
+    if quality.doubtful:
+        listed = ", ".join(quality.doubtful[:5])
+        return f"Click pair {listed} again: one of them may be wrong, and the others do not decide which."
     missing = ADVISED_POINTS - used
     if missing > 0:
         return f"Add {missing} more point{'s' if missing > 1 else ''}: with six the quality can be estimated."
@@ -429,6 +434,10 @@ def next_step(quality: ModelQuality, coverage: Coverage, proximity: Float64Array
         wanted = int(np.ceil(used * (quality.alignment_px / GOOD_PX) ** 2))
         return f"Add points to lower the error; about {min(wanted, 60)} in all, clicked with the same care."
     return "Check it on the live image and save it; nothing more is needed."
+
+
+def _or_doubtful(quality: ModelQuality) -> str:
+    return f"; if that is right, look at pair {', '.join(quality.doubtful[:5])}" if quality.doubtful else ""
 
 
 def _large_residuals(quality: ModelQuality) -> str:

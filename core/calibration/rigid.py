@@ -13,6 +13,7 @@ depth determine the offset, because it bends parallax over depth.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -27,7 +28,7 @@ from ..model.intrinsics import Intrinsics
 from .correspondences import check_space, on_a_line, spread
 from .homography import CLICK_SIGMA_PX
 from .maximum_likelihood import UNMEASURED, Linearised, Measurements, Prior, inverse_information
-from .robust import Problem, RobustFit, fit_robustly, left_out_residuals_px
+from .robust import Problem, RobustFit, doubtful, fit_robustly, left_out_residuals_px, numbered, rivals_px
 
 #: Which correction of the tactile depth is fitted.
 DepthFit = Literal["none", "offset", "scale", "both"]
@@ -180,7 +181,7 @@ class RigidFit:
         Inliers.
     residuals_px : float64, shape (N, 2)
         Clicked minus predicted pixel, in the proximity image that was clicked.
-    degrees, noise_factor, condition, log10_nfa
+    degrees, noise_factor, condition, doubtful
         As in `HomographyFit`.
     """
 
@@ -190,7 +191,7 @@ class RigidFit:
     degrees: int
     noise_factor: float
     condition: float
-    log10_nfa: float
+    doubtful: tuple[int, ...]
     rig: Rig
     problem: RigidProblem
     fit: RobustFit[Pose]
@@ -214,7 +215,7 @@ class RigidFit:
     def covariance(self) -> Float64Array:
         """Covariance of rotation vector (rad), translation (m) and, where fitted, scale and offset (m)."""
         solution = self.fit.solution
-        return np.asarray(solution.noise_factor**2 * inverse_information(solution.information))
+        return np.asarray(self.fit.noise_factor**2 * inverse_information(solution.information))
 
     @property
     def depth_sigma(self) -> tuple[float | None, float | None]:
@@ -229,11 +230,13 @@ class RigidFit:
 
     def points_m(self, places: npt.ArrayLike) -> Float64Array:
         """Map tactile pixels and raw depths (N, 3) to points in the proximity depth frame, metres."""
+        return self._moved(self.pose, places)
+
+    def _moved(self, pose: Pose, places: npt.ArrayLike) -> Float64Array:
         places = np.asarray(places, np.float64)
-        depth = self.pose.scale * places[:, 2] + self.pose.offset_m
+        depth = pose.scale * places[:, 2] + pose.offset_m
         rays = ray_seen(self.rig.tactile.intrinsics, places[:, :2])
-        tactile_points = np.column_stack([rays * depth[:, None], depth])
-        return np.asarray(tactile_points @ self.pose.rotation.T + self.pose.translation)
+        return np.asarray(np.column_stack([rays * depth[:, None], depth]) @ pose.rotation.T + pose.translation)
 
     def predict(self, places: npt.ArrayLike) -> Float64Array:
         """Map tactile pixels and raw depths (N, 3) to proximity depth pixels (N, 2)."""
@@ -249,6 +252,11 @@ class RigidFit:
         ray = points[:, :2] / points[:, 2:]
         along = by_point[:, :2] - ray[:, :, None] * by_point[:, 2:3]
         return np.asarray(along / points[:, 2, None, None] * focal[:, None])
+
+    def rivals_px(self, places: npt.ArrayLike) -> Float64Array:
+        """As `HomographyFit.rivals_px`."""
+        project = self.rig.proximity.intrinsics.project
+        return rivals_px(self.fit, lambda pose: project(self._moved(pose, places)))
 
     def depth_sensitivity(self, places: npt.ArrayLike) -> Float64Array:
         """Return the derivative (N, P) of the distance along z, metres, by whitened parameters."""
@@ -273,8 +281,10 @@ class RigidProblem(Problem[Pose]):
         rig: Rig,
         sigmas: Float64Array,
         depth_fit: DepthFit,
+        names: Sequence[str] | None,
     ) -> None:
         sigma_tactile_px, sigma_proximity_px, sigma_depth_m = sigmas
+        self.names = numbered(len(points.tactile)) if names is None else names
         self.points, self.rig, self.free = points, rig, _FREE[depth_fit]
         count = len(points.tactile)
         poses = np.stack([np.eye(4), color_pose(rig)])
@@ -305,6 +315,9 @@ class RigidProblem(Problem[Pose]):
             (color_lens(rig).fx, color_lens(rig).fy),
             (rig.proximity.intrinsics.fx, rig.proximity.intrinsics.fy),
         )
+        self.square_pixels = self.focal.prod(axis=1)
+        ratio = self.focal.mean() / np.mean([rig.tactile.intrinsics.fx, rig.tactile.intrinsics.fy])
+        self.noise_px = float(np.hypot(sigma_tactile_px * ratio, sigma_proximity_px))
         self.space = np.column_stack([rays * points.tactile_depth_m[:, None], points.tactile_depth_m])
         self.start_rays = self._rays_of_depth_camera()
         _, self.area = spread(points.proximity)
@@ -427,6 +440,7 @@ def fit_rigid(
     sigma_depth_m: float = TACTILE_DEPTH_SIGMA_M,
     depth_fit: DepthFit = "none",
     like: RigidFit | None = None,
+    names: Sequence[str] | None = None,
 ) -> RigidFit:
     """Fit the tactile camera's pose in the proximity frame; outliers are left out.
 
@@ -442,6 +456,8 @@ def fit_rigid(
         Corrections of the tactile depth that are also fitted.
     like : RigidFit, optional
         Take the inliers and the noise of this fit to the same points, to compare with it.
+    names : sequence of str, optional
+        Names of the pairs for refusals; default: their numbers from 1.
 
     Raises
     ------
@@ -457,9 +473,9 @@ def fit_rigid(
     if like is not None:
         known, observed = like.used, like.noise_factor
     for _ in range(_NOISE_ROUNDS if free and like is None else 1):
-        problem = RigidProblem(points, rig, observed * stated, depth_fit)
+        problem = RigidProblem(points, rig, observed * stated, depth_fit, names)
         fit = fit_robustly(problem, known)
-        known, observed = fit.used, max(observed * fit.solution.noise_factor, _MIN_NOISE)
+        known, observed = fit.used, max(observed * fit.noise_factor, _MIN_NOISE)
     return RigidFit(
         pose=fit.solution.theta,
         used=fit.used,
@@ -467,7 +483,7 @@ def fit_rigid(
         degrees=fit.solution.degrees,
         noise_factor=observed,
         condition=fit.condition,
-        log10_nfa=fit.log10_nfa,
+        doubtful=doubtful(fit),
         rig=rig,
         problem=problem,
         fit=fit,

@@ -1,17 +1,21 @@
-"""The robust fit of both models: a search for the consensus if needed, then maximum likelihood of the inliers.
+"""The robust fit of both models: the subset of pairs with the largest evidence, fitted by maximum likelihood.
 
-The a-contrario criterion (Moisan and Stival 2004; Moulon, Monasse and Marlet 2012) needs no inlier threshold. For each
-hypothesis and each radius r it computes the expected number of agreements by chance (number of false alarms): for k of
-n pairs within r, with samples of s pairs and an image area a,
+Each subset of the pairs is a hypothesis: its pairs are right, all others are wrong clicks. Its evidence weighs the
+residuals by the known click noise and averages over what is not known (MacKay 2003, *Information Theory, Inference, and
+Learning Algorithms*, chapter 28):
 
-    NFA = (n - s) C(n, k) C(k, s) (pi r^2 / a)^(k - s)
+- the size of the noise is near the stated one, with an inverse chi-square prior, so the residuals follow a Student t;
+- the model predicts the pairs no better before the fit than wrong clicks are (unit information prior; Kass and
+  Wasserman 1995), which makes pairs that no other pair confirms count little;
+- a wrong pair lies anywhere within an area, and every number of wrong pairs is equally likely.
 
-The hypothesis and radius with the smallest NFA win. If the NFA is not small, the pairs agree no better than random ones
-and are refused.
+Subsets are proposed by the models of minimal samples, all of them if they are few. Other subsets whose evidence is
+nearly as large stay as rivals: the data do not decide between them, so they add to the uncertainty of the fit.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import comb
@@ -19,142 +23,42 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from scipy.special import gammaln
-from scipy.stats import f as f_distribution
 
 from ..errors import CalibrationError
 from ..model.arrays import BoolArray, Float64Array, IndexArray
-from .maximum_likelihood import Linearised, Measurements, Prior, Solution, condition_number, deleted_distances, maximise
+from .maximum_likelihood import Linearised, Measurements, Prior, Solution, condition_number, examine, maximise
 
 Theta = TypeVar("Theta")
 
-#: A consensus is significant below this log10 of the number of false alarms.
-SIGNIFICANT = -3.0
-#: Minimum share of inliers; with fewer, the outliers might be the right ones.
+#: Smallest share of inliers; with fewer, the outliers might be the right ones.
 MIN_INLIER_SHARE = 0.55
-_HYPOTHESES = 700
-_FAR_PX = 1e300
-_EXHAUSTIVE = 700
-_SCORED_POINTS = 400
-
-#: One correct pair in this many is rejected as an outlier.
-_CORRECT_PER_REJECTED = 100_000
-#: Weight of the nominal click noise beside the observed one, in degrees of freedom, while judging pairs.
-_NOMINAL_DEGREES = 12
-#: Up to this ratio of observed to nominal noise, all pairs are fitted without a search for a consensus.
-_USUAL_NOISE = 1.5
-#: Outliers are searched for a second alignment above this share of all pairs; it counts with this share of inliers.
-_MIN_SECOND_SHARE, _SECOND_AGREEMENT = 0.2, 0.7
 #: Above this condition number of the scaled design, the result is dominated by noise.
 MAX_CONDITION = 3e4
 #: Cross-validation: leave-one-out up to this number of pairs, beyond that `FOLDS` groups.
 LEAVE_ONE_OUT, FOLDS = 60, 10
 
-
-@dataclass(frozen=True, eq=False)
-class Consensus:
-    """The inliers of a model, their radius in pixels, and the log10 of the number of false alarms."""
-
-    inliers: BoolArray
-    radius_px: float
-    log10_nfa: float
-
-    @property
-    def significant(self) -> bool:
-        """Whether chance is ruled out and at least `MIN_INLIER_SHARE` of the pairs are inliers."""
-        return self.log10_nfa < SIGNIFICANT and self.inliers.mean() >= MIN_INLIER_SHARE
-
-
-def samples(count: int, size: int) -> IndexArray:
-    """Return index samples, shape (M, size): all of them if they are few, otherwise random ones."""
-    if comb(count, size) <= _EXHAUSTIVE:
-        return np.array(list(combinations(range(count), size)), dtype=np.intp)
-    rng = np.random.default_rng(0)
-    return np.array([rng.choice(count, size, replace=False) for _ in range(_HYPOTHESES)], dtype=np.intp)
-
-
-def score(residuals_px: Float64Array, sample_size: int, area: float, largest_px: float = np.inf) -> Consensus:
-    """Choose the inliers of one hypothesis by the number of false alarms.
-
-    Parameters
-    ----------
-    residuals_px : float64, shape (N,)
-        Residual lengths of one hypothesis; not finite counts as far away.
-    sample_size : int
-    area : float
-        Area over which wrong points are distributed, pixels squared.
-    largest_px : float
-        Pairs with larger residuals are never inliers.
-    """
-    count = len(residuals_px)
-    order = np.argsort(residuals_px)
-    k = np.arange(sample_size + 1, count + 1)
-    if len(k) == 0:
-        return Consensus(np.ones(count, bool), float(residuals_px.max()), -np.inf)
-    radius = residuals_px[order[k - 1]]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        chance = np.log(np.clip(np.pi * radius**2 / area, 1e-300, 1.0))
-    log_nfa = (
-        np.log(count - sample_size)
-        + _log_binomial(count, k)
-        + _log_binomial(k, sample_size)
-        + (k - sample_size) * np.where(radius <= min(largest_px, _FAR_PX), chance, 0.0)
-    )
-    best = int(np.argmin(log_nfa))
-    inliers = np.zeros(count, bool)
-    inliers[order[: k[best]]] = True
-    return Consensus(inliers, float(radius[best]), float(log_nfa[best] / np.log(10)))
-
-
-def find_consensus(problem: Problem[Theta], pairs: IndexArray, first: list[Theta]) -> tuple[Consensus, Theta] | None:
-    """Search for the hypothesis with the fewest false alarms and refine it by refitting.
-
-    Parameters
-    ----------
-    problem : Problem
-    pairs : intp, shape (K,)
-        Indices of the pairs to search among; the inliers count within them.
-    first : list
-        Further hypotheses to try.
-
-    Returns
-    -------
-    Consensus and theta, or None if no sample determines a model.
-    """
-    some = np.arange(len(pairs))
-    if len(pairs) > _SCORED_POINTS:
-        some = np.random.default_rng(1).choice(len(pairs), _SCORED_POINTS, replace=False)
-    thetas = [*first, *problem.hypotheses(pairs[some[samples(len(some), problem.sample_size)]])]
-    if not thetas:
-        return None
-    ranked = [(_scored(problem, theta, pairs[some]).log10_nfa, theta) for theta in thetas]
-    ranked.sort(key=lambda entry: entry[0])
-    refined = [_refined(problem, theta, pairs) for _, theta in ranked[:5]]
-    return min(refined, key=lambda found: found[0].log10_nfa)
-
-
-def _scored(problem: Problem[Theta], theta: Theta, pairs: IndexArray) -> Consensus:
-    return score(problem.residuals_px(theta)[pairs], problem.sample_size, problem.area, problem.largest_px)
-
-
-def _refined(problem: Problem[Theta], theta: Theta, pairs: IndexArray) -> tuple[Consensus, Theta]:
-    """Refit a hypothesis to its inliers while the number of false alarms decreases."""
-    best = _scored(problem, theta, pairs)
-    for _ in range(5):
-        inliers = np.zeros(len(problem.measurements), bool)
-        inliers[pairs[best.inliers]] = True
-        solution = _try(problem, inliers)
-        if solution is None:
-            break
-        found = _scored(problem, solution.theta, pairs)
-        if not found.log10_nfa < best.log10_nfa:
-            break
-        best, theta = found, solution.theta
-    return best, theta
-
-
-def _log_binomial(n: float | IndexArray, k: float | IndexArray) -> Float64Array:
-    n, k = np.asarray(n, dtype=np.float64), np.asarray(k, dtype=np.float64)
-    return np.asarray(gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1))
+_EXHAUSTIVE = 700
+_SCORED_POINTS = 400
+#: Subsets that are fitted, and how often each is improved by what its own fit says about all pairs.
+_REFINED, _ROUNDS = 12, 4
+#: Many pairs that fit all at once with at most this ratio of observed to stated noise need no proposals.
+_USUAL_NOISE = 1.5
+#: Up to this number of pairs, all of this is tried, and each pair of the best subset is left out in turn.
+_FEW = 10
+#: Weight of the stated noise beside the observed one, in degrees of freedom.
+_STATED_DEGREES = 12.0
+#: A wrong click lies within this distance of the right one, as a rule, pixels.
+_WRONG_PX = 100.0
+#: Least log evidence against chance, where wrong clicks lie anywhere in the image: for each pair more than the model
+#: needs, up to `_SURPLUS` of them.
+_SIGNIFICANT, _SURPLUS = np.log(100.0), 3
+#: A subset whose log evidence is lower by this much is no rival.
+_RIVAL = np.log(1000.0)
+_MOST_RIVALS = 6
+#: Pairs on which a rival of this weight differs are doubtful.
+_DOUBTFUL = 0.05
+#: Outliers are searched for a second alignment above this share of all pairs; it counts with this share of inliers.
+_MIN_SECOND_SHARE, _SECOND_AGREEMENT = 0.2, 0.7
 
 
 class Problem(Protocol[Theta]):
@@ -163,6 +67,11 @@ class Problem(Protocol[Theta]):
     name: str
     sample_size: int
     measurements: Measurements
+    #: Names of the pairs, for messages.
+    names: Sequence[str]
+    #: Noise of a residual if the stated one is right, pixels, and square pixels per square unit of ``seen``, (N,).
+    noise_px: float
+    square_pixels: Float64Array
     #: Area over which wrong points are distributed, pixels squared.
     area: float
     #: Largest residual of an inlier, and largest RMS residual of an alignment, pixels.
@@ -190,6 +99,15 @@ class Problem(Protocol[Theta]):
 
 
 @dataclass(frozen=True, eq=False)
+class Rival(Generic[Theta]):
+    """Another subset that the data do not rule out: its fit, its inliers, and its probability against the best one."""
+
+    theta: Theta
+    used: BoolArray
+    weight: float
+
+
+@dataclass(frozen=True, eq=False)
 class RobustFit(Generic[Theta]):
     """A fit and its inliers.
 
@@ -199,14 +117,29 @@ class RobustFit(Generic[Theta]):
     used : bool, shape (N,)
     condition : float
         Condition number of the scaled design.
-    log10_nfa : float
-        log10 of the number of false alarms of the consensus; -inf without surplus pairs.
+    rivals : tuple of Rival
     """
 
     solution: Solution[Theta]
     used: BoolArray
     condition: float
-    log10_nfa: float
+    rivals: tuple[Rival[Theta], ...] = ()
+
+    @property
+    def noise_factor(self) -> float:
+        """Observed over stated noise; few pairs chosen to agree say little, so the stated one counts beside them."""
+        if self.used.all():
+            return self.solution.noise_factor
+        return float(np.sqrt((_STATED_DEGREES + self.solution.cost) / (_STATED_DEGREES + self.solution.degrees)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Subset(Generic[Theta]):
+    solution: Solution[Theta]
+    used: BoolArray
+    evidence: float
+    #: Squared distance of every pair from the fit of the others, see `examine`.
+    distances: Float64Array
 
 
 def fit_robustly(problem: Problem[Theta], use: BoolArray | None = None) -> RobustFit[Theta]:
@@ -221,24 +154,182 @@ def fit_robustly(problem: Problem[Theta], use: BoolArray | None = None) -> Robus
     Raises
     ------
     CalibrationError
-        Too few pairs agree, or they determine no model.
+        Too few pairs agree, or they determine no model; the pairs are named.
     """
     count = len(problem.measurements)
     everything = np.ones(count, bool)
-    if use is not None:
-        return _finish(problem, _solve(problem, use), use)
-    solution = _try(problem, everything)
-    if count == problem.sample_size and solution is not None:
-        return _finish(problem, solution, everything)
-    if solution is not None and solution.noise_factor <= _USUAL_NOISE:
-        used, solution = _settle(problem, solution, everything)
-        if used.mean() > 0.8:
-            return _finish(problem, solution, used)
-    consensus, theta = _search(problem, None if solution is None else solution.theta)
-    used, solution = _settle(problem, _solve(problem, consensus.inliers, theta), consensus.inliers)
-    fit = _finish(problem, solution, used)
-    _refuse_second_opinion(problem, used)
-    return fit
+    if use is not None or count == problem.sample_size:
+        chosen = everything if use is None else use
+        return _finish(problem, _solve(problem, chosen), chosen)
+    found = _search(problem, everything)
+    if not found:
+        _solve(problem, everything)
+        raise CalibrationError(
+            f"no {problem.sample_size} of the {count} pairs determine a {problem.name}: "
+            "they lie on one line or on each other; spread the points over the image"
+        )
+    best = found[0]
+    surplus = best.used.sum() - problem.sample_size
+    against_chance = best.evidence + surplus * np.log(problem.area / (np.pi * _WRONG_PX**2))
+    if against_chance < _SIGNIFICANT * min(surplus, _SURPLUS) or best.used.mean() < MIN_INLIER_SHARE:
+        raise no_agreement(problem, best.used, best.solution.theta)
+    _refuse_second_opinion(problem, best.used)
+    rivals = tuple(
+        Rival(other.solution.theta, other.used, float(np.exp(other.evidence - best.evidence)))
+        for other in found[1 : 1 + _MOST_RIVALS]
+    )
+    return _finish(problem, best.solution, best.used, rivals)
+
+
+def rivals_px(fit: RobustFit[Theta], predict: Callable[[Theta], Float64Array]) -> Float64Array:
+    """Return how far each rival is from the fit at N places, for its probability, shape (N, 2, K).
+
+    Probabilities below 1 count as their root, because their tails rest on the form of the noise.
+    """
+    best = predict(fit.solution.theta)
+    columns = [rival.weight**0.25 * (predict(rival.theta) - best)[:, :, None] for rival in fit.rivals]
+    return np.concatenate([np.zeros((*best.shape, 0)), *columns], axis=2)
+
+
+def doubtful(fit: RobustFit[Theta]) -> tuple[int, ...]:
+    """Return the pairs of which the data do not decide whether they are right."""
+    likely = [rival.used != fit.used for rival in fit.rivals if rival.weight > _DOUBTFUL]
+    return tuple(np.flatnonzero(np.any(likely, axis=0)).tolist()) if likely else ()
+
+
+def numbered(count: int) -> list[str]:
+    """Return names of pairs that have none."""
+    return [str(number) for number in range(1, count + 1)]
+
+
+def _search(problem: Problem[Theta], among: BoolArray) -> list[_Subset[Theta]]:
+    """Return the best subset of some pairs and its rivals, the best first."""
+    found: dict[bytes, _Subset[Theta]] = {}
+    _refine(problem, among, among, found)
+    first = max(found.values(), key=lambda subset: subset.evidence, default=None)
+    few = among.sum() <= _FEW
+    if few or first is None or first.solution.noise_factor > _USUAL_NOISE or first.used.sum() < 0.8 * among.sum():
+        for used in _proposals(problem, among):
+            _refine(problem, used, among, found)
+    if not found:
+        return []
+    best = max(found.values(), key=lambda subset: subset.evidence)
+    if few:
+        for pair in np.flatnonzero(best.used):
+            fewer = best.used.copy()
+            fewer[pair] = False
+            _add(problem, fewer, among, found, best.solution.theta)
+    ranked = sorted(found.values(), key=lambda subset: -subset.evidence)
+    return [subset for subset in ranked if subset.evidence > ranked[0].evidence - _RIVAL]
+
+
+def _proposals(problem: Problem[Theta], among: BoolArray) -> list[BoolArray]:
+    """Return the most likely subsets under the models of minimal samples: for each model the k nearest pairs."""
+    pairs = np.flatnonzero(among)
+    some = pairs
+    if len(pairs) > _SCORED_POINTS:
+        some = np.random.default_rng(1).choice(pairs, _SCORED_POINTS, replace=False)
+    thetas = problem.hypotheses(some[_samples(len(some), problem.sample_size)])
+    if not thetas:
+        return []
+    scores = np.stack([_prefix_scores(problem, problem.residuals_px(theta)[some]) for theta in thetas])
+    found: dict[bytes, BoolArray] = {}
+    wanted = _REFINED if len(pairs) == len(some) else 3
+    for entry in np.argsort(-scores, axis=None)[: 20 * wanted]:
+        model, size = np.unravel_index(entry, scores.shape)
+        residuals = problem.residuals_px(thetas[model])
+        share = (size + problem.sample_size + 1) / len(some)
+        used = np.zeros(len(among), bool)
+        used[pairs[np.argsort(residuals[pairs])[: round(share * len(pairs))]]] = True
+        found[used.tobytes()] = used
+        if len(found) == wanted:
+            break
+    return list(found.values())
+
+
+def _samples(count: int, size: int) -> IndexArray:
+    """Return index samples, shape (M, size): all of them if they are few, otherwise random ones."""
+    if comb(count, size) <= _EXHAUSTIVE:
+        return np.array(list(combinations(range(count), size)), dtype=np.intp)
+    rng = np.random.default_rng(0)
+    return np.array([rng.choice(count, size, replace=False) for _ in range(_EXHAUSTIVE)], dtype=np.intp)
+
+
+def _prefix_scores(problem: Problem[Theta], residuals_px: Float64Array) -> Float64Array:
+    """Return roughly the log evidence of the k nearest pairs, for each k above the sample size."""
+    count, size = len(residuals_px), problem.sample_size
+    nearest = np.sort(residuals_px)
+    k = np.arange(size + 1, count + 1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        cost = np.cumsum((nearest / problem.noise_px) ** 2)[size:]
+    score = _log_evidence(count, k, size, cost, 2 * (k - size), float(np.log(2 * np.pi * problem.noise_px**2)))
+    return np.where(nearest[size:] <= min(problem.largest_px, 1e100), score, -np.inf)
+
+
+def _log_evidence(
+    count: int,
+    k: int | IndexArray,
+    sample_size: int,
+    cost: float | Float64Array,
+    degrees: int | IndexArray,
+    log_spread: float,
+) -> Float64Array:
+    """Return the log evidence of k of ``count`` pairs against all pairs being wrong, without the leverage.
+
+    ``log_spread`` is the log of the area over which the noise spreads a pair, pixels squared.
+    """
+    half, total = _STATED_DEGREES / 2, (_STATED_DEGREES + np.asarray(degrees)) / 2
+    student = gammaln(total) - gammaln(half) + (total - half) * -np.log(half)
+    student = student - total * np.log1p(np.asarray(cost) / _STATED_DEGREES)
+    choices = gammaln(count + 1) - gammaln(np.asarray(k) + 1) - gammaln(count - np.asarray(k) + 1)
+    return np.asarray((k - sample_size) * (np.log(np.pi * _WRONG_PX**2) - log_spread) + student - choices)
+
+
+def _add(
+    problem: Problem[Theta], used: BoolArray, among: BoolArray, found: dict[bytes, _Subset[Theta]], near: Theta | None
+) -> _Subset[Theta] | None:
+    """Fit a subset and keep it, unless it determines no model."""
+    key = used.tobytes()
+    if key in found:
+        return found[key]
+    if used.sum() <= problem.sample_size:
+        return None
+    try:
+        start = _start(problem, used) if near is None else near
+        solution = maximise(start, problem.measurements.keep(used), problem.linearise, problem.retract, problem.prior)
+    except (CalibrationError, np.linalg.LinAlgError):
+        return None
+    view = examine(solution, problem.measurements, problem.linearise, used)
+    k, size = int(used.sum()), problem.sample_size
+    log_spread = float(np.mean(np.log(2 * np.pi * view.spread * problem.square_pixels)[used]))
+    signs, volumes = np.linalg.slogdet(np.stack([view.information * size / among.sum(), solution.information]))
+    if not (signs > 0).all() or condition_number(solution.information) > MAX_CONDITION:
+        return None
+    evidence = float(_log_evidence(int(among.sum()), k, size, solution.cost, max(solution.degrees, 0), log_spread))
+    evidence += float(volumes[0] - volumes[1]) / 2
+    if not np.isfinite(evidence) or problem.residuals_px(solution.theta)[used].max() > problem.largest_px:
+        return None
+    found[key] = _Subset(solution, used, evidence, view.distances)
+    return found[key]
+
+
+def _refine(problem: Problem[Theta], used: BoolArray, among: BoolArray, found: dict[bytes, _Subset[Theta]]) -> None:
+    """Fit a subset, and again those pairs that its fit makes likely, while the evidence increases."""
+    pairs, size = np.flatnonzero(among), problem.sample_size
+    best: _Subset[Theta] | None = None
+    for _ in range(_ROUNDS):
+        subset = _add(problem, used, among, found, None if best is None else best.solution.theta)
+        if subset is None or (best is not None and not subset.evidence > best.evidence):
+            return
+        best = subset
+        distances = subset.distances[pairs]
+        order = np.argsort(distances)
+        k = np.arange(size + 1, len(pairs) + 1)
+        cost = np.cumsum(distances[order])[size:]
+        log_spread = float(np.log(2 * np.pi * problem.noise_px**2))
+        score = _log_evidence(len(pairs), k, size, cost, 2 * (k - size), log_spread)
+        used = np.zeros(len(among), bool)
+        used[pairs[order[: k[int(np.nanargmax(score))]]]] = True
 
 
 def left_out_residuals_px(problem: Problem[Theta], fit: RobustFit[Theta]) -> Float64Array:
@@ -266,110 +357,77 @@ def left_out_residuals_px(problem: Problem[Theta], fit: RobustFit[Theta]) -> Flo
     return residuals
 
 
-def _search(problem: Problem[Theta], first: Theta | None) -> tuple[Consensus, Theta]:
-    count = len(problem.measurements)
-    found = find_consensus(problem, np.arange(count), [] if first is None else [first])
-    if found is None:
-        raise CalibrationError(
-            f"no {problem.sample_size} of the {count} pairs determine a {problem.name}: "
-            "they lie on one line or on each other; spread the points over the image"
-        )
-    if not found[0].significant:
-        raise no_agreement(problem.name, int(found[0].inliers.sum()), count, found[0].log10_nfa)
-    return found
-
-
 def _refuse_second_opinion(problem: Problem[Theta], used: BoolArray) -> None:
     """Raise if the outliers agree on another alignment: either group may be the right one."""
-    left = np.flatnonzero(~used)
-    if len(left) < max(problem.sample_size + 3, _MIN_SECOND_SHARE * len(used)):
+    left = ~used
+    if left.sum() < max(problem.sample_size + 3, _MIN_SECOND_SHARE * len(used)):
         return
-    found = find_consensus(problem, left, [])
-    if found is not None and found[0].log10_nfa < SIGNIFICANT and found[0].inliers.mean() >= _SECOND_AGREEMENT:
+    found = _search(problem, left)
+    if found and found[0].evidence > _SIGNIFICANT * _SURPLUS and found[0].used.sum() >= _SECOND_AGREEMENT * left.sum():
         raise CalibrationError(
-            f"the pairs agree on two different alignments: {int(used.sum())} on one {problem.name}, "
-            f"{int(found[0].inliers.sum())} on another; check whether some were clicked in another moment or shifted "
+            f"the pairs agree on two different alignments: {named(problem, used)} on one {problem.name}, "
+            f"{named(problem, found[0].used)} on another; check whether some were clicked in another moment or shifted "
             "by one mark, and for a homography whether they lie at two depths"
         )
 
 
-def no_agreement(name: str, agreeing: int, count: int, log10_nfa: float) -> CalibrationError:
+def named(problem: Problem[Theta], which: BoolArray, most: int = 8) -> str:
+    """Return the names of some pairs: ``"pairs 1, 2 and 4"``."""
+    names = [name for name, chosen in zip(problem.names, which, strict=True) if chosen]
+    if len(names) > most:
+        return f"{len(names)} pairs ({', '.join(names[:most])}, ...)"
+    return f"pair {names[0]}" if len(names) == 1 else f"pairs {', '.join(names[:-1])} and {names[-1]}"
+
+
+def no_agreement(
+    problem: Problem[Theta], used: BoolArray | None = None, theta: Theta | None = None
+) -> CalibrationError:
     """Return the error for pairs that agree on no model."""
-    if log10_nfa < 0 and agreeing < count:
-        found = f"only {agreeing} of the {count} pairs agree on one {name}"
-    else:
-        found = f"the {count} pairs agree on no {name}: none explains them better than chance"
+    count = len(problem.measurements)
+    found = f"the {count} pairs agree on no {problem.name}: none explains them better than chance"
+    if used is not None and theta is not None and not used.all():
+        off = problem.residuals_px(theta)[~used]
+        found = (
+            f"only {int(used.sum())} of the {count} pairs agree on one {problem.name}, and {named(problem, ~used)} "
+            f"contradict{'s' if len(off) == 1 else ''} them by {_range(off)} px"
+        )
     return CalibrationError(
         f"{found}; check that both images show the same moment and that left and right points are the same places, "
         "delete the wrong pairs or click them again"
     )
 
 
-def _try(problem: Problem[Theta], used: BoolArray) -> Solution[Theta] | None:
-    try:
-        return _solve(problem, used)
-    except (CalibrationError, np.linalg.LinAlgError):
-        return None
+def _range(values: Float64Array) -> str:
+    low, high = (round(float(min(value, 1e6))) for value in (values.min(), values.max()))
+    return f"{low}" if low == high else f"{low} to {high}"
 
 
-def _solve(problem: Problem[Theta], used: BoolArray, near: Theta | None = None) -> Solution[Theta]:
-    if used.sum() < problem.sample_size:
-        raise CalibrationError(f"a {problem.name} needs {problem.sample_size} pairs, {int(used.sum())} are left")
+def _start(problem: Problem[Theta], used: BoolArray) -> Theta:
     start = problem.start(used)
-    if start is None:
-        start = near
     if start is None:
         raise CalibrationError(
             f"the points determine no {problem.name}: they lie on one line or on each other; spread them over the image"
         )
-    return maximise(start, problem.measurements.keep(used), problem.linearise, problem.retract, problem.prior)
+    return start
 
 
-def _settle(problem: Problem[Theta], solution: Solution[Theta], used: BoolArray) -> tuple[BoolArray, Solution[Theta]]:
-    """Remove and restore pairs until each inlier is plausible under the fit of the other inliers."""
-    seen: list[bytes] = []
-    while used.tobytes() not in seen:
-        seen.append(used.tobytes())
-        kept = _plausible(problem, solution, used)
-        if kept.sum() < problem.sample_size or (kept == used).all():
-            break
-        refitted = _try_from(problem, kept, solution.theta)
-        if refitted is None:
-            break
-        used, solution = kept, refitted
-    return used, solution
+def _solve(problem: Problem[Theta], used: BoolArray) -> Solution[Theta]:
+    if used.sum() < problem.sample_size:
+        raise CalibrationError(f"a {problem.name} needs {problem.sample_size} pairs, {int(used.sum())} are left")
+    kept = problem.measurements.keep(used)
+    return maximise(_start(problem, used), kept, problem.linearise, problem.retract, problem.prior)
 
 
-def _try_from(problem: Problem[Theta], used: BoolArray, near: Theta) -> Solution[Theta] | None:
-    try:
-        return maximise(near, problem.measurements.keep(used), problem.linearise, problem.retract, problem.prior)
-    except np.linalg.LinAlgError:
-        return None
-
-
-def _plausible(problem: Problem[Theta], solution: Solution[Theta], used: BoolArray) -> BoolArray:
-    per_pair = problem.measurements.seen.shape[1]
-    distance = deleted_distances(solution, problem.measurements, problem.linearise, used)
-    degrees = np.maximum(solution.degrees - per_pair * used, 0)
-    others = np.maximum(solution.cost - np.where(used & np.isfinite(distance), distance, 0.0), 0.0)
-    noise = (_NOMINAL_DEGREES + others) / (_NOMINAL_DEGREES + degrees)
-    limit = per_pair * f_distribution.ppf(1 - 1 / _CORRECT_PER_REJECTED, per_pair, _NOMINAL_DEGREES + degrees)
-    indispensable = used & ~np.isfinite(distance)
-    return np.asarray((distance <= limit * noise) | indispensable)
-
-
-def _finish(problem: Problem[Theta], solution: Solution[Theta], used: BoolArray) -> RobustFit[Theta]:
+def _finish(
+    problem: Problem[Theta], solution: Solution[Theta], used: BoolArray, rivals: tuple[Rival[Theta], ...] = ()
+) -> RobustFit[Theta]:
     condition = condition_number(solution.information)
     if condition > MAX_CONDITION:
         raise CalibrationError(
             f"the points determine no {problem.name} (condition number {condition:.1e}): they lie almost on one line "
             "or on each other; spread them over the image"
         )
-    residuals = problem.residuals_px(solution.theta)
-    count = len(used)
-    agreement = score(np.where(used, residuals, np.inf), problem.sample_size, problem.area)
-    rms = float(np.sqrt(np.mean(residuals[used] ** 2)))
-    few = used.mean() < MIN_INLIER_SHARE
-    if count > problem.sample_size and (few or not rms <= problem.largest_rms_px):
-        raise no_agreement(problem.name, int(used.sum()), count, agreement.log10_nfa if few else 0.0)
-    return RobustFit(solution, used, condition, agreement.log10_nfa)
+    rms = float(np.sqrt(np.mean(problem.residuals_px(solution.theta)[used] ** 2)))
+    if len(used) > problem.sample_size and not rms <= problem.largest_rms_px:
+        raise no_agreement(problem)
+    return RobustFit(solution, used, condition, rivals)

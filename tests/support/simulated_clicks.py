@@ -82,7 +82,13 @@ def membrane_points(across_m: npt.ArrayLike, apex_m: npt.ArrayLike) -> Float64Ar
 
 
 def make_clicks(
-    rig: Rig, count: int, seed: int, noise: ClickNoise | None = None, color_share: float = 0.0, wrong: float = 0.0
+    rig: Rig,
+    count: int,
+    seed: int,
+    noise: ClickNoise | None = None,
+    color_share: float = 0.0,
+    wrong: float = 0.0,
+    layout: Callable[[int], Float64Array] | None = None,
 ) -> Clicks:
     """Click random places of the membrane at the three inflation levels in turn.
 
@@ -94,11 +100,14 @@ def make_clicks(
         Share of the proximity clicks that are made in the colour image.
     wrong : float
         Share of the pairs whose proximity click lies anywhere in the image.
+    layout : callable, optional
+        Places (count, 2) on a membrane of half width 1; default: random ones.
     """
     noise = noise or ClickNoise()
     rng = np.random.default_rng(seed)
     reach = _CLICKED_SHARE * np.array(_HALF_SIZE_M)
-    points = membrane_points(rng.uniform(-reach, reach, (count, 2)) + _MIDDLE_M, np.resize(LEVELS_M, count))
+    across = rng.uniform(-reach, reach, (count, 2)) if layout is None else reach * layout(count)
+    points = membrane_points(across + _MIDDLE_M, np.resize(LEVELS_M, count))
     in_color = rng.random(count) < color_share
     true = project_points(points, rig, in_color)
     proximity = true.proximity + noise.proximity_px * rng.standard_normal((count, 2))
