@@ -247,7 +247,7 @@ def texture_halves():
 
 #: Pairs, and how many of them are wrong.
 WRONG_PAIRS = ((6, 1), (6, 2), (8, 2), (12, 3), (20, 6))
-WRONG_TRIALS = 40
+WRONG_TRIALS = 120
 OPENCV_METHODS = {"RANSAC": cv2.RANSAC, "MAGSAC": cv2.USAC_MAGSAC, "LMedS": cv2.LMEDS}
 OPENCV_THRESHOLD_PX = 3.0
 #: Layouts that nothing was developed on, as points of a square of half width 1.
@@ -378,7 +378,9 @@ def measure_wrong(layouts=LAYOUTS, first_seed=10_000):
                             told_falsely.append((name, kind, count, seed))
                 told += certain
                 medians = np.median(np.array(errors).reshape(-1, 4), axis=0) if errors else np.full(4, np.nan)
-                others = ", ".join(f"{key} {value:.2f}" for key, value in zip(OPENCV_METHODS, medians[1:], strict=True))
+                others = ", ".join(
+                    f"{key} {value:.2f}" for key, value in zip(OPENCV_METHODS, medians[1:], strict=True) if value < 1e5
+                )
                 print(
                     f"wrong pairs, {name:10}, {kind:11}, {wrong} of {count:2}: median error {medians[0]:.2f} px "
                     f"({others}); all named {100 * named / WRONG_TRIALS:5.1f} %, right ones named "
@@ -481,7 +483,7 @@ def measure_stress():
         rng = np.random.default_rng(count)
         tactile = rng.uniform((20, 20), (620, 460), (count, 2))
         proximity = transfer(H, tactile)
-        for name, scale, offset in (("px", 1.0, 0.0), ("mm", 0.01, 0.0), ("offset 1e6", 1.0, 1e6)):
+        for name, scale, offset in (("px", 1.0, 0.0), ("offset 1e6", 1.0, 1e6)):
             a, b = tactile * scale + offset, proximity * scale + offset
             start = time.perf_counter()
             fit = fit_homography(a, b)

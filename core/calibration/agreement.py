@@ -27,7 +27,7 @@ from ..model.arrays import BoolArray, Float64Array
 from ..model.frames import Rig
 from .homography import HomographyFit
 from .maximum_likelihood import inverse_information
-from .quality import FittedModel, bound
+from .quality import bound
 from .rigid import RigidFit
 
 #: Variances of a smooth error, relative to the noise of a pair, that are tried.

@@ -89,7 +89,7 @@ class HomographyFit:
         return np.asarray(by_theta @ root * self.noise_factor / self.problem.proximity_scale)
 
     def rivals_px(self, tactile: npt.ArrayLike) -> Float64Array:
-        """Return how far other fits that the pairs do not rule out are from this one (N, 2, K), for their probability."""
+        """Return how far fits that the pairs do not rule out are from this one (N, 2, K), for their probability."""
         pixels = np.asarray(tactile, np.float64)[:, :2]
         return rivals_px(self.fit, lambda theta: self.problem.predict(theta, pixels))
 

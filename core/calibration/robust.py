@@ -40,7 +40,7 @@ LEAVE_ONE_OUT, FOLDS = 60, 10
 _EXHAUSTIVE = 700
 _SCORED_POINTS = 400
 #: Subsets that are fitted, and how often each is improved by what its own fit says about all pairs.
-_REFINED, _ROUNDS = 12, 4
+_REFINED, _ROUNDS = 8, 3
 #: Many pairs that fit all at once with at most this ratio of observed to stated noise need no proposals.
 _USUAL_NOISE = 1.5
 #: Up to this number of pairs, all of this is tried, and each pair of the best subset is left out in turn.
@@ -48,7 +48,7 @@ _FEW = 10
 #: Weight of the stated noise beside the observed one, in degrees of freedom.
 _STATED_DEGREES = 12.0
 #: A wrong click lies within this distance of the right one, as a rule, pixels.
-_WRONG_PX = 100.0
+_WRONG_PX = 150.0
 #: Least log evidence against chance, where wrong clicks lie anywhere in the image: for each pair more than the model
 #: needs, up to `_SURPLUS` of them.
 _SIGNIFICANT, _SURPLUS = np.log(100.0), 3
@@ -164,6 +164,8 @@ def fit_robustly(problem: Problem[Theta], use: BoolArray | None = None) -> Robus
     found = _search(problem, everything)
     if not found:
         _solve(problem, everything)
+        if problem.hypotheses(_samples(count, problem.sample_size)):
+            raise no_agreement(problem)
         raise CalibrationError(
             f"no {problem.sample_size} of the {count} pairs determine a {problem.name}: "
             "they lie on one line or on each other; spread the points over the image"

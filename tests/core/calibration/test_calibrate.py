@@ -177,7 +177,7 @@ RANDOM = np.random.default_rng(0).uniform(0, 639, 12)
 def test_pairs_that_agree_on_two_alignments_are_refused(rig):
     points = clicked(rig, 30)
     shifted = [replace(p, proximity_u=p.proximity_u + 40) if int(p.id) % 5 < 3 else p for p in points]
-    with pytest.raises(CalibrationError, match="two different alignments"):
+    with pytest.raises(CalibrationError, match=r"two different alignments: 18 pairs \(1, 2, .* 12 pairs \(3, 4, "):
         calibrate(shifted, rig, "rigid")
 
 
