@@ -1,7 +1,7 @@
 """Compare the calibration with theoretical bounds and with other implementations, and print the numbers.
 
     .venv/bin/python scripts/measure_calibration.py [homography] [coverage] [wrong] [boards] [bound] [stress]
-                                                       [texture] [patch]
+                                                       [texture] [patch] [lens]
 
 Default: all of them. All random numbers are seeded.
 """
@@ -29,6 +29,7 @@ from simulated_clicks import (
     normalised_transform,
 )
 from tactune.core.calibration.agreement import judge_agreement
+from tactune.core.calibration.correspondences import Correspondence
 from tactune.core.calibration.homography import (
     design_matrix,
     direct_linear_transform,
@@ -39,6 +40,7 @@ from tactune.core.calibration.quality import bound, membrane_places
 from tactune.core.calibration.report import USABLE_PX
 from tactune.core.calibration.rigid import fit_rigid, ray_seen
 from tactune.core.errors import CalibrationError
+from tactune.core.model.intrinsics import Distortion, Intrinsics
 from tactune.core.sources.simulator.scene import simulator_rig
 
 HOMOGRAPHIES = {
@@ -581,6 +583,90 @@ def measure_patch():
     print(f"patch, mean over objects and depths: rigid {rigid:.2f} mm, homography {plane:.2f} mm: {rigid / plane:.2f}")
 
 
+def bent_rig(tactile_k1, proximity_k1):
+    """Return the simulator's rig with radial distortion in the tactile and in both proximity lenses."""
+    rig = simulator_rig()
+
+    def bent(lens, k1):
+        return lens.model_copy(update={"distortion": Distortion.BROWN_CONRADY, "coefficients": (k1, 0, 0, 0, 0)})
+
+    return rig.with_lenses(
+        bent(rig.tactile.intrinsics, tactile_k1),
+        bent(rig.proximity.intrinsics, proximity_k1),
+        bent(rig.proximity_color.intrinsics, proximity_k1),
+    )
+
+
+def measure_lens():
+    """Radial distortion from pairs: coverage, false offers, two planes, and real boards judged on the other boards."""
+    from tactune.core.calibration.detect import detect_chessboard
+    from tactune.core.calibration.distortion import advise_distortion, two_planes
+
+    rig, trials = simulator_rig(), 300
+    for name, tactile, proximity in (("tactile", 1, 0), ("proximity", 0, 1), ("both", 1, 1), ("none", 0, 0)):
+        found, offered, scaled = 0, 0, []
+        for seed in range(trials):
+            rng = np.random.default_rng(seed)
+            k1 = rng.uniform(-0.4, 0.3, 2) * (tactile, proximity)
+            noise = ClickNoise(*[rng.uniform(0.3, 0.7)] * 2)
+            clicks = make_clicks(bent_rig(*k1), int(rng.choice([20, 30, 54, 100])), seed, noise)
+            advice = advise_distortion(clicks.correspondences(), rig)
+            found, offered = found + advice.found, offered + (advice.rig is not None)
+            if advice.rig is not None:
+                scaled += [
+                    (advice.k1[lens][0] - k) / advice.k1[lens][1]
+                    for lens, k in zip(("tactile", "proximity"), k1, strict=True)
+                ]
+        inside = f"{np.mean(np.abs(scaled) <= 2):.1%} of k1 within 2 sigma" if scaled else "no k1"
+        print(f"lens, distortion of {name}: found in {found}, offered in {offered} of {trials}; {inside}")
+    told = sum(bool(two_planes(pairs_on_two_planes(seed), rig)) for seed in range(100))
+    bent = sum(advise_distortion(pairs_on_two_planes(seed), rig).found for seed in range(100))
+    print(f"lens, two planes without distortion: called two planes in {told}, distortion in {bent} of 100")
+    if not BOARDS.is_dir():
+        return
+    lens = Intrinsics(width=640, height=480, fx=536, fy=536, cx=319.5, cy=239.5)
+    cameras = rig.with_lenses(lens, lens, lens)
+    boards = []
+    for left in sorted(BOARDS.glob("left0*.jpg")):
+        images = (
+            cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in (left, left.with_name("right" + left.name[4:]))
+        )
+        boards.append([detect_chessboard(image, 9, 6).pixels for image in images])
+    for number, (a, b) in enumerate(boards, 1):
+        pairs = [Correspondence(str(i), *v, *u) for i, (u, v) in enumerate(zip(a.tolist(), b.tolist(), strict=True))]
+        k1 = advise_distortion(pairs, cameras).k1
+        before, after = [], []
+        for other in (board for board in boards if board[0] is not a):
+            for rms, k in ((before, 0.0), (after, None)):
+                sides = [straightened(p, lens, k if k is not None or not k1 else k1[name][0])
+                         for p, name in zip(other, ("tactile", "proximity"), strict=True)]  # fmt: skip
+                H, _ = cv2.findHomography(*sides, 0)
+                rms.append(np.sqrt((np.hypot(*(transfer(H, sides[0]) - sides[1]).T) ** 2).mean()))
+        values = ", ".join(f"{name} {k:.3f} +- {sigma:.3f}" for name, (k, sigma) in k1.items()) or "none found"
+        print(f"lens, board {number}: k1 {values}; other boards {np.mean(before):.2f} -> {np.mean(after):.2f} px RMS")
+
+
+def straightened(pixels, lens, k1):
+    """Remove radial distortion from pixels (N, 2)."""
+    K = lens.camera_matrix()
+    return cv2.undistortPoints(pixels[:, None].astype(float), K, np.array([k1, 0, 0, 0]), P=K)[:, 0]
+
+
+def pairs_on_two_planes(seed):
+    """Return 54 pairs on two frontal planes, 15 to 60 mm apart, with 0.5 px noise."""
+    from simulated_clicks import project_points
+
+    rng, rig = np.random.default_rng(seed), simulator_rig()
+    across = rng.uniform((-0.12, -0.08), (0.16, 0.08), (54, 2))
+    depth = np.where(np.arange(54) % 2, 0.27, 0.27 + rng.uniform(0.015, 0.06))
+    seen = project_points(np.column_stack([across, depth]), rig, np.zeros(54, bool))
+    noisy = np.column_stack([seen.proximity, seen.tactile]) + rng.normal(0, 0.5, (54, 4))
+    return [
+        Correspondence(str(i), *row, d)
+        for i, (row, d) in enumerate(zip(noisy.tolist(), seen.tactile_depth_m, strict=True))
+    ]
+
+
 MEASUREMENTS = {
     "homography": measure_homography,
     "coverage": measure_coverage,
@@ -588,6 +674,7 @@ MEASUREMENTS = {
     "wrong-development": partial(measure_wrong, DEVELOPMENT_LAYOUTS, 0),
     "boards": measure_boards,
     "bound": measure_bound,
+    "lens": measure_lens,
     "stress": measure_stress,
     "texture": measure_texture,
     "patch": measure_patch,

@@ -11,6 +11,9 @@ import numpy as np
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from ...core.calibration import CalibrationReport, Correspondence, calibrate
+from ...core.calibration.correspondences import enabled_pairs
+from ...core.calibration.distortion import DistortionAdvice, advise_distortion
+from ...core.errors import CalibrationError
 from ...core.model.arrays import Float64Array
 from ...core.model.clouds import valid_depth
 from ...core.model.frames import Rig, SensorFrame
@@ -58,6 +61,8 @@ class Outcome:
         The pairs that were fitted.
     sentence : str
         The reason, or a summary of the fit in one line.
+    distortion : DistortionAdvice
+        Lens distortion that the pairs show.
     """
 
     pairs: tuple[PointPair, ...] = ()
@@ -65,6 +70,7 @@ class Outcome:
     alignment: Alignment | None = None
     sentence: str = ""
     fits: dict[int, PairFit] = field(default_factory=dict)
+    distortion: DistortionAdvice = field(default_factory=DistortionAdvice)
 
     @property
     def rejected(self) -> frozenset[int]:
@@ -222,7 +228,8 @@ class Fitter(QObject):
     def refit(self) -> None:
         """Fit again if any input of the fit has changed."""
         state, rig = self._session.state, self._session.rig
-        asked = (state.complete_pairs, state.choices.model, state.choices.depth_fit)
+        choices = state.choices
+        asked = (state.complete_pairs, choices.model, choices.depth_fit, choices.estimate_distortion)
         if asked == self._asked:
             return
         self._asked = asked
@@ -239,24 +246,25 @@ def fit(state: SessionState, rig: Rig) -> Outcome:
     Returns
     -------
     Outcome
-        Without a report if there are too few pairs; its sentence says so.
-
-    Raises
-    ------
-    CalibrationError
-        The pairs do not determine an alignment, or contradict each other.
+        Without a report if there are too few pairs, or if they determine no alignment or contradict each other; its
+        sentence says so.
     """
     pairs = state.complete_pairs
     missing = missing_pairs(state)
     if missing:
         return Outcome(pairs, sentence=missing)
-    report = calibrate(
-        correspondences(state, rig),
-        rig,
-        model=state.choices.model,
-        depth_fit=state.choices.depth_fit,
-        membrane=_membrane(state, rig),
-    )
+    found = correspondences(state, rig)
+    try:
+        report = calibrate(
+            found,
+            rig,
+            model=state.choices.model,
+            depth_fit=state.choices.depth_fit,
+            membrane=_membrane(state, rig),
+            estimate_distortion=state.choices.estimate_distortion,
+        )
+    except CalibrationError as error:
+        return Outcome(pairs, sentence=str(error), distortion=advise_distortion(enabled_pairs(found), rig))
     return outcome_of(pairs, report)
 
 
@@ -274,7 +282,7 @@ def outcome_of(pairs: tuple[PointPair, ...], report: CalibrationReport) -> Outco
         int(pair.id): PairFit(pair.residual_u, pair.residual_v, pair.residual_mm, pair.left_out_px, pair.used)
         for pair in chosen.pairs
     }
-    return Outcome(pairs, report, alignment_of(report), _line(report), fits)
+    return Outcome(pairs, report, alignment_of(report), _line(report), fits, report.distortion)
 
 
 def alignment_of(report: CalibrationReport) -> Alignment:

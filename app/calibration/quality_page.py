@@ -18,7 +18,7 @@ from ...core.calibration.quality import millimetres_per_pixel
 from ...core.calibration.report import grade
 from ...core.model.arrays import Float64Array, Uint8Array
 from ...core.model.frames import Rig, SensorFrame
-from ...widgets.basics.controls import AccentButton
+from ...widgets.basics.controls import AccentButton, push_button
 from ...widgets.basics.theme import TextSize, text_font
 from ...widgets.images.image_pane import ColorBar
 from ...widgets.images.point_image import PointImage
@@ -92,6 +92,11 @@ def color_pixels(depth_pixels: Float64Array, depth_m: Float64Array, rig: Rig) ->
 
 
 _UNITS = {"px": "proximity pixels", "mm": "millimetres across the line of sight"}
+_ESTIMATE_TIP = (
+    "Estimate radial lens distortion (k1, no unit) from the pairs, for lenses for which the rig states none. "
+    "Saving stores it with the preset's rig; undo removes it"
+)
+_REMOVE_TIP = "Fit without the estimated lens distortion again; undo restores it"
 _MAP_TITLE = "Expected alignment error over the membrane"
 
 
@@ -111,6 +116,8 @@ class QualityPage(QWidget):
         self.grade = _words("title", bold=True)
         self.why = _words()
         self.step = _words(bold=True)
+        self.estimated = _words()
+        self.distortion = push_button("Estimate lens distortion", _ESTIMATE_TIP)
         self.numbers = QGridLayout()
         self.numbers.setVerticalSpacing(4)
         self.numbers.setHorizontalSpacing(16)
@@ -121,6 +128,7 @@ class QualityPage(QWidget):
         layout.addLayout(self._map_column(), 3)
         layout.addWidget(self._words_column(), 2)
         self.units.idClicked.connect(lambda _: self._draw())
+        self.distortion.clicked.connect(self._toggle_distortion)
         self._job.done.connect(self._show_map)
         self._job.failed.connect(self._show_no_map)
         session.changed.connect(lambda _: self._draw())
@@ -149,6 +157,8 @@ class QualityPage(QWidget):
         column = QVBoxLayout(side)
         for label in (self.grade, self.why, self.step):
             column.addWidget(label)
+        column.addWidget(self.distortion, 0, Qt.AlignmentFlag.AlignLeft)
+        column.addWidget(self.estimated)
         column.addSpacing(8)
         column.addLayout(self.numbers)
         column.addWidget(self.warnings)
@@ -165,6 +175,7 @@ class QualityPage(QWidget):
         """Show a new fit."""
         self._outcome = outcome
         report = outcome.report
+        self._show_distortion(outcome)
         while (item := self.numbers.takeAt(0)) is not None:
             widget = item.widget()
             if widget is not None:
@@ -223,6 +234,22 @@ class QualityPage(QWidget):
             if pair.enabled and pair.tactile_depth_m is not None
         ]
         self.coverage.set_coverage(report.coverage.cells, depths)
+
+    def _show_distortion(self, outcome: Outcome) -> None:
+        """Offer to estimate lens distortion, or to remove the estimate."""
+        used = outcome.report is not None and outcome.report.distortion_used
+        self.distortion.setText("Remove lens distortion" if used else "Estimate lens distortion")
+        self.distortion.setToolTip(_REMOVE_TIP if used else _ESTIMATE_TIP)
+        self.distortion.setVisible(outcome.distortion.rig is not None)
+        self.estimated.setText(
+            outcome.distortion.sentence.replace("Estimate lens", "Estimated lens", 1) if used else ""
+        )
+        self.estimated.setVisible(used)
+
+    def _toggle_distortion(self) -> None:
+        report = self._outcome.report
+        used = report is not None and report.distortion_used
+        self._session.choose(self.distortion.text(), estimate_distortion=not used)
 
     def _unit(self) -> str:
         return list(_UNITS)[self.units.checkedId()]

@@ -75,6 +75,7 @@ class Choices(_Frozen):
     model: ModelChoice = "auto"
     depth_fit: DepthChoice = "auto"
     set_tolerance: bool = False
+    estimate_distortion: bool = False
 
 
 @dataclass(frozen=True, eq=False)

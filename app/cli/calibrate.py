@@ -52,6 +52,13 @@ def calibrate(
         DepthChoice,
         typer.Option("--depth-fit", help="Also fit an offset and a scale of the tactile depth. auto: as recommended."),
     ] = DepthChoice.AUTO,
+    estimate_distortion: Annotated[
+        bool,
+        typer.Option(
+            "--estimate-distortion",
+            help="Estimate radial lens distortion from the pairs and save it with the rig, if they show it.",
+        ),
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
     out: Annotated[
         Path | None,
@@ -75,7 +82,11 @@ def calibrate(
     base = None
     if out is not None:
         base = load_preset(out) if out.exists() else Preset().with_value("name", out.stem)
-    report = fit(pairs, cameras, model.value, depth_fit=depth_fit.value)
+    report = fit(pairs, cameras, model.value, depth_fit=depth_fit.value, estimate_distortion=estimate_distortion)
+    if estimate_distortion and not report.distortion_used:
+        warn(report.distortion.sentence or "no lens distortion was estimated: the pairs show none, or are too few")
+    elif report.distortion.rig is not None and not estimate_distortion:
+        warn(f"{report.distortion.sentence} Add --estimate-distortion.")
     if html is not None:  # first: where it fails, the preset stays as it was
         write_html(html, report, points.stem if base is None else base.name)
     if out is not None and base is not None:

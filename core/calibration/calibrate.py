@@ -16,6 +16,7 @@ from ..preset import now
 from .agreement import Agreement, judge_agreement
 from .correspondences import Correspondence, enabled_pairs, pixel_arrays
 from .depth_advice import advise_depth_fit
+from .distortion import advise_distortion, two_planes
 from .homography import CLICK_SIGMA_PX, HomographyFit, fit_homography
 from .quality import (
     PatchEffect,
@@ -27,7 +28,7 @@ from .quality import (
     patch_effect,
     uncertainty_map,
 )
-from .report import CalibrationReport, ModelName, ModelQuality, PairQuality, verdict
+from .report import CalibrationReport, ModelName, ModelQuality, PairQuality, distortion_verdict, verdict
 from .rigid import DepthFit, RigidFit, RigidPoints, color_pose, color_to_depth_pixels, fit_rigid, ray_seen
 
 Model = Literal["auto", "homography", "rigid"]
@@ -48,6 +49,7 @@ def calibrate(
     *,
     depth_fit: DepthChoice = "none",
     membrane: npt.ArrayLike | None = None,
+    estimate_distortion: bool = False,
 ) -> CalibrationReport:
     """Fit both models to correspondences and report their quality.
 
@@ -63,6 +65,8 @@ def calibrate(
     membrane : array_like, shape (M, 3), optional
         Places (tactile u, v in pixels, depth in metres) over which the alignment is judged. Default: a grid over the
         tactile image at the depths of the points.
+    estimate_distortion : bool
+        Use the radial lens distortion that `advise_distortion` offers, if it offers one.
 
     Raises
     ------
@@ -72,6 +76,9 @@ def calibrate(
     pairs = enabled_pairs(correspondences)
     _refuse_repeated(pairs)
     _, tactile, depth = pixel_arrays(pairs)
+    distortion = advise_distortion(pairs, rig)
+    if estimate_distortion and distortion.rig is not None:
+        rig = distortion.rig
     advice = advise_depth_fit(rigid_points(pairs), rig)
     fitted_depth = advice.depth_fit if depth_fit == "auto" else depth_fit
     rigid, refused_rigid = _try_rigid(pairs, rig, fitted_depth)
@@ -79,6 +86,10 @@ def calibrate(
     names = [pair.id for pair in pairs]
     homography, refused_homography = _try_homography(tactile, clicked, rigid, depth, names)
     refused = {"homography": refused_homography, "rigid": refused_rigid}
+    if distortion.found and not estimate_distortion:
+        refused = {name: why and distortion.sentence for name, why in refused.items()}
+    elif refused_homography and (planes := two_planes(pairs, rig)):
+        refused["homography"] = planes
     _raise_if_missing(model, refused)
 
     places = membrane_places(tactile, depth, rig) if membrane is None else np.asarray(membrane, np.float64)
@@ -101,7 +112,10 @@ def calibrate(
         quality=quality,
         refused={name: text for name, text in refused.items() if text},
         coverage=covered,
-        verdict=verdict(quality[chosen], covered, with_place[used], rig),
+        verdict=distortion_verdict(quality[chosen], distortion)
+        if distortion.found and rig is not distortion.rig
+        else verdict(quality[chosen], covered, with_place[used], rig),
+        distortion=distortion,
         depth_fit=fitted_depth,
         depth_advice=advice,
         warnings=tuple(_warnings(pairs, rigid, rig, fitted_depth)),

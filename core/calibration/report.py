@@ -19,6 +19,7 @@ from ..preset.alignment import CalibrationRecord, ClickedPair, ModelSummary, Sna
 from .agreement import Agreement
 from .correspondences import Correspondence
 from .depth_advice import DepthAdvice
+from .distortion import DistortionAdvice
 from .homography import HomographyFit
 from .quality import Coverage, PatchEffect, UncertaintyMap
 from .rigid import DepthFit, RigidFit
@@ -162,6 +163,8 @@ class CalibrationReport:
         The correction of the tactile depth that the rigid fit contains.
     depth_advice : DepthAdvice
         The correction that is recommended, and why.
+    distortion : DistortionAdvice
+        Lens distortion that the pairs show and the rig does not state; its rig is ``rig`` if it is used.
     warnings : tuple of str
     pairs : tuple of Correspondence
         All given correspondences, including disabled ones.
@@ -180,6 +183,7 @@ class CalibrationReport:
     verdict: str
     depth_fit: DepthFit
     depth_advice: DepthAdvice
+    distortion: DistortionAdvice
     warnings: tuple[str, ...]
     pairs: tuple[Correspondence, ...]
     rig: Rig
@@ -189,6 +193,11 @@ class CalibrationReport:
     def chosen(self) -> ModelQuality:
         """The quality of ``model``."""
         return self.quality[self.model]
+
+    @property
+    def distortion_used(self) -> bool:
+        """Whether the fits contain the estimated lens distortion."""
+        return self.rig is self.distortion.rig
 
     def to_json(self) -> dict[str, Any]:
         """Return the whole report as JSON values."""
@@ -201,6 +210,12 @@ class CalibrationReport:
             "T_proximity_tactile": None if rigid is None else rigid.T_proximity_tactile.tolist(),
             "depth_fit": self.depth_fit,
             "depth_advice": vars(self.depth_advice),
+            "distortion": {
+                "found": self.distortion.found,
+                "used": self.distortion_used,
+                "sentence": self.distortion.sentence,
+                "k1": {name: list(values) for name, values in self.distortion.k1.items()},
+            },
             "depth_scale": None if rigid is None else rigid.pose.scale,
             "depth_offset_m": None if rigid is None else rigid.pose.offset_m,
             "pose_uncertainty": None if rigid is None else _pose_uncertainty(rigid),
@@ -297,7 +312,10 @@ class CalibrationReport:
 
     def words(self) -> str:
         """Return the whole report as text."""
-        lines = [f"Model: {self.model}. {self.reason}", self.depth_advice.reason, "", _table(self)]
+        lines = [f"Model: {self.model}. {self.reason}", self.depth_advice.reason]
+        if self.distortion.sentence:
+            lines.append(f"{'Done: ' if self.distortion_used else ''}{self.distortion.sentence}")
+        lines += ["", _table(self)]
         chosen = self.chosen
         lines += [f"Not fitted, {name}: {reason}" for name, reason in self.refused.items()]
         if self.rigid is not None:
@@ -384,6 +402,11 @@ def verdict(quality: ModelQuality, coverage: Coverage, proximity: Float64Array, 
     rig : Rig
     """
     return f"{grade(quality)} {next_step(quality, coverage, proximity, rig)}"
+
+
+def distortion_verdict(quality: ModelQuality, distortion: DistortionAdvice) -> str:
+    """Return the grade of a fit to pairs that show lens distortion, and the offer to estimate it."""
+    return f"{grade(quality)} {distortion.sentence}"
 
 
 def grade(quality: ModelQuality) -> str:

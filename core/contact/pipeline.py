@@ -10,7 +10,7 @@ from typing import Any
 from ..model.frames import Rig, SensorFrame
 from ..model.patch import ContactPatch, Lazy
 from ..preset import Preset
-from ..preset.checks import check_rig
+from ..preset.checks import check_rig, rig_in_use
 from ..preset.contact_test import AVERAGE
 from .alignment import make_alignment
 from .finder import ContactFinder, Steps, Workspace
@@ -50,7 +50,7 @@ class ContactPipeline:
     ----------
     preset : Preset
     rig : Rig
-        The rig that records the frames.
+        The rig that records the frames; a lens distortion that the preset's calibration estimated is added to it.
     still : Still, optional
         Return the last patch again while nothing moves; without it every frame is computed. The depths of a frame
         are compared with those that the patch was computed from, so small changes do not add up.
@@ -62,7 +62,8 @@ class ContactPipeline:
     """
 
     def __init__(self, preset: Preset, rig: Rig, *, still: Still | None = None) -> None:
-        self.rig = rig
+        self._stated = rig
+        self.rig = rig = rig_in_use(preset, rig)
         self.warnings = check_rig(preset, rig)
         self._still = still
         self._workspace = Workspace(rig)
@@ -88,6 +89,10 @@ class ContactPipeline:
         RigMismatchError
             As the constructor does; the old preset then stays in use.
         """
+        rig = rig_in_use(preset, self._stated)
+        if rig != self.rig:  # other lenses: nothing of this pipeline can be kept
+            vars(self).update(vars(ContactPipeline(preset, self._stated, still=self._still)))
+            return
         warnings = check_rig(preset, self.rig)
         if preset.alignment.geometry != self._preset.alignment.geometry:
             self._alignment = make_alignment(preset.alignment, self.rig)

@@ -123,6 +123,16 @@ class Rig(_Frozen):
         camera = self.proximity_color.intrinsics if self.proximity_color else self.proximity.intrinsics
         return camera.shape
 
+    def with_lenses(self, tactile: Intrinsics, proximity: Intrinsics, color: Intrinsics | None = None) -> Rig:
+        """Return the rig with other lenses; ``color`` has no effect without a colour camera."""
+        changes: dict[str, object] = {
+            "tactile": self.tactile.model_copy(update={"intrinsics": tactile}),
+            "proximity": self.proximity.model_copy(update={"intrinsics": proximity}),
+        }
+        if self.proximity_color is not None and color is not None:
+            changes["proximity_color"] = self.proximity_color.model_copy(update={"intrinsics": color})
+        return self.model_copy(update=changes)
+
 
 @dataclass(frozen=True)
 class TrueStrain:

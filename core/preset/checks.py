@@ -27,6 +27,41 @@ def homography_notes(preset: Preset) -> list[str]:
     return [] if preset.alignment.model != "homography" or not note else [f"Preset {preset.name!r} {note}"]
 
 
+def rig_in_use(preset: Preset, rig: Rig) -> Rig:
+    """Return the present rig with the lens distortion that the preset's calibration estimated.
+
+    A lens of the preset's rig replaces the present one if the present one has no distortion and nothing else differs.
+    """
+    made_for = preset.rig
+    if made_for is None:
+        return rig
+    lenses = {role: _with_distortion(getattr(made_for, role), getattr(rig, role)) for role in ("tactile", "proximity")}
+    before, now = made_for.proximity_color, rig.proximity_color
+    color = None
+    if now is not None:
+        same = before is not None and _same_camera(made_for.proximity, rig.proximity)
+        color = _distorted(before.intrinsics, now.intrinsics) if same and before is not None else now.intrinsics
+    found = rig.with_lenses(lenses["tactile"], lenses["proximity"], color)
+    return rig if found == rig else found
+
+
+def _with_distortion(made_for: DepthCamera, found: DepthCamera) -> Intrinsics:
+    same = _same_camera(made_for, found)
+    return _distorted(made_for.intrinsics, found.intrinsics) if same else found.intrinsics
+
+
+def _same_camera(made_for: DepthCamera, found: DepthCamera) -> bool:
+    return made_for.serial == found.serial or not (made_for.serial and found.serial)
+
+
+def _distorted(made_for: Intrinsics, found: Intrinsics) -> Intrinsics:
+    if found.has_distortion or not made_for.has_distortion:
+        return found
+    changes = {"distortion": made_for.distortion, "coefficients": made_for.coefficients}
+    bent = found.model_copy(update=changes)
+    return bent if not _lens_difference(made_for, bent) else found
+
+
 def check_rig(preset: Preset, rig: Rig) -> list[str]:
     """Return sentences on differences between the preset's rig and the present rig, and on their consequences.
 
@@ -67,15 +102,23 @@ def _compare(name: str, role: str, made_for: DepthCamera, found: DepthCamera) ->
 
 def _compare_lenses(name: str, role: str, made_for: Intrinsics, found: Intrinsics) -> list[str]:
     """Return one sentence on the first field that differs by more than another driver's rounding."""
+    field = _lens_difference(made_for, found)
+    if not field:
+        return []
+    return [
+        f"Preset {name!r} was made for other {role} intrinsics ({field} {getattr(made_for, field)}, here "
+        f"{getattr(found, field)}); check the alignment."
+    ]
+
+
+def _lens_difference(made_for: Intrinsics, found: Intrinsics) -> str:
+    """Return the first field that differs by more than another driver's rounding; empty for none."""
     for field in Intrinsics.model_fields:
         before, now = getattr(made_for, field), getattr(found, field)
         same = before == now if field == "distortion" else np.allclose(before, now, rtol=1e-5, atol=1e-6)
         if not same:
-            return [
-                f"Preset {name!r} was made for other {role} intrinsics ({field} {before}, here {now}); "
-                "check the alignment."
-            ]
-    return []
+            return field
+    return ""
 
 
 def _compare_color(name: str, made_for: ColorCamera | None, found: ColorCamera | None) -> list[str]:
