@@ -15,6 +15,7 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QPushButton
 
 from pairs import snapshot_of, with_pairs
+from simulated_clicks import project_points
 from tactune.app.calibration.finder import find_pairs
 from tactune.app.calibration.fitting import fit
 from tactune.app.calibration.keeping import Keeper
@@ -22,10 +23,11 @@ from tactune.app.calibration.overlay import OverlayMode, make_overlay
 from tactune.app.calibration.pictures import image_choices, picture
 from tactune.app.calibration.prediction import Alignment, proximity_partner, tactile_partner
 from tactune.app.calibration.recheck_window import RecheckWindow
-from tactune.app.calibration.session import Choices, Session, Snapshot
+from tactune.app.calibration.session import Choices, PointPair, Session, Snapshot
 from tactune.app.worker.playback import PlaybackState
 from tactune.core.errors import CalibrationError
-from tactune.core.model.frames import SensorFrame
+from tactune.core.model.frames import SensorFrame, rigid_transform
+from tactune.core.model.intrinsics import Distortion
 from tactune.core.preset import Preset
 
 LEFT = Qt.MouseButton.LeftButton
@@ -357,6 +359,37 @@ def test_every_page_is_undone(open_wizard, scene, frames, feed, qtbot):
         QTest.keyClick(wizard, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
     assert wizard.session.state == before
     assert not box.isChecked() and wizard.frames.average.value() == 10
+
+
+def test_lens_distortion_is_offered_used_and_undone(open_wizard, scene, frames, qtbot):
+    update = {"distortion": Distortion.BROWN_CONRADY, "coefficients": (-0.2, 0.0, 0.0, 0.0, 0.0)}
+    bent = scene.rig.with_lenses(
+        scene.rig.tactile.intrinsics.model_copy(update=update), scene.rig.proximity.intrinsics
+    ).model_copy(update={"T_proximity_tactile": rigid_transform(scene.T_p_t)})
+    space = np.concatenate([scene.points(0.2), scene.points(1.0)])
+    seen = project_points(space, bent, np.ones(len(space), bool))
+    shaken = np.random.default_rng(0).normal(0, 0.3, (len(space), 4))
+    pairs = [
+        PointPair(key=0, proximity=tuple(left), tactile=tuple(right), tactile_depth_m=depth_m, origin="test")
+        for left, right, depth_m in zip(
+            (seen.proximity + shaken[:, :2]).tolist(),
+            (seen.tactile + shaken[:, 2:]).tolist(),
+            seen.tactile_depth_m.tolist(),
+            strict=True,
+        )
+    ]
+    wizard = open_wizard()
+    wizard.session.add_pairs(pairs, "Add pairs")
+    qtbot.waitUntil(lambda: wizard.outcome.distortion.rig is not None, timeout=20_000)
+    wizard.go_to(3)
+    button = wizard.quality.distortion
+    assert button.isVisible() and "k1" in button.toolTip() and "Estimate lens distortion" in wizard.quality.step.text()
+    QTest.mouseClick(button, LEFT)
+    qtbot.waitUntil(lambda: wizard.outcome.report is not None and wizard.outcome.report.distortion_used, timeout=20_000)
+    assert "k1 = -0.2" in wizard.quality.estimated.text() and button.text() == "Remove lens distortion"
+    assert wizard.outcome.report.rig.tactile.intrinsics.has_distortion
+    QTest.keyClick(wizard, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
+    qtbot.waitUntil(lambda: button.text() == "Estimate lens distortion", timeout=20_000)
 
 
 # Check
