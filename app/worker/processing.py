@@ -11,6 +11,7 @@ from ...core.errors import TactuneError
 from ...core.evaluation.metrics import patch_overlap
 from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import Preset
+from ...core.preset.checks import rig_in_use
 from ..document.comparison import Sides
 from .playback import PlaybackState
 from .rendering import Renderer
@@ -195,5 +196,6 @@ class FrameProcessor:
         return ComparedFrame(a, b, patch_overlap(a.patch, b.patch), difference)
 
     def _render(self, finder: PatchFinder, frame: SensorFrame, rig: Rig, wanted: Wanted) -> Rendered:
+        rig = rig_in_use(finder.preset, rig)
         rendered = self._renderer.render(frame, finder.patch, finder.preset, rig, wanted)
         return replace(rendered, no_contact=finder.waiting) if finder.waiting else rendered

@@ -15,6 +15,7 @@ from ..model.arrays import Float64Array
 from ..model.frames import Rig, rigid_transform
 from ..model.patch import ContactPatch
 from ..preset import Preset
+from ..preset.checks import rig_in_use
 from .object_mesh import Axis, ObjectMesh, import_open3d
 from .pose_fit import ON_MESH_M, Fit, PatchPoints, fit, moved, noise_density_m4, patch_points
 from .pose_search import Membrane, Searched, search, search_near, two_way_m
@@ -177,7 +178,7 @@ class PoseTracker:
     def __init__(self, mesh: ObjectMesh, preset: Preset, rig: Rig) -> None:
         import_open3d()
         self.mesh = mesh
-        self._preset, self._rig = preset, rig
+        self._preset, self._rig = preset, rig_in_use(preset, rig)
         self._density_m4 = noise_density_m4(preset, rig)
         self._last: Fit | None = None
         self._pose: Float64Array | None = None

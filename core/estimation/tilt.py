@@ -32,6 +32,7 @@ from ..model.frames import Rig
 from ..model.intrinsics import Intrinsics
 from ..model.patch import ContactPatch
 from ..preset import Preset
+from ..preset.checks import rig_in_use
 from .plane import Cells, DepthNoise, Functionals
 
 TiltMethod = Literal["pca", "noise"]
@@ -145,6 +146,7 @@ class TiltEstimator:
 
     def __init__(self, preset: Preset, rig: Rig, method: TiltMethod = "noise") -> None:
         self.method: TiltMethod = method
+        rig = rig_in_use(preset, rig)
         self._lens = rig.proximity.intrinsics
         self._proximity, self._tactile = _USUAL_PROXIMITY, _USUAL_TACTILE
         if preset.noise is not None:
