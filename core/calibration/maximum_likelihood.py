@@ -188,6 +188,8 @@ class Examined:
     distances : float64, shape (N,)
         Squared Mahalanobis distance of each pair from the fit of all *other* pairs; infinite for a pair without which
         they determine no model.
+    left_out : float64, shape (N, M)
+        Residual of each pair under the fit of the other pairs; nan where its distance is infinite.
     spread : float64, shape (N,)
         Square root of the determinant of each residual's covariance, first two components: an area over 2 pi.
     information : float64, shape (P, P)
@@ -195,6 +197,7 @@ class Examined:
     """
 
     distances: Float64Array
+    left_out: Float64Array
     spread: Float64Array
     information: Float64Array
 
@@ -217,8 +220,9 @@ def examine(
     floor = 1e-9 * np.trace(noise, axis1=1, axis2=2)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         distances = np.where(values > floor, along**2 / values, np.where(used[:, None], np.inf, 0.0)).sum(axis=1)
-    spread = np.sqrt(np.linalg.det(noise[:, :2, :2]))
-    return Examined(distances, spread, state.information)
+        grown = noise @ vectors @ (along / values)[:, :, None]
+    left_out = np.where((used & (values <= floor).any(axis=1))[:, None], np.nan, grown[:, :, 0])
+    return Examined(distances, left_out, np.sqrt(np.linalg.det(noise[:, :2, :2])), state.information)
 
 
 def _evaluate(

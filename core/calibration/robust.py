@@ -34,8 +34,6 @@ Theta = TypeVar("Theta")
 MIN_INLIER_SHARE = 0.55
 #: Above this condition number of the scaled design, the result is dominated by noise.
 MAX_CONDITION = 3e4
-#: Cross-validation: leave-one-out up to this number of pairs, beyond that `FOLDS` groups.
-LEAVE_ONE_OUT, FOLDS = 60, 10
 
 _EXHAUSTIVE = 700
 _SCORED_POINTS = 400
@@ -335,28 +333,10 @@ def _refine(problem: Problem[Theta], used: BoolArray, among: BoolArray, found: d
 
 
 def left_out_residuals_px(problem: Problem[Theta], fit: RobustFit[Theta]) -> Float64Array:
-    """Return each pair's residual under the fit of the others, shape (N, 2): cross-validation.
-
-    Leave-one-out up to `LEAVE_ONE_OUT` pairs, otherwise `FOLDS`-fold. Outliers keep their residual under the fit of all
-    inliers; nan if the others determine no model.
-    """
+    """Return each pair's residual under the fit of the others, shape (N, 2); nan if they determine no model."""
     residuals = problem.residual_vectors_px(fit.solution.theta)
-    pairs = np.flatnonzero(fit.used)
-    folds = len(pairs) if len(pairs) <= LEAVE_ONE_OUT else FOLDS
-    shuffled = pairs if folds == len(pairs) else np.random.default_rng(0).permutation(pairs)
-    for fold in np.array_split(shuffled, folds):
-        others = fit.used.copy()
-        others[fold] = False
-        left = problem.measurements.keep(others)
-        if left.count < len(fit.solution.information):
-            residuals[fold] = np.nan
-            continue
-        solution = maximise(fit.solution.theta, left, problem.linearise, problem.retract, problem.prior)
-        if condition_number(solution.information) > MAX_CONDITION:
-            residuals[fold] = np.nan
-        else:
-            residuals[fold] = problem.residual_vectors_px(solution.theta)[fold]
-    return residuals
+    grown = examine(fit.solution, problem.measurements, problem.linearise, fit.used).left_out[:, :2]
+    return np.where(fit.used[:, None], grown * np.sqrt(problem.square_pixels)[:, None], residuals)
 
 
 def _refuse_second_opinion(problem: Problem[Theta], used: BoolArray) -> None:
