@@ -314,7 +314,8 @@ class CalibrationReport:
         """Return the whole report as text."""
         lines = [f"Model: {self.model}. {self.reason}", self.depth_advice.reason]
         if self.distortion.sentence:
-            lines.append(f"{'Done: ' if self.distortion_used else ''}{self.distortion.sentence}")
+            done = self.distortion.sentence.replace("Estimate", "Estimated", 1)
+            lines.append(done if self.distortion_used else self.distortion.sentence)
         lines += ["", _table(self)]
         chosen = self.chosen
         lines += [f"Not fitted, {name}: {reason}" for name, reason in self.refused.items()]

@@ -70,7 +70,7 @@ def check_rig(preset: Preset, rig: Rig) -> list[str]:
     RigMismatchError
         The image sizes differ, or the region of interest lies outside the image.
     """
-    warnings = []
+    rig, warnings = rig_in_use(preset, rig), []
     if preset.rig is not None:
         for role in ("proximity", "tactile"):
             warnings += _compare(preset.name, role, getattr(preset.rig, role), getattr(rig, role))
