@@ -137,7 +137,8 @@ class Agreement:
                 f"by at most {worst.limit_px:.1f} px."
             )
         if self.probability > _FOUND:
-            return "Neighbouring pairs are off in the same direction, which independent clicks are not."
+            halves = f"; the {' and the '.join(worst.names)} half disagree by {worst.apart_px:.1f} px" if worst else ""
+            return f"Neighbouring pairs are off in the same direction, which independent clicks are not{halves}."
         if self.sloppy:
             return (
                 f"Regions left out of the fit are off by {self.cross_validated_px:.1f} px, with careful clicks by "
