@@ -24,7 +24,7 @@ def fitted(qtbot, wizard, state):
     qtbot.waitUntil(lambda: wizard.outcome.report is not None and wizard.outcome.pairs == state.complete_pairs)
 
 
-def careless(state, sigma_px=6.0):
+def careless(state, sigma_px=2.5):
     """The same pairs, clicked carelessly."""
     rng = np.random.default_rng(5)
     for pair in state.pairs:
