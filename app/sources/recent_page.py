@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from PyQt6.QtCore import QSize, Qt
-from PyQt6.QtGui import QColor, QIcon, QKeyEvent, QPainter, QPalette, QPixmap
+from PyQt6.QtGui import QColor, QIcon, QImage, QKeyEvent, QPainter, QPalette, QPixmap
 from PyQt6.QtWidgets import QListWidget, QListWidgetItem, QVBoxLayout, QWidget
 
 from ...core.sources.registry import is_recording, missing_path
@@ -91,10 +91,14 @@ class RecentPage(SourcePage):
                 self._show_picture(item)
 
     def _show_picture(self, item: QListWidgetItem, gray: bool = False) -> None:
-        picture = QPixmap(str(self._thumbnails.path(item.data(Qt.ItemDataRole.UserRole))))
-        if picture.isNull():
+        image = self._thumbnails.load(item.data(Qt.ItemDataRole.UserRole))
+        if image is None:
             picture = QPixmap(*SIZE)
             picture.fill(QColor(128, 128, 128, 48))
+        else:
+            height, width = image.shape[:2]
+            shown = QImage(image.tobytes(), width, height, 3 * width, QImage.Format.Format_RGB888)
+            picture = QPixmap.fromImage(shown.copy())
         icon = _padded(picture)
         item.setIcon(QIcon(icon.pixmap(QSize(*SIZE), QIcon.Mode.Disabled)) if gray else icon)
 

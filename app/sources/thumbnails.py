@@ -8,11 +8,13 @@ from contextlib import suppress
 from pathlib import Path
 
 import cv2
+import numpy as np
 import platformdirs
 
 from ...core.errors import TactuneError
 from ...core.model.arrays import Uint8Array
 from ...core.model.files import atomic_path
+from ...core.model.loading import decode_image, read_file
 from ...core.sources.base import Progress
 from ...core.sources.registry import open_source
 
@@ -20,6 +22,7 @@ from ...core.sources.registry import open_source
 SIZE = (160, 90)
 #: The pictures that were used least recently are removed above this number.
 _MAX_PICTURES = 100
+_MAX_BYTES = 1_000_000
 
 
 def default_folder() -> Path:
@@ -37,6 +40,15 @@ class Thumbnails:
         """Return the file of a source's picture; it may not exist."""
         key = hashlib.sha256(name.encode(errors="surrogatepass")).hexdigest()  # file names need not be valid Unicode
         return self._folder / f"{key[:24]}.png"
+
+    def load(self, name: str) -> Uint8Array | None:
+        """Return a source's picture, RGB, uint8, shape (H, W, 3); None without one, or where its file is damaged."""
+        try:
+            image = decode_image(read_file(self.path(name), _MAX_BYTES))  # Qt would wait for a pipe's writer
+        except (OSError, ValueError):
+            return None
+        fits = image.dtype == np.uint8 and image.ndim == 3 and image.shape[2] == 3
+        return np.ascontiguousarray(image[:, :, ::-1]) if fits else None
 
     def keep(self, name: str, image: Uint8Array) -> None:
         """Keep a picture of a source: RGB, uint8, shape (H, W, 3)."""

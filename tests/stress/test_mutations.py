@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import random
 import re
 import signal
@@ -24,6 +25,7 @@ from fuzz_recordings import damaged
 from tactune.app.document.keeping import write_json
 from tactune.app.document.recovery import unsaved_work
 from tactune.app.settings import Settings
+from tactune.app.sources.thumbnails import Thumbnails
 from tactune.core import ContactPipeline, load_preset, open_source
 from tactune.core.calibration.correspondences import read_points as read_pairs
 from tactune.core.errors import TactuneError
@@ -160,6 +162,23 @@ def test_damaged_states_of_the_window_keep_it_from_nothing(tmp_path: Path, qapp:
         assert isinstance(read.text("theme"), str)
         QWidget().restoreGeometry(read.blob("window/geometry"))
     assert 0 < found < 400
+
+
+def test_a_picture_that_is_damaged_or_a_pipe_is_left_out(tmp_path: Path) -> None:
+    pictures = Thumbnails(tmp_path)
+    pictures.keep("a", np.full((90, 160, 3), (200, 10, 30), np.uint8))
+    file, shown = pictures.path("a"), pictures.load("a")
+    assert shown is not None
+    assert shown[0, 0].tolist() == [200, 10, 30]
+    whole = file.read_bytes()
+    for seed in range(300):
+        file.write_bytes(damaged(whole, random.Random(f"picture {seed}")))
+        with bounded(len(whole)):
+            pictures.load("a")
+    file.unlink()
+    os.mkfifo(file)
+    with bounded(0):
+        assert pictures.load("a") is None
 
 
 def test_an_encrypted_archive_is_refused(tmp_path: Path) -> None:
