@@ -101,14 +101,11 @@ class FrameBias:
         Area of the firm contact that it was measured in; 0 if it follows from the rig's bias.
     known : bool
         Whether firm contact, the measured rig or prints tell it.
-    part : tuple of slice
-        Rows and columns of the differences that hold all pixels near the bias.
     """
 
     bias_m: float = 0.0
     firm_m2: float = 0.0
     known: bool = True
-    part: tuple[slice, slice] = (slice(None), slice(None))
 
 
 def rig_bias(preset: Preset, rig: Rig) -> RigBias:
@@ -134,8 +131,8 @@ def _after_window_m(noise: CameraNoise) -> float:
     return math.sqrt(noise.white_m**2 / (4 * math.pi * window) + noise.correlated_m**2 * shared)
 
 
-def frame_bias(differences: Differences, known: RigBias, free_per_m: float, rig: Rig) -> FrameBias:
-    """Find the bias in a frame.
+def frame_bias(differences: Differences, known: RigBias, free_per_m: float, rig: Rig) -> tuple[FrameBias, Differences]:
+    """Return the bias in a frame, and the part of the differences with all pixels near it.
 
     Parameters
     ----------
@@ -148,7 +145,7 @@ def frame_bias(differences: Differences, known: RigBias, free_per_m: float, rig:
     prior = _with_prints(known, differences, rig)
     some = slice(None, None, _STRIDE_PX), slice(None, None, _STRIDE_PX)
     start_m = most_frequent_m(differences.difference_m[some][differences.usable[some]]) + _START_ABOVE_M
-    cells, part = _cells_near(differences, start_m, free_per_m, rig)
+    near, cells = _cells_near(differences, start_m, free_per_m, rig)
     if cells is not None:
         bias_m, area_m2 = _joint(cells, start_m, None)
         agrees = abs(bias_m - prior.mean_m) < _DISAGREE * math.sqrt(prior.sigma_m**2 + _variance_m2(known, FIRM_M2))
@@ -157,10 +154,10 @@ def frame_bias(differences: Differences, known: RigBias, free_per_m: float, rig:
             if agrees:
                 variance = _variance_m2(known, area_m2)
                 bias_m = (bias_m / variance + prior.mean_m / prior.sigma_m**2) / (1 / variance + 1 / prior.sigma_m**2)
-            return FrameBias(bias_m, area_m2, part=part)
-    cells, part = _cells_near(differences, prior.mean_m, free_per_m, rig)
+            return FrameBias(bias_m, area_m2), near
+    near, cells = _cells_near(differences, prior.mean_m, free_per_m, rig)
     bias_m = prior.mean_m if cells is None else _joint(cells, prior.mean_m, prior)[0]
-    return FrameBias(bias_m, known=prior.measured, part=part)
+    return FrameBias(bias_m, known=prior.measured), near
 
 
 def _with_prints(known: RigBias, differences: Differences, rig: Rig) -> RigBias:
@@ -191,16 +188,16 @@ def most_frequent_m(differences_m: Float32Array) -> float:
 
 def _cells_near(
     differences: Differences, centre_m: float, free_per_m: float, rig: Rig
-) -> tuple[Cells | None, tuple[slice, slice]]:
-    """Return cells of the part of the image that is near a difference, and that part."""
+) -> tuple[Differences, Cells | None]:
+    """Return the part of the differences with all pixels near a difference, and its cells."""
     near = differences.usable[_SOME] & (np.abs(differences.difference_m[_SOME] - np.float32(centre_m)) < _NEAR_M)
     box = surroundings(near, 2)
     if box is None:
-        return None, (slice(0), slice(0))
+        return differences.cut((slice(0), slice(0))), None
     grid = math.lcm(COARSE_CELL_PX, CELL_PX)  # so that the cells are the same wherever the part begins
     rows, columns = (slice(side.start * _STRIDE_PX // grid * grid, side.stop * _STRIDE_PX) for side in box)
-    part = rows, columns
-    return cells_of(differences.cut(part), COARSE_CELL_PX, _SHAPE_PX, free_per_m, (centre_m, _NEAR_M), rig), part
+    near_part = differences.cut((rows, columns))
+    return near_part, cells_of(near_part, COARSE_CELL_PX, _SHAPE_PX, free_per_m, (centre_m, _NEAR_M), rig)
 
 
 def _variance_m2(known: RigBias, area_m2: float) -> float:

@@ -6,11 +6,12 @@ Images are cropped to where anything may touch.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
 
-from ...model.arrays import BoolArray, Float32Array
+from ...model.arrays import BoolArray, Float32Array, Uint16Array
 from ...model.clouds import ray_table
 from ...model.frames import Rig
 from ...model.patch import Candidates
@@ -36,8 +37,10 @@ class Differences:
         Rows and columns of the rectangle.
     difference_m : float32
         Proximity less tactile depth, less ``bias_m``; 0 where it is too large.
-    depth_m : float32
-        Proximity depth less ``bias_m``.
+    counts : uint16
+        Raw proximity depth.
+    unit_m : float32
+        Metres of a count.
     usable : bool
         Has both depths, less than the largest difference between them, and not the mask's colour.
     excluded : bool
@@ -45,16 +48,24 @@ class Differences:
     bias_m : float
         The bias that was subtracted from the proximity depth before it was aligned.
     on_prints_m : float32, shape (N,)
-        The differences of pixels with the mask's colour.
+        The differences of pixels with the mask's colour; empty where the rig's bias was measured.
     """
 
     place: tuple[slice, slice]
     difference_m: Float32Array
-    depth_m: Float32Array
+    counts: Uint16Array
+    unit_m: np.float32
     usable: BoolArray
     excluded: BoolArray
     bias_m: float
     on_prints_m: Float32Array
+
+    @cached_property
+    def depth_m(self) -> Float32Array:
+        """Proximity depth less ``bias_m``."""
+        depth = self.counts * self.unit_m
+        depth -= np.float32(self.bias_m)
+        return depth
 
     @property
     def corner(self) -> tuple[int, int]:
@@ -69,7 +80,7 @@ class Differences:
             self,
             place=(slice(top + first, top + last), slice(left + begin, left + end)),
             difference_m=np.ascontiguousarray(self.difference_m[part]),
-            depth_m=np.ascontiguousarray(self.depth_m[part]),
+            counts=self.counts[part],
             usable=np.ascontiguousarray(self.usable[part]),
             excluded=np.ascontiguousarray(self.excluded[part]),
         )
@@ -78,14 +89,14 @@ class Differences:
 def large_contacts(contact: BoolArray, differences: Differences, section: MembraneSection, rig: Rig) -> BoolArray:
     """Return contact without connected groups whose usable pixels are smaller than the preset's smallest contact."""
     camera, (top, left) = rig.proximity.intrinsics, differences.corner
-    rows, columns = np.nonzero(contact)
-    pixels = (rows + top) * camera.width + columns + left
-    depth = np.where(differences.usable[rows, columns], differences.depth_m[rows, columns], np.float32(0))
+    found, width = np.flatnonzero(contact), contact.shape[1]
+    pixels = found + (found // width) * (camera.width - width) + (top * camera.width + left)
+    depth = differences.depth_m.reshape(-1)[found] * differences.usable.reshape(-1)[found]
     large = in_large_cluster(depth, pixels, camera, section.min_area_mm2)
     if large.all():
         return contact
     kept = np.zeros_like(contact)
-    kept[rows[large], columns[large]] = True
+    kept.reshape(-1)[found[large]] = True
     return kept
 
 

@@ -17,6 +17,7 @@ Assumed: the same tension in all directions, no friction, small slopes between m
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -58,6 +59,8 @@ class Cells:
         Mean difference of both depths along the ray.
     share : float32
         Share of pixels that take part.
+    near_share : float32
+        That share averaged over the window of the first guess, from `over_window`.
     known : bool
         Whether enough pixels near it take part.
     push_per_m : float32
@@ -71,6 +74,7 @@ class Cells:
 
     difference_m: Float32Array
     share: Float32Array
+    near_share: Float32Array
     known: BoolArray
     push_per_m: Float32Array
     sides_m: Float32Array
@@ -81,6 +85,15 @@ class Cells:
     def area_m2(self) -> Float32Array:
         """Usable area of each cell, (H, W)."""
         return np.asarray(self.share * self.sides_m[0] * self.sides_m[1])
+
+    @cached_property
+    def largest_guess_m(self) -> Float32Array:
+        """Cells are solved for where the first guess of the gap is smaller, (H, W); never where nothing is known."""
+        import cv2
+
+        inner = cv2.erode(self.known.view(np.uint8), np.ones((3, 3), np.uint8)).view(bool)
+        limits = np.where(inner, _MAX_GAP_M, _MAX_GAP_AT_BORDER_M)
+        return np.where(self.known, limits, np.float32(-np.inf))
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,10 +155,17 @@ def cells_of(
         points, weight, _MIN_SHARE_OF_SLOPE, (size_px / camera.fx, size_px / camera.fy), sides, facing
     )
     push = np.float32(free_per_m) - np.nan_to_num(_with_nearest(bulge, _REACH_PX / size_px))
-    near = cv2.GaussianBlur(share, (0, 0), GUESS_PX / size_px, borderType=cv2.BORDER_CONSTANT)
+    near = over_window(share, size_px)
     known = (near > _MIN_SHARE) & (excluded < _MAX_EXCLUDED)
     known[[0, -1]] = known[:, [0, -1]] = False
-    return Cells(difference, share, known, np.maximum(push, _MIN_PUSH_PER_M), sides, facing, size_px)
+    return Cells(difference, share, near, known, np.maximum(push, _MIN_PUSH_PER_M), sides, facing, size_px)
+
+
+def over_window(image: Float32Array, size_px: int) -> Float32Array:
+    """Average an image of cells of ``size_px`` over the Gaussian window of `GUESS_PX`."""
+    import cv2
+
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), GUESS_PX / size_px, borderType=cv2.BORDER_CONSTANT))
 
 
 def settle(cells: Cells, bias_m: float, trust_m: float, start: Equilibrium | None = None) -> Equilibrium:
@@ -160,31 +180,26 @@ def settle(cells: Cells, bias_m: float, trust_m: float, start: Equilibrium | Non
     start : Equilibrium, optional
         That of the same cells with another bias.
     """
-    import cv2
-
-    sigma = GUESS_PX / cells.size_px
     measured = (cells.difference_m - np.float32(bias_m)) * cells.facing
-    share, total = (
-        cv2.GaussianBlur(part, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
-        for part in (cells.share, cells.share * measured)
-    )
-    guess = np.asarray(total / np.maximum(share, np.float32(1e-6)), np.float32)
-    inner = cv2.erode(cells.known.view(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
-    inside = cells.known & (guess < np.where(inner, _MAX_GAP_M, _MAX_GAP_AT_BORDER_M))
+    total = over_window(cells.share * measured, cells.size_px)
+    guess = np.asarray(total / np.maximum(cells.near_share, np.float32(1e-6)), np.float32)
+    inside = guess < cells.largest_guess_m
     size = int(np.count_nonzero(inside))
     places, links = np.empty(size, np.int32), np.empty((7, size), np.float32)
     even = kernels.link_cells(inside, cells.known, cells.sides_m, cells.share, np.float32(trust_m), places, links)
     loads = links[4] * measured.reshape(-1)[places] - links[5] * cells.push_per_m.reshape(-1)[places]
     gap = np.maximum(guess, np.float32(0))
     if start is not None:
-        gap.reshape(-1)[places] = start.gap_m.reshape(-1)[places]
+        np.copyto(gap, start.gap_m, where=inside)
     kernels.settle(gap.reshape(-1), gap.shape[1], kernels.Equations(places, links, even), loads, _RELAXATION)
     gap[~cells.known] = FAR_M
     return Equilibrium(gap, guess, measured - gap, inside & (gap <= 0))
 
 
-def to_pixels(cells: Cells, image: Float32Array, shape: tuple[int, int]) -> tuple[Float32Array, BoolArray]:
-    """Interpolate an image of the cells to pixels.
+def to_pixels(
+    cells: Cells, image: Float32Array, shape: tuple[int, int], box: tuple[slice, slice] = (slice(None), slice(None))
+) -> tuple[Float32Array, BoolArray]:
+    """Interpolate an image of the cells, or of a part of them, to pixels; ``box`` does not count the unknown frame.
 
     Returns
     -------
@@ -195,11 +210,11 @@ def to_pixels(cells: Cells, image: Float32Array, shape: tuple[int, int]) -> tupl
     """
     import cv2
 
-    known, (height, width) = cells.known[1:-1, 1:-1], shape
+    known, (height, width) = cells.known[1:-1, 1:-1][box], shape
     size = known.shape[1] * cells.size_px, known.shape[0] * cells.size_px
     weight = known.view(np.uint8).astype(np.float32)
     inside = cv2.resize(weight, size, interpolation=cv2.INTER_NEAREST)[:height, :width] > 0
-    total = cv2.resize(weight * image[1:-1, 1:-1], size, interpolation=cv2.INTER_LINEAR)[:height, :width]
+    total = cv2.resize(weight * image[1:-1, 1:-1][box], size, interpolation=cv2.INTER_LINEAR)[:height, :width]
     share = cv2.resize(weight, size, interpolation=cv2.INTER_LINEAR)[:height, :width]
     pixels = np.where(inside, total / np.maximum(share, np.float32(1e-6)), FAR_M)
     return np.asarray(pixels, np.float32), np.asarray(inside & (share < 1))

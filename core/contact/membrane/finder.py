@@ -21,7 +21,7 @@ from ..kernels.chain import TILE_ROWS
 from ..kernels.simd import LANES
 from ..kernels.threads import by_rows
 from .bias import COARSE_CELL_PX, FrameBias, frame_bias, rig_bias
-from .differences import Differences, large_contacts, surface_points
+from .differences import Differences, large_contacts, surface_points, surroundings
 from .equilibrium import CELL_PX, FAR_M, Cells, Equilibrium, cells_of, settle, to_pixels
 from .tension import measured_curvature_per_m, usable_curvature_per_m
 
@@ -33,6 +33,7 @@ _ALIGN_ANEW_M: Final = 0.001
 #: A measured gap is certainly larger than the largest gap if it exceeds it by this number of standard deviations of the
 #: noise, and by the errors of the model, metres.
 _CERTAIN, _MODEL_ERROR_M = 3.0, 0.0003
+_NOTHING: Final = np.empty(0, np.float32)
 #: A membrane is not nearer to the camera, metres.
 _NEAREST_M: Final = 0.1
 
@@ -103,16 +104,19 @@ class MembraneFinder(ContactFinder):
         self._free_per_m = usable_curvature_per_m(self._measured_per_m)
         if not section.bias:
             return found
-        self.bias = frame_bias(found, self._known, self._free_per_m, self._rig)
+        self.bias, near = frame_bias(found, self._known, self._free_per_m, self._rig)
         if abs(self.bias.bias_m) <= _ALIGN_ANEW_M:
-            return found.cut(self.bias.part)
+            return near
         found = self._differences_at(frame, bias_m + self.bias.bias_m, _WIDE_M, section)
         firm, self.bias = self.bias.firm_m2 > 0, FrameBias(known=self.bias.known)
         if found is None:
             return None
-        if firm and (refined := frame_bias(found, self._known, self._free_per_m, self._rig)).firm_m2 > 0:
-            self.bias = refined
-        return found.cut(self.bias.part)
+        if firm:
+            refined, near = frame_bias(found, self._known, self._free_per_m, self._rig)
+            if refined.firm_m2 > 0:
+                self.bias = refined
+                return near
+        return found
 
     def _facts(self, differences: Differences, cells: Cells) -> MembraneFacts:
         """Return what was measured besides contact, for messages."""
@@ -134,12 +138,20 @@ class MembraneFinder(ContactFinder):
 
         Where the object ends, cells are cut by their pixels: those that do not measure a small gap do not count.
         """
+        touching = np.zeros_like(differences.usable)
         certain_m = gap_m + max(_CERTAIN * self._known.gap_sigma_m, _MODEL_ERROR_M)
         gap = np.where(self._solution.guess_m > np.float32(certain_m), FAR_M, self._solution.gap_m)
-        gap, border = to_pixels(cells, gap, differences.usable.shape)
+        box = surroundings((gap <= np.float32(gap_m))[1:-1, 1:-1], 2)
+        if box is None:
+            return touching
+        # between cells that are not near no pixel is: interpolate only around the near ones
+        rows, columns = (slice(CELL_PX * side.start, CELL_PX * side.stop) for side in box)
+        usable, difference = differences.usable[rows, columns], differences.difference_m[rows, columns]
+        gap, border = to_pixels(cells, gap, usable.shape, box)
         largest = np.float32(gap_m + max(_CERTAIN * self._known.pixel_sigma_m, _MODEL_ERROR_M))
-        near = differences.usable & (np.abs(differences.difference_m - np.float32(self.bias.bias_m)) < largest)
-        return np.asarray((gap <= np.float32(gap_m)) & ~differences.excluded & (near | ~border))
+        near = usable & (np.abs(difference - np.float32(self.bias.bias_m)) < largest)
+        touching[rows, columns] = (gap <= np.float32(gap_m)) & (near | ~border)
+        return touching & ~differences.excluded
 
     def classify(self, frame: SensorFrame) -> Uint8Array:
         """Return each pixel's verdict of depth, region, range, difference and colour; usable pixels have CONTACT."""
@@ -163,26 +175,25 @@ class MembraneFinder(ContactFinder):
         parallel = possible > MAX_TILES_ALONE
         difference, state = self._look(frame, tiles, rectangle, bias_m, largest_m, in_parallel=parallel)
         usable = state == kernels.USABLE
-        depth = frame.proximity_depth[top:bottom, left:right] * self._depth_unit_m - np.float32(bias_m)
-        if self._too_few(usable, depth, section.min_area_mm2):
-            return None
-        return Differences(
+        found = Differences(
             (slice(top, bottom), slice(left, right)),
             difference,
-            depth,
+            frame.proximity_depth[top:bottom, left:right],
+            self._depth_unit_m,
             usable,
             state == kernels.EXCLUDED,
             bias_m,
-            difference[state == kernels.MASKED],
+            _NOTHING if self._known.measured else difference[state == kernels.MASKED],
         )
+        return None if self._too_few(found, section.min_area_mm2) else found
 
-    def _too_few(self, usable: BoolArray, depth_m: Float32Array, min_area_mm2: float) -> bool:
+    def _too_few(self, differences: Differences, min_area_mm2: float) -> bool:
         """Return whether the usable pixels together are smaller than the smallest contact."""
-        camera, count = self._rig.proximity.intrinsics, int(np.count_nonzero(usable))
+        camera, count = self._rig.proximity.intrinsics, int(np.count_nonzero(differences.usable))
         pixels = 1e-6 * min_area_mm2 * camera.fx * camera.fy  # at a depth of 1 m
         if count * _NEAREST_M**2 > pixels:
             return False
-        return count == 0 or count * float(depth_m[usable].max()) ** 2 < pixels
+        return count == 0 or count * float(differences.depth_m[differences.usable].max()) ** 2 < pixels
 
     def _look(
         self,
@@ -249,9 +260,11 @@ def full_provenance(
 
 def differences_at(contact: Candidates, differences: Differences, bias_m: float, width: int) -> Float32Array:
     """Return the difference of both depths at each contact pixel, less the bias; nan where a depth is missing."""
-    rows, columns = contact.pixels // width - differences.corner[0], contact.pixels % width - differences.corner[1]
-    measured = differences.difference_m[rows, columns] - np.float32(bias_m)
-    return np.where(differences.usable[rows, columns], measured, np.float32(np.nan))
+    rows, here = contact.pixels // width, differences.usable.shape[1]
+    (top, left) = differences.corner
+    place = contact.pixels - rows * (width - here) - (top * here + left)
+    measured = np.where(differences.usable, differences.difference_m, np.float32(np.nan)).reshape(-1)[place]
+    return np.asarray(measured - np.float32(bias_m))
 
 
 def gap_image(differences: Differences, cells: Cells, solution: Equilibrium, shape: tuple[int, int]) -> Float32Array:

@@ -12,7 +12,7 @@ from scipy.optimize import brentq, lsq_linear
 
 from tactune.core.contact.kernels import equilibrium as kernels
 from tactune.core.contact.kernels.membrane import RayWindow
-from tactune.core.contact.membrane.equilibrium import Cells, Equilibrium, settle
+from tactune.core.contact.membrane.equilibrium import Cells, Equilibrium, over_window, settle
 from tactune.core.contact.membrane.tension import free_curvature_per_m
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
@@ -30,9 +30,11 @@ def cells_of_gap(gap_m: np.ndarray, push_per_m: float | np.ndarray, known: np.nd
     gap_m = np.asarray(gap_m, np.float32)
     everywhere = np.zeros(gap_m.shape, bool)
     everywhere[1:-1, 1:-1] = True
+    share = everywhere.astype(np.float32)
     return Cells(
         difference_m=gap_m,
-        share=everywhere.astype(np.float32),
+        share=share,
+        near_share=over_window(share, 3),
         known=everywhere if known is None else everywhere & known,
         push_per_m=np.full_like(gap_m, 1.0) * np.asarray(push_per_m, np.float32),
         sides_m=np.full((2, *gap_m.shape), SIDE_M, np.float32),
@@ -123,7 +125,7 @@ def random_cells(seed: int, size: int = 16) -> tuple[Cells, np.ndarray]:
     sides = rng.uniform(0.0008, 0.0015, (2, size, size)).astype(np.float32)
     push = rng.uniform(5, 300, (size, size)).astype(np.float32)
     facing = rng.uniform(0.6, 1.0, (size, size)).astype(np.float32)
-    return Cells(measured, share, known, push, sides, facing, 3), rng
+    return Cells(measured, share, over_window(share, 3), known, push, sides, facing, 3), rng
 
 
 def equations(cells: Cells, inside: np.ndarray, trust_m: float) -> tuple[np.ndarray, np.ndarray, int]:
