@@ -313,6 +313,14 @@ def warn_of_lost_frames(source: FrameSource, before: int) -> None:
         warn(f"{counted(lost, 'frame')} lost before they got here; see that nothing else uses the machine or its USB")
 
 
+def warn_of_wrong_unit(frame: SensorFrame, rig: Rig) -> None:
+    """Warn where the depth unit of the rig puts the membrane where it cannot be."""
+    from ...core.tuning.advice.findings.no_depth import find_wrong_unit
+
+    if (finding := find_wrong_unit(frame, rig)) is not None:
+        warn(finding.sentence)
+
+
 def find_rig(name: str) -> Rig:
     """Return the rig of a rig file, of a preset or of a source of frames."""
     from ...core.model.rig_file import load_rig, read_json_object

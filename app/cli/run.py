@@ -35,6 +35,7 @@ from .common import (
     stop_on_signals,
     warn,
     warn_of_lost_frames,
+    warn_of_wrong_unit,
 )
 
 if TYPE_CHECKING:
@@ -334,6 +335,8 @@ def process_frames(
             frame = source.next_frame()
             if frame is None:
                 break
+            if not done:
+                warn_of_wrong_unit(frame, source.rig)
             record, patch = step(frame)
             record["time_s"] = finite_or_none(frame.proximity_time_s)
             if options.truth:

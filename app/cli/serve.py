@@ -23,6 +23,7 @@ from .common import (
     stop_on_signals,
     warn,
     warn_of_lost_frames,
+    warn_of_wrong_unit,
 )
 from .run import EstimateOption, make_tilt
 from .track import UnitOption, read_mesh
@@ -145,6 +146,8 @@ def _publish(
         frame = source.next_frame()
         if frame is None:
             break
+        if not count:
+            warn_of_wrong_unit(frame, source.rig)
         preset = parameters.preset
         if preset is not pipeline.preset:
             pipeline.update(preset)

@@ -28,6 +28,7 @@ from .common import (
     stop_on_signals,
     warn,
     warn_of_lost_frames,
+    warn_of_wrong_unit,
 )
 from .run import MCAP_SUFFIX, tell_of_stop
 
@@ -212,6 +213,8 @@ def _tracked(
             frame = source.next_frame()
             if frame is None:
                 break
+            if not records:
+                warn_of_wrong_unit(frame, source.rig)
             patch = pipeline.process(frame)
             begun = time.perf_counter()
             touches = tracker.is_enough(patch)

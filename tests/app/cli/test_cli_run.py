@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from mcap.reader import make_reader
 
 from small_recordings import GrowingPress, small_rig
@@ -133,6 +134,24 @@ def test_the_summary_is_for_people(tactune: Tactune, recording: Path, tmp_path: 
     assert "ended after 4 of the 9 frames asked for" in finished.out
     assert "patch_000000.npz to patch_000003.npz" in finished.out
     assert finished.err == ""
+
+
+@pytest.mark.parametrize(
+    "words", [("run", "--truth"), ("serve", "--foxglove", "--port", "0", "-n", "2"), ("track", "--out", "poses.csv")]
+)
+def test_a_depth_unit_that_cannot_be_is_told_once(
+    tactune: Tactune, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    rig = json.loads((recording / "rig.json").read_text())
+    rig["tactile"]["depth_unit_m"] *= 100
+    (recording / "rig.json").write_text(json.dumps(rig))
+    if words[0] == "track":
+        trimesh.creation.box((0.05, 0.05, 0.05)).export("cube.ply")
+        words += ("--mesh", "cube.ply", "--unit", "m")
+    finished = tactune(*words, "-s", recording)
+    assert finished.err.count("sees the membrane at") == 1
+    assert f"check its depth_unit_m {rig['tactile']['depth_unit_m']:g} in rig.json" in finished.err
 
 
 def test_frames_without_touch_are_no_part_of_the_median_and_their_false_points_are_told(

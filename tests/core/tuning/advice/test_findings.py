@@ -131,6 +131,18 @@ def test_a_camera_without_depth(camera, preset):
     assert found["no_depth"].action == "check_cameras"
 
 
+@pytest.mark.parametrize(("unit_m", "distance"), [(0.01, "29 m"), (0.001, "2.9 m"), (0.000001, "0.0029 m")])
+def test_a_depth_unit_that_puts_the_membrane_where_it_cannot_be(unit_m, distance):
+    rig, frame = scene(PRESSED)
+    rig = rig.model_copy(update={"tactile": rig.tactile.model_copy(update={"depth_unit_m": unit_m})})
+    finding = findings(SHIPPED, rig, frame)["depth_unit"]
+    assert finding.sentence == (
+        f"The tactile camera sees the membrane at {distance} in the median: check its depth_unit_m {unit_m:g} "
+        "in rig.json."
+    )
+    assert finding.explains_empty
+
+
 def test_a_source_with_one_camera_gives_no_finding():
     rig, frame = scene(PRESSED)
     rig = rig.model_copy(update={"tactile": rig.tactile.model_copy(update={"model": "none"})})
