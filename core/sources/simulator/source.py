@@ -11,8 +11,10 @@ import hashlib
 import json
 import lzma
 import math
+import os
 import zipfile
-from collections.abc import Sequence
+import zlib
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
@@ -23,12 +25,13 @@ from weakref import WeakValueDictionary
 import cv2
 import numpy as np
 from platformdirs import user_cache_dir
+from pydantic import TypeAdapter
 
 from ...errors import ExportError, SourceError
-from ...model.arrays import AnyArray, Uint8Array
+from ...model.arrays import Uint8Array
 from ...model.files import atomic_path
 from ...model.frames import GroundTruth, SensorFrame, TrueStrain, rigid_transform
-from ...model.loading import decode_image, parse_json
+from ...model.loading import decode_image, open_regular, parse_json
 from ..base import Health, Progress, SeekableSource
 from .between import facts_between, state_between
 from .membrane import Membrane
@@ -58,6 +61,12 @@ SHIPPED: Final = Path(__file__).with_name("solved")
 _LOSSLESS: Final = (cv2.IMWRITE_WEBP_QUALITY, 101)
 
 _NAMES = tuple(field.name for field in fields(CleanState))
+_FACTS = TypeAdapter(list[PressFacts])
+#: What a damaged archive raises; `OSError` also where there is none.
+_DAMAGED: Final = (
+    *(OSError, EOFError, KeyError, IndexError, TypeError, ValueError, RuntimeError),
+    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, cv2.error),
+)
 
 #: Open scenes of this process, shared because each takes some 200 MB.
 _open_scenes: WeakValueDictionary[Path, SolvedScene] = WeakValueDictionary()
@@ -265,19 +274,46 @@ def find_solved(path: Path, count: int) -> SolvedScene | None:
 
 
 def load_scene(path: Path, count: int) -> SolvedScene | None:
-    """Return ``count`` states from a file, or None where the file is missing or damaged."""
+    """Return ``count`` states from a file of the cache, or None where the file is missing or damaged."""
+    scene = _load(path, count, _unpack_cached)
+    if scene is not None:
+        with suppress(OSError):
+            path.touch()
+    return scene
+
+
+def _load(path: Path, count: int, unpack: Callable[[zipfile.ZipFile, int], list[CleanState]]) -> SolvedScene | None:
     try:
-        with zipfile.ZipFile(path) as archive:
-            facts = [PressFacts(**entry) for entry in parse_json(archive.read("facts.json"))]
-            packed = [{name: archive.read(f"{n}/{name}.png") for name in _NAMES} for n in range(count)]
-    except (OSError, KeyError, TypeError, ValueError, zipfile.BadZipFile):
+        with open_regular(path) as file, zipfile.ZipFile(file) as archive:
+            states = unpack(archive, count)
+            facts = _FACTS.validate_python(parse_json(archive.read("facts.json")))
+            for fact in facts:
+                rigid_transform(fact.T_proximity_object)
+    except _DAMAGED:
         return None
-    with suppress(OSError):
-        path.touch()
+    return SolvedScene(states, facts) if len(facts) == count and all(map(_is_whole, states)) else None
+
+
+def _is_whole(state: CleanState) -> bool:
+    """Return whether all images have the size of the cameras and their types."""
+    rig = simulator_rig()
+    for name, image in state.arrays().items():
+        camera = rig.tactile if name.startswith("tactile") else rig.proximity
+        colours = (3,) if name.endswith("color") else ()
+        counts = np.uint16 if name in ("behind", "membrane", "tactile") else np.uint8
+        if image.shape != camera.intrinsics.shape + colours or image.dtype != counts:
+            return False
+    return True
+
+
+def _unpack_cached(archive: zipfile.ZipFile, count: int) -> list[CleanState]:
+    entries, size = archive.infolist(), os.fstat(archive.fp.fileno()).st_size  # type: ignore[union-attr]
+    packed_bytes = sum(entry.file_size for entry in entries)
+    if packed_bytes > size or any(entry.compress_type != zipfile.ZIP_STORED for entry in entries):
+        raise ValueError("its entries are not those of a cache file")  # they could unpack to any size
+    packed = [{name: archive.read(f"{n}/{name}.png") for name in _NAMES} for n in range(count)]
     with ThreadPoolExecutor(2) as pool:
-        unpacked = list(pool.map(_unpack, packed))
-    states = [state for state in unpacked if state is not None]
-    return SolvedScene(states, facts) if len(states) == len(facts) == count else None
+        return list(pool.map(_unpack, packed))
 
 
 def save_scene(path: Path, scene: SolvedScene) -> None:
@@ -320,27 +356,20 @@ def save_shipped(path: Path, scene: SolvedScene) -> None:
 
 def load_shipped(path: Path, count: int) -> SolvedScene | None:
     """Return ``count`` states from a file of `save_shipped`; None if the package has no whole one for this code."""
-    try:
-        return _unpack_shipped(path, count)
-    except (OSError, EOFError, KeyError, TypeError, ValueError, NotImplementedError, RuntimeError):
-        return None
-    except (zipfile.BadZipFile, lzma.LZMAError, cv2.error):
-        return None
+    return _load(path, count, _unpack_shipped)
 
 
-def _unpack_shipped(path: Path, count: int) -> SolvedScene:
+def _unpack_shipped(archive: zipfile.ZipFile, count: int) -> list[CleanState]:
     images: dict[str, Any] = {}
-    with zipfile.ZipFile(path) as archive:
-        facts = [PressFacts(**entry) for entry in json.loads(archive.read("facts.json"))]
-        for name in ("proximity_color", "tactile_color"):
-            packed = [np.frombuffer(archive.read(f"{n}/{name}.webp"), np.uint8) for n in range(count)]
-            images[name] = [np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8) for data in packed]
-        shape = count, *images["tactile_color"][0].shape[:2]
-        for name in set(_NAMES) - set(images):
-            low_and_high = np.frombuffer(archive.read(f"{name}.changes"), np.uint8).reshape(-1, *shape)
-            counts = np.ascontiguousarray(np.moveaxis(low_and_high, 0, -1)).view(f"<u{len(low_and_high)}")[..., 0]
-            images[name] = np.cumsum(counts, axis=0, dtype=counts.dtype)
-    return SolvedScene([CleanState(**{name: images[name][n] for name in _NAMES}) for n in range(count)], facts)
+    for name in ("proximity_color", "tactile_color"):
+        packed = [np.frombuffer(archive.read(f"{n}/{name}.webp"), np.uint8) for n in range(count)]
+        images[name] = [np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8) for data in packed]
+    shape = count, *images["tactile_color"][0].shape[:2]
+    for name in set(_NAMES) - set(images):
+        low_and_high = np.frombuffer(archive.read(f"{name}.changes"), np.uint8).reshape(-1, *shape)
+        counts = np.ascontiguousarray(np.moveaxis(low_and_high, 0, -1)).view(f"<u{len(low_and_high)}")[..., 0]
+        images[name] = np.cumsum(counts, axis=0, dtype=counts.dtype)
+    return [CleanState(**{name: images[name][n] for name in _NAMES}) for n in range(count)]
 
 
 def _clean_up(path: Path) -> None:
@@ -370,11 +399,5 @@ def _pack(state: CleanState) -> dict[str, bytes]:
     return {name: cv2.imencode(".png", image, fast)[1].tobytes() for name, image in state.arrays().items()}
 
 
-def _unpack(packed: dict[str, bytes]) -> CleanState | None:
-    images: dict[str, AnyArray] = {}
-    for name, data in packed.items():
-        try:
-            images[name] = decode_image(data)
-        except ValueError:
-            return None
-    return CleanState(**images)
+def _unpack(packed: dict[str, bytes]) -> CleanState:
+    return CleanState(**{name: decode_image(data) for name, data in packed.items()})

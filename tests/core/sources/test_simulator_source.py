@@ -294,7 +294,7 @@ def test_cache_keeps_every_bit(tmp_path):
             assert np.array_equal(image, kept.arrays()[name])
             assert image.dtype == kept.arrays()[name].dtype
     assert [dataclasses.astuple(facts)[:10] for facts in back.facts] == [
-        (0.0, 0.1, 0.08, 0.09, 0.07, 0.08, 0.0, [0.1, 0.2, 0.3], 1500.0, 1e-4)
+        (0.0, 0.1, 0.08, 0.09, 0.07, 0.08, 0.0, (0.1, 0.2, 0.3), 1500.0, 1e-4)
     ] * 2
     assert np.array_equal(back.facts[0].T_proximity_object, np.eye(4))
 
@@ -319,6 +319,38 @@ def test_damaged_cache_counts_as_missing(tmp_path):
     for damaged in (b"", b"hello", whole[: len(whole) // 2], whole[:5000] + b"\0" * 64 + whole[5064:]):
         path.write_bytes(damaged)
         assert load_scene(path, 1) is None
+
+
+@pytest.mark.parametrize(
+    "what", ["deflated", "LZMA", "encrypted", "unknown packing", "other size", "other facts", "a pipe"]
+)
+def test_a_doctored_cache_counts_as_missing(tmp_path, what):
+    good, path = tmp_path / "good.zip", tmp_path / "cup-1.zip"
+    save_scene(good, fake_scene(1))
+    packing = {"deflated": zipfile.ZIP_DEFLATED, "LZMA": zipfile.ZIP_LZMA}.get(what, zipfile.ZIP_STORED)
+    with zipfile.ZipFile(good) as kept, zipfile.ZipFile(path, "w", packing) as doctored:
+        for name in kept.namelist():
+            data = kept.read(name)
+            if what == "other size" and name == "0/flags.png":
+                data = cv2.imencode(".png", np.zeros((9, 7), np.uint8))[1].tobytes()
+            if what == "other facts" and name == "facts.json":
+                data = data.replace(b'"depth_m": 0.0', b'"depth_m": "deep"')
+            doctored.writestr(name, data)
+    data = bytearray(path.read_bytes())
+    directory = data.index(b"PK\x01\x02")
+    if what == "encrypted":
+        data[directory + 8] |= 1
+        data[6] |= 1
+    if what == "unknown packing":
+        data[directory + 10] = data[8] = 99
+    if packing != zipfile.ZIP_STORED:
+        data[60:90] = bytes(30)  # inside facts.json
+    path.write_bytes(data)
+    if what == "a pipe":
+        path.unlink()
+        os.mkfifo(path)
+    assert load_scene(good, 1) is not None
+    assert load_scene(path, 1) is None
 
 
 def test_a_scene_is_computed_once_and_survives_a_cache_that_fails(tmp_path, monkeypatch):
