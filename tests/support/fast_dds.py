@@ -65,6 +65,8 @@ class FastDds:
         while len(head := self.process.stdout.read(8)) == 8:
             number, length = struct.unpack("<II", head)
             data, topic = self.process.stdout.read(length), self.topics[number]
+            if len(data) < length:  # the program was killed while it wrote
+                return
             self._on_message(topic, data)
             with self._arrived:
                 self.latest[topic] = data

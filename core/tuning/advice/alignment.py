@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ...errors import PresetError
 from ...model.clouds import valid_depth
 from ...preset.membrane import LARGEST_BIAS_M
 from ...rig.noise import MeasuredBias
@@ -56,6 +57,10 @@ def propose_alignment(evidence: Evidence, best: Disagreement, contradicting: Seq
         changes["alignment.depth_offset_m"] = factor * (
             section.depth_offset_m + bias.bias_m - bias.per_m * bias.depth_m
         )
+    try:
+        evidence.preset.with_values(changes)
+    except PresetError:
+        return _keep(sentence, "No depth offset and scale that a preset allows corrects it; check both depth units.")
     return _proposal(evidence, changes, sentence, _expected(evidence, changes, best))
 
 

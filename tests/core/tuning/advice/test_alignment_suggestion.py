@@ -7,7 +7,10 @@ import pytest
 from tactune.core.errors import AdviceError
 from tactune.core.preset import now
 from tactune.core.preset.alignment import CalibrationRecord, ModelSummary
+from tactune.core.rig.noise import MeasuredBias
 from tactune.core.sources.presets import load_preset
+from tactune.core.tuning.advice.alignment import propose_alignment
+from tactune.core.tuning.advice.disagreement import DepthPeak, Disagreement
 from tactune.core.tuning.advice.suggest import suggest
 
 SHIPPED = load_preset("simulator")
@@ -22,6 +25,12 @@ def test_prints_tell_the_offset(evidence, spoiled_m):
     )
     assert proposal.changes["alignment.depth_offset_m"] == pytest.approx(0, abs=0.0015)
     assert "prints" in proposal.evidence and "±" in proposal.evidence
+
+
+def test_a_scale_that_no_preset_allows_is_not_proposed(evidence):
+    constant = Disagreement.in_peak(DepthPeak(MeasuredBias(0.02, 0.0001, "unknown", 1.0 - 1e-14, 1e-6, 0.3), 0.7, 0.3))
+    proposal = propose_alignment(evidence(TOLERANCE, "sim:hover?gap=5"), constant)
+    assert not proposal.changes and "No depth offset and scale" in proposal.expected
 
 
 def test_firm_contact_tells_the_offset_without_prints(evidence):
