@@ -92,6 +92,7 @@ def color_pixels(depth_pixels: Float64Array, depth_m: Float64Array, rig: Rig) ->
 
 
 _UNITS = {"px": "proximity pixels", "mm": "millimetres across the line of sight"}
+_ESTIMATE, _REMOVE = "Estimate lens distortion", "Remove lens distortion"
 _ESTIMATE_TIP = (
     "Estimate radial lens distortion (k1, no unit) from the pairs, for lenses for which the rig states none. "
     "Saving stores it with the preset's rig; undo removes it"
@@ -117,7 +118,7 @@ class QualityPage(QWidget):
         self.why = _words()
         self.step = _words(bold=True)
         self.estimated = _words()
-        self.distortion = push_button("Estimate lens distortion", _ESTIMATE_TIP)
+        self.distortion = push_button(_ESTIMATE, _ESTIMATE_TIP)
         self.numbers = QGridLayout()
         self.numbers.setVerticalSpacing(4)
         self.numbers.setHorizontalSpacing(16)
@@ -237,19 +238,19 @@ class QualityPage(QWidget):
 
     def _show_distortion(self, outcome: Outcome) -> None:
         """Offer to estimate lens distortion, or to remove the estimate."""
+        chosen = self._session.state.choices.estimate_distortion
         used = outcome.report is not None and outcome.report.distortion_used
-        self.distortion.setText("Remove lens distortion" if used else "Estimate lens distortion")
-        self.distortion.setToolTip(_REMOVE_TIP if used else _ESTIMATE_TIP)
-        self.distortion.setVisible(outcome.distortion.rig is not None)
+        self.distortion.setText(_REMOVE if chosen else _ESTIMATE)
+        self.distortion.setToolTip(_REMOVE_TIP if chosen else _ESTIMATE_TIP)
+        self.distortion.setVisible(chosen or outcome.distortion.rig is not None)
         self.estimated.setText(
             outcome.distortion.sentence.replace("Estimate lens", "Estimated lens", 1) if used else ""
         )
         self.estimated.setVisible(used)
 
     def _toggle_distortion(self) -> None:
-        report = self._outcome.report
-        used = report is not None and report.distortion_used
-        self._session.choose(self.distortion.text(), estimate_distortion=not used)
+        asked = self.distortion.text()
+        self._session.choose(asked, estimate_distortion=asked == _ESTIMATE)
 
     def _unit(self) -> str:
         return list(_UNITS)[self.units.checkedId()]

@@ -84,9 +84,12 @@ def calibrate(
         base = load_preset(out) if out.exists() else Preset().with_value("name", out.stem)
     report = fit(pairs, cameras, model.value, depth_fit=depth_fit.value, estimate_distortion=estimate_distortion)
     if estimate_distortion and not report.distortion_used:
-        warn(report.distortion.sentence or "no lens distortion was estimated: the pairs show none, or are too few")
+        warn(
+            report.distortion.sentence
+            or "no lens distortion was estimated: the pairs show none or are too few, or the rig states it"
+        )
     elif report.distortion.rig is not None and not estimate_distortion:
-        warn(f"{report.distortion.sentence} Add --estimate-distortion.")
+        warn("the pairs show lens distortion that the rig does not state; add --estimate-distortion")
     if html is not None:  # first: where it fails, the preset stays as it was
         write_html(html, report, points.stem if base is None else base.name)
     if out is not None and base is not None:

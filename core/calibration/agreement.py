@@ -52,7 +52,8 @@ _DEPTH_SPAN_M, _DEPTH_STEP_M = 0.010, 1e-4
 
 #: What to do about each kind of smooth error.
 _STEPS = {
-    "lens": "This looks like lens distortion: use the rig's lens model, or estimate the distortion from the pairs.",
+    "lens": "This looks like lens distortion: use the rigid model, with the rig's lens models or with distortion "
+    "estimated from the pairs.",
     "depth": "This looks like a wrong tactile depth: check its unit and the camera, or fit an offset or a scale of it.",
     "surface": "The points do not lie on one plane: give tactile depths and use the rigid model.",
     "field": "Check the lens models of both cameras, the tactile depth, and that both images show the same moment.",

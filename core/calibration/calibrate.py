@@ -86,8 +86,9 @@ def calibrate(
     names = [pair.id for pair in pairs]
     homography, refused_homography = _try_homography(tactile, clicked, rigid, depth, names)
     refused = {"homography": refused_homography, "rigid": refused_rigid}
-    if distortion.found and not estimate_distortion:
-        refused = {name: why and distortion.sentence for name, why in refused.items()}
+    bent = distortion.found and rig is not distortion.rig
+    if bent:
+        refused = {name: why and distortion.refusal for name, why in refused.items()}
     elif refused_homography and (planes := two_planes(pairs, rig)):
         refused["homography"] = planes
     _raise_if_missing(model, refused)
@@ -113,7 +114,7 @@ def calibrate(
         refused={name: text for name, text in refused.items() if text},
         coverage=covered,
         verdict=distortion_verdict(quality[chosen], distortion)
-        if distortion.found and rig is not distortion.rig
+        if bent
         else verdict(quality[chosen], covered, with_place[used], rig),
         distortion=distortion,
         depth_fit=fitted_depth,

@@ -24,6 +24,7 @@ from ..model.frames import Rig
 from ..model.intrinsics import Distortion, Intrinsics
 from .correspondences import Correspondence, on_a_line, pixel_arrays
 from .homography import CLICK_SIGMA_PX
+from .quality import membrane_places
 from .rigid import color_lens, color_pose, ray_seen
 
 #: Fewer pairs in an image estimate no distortion of its lens.
@@ -65,6 +66,14 @@ class DistortionAdvice:
     rig: Rig | None = None
     sentence: str = ""
     k1: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def refusal(self) -> str:
+        """Why the pairs fit no model without distortion, for an error."""
+        if self.rig is None:
+            return self.sentence[:1].lower() + self.sentence[1:].rstrip(".")
+        estimate = self.sentence.removeprefix("Estimate lens distortion: ").rstrip(".")
+        return f"the pairs fit only with lens distortion ({estimate}); estimate it from the pairs"
 
 
 def advise_distortion(pairs: Sequence[Correspondence], rig: Rig) -> DistortionAdvice:
@@ -272,12 +281,14 @@ class _Pairs:
         return self.rig.with_lenses(**lenses)
 
     def invertible(self, rig: Rig) -> bool:
-        """Return whether the rays of the clicked pixels lead back to these pixels under the lenses of a rig."""
+        """Return whether the rays of membrane and clicks lead back to their pixels under the lenses of a rig."""
         lenses = _lenses(rig)
-        sides = (("tactile", self.tactile), ("proximity", self.proximity[~self.color]))
+        membrane = membrane_places(self.tactile, np.full(len(self.tactile), np.nan), rig)[:, :2]
+        sides = (("tactile", np.concatenate([self.tactile, membrane])), ("proximity", self.proximity[~self.color]))
         for name, pixels in (*sides, ("color", self.proximity[self.color])):
-            rays = ray_seen(lenses[name], pixels)
-            again = lenses[name].project(np.column_stack([rays, np.ones(len(rays))]))
+            with np.errstate(over="ignore", invalid="ignore"):  # beyond the fold of a lens
+                rays = ray_seen(lenses[name], pixels)
+                again = lenses[name].project(np.column_stack([rays, np.ones(len(rays))]))
             if not np.allclose(again, pixels, atol=0.2):
                 return False
         return True

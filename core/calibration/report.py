@@ -313,9 +313,8 @@ class CalibrationReport:
     def words(self) -> str:
         """Return the whole report as text."""
         lines = [f"Model: {self.model}. {self.reason}", self.depth_advice.reason]
-        if self.distortion.sentence:
-            done = self.distortion.sentence.replace("Estimate", "Estimated", 1)
-            lines.append(done if self.distortion_used else self.distortion.sentence)
+        if self.distortion_used:  # otherwise the verdict says it
+            lines.append(self.distortion.sentence.replace("Estimate", "Estimated", 1))
         lines += ["", _table(self)]
         chosen = self.chosen
         lines += [f"Not fitted, {name}: {reason}" for name, reason in self.refused.items()]
@@ -440,8 +439,9 @@ def next_step(quality: ModelQuality, coverage: Coverage, proximity: Float64Array
             f"(pair {worst.id} by {worst.residual_px:.0f} px){_or_doubtful(quality)}."
         )
     if quality.doubtful:
-        listed = ", ".join(quality.doubtful[:5])
-        return f"Click pair {listed} again: one of them may be wrong, and the others do not decide which."
+        listed = ", ".join(quality.doubtful[:5]) + (", ..." if len(quality.doubtful) > 5 else "")
+        which = f"pairs {listed} again: one of them" if len(quality.doubtful) > 1 else f"pair {listed} again: it"
+        return f"Click {which} may be wrong, and the others do not decide."
     missing = ADVISED_POINTS - used
     if missing > 0:
         return f"Add {missing} more point{'s' if missing > 1 else ''}: with six the quality can be estimated."

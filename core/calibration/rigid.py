@@ -28,7 +28,7 @@ from ..model.intrinsics import Intrinsics
 from .correspondences import check_space, on_a_line, spread
 from .homography import CLICK_SIGMA_PX
 from .maximum_likelihood import UNMEASURED, Linearised, Measurements, Prior, inverse_information
-from .robust import Problem, RobustFit, doubtful, fit_robustly, left_out_residuals_px, numbered, rivals_px
+from .robust import Problem, Rival, RobustFit, doubtful, fit_robustly, left_out_residuals_px, numbered, rivals_px
 
 #: Which correction of the tactile depth is fitted.
 DepthFit = Literal["none", "offset", "scale", "both"]
@@ -470,12 +470,15 @@ def fit_rigid(
     check_space(points.places, points.proximity, least, name)
     stated, observed = np.array([sigma_tactile_px, sigma_proximity_px, sigma_depth_m]), 1.0
     known: BoolArray | None = None
+    rivals: tuple[Rival[Pose], ...] = ()
     if like is not None:
         known, observed = like.used, like.noise_factor
     for _ in range(_NOISE_ROUNDS if free and like is None else 1):
         problem = RigidProblem(points, rig, observed * stated, depth_fit, names)
         fit = fit_robustly(problem, known)
+        rivals = fit.rivals or rivals  # only the first round looks for them
         known, observed = fit.used, max(observed * fit.noise_factor, _MIN_NOISE)
+    fit = replace(fit, rivals=rivals)
     return RigidFit(
         pose=fit.solution.theta,
         used=fit.used,

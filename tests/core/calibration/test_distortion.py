@@ -9,6 +9,7 @@ from simulated_clicks import make_clicks, project_points
 from tactune.core import ContactPipeline
 from tactune.core.calibration import Correspondence, calibrate
 from tactune.core.calibration.distortion import advise_distortion, two_planes
+from tactune.core.errors import CalibrationError
 from tactune.core.model.frames import Rig
 from tactune.core.model.intrinsics import Distortion
 from tactune.core.preset import Preset
@@ -40,6 +41,15 @@ def test_wrong_pairs_do_not_spoil_the_estimate(rig, bent):
     pairs = [replace(pair, proximity_u=pair.proximity_u + 25) if int(pair.id) % 12 == 0 else pair for pair in pairs]
     value, sigma = advise_distortion(pairs, rig).k1["tactile"]
     assert abs(value + 0.2) < 3 * sigma < 0.1
+
+
+def test_distortion_that_folds_the_membrane_over_is_named_and_not_offered(rig):
+    update = {"distortion": Distortion.BROWN_CONRADY, "coefficients": (-0.5, 0.0, 0.0, 0.0, 0.0)}
+    very_bent = rig.with_lenses(rig.tactile.intrinsics.model_copy(update=update), rig.proximity.intrinsics)
+    pairs = make_clicks(very_bent, 40, 2).correspondences()
+    for estimate in (False, True):
+        with pytest.raises(CalibrationError, match=r"^lens distortion explains the pairs .* too strong .* chessboard$"):
+            calibrate(pairs, rig, "rigid", estimate_distortion=estimate)
 
 
 def test_nothing_is_offered_without_distortion_or_where_the_rig_states_it(rig, bent):

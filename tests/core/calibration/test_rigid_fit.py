@@ -59,6 +59,14 @@ def test_twelve_clicks_reach_the_cramer_rao_bound(rig):
     assert np.mean(errors) < 1.10 * np.mean(bounds)
 
 
+def test_doubtful_pairs_stay_so_where_the_depth_is_corrected(rig):
+    clicks = make_clicks(rig, 6, 1).noisy
+    clicks.proximity[2] += (8.0, -6.0)
+    fit = fit_rigid(clicks, rig, depth_fit="offset")
+    assert fit.doubtful or not fit.used.all()
+    assert fit.rivals_px(clicks.places).shape[2] > 0
+
+
 def test_the_95_percent_bound_holds_in_95_percent_of_trials(rig):
     places, true = (side[::17] for side in judged_places(rig))
     whole = []
