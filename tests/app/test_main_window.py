@@ -62,6 +62,14 @@ def test_says_what_to_do_while_there_is_nothing(make_window, qtbot, preset):
     assert window.transport.position.text() == "0.0 s, frame 1 of 1"
 
 
+def test_says_which_stage_dropped_everything(window, qtbot):
+    view = window.views.views[CloudName.PATCH]
+    passed = view.point_count()
+    window.document.edit("mask.enabled", True)
+    qtbot.waitUntil(lambda: view.message() != "")
+    assert view.message().startswith(f"{passed:,} points passed the contact test, but the mask dropped all: correct if")
+
+
 def test_the_window_does_not_look_for_the_reason_itself(window, qtbot, monkeypatch):
     """The worker thread finds the reason, because that takes longer than finding no contact."""
     threads = []
