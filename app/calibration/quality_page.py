@@ -216,7 +216,7 @@ class QualityPage(QWidget):
             ("Residual, RMS", "exact fit, not informative" if quality.rms_px is None else f"{quality.rms_px:.2f} px"),
             (
                 "Cross-validated by region",
-                "needs six pairs" if quality.cross_validated_px is None else f"{quality.cross_validated_px:.2f} px",
+                "needs more pairs" if quality.cross_validated_px is None else f"{quality.cross_validated_px:.2f} px",
             ),
             ("Condition number", f"{quality.condition:.1f}"),
         ]
