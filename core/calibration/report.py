@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Literal
@@ -423,7 +423,7 @@ def grade(quality: ModelQuality) -> str:
     numbers = (
         f"{word}: expected alignment error {quality.alignment_px:.2f} px ({quality.alignment_mm:.2f} mm), with 95 % "
         f"certainty below {quality.alignment_bound_95_px:.2f} px; patch boundary off by "
-        f"{effect.boundary_mm:.1f} mm; the tolerance test needs t from {effect.supported_tolerance:.3f}."
+        f"{effect.boundary_mm:.1f} mm; the tolerance test needs t from {effect.supported_tolerance:.4f}."
     )
     return f"{numbers} {quality.agreement.words()}".strip()
 
@@ -432,16 +432,15 @@ def next_step(quality: ModelQuality, coverage: Coverage, proximity: Float64Array
     """Return the step that improves the calibration most, one sentence."""
     used = len(proximity)
     if quality.excluded:
-        listed = ", ".join(quality.excluded[:5]) + (", ..." if len(quality.excluded) > 5 else "")
         worst = max((pair for pair in quality.pairs if not pair.used), key=lambda pair: pair.residual_px)
+        them = "them" if len(quality.excluded) > 1 else "it"
         return (
-            f"Click again or delete pair {listed}: left out, because the others contradict it "
+            f"Click {_listed(quality.excluded)} again or delete {them}: left out, because the others contradict {them} "
             f"(pair {worst.id} by {worst.residual_px:.0f} px){_or_doubtful(quality)}."
         )
     if quality.doubtful:
-        listed = ", ".join(quality.doubtful[:5]) + (", ..." if len(quality.doubtful) > 5 else "")
-        which = f"pairs {listed} again: one of them" if len(quality.doubtful) > 1 else f"pair {listed} again: it"
-        return f"Click {which} may be wrong, and the others do not decide."
+        who = "one of them" if len(quality.doubtful) > 1 else "it"
+        return f"Click {_listed(quality.doubtful)} again: {who} may be wrong, and the others do not decide."
     missing = ADVISED_POINTS - used
     if missing > 0:
         return f"Add {missing} more point{'s' if missing > 1 else ''}: with six the quality can be estimated."
@@ -461,7 +460,16 @@ def next_step(quality: ModelQuality, coverage: Coverage, proximity: Float64Array
 
 
 def _or_doubtful(quality: ModelQuality) -> str:
-    return f"; if that is right, look at pair {', '.join(quality.doubtful[:5])}" if quality.doubtful else ""
+    return f"; if that is right, look at {_listed(quality.doubtful)}" if quality.doubtful else ""
+
+
+def _listed(ids: Sequence[str]) -> str:
+    """Return up to five pairs by name, such as ``"pairs 3, 5 and 6"``."""
+    if len(ids) == 1:
+        return f"pair {ids[0]}"
+    if len(ids) > 5:
+        return f"pairs {', '.join(ids[:5])}, ..."
+    return f"pairs {', '.join(ids[:-1])} and {ids[-1]}"
 
 
 def _large_residuals(quality: ModelQuality) -> str:
@@ -473,22 +481,24 @@ def _large_residuals(quality: ModelQuality) -> str:
     bad = [pair for pair in kept if pair.residual_px > max(_SUSPICIOUS * usual, _CLICK_AGAIN_PX)][:3]
     if not bad:
         return ""
-    ids, errors = " and ".join(pair.id for pair in bad), " and ".join(f"{pair.residual_px:.1f}" for pair in bad)
+    errors = " and ".join(f"{pair.residual_px:.1f}" for pair in bad)
     return (
-        f"Click pair{'s' if len(bad) > 1 else ''} {ids} again: {errors} px from the fit, half of all pairs are within "
+        f"Click {_listed([pair.id for pair in bad])} again: {errors} px from the fit, half of all pairs are within "
         f"{usual:.1f} px."
     )
 
 
 def _weakest_place(quality: ModelQuality, proximity: Float64Array, rig: Rig) -> str:
-    """Return advice on the most uncertain place, if it is far from all points and much worse than the median."""
+    """Return advice on the most uncertain place, if it is far from all points, worse than `GOOD_PX` and much
+    worse than the median.
+    """
     uncertainty = quality.map
     gaps = np.hypot(*(uncertainty.proximity[:, None] - proximity[None]).transpose(2, 0, 1)).min(axis=1)
     far = gaps > _FAR_PX
     if not far.any():
         return ""
     worst = int(np.argmax(np.where(far, uncertainty.sigma_px, -1.0)))
-    if uncertainty.sigma_px[worst] < 1.3 * np.median(uncertainty.sigma_px):
+    if uncertainty.sigma_px[worst] < max(1.3 * np.median(uncertainty.sigma_px), GOOD_PX):
         return ""
     place = place_name(uncertainty.proximity[worst], rig.proximity.intrinsics.shape)
     return (
