@@ -22,6 +22,7 @@ from PyQt6.QtWidgets import (
 from ...core.calibration.recheck import clearly_larger, replacement
 from ...core.model.frames import SensorFrame
 from ...core.preset import AlignmentSection, Preset
+from ...core.preset.checks import rig_in_use
 from ...widgets.basics.controls import AccentButton, push_button
 from ...widgets.basics.theme import theme_name
 from ...widgets.clouds.cloud_view import BackendChoice, CloudView, link_cameras
@@ -235,7 +236,7 @@ class CheckPage(QWidget):
             return
         self._find_patches()
         self._show_comparison()
-        frame, new, rig = self._frame(), self.new_preset(), self._session.rig
+        frame, new = self._frame(), self.new_preset()
         which, image = _WHICH[self.which.checkedId()][0], self.pixels.currentData()
         if frame is None or (new is None and which == "new"):
             self._overlay, self._drawn = None, ()
@@ -248,7 +249,7 @@ class CheckPage(QWidget):
         wanted = (frame, preset.alignment.geometry, image)
         if wanted != self._drawn:
             self._drawn = wanted
-            section = preset.alignment
+            section, rig = preset.alignment, rig_in_use(preset, self._session.rig)
             self._overlay_job.start(lambda _: make_overlay(alignment_of_preset(section, rig), rig, frame, image))
 
     def _find_patches(self) -> None:

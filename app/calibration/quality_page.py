@@ -16,7 +16,7 @@ from scipy.interpolate import LinearNDInterpolator
 from ...core.calibration import CalibrationReport
 from ...core.calibration.quality import millimetres_per_pixel
 from ...core.calibration.report import grade
-from ...core.model.arrays import Float64Array, Uint8Array
+from ...core.model.arrays import BoolArray, Float64Array, Uint8Array
 from ...core.model.frames import Rig, SensorFrame
 from ...widgets.basics.controls import AccentButton, push_button
 from ...widgets.basics.theme import TextSize, text_font
@@ -52,7 +52,7 @@ def uncertainty_lut() -> Uint8Array:
     return np.ascontiguousarray(colors)
 
 
-def uncertainty_picture(report: CalibrationReport, frame: SensorFrame, rig: Rig, unit: str) -> UncertaintyPicture:
+def uncertainty_picture(report: CalibrationReport, frame: SensorFrame, unit: str) -> UncertaintyPicture:
     """Colour the proximity colour image by the expected alignment error.
 
     Parameters
@@ -60,10 +60,11 @@ def uncertainty_picture(report: CalibrationReport, frame: SensorFrame, rig: Rig,
     unit : {"px", "mm"}
         Proximity pixels, or millimetres across the line of sight.
     """
-    fit = report.chosen.agreement
+    fit, rig = report.chosen.agreement, report.rig
     shown = picture(frame, rig, "proximity", "color", stretch=True)
     height, width = shown.gray.shape
     places = membrane_grid(frame, rig, _STEP_PX)
+    places = places[_has_ray(places[:, :2], rig)]
     if len(places) < 4:
         return UncertaintyPicture(shown.pixels, 0.0, 1.0)
     sigma = np.sqrt((fit.sensitivity(places) ** 2).sum(axis=(1, 2)))
@@ -76,11 +77,20 @@ def uncertainty_picture(report: CalibrationReport, frame: SensorFrame, rig: Rig,
     low = min(float(sigma.min()), 0.999 * high)
     rows = np.clip((np.nan_to_num(coarse) - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
     colors = cv2.resize(uncertainty_lut()[rows][:, :, :3], (width, height), interpolation=cv2.INTER_LINEAR)
-    known = cv2.resize(np.isfinite(coarse).astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
+    covered = cv2.resize(np.isfinite(coarse).astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
     gray = cv2.cvtColor(shown.gray, cv2.COLOR_GRAY2RGB).astype(np.float32)
-    weight = (_OPACITY * known)[:, :, None]
+    weight = (_OPACITY * covered)[:, :, None]
     blended = gray * (1 - weight) + colors * weight
     return UncertaintyPicture(pack_rgb(blended.astype(np.uint8)), low, high)
+
+
+def _has_ray(pixels: Float64Array, rig: Rig) -> BoolArray:
+    """Whether tactile pixels (N, 2) have a ray; those beyond the fold of a strongly distorting lens have none."""
+    lens = rig.tactile.intrinsics
+    with np.errstate(all="ignore"):
+        rays = lens.normalise(pixels)
+        again = lens.project(np.column_stack([rays, np.ones(len(rays))]))
+    return np.asarray((np.abs(again - pixels) < 1.0).all(axis=1))
 
 
 def color_pixels(depth_pixels: Float64Array, depth_m: Float64Array, rig: Rig) -> Float64Array:
@@ -257,7 +267,7 @@ class QualityPage(QWidget):
 
     def _draw(self) -> None:
         """Draw the map if it is visible and out of date."""
-        report, snapshot, rig = self._outcome.report, self._session.state.snapshot, self._session.rig
+        report, snapshot = self._outcome.report, self._session.state.snapshot
         self._show_marks()
         if not self.isVisible():
             return
@@ -265,7 +275,6 @@ class QualityPage(QWidget):
             self._drawn = ()
             why = "Take a snapshot to draw the map" if report is not None else "No calibration yet"
             self._show_no_map(why)
-            self.map.header.set_legend(None)
             return
         unit = self._unit()
         wanted = (report, snapshot.digest, unit)
@@ -273,7 +282,7 @@ class QualityPage(QWidget):
             if not self._drawn:
                 self.map.set_image(None, "Drawing the map…")
             self._drawn = wanted
-            self._job.start(lambda _: uncertainty_picture(report, snapshot.frame, rig, unit))
+            self._job.start(lambda _: uncertainty_picture(report, snapshot.frame, unit))
 
     def _show_map(self, drawn: UncertaintyPicture) -> None:
         self.map.set_image(drawn.pixels)
@@ -284,6 +293,7 @@ class QualityPage(QWidget):
 
     def _show_no_map(self, why: str) -> None:
         self.map.set_image(None, why)
+        self.map.header.set_legend(None)
         self._mapped = False
         self._show_marks()
 

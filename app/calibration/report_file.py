@@ -7,7 +7,6 @@ from pathlib import Path
 from ...core.calibration import CalibrationReport
 from ...core.calibration.html_report import write_html
 from ...core.model.arrays import Uint8Array
-from ...core.model.frames import Rig
 from .overlay import OverlayMode, make_overlay
 from .prediction import Alignment
 from .quality_page import uncertainty_picture
@@ -15,7 +14,7 @@ from .session import Snapshot
 
 
 def write_report(
-    path: Path, report: CalibrationReport, alignment: Alignment, preset_name: str, snapshot: Snapshot | None, rig: Rig
+    path: Path, report: CalibrationReport, alignment: Alignment, preset_name: str, snapshot: Snapshot | None
 ) -> Path:
     """Write the report with overlay and uncertainty over a snapshot, if there is one; return its path.
 
@@ -27,11 +26,11 @@ def write_report(
     pictures: dict[str, Uint8Array] = {}
     if snapshot is not None:
         frame = snapshot.frame
-        drawn = uncertainty_picture(report, frame, rig, "px")
+        drawn = uncertainty_picture(report, frame, "px")
         title = f"Expected alignment error over the membrane, {drawn.low:.2f} px (dark) to {drawn.high:.2f} px (bright)"
         pictures[title] = _rgb(drawn.pixels)
         if frame.tactile_color is not None:
-            overlay = make_overlay(alignment, rig, frame, "color")
+            overlay = make_overlay(alignment, report.rig, frame, "color")
             pictures["Checkerboard of both images: lines continue across the borders"] = _rgb(
                 overlay.composed(OverlayMode.CHECKER, 0.5)
             )

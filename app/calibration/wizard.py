@@ -399,12 +399,12 @@ class CalibrationWizard(QDialog):
 
     def export_report(self, path: Path) -> None:
         """Write the quality report as HTML, on another thread."""
-        outcome, snapshot, rig = self.outcome, self.session.state.snapshot, self.session.rig
+        outcome, snapshot = self.outcome, self.session.state.snapshot
         report, alignment, name = outcome.report, outcome.alignment, self._document.preset.name
         if report is None or alignment is None:
             return
         self.check.export.setEnabled(False)
-        self._export.start(lambda _: write_report(path, report, alignment, name, snapshot, rig))
+        self._export.start(lambda _: write_report(path, report, alignment, name, snapshot))
 
     def _report_written(self, path: Path) -> None:
         self.check.export.setEnabled(True)

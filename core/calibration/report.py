@@ -489,9 +489,7 @@ def _large_residuals(quality: ModelQuality) -> str:
 
 
 def _weakest_place(quality: ModelQuality, proximity: Float64Array, rig: Rig) -> str:
-    """Return advice on the most uncertain place, if it is far from all points, worse than `GOOD_PX` and much
-    worse than the median.
-    """
+    """Return advice on the most uncertain place, if it is far from all points, above `GOOD_PX` and above the median."""
     uncertainty = quality.map
     gaps = np.hypot(*(uncertainty.proximity[:, None] - proximity[None]).transpose(2, 0, 1)).min(axis=1)
     far = gaps > _FAR_PX
