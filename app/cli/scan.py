@@ -95,7 +95,7 @@ def evaluate_recording(
     preset: Annotated[
         str | None, typer.Option("--preset", "-p", metavar="FILE|NAME", help="As for tactune run.")
     ] = None,
-    unit: Annotated[Unit, typer.Option(help="Unit of the scan's numbers.")] = Unit.M,
+    unit: Annotated[Unit | None, typer.Option(help="Unit of the scan's numbers; default: m.")] = None,
     paint: Annotated[
         list[str] | None,
         typer.Option(
@@ -122,7 +122,7 @@ def evaluate_recording(
     from ...core.sources.presets import load_preset
     from .methods import frame_range, frames_between, remembered_frames
 
-    unit_m = UNITS_M[unit]
+    unit_m = UNITS_M[unit or Unit.M]
     first, last = frame_range(frame, frames)
     settings = parse_paint(paint or [])
     pose = _start_pose(scan, transform, pairs, unit_m)
@@ -130,6 +130,11 @@ def evaluate_recording(
     origin = preset or default_preset(source)
     chosen = load_preset(origin)
     loaded = load_scan(scan, unit_m)
+    if unit is None:
+        sides = " x ".join(
+            f"{1e3 * side:.0f}" for side in loaded.vertices_m.max(axis=0) - loaded.vertices_m.min(axis=0)
+        )
+        warn(f"{scan.name} was read in m: {sides} mm; say --unit if that is wrong")
     contact = _contact(loaded, settings, scan)
     refined, truth = None, scan_truth(loaded, contact, pose)
     records: list[Record] = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 
 import numpy as np
 import pytest
@@ -75,11 +76,12 @@ def test_the_texture_is_coarse_as_a_mesh(scans):
 
 def test_the_scores_with_the_true_transform_are_the_direct_ones(tactune, scans, direct_mm):
     for kind in ("clean", "texture"):
-        status, out, _ = tactune(
+        status, out, err = tactune(
             "evaluate", "recording", "--source", SOURCE, "--scan", scans[kind][0], "--transform", scans[kind][-1],
             "--frame", FRAME, "--json",
         )  # fmt: skip
         assert status == 0
+        assert re.search(rf"{scans[kind][0].name} was read in m: \d+ x \d+ x \d+ mm; say --unit", err)
         found = json.loads(out)
         (record,) = found["results"]
         assert record["symmetric_rmse_mm"] == pytest.approx(direct_mm, abs=0.1)
@@ -106,7 +108,7 @@ def test_noisy_pairs_and_icp_come_near_the_direct_scores(tactune, scans, direct_
     kept = tmp_path / "kept.json"
     common = ["evaluate", "recording", "--source", SOURCE, "--scan", in_mm, "--unit", "mm", "--frame", FRAME, "--json"]
     status, out, err = tactune(*common, "--pairs", pairs, "--refine", "--save-transform", kept)
-    assert status == 0 and f"wrote {kept}" in err
+    assert status == 0 and f"wrote {kept}" in err and "--unit" not in err
     found = json.loads(out)
     assert found["refined"]["converged"]
 
