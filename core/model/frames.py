@@ -20,8 +20,9 @@ from .intrinsics import Intrinsics
 #: Raw counts that mean *no depth*; a D405 stream really contains 65535.
 NO_DEPTH_COUNTS = (0, 65535)
 
-#: Both cameras sit in one housing; a longer translation is a mistake, such as millimetres.
+#: A longer translation is a mistake, such as millimetres; the cameras of a rig sit in one housing.
 _MAX_SHIFT_M = 3.0
+_MAX_CAMERA_SHIFT_M = 1.0
 #: Largest depth unit, metres: no camera counts centimetres, but a unit given in millimetres looks like that.
 MAX_UNIT_M = 0.01
 
@@ -71,6 +72,18 @@ def rigid_transform(matrix: Any) -> Matrix4:
     return rows  # type: ignore[no-any-return]
 
 
+def camera_pose(matrix: Any) -> Matrix4:
+    """Check a pose as `rigid_transform` does, and that it is one between the cameras of a rig: at most 1 m long."""
+    pose = rigid_transform(matrix)
+    shift = [row[3] for row in pose[:3]]
+    if np.linalg.norm(shift) > _MAX_CAMERA_SHIFT_M:
+        raise ValueError(
+            f"the cameras of a rig are at most {_MAX_CAMERA_SHIFT_M:g} m apart, the translation here is "
+            f"{' '.join(f'{value:g}' for value in shift)}: is it in mm? Give metres"
+        )
+    return pose
+
+
 class _Frozen(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -93,7 +106,7 @@ class ColorCamera(_Frozen):
     @field_validator("T_color_depth", mode="before")
     @classmethod
     def _is_rigid(cls, value: Any) -> Matrix4:
-        return rigid_transform(value)
+        return camera_pose(value)
 
 
 class Rig(_Frozen):
@@ -115,7 +128,7 @@ class Rig(_Frozen):
     @field_validator("T_proximity_tactile", mode="before")
     @classmethod
     def _is_rigid(cls, value: Any) -> Matrix4 | None:
-        return None if value is None else rigid_transform(value)
+        return None if value is None else camera_pose(value)
 
     @property
     def proximity_color_shape(self) -> tuple[int, int]:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from ..model.frames import Matrix4, rigid_transform
+from ..model.frames import Matrix4, camera_pose
 from .sections import Section, described
 
 #: A homography has no scale. Its largest element must lie between the inverse of this and this.
@@ -91,7 +91,7 @@ class RigidAlignment(Section):
     @field_validator("T_proximity_tactile", mode="before")
     @classmethod
     def _is_rigid(cls, value: Any) -> Matrix4 | None:
-        return None if value is None else rigid_transform(value)
+        return None if value is None else camera_pose(value)
 
 
 class HomographyAlignment(Section):

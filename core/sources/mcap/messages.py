@@ -40,7 +40,7 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from ...errors import SourceError
-from ...model.frames import Matrix4, rigid_transform
+from ...model.frames import Matrix4, camera_pose
 
 #: Names of the metadata record and the attachments inside a recording.
 METADATA_NAME: Final = "tactune"
@@ -110,4 +110,4 @@ def matrix_of(transform: Any) -> Matrix4:
     matrix = np.eye(4)
     matrix[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
     matrix[:3, 3] = t.x, t.y, t.z
-    return rigid_transform(matrix)
+    return camera_pose(matrix)

@@ -12,7 +12,7 @@ import numpy as np
 from ...errors import PresetError, SourceError
 from ...model.arrays import AnyArray, IndexArray, Int64Array, Uint64Array
 from ...model.files import user_path
-from ...model.frames import ColorCamera, DepthCamera, GroundTruth, Matrix4, Rig, SensorFrame, rigid_transform
+from ...model.frames import ColorCamera, DepthCamera, GroundTruth, Matrix4, Rig, SensorFrame, camera_pose
 from ...model.intrinsics import Distortion, Intrinsics
 from ...model.loading import parse_json
 from ...model.rig_file import parse_rig
@@ -350,7 +350,7 @@ def _pose(file: McapFile, first: str, second: str) -> Matrix4 | None:
                 continue
             try:
                 pose = matrix_of(transform.transform)
-                return pose if frames == (first, second) else rigid_transform(np.linalg.inv(np.array(pose)))
+                return pose if frames == (first, second) else camera_pose(np.linalg.inv(np.array(pose)))
             except ValueError as error:
                 raise SourceError(f"{file.path}: the pose of {second} in {first}: {error}; record it again") from error
     return None

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from ...errors import SourceError
-from ...model.frames import DepthCamera, Matrix4, rigid_transform
+from ...model.frames import DepthCamera, Matrix4, camera_pose
 from ...model.intrinsics import Distortion, Intrinsics
 from ..base import CameraOption, CameraRole
 from ..cameras.camera import Calibration, Camera, DeviceInfo, Image, StreamLens
@@ -305,7 +305,7 @@ def _pose(source: Any, target: Any) -> Matrix4:
     matrix = np.eye(4)
     matrix[:3, :3] = np.asarray(extrinsics.rotation).reshape(3, 3).T  # column-major in the driver
     matrix[:3, 3] = extrinsics.translation
-    return rigid_transform(matrix)
+    return camera_pose(matrix)
 
 
 def _by_sensor(streams: dict[str, _Stream]) -> list[tuple[Any, list[Any]]]:

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from ...errors import SourceError
 from ...model.arrays import Float64Array, Int64Array, Uint8Array, Uint16Array
-from ...model.frames import DepthCamera, Matrix4, rigid_transform
+from ...model.frames import DepthCamera, Matrix4, camera_pose
 from ...model.intrinsics import Distortion, Intrinsics
 from ..base import Progress
 from .decoding import DamagedFileError
@@ -198,7 +198,7 @@ class Recording(ABC):
             depth_unit_m=unit_m,
         )
         if (device, "Color") not in streams:
-            return Camera(self, info, depth, None, rigid_transform(np.eye(4)))
+            return Camera(self, info, depth, None, camera_pose(np.eye(4)))
         color = self._stream(device, streams[device, "Color"], times)
         return Camera(self, info, depth, color, self._pose(color, depth))
 
@@ -245,7 +245,7 @@ class Recording(ABC):
             raise self._refusal(f"the pose of {color.topic} to {depth.topic} is missing (topics such as …/tf/0)")
         reference = min(common)
         try:
-            return rigid_transform(to_color[reference] @ np.linalg.inv(to_depth[reference]))
+            return camera_pose(to_color[reference] @ np.linalg.inv(to_depth[reference]))
         except (ValueError, np.linalg.LinAlgError) as error:
             raise self._refusal(f"the pose of {color.topic} to {depth.topic} is damaged: {error}") from error
 

@@ -244,7 +244,7 @@ def test_a_point_outside_the_colour_image_is_kept(make_rig, make_frame):
     rig = make_rig()
     frame = make_frame(rig)
     turned = Rig.model_validate(rig.model_dump() | {"proximity_color": rig.proximity_color.model_dump() | {
-        "T_color_depth": [[1, 0, 0, 2.9], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}})  # fmt: skip
+        "T_color_depth": [[1, 0, 0, 0.99], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}})  # fmt: skip
     everything = PRESET.with_values({"mask.enabled": True, "tolerance.t": 0.05})
     assert (ContactPipeline(everything, rig).process(frame).provenance == Provenance.MASKED).any()
     assert not (ContactPipeline(everything, turned).process(frame).provenance == Provenance.MASKED).any()

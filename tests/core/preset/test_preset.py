@@ -98,6 +98,7 @@ def test_the_default_preset_holds_the_papers_values():
         ("alignment.homography.H_p_t", np.eye(3) * 1e200, ["1e+200", "divide all nine by the last"]),
         ("alignment.rigid.T_proximity_tactile", np.diag([2.0, 1, 1, 1]), ["no rotation"]),
         ("alignment.rigid.T_proximity_tactile", np.eye(3), ["4 x 4"]),
+        ("alignment.rigid.T_proximity_tactile", np.eye(4) + np.eye(4)[:, :1] @ np.eye(4)[3:] * 2, ["is it in mm"]),
         ("alignment.rigid.T_proximity_tactile", {}, ["4 x 4"]),
         ("alignment.rigid.T_proximity_tactile", [["1", 0, 0, 0]] * 4, ["numbers"]),
         ("alignment.rigid.T_proximity_tactile", [[10**400, 0, 0, 0]] * 4, ["numbers"]),

@@ -150,6 +150,10 @@ BAD = {
         lambda p: edit(p / "rig.json", T_proximity_tactile=[[1, 0, 0, 40], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]),
         r"rig\.json: T_proximity_tactile: .*metres up to 3",
     ),
+    "pose of 2 m": (
+        lambda p: edit(p / "rig.json", T_proximity_tactile=[[1, 0, 0, 2], [0, 1, 0, 0], [0, 0, 1, 1], [0, 0, 0, 1]]),
+        r"rig\.json: T_proximity_tactile: .*at most 1 m apart, the translation here is 2 0 1: is it in mm",
+    ),
     "time is nan": (lambda p: edit(p / F / "frame.json", proximity_time_s=float("nan")), r"proximity_time_s is nan"),
 }
 
