@@ -149,7 +149,9 @@ class Agreement:
 
     def next_step(self) -> str:
         """Return what to do about smooth errors, one sentence; empty if there are none."""
-        return _STEPS[self.cause] if self.found else ""
+        if not self.found:
+            return ""
+        return _STEPS[self.cause if self.probability > _FOUND else "field"]
 
     def to_json(self) -> dict[str, Any]:
         """Return JSON values."""

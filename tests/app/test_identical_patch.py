@@ -5,15 +5,38 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from tactune.app.cli.main import main
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.sources.base import SeekableSource
+from tactune.core.sources.folder import export_folder
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
+from tactune.core.sources.simulator.source import SimulatorSource
 from tiny_sensor import at_rest
 
 REAL_PAIR_PRESET = Path(__file__).resolve().parents[1] / "data" / "real_pair.json"
+
+
+class Excerpt(SeekableSource):
+    """A few frames of another source."""
+
+    def __init__(self, whole: SeekableSource, indices: list[int]) -> None:
+        super().__init__("excerpt", whole.rig, len(indices))
+        self._whole, self._indices = whole, indices
+
+    def read(self, index):
+        return self._whole.read(self._indices[index])
+
+
+@pytest.fixture(scope="module")
+def pressed_cup(tmp_path_factory):
+    """Frames without contact, with some, and with much, as a folder that every way can read."""
+    folder = tmp_path_factory.mktemp("identical") / "cup"
+    export_folder(Excerpt(SimulatorSource("cup", cells=(88, 52)), [0, 30, 45]), folder)
+    return folder
 
 
 def patches_of_the_window(window, folder, qtbot):
@@ -47,6 +70,13 @@ def check(window, folder, preset_name, tmp_path, qtbot, monkeypatch):
             np.testing.assert_array_equal(written, patch.points)
             assert written.dtype == patch.points.dtype
     return seen
+
+
+def test_on_the_simulator(make_window, pressed_cup, tmp_path, qtbot, monkeypatch):
+    window = make_window(load_preset("simulator"))
+    seen = check(window, pressed_cup, "simulator", tmp_path / "out", qtbot, monkeypatch)
+    assert len(seen[0].points) == 0
+    assert len(seen[2].points) > len(seen[1].points) > 100
 
 
 def test_on_a_real_scene(make_window, shared_data, tmp_path, qtbot, monkeypatch):
