@@ -11,6 +11,7 @@ from ..errors import CalibrationError, RigMismatchError
 from ..model.arrays import Float64Array
 from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
+from ..preset.checks import rig_in_use
 from .calibrate import rigid_points
 from .quality import PatchEffect, millimetres_per_pixel, patch_effect
 from .report import CalibrationReport
@@ -81,7 +82,7 @@ def recheck(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
         raise CalibrationError(
             f"frame {frame.sequence} has no tactile colour image to compare; use a source that has one"
         )
-    section = preset.alignment
+    section, rig = preset.alignment, rig_in_use(preset, rig)
     T_p_t = tactile_pose(section, rig)
     pose = Pose(T_p_t[:3, :3], T_p_t[:3, 3], section.depth_scale, section.depth_offset_m)
     record = section.calibration

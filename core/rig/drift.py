@@ -14,6 +14,7 @@ from ..model.arrays import Float64Array, Uint16Array
 from ..model.clouds import ray_table, valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
 from ..preset import Preset
+from ..preset.checks import rig_in_use
 
 #: Largest harmless change: half the margin of the method proximity-only, which compares with the untouched frame.
 LIMIT_M: Final = 0.001
@@ -99,6 +100,7 @@ def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouch
     RigMismatchError
         Neither preset nor rig has the pose between the cameras.
     """
+    rig = rig_in_use(preset, rig)
     for one in (frame, untouched):
         one.check_against(rig)
     change, x, y, before = _changes(frame.tactile_depth, untouched.tactile_depth, rig.tactile)

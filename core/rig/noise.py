@@ -28,6 +28,7 @@ from ..model.arrays import BoolArray, Float32Array, Float64Array, Uint16Array
 from ..model.clouds import deproject, pixel_areas_m2, valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
 from ..preset import CameraNoise, MaskSection, Preset, RigNoise, now
+from ..preset.checks import rig_in_use
 from ..preset.rig_noise import BiasOrigin
 from ..sources.base import CameraRole, FrameSource, Progress
 from .untouched import frames_to_average, tile_medians
@@ -147,7 +148,7 @@ def measure_noise(
     RigMismatchError
         Neither preset nor rig has the pose between the cameras.
     """
-    report = progress or (lambda share, words: None)
+    report, rig = progress or (lambda share, words: None), rig_in_use(preset, rig)
     different = list({frame.sequence: frame for frame in frames}.values())
     if len(different) < MIN_FRAMES:
         raise FrameError(

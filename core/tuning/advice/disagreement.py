@@ -17,6 +17,7 @@ from ...model.arrays import Float32Array, Float64Array
 from ...model.clouds import pixel_areas_m2
 from ...model.frames import Rig, SensorFrame
 from ...preset import Preset
+from ...preset.checks import rig_in_use
 from ...rig.noise import MeasuredBias, pressed_bias, print_bias
 from ...sources.base import Progress
 from .proposal import Evidence
@@ -86,6 +87,7 @@ class Disagreement:
 
 def depth_differences(frame: SensorFrame, preset: Preset, rig: Rig) -> tuple[Float32Array, Float32Array]:
     """Return the proximity depth, and the difference of both depths, for each proximity pixel; nan where unknown."""
+    rig = rig_in_use(preset, rig)
     bounds = region_bounds(preset.region, rig.proximity.intrinsics.shape)
     aligned = make_alignment(preset.alignment, rig).align(frame.proximity_depth, frame.tactile_depth, bounds)
     return aligned.expected_m, aligned.expected_m - aligned.measured_m
