@@ -30,7 +30,7 @@ from .rigid import color_lens, color_pose, ray_seen
 #: Fewer pairs in an image estimate no distortion of its lens.
 MIN_PAIRS = 16
 #: Chance of finding distortion where there is none.
-_FALSE_ALARM = 1e-3
+_FALSE_ALARM = 1e-4
 #: Largest standard deviation of k1 that is offered.
 _MAX_SIGMA = 0.05
 #: Pairs must reach this share of the way from the centre of an image to its corner.
