@@ -192,6 +192,7 @@ def test_parameters_are_read_set_and_refused(server: tuple[subprocess.Popen[str]
         assert np.array_equal(cloud_of(seen["/contact/patch"])[0], find(number_of(seen), changed)[1].points)
 
         refused = {"tolerance.t": 7, "outliers.k": 2.5, "range.limits_m": [0.5, 0.1], "alignment.model": "no"}
+        refused |= {"outliers.ratio": 1e300, "contact_test": "x" * 1_000_000}
         for name, value in refused.items():
             present = client.parameters()[name]
             assert client.set_parameter(name, value) == {name: present}
