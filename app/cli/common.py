@@ -310,7 +310,8 @@ def number_of_frames(source: FrameSource, asked: int | None) -> int | None:
 def warn_of_lost_frames(source: FrameSource, before: int) -> None:
     """Warn of the frames that the source has lost since its count was ``before``."""
     if lost := source.health().dropped - before:
-        warn(f"{counted(lost, 'frame')} lost before they got here; see that nothing else uses the machine or its USB")
+        where = "this computer or its USB" if source.health().cameras else "this computer, which did not keep up"
+        warn(f"{counted(lost, 'frame')} lost before they got here; end what else uses {where}")
 
 
 def warn_of_wrong_unit(frame: SensorFrame, rig: Rig) -> None:

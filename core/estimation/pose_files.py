@@ -52,6 +52,9 @@ def error_record(error: PoseError | None) -> Record:
 def save_poses(path: Path, records: Sequence[Mapping[str, Any]]) -> None:
     """Write records of `pose_record` by the file's suffix: ``.tum`` without lost frames, else CSV with all columns.
 
+    Times in a ``.tum`` file increase, as ``evo`` demands: of several poses of one time, as after a jump back in a
+    recording, the last is kept.
+
     Raises
     ------
     ExportError
@@ -59,7 +62,8 @@ def save_poses(path: Path, records: Sequence[Mapping[str, Any]]) -> None:
     """
     text = io.StringIO(newline="")
     if path.suffix.lower() == TUM_SUFFIX:
-        records = [record for record in records if not record["lost"]]
+        newest = {record["time_s"]: record for record in records if not record["lost"]}
+        records = [newest[time_s] for time_s in sorted(newest)]
         text.writelines(" ".join(repr(record[key]) for key in _TUM) + "\n" for record in records)
     elif records:
         writer = csv.DictWriter(text, list(records[0]), lineterminator="\n")

@@ -22,7 +22,7 @@ from rosbags.interfaces import Nodetype
 
 from ..errors import MissingExtraError, PublishError
 from ..sources.mcap.messages import TYPES
-from .messages import SAID_ONCE, type_hash
+from .messages import SAID_ONCE, ros_topic, type_hash
 from .publisher import LiveMessage, SinkStatus
 
 try:
@@ -39,8 +39,6 @@ except ImportError as missing:
 
 #: Largest domain id whose ports exist.
 MAX_DOMAIN: Final = 232
-#: Topics that ROS 2 keeps out of namespaces.
-_GLOBAL_TOPICS: Final = ("/tf", "/tf_static")
 #: Messages of a topic that are kept for repeats: about 0.1 s, so that a lost part of a large one still arrives in time.
 _HISTORY: Final = 4
 _NAMESPACE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
@@ -177,8 +175,8 @@ class DdsSink:
         return ",".join((_CONFIG.format(general=general, discovery=""), os.environ.get("CYCLONEDDS_URI", "")))
 
     def _writer(self, topic: str, type_name: str) -> DataWriter[IdlStruct]:
-        ros_topic = topic if topic in _GLOBAL_TOPICS or not self._namespace else f"/{self._namespace}{topic}"
-        self._entities.append(Topic(self._entities[1], f"rt{ros_topic}", _dds_type(type_name)))
+        name = f"rt{ros_topic(topic, self._namespace)}"
+        self._entities.append(Topic(self._entities[1], name, _dds_type(type_name)))
         is_kept = topic in SAID_ONCE
         qos = Qos(
             Policy.Reliability.Reliable(max_blocking_time=0),

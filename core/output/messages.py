@@ -55,6 +55,9 @@ STATIC_QOS: Final = """\
 #: Topics with one message, which players keep for late subscribers.
 SAID_ONCE: Final = (Topic.RIG, Topic.STATIC_TRANSFORMS)
 
+#: Topics that ROS 2 keeps out of namespaces.
+_GLOBAL_TOPICS: Final = (Topic.TRANSFORMS, Topic.STATIC_TRANSFORMS)
+
 _LAST_STAMP_NS = (2**31) * 10**9 - 1
 _DTYPES: dict[str, np.dtype[Any]] = {
     "16UC1": np.dtype("<u2"),
@@ -63,6 +66,13 @@ _DTYPES: dict[str, np.dtype[Any]] = {
     "32FC1": np.dtype("<f4"),
 }
 _CHANNELS = {"rgb8": 3}
+
+
+def ros_topic(topic: str, namespace: str) -> str:
+    """Return a topic's name in ROS 2; a namespace replaces ``/tactune`` at the start of a topic."""
+    if topic in _GLOBAL_TOPICS or not namespace:
+        return topic
+    return f"/{namespace}{topic.removeprefix('/tactune')}"
 
 
 def nanoseconds(time_s: float) -> int:

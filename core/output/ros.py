@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from ..errors import MissingExtraError, PublishError
-from .messages import SAID_ONCE
+from .messages import SAID_ONCE, ros_topic
 from .publisher import LiveMessage, SinkStatus
 
 #: Messages of a topic that are kept for repeats, as in `DdsSink`.
@@ -55,7 +55,7 @@ class RosSink:
                 durability = DurabilityPolicy.TRANSIENT_LOCAL if is_kept else DurabilityPolicy.VOLATILE
                 self._publishers[topic] = self._node.create_publisher(
                     getattr(importlib.import_module(f"{package}.msg"), kind),
-                    topic if topic.startswith("/tf") else topic.removeprefix("/"),
+                    ros_topic(topic, self._namespace),
                     QoSProfile(depth=1 if is_kept else _HISTORY, durability=durability),
                 )
         except Exception as error:  # rclpy has kinds of its own for names, the middleware and missing packages

@@ -66,8 +66,9 @@ def served(domain: int) -> Iterator[str]:
 
 def test_the_python_program_levels_a_tray(programs: list[str]) -> None:
     with running(programs[0]) as lines:
-        rates = [float(re.fullmatch(r"turn ([+-][\d.]+) rad/s\n", next(lines))[1]) for _ in range(10)]  # type: ignore[index]
-    assert any(rates)
+        rates = [float(re.fullmatch(r"turn ([+-][\d.]+) rad/s\n", line)[1]) for line in lines]  # type: ignore[index]
+    assert any(rates[:-1])
+    assert rates[-1] == 0.0, "it stops where the source ends"
 
 
 def test_the_ros_program_follows_an_object(programs: list[str], served: str, domain: int) -> None:

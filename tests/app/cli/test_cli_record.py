@@ -20,7 +20,7 @@ from tactune.core import ContactPipeline, load_preset, open_source
 from tactune.core.errors import SourceError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.sources import FrameSource
-from tactune.core.sources.base import Health
+from tactune.core.sources.base import CameraHealth, Health
 from tactune.core.sources.mcap.source import McapSource
 
 Run = Callable[..., Any]
@@ -60,6 +60,7 @@ class LiveSource(FrameSource):
         self._asked = 0
         self.given = 0
         self.message = ""
+        self.cameras: tuple[CameraHealth, ...] = ()
         self.lost_each = self.interrupt_after = 0
 
     @property
@@ -83,7 +84,8 @@ class LiveSource(FrameSource):
         return frame
 
     def health(self) -> Health:
-        return Health(ok=not self.message, message=self.message, dropped=self.lost_each * self.given)
+        lost = self.lost_each * self.given
+        return Health(ok=not self.message, message=self.message, dropped=lost, cameras=self.cameras)
 
 
 @pytest.fixture
@@ -160,6 +162,9 @@ def test_what_a_live_source_has_to_say_is_said_once(tmp_path: Path, live: LiveSo
     live.message, live.lost_each = "", 5
     done = tactune("record", "-s", "live:x", "-o", tmp_path / "b.mcap", "--frames", 2)
     assert done.err.startswith("tactune: 10 frames lost before they got here;"), "the 15 of the first are no news"
+    assert "did not keep up" in done.err and "USB" not in done.err
+    live.cameras = (CameraHealth("tactile", "streaming"),)
+    assert "USB" in tactune("record", "-s", "live:x", "-o", tmp_path / "c.mcap", "--frames", 2).err
 
 
 def test_ctrl_c_ends_a_recording_cleanly(tmp_path: Path, live: LiveSource, tactune: Run) -> None:

@@ -14,6 +14,8 @@ from mcap_ros2.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
 from tactune.core.estimation.object_mesh import simulated_mesh
+from tactune.core.estimation.pose import PoseEstimate
+from tactune.core.estimation.pose_files import pose_record, save_poses
 from tactune.core.evaluation.scan.pose import save_transform
 from tactune.core.sources.simulator.source import SimulatorSource
 
@@ -41,6 +43,20 @@ def cup(tmp_path_factory):
 def arguments(cup, *more):
     mesh, start = str(cup / "cup.stl"), str(cup / "start.json")
     return ["track", "--source", "sim:cup", "--mesh", mesh, "--start", start, "-n", str(FRAMES), *map(str, more)]
+
+
+def test_evo_reads_poses_tracked_again_after_a_jump_back(tmp_path):
+    pose = np.eye(4)
+    records = []
+    for time_s in (1.0, 2.0, 3.0, 2.0):
+        pose[0, 3] = 0.1 * len(records)
+        estimate = PoseEstimate(len(records), time_s, pose.copy(), np.eye(6), (), 0.0, 1.0, lost=time_s == 3.0)
+        records.append(pose_record(estimate))
+    save_poses(tmp_path / "poses.tum", records)
+    found = file_interface.read_tum_trajectory_file(tmp_path / "poses.tum")
+    assert found.check()[0]
+    assert found.timestamps.tolist() == [1.0, 2.0]
+    assert found.positions_xyz[:, 0] == pytest.approx([0.0, 0.3])
 
 
 def test_evo_reads_the_poses_and_finds_them_near_the_truth(tactune, cup, truths, tmp_path):

@@ -33,8 +33,10 @@ def test_a_node_publishes_the_bytes_that_somebody_wants(node_class: Any) -> None
     sink = RosSink(3, "left/finger")
     sink.start(LIVE_TOPICS)
     node = node_class.latest
-    namespaced = {f"/left/finger{topic}" for topic in LIVE_TOPICS if topic not in ("/tf", "/tf_static")}
-    assert node.publishers.keys() == namespaced | {"/tf", "/tf_static"}
+    outside = {"/tf", "/tf_static", "/tactune/frame", "/tactune/rig"}
+    namespaced = {f"/left/finger{topic}" for topic in LIVE_TOPICS if topic not in outside}
+    named = {"/tf", "/tf_static", "/left/finger/frame", "/left/finger/rig"}
+    assert node.publishers.keys() == namespaced | named
     assert node.publishers["/left/finger/contact/patch"].kind.__name__ == "PointCloud2"
     assert node.publishers["/tf_static"].qos.durability.name == "TRANSIENT_LOCAL"
     assert not sink.wanted()
