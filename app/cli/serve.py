@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ...core.errors import PresetError
 from .common import (
     SOURCE,
     WAIT_S,
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
 _LAYOUT_HELP = "Write the layout for the Foxglove app (Import from file) and end, unless --foxglove or --ros2 is given."
 #: Longest that a frame waits for its pose, seconds; tracking takes a few hundredths.
 _POSE_S = 0.1
+_SETTABLE_HELP = "Let clients of --foxglove set preset parameters; any program or web page on this computer then can."
 _RCLPY_HELP = "Publish by the ROS 2 that is sourced in this shell, whose middleware and settings choose the network."
 
 
@@ -79,6 +81,7 @@ def serve(
         int, typer.Option(min=0, max=232, metavar="N", envvar="ROS_DOMAIN_ID", help="ROS 2 domain id.")
     ] = 0,
     namespace: Annotated[str, typer.Option(metavar="NAME", help="ROS 2 namespace of the topics.")] = "tactune",
+    settable: Annotated[bool, typer.Option("--settable", help=_SETTABLE_HELP)] = False,
     estimate: EstimateOption = None,
     mesh: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Track this object (.obj, .ply, .stl) and publish its pose.")
@@ -96,7 +99,7 @@ def serve(
     if not (foxglove or ros2 or rclpy):
         raise typer.BadParameter("give --foxglove or --ros2; nothing is published unless it is asked for")
     preset = preset or default_preset(source)
-    connections = Connections(foxglove, ros2, host, port, domain, namespace, rclpy)
+    connections = Connections(foxglove, ros2, host, port, domain, namespace, rclpy, settable)
     serve_frames(ServeOptions(source, preset, frames, connections, estimate, mesh, unit))
 
 
@@ -110,21 +113,31 @@ def serve_frames(options: ServeOptions) -> None:
     from ...core.sources.capture.live import LiveLoop
     from ...core.sources.presets import load_preset
 
-    preset = load_preset(options.preset)
-    with open_with_progress(options.source, preset.cameras) as opened:
+    preset, connections = load_preset(options.preset), options.connections
+    parameters = PresetParameters(preset, check=_refuse_while_opening, settable=connections.settable)
+    with (
+        Publisher(connections.make_sinks(parameters)) as publisher,  # a taken port is told before cameras start
+        open_with_progress(options.source, preset.cameras) as opened,
+    ):
         source = opened if opened.length is None else LiveLoop(opened)
         estimated = _estimator(options, preset, source.rig)
         with CliProgress() as progress:
             warm_up_if_needed(progress.preparing, preset)
         for sentence in check_rig(preset, source.rig):
             warn(sentence)
-        parameters = PresetParameters(preset, check=lambda changed: ContactPipeline(changed, source.rig))
-        with stop_on_signals() as stopped, Publisher(options.connections.make_sinks(parameters)) as publisher:
+        parameters.check = lambda changed: ContactPipeline(changed, source.rig)
+        with stop_on_signals() as stopped:
             for output in publisher.status():
                 typer.echo(f"{output.sink.name}: {output.sink.place}")
+            if connections.warning:
+                warn(connections.warning)
             count = _publish(source, parameters, publisher, estimated, options.frames, stopped)
         typer.echo(f"published {counted(count, 'frame')} of {source.name}")
         warn_of_lost_frames(source, 0)
+
+
+def _refuse_while_opening(_: Preset) -> None:
+    raise PresetError("the source is still being opened; set the value again once frames come")
 
 
 def _publish(

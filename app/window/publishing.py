@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 #: Interval at which clients and rates are shown, ms.
 _INTERVAL_MS = 500
 _OFF = "Nothing is published. Tick Foxglove or ROS 2, then press Start publishing."
-_OPEN_TO_ALL = "Other computers can then connect, read everything and change the preset, without a password."
 
 
 class PublishWindow(QDialog):
@@ -60,7 +59,7 @@ class PublishWindow(QDialog):
         super().__init__(parent)
         self.setWindowTitle("Publish")
         self.foxglove = QCheckBox("&Foxglove")
-        self.foxglove.setToolTip("A WebSocket server: the Foxglove app and its clients read topics and set the preset")
+        self.foxglove.setToolTip("A WebSocket server: the Foxglove app and its clients read topics and parameters")
         self.port = _number(1, 65535, FOXGLOVE_PORT, "Foxglove's port", "TCP port of the Foxglove server, 1 to 65535")
         self.ros2 = QCheckBox("&ROS 2")
         self.ros2.setToolTip("ROS 2 topics by DDS; neither side needs anything but its own middleware")
@@ -73,6 +72,11 @@ class PublishWindow(QDialog):
         self.host = _entry(
             LOOPBACK, "Address", f"The address to listen on. {LOOPBACK}: this computer only. 0.0.0.0: every network"
         )
+        self.settable = QCheckBox("Let &clients set parameters")
+        self.settable.setToolTip(
+            "Foxglove clients may change the preset, each value as an undo step; so may every web page that is open on "
+            "this computer. Off: they read only. It is off at every start"
+        )
         self.note = NoteLabel(lines=2)
         self.start = AccentButton("&Start publishing", "Let clients connect, or disconnect them all and stop listening")
         self.state = NoteLabel(_OFF, lines=4)
@@ -80,11 +84,11 @@ class PublishWindow(QDialog):
         self.layout_file = push_button(
             "Save Foxglove &layout…", "Save the layout that shows all topics in the Foxglove app"
         )
-        self._settings = (self.foxglove, self.port, self.ros2, self.domain, self.namespace, self.host)
+        self._settings = (self.foxglove, self.port, self.ros2, self.domain, self.namespace, self.host, self.settable)
         self._lay_out()
         self.start.clicked.connect(self.switched)
         self.layout_file.clicked.connect(self.layoutRequested)
-        for box in (self.foxglove, self.ros2):
+        for box in (self.foxglove, self.ros2, self.settable):
             box.toggled.connect(self._check)
         self.host.textChanged.connect(self._check)
         self._check()
@@ -99,6 +103,7 @@ class PublishWindow(QDialog):
             self.port.value(),
             self.domain.value(),
             self.namespace.text().strip(),
+            settable=self.settable.isChecked(),
         )
 
     def show_connections(self, connections: Connections) -> None:
@@ -124,8 +129,8 @@ class PublishWindow(QDialog):
 
     def _check(self) -> None:
         self.start.setEnabled(self.start.isChecked() or self.foxglove.isChecked() or self.ros2.isChecked())
-        is_open = self.host.text().strip() not in ("", LOOPBACK, "localhost")
-        self.note.say(_OPEN_TO_ALL if is_open else "")
+        warning = self.connections.warning
+        self.note.say(f"{warning[0].upper()}{warning[1:]}." if warning else "")
 
     def _lay_out(self) -> None:
         grid = QGridLayout()
@@ -135,6 +140,7 @@ class PublishWindow(QDialog):
             (QLabel(), caption("&Namespace", self.namespace), self.namespace),
             (QLabel(), caption("&Address", self.host), self.host),
         )
+        grid.addWidget(self.settable, len(rows), 0, 1, 3)
         for row, widgets in enumerate(rows):
             for column, widget in enumerate(widgets):
                 grid.addWidget(widget, row, column)
@@ -148,7 +154,7 @@ class PublishWindow(QDialog):
             layout.addWidget(part)
         layout.addStretch()
         layout.addWidget(buttons)
-        self.resize(460, 310)
+        self.resize(460, 340)
 
 
 class _Start:
@@ -239,7 +245,7 @@ class PublishControl(QObject):
             from ...core.output.parameters import PresetParameters
             from ...core.output.publisher import Publisher
 
-            parameters = PresetParameters(preset, on_set=self._set_by_client.emit)
+            parameters = PresetParameters(preset, on_set=self._set_by_client.emit, settable=connections.settable)
             publisher = Publisher(connections.make_sinks(parameters))
             return (pressed, publisher, parameters) if pressed.keep(publisher) else None
 

@@ -34,6 +34,9 @@ class Connections:
         Of the ROS 2 topics.
     rclpy : bool
         ROS 2 topics by the sourced ROS 2, which decides on the network.
+    settable : bool
+        Foxglove clients may set preset parameters. Off by default: a web page that is open on this computer can
+        connect to the loopback address, and foxglove-sdk does not let us check where a client comes from.
     """
 
     foxglove: bool = False
@@ -43,6 +46,15 @@ class Connections:
     domain: int = 0
     namespace: str = "tactune"
     rclpy: bool = False
+    settable: bool = False
+
+    @property
+    def warning(self) -> str:
+        """Who else can connect and do what, as a sentence without a full stop; empty if others can only read here."""
+        if self.host not in ("", LOOPBACK, "localhost"):
+            what = "connect, read everything and set parameters" if self.settable else "connect and read everything"
+            return f"other computers can {what}, without a password"
+        return "every program and web page on this computer can set parameters" if self.settable else ""
 
     def make_sinks(self, parameters: PresetParameters) -> list[Sink]:
         """Return a sink for each connection, not started yet.

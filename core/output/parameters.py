@@ -27,6 +27,8 @@ class PresetParameters:
         Raises `TactuneError` for a preset that cannot be used, such as with the present rig.
     on_set : callable, optional
         Told the path and the value that a client has set, on the client's thread.
+    settable : bool
+        Clients may set values; otherwise they read only.
     """
 
     def __init__(
@@ -34,9 +36,12 @@ class PresetParameters:
         preset: Preset,
         check: Callable[[Preset], object] = lambda preset: None,
         on_set: Callable[[str, Any], None] = lambda path, value: None,
+        settable: bool = False,
     ) -> None:
         self._preset = preset
-        self._check = check
+        self._settable = settable
+        #: May be replaced once the rig is known.
+        self.check = check
         self._on_set = on_set
         self._lock = threading.Lock()
         #: Told the values that `use` has changed.
@@ -65,8 +70,14 @@ class PresetParameters:
         Raises
         ------
         TactuneError
-            There is no such parameter, or the preset does not allow the value; nothing changed.
+            Clients may not set values, there is no such parameter, or the preset does not allow the value; nothing
+            changed.
         """
+        if not self._settable:
+            raise PresetError(
+                f"{path} was not set: clients may read only; start tactune serve with --settable, or tick "
+                "Let clients set parameters in Connect > Publish"
+            )
         with self._lock:
             present = _values(self._preset).get(path)
             if present is None:
@@ -74,7 +85,7 @@ class PresetParameters:
             if isinstance(present, int) and isinstance(value, float) and value.is_integer():
                 value = int(value)  # JavaScript has one type of number
             changed = self._preset.with_value(path, value)
-            self._check(changed)
+            self.check(changed)
             self._preset = changed
         self._on_set(path, changed.value(path))
 

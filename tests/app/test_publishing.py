@@ -74,7 +74,17 @@ def test_clients_get_what_the_window_shows_and_are_counted(publishing, window, q
     qtbot.waitUntil(lambda: "0 clients" in publishing.state.text())
 
 
+def test_clients_read_only_unless_they_are_let(publishing, window, qtbot, port):
+    switch_on(publishing, qtbot, port)
+    with FoxgloveClient(port) as client:
+        assert client.set_parameter("tolerance.t", 0.02) == {"tolerance.t": 0.03}
+        assert "Let clients set parameters" in client.wait_for_text("status")["message"]
+    assert window.document.preset.tolerance.t == 0.03
+
+
 def test_a_value_set_by_a_client_is_an_undo_step(publishing, window, qtbot, port):
+    QTest.keyClick(publishing.settable, Qt.Key.Key_Space)
+    assert "web page on this computer can set" in publishing.note.text()
     switch_on(publishing, qtbot, port)
     with FoxgloveClient(port) as client:
         assert client.parameters()["tolerance.t"] == 0.03

@@ -21,8 +21,8 @@ _MESSAGE_DATA = 1
 class FoxgloveClient:
     """Connected to a server on this computer; a context manager. Channels are known once it is made."""
 
-    def __init__(self, port: int, **options: Any) -> None:
-        place = f"ws://127.0.0.1:{port}"
+    def __init__(self, port: int, host: str = "127.0.0.1", **options: Any) -> None:
+        place = f"ws://{host}:{port}"
         self._connection = connect(place, subprotocols=["foxglove.sdk.v1"], max_size=None, **options)
         self._socket = self._connection.__enter__()
         self.texts: list[dict[str, Any]] = []

@@ -41,14 +41,14 @@ ALL = sorted(
 
 
 @contextmanager
-def serving(*words: str) -> Iterator[tuple[subprocess.Popen[str], int]]:
+def serving(*words: str, address: str = "127.0.0.1") -> Iterator[tuple[subprocess.Popen[str], int]]:
     """Start a server and yield it with its port, once it listens."""
     command = [str(TACTUNE), "serve", "--foxglove", "--source", "sim:cup", *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
             line = process.stdout.readline()
-            match = re.fullmatch(r"Foxglove: ws://127\.0\.0\.1:(\d+)\n", line)
+            match = re.fullmatch(rf"Foxglove: ws://{re.escape(address)}:(\d+)\n", line)
             assert match, line
             yield process, int(match[1])
         finally:
@@ -57,7 +57,7 @@ def serving(*words: str) -> Iterator[tuple[subprocess.Popen[str], int]]:
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[tuple[subprocess.Popen[str], int]]:
-    with serving("--port", "0", "--estimate", "tilt") as started:
+    with serving("--port", "0", "--estimate", "tilt", "--settable") as started:
         yield started
 
 
@@ -279,6 +279,43 @@ def test_nothing_is_published_unless_asked(tactune: Callable[..., Finished]) -> 
     assert finished.status == 2
     assert "--foxglove or --ros2" in finished.err
     assert not listening()
+
+
+def other_address() -> str:
+    """Return an address of this computer that is not 127.0.0.1, that of a network card where there is one."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))  # sends nothing
+        except OSError:  # no network
+            return "127.0.0.2"
+        return str(probe.getsockname()[0])
+
+
+def test_clients_read_only_and_other_computers_connect_only_where_asked() -> None:
+    with serving("--port", "0", "--host", "0.0.0.0", address="0.0.0.0") as (process, port):
+        assert process.stderr is not None
+        said = process.stderr.readline()
+        assert "other computers can connect and read everything, without a password" in said
+        assert listening(process.pid) == {("tcp", "0.0.0.0", port)}
+        with FoxgloveClient(port, host=other_address()) as client:
+            present = client.parameters()["tolerance.t"]
+            assert client.set_parameter("tolerance.t", 0.02) == {"tolerance.t": present}
+            assert "--settable" in client.wait_for_text("status")["message"]
+            client.subscribe(["/contact/patch"])
+            assert next(client.messages())[0] == "/contact/patch"
+
+
+def test_a_taken_port_is_told_before_the_source_opens(
+    monkeypatch: pytest.MonkeyPatch, tactune: Callable[..., Finished]
+) -> None:
+    opened: list[object] = []
+    monkeypatch.setattr("tactune.core.sources.registry.open_source", lambda *words: opened.append(words))
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        assert f"port {port} is taken" in tactune("serve", "--foxglove", "--port", port, "-s", "sim:cup").sentence
+    assert not opened
 
 
 def test_an_address_of_another_computer_is_refused(tactune: Callable[..., Finished]) -> None:
