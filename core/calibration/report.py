@@ -27,6 +27,8 @@ from .rigid import DepthFit, RigidFit
 ModelName = Literal["homography", "rigid"]
 #: Expected alignment error over the membrane, pixels, up to which a calibration is good, and usable.
 GOOD_PX, USABLE_PX = 0.6, 1.5
+#: The same for the contact patch's boundary, millimetres: a homography may fit its pairs and be wrong at other depths.
+GOOD_MM, USABLE_MM = 5.0, 20.0
 #: Number of points from which the quality can be judged.
 ADVISED_POINTS = 6
 #: Depth that the points of a rigid alignment should span, millimetres.
@@ -417,9 +419,10 @@ def grade(quality: ModelQuality) -> str:
             f"Unknown: {used} points fit a {quality.model} exactly, so residuals of 0 mean nothing; clicks of usual "
             f"noise would leave an alignment error of {quality.alignment_px:.1f} px."
         )
-    good = quality.alignment_px <= GOOD_PX and not quality.agreement.sloppy
-    word = "Good" if good else "Usable" if quality.alignment_px <= USABLE_PX else "Poor"
     effect = quality.effect
+    good = quality.alignment_px <= GOOD_PX and effect.boundary_mm <= GOOD_MM and not quality.agreement.sloppy
+    usable = quality.alignment_px <= USABLE_PX and effect.boundary_mm <= USABLE_MM
+    word = "Good" if good else "Usable" if usable else "Poor"
     numbers = (
         f"{word}: expected alignment error {quality.alignment_px:.2f} px ({quality.alignment_mm:.2f} mm), with 95 % "
         f"certainty below {quality.alignment_bound_95_px:.2f} px; patch boundary off by "
@@ -449,6 +452,7 @@ def next_step(quality: ModelQuality, coverage: Coverage, proximity: Float64Array
         or _large_residuals(quality)
         or _weakest_place(quality, proximity, rig)
         or _shallow_points(quality, coverage)
+        or _wrong_off_its_plane(quality)
         or _suspicious_pair(quality)
     )
     if found:
@@ -512,6 +516,12 @@ def _shallow_points(quality: ModelQuality, coverage: Coverage) -> str:
         f"Add points at another inflation level: all lie within {coverage.depth_span_mm:.0f} mm of depth, "
         f"{ADVISED_SPAN_MM:.0f} mm or more determine the pose well."
     )
+
+
+def _wrong_off_its_plane(quality: ModelQuality) -> str:
+    if quality.model != "homography" or quality.effect.boundary_mm <= GOOD_MM:
+        return ""
+    return "Check the tactile depths and take the rigid model: off its plane this homography is wrong."
 
 
 def _suspicious_pair(quality: ModelQuality) -> str:

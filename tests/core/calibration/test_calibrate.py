@@ -44,6 +44,17 @@ def test_wrong_depths_make_it_recommend_the_homography(rig, plane):
     assert plane.error(report.homography).mean() < 4.0
 
 
+def test_a_homography_that_is_wrong_off_its_plane_is_not_good(rig):
+    rng = np.random.default_rng(0)
+    tactile = rng.uniform((60, 60), (540, 420), (20, 2))
+    depth = rng.uniform(0.28, 0.32, 20)  # contradicts pixels that are all shifted alike
+    pairs = [Correspondence(str(i), u + 40.0, v, u, v, depth[i]) for i, (u, v) in enumerate(tactile)]
+    report = calibrate(pairs, rig, "homography")
+    assert report.chosen.alignment_px < 0.1
+    assert report.chosen.effect.boundary_mm > 5
+    assert not report.verdict.startswith("Good") and "nothing more is needed" not in report.verdict
+
+
 def test_distortion_left_in_the_clicks_is_named_and_contained_in_the_bound(rig):
     centre = np.array([320.0, 240.0])
 
