@@ -130,11 +130,6 @@ def evaluate_recording(
     origin = preset or default_preset(source)
     chosen = load_preset(origin)
     loaded = load_scan(scan, unit_m)
-    if unit is None:
-        sides = " x ".join(
-            f"{1e3 * side:.0f}" for side in loaded.vertices_m.max(axis=0) - loaded.vertices_m.min(axis=0)
-        )
-        warn(f"{scan.name} was read in m: {sides} mm; say --unit if that is wrong")
     contact = _contact(loaded, settings, scan)
     refined, truth = None, scan_truth(loaded, contact, pose)
     records: list[Record] = []
@@ -158,6 +153,11 @@ def evaluate_recording(
             records += [_scored(name, step, each, truth) for name, step in steps.items()]
             progress.frames(len(records) // len(names), total and total - first)
     _warn_of_places(records)
+    if unit is None:
+        sides = " x ".join(
+            f"{1e3 * side:.0f}" for side in loaded.vertices_m.max(axis=0) - loaded.vertices_m.min(axis=0)
+        )
+        warn(f"{scan.name} was read in m: {sides} mm; say --unit if that is wrong")
     if save_transform is not None:
         write_transform(save_transform, pose)
     if csv_file is not None:
