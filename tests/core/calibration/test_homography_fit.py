@@ -35,6 +35,7 @@ def test_noise_costs_no_more_than_with_opencvs_refinement(plane, count):
     assert ours["strong"] < 1.005 * theirs["strong"]
 
 
+@pytest.mark.long
 def test_the_95_percent_bound_holds_in_95_percent_of_trials(plane):
     whole = []
     places = plane.grid[::5]

@@ -67,6 +67,7 @@ def test_doubtful_pairs_stay_so_where_the_depth_is_corrected(rig):
     assert fit.rivals_px(clicks.places).shape[2] > 0
 
 
+@pytest.mark.long
 def test_the_95_percent_bound_holds_in_95_percent_of_trials(rig):
     places, true = (side[::17] for side in judged_places(rig))
     whole = []
