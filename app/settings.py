@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 import platformdirs
-from PyQt6.QtCore import QByteArray, QTimer
+from PyQt6.QtCore import QByteArray, QLockFile, QTimer
 
 from ..core.errors import ExportError
 from ..core.model.files import atomic_path
@@ -18,6 +18,8 @@ from ..core.model.loading import read_json
 RECENT_LIMIT = 10
 #: Time from a change to its writing, ms.
 _WRITE_AFTER_MS: Final = 1000
+#: Longest wait for another window that is writing, ms.
+_LOCK_MS: Final = 1000
 
 
 def default_data_folder() -> Path:
@@ -97,9 +99,12 @@ class Settings:
         """Write to disk now; a disk that refuses loses only what is remembered."""
         self._timer.stop()
         if self._changed:
+            lock = QLockFile(f"{self._path}.lock")  # another window may have read the file and not written it yet
+            lock.tryLock(_LOCK_MS)
             with suppress(ExportError), atomic_path(self._path) as temporary:
                 temporary.write_text(json.dumps(_read(self._path) | self._changed, indent=1), encoding="utf-8")
                 self._changed = {}
+            lock.unlock()
 
 
 def _read(path: Path) -> dict[str, str]:

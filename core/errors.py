@@ -46,3 +46,8 @@ class CalibrationError(TactuneError):
 
 class AdviceError(TactuneError):
     """A proposal that the evidence does not support; the message says why and what evidence is missing."""
+
+
+def as_sentence(clause: str) -> str:
+    """Return a clause, such as an error's message, with a capital letter and a full stop."""
+    return f"{clause[:1].upper()}{clause[1:].rstrip('.')}."

@@ -2,12 +2,9 @@
 
 Processor time hardly depends on other load; times by the clock do.
 
-With ``--compare N``, measure instead how much an open Compare tab slows the window down. Both states alternate N times,
-so that other load affects both equally. With ``--against PRESET``, the window compares its preset with another one at
-the wipe. Run it on an idle machine::
+Run it on an idle machine::
 
     QT_QPA_PLATFORM=offscreen python scripts/measure_gui.py --seconds 15
-    QT_QPA_PLATFORM=offscreen python scripts/measure_gui.py --compare 6 --source 'sim:cup?press=medium&sensor=datasheet'
     xvfb-run -a -s "-screen 0 1920x1080x24" python scripts/measure_gui.py --theme dark
 """
 
@@ -21,7 +18,7 @@ import tempfile
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -31,9 +28,7 @@ import pyqtgraph
 from PyQt6.QtCore import QEvent, QObject, Qt, QTimer
 from PyQt6.QtWidgets import QWidget
 
-from tactune.app.analysis.compare_tab import CompareTab
 from tactune.app.cli.common import default_preset
-from tactune.app.document.comparison import Side
 from tactune.app.gui import make_application, start_with
 from tactune.app.settings import Settings
 from tactune.app.window.frame_presenter import FramePresenter
@@ -41,42 +36,13 @@ from tactune.app.window.main_window import MainWindow
 from tactune.app.worker import processing, reading, rendering, worker
 from tactune.app.worker.results import Rendered, Result
 from tactune.core.contact.pipeline import ContactPatch
-from tactune.core.methods.registry import method_names
 from tactune.core.model.patch import AlignedDepth
-from tactune.core.sources.presets import load_preset
 from tactune.widgets.basics.theme import ThemeChoice
 from tactune.widgets.clouds.software_backend import SoftwareCanvas, SoftwareRenderer
 
 HEARTBEAT_MS = 5
 WARM_UP_FRAMES = 30
 NOTHING = AlignedDepth.empty((0, 0))
-
-
-class Heart(QObject):
-    """A timer on the GUI thread that reports the time between its beats, in ms."""
-
-    def __init__(self, parent: QObject, beat: Callable[[float], None]) -> None:
-        super().__init__(parent)
-        self._beat = beat
-        self._last_s = 0.0
-        self._timer = QTimer(self)
-        self._timer.setTimerType(Qt.TimerType.PreciseTimer)
-        self._timer.setInterval(HEARTBEAT_MS)
-        self._timer.timeout.connect(self._tick)
-
-    def start(self) -> None:
-        """Start beating, or forget the time since the last beat."""
-        self._last_s = time.perf_counter()
-        self._timer.start()
-
-    def stop(self) -> None:
-        """Stop beating."""
-        self._timer.stop()
-
-    def _tick(self) -> None:
-        now = time.perf_counter()
-        self._beat(1e3 * (now - self._last_s))
-        self._last_s = now
 
 
 class Stages:
@@ -141,7 +107,11 @@ class Meter(QObject):
         self.painted_s: list[float] = []
         self._started_s = 0.0
         self._cpu_s = 0.0
-        self._heart = Heart(self, self.gaps_ms.append)
+        self._beat_s = 0.0
+        self._heart = QTimer(self)
+        self._heart.setTimerType(Qt.TimerType.PreciseTimer)
+        self._heart.setInterval(HEARTBEAT_MS)
+        self._heart.timeout.connect(self._beat)
         window.context.frameShown.connect(self._frame_shown)
         canvas = window.views.views["patch"].findChild(QWidget, "canvas")
         if canvas is not None:
@@ -165,6 +135,7 @@ class Meter(QObject):
             self._started_s = now
             self._cpu_s = -time.process_time()
             self._stages.seconds.clear()
+            self._beat_s = now
             self._heart.start()
         self.results.append((now, _light(result)))
         if now - self._started_s >= self._seconds:
@@ -173,6 +144,11 @@ class Meter(QObject):
             self._cpu_s += time.process_time()
             self._stage_s = dict(self._stages.seconds)
             self._window.close()
+
+    def _beat(self) -> None:
+        now = time.perf_counter()
+        self.gaps_ms.append(1e3 * (now - self._beat_s))
+        self._beat_s = now
 
     def report(self) -> str:
         """Return all numbers as text."""
@@ -212,77 +188,6 @@ class Meter(QObject):
         return "\n".join(lines)
 
 
-class Rounds(QObject):
-    """Shows and hides the analysis window alternately and measures both states."""
-
-    def __init__(self, window: MainWindow, rounds: int, seconds: float) -> None:
-        super().__init__(window)
-        self._window, self._rounds, self._left, self._seconds = window, rounds, 2 * rounds, seconds
-        self._comparing = False
-        self.gaps_ms: dict[bool, list[float]] = {False: [], True: []}
-        self.frames = {False: 0, True: 0}
-        self.comparisons = 0
-        window.analysis.open("compare")
-        analysis = window.analysis.window
-        assert analysis is not None
-        self._analysis = analysis
-        tab = analysis.made["compare"]
-        assert isinstance(tab, CompareTab)
-        self._tab = tab
-        self._heart = Heart(self, self._beat)
-        self._turns = QTimer(self)
-        self._turns.setInterval(round(1e3 * seconds))
-        self._turns.timeout.connect(self._turn)
-        self._ready = QTimer(self)
-        self._ready.setInterval(100)
-        self._ready.timeout.connect(self._begin_when_ready)
-        self._ready.start()
-
-    def _begin_when_ready(self) -> None:
-        comparison = self._tab.comparison
-        if comparison is None or self._tab.untouched.searching or comparison.task.no_untouched:
-            return
-        self._ready.stop()
-        self._window.context.frameShown.connect(self._frame_shown)
-        self._tab.shown.connect(self._compared)
-        self._analysis.hide()
-        self._heart.start()
-        self._turns.start()
-
-    def _turn(self) -> None:
-        self._left -= 1
-        if self._left == 0:
-            self._heart.stop()
-            self._turns.stop()
-            self._window.close()
-            return
-        self._comparing = not self._comparing
-        self._analysis.setVisible(self._comparing)
-        self._heart.start()
-
-    def _beat(self, gap_ms: float) -> None:
-        self.gaps_ms[self._comparing].append(gap_ms)
-
-    def _frame_shown(self) -> None:
-        self.frames[self._comparing] += 1
-
-    def _compared(self) -> None:
-        self.comparisons += 1
-
-    def report(self) -> str:
-        """Return all numbers as text."""
-        alone, beside = (np.percentile(self.gaps_ms[state], (50, 95, 100)) for state in (False, True))
-        seconds = self._rounds * self._seconds
-        lines = [f"{'':<22}{'without':>9}{'with':>9}{'ratio':>8}"]
-        shown = [self.frames[state] / seconds for state in (False, True)]
-        rows = [("frames shown a second", *shown)]
-        rows += [
-            (f"heartbeat {name}, ms", *pair) for name, *pair in zip(("p50", "p95", "max"), alone, beside, strict=True)
-        ]
-        lines += [f"{name:<22}{first:9.1f}{second:9.1f}{second / first:8.2f}" for name, first, second in rows]
-        return "\n".join([*lines, f"comparisons a second  {self.comparisons / seconds:18.1f}"])
-
-
 def _light(result: Result) -> Result:
     """Return a result without its images: kept ones would make all code write to fresh memory."""
     patch = result.patch
@@ -301,20 +206,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--source", default="sim:cup?sensor=datasheet")
     parser.add_argument("--preset", default=None, help="a file or a shipped name; default: as the window chooses")
-    parser.add_argument("--seconds", type=float, default=15.0, help="with --compare: of each state in a round")
+    parser.add_argument("--seconds", type=float, default=15.0)
     parser.add_argument("--size", default="1280x800")
     parser.add_argument("--theme", choices=("light", "dark"), default="light")
     parser.add_argument("--backend", choices=("auto", "opengl", "software"), default="auto")
-    parser.add_argument("--against", default=None, metavar="PRESET", help="compare with this preset at the wipe")
-    parser.add_argument("--compare", type=int, default=0, metavar="ROUNDS", help="measure the cost of the Compare tab")
-    parser.add_argument("--methods", default=",".join(method_names()), help="the methods that are compared")
     parser.add_argument("--no-strip", action="store_true", help="hide the time strip; nothing is computed for it")
     options = parser.parse_args()
     preset, _ = start_with(options.preset or default_preset(options.source))
     application = make_application()
     with tempfile.TemporaryDirectory(prefix="tactune-") as folder:
         settings = Settings(Path(folder) / "window.json")
-        settings.set("compare/methods", options.methods)
         settings.set("window/hidden", "show_time" if options.no_strip else "")
         stages = watched_stages()
         window = MainWindow(preset, settings, Path(folder), backend=options.backend)
@@ -322,17 +223,13 @@ def main() -> int:
         width, height = (int(part) for part in options.size.split("x"))
         window.resize(width, height)
         window.error_hook.install()
-        meter = Meter(window, options.seconds, stages) if not options.compare else None
+        meter = Meter(window, options.seconds, stages)
         window.show()
         window.open_source(options.source)
-        if options.against:
-            other = Side(options.against, load_preset(options.against))
-            window.context.comparison.show(window.context.comparison.present, other)
-        measured = meter or Rounds(window, options.compare, options.seconds)
         application.exec()
     sys.stdout.write(
         f"machine           {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}, Python {platform.python_version()}, "
-        f"{application.platformName()}\n{measured.report()}\n"
+        f"{application.platformName()}\n{meter.report()}\n"
     )
     return 0
 

@@ -1,11 +1,10 @@
 """Compare the simulator preset's patches with the truth, per object and press depth.
 
-    .venv/bin/python scripts/measure_simulator.py [--noise 1] [--seed 0] [--scenes] [--mesh]
+    .venv/bin/python scripts/measure_simulator.py [--noise 1] [--seed 0] [--mesh]
 
 Prints the largest share of pixels in the patch over all frames without contact, then the means of IoU,
-precision, recall and symmetric RMSE in bands of press depth, and the pipeline's median time. With
-``--scenes`` instead: strain, force and scores of every scene with a still press. With ``--mesh``: how much the
-patch's area changes with mesh cells of half the length; this takes minutes.
+precision, recall and symmetric RMSE in bands of press depth, and the pipeline's median time. With ``--mesh``
+instead: how much the patch's area changes with mesh cells of half the length; this takes minutes.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ import statistics
 
 from tactune.core import ContactPipeline, load_preset
 from tactune.core.evaluation.metrics import compare_with_truth
-from tactune.core.sources.registry import open_source
 from tactune.core.sources.simulator.scenes import Press, Variant, resolve_scene
 from tactune.core.sources.simulator.source import SimulatorSource
 
@@ -54,35 +52,6 @@ def measure(scene: str, seed: int, noise: float) -> None:
         )
 
 
-STILL = [f"sim:{scene}?press={press}" for scene in OBJECTS for press in ("low", "medium", "high", "high&side=left")]
-STILL += [f"sim:{scene}?press={press}" for scene in ("two", "mug", "hand") for press in PRESSES]
-STILL += [f"sim:{scene}?object={shape}" for scene in ("stiff", "wrinkled") for shape in OBJECTS]
-
-
-def measure_scenes(seed: int, noise: float) -> None:
-    """Print a row for every scene with a still press, and the false points of hovering objects."""
-    preset = load_preset("simulator").with_value("contact_test", "tolerance")
-    for name in STILL:
-        with open_source(f"{name}&sensor=datasheet&seed={seed}&noise={noise:g}") as source:
-            assert isinstance(source, SimulatorSource)
-            facts, frame = source.facts(0), source.read(0)
-            assert frame.truth is not None
-            score = compare_with_truth(ContactPipeline(preset, source.rig).process(frame), frame.truth, source.rig)
-            print(
-                f"{name:34} {1e3 * facts.depth_m:5.1f} mm, strain along {100 * facts.strain_length:4.0f} %, across "
-                f"{100 * facts.strain_width:4.0f} %, {facts.force_n:4.0f} N, residual {facts.residual:.0e}: "
-                f"IoU {score['iou']:.3f}, RMSE {score['rmse_mm']:.2f} mm"
-            )
-    for gap in (1, 2, 3, 4, 5, 10, 20):
-        points = []
-        for shape in OBJECTS:
-            with open_source(
-                f"sim:hover?object={shape}&gap={gap}&sensor=datasheet&seed={seed}&noise={noise:g}"
-            ) as source:
-                points.append(len(ContactPipeline(preset, source.rig).process(source.read(0)).points))
-        print(f"hovering {gap:2d} mm away, {', '.join(OBJECTS)}: {points} false points")
-
-
 def measure_mesh() -> None:
     """Print the area of the true patch of the still presses, also with mesh cells of half the length."""
     for scene in OBJECTS:
@@ -112,13 +81,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--noise", type=float, default=1.0)
-    parser.add_argument("--scenes", action="store_true")
     parser.add_argument("--mesh", action="store_true")
     arguments = parser.parse_args()
     if arguments.mesh:
         measure_mesh()
-    elif arguments.scenes:
-        measure_scenes(arguments.seed, arguments.noise)
     else:
         for scene in OBJECTS:
             measure(scene, arguments.seed, arguments.noise)

@@ -83,7 +83,7 @@ def measure(scene: str, sensor: str, seed: str, noise: str, *, alone: bool) -> N
     preset = load_preset("simulator")
     if noise == "measured":
         preset = measured_rig(preset, source)
-    mesh, pipeline = simulated_mesh(source), ContactPipeline(preset, source.rig)
+    mesh, pipeline = simulated_mesh(source.scene, source.name), ContactPipeline(preset, source.rig)
     tracker, estimates, truths = PoseTracker(mesh, preset, source.rig), [], []
     others = {} if alone else _others(mesh, preset, source.rig)
     rows = {name: Row() for name in ("tracker", *others)}

@@ -4,7 +4,8 @@
 
 *found*: a simulated rig at rest; after two minutes a camera moves, the pressure changes or a lens gets dirty. One look
 every ten seconds. The seconds count from the change. *ordinary*: looks at random frames of objects that approach,
-press, hold and leave, with the light dimmed for a third of the time; every report is a false alarm.
+press, hold and leave, with the light dimmed for a third of the time, and at the end an object that stays; every report
+is a false alarm.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ OBJECTS = ("cup", "cube", "octopus", "star")
 AVERAGED, BEFORE = 15, 12
 #: A change that is not found within these looks, ten minutes, counts as not found.
 LONGEST = 60
+#: Looks after a change was told: a second report mistakes one change for another.
+MORE = 6
 #: Growth of the apex, metres, for a percent of gauge pressure in the simulator; measured below for each change.
 APEX_M_PER_PERCENT = 0.00038
 
@@ -47,17 +50,17 @@ class Injected:
 def injected() -> Iterator[Injected]:
     """Yield all changes."""
     for camera in ("tactile", "proximity"):
-        for mm in (0.5, 1.0, 2.0, 5.0):
+        for mm in (0.5, 1.0, 2.0, 5.0, 20.0):
             yield Injected(f"{camera} camera sideways", f"{mm:g} mm", Drift(camera, (mm / 1e3, 0.0, 0.0)))
         for mm in (0.5, 1.0):
             yield Injected(f"{camera} camera towards the membrane", f"{mm:g} mm", Drift(camera, (0.0, 0.0, mm / 1e3)))
-        for degrees in (0.1, 0.5):
+        for degrees in (0.1, 0.5, 5.0):
             yield Injected(f"{camera} camera turned", f"{degrees:g} deg", Drift(camera, turn_deg=(0.0, degrees, 0.0)))
-    for percent in (1, 2, 5, -1, -2, -5):
+    for percent in (1, 2, 5, 20, -1, -2, -5, -20):
         yield Injected("pressure", f"{percent:+d} %", Drift(apex_m=percent * APEX_M_PER_PERCENT))
     for camera in ("tactile", "proximity"):
-        yield Injected(f"{camera} lens, all blurred", "1 px", Drift(camera, blur_px=1.0))
-        yield Injected(f"{camera} lens, all blurred", "2 px", Drift(camera, blur_px=2.0))
+        for px in (0.7, 1.0, 2.0, 4.0):
+            yield Injected(f"{camera} lens, all blurred", f"{px:g} px", Drift(camera, blur_px=px))
         yield Injected(f"{camera} lens, smear", "30 % of the width", Drift(camera, smear=0.3))
     for mm in (0.5, 1.0, 2.0, 5.0):
         yield Injected(
@@ -100,13 +103,17 @@ def measure_found(sensor: str) -> None:
         while report is None and looks < LONGEST:
             report = watch.look(seen(looks), (BEFORE + looks) * INTERVAL_S)
             looks += 1
+        later_on = (watch.look(seen(looks + look), (BEFORE + looks + look) * INTERVAL_S) for look in range(MORE))
+        more = [again.sentence for again in later_on if again is not None]
         risen = after.facts(0).gauge_pressure_pa / pressure_pa - 1
         size = (
             f"{change.size} ({100 * risen:+.1f} %, apex {1e3 * change.drift.apex_m:+.1f} mm)"
             if change.drift.apex_m
             else change.size
         )
-        found = f"{looks * INTERVAL_S:4.0f} s  {report.sentence}" if report is not None else "not found"
+        found = (
+            f"{looks * INTERVAL_S:4.0f} s  {' '.join([report.sentence, *more])}" if report is not None else "not found"
+        )
         print(f"{sensor:10} {change.words:38} {size:34} {found}", flush=True)
 
 
@@ -125,7 +132,8 @@ def measure_ordinary(sensor: str, minutes: float) -> int:
         looks = round(60 * minutes / INTERVAL_S)
         for look in range(looks):
             light = lights[looks // 3 <= look < 2 * looks // 3]
-            frames = scenes[light, ("", "none", "low", "medium")[rng.choice(4, p=(0.6, 0.2, 0.1, 0.1))]]
+            press = ("", "none", "low", "medium")[rng.choice(4, p=(0.6, 0.2, 0.1, 0.1))]
+            frames = scenes[light, "medium" if look >= looks * 5 // 6 else press]
             frame = frames.read(int(rng.integers(frames.length)))
             started = time.process_time()
             report = watch.look(frame, look * INTERVAL_S)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QFont, QPalette
-from PyQt6.QtWidgets import QCheckBox, QComboBox, QFrame, QGridLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QCheckBox, QComboBox, QFrame, QGridLayout, QLabel, QVBoxLayout, QWidget
 
 from ...core.model.arrays import Uint8Array
 from ...core.preset import Preset
@@ -17,6 +17,7 @@ from ...core.tuning.advice.examples import CURVES, ErrorCurve
 from ...core.tuning.advice.proposal import MaskLabel, Proposal
 from ...widgets.basics.controls import caption
 from ...widgets.basics.fields import field_spec
+from ...widgets.basics.layouts import STRETCH, hbox
 from ...widgets.images.image_pane import ImagePane, Swatch
 from ...widgets.parameters.parameter_panel import SECTIONS
 from ...widgets.plots.error_curve import ErrorCurvePlot
@@ -78,10 +79,7 @@ class ProposalCard(QFrame):
         self._values.setColumnStretch(3, 1)
         column = QVBoxLayout(self)
         column.setSpacing(4)
-        head = QHBoxLayout()
-        head.addWidget(self.take)
-        head.addWidget(self._heading)
-        head.addWidget(self.label, 1)
+        head = hbox(self.take, self._heading, (self.label, 1))
         column.addLayout(head)
         for widget in (self.evidence, self.expected, self.weak):
             column.addWidget(widget)
@@ -133,11 +131,8 @@ class ProposalCard(QFrame):
         self.curve_field.setCurrentIndex(max([0, *proposed]))
         self.curve_field.setToolTip("The parameter whose missed and false area in the examples is drawn")
         self._curve_row = QWidget()
-        row = QHBoxLayout(self._curve_row)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.addWidget(caption("Error in the examples by", self.curve_field))
-        row.addWidget(self.curve_field)
-        row.addStretch(1)
+        error_by = caption("Error in the examples by", self.curve_field)
+        hbox(error_by, self.curve_field, STRETCH, within=self._curve_row, margins=0)
         self._curve_row.hide()
         curve = ErrorCurvePlot(lambda value: _spec(self.curve_path).describe(value))
         curve.hide()

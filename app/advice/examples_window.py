@@ -13,13 +13,10 @@ from PyQt6.QtWidgets import (
     QCheckBox,
     QComboBox,
     QDialog,
-    QHBoxLayout,
     QLabel,
     QListWidget,
     QListWidgetItem,
     QSpinBox,
-    QVBoxLayout,
-    QWidget,
 )
 
 from ...core.contact.pipeline import ContactPipeline
@@ -28,6 +25,7 @@ from ...core.model.clouds import valid_depth
 from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import Preset
 from ...widgets.basics.controls import AccentButton, caption, push_button
+from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.images.paint_image import CONTACT, MAX_RADIUS, NO_CONTACT, UNKNOWN, PaintImage, tint_labels
 from ..calibration.pictures import pack_rgb, picture
 from ..context import Context
@@ -106,32 +104,17 @@ class ExamplesWindow(QDialog):
         self.leave = push_button("Close", "Close this window (Esc); the examples are kept")
 
     def _lay_out(self) -> None:
-        left = QVBoxLayout()
-        left.addWidget(self.untouched)
-        left.addWidget(self.paint)
-        left.addWidget(self.list, 1)
-        left.addLayout(_row(self.delete, self.undo, self.redo))
-        tools = _row(*self.tools.values(), *self.values.values())
-        tools.addStretch(1)
-        more = _row(caption("Si&ze", self.brush_size), self.brush_size, self.rest, self.clear)
-        more.addStretch(1)
-        more.addLayout(_row(caption("&Image", self.choice), self.choice, self.overlay))
-        right = QVBoxLayout()
-        right.addLayout(tools)
-        right.addLayout(more)
-        right.addWidget(self.image, 1)
-        across = QHBoxLayout()
-        across.addLayout(left)
-        across.addLayout(right, 1)
+        left = vbox(self.untouched, self.paint, (self.list, 1), hbox(self.delete, self.undo, self.redo))
+        tools = hbox(*self.tools.values(), *self.values.values(), STRETCH)
+        brush = (caption("Si&ze", self.brush_size), self.brush_size, self.rest, self.clear)
+        shown = hbox(caption("&Image", self.choice), self.choice, self.overlay)
+        more = hbox(*brush, STRETCH, shown)
+        right = vbox(tools, more, (self.image, 1))
+        across = hbox(left, (right, 1))
         intro = QLabel(_INTRO)
         intro.setWordWrap(True)
-        row = QHBoxLayout()
-        row.addStretch(1)
-        row.addWidget(self.leave)
-        layout = QVBoxLayout(self)
-        layout.addWidget(intro)
-        layout.addLayout(across, 1)
-        layout.addLayout(row)
+        row = hbox(STRETCH, self.leave)
+        vbox(intro, (across, 1), row, within=self)
         self.list.setFixedWidth(270)
         self.list.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.resize(920, 640)
@@ -281,13 +264,6 @@ class ExamplesWindow(QDialog):
         """Find the patch that was not looked for while the window was closed."""
         super().showEvent(event)
         self._show_state(self._history.state)
-
-
-def _row(*widgets: QWidget) -> QHBoxLayout:
-    row = QHBoxLayout()
-    for widget in widgets:
-        row.addWidget(widget)
-    return row
 
 
 def _patch_of(preset: Preset, rig: Rig, frame: SensorFrame) -> BoolArray:

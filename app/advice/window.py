@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from PyQt6.QtCore import QObject, Qt, pyqtSignal
-from PyQt6.QtWidgets import QDialog, QFrame, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QDialog, QFrame, QLabel, QVBoxLayout, QWidget
 
 from ...core.errors import AdviceError, PresetError
 from ...core.preset import Preset
@@ -16,6 +16,7 @@ from ...core.tuning.advice.proposal import Evidence, Proposal
 from ...core.tuning.advice.suggest import suggest, suggest_all
 from ...widgets.basics.controls import AccentButton, ProgressBar, push_button
 from ...widgets.basics.dialogs import bring_up
+from ...widgets.basics.layouts import STRETCH, hbox, scrolling, vbox
 from ...widgets.basics.messages import Severity
 from ..context import SOURCE, Context
 from ..document.comparison import PRESENT, Side
@@ -101,33 +102,12 @@ class SuggestWindow(QDialog):
 
     def _lay_out(self) -> None:
         self._content = QWidget()
-        self._column = QVBoxLayout(self._content)
-        self._column.setContentsMargins(0, 0, 0, 0)
-        self._column.addStretch(1)
-        scroll = QScrollArea()
-        scroll.setWidget(self._content)
-        scroll.setWidgetResizable(True)
-        scroll.setFrameShape(QFrame.Shape.NoFrame)
-        scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        measuring = QHBoxLayout()
-        measuring.addWidget(self.progress, 1)
-        measuring.addWidget(self.cancel)
-        tools = QHBoxLayout()
-        for widget in (self.again, self.examples):
-            tools.addWidget(widget)
-        tools.addStretch(1)
-        row = QHBoxLayout()
-        for widget in (self.compare, self.undo):
-            row.addWidget(widget)
-        row.addStretch(1)
-        for widget in (self.apply, self.leave):
-            row.addWidget(widget)
-        layout = QVBoxLayout(self)
-        layout.addLayout(measuring)
-        layout.addWidget(self.sentence)
-        layout.addWidget(scroll, 1)
-        layout.addLayout(tools)
-        layout.addLayout(row)
+        self._column = vbox(STRETCH, within=self._content, margins=0)
+        scroll = scrolling(self._content)
+        measuring = hbox((self.progress, 1), self.cancel)
+        tools = hbox(self.again, self.examples, STRETCH)
+        row = hbox(self.compare, self.undo, STRETCH, self.apply, self.leave)
+        vbox(measuring, self.sentence, (scroll, 1), tools, row, within=self)
         self.resize(500, 640)
 
     def _connect(self, open_examples: Callable[[], None]) -> None:

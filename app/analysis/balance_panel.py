@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import pyqtgraph as pg
-from PyQt6.QtCore import QEvent, Qt, QTimer
+from PyQt6.QtCore import Qt, QTimer
 from PyQt6.QtWidgets import QComboBox, QDoubleSpinBox, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from ...core.estimation.balance import LEVEL_DEG, BalanceLoop, BalanceMethod, BalanceStep, Gains, summarise
@@ -18,7 +18,8 @@ from ...core.sources.presets import load_preset
 from ...core.sources.simulator.source import SimulatorSource
 from ...core.sources.simulator.tray import BOOKS, DELAY_S, MAX_RATE_DEG_S, SECONDS
 from ...widgets.basics.controls import CollapsibleSection, caption, push_button
-from ...widgets.basics.theme import theme_colors
+from ...widgets.basics.theme import ThemeColors
+from ...widgets.plots.plot import Plot
 from ..context import Context
 from ..worker.jobs import Job, Progress
 from ..worker.threads import leave_room_for_the_window
@@ -196,9 +197,7 @@ class BalancePlot(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.plot = pg.PlotWidget()
-        self.plot.setMenuEnabled(False)
-        self.plot.hideButtons()
+        self.plot = Plot("Time, s", "Roll, °")
         self.plot.setFixedHeight(_PLOT_HEIGHT)
         self.plot.setAccessibleName("Roll of the tray over time")
         self.plot.setToolTip(
@@ -207,9 +206,6 @@ class BalancePlot(QWidget):
             f"±{LEVEL_DEG:g}°"
         )
         item = self.plot.getPlotItem()
-        item.setMouseEnabled(x=False, y=False)
-        item.setLabel("bottom", "Time, s")
-        item.setLabel("left", "Roll, °")
         item.setXRange(0.0, SECONDS, padding=0.01)
         item.setYRange(-_SHOWN_DEG, _SHOWN_DEG, padding=0.0)
         self._limits = [pg.InfiniteLine(sign * LEVEL_DEG, angle=0) for sign in (-1, 1)]
@@ -219,14 +215,14 @@ class BalancePlot(QWidget):
         ]
         for line in (*self._limits, *self._books):
             item.addItem(line)
-        self._legend = item.addLegend(offset=(-10, 6), colCount=3)
+        item.addLegend(offset=(-10, 6), colCount=3)
         self._proximity = item.plot(name="proximity alone", connect="finite")
         self._patch = item.plot(name="patch", connect="finite")
         self._true = item.plot(name="true")
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.addWidget(self.plot)
-        self._recolor()
+        self.plot.follow_theme(self._recolor)
 
     def show_steps(self, steps: list[BalanceStep]) -> None:
         """Draw a run."""
@@ -236,20 +232,7 @@ class BalancePlot(QWidget):
             rolls = [(getattr(step, name).roll_rad, step.sensor_rad) for step in steps]
             curve.setData(times, [math.nan if roll is None else math.degrees(roll + turn) for roll, turn in rolls])
 
-    def changeEvent(self, event: QEvent | None) -> None:
-        """Follow the theme."""
-        super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.PaletteChange:
-            self._recolor()
-
-    def _recolor(self) -> None:
-        colors = theme_colors()
-        self.plot.setBackground(colors.base)
-        for name in ("bottom", "left"):
-            axis = self.plot.getPlotItem().getAxis(name)
-            axis.setPen(colors.text)
-            axis.setTextPen(colors.text)
-        self._legend.setLabelTextColor(colors.text)
+    def _recolor(self, colors: ThemeColors) -> None:
         self._true.setPen(pg.mkPen(colors.text, width=2))
         self._patch.setPen(pg.mkPen(_PATCH_RGB, width=1.5))
         self._proximity.setPen(pg.mkPen(_PROXIMITY_RGB, width=1))
@@ -258,9 +241,6 @@ class BalancePlot(QWidget):
         for line in self._books:
             line.setPen(pg.mkPen(colors.muted, style=Qt.PenStyle.DashLine))
             line.label.setColor(colors.text)
-        for sample, label in self._legend.items:
-            label.setText(label.text)
-            sample.update()
 
 
 def _degrees(radians: float) -> str:

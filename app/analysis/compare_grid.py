@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QResizeEvent
-from PyQt6.QtWidgets import QGridLayout, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QGridLayout, QLabel, QWidget
 
 from ...widgets.basics.colormaps import Theme
+from ...widgets.basics.layouts import vbox
 from ...widgets.clouds.cloud_view import BackendChoice, CloudView, link_cameras
 from .compare_table import caption
 from .comparer import Outcome
@@ -35,11 +36,7 @@ class Tile(QWidget):
         self.caption.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.caption.setToolTip(method_tip(name))
         self.caption.setAccessibleName(f"Numbers of {name}")
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(0)
-        layout.addWidget(self.view, 1)
-        layout.addWidget(self.caption)
+        vbox((self.view, 1), self.caption, within=self, margins=0, spacing=0)
 
     def show_outcome(self, outcome: Outcome, truth: bool, by_truth: bool, theme: Theme) -> None:
         """Show patch and numbers; with truth, also the agreement with it."""

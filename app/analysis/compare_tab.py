@@ -60,8 +60,9 @@ class CompareTab(MeasuringTab):
 
     def show_result(self, result: Result) -> None:
         """Compare this frame next."""
-        if self._result is not None and self._result.source is not result.source:
+        if self._result is None or self._result.source is not result.source:
             self.grid.clear()
+            self.status.setText("Setting up the methods…")
         self._result = result
         self.untouched.look(result)
         self._send()

@@ -8,10 +8,10 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QIcon, QKeyEvent, QKeySequence, QPixmap
-from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableWidget, QTableWidgetItem, QWidget
+from PyQt6.QtWidgets import QHeaderView, QTableWidget, QTableWidgetItem
 
 from ...widgets.basics.colormaps import Theme
-from ...widgets.basics.controls import copy_text
+from ...widgets.basics.controls import copy_text, read_only_table
 from .comparer import Comparison, Outcome
 from .method_looks import TRUTH, method_color, method_tip
 
@@ -109,18 +109,21 @@ class CompareTable(QTableWidget):
     chosenChanged = pyqtSignal()
     copied = pyqtSignal(int)
 
-    def __init__(self, methods: Sequence[str], chosen: Sequence[str], parent: QWidget | None = None) -> None:
-        super().__init__(len(methods) + 1, len(COLUMNS), parent)
+    def __init__(self, methods: Sequence[str], chosen: Sequence[str]) -> None:
+        super().__init__(len(methods) + 1, len(COLUMNS))
         self._names = (TRUTH, *methods)
         self._theme: Theme | None = None
-        self.setAccessibleName("Methods and their numbers")
-        self.setToolTip("Tick methods to compare (Space); Ctrl+C copies the selected rows, or all")
-        self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
-        self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+        across, _ = read_only_table(
+            self,
+            "Methods and their numbers",
+            "Tick methods to compare (Space); Ctrl+C copies the selected rows, or all",
+        )
+        across.setStretchLastSection(True)
+        across.setHighlightSections(False)
         self.setAlternatingRowColors(True)
         self.setShowGrid(False)
-        self.setTabKeyNavigation(False)
         self._fill(chosen)
+        across.setSectionResizeMode(len(COLUMNS) - 1, QHeaderView.ResizeMode.Stretch)
         self.setRowHidden(0, True)
         self.itemChanged.connect(self._item_changed)
 
@@ -207,19 +210,12 @@ class CompareTable(QTableWidget):
             if name != TRUTH:
                 first.setFlags(flags | Qt.ItemFlag.ItemIsUserCheckable)
                 first.setCheckState(Qt.CheckState.Checked if name in chosen else Qt.CheckState.Unchecked)
-        across, down = self.horizontalHeader(), self.verticalHeader()
-        assert across is not None and down is not None
-        down.hide()
-        down.setDefaultSectionSize(self.fontMetrics().height() + 7)
-        across.setStretchLastSection(True)
-        across.setHighlightSections(False)
         metrics = self.fontMetrics()
         boxes = 4 * "0"  # the width of check box and colour
         widest = (method_cell("fusion-averaged", 15) + boxes, "00000.0", "000,000", "0000.0", "00.00", "0.000")
         for column, text in enumerate(widest):
             width = max(metrics.horizontalAdvance(shown) for shown in (text, self._heading(column)))
             self.setColumnWidth(column, width + _PADDING_PX)
-        across.setSectionResizeMode(len(COLUMNS) - 1, QHeaderView.ResizeMode.Stretch)
 
     def _heading(self, column: int) -> str:
         head = self.horizontalHeaderItem(column)

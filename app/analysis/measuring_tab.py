@@ -7,7 +7,7 @@ from pathlib import Path
 
 from PyQt6.QtCore import QObject, pyqtSignal
 from PyQt6.QtGui import QImage
-from PyQt6.QtWidgets import QHBoxLayout, QPushButton, QSplitter, QVBoxLayout
+from PyQt6.QtWidgets import QHBoxLayout, QPushButton, QSplitter
 
 from ...core.errors import ExportError
 from ...core.model.files import atomic_path
@@ -15,6 +15,7 @@ from ...core.model.frames import SensorFrame
 from ...core.preset import Preset, UntouchedRecord
 from ...core.rig.untouched import FoundUntouched
 from ...widgets.basics.controls import ElidedLabel, ProgressBar
+from ...widgets.basics.layouts import vbox
 from ...widgets.basics.messages import Messages, Severity
 from ..context import Context
 from ..document.document import Document
@@ -175,10 +176,7 @@ class MeasuringTab(AnalysisTab):
 
     def _lay_out_around(self, sheet: QSplitter, row: QHBoxLayout) -> None:
         sheet.setChildrenCollapsible(False)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.addLayout(row)
-        layout.addWidget(sheet, 1)
+        vbox(row, (sheet, 1), within=self, margins=0)
 
     def _export_folder(self) -> Path:
         return Path(self._settings.text(_FOLDER) or Path.home())

@@ -13,13 +13,13 @@ from PyQt6.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QSplitter,
-    QVBoxLayout,
     QWidget,
 )
 
 from ...core.evaluation.strain.strain import SPACING_M, SPACING_RANGE_M
 from ...core.model.frames import SensorFrame
 from ...widgets.basics.controls import caption, frame_count, push_button
+from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.messages import Severity
 from ..context import Context
 from ..worker.jobs import Job
@@ -124,20 +124,11 @@ class StrainTab(MeasuringTab):
         row.addWidget(self.progress)
         row.addWidget(self.capture)
         side = QWidget()
-        right = QVBoxLayout(side)
-        right.setContentsMargins(0, 0, 0, 0)
-        right.addWidget(self.numbers)
-        right.addWidget(self.curve, 1)
-        buttons = QHBoxLayout()
-        buttons.addStretch(1)
-        buttons.addWidget(self.reset)
-        buttons.addWidget(self.export)
+        right = vbox(self.numbers, (self.curve, 1), within=side, margins=0)
+        buttons = hbox(STRETCH, self.reset, self.export)
         right.addLayout(buttons)
         left = QWidget()
-        column = QVBoxLayout(left)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.addWidget(self.map, 1)
-        column.addWidget(self.pointed)
+        vbox((self.map, 1), self.pointed, within=left, margins=0)
         self.sheet = QSplitter(Qt.Orientation.Horizontal)
         self.sheet.addWidget(left)
         self.sheet.addWidget(side)

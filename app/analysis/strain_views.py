@@ -8,15 +8,17 @@ from dataclasses import dataclass
 
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtCore import QEvent, Qt, pyqtSignal
-from PyQt6.QtWidgets import QGridLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
+from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtWidgets import QGridLayout, QLabel, QSizePolicy, QWidget
 
 from ...core.evaluation.strain.series import spikes
 from ...core.evaluation.strain.strain import AxisStrain
 from ...core.model.arrays import BoolArray, Float64Array, IndexArray
 from ...widgets.basics.controls import make_verdict
-from ...widgets.basics.theme import theme_colors
+from ...widgets.basics.layouts import vbox
+from ...widgets.basics.theme import ThemeColors
 from ...widgets.images.image_pane import ColorBar, ImagePane, Swatch
+from ...widgets.plots.plot import Plot
 from .strain_work import MapOf, StrainView, color_range, map_lut, paint, values_of
 
 #: Where strain is largest along the length and along the width; also the colours of the curve.
@@ -201,32 +203,25 @@ class StrainCurve(QWidget):
         self.points: list[CurvePoint] = []
         self._newest = -1
         self._spacing_mm = 10.0
-        self.plot = pg.PlotWidget()
-        self.plot.setMenuEnabled(False)
-        self.plot.hideButtons()
+        self.plot = Plot("Displacement, mm", "Largest strain, %", movable=True)
         self.plot.getViewBox().setLimits(minXRange=_MIN_RANGE, minYRange=_MIN_RANGE)
-        for axis, text in (("bottom", "Displacement, mm"), ("left", "Largest strain, %")):
-            self.plot.getAxis(axis).enableAutoSIPrefix(False)
-            self.plot.setLabel(axis, text)
         self.plot.getPlotItem().showGrid(x=True, y=True, alpha=0.2)
         self.plot.setToolTip(
             "Largest strain along length and width against the displacement of the membrane, in the order of the "
             "frames. A cross marks a strain that is unlike those of the frames before and after"
         )
         self.plot.setAccessibleName("Strain against displacement")
-        self._legend = self.plot.addLegend(offset=(10, 6))
+        legend = self.plot.addLegend(offset=(10, 6))
         self._truths = [self.plot.plot(pen=None, symbol="+", symbolSize=11) for _ in range(2)]
         self._curves = [
             self.plot.plot(name=name, symbol=symbol, symbolSize=6) for name, symbol in (("length", "o"), ("width", "s"))
         ]
         self._unlikely = self.plot.plot(pen=None, symbol="x", symbolSize=9)
         self._now = self.plot.plot(pen=None, symbol="o", symbolSize=13)
-        self._legend.addItem(self._truths[0], "solver, dots seen")
-        self._legend.addItem(self._unlikely, "unlikely")
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.addWidget(self.plot)
-        self._recolor()
+        legend.addItem(self._truths[0], "solver, dots seen")
+        legend.addItem(self._unlikely, "unlikely")
+        vbox(self.plot, within=self, margins=0)
+        self.plot.follow_theme(self._recolor)
 
     def add(self, view: StrainView) -> None:
         """Add a measurement; it replaces an earlier one of the same frame, as in a loop."""
@@ -297,20 +292,7 @@ class StrainCurve(QWidget):
             writer.writerow([*point.row(self._spacing_mm), *(int(mark) for mark in marks)])
         return text.getvalue()
 
-    def changeEvent(self, event: QEvent | None) -> None:
-        """Follow the theme."""
-        super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.PaletteChange:
-            self._recolor()
-
-    def _recolor(self) -> None:
-        colors = theme_colors()
-        self.plot.setBackground(colors.base)
-        for name in ("bottom", "left"):
-            axis = self.plot.getPlotItem().getAxis(name)
-            axis.setPen(colors.text)
-            axis.setTextPen(colors.text)
-        self._legend.setLabelTextColor(colors.text)
+    def _recolor(self, colors: ThemeColors) -> None:
         for curve, marks, rgb in zip(self._curves, self._truths, (LENGTH_RGB, WIDTH_RGB), strict=True):
             curve.setPen(pg.mkPen(rgb, width=1.5))
             curve.setSymbolBrush(pg.mkBrush(rgb))
@@ -319,9 +301,6 @@ class StrainCurve(QWidget):
         self._unlikely.setSymbolPen(pg.mkPen(colors.text, width=1.5))
         self._now.setSymbolBrush(None)
         self._now.setSymbolPen(pg.mkPen(colors.text, width=1.5))
-        for sample, label in self._legend.items:
-            label.setText(label.text)
-            sample.update()
 
 
 _TITLES = ("", "Largest", "Where", "Solver, seen", "Solver, all")

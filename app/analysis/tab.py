@@ -21,8 +21,13 @@ TABS: Final = "tactune.tabs"
 class AnalysisTab(QWidget):
     """One way to judge the frames of the main window. Long work belongs on a thread of the tab's own."""
 
+    @property
+    def goes_on(self) -> bool:
+        """Whether the tab wants frames behind other tabs, too, as long as the window is open."""
+        return False
+
     def show_result(self, result: Result) -> None:
-        """Take a frame of the main window while this tab is visible; must return at once."""
+        """Take a frame of the main window while this tab is visible or `goes_on`; must return at once."""
 
     def shut_down(self) -> None:
         """Stop all threads, for good."""
@@ -37,6 +42,7 @@ def undo_buttons(tab: QWidget, stack: QUndoStack) -> list[QToolButton]:
     ):
         action = create(tab, word)
         assert action is not None
+        action.setIconText(word)  # on the button; what would be undone is in its tooltip, too long for a toolbar
         action.setShortcuts(keys)
         action.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
         tab.addAction(action)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from pathlib import Path
 from typing import Final
 
 from PyQt6.QtCore import QEvent, Qt
-from PyQt6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QLabel, QSplitter, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QLabel, QSplitter, QWidget
 
 from ...core.estimation.tilt import MAX_SIGMA_RAD, Tilt, TiltEstimator, TiltMethod
 from ...core.estimation.tilt_filter import TiltFilter
 from ...widgets.basics.colormaps import CONTACT_COLOR, palette_theme
 from ...widgets.basics.controls import caption, copy_text, push_button
+from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.basics.messages import Severity
 from ...widgets.clouds.cloud_view import CloudView
 from ..context import Context
@@ -37,8 +39,8 @@ _METHOD, _FILTERED = "tilt/method", "tilt/filtered"
 _METHODS: Final[dict[str, TiltMethod]] = {"Rig's noise": "noise", "Principal components": "pca"}
 _WAITING = "Waiting for a frame: open a source in the main window, such as sim:tray."
 _NO_CONTACT = "No contact yet: press the object into the membrane, or play to a frame with contact"
-_ASSUMED = "noise of usual cameras assumed; measure that of this rig with Calibration > Measure noise and bias"
-_NOT_DETERMINED = f"A patch that is a line or a dot has no tilt (standard deviation above {MAX_SIGMA_RAD:.3g} rad)."
+_ASSUMED = "usual noise assumed: see Calibration > Measure noise and bias"
+_NOT_DETERMINED = f"no tilt, as of a line or a dot (standard deviation above {math.degrees(MAX_SIGMA_RAD):.0f}°)"
 
 
 class TiltTab(MeasuringTab):
@@ -119,20 +121,11 @@ class TiltTab(MeasuringTab):
         row.addWidget(self.filtered)
         row.addSpacing(8)
         row.addWidget(self.status, 1)
-        dials = QHBoxLayout()
-        dials.addWidget(self.roll)
-        dials.addWidget(self.pitch)
-        buttons = QHBoxLayout()
-        buttons.addWidget(self.axis, 1)
-        for button in (self.copy, self.reset, self.export):
-            buttons.addWidget(button)
+        dials = hbox(self.roll, self.pitch)
+        buttons = hbox((self.axis, 1), self.copy, self.reset, self.export)
         side = QWidget()
         #: The column beside the cloud.
-        self.column = QVBoxLayout(side)
-        self.column.setContentsMargins(0, 0, 0, 0)
-        self.column.addLayout(dials)
-        self.column.addWidget(self.curve, 1)
-        self.column.addLayout(buttons)
+        self.column = vbox(dials, (self.curve, 1), buttons, within=side, margins=0)
         sheet = QSplitter(Qt.Orientation.Horizontal)
         sheet.addWidget(self.cloud)
         sheet.addWidget(side)

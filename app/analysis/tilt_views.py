@@ -11,15 +11,16 @@ from typing import Final
 
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt
+from PyQt6.QtCore import QPointF, QRectF, QSize, Qt
 from PyQt6.QtGui import QColor, QFontMetrics, QPainter, QPaintEvent, QPen
-from PyQt6.QtWidgets import QSizePolicy, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from ...core.estimation.tilt import Tilt
 from ...core.model.arrays import Float32Array, Float64Array
 from ...widgets.basics.colormaps import CONTACT_ROW, Theme, patch_lut
 from ...widgets.basics.theme import text_font, theme_colors
 from ...widgets.clouds.cloud_data import DepthCloud, free_cloud
+from ...widgets.plots.plot import Plot
 
 #: Colours of roll, pitch and the fitted plane, in both themes.
 ROLL_RGB: Final = (235, 60, 40)
@@ -98,7 +99,7 @@ class AngleDial(QWidget):
     def sizeHint(self) -> QSize:
         """Return room for the scale and the text."""
         text = QFontMetrics(text_font("body", bold=True)).horizontalAdvance(f"{self._title} not determined") + 16
-        return QSize(max(text, 180), 132)
+        return QSize(max(text, 180), 140)
 
     def minimumSizeHint(self) -> QSize:
         """Return the size below which the text would be cut off."""
@@ -109,9 +110,10 @@ class AngleDial(QWidget):
         painter, colors = QPainter(self), theme_colors()
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         metrics = QFontMetrics(text_font("body", bold=True))
-        below = metrics.height() + 6
-        radius = min(self.height() - below - 16.0, self.width() / 2 - 24.0)
-        centre = QPointF(self.width() / 2, 12 + radius)
+        below, numbers = metrics.height() + 6, QFontMetrics(text_font("caption"))
+        above, beside = numbers.height() + 4, numbers.horizontalAdvance(f"-{_SCALES[-1]}°") + 8
+        radius = min(self.height() - below - above - 4.0, self.width() / 2 - beside)
+        centre = QPointF(self.width() / 2, above + radius)
         angle = None if self._angle_rad is None else math.degrees(self._angle_rad)
         scale = next((end for end in _SCALES if angle is None or abs(angle) <= end), _SCALES[-1])
         self._draw_scale(painter, centre, radius, scale)
@@ -141,10 +143,11 @@ class AngleDial(QWidget):
             painter.drawLine(_on_circle(centre, radius, at), _on_circle(centre, radius - (9 if long else 5), at))
             if abs(part) == 10 or part == 0:
                 text = f"{part * scale // 10}°"
-                size = QSize(metrics.horizontalAdvance(text), metrics.height())
-                place = _on_circle(centre, radius - 20, at)
-                box = QRectF(place.x() - size.width() / 2, place.y() - size.height() / 2, size.width(), size.height())
-                painter.drawText(box, Qt.AlignmentFlag.AlignCenter, text)
+                wide, high = metrics.horizontalAdvance(text), metrics.height()
+                place = _on_circle(centre, radius + 4, at)  # outside the scale, away from the needle
+                left = place.x() - wide * (1 - part / 10) / 2
+                top = place.y() - (high if part == 0 else high / 2)
+                painter.drawText(QRectF(left, top, wide, high), Qt.AlignmentFlag.AlignCenter, text)
 
 
 def _on_circle(centre: QPointF, radius: float, from_top_deg: float) -> QPointF:
@@ -192,12 +195,7 @@ class TiltCurve(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.plot = pg.PlotWidget()
-        self.plot.setMenuEnabled(False)
-        self.plot.hideButtons()
-        for axis, text in (("bottom", "Time, s"), ("left", "Angle, degrees")):
-            self.plot.getAxis(axis).enableAutoSIPrefix(False)
-            self.plot.setLabel(axis, text)
+        self.plot = Plot("Time, s", "Angle, degrees", movable=True)
         self.plot.getViewBox().setLimits(minXRange=0.2, minYRange=0.5)
         self.plot.getPlotItem().showGrid(x=True, y=True, alpha=0.2)
         self.plot.setToolTip(
@@ -205,7 +203,7 @@ class TiltCurve(QWidget):
             "Drag to move, wheel to zoom; press A to show all again"
         )
         self.plot.setAccessibleName("Roll and pitch over time")
-        self._legend = self.plot.addLegend(offset=(10, 6), colCount=2)
+        self.plot.addLegend(offset=(10, 6), colCount=2)
         self._parts = []
         for name, rgb in (("roll", ROLL_RGB), ("pitch", PITCH_RGB)):
             ends = [pg.PlotCurveItem(connect="finite", pen=None) for _ in range(2)]
@@ -213,13 +211,22 @@ class TiltCurve(QWidget):
             for item in (*ends, band):
                 self.plot.addItem(item)
             self._parts.append((name, self.plot.plot(name=name, pen=pg.mkPen(rgb, width=1.5), connect="finite"), ends))
+        #: Shown instead of axes without a curve.
+        self.empty = QLabel("No curve yet: play, or step to the next frames with contact")
+        self.empty.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.empty.setWordWrap(True)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
-        layout.addWidget(self.plot)
-        self._recolor()
+        layout.addWidget(self.empty, 1)
+        layout.addWidget(self.plot, 1)
+        self.plot.follow_theme()
+        self.show_tilts([])
 
     def show_tilts(self, tilts: list[Tilt]) -> None:
         """Draw tilts in the order of time."""
+        known = sum(tilt.roll_rad is not None or tilt.pitch_rad is not None for tilt in tilts) > 1  # one is no curve
+        self.plot.setVisible(known)
+        self.empty.setVisible(not known)
         times = np.array([tilt.time_s for tilt in tilts])
         for name, curve, ends in self._parts:
             pairs = [(getattr(tilt, f"{name}_rad"), getattr(tilt, f"{name}_sigma_rad")) for tilt in tilts]
@@ -227,20 +234,3 @@ class TiltCurve(QWidget):
             curve.setData(times, angle)
             for end, sign in zip(ends, (-1, 1), strict=True):
                 end.setData(times, angle + sign * sigma)
-
-    def changeEvent(self, event: QEvent | None) -> None:
-        """Follow the theme."""
-        super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.PaletteChange:
-            self._recolor()
-
-    def _recolor(self) -> None:
-        colors = theme_colors()
-        self.plot.setBackground(colors.base)
-        for name in ("bottom", "left"):
-            axis = self.plot.getPlotItem().getAxis(name)
-            axis.setPen(colors.text)
-            axis.setTextPen(colors.text)
-        self._legend.setLabelTextColor(colors.text)
-        for _, label in self._legend.items:
-            label.setText(label.text)

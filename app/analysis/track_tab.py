@@ -13,10 +13,8 @@ from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtGui import QDragEnterEvent, QDropEvent
 from PyQt6.QtWidgets import (
     QComboBox,
-    QFrame,
     QHBoxLayout,
     QLabel,
-    QScrollArea,
     QSplitter,
     QVBoxLayout,
     QWidget,
@@ -27,8 +25,8 @@ from ...core.estimation.object_mesh import SUFFIXES, import_open3d
 from ...core.estimation.pose import PoseEstimate
 from ...core.estimation.pose_files import error_record, pose_record, save_poses
 from ...core.evaluation.scan.pose import pair_errors_m
-from ...core.evaluation.scan.scan import UNITS_M
 from ...core.model.arrays import Float64Array
+from ...core.model.units import UNITS_M
 from ...widgets.basics.controls import (
     AccentButton,
     CollapsibleSection,
@@ -38,6 +36,7 @@ from ...widgets.basics.controls import (
     push_button,
 )
 from ...widgets.basics.dialogs import local_files
+from ...widgets.basics.layouts import hbox, scrolling, vbox
 from ...widgets.basics.messages import Messages, Severity
 from ...widgets.clouds.pick_view import PickView
 from ...widgets.plots.pose_plot import PosePlot
@@ -64,7 +63,7 @@ class TrackTab(AnalysisTab):
 
     def __init__(self, context: Context) -> None:
         super().__init__()
-        self._settings, self._dialogs = context.settings, context.dialogs
+        self._settings, self._dialogs, self._worker = context.settings, context.dialogs, context.worker
         self.session = TruthSession(self, "model")
         self.model: Model | None = None
         self.tracked: Tracked | None = None
@@ -95,6 +94,11 @@ class TrackTab(AnalysisTab):
         self._show_busy(1.0, "")
         self._show()
         self.setAcceptDrops(True)
+
+    @property
+    def goes_on(self) -> bool:
+        """Tracking goes on behind other tabs, since the pose may be published."""
+        return self.track_button.isChecked()
 
     def show_result(self, result: Result) -> None:
         """Track the object in a frame of the main window, or show its patch."""
@@ -131,28 +135,19 @@ class TrackTab(AnalysisTab):
         top.addStretch(1)
         for button in (*undo_buttons(self, self.session.undo_stack), self.export):
             top.addWidget(button)
-        state = QHBoxLayout()
-        state.addWidget(self.guide, 1)
-        for widget in (self.progress, self.cancel):
-            state.addWidget(widget)
+        state = hbox((self.guide, 1), self.progress, self.cancel)
         policy = self.cancel.sizePolicy()
         policy.setRetainSizeWhenHidden(True)
         self.cancel.setSizePolicy(policy)
         panels = QWidget()
         column = QVBoxLayout(panels)
         column.setContentsMargins(0, 0, 4, 0)
-        errors = CollapsibleSection("Errors")
-        inside = QVBoxLayout(errors.body)
-        inside.setContentsMargins(8, 4, 8, 8)
-        inside.addWidget(self.plot)
-        for panel in (self.pose, errors, self.align):
+        self.errors = CollapsibleSection("Errors")
+        vbox(self.plot, within=self.errors.body, margins=(8, 4, 8, 8))
+        for panel in (self.pose, self.errors, self.align):
             column.addWidget(panel)
         column.addStretch(1)
-        scroll = QScrollArea()
-        scroll.setWidget(panels)
-        scroll.setWidgetResizable(True)
-        scroll.setFrameShape(QFrame.Shape.NoFrame)
-        scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        scroll = scrolling(panels)
         bar = scroll.verticalScrollBar()
         assert bar is not None
         scroll.setMinimumWidth(max(_PANEL_WIDTH, panels.minimumSizeHint().width() + bar.sizeHint().width()))
@@ -161,11 +156,7 @@ class TrackTab(AnalysisTab):
         across.addWidget(self.views)
         across.addWidget(scroll)
         across.setStretchFactor(0, 1)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.addLayout(top)
-        layout.addLayout(state)
-        layout.addWidget(across, 1)
+        vbox(top, state, (across, 1), within=self, margins=0)
 
     def _connect(self) -> None:
         self.session.changed.connect(lambda _: self._show())
@@ -227,8 +218,8 @@ class TrackTab(AnalysisTab):
         self._loading.start(work)
 
     def _opened(self, model: Model) -> None:
-        self._finding.stop()  # it searches for the former object
         self._show_busy(1.0, "")
+        self._finding.cancel()  # it searches for the former object
         self.track_button.setChecked(False)
         former, records = self.model, list(self._records)
         if former is not None and records:
@@ -284,7 +275,7 @@ class TrackTab(AnalysisTab):
         self._complain("find", "")
         finder, result = FrameTracker(self.model.mesh, None), self._result
         self._show_busy(0.0, f"Searching for {self.model.mesh.name}")
-        self._finding.start(lambda _: finder.find(result))
+        self._finding.start(partial(finder.find, result))
         self._show()
 
     def _found(self, pose: Float64Array) -> None:
@@ -293,12 +284,9 @@ class TrackTab(AnalysisTab):
         self.track_button.setChecked(True)
 
     def _give_up(self) -> None:
-        """Cancel at once: a search reports no progress, so its thread is left to end by itself."""
-        self._loading.cancel()
-        if self._finding.busy:
-            self._finding.stop()
-            self._show_busy(1.0, "")
-            self._show()
+        """Cancel reading and searching."""
+        for job in (self._loading, self._finding):
+            job.cancel()
 
     # Tracking
 
@@ -329,7 +317,14 @@ class TrackTab(AnalysisTab):
         """Track in the newest frame; one that waits for the present step is replaced by a newer one."""
         tracker, result = self._tracker, self._result
         if tracker is not None and result is not None:
-            self._tracking.start(lambda _: (tracker, tracker.track(result)))
+            self._tracking.start(lambda _: (tracker, self._track(tracker, result)))
+
+    def _track(self, tracker: FrameTracker, result: Result) -> Tracked | None:
+        """Track in a frame; the pose is published at once, not when the window has time."""
+        tracked = tracker.track(result)
+        if tracked is not None and not tracked.estimate.lost and tracker is self._tracker:
+            self._worker.put_pose(tracked.estimate)
+        return tracked
 
     def _follow(self, done: tuple[FrameTracker, Tracked | None]) -> None:
         tracker, tracked = done
@@ -345,7 +340,8 @@ class TrackTab(AnalysisTab):
             nan if error is None else math.degrees(error.angle_rad),
         )
         self._records.append(pose_record(estimate) | error_record(error))
-        self._show()
+        if self.isVisible():
+            self._show()
 
     # Files
 
@@ -392,6 +388,8 @@ class TrackTab(AnalysisTab):
             widget.setEnabled(model is not None and self._result is not None)
         self.export.setEnabled(bool(self._records))
         self.align.setEnabled(model is not None and not tracking)
+        for panel, shown in ((self.pose, tracking), (self.errors, self.plot.filled), (self.align, not tracking)):
+            panel.setVisible(shown)
         if not tracking:
             apart = () if state.pose is None else pair_errors_m(state.pose, *state.matched)
             self.align.show_pairs(state.pairs, [1e3 * float(metres) for metres in apart])

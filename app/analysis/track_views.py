@@ -8,12 +8,13 @@ from typing import Final
 import numpy as np
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QColor
-from PyQt6.QtWidgets import QGridLayout, QHBoxLayout, QLabel, QSplitter, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QGridLayout, QLabel, QSplitter, QWidget
 from scipy.spatial.transform import Rotation
 
 from ...core.estimation.pose import PoseEstimate
 from ...widgets.basics.colormaps import CONTACT_COLOR, Legend, palette_theme, patch_lut
 from ...widgets.basics.controls import CollapsibleSection, ElidedLabel, push_button
+from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.basics.theme import theme_colors
 from ...widgets.clouds.cloud_data import free_cloud
 from ...widgets.clouds.cloud_view import as_place
@@ -57,9 +58,7 @@ class PosePanel(CollapsibleSection):
         for column in (1, 2, 4, 5):
             grid.setColumnStretch(column, 1)
         grid.addWidget(self.fit, 3, 0, 1, 6)
-        layout = QVBoxLayout(self.body)
-        layout.setContentsMargins(8, 4, 8, 8)
-        layout.addLayout(grid)
+        vbox(grid, within=self.body, margins=(8, 4, 8, 8))
 
     def show_estimate(self, estimate: PoseEstimate | None) -> None:
         """Show an estimate; None and a lost one have no numbers."""
@@ -99,14 +98,8 @@ class TrackViews(QSplitter):
         self._framed = False
         self.setChildrenCollapsible(False)
         side = QWidget()
-        line = QHBoxLayout()
-        line.addWidget(self.name, 1)
-        line.addWidget(self.follow)
-        column = QVBoxLayout(side)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.setSpacing(4)
-        column.addLayout(line)
-        column.addWidget(scene, 1)
+        line = hbox((self.name, 1), self.follow)
+        vbox(line, (scene, 1), within=side, margins=0, spacing=4)
         self.addWidget(model)
         self.addWidget(side)
         self.setStretchFactor(0, 1)
@@ -159,9 +152,10 @@ class TrackViews(QSplitter):
             self.scene.fit()
         self.scene.set_pickable(len(patch.context) + len(patch.points))
         around = QColor(*(int(channel) for channel in patch_lut(theme)[128, :3]))
-        legend: Legend = [("patch", CONTACT_COLOR), ("model", QColor(*MODEL_RGB)), ("around it", around)]
-        free = estimate is not None and bool(estimate.free)
-        self.scene.set_legend([*legend[:2], ("free direction", QColor(*FREE_RGB)), legend[2]] if free else legend)
+        legend: Legend = [("patch", CONTACT_COLOR), ("around it", around)]
+        legend += [("model", QColor(*MODEL_RGB))] if over else []
+        legend += [("free direction", QColor(*FREE_RGB))] if over and estimate is not None and estimate.free else []
+        self.scene.set_legend(legend)
         centre = model.centre(state.pose) if model is not None and state.pose is not None and not tracking else None
         self.scene.set_handles(None if centre is None else PoseHandles(as_place(centre)))
 

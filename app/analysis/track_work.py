@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from ...core.errors import CalibrationError, MissingExtraError
-from ...core.estimation.object_mesh import ObjectMesh, import_open3d, load_mesh, mesh_of_scene
+from ...core.estimation.object_mesh import ObjectMesh, import_open3d, load_mesh, simulated_mesh
 from ...core.estimation.pose import PoseError, PoseEstimate, PoseTracker, pose_error
 from ...core.model.arrays import Float64Array
 from ...core.model.frames import Matrix4
@@ -81,7 +81,7 @@ def simulated(name: str) -> Callable[[Progress], Model]:
         rest = name.removeprefix("live:").removeprefix("sim:")
         values = read_name(rest)
         scene = resolve_scene(values["scene"], read_options(name, values)[0])
-        return shown(mesh_of_scene(scene, values["scene"]))
+        return shown(simulated_mesh(scene, values["scene"]))
 
     return make
 
@@ -126,11 +126,11 @@ class FrameTracker:
         self._made_for: tuple[object, object] | None = None
         self._time_s = -math.inf
 
-    def find(self, result: Result) -> Float64Array:
+    def find(self, result: Result, progress: Progress) -> Float64Array:
         """Search the whole patch for the object; raises as `PoseTracker.find` does."""
         if result.patch is None or not len(result.patch.points):
             raise CalibrationError("there is no contact to find the object by; press it into the membrane")
-        return self._ready(result).find(result.patch)
+        return self._ready(result).find(result.patch, lambda share: progress(share, f"Searching for {self.mesh.name}"))
 
     def track(self, result: Result) -> Tracked | None:
         """Return the pose in a frame; None if the frame has no patch because the preset does not fit the rig."""

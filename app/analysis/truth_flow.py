@@ -12,9 +12,9 @@ from PyQt6.QtCore import QObject, QTimer, pyqtSignal
 from ...core.errors import TactuneError
 from ...core.evaluation.scan.paint import PaintSettings
 from ...core.evaluation.scan.pose import load_transform, pair_errors_m, save_transform
-from ...core.evaluation.scan.scan import UNITS_M
 from ...core.model.arrays import Float64Array
 from ...core.model.frames import Matrix4
+from ...core.model.units import UNITS_M
 from ...widgets.basics.messages import Severity
 from ..worker.jobs import Job
 from ..worker.results import Result

@@ -21,7 +21,6 @@ from PyQt6.QtWidgets import (
     QLineEdit,
     QTableWidget,
     QTableWidgetItem,
-    QVBoxLayout,
 )
 from scipy.spatial.transform import Rotation
 
@@ -40,6 +39,7 @@ from ...widgets.basics.controls import (
 )
 from ...widgets.basics.fields import FieldSpec, field_spec
 from ...widgets.basics.gestures import new_gesture
+from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.images.eyedropper import HsvRanges, Mode, new_ranges
 from ...widgets.parameters.band_slider import RangeEditor, groove_colors
 from ...widgets.parameters.number_slider import NumberEntry
@@ -134,11 +134,7 @@ class PaintPanel(CollapsibleSection):
         grid.setColumnStretch(1, 1)
         for row in self.rows.values():
             row.add_to(grid)
-        layout = QVBoxLayout(self.body)
-        layout.setContentsMargins(8, 4, 8, 8)
-        layout.addWidget(self.readout)
-        layout.addLayout(tools)
-        layout.addLayout(grid)
+        vbox(self.readout, tools, grid, within=self.body, margins=(8, 4, 8, 8))
 
     @property
     def eyedropper(self) -> str:
@@ -334,18 +330,9 @@ class AlignPanel(CollapsibleSection):
                 numbers.addWidget(entry, line, 2 * column + 1)
         numbers.setColumnStretch(1, 1)
         numbers.setColumnStretch(3, 1)
-        layout = QVBoxLayout(self.body)
-        layout.setContentsMargins(8, 4, 8, 8)
-        layout.setSpacing(4)
-        layout.addWidget(self.table)
-        layout.addLayout(buttons)
-        layout.addLayout(numbers)
-        layout.addWidget(self.refusal)
+        layout = vbox(self.table, buttons, numbers, self.refusal, within=self.body, margins=(8, 4, 8, 8), spacing=4)
         if self._refines:
-            icp = QHBoxLayout()
-            for widget in (self.refine, caption("Reach", self.reach), self.reach, self.cancel):
-                icp.addWidget(widget)
-            icp.addStretch(1)
+            icp = hbox(self.refine, caption("Reach", self.reach), self.reach, self.cancel, STRETCH)
             layout.addLayout(icp)
             layout.addWidget(self.progress)
             layout.addWidget(self.outcome)
@@ -527,16 +514,8 @@ class ResultPanel(CollapsibleSection):
         files = QHBoxLayout()
         for button in (self.save, self.load):
             files.addWidget(button)
-        repeat = QHBoxLayout()
-        repeat.addWidget(self.command, 1)
-        repeat.addWidget(self.copy)
-        layout = QVBoxLayout(self.body)
-        layout.setContentsMargins(8, 4, 8, 8)
-        layout.setSpacing(4)
-        layout.addLayout(grid)
-        layout.addLayout(files)
-        layout.addLayout(repeat)
-        layout.addWidget(self.note)
+        repeat = hbox((self.command, 1), self.copy)
+        vbox(grid, files, repeat, self.note, within=self.body, margins=(8, 4, 8, 8), spacing=4)
 
     def show_scores(self, scores: Scores | None) -> None:
         """Show the scores, or None."""

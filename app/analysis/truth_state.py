@@ -270,7 +270,7 @@ class TruthKeeper(KeptState[TruthState]):
         return found[1] if found and not found[0].empty else None
 
     def close(self) -> None:
-        """Write the last state and remove patches that no saved scan refers to."""
+        """Write the last state and remove old patches that no saved scan refers to."""
         self.flush()
         self.on_disk(
             remove_unnamed,

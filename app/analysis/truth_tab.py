@@ -9,24 +9,23 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QDragEnterEvent, QDropEvent, QKeyEvent
 from PyQt6.QtWidgets import (
     QComboBox,
-    QFrame,
     QHBoxLayout,
     QLabel,
     QMenu,
-    QScrollArea,
     QSlider,
     QSplitter,
-    QVBoxLayout,
     QWidget,
 )
 
 from ...core.errors import TactuneError
-from ...core.evaluation.scan.scan import SUFFIXES, UNITS_M
+from ...core.evaluation.scan.scan import SUFFIXES
+from ...core.model.units import UNITS_M
 from ...core.preset import Preset
 from ...core.preset.file import shipped_presets
 from ...core.sources.presets import load_preset
 from ...widgets.basics.controls import ProgressBar, caption, make_verdict, push_button
 from ...widgets.basics.dialogs import local_files
+from ...widgets.basics.layouts import STRETCH, hbox, scrolling, vbox
 from ...widgets.basics.messages import Messages, Severity
 from ..context import Context
 from ..worker.results import Result
@@ -89,16 +88,8 @@ class TruthTab(AnalysisTab):
         make_verdict(self.guide)
         self.guide.setWordWrap(True)
         panels = QWidget()
-        column = QVBoxLayout(panels)
-        column.setContentsMargins(0, 0, 4, 0)
-        for panel in (self.paint, self.align, self.result):
-            column.addWidget(panel)
-        column.addStretch(1)
-        scroll = QScrollArea()
-        scroll.setWidget(panels)
-        scroll.setWidgetResizable(True)
-        scroll.setFrameShape(QFrame.Shape.NoFrame)
-        scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        vbox(self.paint, self.align, self.result, STRETCH, within=panels, margins=(0, 0, 4, 0))
+        scroll = scrolling(panels)
         bar = scroll.verticalScrollBar()
         assert bar is not None
         scroll.setMinimumWidth(max(_PANEL_WIDTH, panels.minimumSizeHint().width() + bar.sizeHint().width()))
@@ -107,11 +98,7 @@ class TruthTab(AnalysisTab):
         across.addWidget(self.views)
         across.addWidget(scroll)
         across.setStretchFactor(0, 1)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.addLayout(self._top())
-        layout.addWidget(self.guide)
-        layout.addWidget(across, 1)
+        vbox(self._top(), self.guide, (across, 1), within=self, margins=0)
 
     def _top(self) -> QHBoxLayout:
         self.recent.setMenu(QMenu(self.recent))
@@ -120,14 +107,17 @@ class TruthTab(AnalysisTab):
         self.unit.setToolTip("Length unit of the scan's coordinates; an open scan is read again")
         unit = caption("&Unit", self.unit)
         self.progress.setMaximumWidth(320)
-        row = QHBoxLayout()
-        for widget in (self.open_button, self.recent, unit, self.unit, self.progress, self.cancel):
-            row.addWidget(widget)
-        row.addStretch(1)
-        row.addLayout(self._point_size())
-        for button in undo_buttons(self, self.flow.session.undo_stack):
-            row.addWidget(button)
-        return row
+        return hbox(
+            self.open_button,
+            self.recent,
+            unit,
+            self.unit,
+            self.progress,
+            self.cancel,
+            STRETCH,
+            self._point_size(),
+            *undo_buttons(self, self.flow.session.undo_stack),
+        )
 
     def _point_size(self) -> QHBoxLayout:
         size = QSlider(Qt.Orientation.Horizontal)
@@ -138,10 +128,7 @@ class TruthTab(AnalysisTab):
         size.valueChanged.connect(self.views.set_point_size)
         size.valueChanged.connect(lambda pixels: self._settings.set(_POINT_SIZE, pixels))
         size.setValue(round(self._settings.number(_POINT_SIZE, _USUAL_POINT_PX)))
-        row = QHBoxLayout()
-        row.addWidget(caption("Point si&ze", size))
-        row.addWidget(size)
-        return row
+        return hbox(caption("Point si&ze", size), size)
 
     def _connect(self) -> None:
         flow, session, views = self.flow, self.flow.session, self.views

@@ -9,11 +9,12 @@ from typing import Final
 import numpy as np
 from PyQt6.QtCore import QEvent, Qt, pyqtSignal
 from PyQt6.QtGui import QColor
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSplitter, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSplitter, QWidget
 
 from ...core.model.arrays import Float64Array, Uint8Array
 from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_RGB, CONTACT_ROW, Legend, Theme, palette_theme, patch_lut
 from ...widgets.basics.controls import ElidedLabel, push_button
+from ...widgets.basics.layouts import vbox
 from ...widgets.clouds.cloud_data import DepthCloud, free_cloud
 from ...widgets.clouds.cloud_view import BackendChoice, as_place
 from ...widgets.clouds.pick_view import PickView, Spot
@@ -95,7 +96,7 @@ def spots(pairs: tuple[PickedPair, ...], side: Side, selected: int | None) -> li
 
 
 _NO_SCAN = "No scan yet: open a painted PLY or OBJ, or drop it here"
-_NO_PATCH = "No patch yet: open a source in the main window and show a frame with contact"
+_NO_PATCH = "No patch yet: show a frame with contact in the main window"
 
 
 class TruthViews(QSplitter):
@@ -147,11 +148,7 @@ class TruthViews(QSplitter):
             line.addWidget(name, 1)
             for button in tools:
                 line.addWidget(button)
-            column = QVBoxLayout(side)
-            column.setContentsMargins(0, 0, 0, 0)
-            column.setSpacing(4)
-            column.addLayout(line)
-            column.addWidget(view, 1)
+            vbox(line, (view, 1), within=side, margins=0, spacing=4)
             self.addWidget(side)
         height = self.present.sizeHint().height()
         self.scan_name.setMinimumHeight(height)

@@ -10,9 +10,7 @@ from PyQt6.QtWidgets import (
     QComboBox,
     QFormLayout,
     QGroupBox,
-    QHBoxLayout,
     QLabel,
-    QScrollArea,
     QSpinBox,
     QSplitter,
     QVBoxLayout,
@@ -26,6 +24,7 @@ from ...core.tuning.measure import OBJECTIVES
 from ...core.tuning.space import Axis, default_axes
 from ...widgets.basics.controls import ElidedLabel, ProgressBar, push_button
 from ...widgets.basics.fields import field_spec, format_number
+from ...widgets.basics.layouts import hbox, scrolling, vbox
 from ...widgets.basics.messages import Messages, Severity
 from ...widgets.plots.trade_off import Dot, TradeOffPlot
 from ..context import Context
@@ -117,45 +116,29 @@ class TuneTab(AnalysisTab):
     def _lay_out(self) -> None:
         QVBoxLayout(self._field_box).setSpacing(4)
         panel = QWidget()
-        column = QVBoxLayout(panel)
-        column.setContentsMargins(0, 0, 4, 0)
-        column.addWidget(self._field_box)
+        column = vbox(self._field_box, within=panel, margins=(0, 0, 4, 0))
         form = QFormLayout()
         form.addRow("&Optimise time and", self.objective)
         form.addRow("Tria&ls", self.trials)
         form.addRow("&Frames", self.frames)
         column.addLayout(form)
-        buttons = QHBoxLayout()
-        buttons.addWidget(self.start)
-        buttons.addWidget(self.stop)
+        buttons = hbox(self.start, self.stop)
         column.addLayout(buttons)
         column.addSpacing(12)
         column.addWidget(self.chosen)
         column.addWidget(self.use)
         column.addStretch(1)
-        scroll = QScrollArea()
-        scroll.setWidget(panel)
-        scroll.setWidgetResizable(True)
-        scroll.setFrameShape(QScrollArea.Shape.NoFrame)
-        scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        scroll = scrolling(panel)
         scroll.setMinimumWidth(max(_PANEL_WIDTH, panel.minimumSizeHint().width() + 20))
         right = QWidget()
-        views = QVBoxLayout(right)
-        views.setContentsMargins(0, 0, 0, 0)
-        views.addWidget(self.plot, 1)
-        views.addWidget(self.pointed)
+        vbox((self.plot, 1), self.pointed, within=right, margins=0)
         across = QSplitter(Qt.Orientation.Horizontal)
         across.setChildrenCollapsible(False)
         across.addWidget(scroll)
         across.addWidget(right)
         across.setStretchFactor(1, 1)
-        row = QHBoxLayout()
-        row.addWidget(self.status, 1)
-        row.addWidget(self.progress)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.addLayout(row)
-        layout.addWidget(across, 1)
+        row = hbox((self.status, 1), self.progress)
+        vbox(row, (across, 1), within=self, margins=0)
 
     def _connect(self) -> None:
         self.start.clicked.connect(self._start)

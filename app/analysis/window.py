@@ -12,6 +12,7 @@ from PyQt6.QtWidgets import QDialog, QLabel, QTabWidget, QVBoxLayout, QWidget
 
 from ...core.model.plugins import load_plugin, load_plugins
 from ...widgets.basics.dialogs import bring_up
+from ...widgets.basics.layouts import vbox
 from ...widgets.basics.messages import Severity
 from ..context import Context
 from ..worker.errors import explain, guarded
@@ -80,7 +81,7 @@ class AnalysisLauncher(QObject):
 
 
 class AnalysisWindow(QDialog):
-    """Stays open beside the main window; passes each frame to the visible tab.
+    """Stays open beside the main window; passes each frame to the visible tab, and to others that go on.
 
     While closed it takes no frames and keeps what was entered. A tab is made when it is first visible.
 
@@ -107,9 +108,7 @@ class AnalysisWindow(QDialog):
             QVBoxLayout(page).setContentsMargins(8, 8, 8, 8)
             self.tabs.setTabToolTip(self.tabs.addTab(page, kind.title), kind.tip)
         self.tabs.currentChanged.connect(self._tab_changed)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 4, 0, 0)
-        layout.addWidget(self.tabs)
+        vbox(self.tabs, within=self, margins=(0, 4, 0, 0))
         self.resize(960, 640)
         if not self.restoreGeometry(context.settings.blob(_GEOMETRY)):
             self._stand_aside(context.window)
@@ -127,10 +126,14 @@ class AnalysisWindow(QDialog):
         bring_up(self)
 
     def show_newest(self) -> None:
-        """Pass the main window's frame to the visible tab."""
+        """Pass the main window's frame to the visible tab, and to others that go on."""
         result = self._context.result
-        if result is not None and self.isVisible() and not self.isMinimized():
-            guarded(partial(self._current().show_result, result))
+        if result is None or not self.isVisible():
+            return
+        front = None if self.isMinimized() else self._current()
+        for tab in tuple(self.made.values()):
+            if tab is front or tab.goes_on:
+                guarded(partial(tab.show_result, result))
 
     def shut_down(self) -> None:
         """Close for good."""

@@ -15,15 +15,14 @@ from PyQt6.QtWidgets import (
     QSplitter,
     QTableWidget,
     QTableWidgetItem,
-    QVBoxLayout,
     QWidget,
 )
 
 from ...core.calibration.recheck import clearly_larger, replacement
-from ...core.model.frames import SensorFrame
 from ...core.preset import AlignmentSection, Preset
 from ...core.preset.checks import rig_in_use
 from ...widgets.basics.controls import AccentButton, push_button
+from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.basics.theme import theme_name
 from ...widgets.clouds.cloud_view import BackendChoice, CloudView, link_cameras
 from ...widgets.images.point_image import PointImage
@@ -124,14 +123,8 @@ class CheckPage(QWidget):
             assert first is not None
             first.setChecked(True)
         left = QWidget()
-        column = QVBoxLayout(left)
-        column.setContentsMargins(0, 0, 0, 0)
-        column.addLayout(tools)
-        column.addWidget(self.image, 1)
-        column.addWidget(self.table)
-        last = QHBoxLayout()
-        last.addWidget(self.set_tolerance, 1)
-        last.addWidget(self.export)
+        column = vbox(tools, (self.image, 1), self.table, within=left, margins=0)
+        last = hbox((self.set_tolerance, 1), self.export)
         column.addLayout(last)
         right = QSplitter(Qt.Orientation.Vertical)
         for name in ("new", "present"):
@@ -144,9 +137,7 @@ class CheckPage(QWidget):
         across.setStretchFactor(1, 2)
         across.setSizes([720, 480])
         across.setChildrenCollapsible(False)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(8, 8, 8, 4)
-        layout.addWidget(across)
+        vbox(across, within=self, margins=(8, 8, 8, 4))
 
     def _connect(self) -> None:
         self.modes.idClicked.connect(self._mode_chosen)
@@ -226,21 +217,17 @@ class CheckPage(QWidget):
             f"Also set the tolerance t{supported} when saving; it is {100 * preset.tolerance.t:.3g} % now{use}"
         )
 
-    def _frame(self) -> SensorFrame | None:
-        """Return the frame to show: the current snapshot, or the live frame."""
-        snapshot = self._session.state.snapshot
-        return snapshot.frame if snapshot is not None else self._feed.frame
-
     def _draw(self) -> None:
         if not self.isVisible():
             return
         self._find_patches()
         self._show_comparison()
-        frame, new = self._frame(), self.new_preset()
+        snapshot, new = self._session.state.snapshot, self.new_preset()
+        frame = snapshot.frame if snapshot is not None else self._feed.frame
         which, image = _WHICH[self.which.checkedId()][0], self.pixels.currentData()
-        if frame is None or (new is None and which == "new"):
+        if new is None and which == "new":
             self._overlay, self._drawn = None, ()
-            self.image.set_image(None, _NO_FIT if frame is not None else "Waiting for a frame…")
+            self.image.set_image(None, _NO_FIT)
             return
         if image == "color" and frame.tactile_color is None:
             self.image.set_image(None, "The tactile camera has no colour image; choose Depth")
@@ -249,14 +236,16 @@ class CheckPage(QWidget):
         wanted = (frame, preset.alignment.geometry, image)
         if wanted != self._drawn:
             self._drawn = wanted
+            if self._overlay is None:
+                self.image.set_image(None, "Drawing both images…")
             section, rig = preset.alignment, rig_in_use(preset, self._session.rig)
             self._overlay_job.start(lambda _: make_overlay(alignment_of_preset(section, rig), rig, frame, image))
 
     def _find_patches(self) -> None:
         """Find the patches in the newest frame if the page is visible."""
-        frame = self._feed.frame or self._frame()
-        if not self.isVisible() or frame is None or (self._patch_job.busy and self._feed.playback.playing):
+        if not self.isVisible() or (self._patch_job.busy and self._feed.playback.playing):
             return
+        frame = self._feed.frame
         presets = {"present": self.present_preset(), "new": self.new_preset()}
         if "–" in self._areas:
             for view in self.clouds.values():

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from PyQt6.QtCore import QSignalBlocker, Qt
-from PyQt6.QtWidgets import QComboBox, QDoubleSpinBox, QHBoxLayout, QSpinBox, QWidget
+from PyQt6.QtWidgets import QComboBox, QDoubleSpinBox, QSpinBox, QWidget
 
 from ...core.calibration.detect import Detection, detect_charuco, detect_chessboard, detect_circles, match_detections
 from ...core.calibration.texture import match_texture
@@ -14,6 +14,7 @@ from ...core.errors import CalibrationError
 from ...core.model.frames import Rig
 from ...widgets.basics.controls import ElidedLabel, ProgressBar, caption, push_button
 from ...widgets.basics.gestures import GestureClock
+from ...widgets.basics.layouts import hbox
 from ..worker.jobs import Job, Progress
 from .pictures import Picture, picture, tactile_depth_at
 from .session import Choices, PointPair, Session, SessionState, Snapshot, Target, count_pairs, count_snapshots
@@ -141,13 +142,9 @@ class Finder(QWidget):
             "Find points", "Find points automatically in all snapshots and add them as pairs (Ctrl+F)", "Ctrl+F"
         )
         self._make_controls()
-        layout = QHBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(8)
-        layout.addWidget(caption("&Find", self.target))
-        for widget in (self.target, self.columns, self.rows, self.share, self.dictionary, self.progress, self.cancel):
-            layout.addWidget(widget)
-        layout.addWidget(self.words, 1)
+        settings = (self.target, self.columns, self.rows, self.share, self.dictionary)
+        row = (caption("&Find", self.target), *settings, self.progress, self.cancel, (self.words, 1))
+        hbox(*row, within=self, margins=0, spacing=8)
         self._connect()
         self._show_state(session.state)
         self._show_busy()

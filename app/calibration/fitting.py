@@ -383,7 +383,7 @@ def _line(report: CalibrationReport) -> str:
     else:
         parts.append(f"residual {chosen.rms_px:.2f} px")
         if chosen.cross_validated_px is not None:
-            parts.append(f"left out {chosen.cross_validated_px:.2f} px")
+            parts.append(f"cross-validated residual {chosen.cross_validated_px:.2f} px")
         parts.append(f"error {at_least(chosen.alignment_mm, 'mm')}")
     if chosen.excluded:
         parts.append(f"{len(chosen.excluded)} excluded")

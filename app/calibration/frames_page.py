@@ -14,7 +14,6 @@ from PyQt6.QtWidgets import (
     QListWidget,
     QListWidgetItem,
     QSlider,
-    QVBoxLayout,
     QWidget,
 )
 
@@ -22,16 +21,15 @@ from ...core.model.clouds import valid_depth
 from ...core.model.frames import Rig, SensorFrame
 from ...widgets.basics.controls import ProgressBar, caption, frame_count, push_button
 from ...widgets.basics.gestures import GestureClock
+from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.images.image_pane import ImagePane
 from ..worker.feed import FrameFeed
 from .pictures import image_choices, picture
 from .session import ImageChoice, Session, SessionState, Side, Snapshot
-from .snapshots import MAX_FRAMES, Collector
+from .snapshots import MAX_FRAMES, MOVED_LIMIT_M, Collector
 
 _PREVIEW_MS = 80
 _THUMBNAIL = QSize(96, 72)
-#: Movement of the membrane that blurs an averaged frame, metres.
-MOVED_LIMIT_M = 0.0025
 
 _PREVIEWS: tuple[tuple[Side, ImageChoice, str], ...] = (
     ("proximity", "color", "Proximity camera, colour"),
@@ -97,10 +95,7 @@ class FramesPage(QWidget):
         for number, pane in enumerate(self.previews.values()):
             pane.view.setMinimumSize(160, 100)
             images.addWidget(pane, number // 2, number % 2)
-        transport = QHBoxLayout()
-        transport.addWidget(self.play)
-        transport.addWidget(self.seek, 1)
-        transport.addWidget(self.source)
+        transport = hbox(self.play, (self.seek, 1), self.source)
         taking = QHBoxLayout()
         self.average.setFixedWidth(110)
         taking.addWidget(caption("A&verage", self.average))
@@ -110,21 +105,11 @@ class FramesPage(QWidget):
         taking.addStretch(0)
         self.note.setMinimumHeight(2 * self.fontMetrics().height() + 4)
         self.note.setAlignment(Qt.AlignmentFlag.AlignTop)
-        left = QVBoxLayout()
-        left.addLayout(images, 1)
-        left.addLayout(transport)
-        left.addLayout(taking)
-        left.addWidget(self.note)
+        left = vbox((images, 1), transport, taking, self.note)
         box = QGroupBox("Snapshots")
-        right = QVBoxLayout(box)
-        right.addWidget(self.list, 1)
-        right.addWidget(self.span)
-        right.addWidget(self.remove)
+        vbox((self.list, 1), self.span, self.remove, within=box)
         box.setFixedWidth(300)
-        layout = QHBoxLayout(self)
-        layout.setContentsMargins(8, 8, 8, 4)
-        layout.addLayout(left, 1)
-        layout.addWidget(box)
+        hbox((left, 1), box, within=self, margins=(8, 8, 8, 4))
 
     def _connect(self) -> None:
         feed, collector, session = self._feed, self._collector, self._session
@@ -161,9 +146,9 @@ class FramesPage(QWidget):
         self._show_playback()
         frame, info = self._feed.frame, self._feed.info
         for (side, image), pane in self.previews.items():
-            if frame is None or image not in image_choices(frame, side):
+            if image not in image_choices(frame, side):
                 pane.set_pixels(None, (640, 480), 1)
-                pane.set_message("Waiting for the first frame…" if frame is None else "This camera has no colour image")
+                pane.set_message("This camera has no colour image")
                 continue
             shown = picture(frame, info.rig, side, image, stretch=True)
             height, width = shown.gray.shape
@@ -232,7 +217,7 @@ class FramesPage(QWidget):
         busy = self._collector.busy
         self.progress.setVisible(busy)
         self.cancel.setVisible(busy)
-        self.take.setEnabled(not busy and self._feed.frame is not None)
+        self.take.setEnabled(not busy)
         self.average.setEnabled(not busy)
 
     def _taken(self, snapshot: Snapshot) -> None:
@@ -244,10 +229,11 @@ class FramesPage(QWidget):
         else:
             words = "Snapshot taken."
             if snapshot.averaged < self._collector.asked:
-                words = f"{snapshot.averaged} of {self._collector.asked} frames: the source has no more."
-                if self._feed.info.length != 1:
+                end = "the membrane moves after them" if self._collector.moved_on else "the source has no more"
+                words = f"{snapshot.averaged} of {self._collector.asked} frames: {end}."
+                if not self._collector.moved_on and self._feed.info.length != 1:
                     words += " For more, go back in the recording and take the snapshot again."
-            self.note.setText(f"{words} {_NEXT if self._session.state.snapshots else _ADVICE}")
+            self.note.setText(f"{words} {_NEXT}")
         self._session.add_snapshot(snapshot)
         self._show_busy()
 

@@ -63,7 +63,7 @@ class Keeper(KeptState[SessionState]):
         return kept_at
 
     def close(self) -> None:
-        """Write the last state, remove unused snapshots, and release the file."""
+        """Write the last state, remove unused old snapshots, and release the file."""
         self.flush()
         self.finish()
         self._lock.unlock()
@@ -77,8 +77,9 @@ class Keeper(KeptState[SessionState]):
     def write(self, state: SessionState, file: Path) -> None:
         """Write new snapshots, then the state that refers to them."""
         for snapshot in state.snapshots:
-            if snapshot.digest not in self._stored:
-                _write_images(_images_file(self.folder, snapshot.digest), snapshot.frame)
+            images = _images_file(self.folder, snapshot.digest)
+            if snapshot.digest not in self._stored or not images.exists():  # another window may have removed it
+                _write_images(images, snapshot.frame)
                 self._stored.add(snapshot.digest)
         write_json(file, _content(state))
 

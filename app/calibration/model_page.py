@@ -15,7 +15,6 @@ from PyQt6.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QRadioButton,
-    QVBoxLayout,
     QWidget,
 )
 
@@ -23,6 +22,7 @@ from ...core.calibration import CalibrationReport
 from ...core.calibration.depth_advice import DEPTH_WORDS
 from ...core.calibration.report import ModelQuality
 from ...widgets.basics.controls import caption
+from ...widgets.basics.layouts import vbox
 from ...widgets.basics.theme import text_font
 from ...widgets.plots.calibration_plots import Residual, ResidualPlot, round_limit
 from .fitting import Outcome
@@ -55,8 +55,8 @@ _NUMBERS = (
     _Number("Residual, RMS", "The same error at each pair's depth, millimetres", lambda q: q.rms_mm, "mm"),
     _Number("Worst residual", "The largest residual of a pair, pixels", lambda q: q.worst_px),
     _Number(
-        "Left-out error",
-        "Cross-validation: the error of a region's pairs, a part of the image and of depth, in a fit of the others, "
+        "Cross-validated residual",
+        "Root mean square residual of a region's pairs, a part of the image and of depth, under the fit of the others, "
         "pixels. The best measure of a model's quality",
         lambda q: q.cross_validated_px,
     ),
@@ -106,11 +106,7 @@ class _ModelColumn(QGroupBox):
             numbers.addWidget(value, row, 1)
             self.values.append(value)
         numbers.setColumnStretch(0, 1)
-        layout = QVBoxLayout(self)
-        layout.addWidget(self.subtitle)
-        layout.addLayout(numbers)
-        layout.addWidget(self.extra)
-        layout.addWidget(self.plot, 1)
+        vbox(self.subtitle, numbers, self.extra, (self.plot, 1), within=self)
 
     def show_report(self, report: CalibrationReport | None, limit: float) -> None:
         """Show the model's part of a report."""
@@ -180,13 +176,7 @@ class ModelPage(QWidget):
         columns = QHBoxLayout()
         for name in ("rigid", "homography"):
             columns.addWidget(self.columns[name], 1)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(8, 8, 8, 4)
-        layout.addWidget(self.reason)
-        layout.addLayout(row)
-        layout.addWidget(self.depth_reason)
-        layout.addLayout(columns, 1)
-        layout.addWidget(self.warnings)
+        vbox(self.reason, row, self.depth_reason, (columns, 1), self.warnings, within=self, margins=(8, 8, 8, 4))
         self.choices.idClicked.connect(
             lambda number: session.choose(f"Take: {_CHOICES[number][1]}", model=_CHOICES[number][0])
         )

@@ -7,10 +7,11 @@ from functools import partial
 from math import isfinite
 
 from PyQt6.QtCore import QRectF, Qt, pyqtSignal
-from PyQt6.QtWidgets import QHBoxLayout, QWidget
+from PyQt6.QtWidgets import QWidget
 
 from ...core.calibration.detect import Snapped
 from ...core.errors import TactuneError
+from ...widgets.basics.layouts import hbox
 from ...widgets.images.point_image import PointImage
 from .pictures import Picture, landing
 from .session import SIDES, Place, Side
@@ -47,9 +48,7 @@ class PairView(QWidget):
         self._linked = True
         self._linking = False
         self._partner: Partner = lambda side, place: None
-        layout = QHBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(8)
+        layout = hbox(within=self, margins=0, spacing=8)
         for side in SIDES:
             image = self.images[side]
             layout.addWidget(image, 1)

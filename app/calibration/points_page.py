@@ -6,10 +6,11 @@ from functools import partial
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QKeySequence, QShortcut
-from PyQt6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QSplitter, QToolButton, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QSplitter, QToolButton, QWidget
 
 from ...widgets.basics.controls import ElidedLabel, caption
 from ...widgets.basics.gestures import GestureClock
+from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.basics.point_table import PointTable
 from .finder import Finder
 from .fitting import Outcome, image_marks, missing_depth, same_pixels, table_rows
@@ -99,10 +100,7 @@ class PointsPage(QWidget):
         for widget in (self.stretch, self.snap, self.link, self.loupe, self.arrows, self.whole):
             tools.addWidget(widget)
         tools.addStretch(1)
-        finding = QHBoxLayout()
-        finding.addWidget(self.finder, 1)
-        for button in (self.load, self.store):
-            finding.addWidget(button)
+        finding = hbox((self.finder, 1), self.load, self.store)
         self.split = QSplitter(Qt.Orientation.Vertical)
         self.split.addWidget(self.view)
         self.split.addWidget(self.table)
@@ -110,17 +108,8 @@ class PointsPage(QWidget):
         self.split.setStretchFactor(1, 0)
         self.split.setSizes([480, 170])
         self.split.setChildrenCollapsible(False)
-        lines = QHBoxLayout()
-        lines.addWidget(self.hint, 4)
-        lines.addWidget(self.fit_line, 3)
-        lines.addWidget(self.drop)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(8, 4, 8, 4)
-        layout.setSpacing(4)
-        layout.addLayout(finding)
-        layout.addLayout(tools)
-        layout.addWidget(self.split, 1)
-        layout.addLayout(lines)
+        fit = hbox((self.fit_line, 1), self.drop)
+        vbox(finding, tools, (self.split, 1), self.hint, fit, within=self, margins=(8, 4, 8, 4), spacing=4)
 
     def _connect(self) -> None:
         session, view = self._session, self.view

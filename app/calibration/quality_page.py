@@ -19,6 +19,7 @@ from ...core.calibration.report import grade
 from ...core.model.arrays import BoolArray, Float64Array, Uint8Array
 from ...core.model.frames import Rig, SensorFrame
 from ...widgets.basics.controls import AccentButton, push_button
+from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.basics.theme import TextSize, text_font
 from ...widgets.images.image_pane import ColorBar
 from ...widgets.images.point_image import PointImage
@@ -134,10 +135,7 @@ class QualityPage(QWidget):
         self.numbers.setHorizontalSpacing(16)
         self.warnings = _words()
         self.coverage = CoverageGrid()
-        layout = QHBoxLayout(self)
-        layout.setContentsMargins(8, 8, 8, 4)
-        layout.addLayout(self._map_column(), 3)
-        layout.addWidget(self._words_column(), 2)
+        hbox((self._map_column(), 3), (self._words_column(), 2), within=self, margins=(8, 8, 8, 4))
         self.units.idClicked.connect(lambda _: self._draw())
         self.distortion.clicked.connect(self._toggle_distortion)
         self._job.done.connect(self._show_map)
@@ -158,10 +156,7 @@ class QualityPage(QWidget):
             self.units.addButton(button, number)
             units.addWidget(button)
         units.addStretch(1)
-        column = QVBoxLayout()
-        column.addWidget(self.map, 1)
-        column.addLayout(units)
-        return column
+        return vbox((self.map, 1), units)
 
     def _words_column(self) -> QScrollArea:
         side = QWidget()
@@ -225,7 +220,7 @@ class QualityPage(QWidget):
             ("Alignment error, 95 % bound", f"{quality.alignment_bound_95_px:.2f} px"),
             ("Residual, RMS", "exact fit, not informative" if quality.rms_px is None else f"{quality.rms_px:.2f} px"),
             (
-                "Cross-validated by region",
+                "Cross-validated residual",
                 "needs more pairs" if quality.cross_validated_px is None else f"{quality.cross_validated_px:.2f} px",
             ),
             ("Condition number", f"{quality.condition:.1f}"),
@@ -253,9 +248,7 @@ class QualityPage(QWidget):
         self.distortion.setText(_REMOVE if chosen else _ESTIMATE)
         self.distortion.setToolTip(_REMOVE_TIP if chosen else _ESTIMATE_TIP)
         self.distortion.setVisible(chosen or outcome.distortion.rig is not None)
-        self.estimated.setText(
-            outcome.distortion.sentence.replace("Estimate lens", "Estimated lens", 1) if used else ""
-        )
+        self.estimated.setText(outcome.distortion.result if used else "")
         self.estimated.setVisible(used)
 
     def _toggle_distortion(self) -> None:

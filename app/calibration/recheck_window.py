@@ -7,7 +7,7 @@ from pathlib import Path
 
 from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QCloseEvent
-from PyQt6.QtWidgets import QComboBox, QDialog, QGridLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QComboBox, QDialog, QGridLayout, QLabel, QWidget
 
 from ...core.calibration.recheck import Drift, recheck
 from ...core.errors import TactuneError
@@ -16,6 +16,7 @@ from ...core.preset import Preset
 from ...core.rig.drift import DepthChange, MembraneDrift, compare_with_untouched
 from ...core.rig.untouched import load_untouched
 from ...widgets.basics.controls import make_verdict, push_button
+from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.images.marks import Mark, MarkKind
 from ...widgets.images.point_image import PointImage
 from ..worker.jobs import Job
@@ -97,17 +98,8 @@ class RecheckWindow(QDialog):
         self.again.setShortcut("Ctrl+R")
         self.calibrate = push_button("Calibrate…", "Open the calibration wizard")
         self.leave = push_button("Close", "Close this window")
-        row = QHBoxLayout()
-        row.addWidget(self.factor)
-        row.addStretch(1)
-        for button in (self.again, self.calibrate, self.leave):
-            row.addWidget(button)
-        layout = QVBoxLayout(self)
-        layout.addWidget(self.sentence)
-        layout.addWidget(self.membrane)
-        layout.addLayout(self.numbers)
-        layout.addWidget(self.image, 1)
-        layout.addLayout(row)
+        row = hbox(self.factor, STRETCH, self.again, self.calibrate, self.leave)
+        vbox(self.sentence, self.membrane, self.numbers, (self.image, 1), row, within=self)
         self.resize(760, 720)
         self.factor.currentTextChanged.connect(lambda text: self.image.layer.set_arrow_factor(_FACTORS[text]))
         self.image.layer.set_arrow_factor(_FACTORS[self.factor.currentText()])

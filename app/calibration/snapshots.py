@@ -39,6 +39,8 @@ def moved_m(frames: Sequence[SensorFrame], unit_m: float) -> float:
     return float(np.percentile(change, 95))
 
 
+#: Movement of the membrane that blurs an averaged frame, metres; the noise of real cameras stays below.
+MOVED_LIMIT_M = 0.0025
 #: Upper limit of frames to average; more would take gigabytes and add nothing.
 MAX_FRAMES = 60
 _WAITING_SHARE = 0.5
@@ -47,12 +49,15 @@ _WAITING_SHARE = 0.5
 class Collector(QObject):
     """Averages the next frames of a feed into one snapshot: fewer where a recording ends.
 
-    A recording is read frame by frame, because frames that play may be dropped.
+    A recording is read frame by frame, because frames that play may be dropped. From a paused frame on, only those are
+    averaged that show the membrane in the same place.
 
     Attributes
     ----------
     asked : int
         Number of frames that were asked for.
+    moved_on : bool
+        Whether the snapshot ended where the membrane moves away from the paused frame.
 
     Signals
     -------
@@ -74,6 +79,7 @@ class Collector(QObject):
         self._index = -1
         self._wanted = 0
         self.asked = 0
+        self.moved_on = False
         self._return_to: int | None = None
         self._goes_on = False
         self._job = Job(self)
@@ -92,10 +98,10 @@ class Collector(QObject):
     def start(self, count: int) -> None:
         """Use the current frame and the following ones, ``count`` in total, or as many as there are."""
         frame, playback = self._feed.frame, self._feed.playback
-        if self.busy or frame is None:
+        if self.busy:
             return
         self._frames, self._wanted = [], max(1, min(count, MAX_FRAMES))
-        self.asked = self._wanted
+        self.asked, self.moved_on = self._wanted, False
         self._number, self._index = playback.index + 1, -1
         still = not playback.playing or playback.frozen
         self._return_to = playback.index if still and playback.seekable else None
@@ -126,6 +132,12 @@ class Collector(QObject):
         if playback.seekable and self._frames and playback.index != self._index + 1:  # it played before it was paused
             self._feed.seek(self._index + 1)
             return
+        if self._return_to is not None and self._frames:
+            unit_m = self._feed.info.rig.tactile.depth_unit_m
+            self.moved_on = moved_m((self._frames[0], frame), unit_m) > MOVED_LIMIT_M
+            if self.moved_on:
+                self._average()
+                return
         self._index = playback.index
         self._frames.append(frame)
         self.progress.emit(

@@ -17,7 +17,6 @@ from PyQt6.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QStackedWidget,
-    QVBoxLayout,
     QWidget,
 )
 
@@ -27,15 +26,16 @@ from ...core.calibration.report import grade
 from ...core.errors import TactuneError
 from ...widgets.basics.controls import AccentButton, push_button
 from ...widgets.basics.dialogs import Dialogs, bring_up
+from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.basics.messages import Messages, Severity
 from ...widgets.clouds.cloud_view import BackendChoice
 from ..context import SOURCE, TASK, Context
 from ..document.document import Document
-from ..worker.feed import FrameFeed, WorkerFeed
+from ..worker.feed import FrameFeed
 from ..worker.jobs import Job
 from .check_page import CheckPage
 from .fitting import Fitter, Outcome, at_least, correspondences, missing_pairs, pairs_of
-from .frames_page import MOVED_LIMIT_M, FramesPage
+from .frames_page import FramesPage
 from .keeping import Keeper, preset_values
 from .model_page import ModelPage
 from .pictures import snap, tactile_depth_at
@@ -44,7 +44,7 @@ from .quality_page import QualityPage
 from .recheck_window import RecheckWindow
 from .report_file import write_report
 from .session import ProximityImage, Session, SessionState, count_pairs, count_snapshots
-from .snapshots import Collector
+from .snapshots import MOVED_LIMIT_M, Collector
 
 STEPS = ("Snapshots", "Points", "Model", "Quality", "Save")
 _TIPS = (
@@ -149,23 +149,13 @@ class CalibrationWizard(QDialog):
             "Save preset", "Put the alignment with its points and quality into the preset, and save its file (Ctrl+S)"
         )
         self.leave = push_button("Close", "Close the wizard; everything is saved and restored next time")
-        footer = QHBoxLayout()
-        footer.addWidget(self.verdict, 1)
-        for push in (self.leave, self.back, *self.page_actions.values(), self.next, self.save):
-            footer.addWidget(push)
+        footer = hbox((self.verdict, 1), self.leave, self.back, *self.page_actions.values(), self.next, self.save)
         for push in (*self.page_actions.values(), self.next, self.save):
             push.setMinimumWidth(120)
         area = QWidget()
-        inside = QVBoxLayout(area)
-        inside.setContentsMargins(0, 0, 0, 0)
-        inside.addWidget(self.stack)
+        vbox(self.stack, within=area, margins=0)
         self.messages = Messages(area, self._below_views)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(8, 8, 8, 8)
-        layout.setSpacing(4)
-        layout.addLayout(steps)
-        layout.addWidget(area, 1)
-        layout.addLayout(footer)
+        vbox(steps, (area, 1), footer, within=self, margins=8, spacing=4)
 
     def _connect(self) -> None:
         session, stack = self.session, self.session.undo_stack
@@ -511,6 +501,8 @@ def _contents(state: SessionState) -> str:
 def _short(report: CalibrationReport) -> str:
     """Return the verdict in one line: grade and errors; the page Quality says why and what to do next."""
     quality = report.chosen
+    if quality.degrees <= 0:
+        return report.verdict
     word = grade(quality).partition(":")[0]
     errors = f"{at_least(quality.alignment_px, 'px')}, {at_least(quality.alignment_mm, 'mm')}"
     return f"{word}, {report.model}: {errors}."
@@ -533,7 +525,7 @@ class CalibrationLauncher(QObject):
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._context = context
-        self._feed: WorkerFeed | None = None
+        self._feed: FrameFeed | None = None
         self.wizard: CalibrationWizard | None = None
         self.recheck: RecheckWindow | None = None
         context.frameShown.connect(self._frame_shown)
@@ -546,7 +538,7 @@ class CalibrationLauncher(QObject):
             return
         context.messages.clear_subject(TASK)
         if self.wizard is None:
-            self._feed = WorkerFeed(context.worker, context.result, context.playback, self)
+            self._feed = FrameFeed(context.worker, context.result, context.playback, self)
             self.wizard = CalibrationWizard(
                 self._feed,
                 context.document,

@@ -36,10 +36,6 @@ def bench(
     gate: Annotated[
         bool, typer.Option("--gate", help="Check only the promised speed; exit status 1 if a check fails.")
     ] = False,
-    growth: Annotated[
-        bool,
-        typer.Option("--growth", help="Also measure how run time grows with the number of points and the image size."),
-    ] = False,
     sensors: Annotated[
         str | None,
         typer.Option(
@@ -68,7 +64,7 @@ def bench(
     if report is not None:
         _write_report(report, rounds)
         return
-    _compare(_names(scenes), _names(engines), rounds, growth or plots is not None, plots, as_json)
+    _compare(_names(scenes), _names(engines), rounds, plots, as_json)
 
 
 @bench_commands.command()
@@ -174,9 +170,8 @@ def _run_gate(rounds: int, as_json: bool) -> int:
     return 0 if all(check.holds for check in checks) else 1
 
 
-def _compare(
-    scenes: list[str], engines: list[str], rounds: int, growth: bool, plots: Path | None, as_json: bool
-) -> None:
+def _compare(scenes: list[str], engines: list[str], rounds: int, plots: Path | None, as_json: bool) -> None:
+    """Compare the engines; with ``plots`` also how run time grows with the number of points and the image size."""
     from dataclasses import asdict
 
     from ...core.bench.measure import machine_facts
@@ -190,16 +185,16 @@ def _compare(
         rows = compare_engines(
             scenes or scene_names(), list(Job), rounds=rounds, only=engines, progress=progress.preparing
         )
-        points = growth_with_points(rounds, progress=progress.preparing) if growth else []
-        sizes = growth_with_size(rounds, progress=progress.preparing) if growth else []
+        points = growth_with_points(rounds, progress=progress.preparing) if plots is not None else []
+        sizes = growth_with_size(rounds, progress=progress.preparing) if plots is not None else []
     if as_json:
         report: dict[str, Any] = {"machine": facts, "rows": rows_as_json(rows)}
-        if growth:
+        if plots is not None:
             report["growth"] = [asdict(row) for row in points + sizes]
         typer.echo(json.dumps(report, indent=2, allow_nan=False))
     else:
         typer.echo(_machine_line(facts) + "\n\n" + rows_as_text(rows))
-        if growth:
+        if plots is not None:
             typer.echo("\n" + growth_as_text(points) + "\n\n" + growth_as_text(sizes))
     if plots is not None:
         from ...core.bench.report import draw_growth, draw_pareto

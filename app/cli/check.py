@@ -37,12 +37,10 @@ def check(
     chosen = load_preset(origin)
     with open_with_progress(source, chosen.cameras) as opened:
         pipeline = ContactPipeline(chosen, opened.rig)
-        for sentence in pipeline.warnings:
-            warn(sentence)
+        warn(*pipeline.warnings)
         frames = recent_frames(opened, frame)
         stored = kept_untouched(chosen, origin, opened)
-        for sentence in stored.warnings:
-            warn(sentence)
+        warn(*stored.warnings)
         patches = [pipeline.process(each) for each in frames]
         findings = Examiner(opened.rig).findings(frames[-1], patches[-1], chosen, stored.frame)
     if as_json:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 import os
 import select
@@ -94,9 +93,10 @@ def counted(number: int, thing: str) -> str:
     return f"{number} {thing}" + ("s" if number != 1 else "")
 
 
-def warn(sentence: str) -> None:
-    """Print a sentence on standard error."""
-    typer.echo(f"tactune: {sentence}", err=True)
+def warn(*sentences: str) -> None:
+    """Print sentences on standard error."""
+    for sentence in sentences:
+        typer.echo(f"tactune: {sentence}", err=True)
 
 
 def tell_notes(preset: Preset) -> None:
@@ -266,13 +266,12 @@ def parse_settings(texts: Sequence[str]) -> dict[str, Any]:
 
 def _parse_setting(text: str) -> tuple[str, Any]:
     """Split ``path=value``; the value is JSON, or else a bare word."""
+    from ...core.tuning.space import json_or_word
+
     path, separator, value = text.partition("=")
     if not separator:
         raise PresetError(f"--set {text}: there is no =; write FIELD=VALUE, such as tolerance.t=0.01")
-    try:
-        return path.strip(), json.loads(value)
-    except (ValueError, RecursionError):
-        return path.strip(), value
+    return path.strip(), json_or_word(value)
 
 
 def _turning_sections_on(values: dict[str, Any]) -> dict[str, Any]:

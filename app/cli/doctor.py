@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ...core.errors import SourceError
+from ...core.errors import SourceError, as_sentence
 from ..doctor.checks import State
 from .common import CliProgress
 
@@ -33,7 +33,7 @@ def devices(
     Exit status 0 if a camera is connected, 1 if none is, 2 if the camera driver is missing or fails.
     """
     found, problems = _ask_driver()
-    notes = [*_notes(found), *map(_sentence, problems)]
+    notes = [*_notes(found), *map(as_sentence, problems)]
     if as_json:
         typer.echo(json.dumps({"devices": found, "notes": notes}, indent=2))
     else:
@@ -76,12 +76,8 @@ def _notes(found: Sequence[dict[str, Any]]) -> list[str]:
         )
     no_l515 = no_l515_sentence(driver_version())
     if no_l515 and not any(device["model"].startswith("L5") for device in found):
-        notes.append(_sentence(no_l515))
+        notes.append(as_sentence(no_l515))
     return notes
-
-
-def _sentence(clause: str) -> str:
-    return f"{clause[0].upper()}{clause[1:]}."
 
 
 def _words(device: dict[str, Any]) -> list[str]:
@@ -90,7 +86,7 @@ def _words(device: dict[str, Any]) -> list[str]:
     firmware = f"firmware {device['firmware']}" if device.get("firmware") else "firmware unknown"
     lines = [f"{device['model']}, serial {device['serial'] or 'unknown'}", f"  {firmware}, {usb}"]
     if device.get("problem"):
-        lines.append(f"  {_sentence(device['problem'])}")
+        lines.append(f"  {as_sentence(device['problem'])}")
     modes = sorted({(mode["stream"], mode["width"], mode["height"], mode["rate_hz"]) for mode in device["modes"]})
     for stream, of_stream in groupby(modes, key=lambda mode: mode[0]):
         sizes = [

@@ -17,7 +17,7 @@ from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import Preset
 from ...core.sources import FrameSource
 from ...core.sources.registry import open_source
-from .common import FUSION, finite_or_none
+from .common import FUSION, finite_or_none, warn
 
 #: A function from a frame to its record (numbers for JSON) and its patch.
 Step = Callable[[SensorFrame], tuple[dict[str, Any], ContactPatch | MethodPatch]]
@@ -50,9 +50,8 @@ def make_step(
     preset_origin: str,
     source: FrameSource,
     untouched: SensorFrame | None,
-    warn: Callable[[str], None],
 ) -> Step:
-    """Return the function that processes each frame of a source.
+    """Return the function that processes each frame of a source; warn if the preset's untouched frame cannot be used.
 
     Parameters
     ----------
@@ -63,8 +62,6 @@ def make_step(
     source : FrameSource
     untouched : SensorFrame or None
         From ``--untouched``; None: the preset's own, else the source's.
-    warn : callable
-        Called with a sentence if the preset's own untouched frame cannot be used.
 
     Raises
     ------
@@ -77,8 +74,7 @@ def make_step(
         from ...core.rig.untouched import find_untouched  # slow to import, and the pipeline does not need it
 
         looked_up = find_untouched(preset, preset_origin, source)
-        for sentence in looked_up.warnings:
-            warn(sentence)
+        warn(*looked_up.warnings)
         untouched = looked_up.frame
         if untouched is None:
             raise TactuneError(

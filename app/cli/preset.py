@@ -65,7 +65,6 @@ def new(
             "test, such as tolerance.t, outliers.k or membrane.frames, chooses that test.",
         ),
     ] = None,
-    name: Annotated[str | None, typer.Option(metavar="NAME", help="Default: the file's name.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is already there.")] = False,
 ) -> None:
     """Write a new preset: the paper's values or those of another preset, changed by --set."""
@@ -76,7 +75,7 @@ def new(
 
     if out.exists() and not force:
         raise PresetError(f"{out} is already there; choose another name or add --force to replace it")
-    values: dict[str, Any] = {"name": name or out.stem}
+    values: dict[str, Any] = {"name": out.stem}
     if alignment is not None:
         values["alignment.model"] = alignment
     values |= parse_settings(settings or [])
@@ -167,11 +166,8 @@ def measure_rig(
     and where an object is pressed firmly. Without --out and without a preset file nothing is written. The simulator
     removes a moving object for this.
     """
-    from ...core.preset import now
     from ...core.preset.checks import check_rig
-    from ...core.preset.file import save_preset, shipped_presets
     from ...core.rig.noise import describe
-    from ...core.rig.untouched import copy_untouched
     from ...core.sources.presets import load_preset
 
     origin = preset or default_preset(source)
@@ -180,8 +176,7 @@ def measure_rig(
         check_target(target, preset, force=force)
     chosen = load_preset(origin)
     with open_with_progress(source, chosen.cameras) as opened:
-        for sentence in check_rig(chosen, opened.rig):
-            warn(sentence)
+        warn(*check_rig(chosen, opened.rig))
         noise = _measure_noise(opened, chosen, origin, frames)
     if as_json:
         typer.echo(noise.model_dump_json(indent=2))
@@ -190,10 +185,7 @@ def measure_rig(
     if target is None:
         warn("nothing was written; add --out FILE, or --preset with a preset file, to keep the measurement")
         return
-    if chosen.untouched is not None:
-        copy_untouched(chosen.untouched, Path(origin), target)
-    name = target.stem if origin in shipped_presets() else chosen.name
-    save_preset(chosen.model_copy(update={"name": name, "noise": noise, "modified": now()}), target)
+    save_changed(chosen.model_copy(update={"noise": noise}), origin, target)
     if not as_json:
         typer.echo(f"wrote {target}")
 
@@ -237,8 +229,7 @@ def _capture_into(path: Path, source_name: str, frames: int, *, force: bool) -> 
         )
     preset = load_preset(path)
     with open_with_progress(source_name, preset.cameras) as source:
-        for sentence in check_rig(preset, source.rig):
-            warn(sentence)
+        warn(*check_rig(preset, source.rig))
         captured = average_frames(source, frames)
         _check_untouched(preset, path, source.rig, captured.frame, force=force)
         unit_m = source.rig.tactile.depth_unit_m
@@ -298,6 +289,18 @@ def check_target(target: Path, preset: str | None, *, force: bool) -> None:
     check_writable(target)
 
 
+def save_changed(preset: Preset, origin: str, target: Path) -> None:
+    """Write a preset that was made from another one, ``origin``, and its untouched frame beside it."""
+    from ...core.preset import now
+    from ...core.preset.file import save_preset, shipped_presets
+    from ...core.rig.untouched import copy_untouched
+
+    if preset.untouched is not None:
+        copy_untouched(preset.untouched, Path(origin), target)
+    name = target.stem if origin in shipped_presets() else preset.name
+    save_preset(preset.model_copy(update={"name": name, "modified": now()}), target)
+
+
 def _measure_noise(source: FrameSource, preset: Preset, origin: str, count: int) -> RigNoise:
     """Measure the next frames of a source, with the preset's or the source's untouched frame."""
     from ...core.rig.noise import frames_at_rest, measure_noise, object_moves
@@ -309,8 +312,7 @@ def _measure_noise(source: FrameSource, preset: Preset, origin: str, count: int)
         found = find_untouched(preset, origin, source, progress.preparing)
         with frames_at_rest(source, count, progress.preparing) as shown:
             frames = list(counted_out(shown, count, progress))
-        for sentence in found.warnings:
-            warn(sentence)
+        warn(*found.warnings)
         return measure_noise(frames, source.rig, preset, found.frame, progress.preparing, warn=warn)
 
 

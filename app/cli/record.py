@@ -126,8 +126,7 @@ def _untouched(preset: Preset | None, origin: str | None, source: FrameSource) -
     from ...core.rig.untouched import kept_untouched
 
     found = kept_untouched(preset, origin, source)
-    for sentence in found.warnings:
-        warn(sentence)
+    warn(*found.warnings)
     return found.frame
 
 

@@ -222,9 +222,8 @@ def run_frames(options: RunOptions) -> None:
         if options.method == FUSION:
             with CliProgress() as progress:
                 warm_up_if_needed(progress.preparing, preset)
-        step = make_step(options.method, preset, options.preset, source, untouched, warn)
-        for sentence in check_rig(preset, source.rig):
-            warn(sentence)
+        step = make_step(options.method, preset, options.preset, source, untouched)
+        warn(*check_rig(preset, source.rig))
         lost_before = source.health().dropped
         with (
             _watching(options, preset, source) as look,

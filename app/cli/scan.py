@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
 from ...core.errors import TactuneError
+from ...core.model.units import UNITS_M, MeshUnit
 from .common import (
     FUSION,
     CliProgress,
@@ -46,15 +46,6 @@ _COLUMNS: Final = {
 _REFINED: Final = ("rmse_m", "pairs", "iterations", "converged")
 #: Above this distance the transform is wrong, not the method.
 _FAR_MM: Final = 40.0
-
-
-class Unit(StrEnum):
-    """Length units of scan files."""
-
-    M = "m"
-    CM = "cm"
-    MM = "mm"
-    INCH = "in"
 
 
 Scanned = Annotated[
@@ -95,7 +86,7 @@ def evaluate_recording(
     preset: Annotated[
         str | None, typer.Option("--preset", "-p", metavar="FILE|NAME", help="As for tactune run.")
     ] = None,
-    unit: Annotated[Unit | None, typer.Option(help="Unit of the scan's numbers; default: m.")] = None,
+    unit: Annotated[MeshUnit | None, typer.Option(help="Unit of the scan's numbers; default: m.")] = None,
     paint: Annotated[
         list[str] | None,
         typer.Option(
@@ -118,11 +109,11 @@ def evaluate_recording(
     """
     from ...core.evaluation.scan.paint import scan_truth
     from ...core.evaluation.scan.pose import save_transform as write_transform
-    from ...core.evaluation.scan.scan import UNITS_M, load_scan
+    from ...core.evaluation.scan.scan import load_scan
     from ...core.sources.presets import load_preset
     from .methods import frame_range, frames_between, remembered_frames
 
-    unit_m = UNITS_M[unit or Unit.M]
+    unit_m = UNITS_M[unit or MeshUnit.M]
     first, last = frame_range(frame, frames)
     settings = parse_paint(paint or [])
     pose = _start_pose(scan, transform, pairs, unit_m)
@@ -298,7 +289,7 @@ def _steps(
     steps = {}
     for name in names:
         try:
-            steps[name] = make_step(name, preset, origin, source, compared_with, warn)
+            steps[name] = make_step(name, preset, origin, source, compared_with)
         except TactuneError as error:
             if not leave_out:
                 raise

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...core.errors import PresetError
+from ...core.errors import CalibrationError, PresetError
 from .common import (
     SOURCE,
     WAIT_S,
@@ -33,18 +34,19 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from ...core.contact.pipeline import ContactPatch
-    from ...core.estimation.pose import PoseEstimate, PoseTracker
-    from ...core.model.frames import Rig, SensorFrame
+    from ...core.estimation.pose import PoseTracker
+    from ...core.estimation.tilt import Tilt
+    from ...core.model.frames import SensorFrame
     from ...core.output.connections import Connections
     from ...core.output.parameters import PresetParameters
-    from ...core.output.publisher import Estimates, Publisher
+    from ...core.output.publisher import Publisher
     from ...core.preset import Preset
     from ...core.sources import FrameSource
     from .run import Estimate
 
+#: Time without a fit to the contact after which clients are warned of a wrong mesh, seconds.
+_LOST_S = 1.0
 _LAYOUT_HELP = "Write the layout for the Foxglove app (Import from file) and end, unless --foxglove or --ros2 is given."
-#: Longest that a frame waits for its pose, seconds; tracking takes a few hundredths.
-_POSE_S = 0.1
 _SETTABLE_HELP = "Let clients of --foxglove set preset parameters; any program or web page on this computer then can."
 _RCLPY_HELP = "Publish by the ROS 2 that is sourced in this shell, whose middleware and settings choose the network."
 
@@ -91,7 +93,10 @@ def serve(
 ) -> None:
     """Publish contact patches live for Foxglove and ROS 2; a recording is repeated at its own rate."""
     if layout is not None:
-        _write_layout(layout)
+        from ...core.output.foxglove import save_layout
+
+        save_layout(layout)
+        typer.echo(f"wrote {layout}; in Foxglove: Layouts, Import from file")
         if not (foxglove or ros2 or rclpy):
             return
     from ...core.output.connections import Connections
@@ -120,18 +125,21 @@ def serve_frames(options: ServeOptions) -> None:
         open_with_progress(options.source, preset.cameras) as opened,
     ):
         source = opened if opened.length is None else LiveLoop(opened)
-        estimated = _estimator(options, preset, source.rig)
+        tilt, poses = make_tilt(options.estimate, preset, source.rig), None
+        if options.mesh is not None:
+            from ...core.estimation.pose import PoseTracker
+
+            poses = _Poses(PoseTracker(read_mesh(options.mesh, options.unit), preset, source.rig), publisher)
         with CliProgress() as progress:
             warm_up_if_needed(progress.preparing, preset)
-        for sentence in check_rig(preset, source.rig):
-            warn(sentence)
+        warn(*check_rig(preset, source.rig))
         parameters.check = lambda changed: ContactPipeline(changed, source.rig)
         with stop_on_signals() as stopped:
             for output in publisher.status():
                 typer.echo(f"{output.sink.name}: {output.sink.place}")
             if connections.warning:
                 warn(connections.warning)
-            count = _publish(source, parameters, publisher, estimated, options.frames, stopped)
+            count = _publish(source, parameters, publisher, tilt, poses, options.frames, stopped)
         typer.echo(f"published {counted(count, 'frame')} of {source.name}")
         warn_of_lost_frames(source, 0)
 
@@ -144,78 +152,81 @@ def _publish(
     source: FrameSource,
     parameters: PresetParameters,
     publisher: Publisher,
-    estimated: Callable[[ContactPatch, SensorFrame], Estimates],
+    tilt: Callable[[ContactPatch, SensorFrame], Tilt] | None,
+    poses: _Poses | None,
     frames: int | None,
     stopped: Event,
 ) -> int:
     """Process and publish frames; return their number."""
     from ...core.contact.pipeline import ContactPipeline
+    from ...core.model.patch import Lazy
+    from ..worker.compiling import BackgroundCompiler
 
     pipeline = ContactPipeline(parameters.preset, source.rig)
+    compiler = BackgroundCompiler(lambda: None, views=False)
     count = 0
-    while count != frames and not stopped.is_set():
-        if not source.wait(WAIT_S):
-            continue
-        frame = source.next_frame()
-        if frame is None:
-            break
-        if not count:
-            warn_of_wrong_unit(frame, source.rig)
-        preset = parameters.preset
-        if preset is not pipeline.preset:
-            pipeline.update(preset)
-        patch = pipeline.process(frame)
-        publisher.put(frame, patch, preset, estimated(patch, frame))
-        count += 1
+    try:
+        while count != frames and not stopped.is_set():
+            if not source.wait(WAIT_S):
+                continue
+            frame = source.next_frame()
+            if frame is None:
+                break
+            if not count:
+                warn_of_wrong_unit(frame, source.rig)
+            if (wanted := parameters.preset) is not pipeline.preset:
+                compiling = compiler.missing(wanted)
+                publisher.tell("compiling", f"{compiling}; until then the former values apply." if compiling else "")
+                if compiling:
+                    compiler.start()
+                else:
+                    pipeline.update(wanted)
+            patch = pipeline.process(frame)
+            record = None if tilt is None else Lazy(tilt(patch, frame).record)
+            publisher.put(frame, patch, pipeline.preset, record)
+            if poses is not None:
+                poses.put(patch, frame.proximity_time_s)
+            count += 1
+    finally:
+        compiler.stop()
     return count
 
 
-def _estimator(options: ServeOptions, preset: Preset, rig: Rig) -> Callable[[ContactPatch, SensorFrame], Estimates]:
-    """Return the function that makes the estimates asked for from each patch, in the order of the frames."""
-    from ...core.model.patch import Lazy
-    from ...core.output.publisher import Estimates
-
-    tilt, poses = make_tilt(options.estimate, preset, rig), None
-    if options.mesh is not None:
-        from ...core.estimation.pose import PoseTracker
-
-        poses = _Poses(PoseTracker(read_mesh(options.mesh, options.unit), preset, rig))
-
-    def estimated(patch: ContactPatch, frame: SensorFrame) -> Estimates:
-        record = None if tilt is None else Lazy(tilt(patch, frame).record)
-        pose = None if poses is None else poses.of(patch, frame.proximity_time_s)
-        if pose is None or pose.lost:
-            return Estimates(record)
-        return Estimates(record, pose.T_proximity_object, pose.covariance)
-
-    return estimated
-
-
 class _Poses:
-    """Tracks an object on a thread of its own: while a search takes seconds, frames go on without a pose."""
+    """Tracks an object and publishes its pose, on a thread of its own: no frame waits while a search takes seconds."""
 
-    def __init__(self, tracker: PoseTracker) -> None:
-        self._tracker = tracker
+    def __init__(self, tracker: PoseTracker, publisher: Publisher) -> None:
+        self._tracker, self._publisher = tracker, publisher
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="track")
-        self._running: Future[PoseEstimate] | None = None
+        self._newest: Future[None] | None = None
+        self._lost_since_s = math.nan
+        self._told = self._warned = False
 
-    def of(self, patch: ContactPatch, time_s: float) -> PoseEstimate | None:
-        """Return the pose in a frame; None if the tracker is busy, or takes longer than `_POSE_S`."""
-        if self._running is not None and not self._running.done():
-            return None
-        if self._running is not None:
-            self._running.result()  # raises what a search has raised meanwhile
-        self._running = self._thread.submit(self._tracker.track, patch, time_s)
+    def put(self, patch: ContactPatch, time_s: float) -> None:
+        """Track in this patch, in place of one that still waits."""
+        if self._newest is not None and not self._newest.cancel() and self._newest.done():
+            self._newest.result()  # raises what tracking has raised meanwhile
+        self._newest = self._thread.submit(self._track, patch, time_s)
+
+    def _track(self, patch: ContactPatch, time_s: float) -> None:
+        pose = self._tracker.track(patch, time_s)
+        if not pose.lost:
+            self._lost_since_s, self._told = math.nan, False
+            self._publisher.tell("object", "")
+            self._publisher.put_pose(pose.T_proximity_object, pose.covariance, time_s)
+        elif self._tracker.is_enough(patch):
+            if math.isnan(self._lost_since_s):
+                self._lost_since_s = time_s
+            elif time_s > self._lost_since_s + _LOST_S and not self._told:
+                self._search(patch)
+
+    def _search(self, patch: ContactPatch) -> None:
+        """Search once more, and say how badly the mesh fits; the tracker goes on searching."""
         try:
-            return self._running.result(_POSE_S)
-        except TimeoutError:
-            return None
-
-
-def _write_layout(path: Path) -> None:
-    from ...core.model.files import atomic_path
-    from ...core.output.foxglove import layout_text
-
-    with atomic_path(path) as temporary:
-        temporary.write_text(layout_text(), encoding="utf-8")
-    typer.echo(f"wrote {path}; in Foxglove: Layouts, Import from file")
+            self._tracker.find(patch)
+        except CalibrationError as error:
+            sentence = f"{error}; there is no pose until it fits."
+            self._publisher.tell("object", sentence)
+            if not self._warned:
+                warn(sentence)
+            self._warned = self._told = True

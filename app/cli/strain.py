@@ -108,8 +108,7 @@ def strain(
     ):
         total, kept = number_of_frames(opened, frames), kept_untouched(chosen, origin, opened)
         untouched = kept.frame
-        for sentence in kept.warnings:
-            warn(sentence)
+        warn(*kept.warnings)
         bar.preparing(0.01, f"measuring strain in {counted(total, 'frame') if total else 'every frame'}")
         bar.frames(0, total)
         for frame in itertools.islice(opened, total):

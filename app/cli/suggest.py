@@ -18,7 +18,7 @@ from .common import (
     open_with_progress,
     warn,
 )
-from .preset import check_target
+from .preset import check_target, save_changed
 
 if TYPE_CHECKING:
     from ...core.model.frames import SensorFrame
@@ -79,8 +79,7 @@ def suggest(
         check_target(out, preset, force=force)
     chosen = load_preset(origin)
     with open_with_progress(source, chosen.cameras) as opened:
-        for sentence in check_rig(chosen, opened.rig):
-            warn(sentence)
+        warn(*check_rig(chosen, opened.rig))
         frames = recent_frames(opened, frame)
         free = _untouched(opened, chosen, origin, untouched)
         if free is not None:
@@ -96,7 +95,8 @@ def suggest(
         raise AdviceError("; ".join(proposals.refusals.values()))
     _print(proposals)
     if out is not None:
-        _write(proposals.merged.apply(chosen), origin, out)
+        save_changed(proposals.merged.apply(chosen), origin, out)
+        typer.echo(f"wrote {out}")
 
 
 def recent_frames(source: FrameSource, last: int | None) -> tuple[SensorFrame, ...]:
@@ -128,8 +128,7 @@ def _untouched(source: FrameSource, preset: Preset, origin: str, name: str | Non
             return untouched_frame(opened) or average_frames(opened, _AVERAGED).frame
     with CliProgress() as progress:
         found = find_untouched(preset, origin, source, progress.preparing)
-    for sentence in found.warnings:
-        warn(sentence)
+    warn(*found.warnings)
     return found.frame
 
 
@@ -140,18 +139,4 @@ def _print(proposals: AllProposals) -> None:
         typer.echo(f"  {part.expected}")
         for path, value in part.changes.items():
             typer.echo(f"  --set {path}={json.dumps(value, separators=(',', ':'))}")
-    for sentence in proposals.refusals.values():
-        warn(sentence)
-
-
-def _write(preset: Preset, origin: str, out: Path) -> None:
-    """Write the preset, and its untouched frame beside it."""
-    from ...core.preset import now
-    from ...core.preset.file import save_preset, shipped_presets
-    from ...core.rig.untouched import copy_untouched
-
-    if preset.untouched is not None:
-        copy_untouched(preset.untouched, Path(origin), out)
-    name = out.stem if origin in shipped_presets() else preset.name
-    save_preset(preset.model_copy(update={"name": name, "modified": now()}), out)
-    typer.echo(f"wrote {out}")
+    warn(*proposals.refusals.values())

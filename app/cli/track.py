@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 import time
+from collections import Counter, deque
 from collections.abc import Iterator
-from contextlib import contextmanager
-from enum import StrEnum
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ...core.errors import ExportError, SourceError, TactuneError
-from ...core.model.files import check_writable
+from ...core.errors import ExportError, SourceError
+from ...core.model.units import UNITS_M, MeshUnit
 from .common import (
     SOURCE,
     WAIT_S,
@@ -44,15 +45,6 @@ if TYPE_CHECKING:
 SUFFIXES = (".csv", ".tum", MCAP_SUFFIX)
 
 Record = dict[str, Any]
-
-
-class MeshUnit(StrEnum):
-    """Units of a mesh file."""
-
-    M = "m"
-    CM = "cm"
-    MM = "mm"
-    IN = "in"
 
 
 UnitOption = Annotated[MeshUnit | None, typer.Option(help="Unit of the mesh; default: m or mm, told by its size.")]
@@ -118,16 +110,17 @@ def track(
             warm_up_if_needed(progress.preparing, chosen)
         pipeline, lost_before = ContactPipeline(chosen, opened.rig), opened.health().dropped
         with stop_on_signals() as stopped, _output(out, opened, chosen) as save:
-            records = _tracked(opened, pipeline, tracker, frames, save, stopped, truth=truth)
-        if not records and not stopped.is_set():
-            raise SourceError(f"{opened.name} gave no frames; check the source")
+            summary = _track(opened, pipeline, tracker, frames, save, stopped, truth=truth)
+            if not summary.frames and stopped.is_set():
+                tell_of_stop(opened, 0, frames)
+            if not summary.frames:
+                raise SourceError(f"{opened.name} gave no frames; check the source")
         warn_of_lost_frames(opened, lost_before)
-        if records:
-            typer.echo(_summary(records, opened.name, found, truth=truth))
-            if out is not None:
-                typer.echo(f"wrote {out}")
+        typer.echo(summary.text(opened.name, found))
+        if out is not None:
+            typer.echo(f"wrote {out}")
         if stopped.is_set():
-            tell_of_stop(opened, len(records), frames)
+            tell_of_stop(opened, summary.frames, frames)
 
 
 def _mesh(path: Path | None, unit: str | None, source: FrameSource) -> ObjectMesh:
@@ -137,7 +130,7 @@ def _mesh(path: Path | None, unit: str | None, source: FrameSource) -> ObjectMes
     if path is None:
         if not isinstance(source, SimulatorSource):
             raise typer.BadParameter("give --mesh FILE; only the simulator knows its own object")
-        return simulated_mesh(source)
+        return simulated_mesh(source.scene, source.name)
     return read_mesh(path, unit)
 
 
@@ -153,7 +146,6 @@ def read_mesh(path: Path, unit: str | None) -> ObjectMesh:
 
 def _start(tracker: PoseTracker, start: Path | None, pairs: Path | None, mesh: ObjectMesh) -> None:
     from ...core.evaluation.scan.pose import load_transform, pose_from_pairs, read_pairs
-    from ...core.evaluation.scan.scan import UNITS_M
 
     if start is not None:
         tracker.start(load_transform(start))
@@ -164,9 +156,9 @@ def _start(tracker: PoseTracker, start: Path | None, pairs: Path | None, mesh: O
 @contextmanager
 def _output(out: Path | None, source: FrameSource, preset: Preset) -> Iterator[Any]:
     """Yield a function that takes each patch, pose and record; the file is whole when this ends, also by an error."""
-    from ...core.estimation.pose_files import save_poses
-
-    if out is not None and out.suffix.lower() == MCAP_SUFFIX:
+    if out is None:
+        yield lambda patch, pose, record: None
+    elif out.suffix.lower() == MCAP_SUFFIX:
         from ...core.output.bag import PatchWriter
 
         with PatchWriter(out, source.rig, preset, source.frame_rate_hz, poses=True) as writer:
@@ -176,21 +168,14 @@ def _output(out: Path | None, source: FrameSource, preset: Preset) -> Iterator[A
                 writer.write(patch.points, pose.sequence, pose.time_s, known)
 
             yield write
-        return
-    records: list[Record] = []
-    if out is not None:
-        check_writable(out)
-    try:
-        yield lambda patch, pose, record: records.append(record)
-    except TactuneError:  # such as an unplugged camera: the poses until then are kept
-        if out is not None and not all(record["lost"] for record in records):
-            save_poses(out, records)
-        raise
-    if out is not None and records:
-        save_poses(out, records)
+    else:
+        from ...core.estimation.pose_files import open_poses
+
+        with open_poses(out) as write_row:
+            yield lambda patch, pose, record: write_row(record)
 
 
-def _tracked(
+def _track(
     source: FrameSource,
     pipeline: Any,
     tracker: PoseTracker,
@@ -199,27 +184,36 @@ def _tracked(
     stopped: Event,
     *,
     truth: bool,
-) -> list[Record]:
+) -> _Summary:
     from ...core.estimation.pose import pose_error
     from ...core.estimation.pose_files import error_record, pose_record
 
-    records: list[Record] = []
+    summary = _Summary()
     enough = lost = 0
     total = number_of_frames(source, frames)
     with CliProgress() as progress:
-        while len(records) != total and not stopped.is_set():
+
+        def searching(share: float) -> None:
+            progress.preparing(share, f"Searching for {tracker.mesh.name}")
+            if stopped.is_set():
+                raise _StoppedError
+
+        while summary.frames != total and not stopped.is_set():
             if not source.wait(WAIT_S):
                 continue
             frame = source.next_frame()
             if frame is None:
                 break
-            if not records:
+            if not summary.frames:
                 warn_of_wrong_unit(frame, source.rig)
             patch = pipeline.process(frame)
             begun = time.perf_counter()
             touches = tracker.is_enough(patch)
             if touches and not tracker.started:
-                tracker.find(patch)  # refuses a wrong mesh
+                with suppress(_StoppedError):
+                    tracker.find(patch, searching)  # refuses a wrong mesh
+                if stopped.is_set():
+                    break
             pose = tracker.track(patch, frame.proximity_time_s)
             enough, lost = enough + touches, lost + (touches and pose.lost)
             record = pose_record(pose) | {"ms": round(1e3 * (time.perf_counter() - begun), 2)}
@@ -227,37 +221,58 @@ def _tracked(
                 true = frame.truth.T_proximity_object if frame.truth else None
                 record |= error_record(None if true is None or pose.lost else pose_error(pose, true, tracker.mesh))
             save(patch, pose, record)
-            records.append(record)
-            progress.frames(len(records), total)
+            summary.add(record)
+            progress.frames(summary.frames, total)
     if lost > enough / 2:
         warn(
             f"{tracker.mesh.name} fits the contact in {enough - lost} of {counted(enough, 'frame')} only; check that "
             "it is the mesh of this object, its unit and the pose it starts from"
         )
-    if truth and records and all(record["position_error_mm"] == "" for record in records):
+    if truth and summary.frames and not summary.compared:
         warn(f"{source.name} knows no true pose, or the object was lost in every frame; the errors are empty")
-    return records
+    return summary
 
 
-def _summary(records: list[Record], source: str, mesh: ObjectMesh, *, truth: bool) -> str:
-    from statistics import median
+class _StoppedError(Exception):
+    """Ends a search after Ctrl+C."""
 
-    tracked = [record for record in records if not record["lost"]]
-    lines = [f"{counted(len(records), 'frame')} of {source}, object {mesh.name}: pose known in {len(tracked)}"]
-    if tracked:
-        free: dict[str, int] = {}
-        for name in (name for record in tracked for name in record["free"].split("; ") if name):
-            free[name] = free.get(name, 0) + 1
-        lines += [f"not determined: {name}, in {counted(count, 'frame')}" for name, count in sorted(free.items())]
-        lines.append(f"{median(record['ms'] for record in tracked):.1f} ms per frame, patch not included")
-    known = [record for record in tracked if truth and record["position_error_mm"] != ""]
-    if known:
-        rms = {
-            key: math.sqrt(sum(record[key] ** 2 for record in known) / len(known))
-            for key in ("position_error_mm", "angle_error_deg")
-        }
-        lines.append(
-            f"error in determined directions: {rms['position_error_mm']:.2f} mm and {rms['angle_error_deg']:.2f} "
-            f"degrees RMS over {counted(len(known), 'frame')}"
-        )
-    return "\n".join(lines)
+
+@dataclass
+class _Summary:
+    """Counts and sums over all frames, and the times of the newest tracked frames."""
+
+    frames: int = 0
+    tracked: int = 0
+    compared: int = 0
+    squared_mm: float = 0.0
+    squared_deg: float = 0.0
+    free: Counter[str] = field(default_factory=Counter)
+    times_ms: deque[float] = field(default_factory=lambda: deque(maxlen=10_000))
+
+    def add(self, record: Record) -> None:
+        self.frames += 1
+        if record["lost"]:
+            return
+        self.tracked += 1
+        self.free.update(name for name in record["free"].split("; ") if name)
+        self.times_ms.append(record["ms"])
+        if record.get("position_error_mm", "") != "":
+            self.compared += 1
+            self.squared_mm += record["position_error_mm"] ** 2
+            self.squared_deg += record["angle_error_deg"] ** 2
+
+    def text(self, source: str, mesh: ObjectMesh) -> str:
+        from statistics import median
+
+        lines = [f"{counted(self.frames, 'frame')} of {source}, object {mesh.name}: pose known in {self.tracked}"]
+        if self.tracked:
+            free = sorted(self.free.items())
+            lines += [f"not determined: {name}, in {counted(count, 'frame')}" for name, count in free]
+            lines.append(f"{median(self.times_ms):.1f} ms per frame, patch not included")
+        if self.compared:
+            rms_mm, rms_deg = (math.sqrt(sum_ / self.compared) for sum_ in (self.squared_mm, self.squared_deg))
+            lines.append(
+                f"error in determined directions: {rms_mm:.2f} mm and {rms_deg:.2f} degrees RMS over "
+                f"{counted(self.compared, 'frame')}"
+            )
+        return "\n".join(lines)

@@ -39,8 +39,7 @@ class Watching:
         from ...core.rig.watch import Watchdog
 
         found = find_untouched(preset, origin, source)
-        for sentence in found.warnings:
-            warn(sentence)
+        warn(*found.warnings)
         self._watchdog: Watchdog = Watchdog(preset, source.rig, found.frame)
         self._remedy = f"Check with: tactune recheck --preset {quote(origin)} --source {quote(source.name)}"
         self._live = source.length is None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from abc import ABCMeta, abstractmethod
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
@@ -15,7 +16,7 @@ from typing import Any, Generic, TypeVar
 from PyQt6.QtCore import QLockFile, QObject, QTimer, pyqtSignal
 
 from ...core.errors import TactuneError
-from ...core.model.files import atomic_path, path_exists, remove_leftovers
+from ...core.model.files import LEFT_S, atomic_path, path_exists, remove_leftovers
 from ...core.model.loading import read_json
 from ...core.preset import now
 
@@ -167,21 +168,16 @@ def clean_up(folder: Path) -> None:
     """Remove what killed windows left in a folder and below: temporary files, and locks that nobody holds."""
     remove_leftovers(folder)
     for path in folder.rglob("*.lock"):
-        _is_locked(path)
-
-
-def _is_locked(path: Path) -> bool:
-    lock = lock_of(path)
-    return not lock.tryLock(0)  # where nobody holds it, trying has removed the file
+        lock_of(path).tryLock(0)  # where nobody holds it, trying removes the file
 
 
 def remove_unnamed(
     folder: Path, states: str, names: Callable[[dict[str, Any]], Iterable[str]], attachments: str
 ) -> None:
-    """Remove attached files that no saved state names.
+    """Remove attached files that no saved state names and that were not written within the last hour.
 
-    None is removed where a state cannot be read, where one was set aside, or while another window is open: its undo
-    steps may still need them.
+    Another window may be about to name a new one, and writes what its undo steps need again. None is removed where a
+    state cannot be read or was set aside.
 
     Parameters
     ----------
@@ -191,10 +187,10 @@ def remove_unnamed(
     names : callable
         Returns the file names in the content of one JSON file.
     """
-    if any(folder.glob("*.damaged*")) or any(map(_is_locked, folder.glob("*.lock"))):
+    if any(folder.glob("*.damaged*")):
         return
     with suppress(*DAMAGE):
         wanted = {name for file in folder.glob(states) for name in names(read_json(file))}
         for file in folder.glob(attachments):
-            if file.name not in wanted:
+            if file.name not in wanted and file.stat().st_mtime < time.time() - LEFT_S:
                 file.unlink()

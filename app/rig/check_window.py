@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from PyQt6.QtCore import QObject
-from PyQt6.QtWidgets import QDialog, QHBoxLayout, QTabWidget, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QDialog, QTabWidget, QWidget
 
 from ...widgets.basics.controls import push_button
-from ...widgets.basics.dialogs import Dialogs, bring_up
+from ...widgets.basics.dialogs import bring_up
+from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ..context import Context
 from ..document.document import Document
 from ..worker.results import Result
@@ -21,12 +20,10 @@ from .skew_tab import SkewTab
 class CheckWindow(QDialog):
     """Depth quality, skew, noise and bias on the source of the main window. A closed window takes no frames."""
 
-    def __init__(
-        self, worker: Worker, document: Document, dialogs: Dialogs, folder: Path, parent: QWidget | None = None
-    ) -> None:
+    def __init__(self, worker: Worker, document: Document, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setWindowTitle("Check cameras – Tactune")
-        self.quality = QualityTab(document, dialogs.over(self), folder)
+        self.quality = QualityTab(document)
         self.skew = SkewTab(worker, document)
         self.noise = NoiseTab(worker, document)
         self.tabs = QTabWidget()
@@ -38,17 +35,13 @@ class CheckWindow(QDialog):
         ):
             self.tabs.setTabToolTip(self.tabs.addTab(tab, title), tip)
         # both watch the frames of the worker, one at a time
-        self.skew.start.pressed.connect(self.noise.stop)
-        self.noise.start.pressed.connect(self.skew.stop)
+        self.skew.start.pressed.connect(self.noise.give_way)
+        self.noise.start.pressed.connect(self.skew.give_way)
         leave = push_button("Close", "Close this window (Esc)")
         leave.clicked.connect(self.reject)
         self.finished.connect(self._end)
-        row = QHBoxLayout()
-        row.addStretch(1)
-        row.addWidget(leave)
-        layout = QVBoxLayout(self)
-        layout.addWidget(self.tabs, 1)
-        layout.addLayout(row)
+        row = hbox(STRETCH, leave)
+        vbox((self.tabs, 1), row, within=self)
         self.resize(1040, 760)
 
     def show_result(self, result: Result) -> None:
@@ -83,8 +76,7 @@ class CameraChecks(QObject):
         """Open the window on the current source, or bring it to the front."""
         if self.window is None:
             context = self._context
-            folder = Path(context.settings.text("folder/export") or Path.home())
-            self.window = CheckWindow(context.worker, context.document, context.dialogs, folder, context.window)
+            self.window = CheckWindow(context.worker, context.document, context.window)
         bring_up(self.window)
         self._frame_shown()
 

@@ -2,42 +2,34 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import partial
 from html import escape
-from pathlib import Path
 
 import pyqtgraph as pg
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import (
     QDoubleSpinBox,
     QGridLayout,
-    QHBoxLayout,
     QLabel,
     QSpinBox,
-    QVBoxLayout,
     QWidget,
 )
 
-from ...core.errors import TactuneError
+from ...core.errors import as_sentence
 from ...core.model.arrays import Uint8Array
-from ...core.model.files import atomic_path
 from ...core.model.frames import Rig, SensorFrame
-from ...core.preset import AlignmentSection
 from ...core.rig.depth_quality import NOISE_FRAMES, DepthQuality, Rectangle, measure_quality
 from ...core.rig.quality_verdict import Reading, Verdict, judge_bias, judge_camera
+from ...core.sources.base import CameraRole
 from ...widgets.basics.controls import copy_text, push_button
-from ...widgets.basics.dialogs import Dialogs
+from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.theme import ACCENT, theme_colors
 from ...widgets.images.image_pane import ImagePane
 from ...widgets.images.marks import RegionItem
 from ..calibration.pictures import picture
 from ..document.document import Document
-from ..worker.jobs import Job
+from ..worker.jobs import Job, Progress
 from ..worker.results import Result, SourceInfo
 
 
@@ -57,28 +49,6 @@ class Outline:
         self._curve.setData([near, far, far, near, near], [upper, upper, lower, lower, upper])
 
 
-@dataclass(frozen=True, eq=False)
-class Measurement:
-    """One measurement and its images, in the memory layout of ``QImage.Format_RGB32``."""
-
-    quality: DepthQuality
-    proximity: Uint8Array
-    tactile: Uint8Array
-
-
-def measure(
-    frames: Sequence[SensorFrame],
-    rig: Rig,
-    section: AlignmentSection,
-    region: Rectangle,
-    true_distance_m: float | None,
-) -> Measurement:
-    """Measure the region and draw the newest frame."""
-    quality = measure_quality(frames, rig, section, region, true_distance_m)
-    near, far = (picture(frames[-1], rig, side, "depth", stretch=True).pixels for side in ("proximity", "tactile"))
-    return Measurement(quality, near, far)
-
-
 #: Interval between measurements, seconds: short enough to follow, long enough to read.
 _INTERVAL_S = 0.4
 #: Share of the image's width and height, as in librealsense's depth quality tool.
@@ -94,9 +64,9 @@ _MARKS = {Verdict.GOOD: "●", Verdict.FAIR: "▲", Verdict.POOR: "■", Verdict
 class QualityTab(QWidget):
     """Measures while it is visible, and ignores frames otherwise."""
 
-    def __init__(self, document: Document, dialogs: Dialogs, folder: Path) -> None:
+    def __init__(self, document: Document) -> None:
         super().__init__()
-        self._document, self._dialogs, self._folder = document, dialogs, folder
+        self._document = document
         self._frames: deque[SensorFrame] = deque(maxlen=NOISE_FRAMES)
         self._rig: Rig | None = None
         self._source: SourceInfo | None = None
@@ -107,14 +77,16 @@ class QualityTab(QWidget):
         self._job = Job(self)
         self._job.done.connect(self._show)
         self._job.failed.connect(self._fail)
-        self.panes = {"proximity": ImagePane("Proximity depth"), "tactile": ImagePane("Tactile depth")}
+        self.panes: dict[CameraRole, ImagePane] = {
+            "proximity": ImagePane("Proximity depth"),
+            "tactile": ImagePane("Tactile depth"),
+        }
         self.region_item = RegionItem(self.panes["proximity"])
         self._tactile_outline = Outline(self.panes["tactile"])
         self.lines = {name: _text() for name in ("proximity", "tactile", "bias")}
         self.entries = {name: _pixels(name) for name in ("Left", "Top", "Width", "Height")}
         self.true_distance = QDoubleSpinBox()
         self.copy = push_button("Copy numbers", "Copy all values as text (Ctrl+Shift+C)", "Ctrl+Shift+C")
-        self.save = push_button("Save JSON…", "Save all values as a JSON file (Ctrl+Shift+S)", "Ctrl+Shift+S")
         self.centre = push_button("Centre", "Move the region to the centre of the image")
         self.status = QLabel(_WAITING)
         self.status.setWordWrap(True)
@@ -168,8 +140,8 @@ class QualityTab(QWidget):
         intro = QLabel(_INTRO)
         intro.setWordWrap(True)
         grid = QGridLayout()
-        for column, name in enumerate(("proximity", "tactile")):
-            grid.addWidget(self.panes[name], 0, column)
+        for column, (name, pane) in enumerate(self.panes.items()):
+            grid.addWidget(pane, 0, column)
             grid.addWidget(self.lines[name], 1, column, Qt.AlignmentFlag.AlignTop)
             grid.setColumnStretch(column, 1)
         grid.addWidget(self.lines["bias"], 2, 0, 1, 2)
@@ -182,24 +154,10 @@ class QualityTab(QWidget):
             "True distance from the cameras' front glass to the target along the optical axis, in mm, measured "
             "independently; the accuracy of the distance is shown if it is set"
         )
-        row = QHBoxLayout()
-        row.addWidget(QLabel("Region"))
-        for entry in self.entries.values():
-            row.addWidget(entry)
-        row.addWidget(self.centre)
-        row.addSpacing(12)
-        row.addWidget(QLabel("True distance"))
-        row.addWidget(self.true_distance)
-        row.addStretch(1)
-        row.addWidget(self.copy)
-        row.addWidget(self.save)
-        layout = QVBoxLayout(self)
-        layout.addWidget(intro)
-        layout.addLayout(grid, 1)
-        layout.addWidget(self.status)
-        layout.addLayout(row)
+        region = (QLabel("Region"), *self.entries.values(), self.centre)
+        row = hbox(*region, 12, QLabel("True distance"), self.true_distance, STRETCH, self.copy)
+        vbox(intro, (grid, 1), self.status, row, within=self)
         self.copy.setEnabled(False)
-        self.save.setEnabled(False)
 
     def _connect(self) -> None:
         for pane in self.panes.values():
@@ -211,7 +169,6 @@ class QualityTab(QWidget):
         self.true_distance.valueChanged.connect(self._measure_again)
         self.centre.clicked.connect(self._to_centre)
         self.copy.clicked.connect(self._copy)
-        self.save.clicked.connect(self._ask_where)
 
     def _begin(self, result: Result) -> None:
         """Start over with another source."""
@@ -238,7 +195,6 @@ class QualityTab(QWidget):
             line.clear()
         self.status.clear()
         self.copy.setEnabled(False)
-        self.save.setEnabled(False)
 
     def _to_centre(self) -> None:
         if self._rig is None:
@@ -267,12 +223,19 @@ class QualityTab(QWidget):
             return
         self._newer, self._last_s = False, time.monotonic()
         true_m = 1e-3 * self.true_distance.value() or None
-        work = partial(measure, tuple(self._frames), rig, self._document.preset.alignment, self.region, true_m)
-        self._job.start(lambda _: work())
+        frames, section, region = tuple(self._frames), self._document.preset.alignment, self.region
 
-    def _show(self, measurement: Measurement) -> None:
-        quality = self.quality = measurement.quality
-        for pane, pixels in zip(self.panes.values(), (measurement.proximity, measurement.tactile), strict=True):
+        def measure(_: Progress) -> tuple[DepthQuality, list[Uint8Array]]:
+            quality = measure_quality(frames, rig, section, region, true_m)
+            return quality, [picture(frames[-1], rig, side, "depth", stretch=True).pixels for side in self.panes]
+
+        self._job.start(measure)
+
+    def _show(self, measured: tuple[DepthQuality, list[Uint8Array]]) -> None:
+        """Show a measurement and the newest frame, as pixels of ``QImage.Format_RGB32``."""
+        quality, images = measured
+        self.quality = quality
+        for pane, pixels in zip(self.panes.values(), images, strict=True):
             pane.set_pixels(pixels, (pixels.shape[1], pixels.shape[0]), 1)
             pane.set_message("")
         if self._unfitted:
@@ -286,7 +249,6 @@ class QualityTab(QWidget):
         waiting = f"{count} of {NOISE_FRAMES} frames for the temporal noise" if count < NOISE_FRAMES else ""
         self.status.setText(waiting)
         self.copy.setEnabled(True)
-        self.save.setEnabled(True)
         if self._newer:
             self._measure_soon()
 
@@ -297,29 +259,11 @@ class QualityTab(QWidget):
 
     def _fail(self, sentence: str) -> None:
         if sentence:
-            self.status.setText(f"{sentence[0].upper()}{sentence[1:].rstrip('.')}.")
+            self.status.setText(as_sentence(sentence))
 
     def _copy(self) -> None:
         copy_text(self.text())
         self.status.setText("The numbers were copied to the clipboard.")
-
-    def _ask_where(self) -> None:
-        suggestion = self._folder / "depth-quality.json"
-        self._dialogs.save_file("Save depth quality", suggestion, ["JSON (*.json)"], self.save_to)
-
-    def save_to(self, path: Path) -> None:
-        """Write the newest measurement as JSON."""
-        if self.quality is None or self._source is None:
-            return
-        data = {"source": self._source.name, **self.quality.to_json()}
-        try:
-            with atomic_path(path) as temporary:
-                temporary.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n")
-        except TactuneError as error:
-            self._fail(str(error))
-            return
-        self._folder = path.parent
-        self.status.setText(f"Saved as {path}.")
 
 
 def _table(readings: tuple[Reading, ...]) -> str:

@@ -99,7 +99,7 @@ class Capture(QObject):
     def start(self, count: int) -> None:
         """Average the current frame and the following ones, ``count`` in total or the whole recording once."""
         frame, playback, name = self._feed.frame, self._feed.playback, self._feed.info.name
-        if self.busy or frame is None:
+        if self.busy:
             return
         if name.startswith(_SIMULATOR):
             self._job.start(lambda progress: self._simulated(name, count, progress))

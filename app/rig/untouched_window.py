@@ -8,19 +8,21 @@ from typing import Final
 
 from PyQt6.QtCore import QObject, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QKeyEvent
-from PyQt6.QtWidgets import QDialog, QHBoxLayout, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QDialog, QLabel, QWidget
 
+from ...core.errors import as_sentence
 from ...core.model.frames import Rig, SensorFrame
 from ...core.rig.untouched import MAX_FRAMES, UNTOUCHED_FRAMES
 from ...widgets.basics.controls import ProgressBar, caption, frame_count, make_verdict, push_button
 from ...widgets.basics.dialogs import bring_up
+from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.messages import Severity
 from ...widgets.images.image_pane import ImagePane
 from ..calibration.pictures import picture
 from ..context import SOURCE, Context
 from ..document.document import Document
 from ..document.untouched_store import UntouchedStore
-from ..worker.feed import FrameFeed, WorkerFeed
+from ..worker.feed import FrameFeed
 from ..worker.results import SourceInfo
 from .untouched_capture import Capture, Captured, UntouchedKeeper
 
@@ -109,29 +111,12 @@ class CaptureWindow(QDialog):
         )
 
     def _lay_out(self) -> None:
-        images = QHBoxLayout()
-        images.addWidget(self.now)
-        images.addWidget(self.untouched)
-        taking = QHBoxLayout()
-        for widget in (caption("A&verage", self.frames), self.frames, self.take):
-            taking.addWidget(widget)
-        taking.addWidget(self.progress, 1)
-        for widget in (self.go_on, self.use_taken):
-            taking.addWidget(widget)
-        taking.addWidget(self.cancel)
+        images = hbox(self.now, self.untouched)
+        average = (caption("A&verage", self.frames), self.frames, self.take)
+        taking = hbox(*average, (self.progress, 1), self.go_on, self.use_taken, self.cancel)
         taking.addStretch(0)
-        row = QHBoxLayout()
-        row.addWidget(self.undo)
-        row.addWidget(self.save)
-        row.addStretch(1)
-        row.addWidget(self.leave)
-        layout = QVBoxLayout(self)
-        layout.addWidget(self.headline)
-        layout.addWidget(self.advice)
-        layout.addLayout(images, 1)
-        layout.addLayout(taking)
-        layout.addWidget(self.sentence)
-        layout.addLayout(row)
+        row = hbox(self.undo, self.save, STRETCH, self.leave)
+        vbox(self.headline, self.advice, (images, 1), taking, self.sentence, row, within=self)
         self.resize(760, 560)
 
     def _connect(self) -> None:
@@ -147,7 +132,7 @@ class CaptureWindow(QDialog):
         self.undo.clicked.connect(self._document.undo_stack.undo)
         self.save.clicked.connect(self.saveRequested)
         self.leave.clicked.connect(self.reject)
-        self.capture.progress.connect(self._show_progress)
+        self.capture.progress.connect(self.progress.show_share)
         self.capture.pausedChanged.connect(self._show_paused)
         self.capture.averaging.connect(lambda: self.sentence.setText(_AVERAGING))
         self.capture.captured.connect(self._use)
@@ -175,7 +160,7 @@ class CaptureWindow(QDialog):
     def _start(self) -> None:
         self._show_busy(True)
         self.sentence.setText(_CAPTURING)
-        self._show_progress(0.0, "")
+        self.progress.show_share(0.0, "")
         self.capture.start(self.frames.value())
 
     def _use(self, captured: Captured) -> None:
@@ -187,7 +172,7 @@ class CaptureWindow(QDialog):
     def _fail(self, sentence: str) -> None:
         self._show_busy(False)
         if sentence:
-            self.sentence.setText(f"{sentence[:1].upper()}{sentence[1:]}.")
+            self.sentence.setText(as_sentence(sentence))
         elif self.sentence.text() != _OTHER_SOURCE:
             self.sentence.setText("Capturing was cancelled; the preset is unchanged.")
 
@@ -216,12 +201,8 @@ class CaptureWindow(QDialog):
         self.undo.setEnabled(self._document.undo_stack.canUndo() and not self.capture.busy)
         self.save.setEnabled(self._document.dirty and not self.capture.busy)
 
-    def _show_progress(self, share: float, words: str) -> None:
-        self.progress.show_share(share, words)
-
     def _show_frame(self) -> None:
-        if self._feed.frame is not None:
-            self._draw(self.now, self._feed.frame)
+        self._draw(self.now, self._feed.frame)
 
     def _show_untouched(self) -> None:
         record, frame = self._document.preset.untouched, self._keeper.frame
@@ -268,7 +249,7 @@ class UntouchedControls(QObject):
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._context = context
-        self._feed: WorkerFeed | None = None
+        self._feed: FrameFeed | None = None
         self.window: CaptureWindow | None = None
         self.store = UntouchedStore(context.data_folder / "untouched")
         self.store.tidy(context.data_folder)
@@ -292,7 +273,7 @@ class UntouchedControls(QObject):
             )
             return
         if self.window is None:
-            self._feed = WorkerFeed(context.worker, context.result, context.playback, self)
+            self._feed = FrameFeed(context.worker, context.result, context.playback, self)
             self.window = CaptureWindow(context.document, self._feed, self.store, self.keeper, context.window)
             self.window.saveRequested.connect(self.saveRequested)
             self.window.finished.connect(self._closed)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QComboBox, QFormLayout, QHeaderView, QTreeWidget, QTreeWidgetItem, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QComboBox, QFormLayout, QHeaderView, QTreeWidget, QTreeWidgetItem, QWidget
 
+from ...core.errors import as_sentence
 from ...core.preset import CamerasSection
 from ...widgets.basics.controls import caption, push_button
+from ...widgets.basics.layouts import vbox
 from .page import SourcePage
-from .search import CameraSearch, FoundCamera, sentence_of
+from .search import CameraSearch, FoundCamera
 
 CAMERAS = "cameras:"
 #: How names of sources begin that hold devices of their own.
@@ -17,7 +19,7 @@ CAMERA_SCHEMES = (CAMERAS, "realsense:")
 _SEARCHING = "Searching for cameras…"
 _NONE = (
     "No RealSense camera was found. Plug both cameras into USB 3 ports and press Refresh. If they are plugged in, "
-    "run “tactune doctor” in a terminal: it reports what is missing and the remedy."
+    "see Help > Check this computer: it reports what is missing and the remedy."
 )
 _ONE = "Only one camera was found, but two are needed. Plug in the other one and press Refresh."
 _SAME = "The same camera is chosen twice: choose another one for one role."
@@ -54,9 +56,7 @@ class CamerasPage(SourcePage):
         form = QFormLayout()
         form.addRow(caption("&Proximity camera", self.proximity), self.proximity)
         form.addRow(caption("&Tactile camera", self.tactile), self.tactile)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.addWidget(self.list, 1)
+        layout = vbox((self.list, 1), within=self, margins=0)
         layout.addWidget(self.refresh, 0, Qt.AlignmentFlag.AlignLeft)
         layout.addLayout(form)
         self.refresh.clicked.connect(self._look)
@@ -104,7 +104,7 @@ class CamerasPage(SourcePage):
 
     def _show_found(self, cameras: list[FoundCamera], hint: str = "") -> None:
         self._found = [camera for camera in cameras if camera.serial]
-        self._hint = hint if not any(camera.sees_proximity for camera in cameras) else ""
+        self._hint = hint if not any(camera.role == "proximity" for camera in cameras) else ""
         self.refresh.setEnabled(True)
         self.list.clear()
         for camera in cameras:
@@ -126,7 +126,7 @@ class CamerasPage(SourcePage):
         combo.addItem(_ANY, "")
         for camera in self._found:
             combo.addItem(f"{camera.model} (serial {camera.serial})", camera.serial)
-        fitting = next((camera.serial for camera in self._found if camera.sees_proximity == through), "")
+        fitting = next((camera.serial for camera in self._found if (camera.role == "proximity") == through), "")
         known = combo.findData(remembered) if remembered else -1
         combo.setCurrentIndex(known if known >= 0 else combo.findData(fitting))
         combo.blockSignals(blocked)
@@ -147,7 +147,7 @@ class CamerasPage(SourcePage):
             problem = _SAME
         said = problem or f"{len(self._found)} cameras were found."
         name = f"{CAMERAS}{first},{second}" if first and second else CAMERAS
-        self._choose("" if problem else name, f"{said} {sentence_of(self._hint)}" if self._hint else said)
+        self._choose("" if problem else name, f"{said} {as_sentence(self._hint)}" if self._hint else said)
 
 
 def _combo(name: str, tip: str) -> QComboBox:

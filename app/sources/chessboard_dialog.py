@@ -14,7 +14,6 @@ from PyQt6.QtWidgets import (
     QLabel,
     QLineEdit,
     QSpinBox,
-    QVBoxLayout,
     QWidget,
 )
 
@@ -22,6 +21,7 @@ from ...core.calibration.lens import LensFit, fit_lens
 from ...core.model.files import user_path
 from ...widgets.basics.controls import NoteLabel, ProgressBar, dialog_buttons, push_button
 from ...widgets.basics.dialogs import Dialogs
+from ...widgets.basics.layouts import vbox
 from ..worker.jobs import Job
 
 
@@ -68,12 +68,7 @@ class ChessboardDialog(QDialog):
         form = QFormLayout()
         form.addRow("Fol&der", path)
         form.addRow("Inner corners", board)
-        layout = QVBoxLayout(self)
-        layout.addLayout(form)
-        layout.addWidget(self.fit)
-        layout.addWidget(self.progress)
-        layout.addWidget(self.note, 1)
-        layout.addWidget(self.buttons)
+        vbox(form, self.fit, self.progress, (self.note, 1), self.buttons, within=self)
         self.resize(460, 240)
         browse.clicked.connect(lambda: self._dialogs.open_folder("Pictures", Path.home(), self._browsed))
         self.fit.clicked.connect(self._start)

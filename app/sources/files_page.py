@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QHBoxLayout, QHeaderView, QLabel, QTreeWidget, QTreeWidgetItem, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QHeaderView, QLabel, QTreeWidget, QTreeWidgetItem, QWidget
 
 from ...core.errors import SourceError
 from ...core.sources.registry import source_kinds
 from ...widgets.basics.controls import push_button
 from ...widgets.basics.dialogs import Dialogs
+from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ..settings import Settings
 from .page import SourcePage
 from .paths import recording_filters, recording_name
@@ -41,15 +42,8 @@ class FilesPage(SourcePage):
         header = self.kinds.header()
         if header is not None:
             header.setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
-        buttons = QHBoxLayout()
-        buttons.addWidget(self.file)
-        buttons.addWidget(self.folder)
-        buttons.addStretch(1)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.addLayout(buttons)
-        layout.addWidget(QLabel("Or type a name below:"))
-        layout.addWidget(self.kinds, 1)
+        buttons = hbox(self.file, self.folder, STRETCH)
+        vbox(buttons, QLabel("Or type a name below:"), (self.kinds, 1), within=self, margins=0)
         self.file.clicked.connect(self._ask_file)
         self.folder.clicked.connect(self._ask_folder)
         self.kinds.itemActivated.connect(lambda item: self._choose(item.data(0, Qt.ItemDataRole.UserRole)))

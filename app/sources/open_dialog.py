@@ -12,12 +12,12 @@ from PyQt6.QtWidgets import (
     QLineEdit,
     QListWidget,
     QStackedWidget,
-    QVBoxLayout,
     QWidget,
 )
 
 from ...core.errors import SourceError
 from ...widgets.basics.controls import NoteLabel, ProgressBar, caption, dialog_buttons, push_button
+from ...widgets.basics.layouts import hbox, vbox
 from .page import SourcePage
 
 _SIZE = (820, 560)
@@ -116,21 +116,12 @@ class OpenDialog(QDialog):
         (self.create_rig if lacks_rig else self.name).setFocus()
 
     def _lay_out(self) -> None:
-        above = QHBoxLayout()
-        above.addWidget(self.list)
-        above.addWidget(self._stack, 1)
-        below = QHBoxLayout()
-        below.addWidget(caption("&Name", self.name))
-        below.addWidget(self.name, 1)
+        above = hbox(self.list, (self._stack, 1))
+        below = hbox(caption("&Name", self.name), (self.name, 1))
         said = QHBoxLayout()
         said.addWidget(self.note, 1)
         said.addWidget(self.create_rig, 0, Qt.AlignmentFlag.AlignTop)
-        layout = QVBoxLayout(self)
-        layout.addLayout(above, 1)
-        layout.addLayout(below)
-        layout.addLayout(said)
-        layout.addWidget(self.progress)
-        layout.addWidget(self.buttons)
+        vbox((above, 1), below, said, self.progress, self.buttons, within=self)
         self.progress.hide()
         self.create_rig.hide()
         self._allow(False)

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtWidgets import (
     QCheckBox,
     QDialog,
     QDialogButtonBox,
-    QFrame,
     QGridLayout,
     QLabel,
-    QScrollArea,
     QVBoxLayout,
     QWidget,
 )
@@ -21,6 +19,7 @@ from ...core.preset import CamerasSection, Preset
 from ...core.sources.base import CameraHealth, CameraOption, CameraRole
 from ...widgets.basics.controls import CollapsibleSection, dialog_buttons
 from ...widgets.basics.fields import FieldSpec, field_spec
+from ...widgets.basics.layouts import scrolling, vbox
 from ...widgets.parameters.parameter_row import ParameterRow
 
 DELAY_PATH = "cameras.tactile_delay_s"
@@ -147,16 +146,10 @@ class CameraPanel(QDialog):
         _fill(timing, grid_widget)
         self._column.addWidget(timing)
         self._column.addStretch(1)
-        scroll = QScrollArea()
-        scroll.setWidget(column_widget)
-        scroll.setWidgetResizable(True)
-        scroll.setFrameShape(QFrame.Shape.NoFrame)
-        scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        scroll = scrolling(column_widget)
         buttons = dialog_buttons(QDialogButtonBox.StandardButton.Close)
         buttons.rejected.connect(self.close)
-        layout = QVBoxLayout(self)
-        layout.addWidget(scroll, 1)
-        layout.addWidget(buttons)
+        vbox((scroll, 1), buttons, within=self)
         self.delay.edited.connect(lambda _, value, gesture: self.delayEdited.emit(float(value), gesture))
         self.resize(460, 620)
 

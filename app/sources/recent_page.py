@@ -6,9 +6,10 @@ from functools import partial
 
 from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtGui import QColor, QIcon, QImage, QKeyEvent, QPainter, QPalette, QPixmap
-from PyQt6.QtWidgets import QListWidget, QListWidgetItem, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QListWidget, QListWidgetItem, QWidget
 
 from ...core.sources.registry import is_recording, missing_path
+from ...widgets.basics.layouts import vbox
 from ..settings import Settings
 from ..worker.jobs import Job
 from .page import SourcePage
@@ -34,9 +35,7 @@ class RecentPage(SourcePage):
         self.list.setWordWrap(True)
         self.list.setSpacing(4)
         self.list.setTextElideMode(Qt.TextElideMode.ElideMiddle)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.addWidget(self.list)
+        vbox(self.list, within=self, margins=0)
         self._job = Job(self)
         self._job.progress.connect(self._picture_made)
         self._fill()

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from PyQt6.QtCore import Qt, pyqtSignal
-from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QFrame, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QFrame, QLabel, QScrollArea, QWidget
 
 from ...core.calibration.lens import check_lens
 from ...core.errors import TactuneError
@@ -14,6 +14,7 @@ from ...core.model.frames import Rig
 from ...core.model.rig_file import parse_rig
 from ...core.sources.folder_rig import RIG_FILE, FolderImages, write_rig
 from ...widgets.basics.controls import NoteLabel, dialog_buttons
+from ...widgets.basics.layouts import hbox, vbox
 from .camera_form import CameraForm
 
 _NO_POSE = "The pose of the cameras to each other is not asked for: align them with Calibrate… (Ctrl+K) afterwards."
@@ -93,19 +94,12 @@ class RigDialog(QDialog):
 
     def _lay_out(self) -> None:
         inside = QWidget()
-        beside = QHBoxLayout(inside)
-        beside.setContentsMargins(0, 0, 0, 0)
-        for form in self.forms.values():
-            beside.addWidget(form)
+        hbox(*self.forms.values(), within=inside, margins=0)
         scroll = QScrollArea()
         scroll.setWidget(inside)
         scroll.setWidgetResizable(True)
         scroll.setFrameShape(QFrame.Shape.NoFrame)
-        layout = QVBoxLayout(self)
-        layout.addWidget(self.found)
-        layout.addWidget(scroll, 1)
-        layout.addWidget(self.note)
-        layout.addWidget(self.buttons)
+        vbox(self.found, (scroll, 1), self.note, self.buttons, within=self)
         self.write.setDefault(True)  # not before: a dialog chooses its own when buttons come into it
         self.resize(max(420 * len(self.forms), 640), 560)
 

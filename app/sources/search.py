@@ -10,6 +10,7 @@ from typing import Any
 
 from PyQt6.QtCore import QObject, QProcess, QTimer, pyqtSignal
 
+from ...core.errors import as_sentence
 from ...core.model.intrinsics import Intrinsics
 from ...core.sources.cameras.camera import StreamLens
 from .list_devices import PROGRAM
@@ -19,7 +20,7 @@ PATIENCE_MS = 15_000
 #: Wait for a killed process, ms.
 _KILL_MS = 200
 _hanging: list[QProcess] = []
-_DOCTOR = "run “tactune doctor” in a terminal to find the cause and its remedy"
+_DOCTOR = "see Help > Check this computer for the cause and its remedy"
 
 
 @dataclass(frozen=True)
@@ -36,11 +37,6 @@ class FoundCamera:
     problem: str = ""
     role: str = ""
     lenses: tuple[StreamLens, ...] = ()
-
-    @property
-    def sees_proximity(self) -> bool:
-        """Whether it can look through the membrane (time of flight)."""
-        return self.role == "proximity"
 
 
 class CameraSearch(QObject):
@@ -130,7 +126,7 @@ class CameraSearch(QObject):
             self._fail(f"The search for cameras gave no answer: {_DOCTOR}.")
             return
         if problem:
-            self._fail(sentence_of(problem))
+            self._fail(as_sentence(problem))
         elif not self._answered:
             self._answered = True
             self.found.emit(cameras, hint)
@@ -140,11 +136,6 @@ class CameraSearch(QObject):
             self._answered = True
             self._patience.stop()
             self.failed.emit(sentence)
-
-
-def sentence_of(words: str) -> str:
-    """Return a text as a sentence, with a capital letter and a full stop."""
-    return f"{words[0].upper()}{words[1:].rstrip('.')}."
 
 
 def _camera(device: dict[str, Any]) -> FoundCamera:

@@ -9,17 +9,16 @@ from PyQt6.QtGui import QKeySequence, QShortcut
 from PyQt6.QtWidgets import (
     QAbstractItemView,
     QDialog,
-    QHBoxLayout,
     QHeaderView,
     QLabel,
     QTableWidget,
     QTableWidgetItem,
-    QVBoxLayout,
     QWidget,
 )
 
 from ...core.output.markers import Marks
 from ...widgets.basics.controls import push_button
+from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from .marks import MarksKeeper
 
 _EMPTY = "No markers yet: M adds one at the frame on the screen."
@@ -61,15 +60,8 @@ class MarkerList(QDialog):
         self.redo.setEnabled(stack.canRedo())
         leave.clicked.connect(self.reject)
         QShortcut(QKeySequence("Ctrl+Y"), self, self.redo.click)
-        buttons = QHBoxLayout()
-        for button in (self.delete, self.undo, self.redo):
-            buttons.addWidget(button)
-        buttons.addStretch(1)
-        buttons.addWidget(leave)
-        layout = QVBoxLayout(self)
-        layout.addWidget(self.table, 1)
-        layout.addWidget(self.hint)
-        layout.addLayout(buttons)
+        buttons = hbox(self.delete, self.undo, self.redo, STRETCH, leave)
+        vbox((self.table, 1), self.hint, buttons, within=self)
         self.resize(460, 320)
         keeper.changed.connect(self._fill)
         self._fill(keeper.marks)

@@ -18,13 +18,13 @@ from PyQt6.QtWidgets import (
     QSizePolicy,
     QTableWidget,
     QTableWidgetItem,
-    QVBoxLayout,
     QWidget,
 )
 
 from ...core.preset import Preset
 from ...widgets.basics.controls import AccentButton, caption, push_button, read_only_table
 from ...widgets.basics.fields import FieldSpec, field_spec, format_number
+from ...widgets.basics.layouts import vbox
 from ..document.comparison import Side, Sides, differing_fields
 from ..document.document import field_title, format_value
 from ..worker.results import ComparedFrame, ComparedSide
@@ -77,8 +77,8 @@ class SideBox(QComboBox):
 
     opening = pyqtSignal()
 
-    def __init__(self, letter: str, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, letter: str) -> None:
+        super().__init__()
         self._offers: list[Offer] = []
         self.setAccessibleName(f"Preset {letter}")
         self.setToolTip(f"Preset {letter}: the present one, the saved one, a step of the history, or another preset")
@@ -125,8 +125,8 @@ class ComparisonPanel(QWidget):
     useRequested = pyqtSignal(int)
     closeRequested = pyqtSignal()
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.boxes = SideBox("A"), SideBox("B")
         self.use = tuple(
             push_button(f"Use {letter}", f"Take over the values of {letter} as one step that can be undone")
@@ -141,16 +141,18 @@ class ComparisonPanel(QWidget):
         self.problem.setWordWrap(True)
         self.problem.hide()
         self.table = self._make_table()
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(4, 4, 4, 4)
-        layout.setSpacing(4)
-        layout.addLayout(self._title_row())
-        layout.addLayout(self._side_rows())
-        layout.addLayout(self._mode_row())
-        layout.addLayout(self._number_rows())
-        layout.addWidget(self.problem)
-        layout.addWidget(self.heading)
-        layout.addWidget(self.table, 1)
+        vbox(
+            self._title_row(),
+            self._side_rows(),
+            self._mode_row(),
+            self._number_rows(),
+            self.problem,
+            self.heading,
+            (self.table, 1),
+            within=self,
+            margins=4,
+            spacing=4,
+        )
         self.setAccessibleName("Comparison of two presets")
         self.setMinimumWidth(340)
 

@@ -11,11 +11,11 @@ from PyQt6.QtWidgets import (
     QLabel,
     QTableWidget,
     QTableWidgetItem,
-    QVBoxLayout,
     QWidget,
 )
 
 from ...widgets.basics.controls import copy_text, dialog_buttons, push_button, read_only_table
+from ...widgets.basics.layouts import vbox
 from ...widgets.basics.theme import theme_colors
 from ..doctor.checks import Check, State
 from ..doctor.report import check_computer, report
@@ -56,10 +56,7 @@ class ComputerWindow(QDialog):
         for button in (self.again, self.copy):
             buttons.addButton(button, QDialogButtonBox.ButtonRole.ActionRole)
         buttons.rejected.connect(self.close)
-        layout = QVBoxLayout(self)
-        layout.addWidget(self.status)
-        layout.addWidget(self.table)
-        layout.addWidget(buttons)
+        vbox(self.status, self.table, buttons, within=self)
         self.resize(760, 560)
 
     def check(self) -> None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import QObject, Qt
-from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QLabel, QTableWidget, QTableWidgetItem, QVBoxLayout
+from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QLabel, QTableWidget, QTableWidgetItem
 
 from ...core.model.patch import Contact
 from ...widgets.basics.controls import CollapsibleSection, read_only_table
+from ...widgets.basics.layouts import vbox
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..context import Context
@@ -57,10 +58,7 @@ class ContactList(QObject):
         columns.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
         height = rows.defaultSectionSize()
         table.setFixedHeight(columns.sizeHint().height() + _ROWS_SEEN * height + 2 * table.frameWidth())
-        layout = QVBoxLayout(self.section.body)
-        layout.setContentsMargins(8, 4, 4, 4)
-        layout.addWidget(table)
-        layout.addWidget(self.note)
+        vbox(table, self.note, within=self.section.body, margins=(8, 4, 4, 4))
 
     def _show_frame(self) -> None:
         result = self._context.result

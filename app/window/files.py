@@ -7,17 +7,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from PyQt6.QtCore import QObject, QRunnable, QThreadPool, pyqtSignal
+from PyQt6.QtCore import QObject
 
 from ...core.errors import SourceError, TactuneError
 from ...core.output.cloud_files import patch_cloud, write_cloud
 from ...core.preset import Preset, now
 from ...core.preset.file import shipped_presets
 from ...core.sources.presets import load_preset
-from ...widgets.basics.messages import Messages, Severity
+from ...widgets.basics.messages import Severity
 from ..context import SOURCE, TASK, Context
 from ..document.recovery import Autosave, UnsavedWork, unsaved_work
 from ..sources.paths import recording_name
+from ..worker.jobs import Job
 from ..worker.results import Result
 from .actions import Actions
 
@@ -50,6 +51,11 @@ class FileFlows(QObject):
         actions.save_as.triggered.connect(lambda _: self.save_as())
         actions.details.triggered.connect(self.details)
         actions.export_patch.triggered.connect(self.export_dialog)
+
+    def close(self) -> None:
+        """Stop reporting; a file that is being written is completed."""
+        for job in self.findChildren(Job):
+            job.stop()
 
     # Presets
 
@@ -144,7 +150,13 @@ class FileFlows(QObject):
 
         def chosen(path: Path) -> None:
             self._settings.set("folder/export", str(path.parent))
-            export_patch(result, path, self._messages)
+            self._messages.clear_subject(TASK)
+            job = Job(self)  # each export has its own: one job would forget the one before the last
+            report = partial(self._messages.show_message, "export", subject=TASK)
+            for signal, severity in ((job.done, Severity.INFO), (job.failed, Severity.ERROR)):
+                signal.connect(partial(report, severity))
+                signal.connect(job.deleteLater)
+            job.start(lambda _: _export_patch(result, path))
 
         self._dialogs.save_file("Export this patch", suggestion, EXPORT_FILTERS, chosen)
 
@@ -228,38 +240,9 @@ def file_name(name: str) -> str:
     return "".join(letter if letter.isalnum() or letter in "-_ ." else "_" for letter in name).strip(" .") or "preset"
 
 
-class _Report(QObject):
-    written = pyqtSignal(str)
-    failed = pyqtSignal(str)
-
-
-class _Export(QRunnable):
-    """Writes on a pool thread; the report's signals arrive on the GUI thread."""
-
-    def __init__(self, result: Result, path: Path, report: _Report) -> None:
-        super().__init__()
-        self._result, self._path, self._report = result, path, report
-
-    def run(self) -> None:
-        patch = self._result.patch
-        assert patch is not None
-        try:
-            write_cloud(self._path, patch_cloud(patch, self._result.frame, self._result.source.rig))
-        except TactuneError as error:
-            self._report.failed.emit(str(error))
-        else:
-            number = self._result.frame_number
-            self._report.written.emit(f"Frame {number}: {len(patch.points)} points written to {self._path}.")
-
-
-def export_patch(result: Result, path: Path, messages: Messages) -> None:
-    """Write the patch of a result in the background and report the outcome."""
-    messages.clear_subject(TASK)
-    report = _Report(messages)
-    report.written.connect(lambda sentence: messages.show_message("export", Severity.INFO, sentence, subject=TASK))
-    report.failed.connect(lambda sentence: messages.show_message("export", Severity.ERROR, sentence, subject=TASK))
-    for signal in (report.written, report.failed):
-        signal.connect(report.deleteLater)
-    pool = QThreadPool.globalInstance()
-    assert pool is not None
-    pool.start(_Export(result, path, report))
+def _export_patch(result: Result, path: Path) -> str:
+    """Write the patch of a result; return a sentence that says so."""
+    patch = result.patch
+    assert patch is not None
+    write_cloud(path, patch_cloud(patch, result.frame, result.source.rig))
+    return f"Frame {result.frame_number}: {len(patch.points)} points written to {path}."

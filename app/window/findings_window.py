@@ -9,9 +9,7 @@ from PyQt6.QtGui import QAction, QPalette
 from PyQt6.QtWidgets import (
     QDialog,
     QFrame,
-    QHBoxLayout,
     QLabel,
-    QScrollArea,
     QToolButton,
     QVBoxLayout,
     QWidget,
@@ -19,6 +17,7 @@ from PyQt6.QtWidgets import (
 
 from ...core.tuning.advice.proposal import Finding
 from ...widgets.basics.controls import push_button
+from ...widgets.basics.layouts import STRETCH, hbox, scrolling, vbox
 from ...widgets.parameters.finding_line import ShownFinding
 
 _NOTHING = "Nothing is wrong with this frame."
@@ -35,27 +34,15 @@ class FindingsWindow(QDialog):
         self._cards = QVBoxLayout()
         self._cards.setSpacing(8)
         content = QWidget()
-        column = QVBoxLayout(content)
-        column.setContentsMargins(4, 4, 4, 4)
-        column.addLayout(self._cards)
-        column.addStretch(1)
-        scroll = QScrollArea()
-        scroll.setWidget(content)
-        scroll.setWidgetResizable(True)
-        scroll.setFrameShape(QFrame.Shape.NoFrame)
-        scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        vbox(self._cards, STRETCH, within=content, margins=4)
+        scroll = scrolling(content)
         self._undo = QToolButton()
         self._undo.setDefaultAction(undo)
         self._undo.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         leave = push_button("Close", "Close this list (Esc)")
         leave.clicked.connect(self.reject)
-        row = QHBoxLayout()
-        row.addWidget(self._undo)
-        row.addStretch(1)
-        row.addWidget(leave)
-        layout = QVBoxLayout(self)
-        layout.addWidget(scroll, 1)
-        layout.addLayout(row)
+        row = hbox(self._undo, STRETCH, leave)
+        vbox((scroll, 1), row, within=self)
         self.resize(480, 460)
 
     def show_findings(self, findings: Sequence[tuple[Finding, ShownFinding]]) -> None:
@@ -94,9 +81,7 @@ class FindingsWindow(QDialog):
         if shown.button:
             button = push_button(shown.button, shown.tip)
             button.clicked.connect(lambda: self._mend(finding))
-            row = QHBoxLayout()
-            row.addWidget(button)
-            row.addStretch(1)
+            row = hbox(button, STRETCH)
             column.addLayout(row)
         return card
 

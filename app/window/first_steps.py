@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any
 
 from PyQt6.QtCore import QObject, Qt, pyqtSignal
-from PyQt6.QtWidgets import QGridLayout, QLabel, QPushButton, QWidget
+from PyQt6.QtWidgets import QGridLayout, QLabel, QPushButton
 
 from ...core.preset import Preset
 from ...widgets.basics.controls import close_button
@@ -40,8 +40,8 @@ class FirstStepsCard(Card):
 
     pressed = pyqtSignal(str)
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.setAccessibleName("Getting started")
         self.buttons: dict[str, QPushButton] = {}
         self.ticks: dict[str, QLabel] = {}

@@ -83,7 +83,7 @@ def source_sentence(state: SourceState) -> str:
 
 
 def readout(patch: ContactPatch | None, u: int, v: int, color: str = "") -> str:
-    """Return colour and both distances at a proximity pixel, their difference, the gap, and why it was dropped."""
+    """Return both distances at a proximity pixel, why it was kept or dropped, their difference, the gap, and colour."""
     if patch is None:
         return color
     height, width = patch.rig.proximity.intrinsics.shape
@@ -91,18 +91,16 @@ def readout(patch: ContactPatch | None, u: int, v: int, color: str = "") -> str:
         return ""
     expected, measured = float(patch.aligned.expected_m[v, u]), float(patch.aligned.measured_m[v, u])
     relative = float(patch.relative_difference[v, u])
-    parts = [f"({u}, {v})", *([color] if color else []), f"dp {_metres(expected)}", f"dt {_metres(measured)}"]
-    if math.isfinite(relative):
-        parts.append(f"(dp − dt) / dp = {relative:+.1%} ({1e3 * (expected - measured):+.1f} mm)")
     verdict = Provenance(int(patch.provenance[v, u]))
-    gap_m = math.nan if patch.membrane is None else float(patch.membrane.gap_m.get()[v, u])
-    if math.isfinite(gap_m):
-        parts.append(f"gap {1e3 * gap_m:.2f} mm")
-    if verdict is Provenance.RIM and math.isfinite(gap_m):
-        parts[-1] += ": outside the edge of contact"
-    else:
-        parts.append(verdict.explanation)
-    return "   ".join(parts)
+    why, gap_m = verdict.explanation, math.nan if patch.membrane is None else float(patch.membrane.gap_m.get()[v, u])
+    gap = f"gap {1e3 * gap_m:.2f} mm" if math.isfinite(gap_m) else ""
+    if gap and verdict is Provenance.RIM:
+        why, gap = f"{gap}: outside the edge of contact", ""
+    # What a narrow window cuts off comes last.
+    parts = [f"({u}, {v})", f"dp {_metres(expected)}", f"dt {_metres(measured)}", why, gap, color]
+    if math.isfinite(relative):
+        parts.insert(4, f"(dp − dt) / dp = {relative:+.1%} ({1e3 * (expected - measured):+.1f} mm)")
+    return "   ".join(filter(None, parts))
 
 
 def _metres(value: float) -> str:
@@ -143,6 +141,7 @@ class FramePresenter(QObject):
         self._read_s = 0.0
         self._shown_warnings: tuple[str, ...] = ()
         self._share = 0.5
+        self._masked_share: float | None = None
         self._state = SourceState()
         self._ages = QTimer(self)
         self._ages.setInterval(AGE_INTERVAL_MS)
@@ -178,17 +177,16 @@ class FramePresenter(QObject):
         wipe, compared = self._wipe(), result.compared
         self._views.show_result(result, theme_name(), wipe)
         self._strip.set_wipe(wipe)
-        if compared is not None and compared.a.rendered.strip is not None:
-            self._strip.set_images(compared.a.rendered.strip, compared.b.rendered.strip)
-        elif result.rendered.strip is not None:
-            self._strip.set_images(result.rendered.strip)
+        strip = (result if compared is None else compared.a).rendered.strip
+        if strip is not None:
+            self._strip.set_images(strip, None if compared is None else compared.b.rendered.strip)
+            self._masked_share = strip.masked_share
         self._show_histogram(result)
         now = time.perf_counter()
         if not result.playback.running or now - self._read_s >= READING_INTERVAL_S:
             self._read_s = now
             self._panel.set_median_distance_m(result.rendered.median_distance_m)
-            strip = (result if compared is None else compared.a).rendered.strip
-            self._panel.show_masked_share(None if strip is None else strip.masked_share)
+            self._panel.show_masked_share(None if self._strip.isHidden() else self._masked_share)
             self._show_readout()
         self._transport.show_state(result.playback)
         self._status.show_result(result)

@@ -13,10 +13,11 @@ from pathlib import Path
 
 from PyQt6.QtCore import QT_VERSION_STR, Qt, QUrl
 from PyQt6.QtGui import QAction, QDesktopServices
-from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QLabel, QMessageBox, QScrollArea, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QLabel, QMessageBox, QScrollArea, QWidget
 
 from ...widgets.basics.controls import dialog_buttons
 from ...widgets.basics.icons import app_icon
+from ...widgets.basics.layouts import vbox
 from ...widgets.basics.messages import Messages, Severity
 from ..context import TASK
 from .actions import plain_text
@@ -73,9 +74,7 @@ def show_shortcuts(parent: QWidget, actions: Iterable[QAction]) -> None:
         scroll.setMinimumWidth(label.sizeHint().width() + bar.sizeHint().width() + 2 * scroll.frameWidth())
     buttons = dialog_buttons(QDialogButtonBox.StandardButton.Close)
     buttons.rejected.connect(dialog.close)
-    layout = QVBoxLayout(dialog)
-    layout.addWidget(scroll)
-    layout.addWidget(buttons)
+    vbox(scroll, buttons, within=dialog)
     dialog.resize(520, 620)
     dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
     dialog.open()

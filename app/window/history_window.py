@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from PyQt6.QtCore import QSize
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QDialog, QLabel, QUndoView, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QDialog, QLabel, QUndoView, QWidget
 
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.icons import icon
+from ...widgets.basics.layouts import vbox
 from ..document.document import Document
 
 
@@ -26,9 +27,7 @@ class HistoryWindow(QDialog):
         self.view.setToolTip("Click a step to go back or forward to it; the mark shows what is saved")
         note = QLabel("Click a step to go back or forward to it. The mark shows what is saved.")
         note.setWordWrap(True)
-        layout = QVBoxLayout(self)
-        layout.addWidget(note)
-        layout.addWidget(self.view)
+        vbox(note, self.view, within=self)
         self.resize(320, 420)
 
     def show_steps(self) -> None:

@@ -8,7 +8,7 @@ from typing import cast
 
 from PyQt6.QtCore import QEvent, QSignalBlocker, QSize, Qt
 from PyQt6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QKeyEvent
-from PyQt6.QtWidgets import QApplication, QMainWindow, QSplitter, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QApplication, QMainWindow, QSplitter, QWidget
 
 from ...core.preset import Preset
 from ...core.preset.file import shipped_presets
@@ -16,6 +16,7 @@ from ...core.sources.registry import open_source
 from ...core.tuning.advice.suggest import SECTIONS
 from ...widgets.basics.controls import ProgressCard
 from ...widgets.basics.dialogs import Dialogs, bring_up, local_files
+from ...widgets.basics.layouts import vbox
 from ...widgets.basics.message_history import MessageHistory
 from ...widgets.basics.messages import Messages, Severity
 from ...widgets.basics.style import apply_theme
@@ -44,7 +45,7 @@ from ..worker.errors import ErrorHook
 from ..worker.reading import SourceRequest
 from ..worker.results import Result, SourceInfo, Wanted
 from ..worker.worker import Worker
-from .actions import THEMES, make_actions, make_menus
+from .actions import THEMES, Actions, make_menus
 from .comparison_control import ComparisonControl
 from .comparison_panel import ComparisonPanel
 from .computer_window import ComputerWindow
@@ -107,7 +108,7 @@ class MainWindow(QMainWindow):
         self.worker = Worker(preset, self)
         self.autosave = Autosave(self.document, data_folder, self)
         self.error_hook = ErrorHook(self)
-        self.actions_ = make_actions(self, self.document.undo_stack)
+        self.actions_ = Actions(self, self.document.undo_stack)
         self.opening = ProgressCard("Progress of opening", "Cancel opening; the present source stays")
         self.recording_bar = RecordingBar()
         self.export_bar = ProgressCard("Progress of the export", "Cancel the export")
@@ -215,11 +216,7 @@ class MainWindow(QMainWindow):
         self.across.setStretchFactor(0, 1)
         self.across.setChildrenCollapsible(False)
         centre = QWidget()
-        column = QVBoxLayout(centre)
-        column.setContentsMargins(4, 4, 4, 0)
-        column.setSpacing(4)
-        column.addWidget(self.time_strip)
-        column.addWidget(self.across, 1)
+        vbox(self.time_strip, (self.across, 1), within=centre, margins=(4, 4, 4, 0), spacing=4)
         self.setCentralWidget(centre)
         card = FirstStepsCard()
         self.first_steps = FirstSteps(
@@ -333,6 +330,7 @@ class MainWindow(QMainWindow):
         actions.show_panel.toggled.connect(self.panel.setVisible)
         actions.show_panel.toggled.connect(self._show_beside)
         actions.history.triggered.connect(self.history.show_steps)
+        actions.measure.triggered.connect(self.pointing.add_marked)
         actions.show_panel.toggled.connect(self._send_wanted)
         actions.messages.triggered.connect(self._show_messages)
         actions.shortcuts.triggered.connect(
@@ -623,6 +621,7 @@ class MainWindow(QMainWindow):
             self.analysis,
             self.untouched,
             self.calibration,
+            self.file_flows,
         ):
             part.close()
         self.worker.shut_down()

@@ -9,16 +9,20 @@ from PyQt6.QtCore import QObject
 
 from ...core.errors import TactuneError
 from ...core.model.frames import Rig
+from ...widgets.basics.messages import Severity
 from ...widgets.clouds.cloud_data import DepthCloud
 from ...widgets.clouds.cloud_view import Place, as_place
 from ...widgets.images.image_strip import ImageStrip
-from ..context import Context
+from ..context import TASK, Context
 from ..worker.point_colors import alignment_model
 from ..worker.results import CloudName, Result, SourceInfo
 from .view_area import ViewArea
 
 Pixel = tuple[int, int]
 _NOWHERE: Pixel = (-1, -1)
+_NO_MARK = (
+    "No point is marked: move the crosshair in the images to a pixel with depth (arrow keys), then press Shift+D."
+)
 
 
 class Pointing(QObject):
@@ -49,6 +53,15 @@ class Pointing(QObject):
     def add_end(self, place: Place) -> None:
         """Choose an end of a distance; a third one begins another distance."""
         self._show_ends((*self._ends, place) if len(self._ends) == 1 else (place,))
+
+    def add_marked(self) -> None:
+        """Choose the point under the images' crosshair as an end, or say that there is none."""
+        order = CloudName.PATCH, CloudName.PROXIMITY, CloudName.TACTILE
+        marks = [mark for name in order if (mark := self._views[name].mark()) is not None]
+        if marks:
+            self.add_end(marks[0])
+            return
+        self._context.messages.show_message("measure", Severity.INFO, _NO_MARK, subject=TASK)
 
     def clear_distance(self) -> bool:
         """Remove the distance; return whether there was one."""

@@ -7,7 +7,7 @@ import re
 import numpy as np
 from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QFocusEvent, QKeyEvent
-from PyQt6.QtWidgets import QLineEdit, QToolTip, QWidget
+from PyQt6.QtWidgets import QLineEdit, QToolTip
 
 from ...core.model.arrays import Float64Array
 
@@ -26,8 +26,8 @@ class PositionEntry(QLineEdit):
 
     sought = pyqtSignal(int)
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.setAccessibleName("Time and frame")
         self.setToolTip(f"Seconds since the first frame, and the frame, from 1 (files and commands from 0).\n{_HELP}.")
         self.setAlignment(Qt.AlignmentFlag.AlignCenter)

@@ -18,15 +18,14 @@ from PyQt6.QtWidgets import (
     QLineEdit,
     QPushButton,
     QSpinBox,
-    QVBoxLayout,
     QWidget,
 )
 
 from ...core.errors import PresetError
-from ...core.model.files import atomic_path
 from ...core.output.connections import FOXGLOVE_PORT, LOOPBACK, Connections
 from ...widgets.basics.controls import AccentButton, NoteLabel, caption, dialog_buttons, push_button
 from ...widgets.basics.dialogs import bring_up
+from ...widgets.basics.layouts import STRETCH, vbox
 from ...widgets.basics.messages import Severity
 from ..context import TASK, Context
 from ..document.document import describe_edit
@@ -148,12 +147,7 @@ class PublishWindow(QDialog):
         buttons = dialog_buttons(QDialogButtonBox.StandardButton.Close)
         buttons.addButton(self.layout_file, QDialogButtonBox.ButtonRole.ActionRole)
         buttons.rejected.connect(self.close)
-        layout = QVBoxLayout(self)
-        layout.addLayout(grid)
-        for part in (self.note, self.start, self.state):
-            layout.addWidget(part)
-        layout.addStretch()
-        layout.addWidget(buttons)
+        vbox(grid, self.note, self.start, self.state, STRETCH, buttons, within=self)
         self.resize(460, 340)
 
 
@@ -326,12 +320,11 @@ class PublishControl(QObject):
         )
 
     def _save_layout(self, path: Path) -> None:
-        from ...core.output.foxglove import layout_text
+        from ...core.output.foxglove import save_layout
 
         show = partial(self._context.messages.show_message, "foxglove layout", subject=TASK)
         try:
-            with atomic_path(path) as temporary:
-                temporary.write_text(layout_text(), encoding="utf-8")
+            save_layout(path)
         except Exception as error:
             show(Severity.ERROR, explain(error, f"{path} could not be saved"))
             return

@@ -10,14 +10,14 @@ from datetime import datetime
 from pathlib import Path
 from threading import Thread
 
-from PyQt6.QtCore import QEvent, QObject, QTimer, QUrl, pyqtSignal
-from PyQt6.QtGui import QAction, QColor, QDesktopServices, QPalette
-from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+from PyQt6.QtCore import QObject, QTimer, QUrl, pyqtSignal
+from PyQt6.QtGui import QAction, QDesktopServices
+from PyQt6.QtWidgets import QFrame, QHBoxLayout, QPushButton
 
 from ...core.output.writer import RecordingStatus
-from ...widgets.basics.controls import ElidedLabel, number_label
+from ...widgets.basics.controls import ElidedLabel, TintedLabel, number_label
+from ...widgets.basics.layouts import vbox
 from ...widgets.basics.messages import Offer, Severity
-from ...widgets.basics.theme import theme_colors
 from ..context import TASK, Context
 from ..settings import default_recordings_folder
 from ..sources.recent_page import RECENT
@@ -39,9 +39,9 @@ class RecordingBar(QFrame):
 
     stopRequested = pyqtSignal()
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self._dot = QLabel("●")
+    def __init__(self) -> None:
+        super().__init__()
+        self._dot = TintedLabel("●", "error")
         self._dot.setAccessibleName("Recording")
         self._name = ElidedLabel()
         self._time = number_label("0:00:00", "Time since the recording began")
@@ -62,14 +62,7 @@ class RecordingBar(QFrame):
         title.addWidget(self.stop)
         for label in (self._time, self._frames, self._size, self._dropped):
             numbers.addWidget(label)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(8, 4, 4, 4)
-        layout.setSpacing(4)
-        layout.addLayout(title)
-        layout.addLayout(numbers)
-        layout.addWidget(self._room)
-        self._losses = False
-        self._recolor()
+        vbox(title, numbers, self._room, within=self, margins=(8, 4, 4, 4), spacing=4)
         self.hide()
 
     def show_start(self, name: str) -> None:
@@ -90,9 +83,7 @@ class RecordingBar(QFrame):
         self._frames.setText(f"{status.frames} frames")
         self._size.setText(size(status.bytes))
         self._dropped.setText(f"{status.dropped} dropped")
-        if self._losses != (status.dropped > 0):
-            self._losses = status.dropped > 0
-            self._recolor()
+        self._dropped.tint("error" if status.dropped else "")
         rate = status.bytes / elapsed_s if elapsed_s > 1.0 else 0.0
         lasts = f", {duration(free_bytes / rate)}" if rate > _MIN_RATE else ""
         self._room.setText(f"{size(free_bytes)} free{lasts}")
@@ -101,18 +92,6 @@ class RecordingBar(QFrame):
         """Show that the remaining frames are being written."""
         self._name.setText(f"Finishing {name}…")
         self.stop.setEnabled(False)
-
-    def changeEvent(self, event: QEvent | None) -> None:
-        """Follow the theme."""
-        super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.PaletteChange:
-            self._recolor()
-
-    def _recolor(self) -> None:
-        red = QPalette()
-        red.setColor(QPalette.ColorRole.WindowText, QColor(theme_colors().error))
-        self._dot.setPalette(red)
-        self._dropped.setPalette(red if self._losses else QPalette())
 
 
 def clock(seconds: float) -> str:

@@ -11,7 +11,6 @@ from PyQt6.QtWidgets import (
     QLabel,
     QPushButton,
     QStatusBar,
-    QWidget,
 )
 
 from ...widgets.basics.controls import ElidedLabel, number_label
@@ -41,8 +40,8 @@ _DETAILS = {
 class FrameDetails(Card):
     """The numbers of the newest frame that the status bar does not show: rates, losses, skew and times."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.setAccessibleName("Details of the frame")
         self.numbers: dict[str, QLabel] = {}
         self._result: Result | None = None
@@ -114,8 +113,8 @@ class FrameStatus(QStatusBar):
         What is published and to how many; hidden while nothing is.
     """
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.setSizeGripEnabled(False)
         self.setContentsMargins(0, 0, 8, 0)
         self._shown_rate = RateMeter()
@@ -213,5 +212,6 @@ class FrameStatus(QStatusBar):
         label = number_label(widest, tip)
         # otherwise each number would lay out the whole window again
         label.setFixedSize(label.minimumWidth(), label.fontMetrics().height())
+        label.setAutoFillBackground(True)  # nor paint what is behind it
         self.addPermanentWidget(label)
         return label

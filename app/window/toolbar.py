@@ -8,9 +8,11 @@ from functools import partial
 from pathlib import Path
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtWidgets import QHBoxLayout, QMenu, QPushButton, QSizePolicy, QToolBar, QToolButton, QWidget
+from PyQt6.QtWidgets import QMenu, QPushButton, QSizePolicy, QToolBar, QToolButton, QWidget
 
+from ...widgets.basics.controls import action_button
 from ...widgets.basics.icons import icon
+from ...widgets.basics.layouts import hbox
 from ...widgets.parameters.number_slider import JumpSlider
 from ..worker.playback import PlaybackState
 from .actions import Actions, Menus
@@ -30,8 +32,8 @@ class Transport(QWidget):
     seekRequested = pyqtSignal(int)
     held = pyqtSignal(bool)
 
-    def __init__(self, actions: Actions, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, actions: Actions) -> None:
+        super().__init__()
         self._actions = actions
         self._state = PlaybackState(length=1)
         self.slider = JumpSlider()
@@ -44,20 +46,8 @@ class Transport(QWidget):
         self.position = PositionEntry()
         self.position.sought.connect(self.seekRequested)
         actions.go_to.triggered.connect(lambda: self.position.setFocus(Qt.FocusReason.ShortcutFocusReason))
-        layout = QHBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(4)
-        for action in (actions.previous, actions.play, actions.next, actions.loop, actions.freeze):
-            button = QToolButton()
-            button.setDefaultAction(action)
-            button.setAutoRaise(True)
-            button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonIconOnly)
-            button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-            layout.addWidget(button)
-        layout.addSpacing(4)
-        layout.addWidget(self.slider, 1)
-        layout.addSpacing(4)
-        layout.addWidget(self.position)
+        buttons = map(action_button, (actions.previous, actions.play, actions.next, actions.loop, actions.freeze))
+        hbox(*buttons, 4, (self.slider, 1), 4, self.position, within=self, margins=0, spacing=4)
         self._show_mode()
 
     @property
@@ -108,8 +98,8 @@ _MAX_NAME_LENGTH = 28
 class ToolBar(QToolBar):
     """The row of buttons below the menu bar."""
 
-    def __init__(self, actions: Actions, menus: Menus, transport: Transport, parent: QWidget | None = None) -> None:
-        super().__init__("Main", parent)
+    def __init__(self, actions: Actions, menus: Menus, transport: Transport) -> None:
+        super().__init__("Main")
         self.setObjectName("toolbar")
         self.setMovable(False)
         self.setContextMenuPolicy(Qt.ContextMenuPolicy.PreventContextMenu)

@@ -15,7 +15,6 @@ from PyQt6.QtWidgets import (
     QSlider,
     QSplitter,
     QToolButton,
-    QVBoxLayout,
     QWidget,
 )
 
@@ -36,6 +35,7 @@ from ...widgets.basics.colormaps import (
     tactile_use_legend,
 )
 from ...widgets.basics.controls import ChoiceBox, caption
+from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.wipe import Wipe
 from ...widgets.clouds.cloud_data import DepthCloud
 from ...widgets.clouds.cloud_view import BackendChoice, link_cameras
@@ -54,8 +54,8 @@ _MAX_SHARE = 0.42
 class StripSplitter(QSplitter):
     """Splits the height between views and strip; automatic until the user moves the handle."""
 
-    def __init__(self, views: QWidget, strip: QWidget, parent: QWidget | None = None) -> None:
-        super().__init__(Qt.Orientation.Vertical, parent)
+    def __init__(self, views: QWidget, strip: QWidget) -> None:
+        super().__init__(Qt.Orientation.Vertical)
         self._chosen = False
         self._aspect = 3 / 4
         self.addWidget(views)
@@ -131,8 +131,8 @@ class ViewArea(QWidget):
     wantedChanged = pyqtSignal()
     wipeDragged = pyqtSignal(float)
 
-    def __init__(self, actions: Actions, backend: BackendChoice = "auto", parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, actions: Actions, backend: BackendChoice = "auto") -> None:
+        super().__init__()
         self.views = {name: InspectView(title, backend) for name, title in TITLES.items()}
         self.toggles = {
             CloudName.PROXIMITY: actions.show_proximity,
@@ -168,11 +168,7 @@ class ViewArea(QWidget):
         self.point_size.setAccessibleName("Point size")
         self.point_size.setToolTip("Point size in pixels")
         self.point_size.valueChanged.connect(self._resize_points)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(4)
-        layout.addLayout(self._choices(actions))
-        layout.addWidget(self.splitter, 1)
+        vbox(self._choices(actions), (self.splitter, 1), within=self, margins=0, spacing=4)
         for name, action in self.toggles.items():
             action.toggled.connect(lambda shown, name=name: self._show_view(name, shown))
         for action, viewpoint in (
@@ -295,15 +291,16 @@ class ViewArea(QWidget):
                 view.set_legend_lines(lines)
 
     def _choices(self, actions: Actions) -> QHBoxLayout:
-        row = QHBoxLayout()
-        row.setContentsMargins(4, 4, 4, 0)
-        row.addWidget(caption("&Colour by", self.color_by))
-        row.addWidget(self.color_by)
-        row.addSpacing(12)
-        row.addWidget(caption("Point si&ze", self.point_size))
-        row.addWidget(self.point_size)
-        row.addStretch(1)
-        row.addWidget(QLabel("View"))
+        row = hbox(
+            caption("&Colour by", self.color_by),
+            self.color_by,
+            12,
+            caption("Point si&ze", self.point_size),
+            self.point_size,
+            STRETCH,
+            QLabel("View"),
+            margins=(4, 4, 4, 0),
+        )
         for text, action in (
             ("Reset", actions.reset_view),
             ("Front", actions.front_view),

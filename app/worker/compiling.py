@@ -19,10 +19,12 @@ class BackgroundCompiler:
     ----------
     changed : callable
         Called on the compiling thread when `missing` has changed.
+    views : bool
+        Compile what the window reads of a patch, too.
     """
 
-    def __init__(self, changed: Callable[[], object]) -> None:
-        self._changed = changed
+    def __init__(self, changed: Callable[[], object], views: bool = True) -> None:
+        self._changed, self._views = changed, views
         self._ready: set[_Kernels] = set()
         self._wanted: Preset | None = None
         self._thread: Thread | None = None
@@ -65,7 +67,8 @@ class BackgroundCompiler:
         try:
             warm_up_if_needed(self._tell, preset)
             self._end(preset)
-            warm_up_views(preset.contact_test)
+            if self._views:
+                warm_up_views(preset.contact_test)
         except _StoppedError:
             return
         except Exception:  # the first frame meets the same error and tells it

@@ -8,12 +8,14 @@ from PyQt6.QtCore import QObject, pyqtSignal
 
 from ...core.model.frames import Rig, SensorFrame
 from .playback import PlaybackState
-from .results import Result, SourceInfo
+from .results import Result
 from .worker import Worker
 
 
 class FrameFeed(QObject):
     """The current source, its newest frame, and the controls that taking snapshots needs.
+
+    The main window, whose worker it is, continues to show the frames.
 
     Signals
     -------
@@ -25,56 +27,21 @@ class FrameFeed(QObject):
     frameArrived = pyqtSignal(object)
     playbackChanged = pyqtSignal()
 
-    def __init__(self, info: SourceInfo, parent: QObject | None = None) -> None:
+    def __init__(
+        self, worker: Worker, result: Result, playback: PlaybackState | None = None, parent: QObject | None = None
+    ) -> None:
         super().__init__(parent)
-        self.info = info
-        self.frame: SensorFrame | None = None
-        self.playback = PlaybackState()
+        shown = result.playback
+        self.info = result.source
+        self.frame: SensorFrame = result.frame
+        self.playback = replace(playback or shown, index=shown.index, length=shown.length)
+        self.play, self.pause, self.seek = worker.play, worker.pause, worker.seek
+        worker.playbackChanged.connect(self._playback_changed)
 
     @property
     def rig(self) -> Rig:
         """The rig of the source."""
         return self.info.rig
-
-    def play(self) -> None:
-        """Play."""
-
-    def pause(self) -> None:
-        """Pause."""
-
-    def seek(self, index: int) -> None:
-        """Show another frame of a recording."""
-
-    def deliver(self, frame: SensorFrame, playback: PlaybackState) -> None:
-        """Pass a frame on."""
-        self.frame, self.playback = frame, playback
-        self.frameArrived.emit(frame)
-
-
-class WorkerFeed(FrameFeed):
-    """Frames of the main window's worker, which continues to show them."""
-
-    def __init__(
-        self, worker: Worker, result: Result, playback: PlaybackState | None = None, parent: QObject | None = None
-    ) -> None:
-        super().__init__(result.source, parent)
-        self._worker = worker
-        shown = result.playback
-        self.frame = result.frame
-        self.playback = replace(playback or shown, index=shown.index, length=shown.length)
-        worker.playbackChanged.connect(self._playback_changed)
-
-    def play(self) -> None:
-        """Play."""
-        self._worker.play()
-
-    def pause(self) -> None:
-        """Pause."""
-        self._worker.pause()
-
-    def seek(self, index: int) -> None:
-        """Show another frame of a recording."""
-        self._worker.seek(index)
 
     def show_result(self, result: Result) -> None:
         """Deliver the frame of a result, unless it was delivered before or is of another rig."""
@@ -85,6 +52,11 @@ class WorkerFeed(FrameFeed):
                 return
             self.info = result.source
         self.deliver(result.frame, replace(self.playback, index=result.playback.index, length=result.playback.length))
+
+    def deliver(self, frame: SensorFrame, playback: PlaybackState) -> None:
+        """Pass a frame on."""
+        self.frame, self.playback = frame, playback
+        self.frameArrived.emit(frame)
 
     def _playback_changed(self, state: PlaybackState) -> None:
         """Note a new state of playback; while the source is paused, no frame reports it."""

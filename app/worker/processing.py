@@ -19,6 +19,8 @@ from .results import ComparedFrame, ComparedSide, RateMeter, Rendered, Result, S
 
 #: Shortest time between two histograms or lists of contacts while frames play, seconds: nobody reads them faster.
 COUNTING_INTERVAL_S = 0.2
+#: Shortest time between two drawings of the images while frames play, seconds. The views show every frame.
+STRIP_INTERVAL_S = 0.06
 
 
 class PatchFinder:
@@ -86,12 +88,13 @@ class FrameProcessor:
         self._present = PatchFinder(missing)
         self._others: list[PatchFinder] = []
         self._processed = 0
-        self._counted_s = -COUNTING_INTERVAL_S
+        self._counted_s, self._strip_s = -COUNTING_INTERVAL_S, -STRIP_INTERVAL_S
         self._rate = RateMeter()
 
     def forget(self) -> None:
         """Discard the pipelines before another source."""
         self._present, self._others = PatchFinder(self._missing), []
+        self._counted_s, self._strip_s = -COUNTING_INTERVAL_S, -STRIP_INTERVAL_S
 
     def process(
         self,
@@ -105,8 +108,11 @@ class FrameProcessor:
         unmatched: int = 0,
         read_ms: float = 0.0,
         compared: Sides | None = None,
+        held: bool = False,
     ) -> Result:
         """Return the patch and everything the window shows of a frame.
+
+        A frame that is ``held`` may stay on the screen although the recording plays, so all of it is drawn.
 
         Raises
         ------
@@ -116,12 +122,10 @@ class FrameProcessor:
         self._present.find(frame, preset, info.rig)
         finders = self._find_compared(frame, info.rig, compared)
         started = time.perf_counter()
-        if playback.running:
-            wanted = wanted.while_running()
-            if started - self._counted_s < COUNTING_INTERVAL_S:
-                wanted = replace(wanted, histograms=frozenset(), contacts=False)
-            else:
-                self._counted_s = started
+        if self._present.waiting and not self._processed:  # the images' kernels are compiled after the first picture
+            wanted = replace(wanted, strip=False)
+        if playback.running and not held:
+            wanted = self._due(wanted.while_running(), started)
         if compared is None:
             rendered, both = self._render(self._present, frame, info.rig, wanted), None
         else:
@@ -151,6 +155,17 @@ class FrameProcessor:
             render_ms=render_ms,
             compared=both,
         )
+
+    def _due(self, wanted: Wanted, now_s: float) -> Wanted:
+        """Leave out what was drawn a short time ago."""
+        if now_s - self._counted_s < COUNTING_INTERVAL_S:
+            wanted = replace(wanted, histograms=frozenset(), contacts=False)
+        else:
+            self._counted_s = now_s
+        if now_s - self._strip_s < STRIP_INTERVAL_S:
+            return replace(wanted, strip=False)
+        self._strip_s = now_s
+        return wanted
 
     def _find_compared(self, frame: SensorFrame, rig: Rig, sides: Sides | None) -> list[PatchFinder]:
         """Find the patches of compared presets; one that does not follow the present preset has its own pipeline.

@@ -14,9 +14,8 @@ def publish(publisher: Publisher, result: Result) -> None:
     """Publish a frame with its patch and tilt; the tilt is computed if a client listens to it."""
     from ...core.estimation.tilt import TiltEstimator
     from ...core.model.patch import Lazy
-    from ...core.output.publisher import Estimates
 
     patch = result.patch
     if patch is not None:
         tilt = Lazy(lambda: TiltEstimator(result.preset, patch.rig).estimate(patch).record())
-        publisher.put(result.frame, patch, result.preset, Estimates(tilt))
+        publisher.put(result.frame, patch, result.preset, tilt)

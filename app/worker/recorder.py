@@ -6,13 +6,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock, Thread
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from ...core.errors import FrameError, TactuneError
+from ...core.model.arrays import Float64Array
 from ...core.model.frames import Rig, SensorFrame
 from ...core.output.writer import RecordingStatus, SessionWriter
 from ...core.preset import Preset
 from .errors import explain
+
+if TYPE_CHECKING:
+    from ...core.estimation.pose import PoseEstimate
 
 
 class Writer(Protocol):
@@ -20,6 +24,9 @@ class Writer(Protocol):
 
     def put(self, frame: SensorFrame, *, wait: bool) -> bool:
         """Write a frame; False if the queue is full."""
+
+    def put_pose(self, pose: Float64Array, covariance: Float64Array, sequence: int, time_s: float) -> None:
+        """Write the pose of a tracked object in a frame."""
 
     def status(self) -> RecordingStatus:
         """Return the frames and bytes written so far."""
@@ -63,6 +70,7 @@ def open_writer(request: RecordingRequest) -> Writer:
         preset=request.preset,
         frame_rate_hz=request.frame_rate_hz,
         untouched=request.untouched,
+        poses=True,
     )
 
 
@@ -158,6 +166,12 @@ class Recorder:
                     problem = explain(error, f"frame {number} could not be recorded")
         if problem:
             self.stop(problem)
+
+    def put_pose(self, pose: PoseEstimate) -> None:
+        """Record the pose of a tracked object if a recording runs."""
+        with self._lock:
+            if self._writer is not None:
+                self._writer.put_pose(pose.T_proximity_object, pose.covariance, pose.sequence, pose.time_s)
 
     def stop(self, reason: str = "") -> None:
         """Stop recording and finish the file; ``ended`` is called when that is done."""

@@ -64,7 +64,7 @@ def draw_strip(
     height, width = frame.proximity_depth.shape
     stride = stride_for(width, width_hint)
     every = np.s_[::stride, ::stride]
-    counts = frame.proximity_depth[every]
+    counts = np.ascontiguousarray(frame.proximity_depth[every])
     valid = valid_depth(counts)
     depth_m = counts * np.float32(rig.proximity.depth_unit_m)
     color = aligned_color(frame, rig, depth_m, valid, typical_m, stride)
@@ -72,7 +72,9 @@ def draw_strip(
         measured_m = np.full(counts.shape, np.nan, np.float32)
         expected_m = np.where(valid, depth_m, measured_m)
     else:
-        expected_m, measured_m = patch.aligned.expected_m[every], patch.aligned.measured_m[every]
+        expected_m, measured_m = (
+            np.ascontiguousarray(image[every]) for image in (patch.aligned.expected_m, patch.aligned.measured_m)
+        )
     images = StripImages(
         color=color,
         mask_overlay=in_hsv_range(color, preset.mask) if preset.mask.enabled else None,
@@ -127,8 +129,9 @@ def _colors_along(
     rays: Float32Array, frame: SensorFrame, rig: Rig, depth_m: Float32Array, valid: BoolArray, typical_m: float
 ) -> tuple[Uint8Array, BoolArray]:
     points = np.empty((*depth_m.shape, 3), np.float32)
-    points[..., 2] = np.where(valid, depth_m, np.float32(typical_m))
-    np.multiply(rays, points[..., 2:], out=points[..., :2])
+    z = np.where(valid, depth_m, np.float32(typical_m))
+    for axis, along in enumerate((rays[..., 0] * z, rays[..., 1] * z, z)):
+        points[..., axis] = along
     pixels = _pixels(depth_m.size)
     colors, seen = colors_at(points.reshape(-1, 3), pixels, frame.proximity_color, rig)
     return colors.reshape(*depth_m.shape, 3), seen.reshape(depth_m.shape)

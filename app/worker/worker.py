@@ -34,6 +34,7 @@ from .results import Result, SourceInfo, SourceState, Wanted
 from .threads import Mailbox, abandon, leave_room_for_the_window
 
 if TYPE_CHECKING:
+    from ...core.estimation.pose import PoseEstimate
     from ...core.output.publisher import Publisher
 
 #: Grace period before a hung worker is abandoned, in ms; longer than that of a live source.
@@ -146,6 +147,12 @@ class Worker(QThread):
     def set_publisher(self, publisher: Publisher | None) -> None:
         """Publish every processed frame from now on, or with None no more."""
         self._publisher = publisher
+
+    def put_pose(self, pose: PoseEstimate) -> None:
+        """Publish and record the pose of a tracked object that is not lost, while publishing or recording runs."""
+        if (publisher := self._publisher) is not None:
+            publisher.put_pose(pose.T_proximity_object, pose.covariance, pose.time_s)
+        self.recorder.put_pose(pose)  # last: it waits where the disk is slow
 
     def set_wanted(self, wanted: Wanted) -> None:
         """Set what is visible; a paused frame is drawn again."""
@@ -399,6 +406,7 @@ class Worker(QThread):
 
     def _advance(self) -> None:
         index = self._playback.next_index()
+        self._redo |= index is None  # the last frame stays, so all of it is drawn
         if index is not None and (frame := self._show(index)) is not None:
             self._record(frame, index)
 
@@ -413,7 +421,7 @@ class Worker(QThread):
             self._fail(explain(error, f"frame {index + 1} of {self._info.name} could not be read"))
             return None
         if frame is None:
-            self._playback.pause()
+            self._stand_still()
             return None
         self._playback.shown(index, time.perf_counter())
         if self._playback.playing:
@@ -433,6 +441,7 @@ class Worker(QThread):
                 self._info, frame, self._preset, self._wanted, self._playback.state,
                 dropped=self._mailbox.dropped + not_taken + health.dropped,
                 unmatched=health.unmatched, read_ms=read_ms, compared=self._compared,
+                held=self._playback.held,
             )  # fmt: skip
         except Exception as error:
             number = self._playback.state.index + 1

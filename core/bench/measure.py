@@ -195,7 +195,7 @@ def _seconds(statement: str) -> float:
     return float(done.stdout.splitlines()[-1])
 
 
-_PACKAGES = ("numpy", "numba", "scipy", "opencv-contrib-python-headless", "open3d", "pykdtree")
+_PACKAGES = ("numpy", "numba", "scipy", "opencv-contrib-python-headless", "open3d")
 
 
 def machine_facts() -> dict[str, Any]:

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from ..contact.alignment import tactile_homography, tactile_pose
 from ..model.arrays import AnyArray, BoolArray, Uint8Array
+from ..model.clouds import ray_table
 from ..model.frames import Rig, SensorFrame
 from ..model.intrinsics import Distortion, Intrinsics
 from ..model.provenance import Provenance
@@ -34,7 +35,7 @@ def reference_patch(preset: Preset, rig: Rig, frame: SensorFrame, dtype: Any = n
     """Compute a frame's contact patch in NumPy with the given floating-point type."""
     counts = frame.proximity_depth
     depth = counts.astype(dtype) * dtype(rig.proximity.depth_unit_m)
-    rays = rig.proximity.intrinsics.rays().astype(dtype)
+    rays = ray_table(rig.proximity.intrinsics).astype(dtype)
     points = np.concatenate([rays * depth[..., None], depth[..., None]], axis=2)
 
     with np.errstate(all="ignore"):
@@ -74,7 +75,7 @@ def _both_depths(
     no_depth = (frame.proximity_depth == 0) | (frame.proximity_depth == 65535)
     if preset.alignment.model == "rigid":
         T_t_p = np.linalg.inv(tactile_pose(preset.alignment, rig))
-        rays = rig.proximity.intrinsics.rays().astype(np.float64)
+        rays = ray_table(rig.proximity.intrinsics).astype(np.float64)
         rays = np.concatenate([rays, np.ones((height, width, 1))], axis=2)
         seen = (rays @ T_t_p[:3, :3].T).astype(dtype) * depth[..., None] + T_t_p[:3, 3].astype(dtype)
         expected = np.where(seen[..., 2] > 0, seen[..., 2], dtype(np.nan))

@@ -82,7 +82,7 @@ class Engine:
 _ENGINES: dict[str, Engine] = {}
 
 #: Modules of `engines`; each registers its engines when it is imported.
-_MODULES = ("reference", "unorganised", "tactune")
+_MODULES = ("reference", "open3d_only", "tactune")
 
 
 def engine(

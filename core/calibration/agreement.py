@@ -26,14 +26,14 @@ import numpy.typing as npt
 from ..model.arrays import BoolArray, Float64Array
 from ..model.frames import Rig
 from .homography import HomographyFit
-from .maximum_likelihood import inverse_information
+from .maximum_likelihood import inverse_information, residuals_at
 from .quality import bound
 from .rigid import RigidFit
 
 #: Variances of a smooth error, relative to the noise of a pair, that are tried.
 _VARIANCES = np.geomspace(0.003, 300.0, 26)
 #: Lengths over which a smooth field changes, as shares of the judged region, and the order of its cosines.
-_LENGTHS, _ORDER, _DEPTH_ORDER, _MARGIN = (0.25, 0.4, 0.7), 5, 3, 0.3
+_LENGTHS, _ORDER, _MARGIN = (0.25, 0.4, 0.7), 5, 0.3
 #: Odds of a smooth error before the pairs are seen. They are chosen for the coverage of the 95 % bound
 #: (``scripts/measure_calibration.py coverage``).
 _PRIOR_ODDS = 4.0
@@ -253,11 +253,10 @@ class _Shapes:
 
     def __init__(self, fit: HomographyFit | RigidFit, rig: Rig, pairs: Float64Array, places: Float64Array) -> None:
         self.fit, self.rig = fit, rig
-        size = 3 if isinstance(fit, RigidFit) else 2
-        both = np.concatenate([pairs, places])[:, :size]
+        both = np.concatenate([pairs, places])[:, :2]
         self.low, high = both.min(axis=0), both.max(axis=0)
-        self.width = np.maximum(high - self.low, (100.0, 100.0, 0.02)[:size])
-        orders = product(range(_ORDER), range(_ORDER), *[range(_DEPTH_ORDER)] * (size - 2))
+        self.width = np.maximum(high - self.low, 100.0)
+        orders = product(range(_ORDER), range(_ORDER))
         self.orders = np.array([order for order in orders if sum(order) < _ORDER])
 
     def __call__(self, places: Float64Array) -> Mapping[str, Float64Array]:
@@ -272,7 +271,7 @@ class _Shapes:
             found["depth"] = (farther - proximity)[:, :, None] * across[:, None, :]
         else:
             found["surface"] = _in_both(across[:, 3:])
-        inside = (places[:, : len(self.low)] - self.low) / self.width
+        inside = (places[:, :2] - self.low) / self.width
         waves = np.pi * self.orders * ((inside[:, None] + _MARGIN) / (1 + 2 * _MARGIN))
         field = np.cos(waves).prod(axis=2) * np.sqrt(2.0) ** (self.orders > 0).sum(axis=1)
         for length in _LENGTHS:
@@ -283,13 +282,9 @@ class _Shapes:
 
 def _whitened(fit: HomographyFit | RigidFit) -> tuple[Float64Array, Float64Array]:
     """Return design (N, M, P) and residuals (N, M) of the inliers, with unit noise and whitened parameters."""
-    data, solution = fit.problem.measurements.keep(fit.used), fit.fit.solution
-    predicted, by_theta, by_place = fit.problem.linearise(solution.theta, solution.places, data.camera)  # type: ignore[arg-type]
-    residual = data.seen - predicted - (by_place @ (data.known - solution.places)[:, :, None])[:, :, 0]
-    covariance = data.seen_covariance + by_place @ data.known_covariance @ by_place.transpose(0, 2, 1)
-    root = np.linalg.cholesky(np.linalg.inv(covariance)).transpose(0, 2, 1)
-    design = root @ by_theta @ np.linalg.cholesky(inverse_information(solution.information))
-    return np.asarray(design), np.asarray((root @ residual[:, :, None])[:, :, 0])
+    at = residuals_at(fit.problem, fit.solution.theta, fit.problem.measurements.keep(fit.used))
+    design, residuals = at.whitened()
+    return np.asarray(design @ np.linalg.cholesky(inverse_information(fit.solution.information))), residuals
 
 
 def _weigh(

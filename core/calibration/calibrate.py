@@ -14,7 +14,7 @@ from ..model.arrays import BoolArray, Float64Array
 from ..model.frames import Rig
 from ..preset import now
 from .agreement import Agreement, judge_agreement
-from .correspondences import Correspondence, enabled_pairs, pixel_arrays
+from .correspondences import Correspondence, enabled_pairs, listed, pixel_arrays
 from .depth_advice import advise_depth_fit
 from .distortion import advise_distortion, two_planes
 from .homography import CLICK_SIGMA_PX, HomographyFit, fit_homography
@@ -29,7 +29,7 @@ from .quality import (
     uncertainty_map,
 )
 from .report import CalibrationReport, ModelName, ModelQuality, PairQuality, distortion_verdict, verdict
-from .rigid import DepthFit, RigidFit, RigidPoints, color_pose, color_to_depth_pixels, fit_rigid, ray_seen
+from .rigid import DepthFit, Pose, RigidFit, RigidPoints, clicks_in_depth, color_lens, fit_rigid, has_ray
 
 Model = Literal["auto", "homography", "rigid"]
 DepthChoice = DepthFit | Literal["auto"]
@@ -75,6 +75,7 @@ def calibrate(
     """
     pairs = enabled_pairs(correspondences)
     _refuse_repeated(pairs)
+    _refuse_folded(pairs, rig)
     _, tactile, depth = pixel_arrays(pairs)
     distortion = advise_distortion(pairs, rig)
     if estimate_distortion and distortion.rig is not None:
@@ -147,15 +148,10 @@ def depth_pixels(pairs: Sequence[Correspondence], rig: Rig, rigid: RigidFit | No
         return proximity
     usual = float(np.nanmedian(depth)) if np.isfinite(depth).any() else _PLANE_M
     depth = np.where(np.isfinite(depth), depth, usual)
-    if rigid is not None:
-        points = rigid.points_m(np.column_stack([tactile, depth]))
-    else:
-        T_p_t = np.eye(4) if rig.T_proximity_tactile is None else np.asarray(rig.T_proximity_tactile)
-        rays = ray_seen(rig.tactile.intrinsics, tactile)
-        points = np.column_stack([rays * depth[:, None], depth]) @ T_p_t[:3, :3].T + T_p_t[:3, 3]
-    T_color_depth = color_pose(rig)
-    distance = points @ T_color_depth[2, :3] + T_color_depth[2, 3]
-    return np.asarray(np.where(in_color[:, None], color_to_depth_pixels(rig, proximity, distance), proximity))
+    stated = np.eye(4) if rig.T_proximity_tactile is None else rig.T_proximity_tactile
+    pose = Pose.of(stated) if rigid is None else rigid.pose
+    points = pose.points_m(rig.tactile.intrinsics, np.column_stack([tactile, depth]))
+    return clicks_in_depth(rig, proximity, in_color, points)
 
 
 def _try_rigid(pairs: list[Correspondence], rig: Rig, depth_fit: DepthFit) -> tuple[RigidFit | None, str]:
@@ -323,12 +319,25 @@ def _refuse_repeated(pairs: list[Correspondence]) -> None:
             raise CalibrationError(f"{count} pairs have the id {name!r}; give each pair its own")
     seen: dict[tuple[object, ...], str] = {}
     for pair in pairs:
-        place = (*pair.proximity, pair.proximity_image, *pair.tactile, pair.tactile_depth_m)
+        place = (*pair.proximity, pair.proximity_image, *pair.tactile)
         if place in seen:
             raise CalibrationError(
                 f"pairs {seen[place]} and {pair.id} are the same points; delete one, a pair counts only once"
             )
         seen[place] = pair.id
+
+
+def _refuse_folded(pairs: list[Correspondence], rig: Rig) -> None:
+    proximity, tactile, _ = pixel_arrays(pairs)
+    in_color = np.array([pair.proximity_image == "color" for pair in pairs], bool)
+    seen = np.where(in_color, has_ray(color_lens(rig), proximity), has_ray(rig.proximity.intrinsics, proximity))
+    for camera, known in (("tactile", has_ray(rig.tactile.intrinsics, tactile)), ("proximity", seen)):
+        if not known.all():
+            names = listed([pair.id for pair, found in zip(pairs, known, strict=True) if not found])
+            raise CalibrationError(
+                f"{names}: the {camera} lens of the rig takes no ray to that pixel; correct the lens's distortion "
+                "coefficients, or delete what was clicked there"
+            )
 
 
 def _warnings(pairs: list[Correspondence], rigid: RigidFit | None, rig: Rig, depth_fit: DepthFit) -> list[str]:
@@ -348,10 +357,8 @@ def _warnings(pairs: list[Correspondence], rigid: RigidFit | None, rig: Rig, dep
         stated = np.asarray(rig.T_proximity_tactile)
         apart = float(np.linalg.norm(rigid.pose.translation - stated[:3, 3]))
         turned = _angle_deg(rigid.pose.rotation @ stated[:3, :3].T)
-        sigma = np.sqrt(np.diag(rigid.covariance))
-        if apart > _STATED_POSE_M + 4 * np.linalg.norm(sigma[3:6]) or turned > _STATED_POSE_DEG + 4 * np.degrees(
-            np.linalg.norm(sigma[:3])
-        ):
+        turn_rad, shift_m = rigid.pose_sigma
+        if apart > _STATED_POSE_M + 4 * shift_m or turned > _STATED_POSE_DEG + 4 * np.degrees(turn_rad):
             warnings.append(
                 f"the fitted pose lies {1e3 * apart:.0f} mm and {turned:.1f} degrees from the one that the rig states; "
                 "check the pairs and the rig"

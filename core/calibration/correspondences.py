@@ -105,6 +105,13 @@ def enabled_pairs(pairs: Sequence[Correspondence]) -> list[Correspondence]:
     return [pair for pair in pairs if pair.enabled]
 
 
+def listed(names: Sequence[str], most: int = 5) -> str:
+    """Return pairs by name, such as ``"pairs 3, 5 and 6"``; the first ones if they are more than ``most``."""
+    if len(names) > most:
+        return f"{len(names)} pairs ({', '.join(names[:most])}, ...)"
+    return f"pair {names[0]}" if len(names) == 1 else f"pairs {', '.join(names[:-1])} and {names[-1]}"
+
+
 def pixel_arrays(pairs: Sequence[Correspondence]) -> tuple[Float64Array, Float64Array, Float64Array]:
     """Return proximity pixels (N, 2), tactile pixels (N, 2) and tactile depths (N,), nan if unknown."""
     proximity = np.array([pair.proximity for pair in pairs], dtype=np.float64).reshape(-1, 2)
@@ -205,17 +212,9 @@ def parse_qgis(text: str, origin: str) -> list[Correspondence]:
         if len(values) < 4:
             raise CalibrationError(f"{where}: there are {len(values)} values, at least 4 are needed; correct the row")
         fields = dict(zip(header, (value.strip() for value in values), strict=False))
-        numbers = {name: _number(fields[name], name, where) for name in _QGIS_HEADER[:4]}
-        pairs.append(
-            Correspondence(
-                id=str(count),
-                proximity_u=numbers["mapX"],
-                proximity_v=-numbers["mapY"],
-                tactile_u=numbers["sourceX"],
-                tactile_v=-numbers["sourceY"],
-                enabled=_flag(fields.get("enable", "1"), "enable", where),
-            )
-        )
+        u, v, tactile_u, tactile_v = (_pixel(fields[name], name, where) for name in _QGIS_HEADER[:4])
+        enabled = _flag(fields.get("enable", "1"), "enable", where)
+        pairs.append(Correspondence(str(count), u, -v, tactile_u, -tactile_v, enabled=enabled))
     return pairs
 
 
@@ -226,23 +225,25 @@ def _pair_of(fields: dict[str, str], where: str) -> Correspondence:
     if image not in ("depth", "color"):
         raise CalibrationError(f"{where}: proximity_image is {image!r}; write depth or color")
     pixels = {
-        name: _number(fields[name], name, where) for name in ("proximity_u", "proximity_v", "tactile_u", "tactile_v")
+        name: _pixel(fields[name], name, where) for name in ("proximity_u", "proximity_v", "tactile_u", "tactile_v")
     }
+    depth = _depth(fields["tactile_depth_m"], "tactile_depth_m", where)
+    enabled = _flag(fields["enabled"], "enabled", where)
+    snapshot = _snapshot(fields.get("snapshot", ""), where)
     proximity_depth = _depth(fields.get("proximity_depth_m", ""), "proximity_depth_m", where)
-    if proximity_depth is not None and image == "color":
-        raise CalibrationError(
-            f"{where}: proximity_depth_m is {fields['proximity_depth_m']}, but the point was clicked in colour, where "
-            "the proximity depth looks through the membrane; leave it empty"
+    clicked: ProximityImage = "color" if image == "color" else "depth"
+    try:
+        return Correspondence(
+            fields["id"],
+            **pixels,
+            tactile_depth_m=depth,
+            enabled=enabled,
+            proximity_image=clicked,
+            snapshot=snapshot,
+            proximity_depth_m=proximity_depth,
         )
-    return Correspondence(
-        id=fields["id"],
-        **pixels,
-        tactile_depth_m=_depth(fields["tactile_depth_m"], "tactile_depth_m", where),
-        enabled=_flag(fields["enabled"], "enabled", where),
-        proximity_image="color" if image == "color" else "depth",
-        snapshot=_snapshot(fields.get("snapshot", ""), where),
-        proximity_depth_m=proximity_depth,
-    )
+    except CalibrationError as error:
+        raise CalibrationError(f"{where}: {error}") from error
 
 
 def _rows(text: str, origin: str) -> list[tuple[int, list[str]]]:
@@ -258,27 +259,23 @@ def _rows(text: str, origin: str) -> list[tuple[int, list[str]]]:
     return rows
 
 
-def _number(text: str, name: str, where: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not abs(value) <= _MAX_PIXEL:
-        raise CalibrationError(f"{where}: {name} is {text!r}; write a number of pixels")
-    return value
+def _pixel(text: str, name: str, where: str) -> float:
+    return _number(text, name, where, (-_MAX_PIXEL, _MAX_PIXEL), "a number of pixels")
 
 
 def _depth(text: str, name: str, where: str) -> float | None:
     if text.lower() in ("", "nan", "none"):
         return None
+    return _number(text, name, where, (0.001, 10.0), "metres, 0.001 to 10, such as 0.295, or leave it empty")
+
+
+def _number(text: str, name: str, where: str, limits: tuple[float, float], what: str) -> float:
     try:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not 0.0 < value <= 10.0:
-        raise CalibrationError(
-            f"{where}: {name} is {text!r}; write metres above 0 up to 10, such as 0.295, or leave it empty"
-        )
+    if not limits[0] <= value <= limits[1]:
+        raise CalibrationError(f"{where}: {name} is {text!r}; write {what}")
     return value
 
 

@@ -54,7 +54,9 @@ def advise_depth_fit(points: RigidPoints, rig: Rig) -> DepthAdvice:
     except CalibrationError as error:
         return DepthAdvice("none", f"No correction of the tactile depth is recommended: {error}.")
     count = full.problem.measurements.keep(full.used).count
-    bic = {kind: fit.fit.solution.cost + fit.parameters * np.log(count) for kind, fit in fits.items()}
+    bic = {
+        kind: fit.solution.cost / full.noise_factor**2 + fit.parameters * np.log(count) for kind, fit in fits.items()
+    }
     best = min((kind for kind in kinds if _certainty(fits[kind]) >= MIN_CERTAINTY), key=lambda kind: bic[kind])
     if best == "none":
         return DepthAdvice(

@@ -25,7 +25,7 @@ from ..model.intrinsics import Distortion, Intrinsics
 from .correspondences import Correspondence, on_a_line, pixel_arrays
 from .homography import CLICK_SIGMA_PX
 from .quality import membrane_places
-from .rigid import color_lens, color_pose, ray_seen
+from .rigid import color_lens, color_pose, ray_seen, solve_pose
 
 #: Fewer pairs in an image estimate no distortion of its lens.
 MIN_PAIRS = 16
@@ -43,6 +43,7 @@ _WRONG_SIGMAS, _MAX_WRONG = 4.5, 0.2
 _OFFSET_M = 0.03
 #: Two planes: fewest pairs of each, and smallest distance between them, metres.
 _MIN_GROUP, _PLANES_M = 7, 0.004
+_OFFER = "Estimate lens distortion: "
 _LENS_NAMES = {"tactile": "tactile", "proximity": "proximity", "color": "proximity colour"}
 
 
@@ -68,12 +69,20 @@ class DistortionAdvice:
     k1: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
+    def result(self) -> str:
+        """The estimate once it is used, one sentence."""
+        return f"Estimated lens distortion: {self._estimate}."
+
+    @property
     def refusal(self) -> str:
         """Why the pairs fit no model without distortion, for an error."""
         if self.rig is None:
             return self.sentence[:1].lower() + self.sentence[1:].rstrip(".")
-        estimate = self.sentence.removeprefix("Estimate lens distortion: ").rstrip(".")
-        return f"the pairs fit only with lens distortion ({estimate}); estimate it from the pairs"
+        return f"the pairs fit only with lens distortion ({self._estimate}); estimate it from the pairs"
+
+    @property
+    def _estimate(self) -> str:
+        return self.sentence.removeprefix(_OFFER).rstrip(".")
 
 
 def advise_distortion(pairs: Sequence[Correspondence], rig: Rig) -> DistortionAdvice:
@@ -151,12 +160,12 @@ def _judge(pairs: _Pairs) -> DistortionAdvice:
     if _chance(plain, bent) >= _FALSE_ALARM or noise_px > _NOISE * np.sqrt(2) * CLICK_SIGMA_PX:
         return DistortionAdvice()
     k1 = {name: (float(bent.theta[i]), float(bent.sigmas[i])) for i, name in enumerate(pairs.free)}
-    change = f"residuals {plain.rms_px:.1f} px -> {bent.rms_px:.1f} px"
+    change = f"residuals fall from {plain.rms_px:.1f} to {bent.rms_px:.1f} px"
     missing = _missing(pairs, used, plain, bent)
     if missing:
         return DistortionAdvice(True, None, f"Lens distortion explains the pairs ({change}), but {missing}.", k1)
     values = ", ".join(f"{value:.2f} +- {sigma:.2f} ({_LENS_NAMES[name]})" for name, (value, sigma) in k1.items())
-    sentence = f"Estimate lens distortion: {change}, k1 = {values} from {int(used.sum())} pairs."
+    sentence = f"{_OFFER}{change}, k1 = {values} from {int(used.sum())} pairs."
     return DistortionAdvice(True, pairs.rig_of(bent), sentence, k1)
 
 
@@ -233,10 +242,10 @@ class _Pairs:
             start = (H / H[2, 2]).ravel()[:8]
         else:
             space = np.column_stack([rays, np.ones(len(rays))]) * self.depth_m[:, None]
-            solved, turn, shift = cv2.solvePnP(space, seen, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
-            if not solved:
+            pose = solve_pose(space, seen)
+            if pose is None:
                 return None
-            start = np.concatenate([turn.ravel(), shift.ravel(), [0.0]])
+            start = np.concatenate([*map(np.ravel, pose), [0.0]])
         theta = np.concatenate([np.zeros(len(self.free) * order), start])
         everything = np.ones(len(self.tactile), bool)
         for scale_px in (10.0, 1.0):

@@ -17,8 +17,9 @@ import numpy.typing as npt
 from ..errors import CalibrationError
 from ..model.arrays import BoolArray, Float64Array, IndexArray
 from .correspondences import check_pairs, spread
-from .maximum_likelihood import Linearised, Measurements, Prior, inverse_information
-from .robust import Problem, RobustFit, doubtful, fit_robustly, left_out_residuals_px, numbered, rivals_px
+from .fit import Fit, Problem
+from .maximum_likelihood import Linearised, Measurements
+from .robust import fit_robustly
 
 #: Standard deviation of a careful click with magnifier, pixels.
 CLICK_SIGMA_PX = 0.7
@@ -32,74 +33,25 @@ _ONE_CAMERA = np.zeros(0, np.intp)
 
 
 @dataclass(frozen=True, eq=False)
-class HomographyFit:
-    """A fitted homography with its statistics.
+class HomographyFit(Fit):
+    """A fitted homography with its statistics."""
 
-    Attributes
-    ----------
-    H_p_t : float64, shape (3, 3)
-        Tactile to proximity pixels, scaled to a lower right entry of 1 unless that is 0.
-    used : bool, shape (N,)
-        Inliers.
-    residuals_px : float64, shape (N, 2)
-        Clicked minus predicted proximity pixel.
-    degrees : int
-        Degrees of freedom: measurements minus parameters.
-    noise_factor : float
-        Observed noise relative to the stated click noise; 1 without degrees of freedom.
-    condition : float
-        Condition number of the scaled design.
-    doubtful : tuple of int
-        Pairs of which the data do not decide whether they are right.
-    """
-
-    H_p_t: Float64Array
-    used: BoolArray
-    residuals_px: Float64Array
-    degrees: int
-    noise_factor: float
-    condition: float
-    doubtful: tuple[int, ...]
     problem: HomographyProblem
-    fit: RobustFit[Float64Array]
-
-    parameters = 8
 
     @property
-    def rms_px(self) -> float:
-        """Root mean square residual of the inliers, proximity pixels."""
-        return float(np.sqrt((self.residuals_px[self.used] ** 2).sum(axis=1).mean()))
-
-    def left_out_residuals_px(self) -> Float64Array:
-        """Return each pair's residual (N, 2) under the fit of the other pairs; nan if they determine no model."""
-        return left_out_residuals_px(self.problem, self.fit)
-
-    def predict(self, tactile: npt.ArrayLike) -> Float64Array:
-        """Map tactile pixels (N, 2 or more columns) to proximity pixels (N, 2)."""
-        return self.problem.predict(self.fit.solution.theta, np.asarray(tactile, np.float64)[:, :2])
-
-    def sensitivity(self, tactile: npt.ArrayLike) -> Float64Array:
-        """Return the derivative (N, 2, 8) of predicted proximity pixels by whitened parameters.
-
-        Whitened parameters have unit covariance, so ``J J^T`` is the covariance of the prediction.
-        """
-        places = self.problem.to_normal_tactile(np.asarray(tactile, np.float64)[:, :2])
-        _, by_theta, _ = self.problem.linearise(self.fit.solution.theta, places, _ONE_CAMERA)
-        root = np.linalg.cholesky(inverse_information(self.fit.solution.information))
-        return np.asarray(by_theta @ root * self.noise_factor / self.problem.proximity_scale)
-
-    def rivals_px(self, tactile: npt.ArrayLike) -> Float64Array:
-        """Return how far fits that the pairs do not rule out are from this one (N, 2, K), for their probability."""
-        pixels = np.asarray(tactile, np.float64)[:, :2]
-        return rivals_px(self.fit, lambda theta: self.problem.predict(theta, pixels))
+    def H_p_t(self) -> Float64Array:
+        """Tactile to proximity pixels, shape (3, 3), scaled to a lower right entry of 1 unless that is 0."""
+        return self.problem.pixels_matrix(self.solution.theta)
 
 
-class HomographyProblem(Problem[Float64Array]):
-    """Homography estimation in coordinates with centroid 0 and mean distance sqrt(2)."""
+class HomographyProblem(Problem):
+    """Homography estimation in coordinates with centroid 0 and mean distance sqrt(2).
+
+    Theta holds the matrix without its lower right entry. That is 1, because the points' centroid is mapped to a place.
+    """
 
     name = "homography"
     sample_size = _SAMPLE
-    prior: Prior[Float64Array] | None = None
 
     def __init__(
         self,
@@ -109,7 +61,7 @@ class HomographyProblem(Problem[Float64Array]):
         sigma_proximity: float,
         names: Sequence[str] | None,
     ) -> None:
-        self.names = numbered(len(tactile)) if names is None else names
+        self.names = names or [str(number) for number in range(1, len(tactile) + 1)]
         self.tactile_center, self.tactile_scale = normalisation(tactile)
         self.proximity_center, self.proximity_scale = normalisation(proximity)
         count, unit = len(tactile), np.eye(2)
@@ -130,27 +82,23 @@ class HomographyProblem(Problem[Float64Array]):
         return np.asarray((tactile - self.tactile_center) * self.tactile_scale)
 
     def linearise(self, theta: Float64Array, places: Float64Array, camera: IndexArray) -> Linearised:
-        """Predict in normalised coordinates; theta is the matrix as a unit vector (9,)."""
-        H = theta.reshape(3, 3)
+        """Predict in normalised coordinates."""
+        H = np.append(theta, 1.0).reshape(3, 3)
         homogeneous = np.column_stack([places, np.ones(len(places))])
         x, y, w = (homogeneous @ H.T).T
         predicted = np.column_stack([x / w, y / w])
         scaled = homogeneous / w[:, None]
-        by_entries = np.zeros((len(places), 2, 9))
-        by_entries[:, 0, :3] = by_entries[:, 1, 3:6] = scaled
-        by_entries[:, :, 6:] = -predicted[:, :, None] * scaled[:, None, :]
+        by_theta = np.zeros((len(places), 2, 8))
+        by_theta[:, 0, :3] = by_theta[:, 1, 3:6] = scaled
+        by_theta[:, :, 6:] = -predicted[:, :, None] * scaled[:, None, :2]
         by_place = (H[None, :2, :2] - predicted[:, :, None] * H[None, 2, None, :2]) / w[:, None, None]
-        return predicted, by_entries @ _tangent_basis(theta), by_place
-
-    def retract(self, theta: Float64Array, step: Float64Array) -> Float64Array:
-        """Move along the unit sphere."""
-        moved = theta + _tangent_basis(theta) @ step
-        return np.asarray(moved / np.linalg.norm(moved))
+        return predicted, by_theta, by_place
 
     def start(self, used: BoolArray) -> Float64Array | None:
         """Return the direct linear transform of the used pairs."""
         data = self.measurements
-        return direct_linear_transform(data.known[used], data.seen[used]).ravel()
+        H = direct_linear_transform(data.known[used], data.seen[used]).ravel()
+        return np.asarray(H[:8] / H[8]) if H[8] else None
 
     def hypotheses(self, samples: IndexArray) -> list[Float64Array]:
         """Solve the 8 x 8 equations of all samples at once, with the lower right entry fixed at 1."""
@@ -160,14 +108,12 @@ class HomographyProblem(Problem[Float64Array]):
         rows[:, 1::2, 3:5], rows[:, 1::2, 5] = x, 1.0
         rows[:, 0::2, 6:], rows[:, 1::2, 6:] = -x * y[:, :, :1], -x * y[:, :, 1:]
         regular = np.linalg.cond(rows) < 1e6
-        entries = np.linalg.solve(rows[regular], y[regular].reshape(-1, 8, 1))[:, :, 0]
-        full = np.column_stack([entries, np.ones(len(entries))])
-        return list(full / np.linalg.norm(full, axis=1, keepdims=True))
+        return list(np.linalg.solve(rows[regular], y[regular].reshape(-1, 8, 1))[:, :, 0])
 
     def residuals_px(self, theta: Float64Array) -> Float64Array:
         """Return residual lengths in proximity pixels, infinite beyond the horizon, shape (N,)."""
         places = self.measurements.known
-        w = places @ theta[6:8] + theta[8]
+        w = places @ theta[6:8] + 1.0
         with np.errstate(divide="ignore", invalid="ignore"):
             x = (places @ theta[0:2] + theta[2]) / w - self.measurements.seen[:, 0]
             y = (places @ theta[3:5] + theta[5]) / w - self.measurements.seen[:, 1]
@@ -180,16 +126,21 @@ class HomographyProblem(Problem[Float64Array]):
         predicted, _, _ = self.linearise(theta, self.measurements.known, _ONE_CAMERA)
         return np.asarray((self.measurements.seen - predicted) / self.proximity_scale)
 
-    def predict(self, theta: Float64Array, tactile: Float64Array) -> Float64Array:
-        """Map tactile to proximity pixels, both (N, 2)."""
-        predicted, _, _ = self.linearise(theta, self.to_normal_tactile(tactile), _ONE_CAMERA)
+    def predict(self, theta: Float64Array, places: Float64Array) -> Float64Array:
+        """Map tactile pixels (N, 2 or more columns) to proximity pixels (N, 2)."""
+        predicted, _, _ = self.linearise(theta, self.to_normal_tactile(places[:, :2]), _ONE_CAMERA)
         return np.asarray(predicted / self.proximity_scale + self.proximity_center)
+
+    def sensitivity(self, theta: Float64Array, places: Float64Array) -> Float64Array:
+        """Return the derivative of `predict` by theta, shape (N, 2, 8)."""
+        _, by_theta, _ = self.linearise(theta, self.to_normal_tactile(places[:, :2]), _ONE_CAMERA)
+        return np.asarray(by_theta / self.proximity_scale)
 
     def pixels_matrix(self, theta: Float64Array) -> Float64Array:
         """Undo the normalisation of the fitted matrix."""
         to_normal = _similarity(self.tactile_center, self.tactile_scale)
         from_normal = np.linalg.inv(_similarity(self.proximity_center, self.proximity_scale))
-        H = from_normal @ theta.reshape(3, 3) @ to_normal
+        H = from_normal @ np.append(theta, 1.0).reshape(3, 3) @ to_normal
         return np.asarray(H / H[2, 2] if abs(H[2, 2]) > 1e-12 * np.abs(H[2]).max() else H / np.linalg.norm(H))
 
 
@@ -225,19 +176,8 @@ def fit_homography(
     tactile, proximity = check_pairs(tactile, proximity, _SAMPLE, "homography")
     problem = HomographyProblem(tactile, proximity, sigma_tactile_px, sigma_proximity_px, names)
     fit = fit_robustly(problem, None if use is None else np.asarray(use, bool))
-    theta = fit.solution.theta
-    _refuse_mirrored(problem, theta, fit.used)
-    return HomographyFit(
-        H_p_t=problem.pixels_matrix(theta),
-        used=fit.used,
-        residuals_px=problem.residual_vectors_px(theta),
-        degrees=fit.solution.degrees,
-        noise_factor=fit.noise_factor,
-        condition=fit.condition,
-        doubtful=doubtful(fit),
-        problem=problem,
-        fit=fit,
-    )
+    _refuse_mirrored(problem, fit.solution.theta, fit.used)
+    return HomographyFit(problem, fit.solution, fit.used, fit.rivals)
 
 
 def direct_linear_transform(source: npt.ArrayLike, target: npt.ArrayLike) -> Float64Array:
@@ -269,14 +209,6 @@ def normalisation(points: Float64Array) -> tuple[Float64Array, float]:
 
 def _similarity(center: Float64Array, scale: float) -> Float64Array:
     return np.array([[scale, 0.0, -scale * center[0]], [0.0, scale, -scale * center[1]], [0.0, 0.0, 1.0]])
-
-
-def _tangent_basis(theta: Float64Array) -> Float64Array:
-    """Return an orthonormal basis (9, 8) of the directions that change a unit vector (Householder)."""
-    reflector = theta.copy()
-    reflector[0] += 1.0 if theta[0] >= 0 else -1.0
-    full = np.eye(9) - 2.0 * np.outer(reflector, reflector) / (reflector @ reflector)
-    return np.asarray(full[:, 1:])
 
 
 def _refuse_mirrored(problem: HomographyProblem, theta: Float64Array, used: BoolArray) -> None:

@@ -92,7 +92,9 @@ def write_html(
         numbers=_table(["", *(f"{name}, used" if name == report.model else name for name in names)], rows),
         pictures="".join(_figure(title, image) for title, image in (images | dict(pictures or {})).items()),
         made_with=_table(["", ""], _made_with(report, preset_name)),
-        pairs=_table(["Pair", "dX px", "dY px", "Residual px", "mm", "Left out px", "Used"], map(_pair_row, by_size)),
+        pairs=_table(
+            ["Pair", "dX px", "dY px", "Residual px", "mm", "Cross-validated px", "Used"], map(_pair_row, by_size)
+        ),
     )
     with atomic_path(path) as temporary:
         temporary.write_text(text, "utf-8")

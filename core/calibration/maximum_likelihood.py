@@ -8,33 +8,28 @@ The true place ``x`` of the clicked point is unknown:
 Maximising over theta and every x_i is the gold standard of Hartley and Zisserman, *Multiple View
 Geometry*, algorithm 4.3. The x_i are eliminated point by point (their section A6.3): with A and B the
 derivatives of f by theta and by x, the residual ``r = seen - f - B (known - x)`` has the covariance
-``W = S + B K B^T``, and theta is fitted by Gauss-Newton steps on ``sum r^T W^-1 r``, damped after
-Levenberg and Marquardt.
+``W = S + B K B^T``, and theta minimises ``sum r^T W^-1 r`` (SciPy's Levenberg-Marquardt).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Protocol
 
 import numpy as np
+from scipy.optimize import least_squares
 
+from ..errors import CalibrationError
 from ..model.arrays import BoolArray, Float64Array, IndexArray
-
-Theta = TypeVar("Theta")
 
 #: Prediction (N, M) and its derivatives by theta (N, M, P) and by the places (N, M, L).
 Linearised = tuple[Float64Array, Float64Array, Float64Array]
-#: ``(theta, places, camera)`` to the prediction and its derivatives.
-Linearise = Callable[[Theta, Float64Array, IndexArray], Linearised]
 
 #: Variance of a component that was not measured; its weight is negligible.
 UNMEASURED = 1e12
 
-_STEPS = 60
-_TOLERANCE = 1e-14
-_INNER_STEPS = 3
+_TOLERANCE, _MAX_EVALUATIONS = 1e-14, 60
+_INNER_STEPS = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,46 +64,40 @@ class Measurements:
 
     def keep(self, which: BoolArray) -> Measurements:
         """Return the measurements selected by a boolean mask."""
-        return Measurements(
-            self.known[which],
-            self.known_covariance[which],
-            self.seen[which],
-            self.seen_covariance[which],
-            self.camera[which],
-        )
+        return Measurements(**{name: values[which] for name, values in vars(self).items()})
+
+
+class Likelihood(Protocol):
+    """A model with its measurements."""
+
+    name: str
+    measurements: Measurements
+
+    def linearise(self, theta: Float64Array, places: Float64Array, camera: IndexArray) -> Linearised:
+        """Predict what the cameras see of places, with derivatives."""
+
+    def prior(self, theta: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Return whitened residuals (Q,) of what is known of theta beforehand, and their derivative (Q, P)."""
 
 
 @dataclass(frozen=True, eq=False)
-class Prior(Generic[Theta]):
-    """Prior knowledge of theta: whitened residuals (Q,) and their derivative (Q, P)."""
-
-    residuals: Callable[[Theta], tuple[Float64Array, Float64Array]]
-
-
-@dataclass(frozen=True, eq=False)
-class Solution(Generic[Theta]):
+class Solution:
     """The most likely theta and its uncertainty.
 
     Attributes
     ----------
-    theta
-    places : float64, shape (N, L)
-        Most likely true places.
+    theta : float64, shape (P,)
     information : float64, shape (P, P)
         Inverse of the covariance of theta under the stated noise.
     cost : float
         ``sum r^T W^-1 r``, chi-square distributed with ``degrees`` degrees of freedom.
-    distances : float64, shape (N,)
-        Squared Mahalanobis distance of each point; their sum plus that of the prior is ``cost``.
     degrees : int
         Degrees of freedom: measurements minus effective parameters (a prior reduces their number).
     """
 
-    theta: Theta
-    places: Float64Array
+    theta: Float64Array
     information: Float64Array
     cost: float
-    distances: Float64Array
     degrees: int
 
     @property
@@ -118,65 +107,78 @@ class Solution(Generic[Theta]):
 
 
 @dataclass(frozen=True, eq=False)
-class _State:
-    cost: float
-    distances: Float64Array
-    places: Float64Array
-    gradient: Float64Array
-    information: Float64Array
+class Residuals:
+    """Residuals (N, M) at one theta, the inverse of their covariance (N, M, M), and the design A (N, M, P)."""
+
     residual: Float64Array
     weight: Float64Array
     by_theta: Float64Array
-    data_information: Float64Array
+
+    def whitened(self) -> tuple[Float64Array, Float64Array]:
+        """Return design (N, M, P) and residuals (N, M) with unit noise."""
+        root = np.linalg.cholesky(self.weight).transpose(0, 2, 1)
+        return np.asarray(root @ self.by_theta), np.asarray((root @ self.residual[:, :, None])[:, :, 0])
 
 
-def maximise(
-    start: Theta,
-    measurements: Measurements,
-    linearise: Linearise[Theta],
-    retract: Callable[[Theta, Float64Array], Theta],
-    prior: Prior[Theta] | None = None,
-) -> Solution[Theta]:
-    """Find the most likely theta.
-
-    Parameters
-    ----------
-    start
-        Initial theta.
-    measurements : Measurements
-    linearise : callable
-        See `Linearise`.
-    retract : callable
-        ``(theta, step)`` to theta moved by a step (P,).
-    prior : Prior, optional
-        Additional residuals on theta.
-    """
-    theta = start
-    state = _evaluate(theta, measurements.known, measurements, linearise, prior)
-    damping = 1e-6
-    for _ in range(_STEPS):
-        damped = state.information + damping * np.diag(np.diag(state.information))
-        step = _solve(damped, state.gradient)
-        candidate = retract(theta, step)
-        trial = _evaluate(candidate, state.places, measurements, linearise, prior)
-        if not trial.cost <= state.cost:
-            damping *= 10
-            if damping > 1e12:
-                break
-            continue
-        gain = state.cost - trial.cost
-        theta, state, damping = candidate, trial, max(damping / 10, 1e-15)
-        if gain <= _TOLERANCE * state.cost or np.abs(step).max() < 1e-16:
+def residuals_at(problem: Likelihood, theta: Float64Array, data: Measurements) -> Residuals:
+    """Return the residuals of measurements, each at its most likely place."""
+    places = data.known
+    for _ in range(_INNER_STEPS):
+        predicted, by_theta, by_place = problem.linearise(theta, places, data.camera)
+        residual = data.seen - predicted - (by_place @ (data.known - places)[:, :, None])[:, :, 0]
+        spread = by_place @ data.known_covariance
+        weight = np.linalg.inv(data.seen_covariance + spread @ by_place.transpose(0, 2, 1))
+        moved = data.known + (spread.transpose(0, 2, 1) @ weight @ residual[:, :, None])[:, :, 0]
+        settled = np.abs(moved - places).max() <= 1e-12 * (np.abs(moved).max() + 1e-300)
+        places = moved
+        if settled:
             break
-    free = np.trace(inverse_information(state.information) @ state.data_information)
-    return Solution(
-        theta=theta,
-        places=state.places,
-        information=state.information,
-        cost=state.cost,
-        distances=state.distances,
-        degrees=measurements.count - round(float(free)),
-    )
+    return Residuals(residual, np.asarray(weight, np.float64), by_theta)
+
+
+def maximise(problem: Likelihood, used: BoolArray, start: Float64Array) -> Solution:
+    """Find the most likely theta (P,) of the used pairs, from an initial one.
+
+    Raises
+    ------
+    CalibrationError
+        The pairs determine none.
+    """
+    data = problem.measurements.keep(used)
+    newest: dict[bytes, tuple[Float64Array, Float64Array]] = {}
+
+    def system(theta: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Return whitened residuals of pairs and prior, and their derivative."""
+        if theta.tobytes() not in newest:
+            design, residual = residuals_at(problem, theta, data).whitened()
+            extra, by_extra = problem.prior(theta)
+            newest.clear()
+            newest[theta.tobytes()] = (
+                np.append(residual, extra),
+                np.vstack([-design.reshape(-1, len(theta)), by_extra]),
+            )
+        return newest[theta.tobytes()]
+
+    def residuals(theta: Float64Array) -> Float64Array:
+        return system(theta)[0]
+
+    def derivative(theta: Float64Array) -> Float64Array:
+        return system(theta)[1]
+
+    try:
+        with np.errstate(all="ignore"):
+            found = least_squares(
+                residuals, start, derivative, method="lm", x_scale="jac", ftol=_TOLERANCE, xtol=_TOLERANCE,
+                gtol=_TOLERANCE, max_nfev=_MAX_EVALUATIONS,
+            )  # fmt: skip
+            final, rows = system(found.x)
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise CalibrationError(
+            f"the pairs determine no {problem.name} ({error}); spread them over the image"
+        ) from error
+    information, by_prior = rows.T @ rows, problem.prior(found.x)[1]
+    free = np.trace(inverse_information(information) @ (information - by_prior.T @ by_prior))
+    return Solution(found.x, information, float(final @ final), data.count - round(float(free)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +195,7 @@ class Examined:
     spread : float64, shape (N,)
         Square root of the determinant of each residual's covariance, first two components: an area over 2 pi.
     information : float64, shape (P, P)
-        Information that all pairs together would give.
+        Information that all pairs together and the prior would give.
     """
 
     distances: Float64Array
@@ -202,77 +204,26 @@ class Examined:
     information: Float64Array
 
 
-def examine(
-    solution: Solution[Theta], measurements: Measurements, linearise: Linearise[Theta], used: BoolArray
-) -> Examined:
-    """Judge all pairs, N of them, by a solution fitted to ``measurements.keep(used)``.
+def examine(problem: Likelihood, solution: Solution, used: BoolArray) -> Examined:
+    """Judge all pairs, N of them, by a solution fitted to the used ones.
 
     The covariance of the residual is ``W - A C A^T`` for a pair that the fit used (Cook and Weisberg, *Residuals and
     Influence in Regression*, section 2.2), and ``W + A C A^T`` for one that it did not. Both distances follow a
     chi-square distribution with M degrees of freedom, times the squared noise factor.
     """
-    state = _evaluate(solution.theta, measurements.known, measurements, linearise, None)
-    covariance = inverse_information(solution.information)
-    pull = state.by_theta @ covariance @ state.by_theta.transpose(0, 2, 1)
-    noise = np.linalg.inv(state.weight)
+    at = residuals_at(problem, solution.theta, problem.measurements)
+    pull = at.by_theta @ inverse_information(solution.information) @ at.by_theta.transpose(0, 2, 1)
+    noise = np.linalg.inv(at.weight)
     values, vectors = np.linalg.eigh(noise + np.where(used, -1.0, 1.0)[:, None, None] * pull)
-    along = (vectors.transpose(0, 2, 1) @ state.residual[:, :, None])[:, :, 0]
+    along = (vectors.transpose(0, 2, 1) @ at.residual[:, :, None])[:, :, 0]
     floor = 1e-9 * np.trace(noise, axis1=1, axis2=2)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         distances = np.where(values > floor, along**2 / values, np.where(used[:, None], np.inf, 0.0)).sum(axis=1)
         grown = noise @ vectors @ (along / values)[:, :, None]
     left_out = np.where((used & (values <= floor).any(axis=1))[:, None], np.nan, grown[:, :, 0])
-    return Examined(distances, left_out, np.sqrt(np.linalg.det(noise[:, :2, :2])), state.information)
-
-
-def _evaluate(
-    theta: Theta,
-    places: Float64Array,
-    measurements: Measurements,
-    linearise: Linearise[Theta],
-    prior: Prior[Theta] | None,
-) -> _State:
-    known, known_covariance = measurements.known, measurements.known_covariance
-    for _ in range(_INNER_STEPS):
-        predicted, by_theta, by_place = linearise(theta, places, measurements.camera)
-        residual = measurements.seen - predicted - (by_place @ (known - places)[:, :, None])[:, :, 0]
-        spread = by_place @ known_covariance
-        weight = np.linalg.inv(measurements.seen_covariance + spread @ by_place.transpose(0, 2, 1))
-        weighted = (weight @ residual[:, :, None])[:, :, 0]
-        moved = known + (spread.transpose(0, 2, 1) @ weighted[:, :, None])[:, :, 0]
-        settled = np.abs(moved - places).max() <= 1e-12 * (np.abs(moved).max() + 1e-300)
-        places = moved
-        if settled:
-            break
-    shares = (residual * weighted).sum(axis=1)
-    rows = by_theta.reshape(-1, by_theta.shape[2])
-    information = rows.T @ (weight @ by_theta).reshape(rows.shape)
-    gradient = rows.T @ weighted.ravel()
-    data_information = information
-    cost = float(shares.sum())
-    if prior is not None:
-        extra, derivative = prior.residuals(theta)
-        cost += float(extra @ extra)
-        gradient = gradient - derivative.T @ extra
-        information = information + derivative.T @ derivative
-    return _State(
-        cost,
-        shares,
-        places,
-        gradient,
-        information,
-        residual,
-        np.asarray(weight, np.float64),
-        by_theta,
-        data_information,
-    )
-
-
-def _solve(matrix: Float64Array, right: Float64Array) -> Float64Array:
-    """Solve symmetric equations after scaling to a unit diagonal, because the units are mixed."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    scaled = matrix * scale[:, None] * scale
-    return np.asarray(scale * np.linalg.lstsq(scaled, right * scale, rcond=None)[0])
+    by_prior = problem.prior(solution.theta)[1]
+    information = np.einsum("nmp,nml,nlq->pq", at.by_theta, at.weight, at.by_theta, optimize=True)
+    return Examined(distances, left_out, np.sqrt(np.linalg.det(noise[:, :2, :2])), information + by_prior.T @ by_prior)
 
 
 def inverse_information(information: Float64Array) -> Float64Array:

@@ -15,7 +15,7 @@ from ..preset.checks import rig_in_use
 from .calibrate import rigid_points
 from .quality import PatchEffect, millimetres_per_pixel, patch_effect
 from .report import CalibrationReport
-from .rigid import Pose, RigidPoints, color_pose, color_to_depth_pixels, ray_seen
+from .rigid import Pose, RigidPoints, clicks_in_depth
 from .texture import measure_pairs
 
 #: Drift above which to calibrate again, pixels; or the calibration's own 95 % bound, if larger.
@@ -83,14 +83,13 @@ def recheck(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
             f"frame {frame.sequence} has no tactile colour image to compare; use a source that has one"
         )
     section, rig = preset.alignment, rig_in_use(preset, rig)
-    T_p_t = tactile_pose(section, rig)
-    pose = Pose(T_p_t[:3, :3], T_p_t[:3, 3], section.depth_scale, section.depth_offset_m)
+    pose = _present_pose(preset, rig)
     record = section.calibration
     stored = np.array([[p.tactile_u, p.tactile_v] for p in record.points if p.enabled] if record else []).reshape(-1, 2)
     points, found_again = measure_pairs(frame, rig, pose)[0], 0
     if len(stored):
         again, _ = measure_pairs(frame, rig, pose, stored)
-        points, found_again = _both(again, points), len(again.tactile)
+        points, found_again = RigidPoints.joined([again, points]), len(again.tactile)
     if len(points.tactile) < _MIN_FOUND:
         raise CalibrationError(
             f"only {len(points.tactile)} places look alike in both colour images; "
@@ -156,12 +155,11 @@ def replacement(report: CalibrationReport, preset: Preset) -> Replacement | None
     pairs = [pair for pair in report.pairs if pair.id in used and pair.tactile_depth_m is not None]
     section = preset.alignment
     try:
-        T_p_t = tactile_pose(section, rig)
+        pose = _present_pose(preset, rig)
     except RigMismatchError:
         return None
     if not pairs:
         return None
-    pose = Pose(T_p_t[:3, :3], T_p_t[:3, 3], section.depth_scale, section.depth_offset_m)
     found, predicted = _found_and_predicted(rigid_points(pairs), preset, rig, pose)
     squared_px = float(np.mean(((found - predicted) ** 2).sum(axis=1)))
     noise = 0.0 if chosen.rms_px is None else chosen.rms_px**2 * 2 * len(used) / chosen.degrees
@@ -187,11 +185,10 @@ def _present_effect(report: CalibrationReport, preset: Preset, pose: Pose) -> Pa
     """
     rig, spread = report.rig, report.chosen.map
     places = spread.places
-    rays = ray_seen(rig.tactile.intrinsics, places[:, :2])
     depth = pose.scale * places[:, 2] + pose.offset_m
-    points = np.column_stack([rays * depth[:, None], depth]) @ pose.rotation.T + pose.translation
+    points = pose.points_m(rig.tactile.intrinsics, places)
     by_pose = preset.alignment.model == "rigid"
-    predicted = rig.proximity.intrinsics.project(points) if by_pose else _mapped(preset, rig, places[:, :2])
+    predicted = _predicted(preset, rig, places, points)
     gap_px = np.hypot(*(predicted - spread.proximity).T)
     lateral_px = np.sqrt(np.maximum(gap_px**2 - spread.sigma_px**2, 0.0))
     distance = depth if report.rigid is None else report.rigid.points_m(places)[:, 2]
@@ -203,32 +200,22 @@ def _found_and_predicted(
     points: RigidPoints, preset: Preset, rig: Rig, pose: Pose
 ) -> tuple[Float64Array, Float64Array]:
     """Return proximity depth pixels (N, 2): found, and predicted by the preset."""
-    rays = ray_seen(rig.tactile.intrinsics, points.tactile)
-    depth = pose.scale * points.tactile_depth_m + pose.offset_m
-    space = np.column_stack([rays * depth[:, None], depth]) @ pose.rotation.T + pose.translation
-    T_color_depth = color_pose(rig)
-    distance = space @ T_color_depth[2, :3] + T_color_depth[2, 3]
-    from_color = color_to_depth_pixels(rig, points.proximity, distance)
-    found = np.where(points.in_color[:, None], from_color, points.proximity)
+    space = pose.points_m(rig.tactile.intrinsics, points.places)
+    found = clicks_in_depth(rig, points.proximity, points.in_color, space)
+    return found, _predicted(preset, rig, points.places, space)
+
+
+def _predicted(preset: Preset, rig: Rig, places: Float64Array, points_m: Float64Array) -> Float64Array:
+    """Return where the preset's alignment maps places (N, 3): proximity depth pixels (N, 2)."""
     if preset.alignment.model == "rigid":
-        return found, rig.proximity.intrinsics.project(space)
-    return found, _mapped(preset, rig, points.tactile)
-
-
-def _mapped(preset: Preset, rig: Rig, tactile: Float64Array) -> Float64Array:
-    """Map tactile pixels (N, 2) to proximity depth pixels by the preset's homography."""
-    x, y, w = tactile_homography(preset.alignment, rig) @ np.column_stack([tactile, np.ones(len(tactile))]).T
+        return rig.proximity.intrinsics.project(points_m)
+    x, y, w = tactile_homography(preset.alignment, rig) @ np.column_stack([places[:, :2], np.ones(len(places))]).T
     return np.column_stack([x / w, y / w])
 
 
-def _both(first: RigidPoints, second: RigidPoints) -> RigidPoints:
-    return RigidPoints(
-        np.concatenate([first.tactile, second.tactile]),
-        np.concatenate([first.tactile_depth_m, second.tactile_depth_m]),
-        np.concatenate([first.proximity, second.proximity]),
-        np.concatenate([first.in_color, second.in_color]),
-        np.concatenate([first.proximity_depth_m, second.proximity_depth_m]),
-    )
+def _present_pose(preset: Preset, rig: Rig) -> Pose:
+    section = preset.alignment
+    return Pose.of(tactile_pose(section, rig), section.depth_scale, section.depth_offset_m)
 
 
 def _sentence(drift: float, drift_mm: float, limit: float, count: int) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Literal
@@ -17,7 +17,7 @@ from ..model.frames import Rig
 from ..preset import AlignmentSection, HomographyAlignment, Preset, RigidAlignment, now
 from ..preset.alignment import CalibrationRecord, ClickedPair, ModelSummary, SnapshotRecord
 from .agreement import Agreement
-from .correspondences import Correspondence
+from .correspondences import Correspondence, listed
 from .depth_advice import DepthAdvice
 from .distortion import DistortionAdvice
 from .homography import HomographyFit
@@ -120,25 +120,31 @@ class ModelQuality:
         """Root mean square residual of regions under the fit of the other correspondences."""
         return self.agreement.cross_validated_px
 
-    def to_json(self) -> dict[str, Any]:
-        """Return JSON values without the map; missing numbers are None."""
+    @property
+    def summary(self) -> dict[str, Any]:
+        """The numbers that a preset keeps, as JSON values."""
         return {
             "rms_px": self.rms_px,
+            "cross_validated_px": self.cross_validated_px,
+            "alignment_px": self.alignment_px,
+            "alignment_bound_95_px": self.alignment_bound_95_px,
+            "boundary_error_mm": self.effect.boundary_mm,
+            "supported_tolerance": self.effect.supported_tolerance,
+            "excluded": list(self.excluded),
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """Return JSON values without the map; missing numbers are None."""
+        return self.summary | {
             "rms_mm": self.rms_mm,
             "worst_px": self.worst_px,
             "worst_id": self.worst_id,
-            "cross_validated_px": self.cross_validated_px,
             "agreement": self.agreement.to_json(),
             "click_noise_px": self.click_noise_px,
             "degrees_of_freedom": self.degrees,
             "condition_number": self.condition,
-            "alignment_px": self.alignment_px,
             "alignment_mm": self.alignment_mm,
-            "alignment_bound_95_px": self.alignment_bound_95_px,
-            "boundary_error_mm": self.effect.boundary_mm,
             "depth_difference_mm": self.effect.depth_mm,
-            "supported_tolerance": self.effect.supported_tolerance,
-            "excluded": list(self.excluded),
             "doubtful": list(self.doubtful),
             "pairs": [{name: _number_or_none(value) for name, value in vars(pair).items()} for pair in self.pairs],
         }
@@ -221,16 +227,10 @@ class CalibrationReport:
             "depth_scale": None if rigid is None else rigid.pose.scale,
             "depth_offset_m": None if rigid is None else rigid.pose.offset_m,
             "pose_uncertainty": None if rigid is None else _pose_uncertainty(rigid),
-            "rms_px": chosen.rms_px,
-            "cross_validated_px": chosen.cross_validated_px,
-            "alignment_px": chosen.alignment_px,
-            "alignment_bound_95_px": chosen.alignment_bound_95_px,
-            "boundary_error_mm": chosen.effect.boundary_mm,
-            "supported_tolerance": chosen.effect.supported_tolerance,
+            **chosen.summary,
             "verdict": self.verdict,
             "warnings": list(self.warnings),
             "points": len(chosen.pairs),
-            "excluded": list(chosen.excluded),
             "coverage": {
                 "cells": [list(row) for row in self.coverage.cells],
                 "share": self.coverage.share,
@@ -243,7 +243,6 @@ class CalibrationReport:
 
     def record(self, snapshots: tuple[SnapshotRecord, ...] = ()) -> CalibrationRecord:
         """Return the record of this calibration for a preset."""
-        chosen = self.chosen
         return CalibrationRecord(
             date=self.date,
             model=self.model,
@@ -252,15 +251,7 @@ class CalibrationReport:
             verdict=self.verdict,
             points=tuple(ClickedPair(**vars(pair)) for pair in self.pairs),
             snapshots=snapshots,
-            quality=ModelSummary(
-                rms_px=chosen.rms_px,
-                cross_validated_px=chosen.cross_validated_px,
-                alignment_px=chosen.alignment_px,
-                alignment_bound_95_px=chosen.alignment_bound_95_px,
-                boundary_error_mm=chosen.effect.boundary_mm,
-                supported_tolerance=chosen.effect.supported_tolerance,
-                excluded=chosen.excluded,
-            ),
+            quality=ModelSummary(**self.chosen.summary),
         )
 
     def apply_to(
@@ -316,7 +307,7 @@ class CalibrationReport:
         """Return the whole report as text."""
         lines = [f"Model: {self.model}. {self.reason}", self.depth_advice.reason]
         if self.distortion_used:  # otherwise the verdict says it
-            lines.append(self.distortion.sentence.replace("Estimate", "Estimated", 1))
+            lines.append(self.distortion.result)
         lines += ["", _table(self)]
         chosen = self.chosen
         lines += [f"Not fitted, {name}: {reason}" for name, reason in self.refused.items()]
@@ -326,7 +317,7 @@ class CalibrationReport:
         depth = f"; depth {1e3 * low_high[0]:.0f} to {1e3 * low_high[1]:.0f} mm" if low_high else "; no depths"
         cells = " / ".join(" ".join(str(count) for count in row) for row in self.coverage.cells)
         lines.append(f"Points per cell of the image: {cells}{depth}")
-        lines.append(f"Pairs under the {self.model} model (px: dX, dY, length, left out; mm):")
+        lines.append(f"Pairs under the {self.model} model (px: dX, dY, length, cross-validated; mm):")
         for pair in chosen.pairs:
             mark = "" if pair.used else "  left out: disagrees with the others"
             lines.append(
@@ -341,7 +332,7 @@ class CalibrationReport:
 NUMBERS: tuple[tuple[str, str, Callable[[ModelQuality], float | None]], ...] = (
     ("residual, RMS", "px", lambda q: q.rms_px),
     ("worst residual", "px", lambda q: q.worst_px),
-    ("cross-validated", "px", lambda q: q.cross_validated_px),
+    ("cross-validated residual", "px", lambda q: q.cross_validated_px),
     ("expected alignment error", "px", lambda q: q.alignment_px),
     ("  its 95 % bound", "px", lambda q: q.alignment_bound_95_px),
     ("expected alignment error", "mm", lambda q: q.alignment_mm),
@@ -371,12 +362,10 @@ def _pose_words(rigid: RigidFit) -> str:
 
 
 def _pose_uncertainty(rigid: RigidFit) -> dict[str, float | None]:
-    covariance: Float64Array = rigid.covariance
-    variance = np.diag(covariance)
-    scale, offset_m = rigid.depth_sigma
+    (turn_rad, shift_m), (scale, offset_m) = rigid.pose_sigma, rigid.depth_sigma
     return {
-        "rotation_deg": math.degrees(math.sqrt(variance[:3].sum())),
-        "translation_mm": 1e3 * math.sqrt(variance[3:6].sum()),
+        "rotation_deg": math.degrees(turn_rad),
+        "translation_mm": 1e3 * shift_m,
         "scale": scale,
         "offset_mm": None if offset_m is None else 1e3 * offset_m,
     }
@@ -415,10 +404,7 @@ def grade(quality: ModelQuality) -> str:
     """Return the grade of a fit, and what disagrees, in one sentence each."""
     if quality.degrees <= 0:
         used = sum(pair.used for pair in quality.pairs)
-        return (
-            f"Unknown: {used} points fit a {quality.model} exactly, so residuals of 0 mean nothing; clicks of usual "
-            f"noise would leave an alignment error of {quality.alignment_px:.1f} px."
-        )
+        return f"Unknown: a {quality.model} fits any {used} pairs, so their residuals mean nothing."
     effect = quality.effect
     good = quality.alignment_px <= GOOD_PX and effect.boundary_mm <= GOOD_MM and not quality.agreement.sloppy
     usable = quality.alignment_px <= USABLE_PX and effect.boundary_mm <= USABLE_MM
@@ -438,15 +424,15 @@ def next_step(quality: ModelQuality, coverage: Coverage, proximity: Float64Array
         worst = max((pair for pair in quality.pairs if not pair.used), key=lambda pair: pair.residual_px)
         them = "them" if len(quality.excluded) > 1 else "it"
         return (
-            f"Click {_listed(quality.excluded)} again or delete {them}: left out, because the others contradict {them} "
+            f"Click {listed(quality.excluded)} again or delete {them}: left out, because the others contradict {them} "
             f"(pair {worst.id} by {worst.residual_px:.0f} px){_or_doubtful(quality)}."
         )
     if quality.doubtful:
         who = "one of them" if len(quality.doubtful) > 1 else "it"
-        return f"Click {_listed(quality.doubtful)} again: {who} may be wrong, and the others do not decide."
+        return f"Click {listed(quality.doubtful)} again: {who} may be wrong, and the others do not decide."
     missing = ADVISED_POINTS - used
     if missing > 0:
-        return f"Add {missing} more point{'s' if missing > 1 else ''}: with six the quality can be estimated."
+        return f"Click at least {missing} more: with six the quality can be estimated."
     found = (
         quality.agreement.next_step()
         or _large_residuals(quality)
@@ -464,16 +450,7 @@ def next_step(quality: ModelQuality, coverage: Coverage, proximity: Float64Array
 
 
 def _or_doubtful(quality: ModelQuality) -> str:
-    return f"; if that is right, look at {_listed(quality.doubtful)}" if quality.doubtful else ""
-
-
-def _listed(ids: Sequence[str]) -> str:
-    """Return up to five pairs by name, such as ``"pairs 3, 5 and 6"``."""
-    if len(ids) == 1:
-        return f"pair {ids[0]}"
-    if len(ids) > 5:
-        return f"pairs {', '.join(ids[:5])}, ..."
-    return f"pairs {', '.join(ids[:-1])} and {ids[-1]}"
+    return f"; if that is right, look at {listed(quality.doubtful)}" if quality.doubtful else ""
 
 
 def _large_residuals(quality: ModelQuality) -> str:
@@ -487,7 +464,7 @@ def _large_residuals(quality: ModelQuality) -> str:
         return ""
     errors = " and ".join(f"{pair.residual_px:.1f}" for pair in bad)
     return (
-        f"Click {_listed([pair.id for pair in bad])} again: {errors} px from the fit, half of all pairs are within "
+        f"Click {listed([pair.id for pair in bad])} again: {errors} px from the fit, half of all pairs are within "
         f"{usual:.1f} px."
     )
 

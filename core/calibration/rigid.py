@@ -14,21 +14,21 @@ depth determine the offset, because it bends parallax over depth.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, get_args
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
-from ..model.arrays import BoolArray, Float64Array, IndexArray
+from ..model.arrays import AnyArray, BoolArray, Float64Array, IndexArray
 from ..model.frames import Rig
 from ..model.intrinsics import Intrinsics
 from .correspondences import check_space, on_a_line, spread
+from .fit import Fit, Problem, Rival
 from .homography import CLICK_SIGMA_PX
-from .maximum_likelihood import UNMEASURED, Linearised, Measurements, Prior, inverse_information
-from .robust import Problem, Rival, RobustFit, doubtful, fit_robustly, left_out_residuals_px, numbered, rivals_px
+from .maximum_likelihood import UNMEASURED, Linearised, Measurements
+from .robust import fit_robustly
 
 #: Which correction of the tactile depth is fitted.
 DepthFit = Literal["none", "offset", "scale", "both"]
@@ -37,6 +37,8 @@ DEPTH_FITS: tuple[DepthFit, ...] = get_args(DepthFit)
 _FREE: dict[DepthFit, tuple[int, ...]] = {"none": (), "offset": (1,), "scale": (0,), "both": (0, 1)}
 
 _NEWTON_STEPS = 8
+#: A ray that leads back to a place farther from its pixel than this is beyond the fold of the lens model.
+_FOLDED_PX = 1.0
 _DIFFERENCE_PX = 0.5
 #: Standard deviations of the tactile and the proximity depth under a click, metres.
 TACTILE_DEPTH_SIGMA_M = 0.0005
@@ -46,7 +48,8 @@ BASELINE_SIGMA_M = 0.0002
 #: Standard deviations of the prior on scale and offset, from data sheets.
 _SCALE_SIGMA, _OFFSET_SIGMA_M = 0.05, 0.03
 
-#: A prior must be weighed against the observed noise, so the fit is repeated with the noise of the fit before.
+#: Priors and the proximity camera's depth have noise of their own. They are weighed against the observed noise of the
+#: clicks, so the fit is repeated with that of the fit before.
 _NOISE_ROUNDS, _MIN_NOISE = 3, 1e-6
 
 #: A pair with a larger residual is an outlier, because the rigid model is exact, pixels.
@@ -54,6 +57,15 @@ _MAX_PX = 12.0
 
 _SAMPLE = 3
 MIN_POINTS = 4
+
+
+def solve_pose(space: Float64Array, rays: Float64Array) -> tuple[AnyArray, AnyArray] | None:
+    """Return Rodrigues vector and translation by SQPnP; None where there is none, as of points on top of each other."""
+    try:
+        found, turn, shift = cv2.solvePnP(space, rays, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
+    except cv2.error:  # it asserts that the points are apart
+        return None
+    return (turn, shift) if found else None
 
 
 def ray_seen(intrinsics: Intrinsics, pixels: npt.ArrayLike) -> Float64Array:
@@ -75,9 +87,17 @@ def ray_seen(intrinsics: Intrinsics, pixels: npt.ArrayLike) -> Float64Array:
     if not intrinsics.has_distortion:
         return rays
     focal = np.array([intrinsics.fx, intrinsics.fy])
-    for _ in range(_NEWTON_STEPS):
-        rays = rays + (pixels - _project_rays(intrinsics, rays)) / focal
+    with np.errstate(all="ignore"):  # there is no ray beyond the fold
+        for _ in range(_NEWTON_STEPS):
+            rays = rays + (pixels - _project_rays(intrinsics, rays)) / focal
     return rays
+
+
+def has_ray(intrinsics: Intrinsics, pixels: Float64Array) -> BoolArray:
+    """Tell to which pixels (N, 2) a ray leads: to none beyond the fold of the lens model."""
+    with np.errstate(all="ignore"):
+        off = np.abs(_project_rays(intrinsics, ray_seen(intrinsics, pixels)) - pixels)
+    return np.asarray((off < _FOLDED_PX).all(axis=1))
 
 
 def ray_covariance(intrinsics: Intrinsics, pixels: Float64Array, sigma_px: float) -> Float64Array:
@@ -102,22 +122,32 @@ def color_lens(rig: Rig) -> Intrinsics:
     return rig.proximity.intrinsics if rig.proximity_color is None else rig.proximity_color.intrinsics
 
 
-def color_to_depth_pixels(rig: Rig, pixels: npt.ArrayLike, depth_m: npt.ArrayLike) -> Float64Array:
-    """Map pixels of the proximity colour image to proximity depth pixels.
+def to_color(rig: Rig, points_m: Float64Array) -> Float64Array:
+    """Return points (N, 3) of the proximity depth frame in the frame of the colour camera, metres."""
+    T_color_depth = color_pose(rig)
+    return np.asarray(points_m @ T_color_depth[:3, :3].T + T_color_depth[:3, 3])
 
-    The point on the colour camera's ray at the given distance is transformed by the factory extrinsics. The proximity
-    depth image is not used, because it looks through the membrane.
+
+def clicks_in_depth(rig: Rig, clicked: Float64Array, in_color: BoolArray, points_m: Float64Array) -> Float64Array:
+    """Return the proximity depth pixels (N, 2) of clicks.
+
+    A click in the colour image is a point on the colour camera's ray. Its distance is that of the given point, because
+    the proximity depth image looks through the membrane.
 
     Parameters
     ----------
-    pixels : array_like, shape (N, 2)
-    depth_m : array_like, shape (N,)
-        Distance of the membrane from the colour camera along its z axis, metres.
+    clicked : float64, shape (N, 2)
+        Pixels of the proximity depth or colour image.
+    in_color : bool, shape (N,)
+    points_m : float64, shape (N, 3)
+        Points of the membrane, about where the clicks are, in the proximity depth frame.
     """
-    rays, depth = ray_seen(color_lens(rig), pixels), np.asarray(depth_m, np.float64)[:, None]
+    depth = to_color(rig, points_m)[:, 2:]
     T_depth_color = np.linalg.inv(color_pose(rig))
-    points = np.column_stack([rays * depth, depth]) @ T_depth_color[:3, :3].T + T_depth_color[:3, 3]
-    return rig.proximity.intrinsics.project(points)
+    points = np.column_stack([ray_seen(color_lens(rig), clicked) * depth, depth]) @ T_depth_color[:3, :3].T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        pixels = rig.proximity.intrinsics.project(points + T_depth_color[:3, 3])
+    return np.where(in_color[:, None], pixels, clicked)
 
 
 def _project_rays(intrinsics: Intrinsics, rays: Float64Array) -> Float64Array:
@@ -152,6 +182,11 @@ class RigidPoints:
         """Tactile pixel and depth in one array, shape (N, 3)."""
         return np.column_stack([self.tactile, self.tactile_depth_m])
 
+    @staticmethod
+    def joined(parts: Sequence[RigidPoints]) -> RigidPoints:
+        """Return all points of some parts, at least one."""
+        return RigidPoints(**{name: np.concatenate([vars(part)[name] for part in parts]) for name in vars(parts[0])})
+
 
 @dataclass(frozen=True, eq=False)
 class Pose:
@@ -162,6 +197,12 @@ class Pose:
     scale: float = 1.0
     offset_m: float = 0.0
 
+    @staticmethod
+    def of(matrix: npt.ArrayLike, scale: float = 1.0, offset_m: float = 0.0) -> Pose:
+        """Return the pose of a matrix (4, 4)."""
+        array = np.asarray(matrix, np.float64)
+        return Pose(array[:3, :3], array[:3, 3], scale, offset_m)
+
     @property
     def matrix(self) -> Float64Array:
         """``T_p_t``, shape (4, 4)."""
@@ -169,37 +210,29 @@ class Pose:
         matrix[:3, :3], matrix[:3, 3] = self.rotation, self.translation
         return matrix
 
+    def moved(self, rays: Float64Array, depth_m: Float64Array) -> Float64Array:
+        """Return points (N, 3) in the proximity depth frame of tactile rays (N, 2) with raw depths (N,)."""
+        depth = self.scale * depth_m + self.offset_m
+        return np.asarray(np.column_stack([rays * depth[:, None], depth]) @ self.rotation.T + self.translation)
+
+    def points_m(self, lens: Intrinsics, places: Float64Array) -> Float64Array:
+        """Return points (N, 3) in the proximity depth frame of tactile pixels with raw depths (N, 3)."""
+        return self.moved(ray_seen(lens, places[:, :2]), places[:, 2])
+
 
 @dataclass(frozen=True, eq=False)
-class RigidFit:
+class RigidFit(Fit):
     """A fitted pose with its statistics.
 
-    Attributes
-    ----------
-    pose : Pose
-    used : bool, shape (N,)
-        Inliers.
-    residuals_px : float64, shape (N, 2)
-        Clicked minus predicted pixel, in the proximity image that was clicked.
-    degrees, noise_factor, condition, doubtful
-        As in `HomographyFit`.
+    Theta holds the rotation vector (rad), the translation (m) and, where fitted, scale and offset (m).
     """
 
-    pose: Pose
-    used: BoolArray
-    residuals_px: Float64Array
-    degrees: int
-    noise_factor: float
-    condition: float
-    doubtful: tuple[int, ...]
-    rig: Rig
     problem: RigidProblem
-    fit: RobustFit[Pose]
 
     @property
-    def parameters(self) -> int:
-        """Number of fitted parameters: 6, and one each for scale and offset."""
-        return len(self.fit.solution.information)
+    def pose(self) -> Pose:
+        """The fitted pose."""
+        return self.problem.pose(self.solution.theta)
 
     @property
     def T_proximity_tactile(self) -> Float64Array:
@@ -207,15 +240,15 @@ class RigidFit:
         return self.pose.matrix
 
     @property
-    def rms_px(self) -> float:
-        """Root mean square residual of the inliers in the proximity images, pixels."""
-        return float(np.sqrt((self.residuals_px[self.used] ** 2).sum(axis=1).mean()))
-
-    @property
-    def covariance(self) -> Float64Array:
-        """Covariance of rotation vector (rad), translation (m) and, where fitted, scale and offset (m)."""
-        solution = self.fit.solution
-        return np.asarray(self.fit.noise_factor**2 * inverse_information(solution.information))
+    def pose_sigma(self) -> tuple[float, float]:
+        """Standard deviations of the rotation (rad) and of the translation (m), all directions together."""
+        rotation, by_turn = cv2.Rodrigues(self.solution.theta[:3])
+        turned = by_turn.reshape(3, 3, 3) @ rotation.T
+        tangent = turned[:, (2, 0, 1), (1, 2, 0)]  # rotation about the axes by each entry of the rotation vector
+        return (
+            float(np.sqrt(np.trace(tangent.T @ self.covariance[:3, :3] @ tangent))),
+            float(np.sqrt(np.trace(self.covariance[3:6, 3:6]))),
+        )
 
     @property
     def depth_sigma(self) -> tuple[float | None, float | None]:
@@ -224,52 +257,18 @@ class RigidFit:
         scale, offset = (sigma[free.index(i)] if i in free else None for i in (0, 1))
         return scale, offset
 
-    def left_out_residuals_px(self) -> Float64Array:
-        """Return each pair's residual (N, 2) under the fit of the other pairs; nan if they determine no model."""
-        return left_out_residuals_px(self.problem, self.fit)
-
     def points_m(self, places: npt.ArrayLike) -> Float64Array:
         """Map tactile pixels and raw depths (N, 3) to points in the proximity depth frame, metres."""
-        return self._moved(self.pose, places)
-
-    def _moved(self, pose: Pose, places: npt.ArrayLike) -> Float64Array:
-        places = np.asarray(places, np.float64)
-        depth = pose.scale * places[:, 2] + pose.offset_m
-        rays = ray_seen(self.rig.tactile.intrinsics, places[:, :2])
-        return np.asarray(np.column_stack([rays * depth[:, None], depth]) @ pose.rotation.T + pose.translation)
-
-    def predict(self, places: npt.ArrayLike) -> Float64Array:
-        """Map tactile pixels and raw depths (N, 3) to proximity depth pixels (N, 2)."""
-        return self.rig.proximity.intrinsics.project(self.points_m(places))
-
-    def sensitivity(self, places: npt.ArrayLike) -> Float64Array:
-        """Return the derivative (N, 2, P) of predicted proximity depth pixels by whitened parameters.
-
-        Whitened parameters have unit covariance, so ``J J^T`` is the covariance of the prediction.
-        """
-        points, by_point = self.points_m(places), self._by_whitened(places)
-        focal = np.array([self.rig.proximity.intrinsics.fx, self.rig.proximity.intrinsics.fy])
-        ray = points[:, :2] / points[:, 2:]
-        along = by_point[:, :2] - ray[:, :, None] * by_point[:, 2:3]
-        return np.asarray(along / points[:, 2, None, None] * focal[:, None])
-
-    def rivals_px(self, places: npt.ArrayLike) -> Float64Array:
-        """As `HomographyFit.rivals_px`."""
-        project = self.rig.proximity.intrinsics.project
-        return rivals_px(self.fit, lambda pose: project(self._moved(pose, places)))
+        return self.pose.points_m(self.problem.rig.tactile.intrinsics, np.asarray(places, np.float64))
 
     def depth_sensitivity(self, places: npt.ArrayLike) -> Float64Array:
         """Return the derivative (N, P) of the distance along z, metres, by whitened parameters."""
-        return np.asarray(self._by_whitened(places)[:, 2])
-
-    def _by_whitened(self, places: npt.ArrayLike) -> Float64Array:
-        places = np.asarray(places, np.float64)
-        rays = np.column_stack([ray_seen(self.rig.tactile.intrinsics, places[:, :2]), places[:, 2]])
-        _, by_theta, _ = self.problem.transform(self.pose, rays)
-        return np.asarray(by_theta @ np.linalg.cholesky(self.covariance))
+        rays = self.problem.rays(np.asarray(places, np.float64))
+        _, by_theta, _ = self.problem.transform(self.solution.theta, rays)
+        return np.asarray((by_theta @ np.linalg.cholesky(self.covariance))[:, 2])
 
 
-class RigidProblem(Problem[Pose]):
+class RigidProblem(Problem):
     """Pose estimation in normalised coordinates; lens distortion is removed from the clicks first."""
 
     name = "rigid alignment"
@@ -279,12 +278,14 @@ class RigidProblem(Problem[Pose]):
         self,
         points: RigidPoints,
         rig: Rig,
-        sigmas: Float64Array,
+        sigmas: tuple[float, float, float],
         depth_fit: DepthFit,
         names: Sequence[str] | None,
+        observed: float,
     ) -> None:
         sigma_tactile_px, sigma_proximity_px, sigma_depth_m = sigmas
-        self.names = numbered(len(points.tactile)) if names is None else names
+        self.observed = observed
+        self.names = names or [str(number) for number in range(1, len(points.tactile) + 1)]
         self.points, self.rig, self.free = points, rig, _FREE[depth_fit]
         count = len(points.tactile)
         poses = np.stack([np.eye(4), color_pose(rig)])
@@ -304,7 +305,7 @@ class RigidProblem(Problem[Pose]):
         if self.measures_depth:
             measured = np.isfinite(points.proximity_depth_m)
             seen[:, 2] = np.where(measured, points.proximity_depth_m, 0.0)
-            seen_covariance[:, 2, 2] = np.where(measured, PROXIMITY_DEPTH_SIGMA_M**2, UNMEASURED)
+            seen_covariance[:, 2, 2] = np.where(measured, (PROXIMITY_DEPTH_SIGMA_M / observed) ** 2, UNMEASURED)
         rays = ray_seen(rig.tactile.intrinsics, points.tactile)
         known = np.column_stack([rays, points.tactile_depth_m])
         self.measurements = Measurements(
@@ -322,24 +323,52 @@ class RigidProblem(Problem[Pose]):
         self.start_rays = self._rays_of_depth_camera()
         _, self.area = spread(points.proximity)
         self.largest_px = self.largest_rms_px = _MAX_PX
-        self.prior = Prior(self._prior_residuals) if self.free else None
 
-    def transform(self, theta: Pose, places: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """Map places (ray and raw depth) to proximity points, with derivatives (N, 3, P) and (N, 3, 3)."""
-        depth = theta.scale * places[:, 2] + theta.offset_m
-        rays = np.column_stack([places[:, :2], np.ones(len(places))]) @ theta.rotation.T
-        turned = rays * depth[:, None]
-        by_theta = np.zeros((len(places), 3, 6 + len(self.free)))
-        by_theta[:, :, :3] = -_cross_matrices(turned)
+    def pose(self, theta: Float64Array) -> Pose:
+        """Return the pose of theta: rotation vector, translation and the fitted corrections."""
+        scale, offset_m = self._corrections(theta)
+        return Pose(np.asarray(cv2.Rodrigues(theta[:3])[0], np.float64), theta[3:6], scale, offset_m)
+
+    def _corrections(self, theta: Float64Array) -> tuple[float, float]:
+        corrections = [1.0, 0.0]
+        for which, value in zip(self.free, theta[6:].tolist(), strict=True):
+            corrections[which] = value
+        return corrections[0], corrections[1]
+
+    def rays(self, places: Float64Array) -> Float64Array:
+        """Return ray (x, y) and raw depth of tactile pixels with raw depths, both (N, 3)."""
+        return np.column_stack([ray_seen(self.rig.tactile.intrinsics, places[:, :2]), places[:, 2]])
+
+    def transform(self, theta: Float64Array, rays: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """Map `rays` (N, 3) to proximity points, with derivatives by theta (N, 3, P) and by rays (N, 3, 3)."""
+        rotation, by_turn = cv2.Rodrigues(theta[:3])
+        scale, offset_m = self._corrections(theta)
+        depth = scale * rays[:, 2] + offset_m
+        ahead = np.column_stack([rays[:, :2], np.ones(len(rays))])
+        turned = ahead @ rotation.T
+        by_theta = np.zeros((len(rays), 3, len(theta)))
+        by_theta[:, :, :3] = np.einsum("iab,nb->nai", by_turn.reshape(3, 3, 3), ahead * depth[:, None])
         by_theta[:, :, 3:6] = np.eye(3)
         for column, which in enumerate(self.free, 6):
-            by_theta[:, :, column] = rays if which else rays * places[:, 2:]
-        by_place = np.empty((len(places), 3, 3))
-        by_place[:, :, :2] = theta.rotation[:, :2] * depth[:, None, None]
-        by_place[:, :, 2] = rays * theta.scale
-        return turned + theta.translation, by_theta, by_place
+            by_theta[:, :, column] = turned if which else turned * rays[:, 2:]
+        by_rays = np.empty((len(rays), 3, 3))
+        by_rays[:, :, :2] = rotation[:, :2] * depth[:, None, None]
+        by_rays[:, :, 2] = turned * scale
+        return turned * depth[:, None] + theta[3:6], by_theta, by_rays
 
-    def linearise(self, theta: Pose, places: Float64Array, camera: IndexArray) -> Linearised:
+    def predict(self, theta: Float64Array, places: Float64Array) -> Float64Array:
+        """Map tactile pixels with raw depths (N, 3) to proximity depth pixels (N, 2)."""
+        points = self.pose(theta).points_m(self.rig.tactile.intrinsics, places)
+        return self.rig.proximity.intrinsics.project(points)
+
+    def sensitivity(self, theta: Float64Array, places: Float64Array) -> Float64Array:
+        """Return the derivative of `predict` by theta without lens distortion, shape (N, 2, P)."""
+        points, by_theta, _ = self.transform(theta, self.rays(places))
+        lens, ray = self.rig.proximity.intrinsics, points[:, :2] / points[:, 2:]
+        along = by_theta[:, :2] - ray[:, :, None] * by_theta[:, 2:3]
+        return np.asarray(along / points[:, 2, None, None] * np.array([lens.fx, lens.fy])[:, None])
+
+    def linearise(self, theta: Float64Array, places: Float64Array, camera: IndexArray) -> Linearised:
         """Predict rays of the clicked camera and, if measured, the distance."""
         points, by_theta, by_place = self.transform(theta, places)
         rotation = self.camera_rotation[camera]
@@ -352,57 +381,50 @@ class RigidProblem(Problem[Pose]):
             by_point = np.concatenate([by_point, along], axis=1)
         return ray, by_point @ by_theta, by_point @ by_place
 
-    def retract(self, theta: Pose, step: Float64Array) -> Pose:
-        """Rotate about and translate along the proximity axes."""
-        turn = Rotation.from_rotvec(step[:3]).as_matrix()
-        moved = replace(theta, rotation=turn @ theta.rotation, translation=theta.translation + step[3:6])
-        corrected = np.array([theta.scale, theta.offset_m])
-        corrected[list(self.free)] += step[6:]
-        return replace(moved, scale=float(corrected[0]), offset_m=float(corrected[1]))
-
-    def start(self, used: BoolArray) -> Pose | None:
+    def start(self, used: BoolArray) -> Float64Array | None:
         """Solve SQPnP on the used pairs."""
         space = self.space[used]
         if len(space) < MIN_POINTS or on_a_line(space):
             return None
-        found, turn, shift = cv2.solvePnP(
-            space, self.start_rays[used], np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP
-        )  # fmt: skip
-        return Pose(Rotation.from_rotvec(turn.ravel()).as_matrix(), shift.ravel().astype(np.float64)) if found else None
+        pose = solve_pose(space, self.start_rays[used])
+        return None if pose is None else self._uncorrected(*pose)
 
-    def hypotheses(self, samples: IndexArray) -> list[Pose]:
+    def hypotheses(self, samples: IndexArray) -> list[Float64Array]:
         """Solve P3P for each sample: up to four poses each."""
-        poses = []
+        found = []
         for sample in samples:
             if on_a_line(self.space[sample]):
                 continue
             count, turns, shifts = cv2.solveP3P(
                 self.space[sample], self.start_rays[sample], np.eye(3), None, flags=cv2.SOLVEPNP_AP3P
             )
-            for turn, shift in zip(turns[:count], shifts[:count], strict=True):
-                poses.append(Pose(Rotation.from_rotvec(turn.ravel()).as_matrix(), shift.ravel().astype(np.float64)))
-        return poses
+            found += [self._uncorrected(*pose) for pose in zip(turns[:count], shifts[:count], strict=True)]
+        return found
 
-    def residuals_px(self, theta: Pose) -> Float64Array:
+    def _uncorrected(self, turn: AnyArray, shift: AnyArray) -> Float64Array:
+        return np.concatenate([turn.ravel(), shift.ravel(), np.array([1.0, 0.0])[list(self.free)]])
+
+    def _seen(self, theta: Float64Array) -> Float64Array:
+        """Return the pairs' points (N, 3) in the frame of the camera whose image was clicked."""
+        rays, camera = self.measurements.known, self.measurements.camera
+        points = self.pose(theta).moved(rays[:, :2], rays[:, 2])
+        return np.asarray(
+            (self.camera_rotation[camera] @ points[:, :, None])[:, :, 0] + self.camera_translation[camera]
+        )
+
+    def residuals_px(self, theta: Float64Array) -> Float64Array:
         """Return residual lengths in the clicked image, without lens distortion, pixels."""
-        points = self.space @ theta.rotation.T * theta.scale
-        if theta.offset_m:
-            points += (self.space / self.space[:, 2:]) @ theta.rotation.T * theta.offset_m
-        camera = self.measurements.camera
-        seen = (self.camera_rotation[camera] @ (points + theta.translation)[:, :, None])[:, :, 0]
-        seen += self.camera_translation[camera]
+        seen = self._seen(theta)
         with np.errstate(divide="ignore", invalid="ignore"):
             distance = np.hypot(*((seen[:, :2] / seen[:, 2:] - self.measurements.seen[:, :2]) * self.focal).T)
         return np.asarray(np.where((seen[:, 2] > 0) & np.isfinite(distance), distance, np.inf))
 
-    def residual_vectors_px(self, theta: Pose) -> Float64Array:
+    def residual_vectors_px(self, theta: Float64Array) -> Float64Array:
         """Return clicked minus predicted pixel of every pair in the image that was clicked, shape (N, 2)."""
-        points, _, _ = self.transform(theta, self.measurements.known)
-        camera = self.measurements.camera
-        seen = (self.camera_rotation[camera] @ points[:, :, None])[:, :, 0] + self.camera_translation[camera]
+        seen, in_color = self._seen(theta), self.points.in_color[:, None]
         with np.errstate(divide="ignore", invalid="ignore"):
             of_depth, of_color = self.rig.proximity.intrinsics.project(seen), color_lens(self.rig).project(seen)
-        return np.asarray(self.points.proximity - np.where((camera == 1)[:, None], of_color, of_depth))
+        return np.asarray(self.points.proximity - np.where(in_color, of_color, of_depth))
 
     def _rays_of_depth_camera(self) -> Float64Array:
         """Map clicks in the colour image to rays of the depth camera, assuming the tactile distance.
@@ -414,21 +436,24 @@ class RigidProblem(Problem[Pose]):
         moved = np.column_stack([seen * depth, depth]) @ T_depth_color[:3, :3].T + T_depth_color[:3, 3]
         return np.ascontiguousarray(np.where(self.measurements.camera[:, None] == 1, moved[:, :2] / moved[:, 2:], seen))
 
-    def _prior_residuals(self, theta: Pose) -> tuple[Float64Array, Float64Array]:
-        """Return how far scale and offset are from none, and, if the scale is fitted, the baseline from the stated."""
-        apart, sigma = (theta.scale - 1.0, theta.offset_m), (_SCALE_SIGMA, _OFFSET_SIGMA_M)
+    def prior(self, theta: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Return how far scale and offset are from none, and, if the scale is fitted, the baseline from the stated.
+
+        In units of the stated noise of the clicks over the observed one.
+        """
+        apart, sigma = self._corrections(theta) - np.array([1.0, 0.0]), (_SCALE_SIGMA, _OFFSET_SIGMA_M)
         residuals = [apart[which] / sigma[which] for which in self.free]
-        derivative = np.zeros((len(self.free) + 1, 6 + len(self.free)))
+        derivative = np.zeros((len(self.free) + 1, len(theta)))
         for row, which in enumerate(self.free):
             derivative[row, 6 + row] = 1.0 / sigma[which]
         stated = self.rig.T_proximity_tactile
         if stated is None or 0 not in self.free:
-            return np.array(residuals), derivative[:-1]
-        baseline = float(np.linalg.norm(theta.translation))
+            return self.observed * np.array(residuals), self.observed * derivative[:-1]
+        baseline = float(np.linalg.norm(theta[3:6]))
         stated_baseline = float(np.linalg.norm(np.asarray(stated)[:3, 3]))
         residuals.append((baseline - stated_baseline) / BASELINE_SIGMA_M)
-        derivative[-1, 3:6] = theta.translation / (baseline * BASELINE_SIGMA_M)
-        return np.array(residuals), derivative
+        derivative[-1, 3:6] = theta[3:6] / (baseline * BASELINE_SIGMA_M)
+        return self.observed * np.array(residuals), self.observed * derivative
 
 
 def fit_rigid(
@@ -468,34 +493,14 @@ def fit_rigid(
     least = MIN_POINTS + (1 if free else 0)
     name = f"rigid alignment{' with depth correction' if free else ''}"
     check_space(points.places, points.proximity, least, name)
-    stated, observed = np.array([sigma_tactile_px, sigma_proximity_px, sigma_depth_m]), 1.0
+    sigmas, observed = (sigma_tactile_px, sigma_proximity_px, sigma_depth_m), 1.0
     known: BoolArray | None = None
-    rivals: tuple[Rival[Pose], ...] = ()
+    rivals: tuple[Rival, ...] = ()
     if like is not None:
         known, observed = like.used, like.noise_factor
     for _ in range(_NOISE_ROUNDS if free and like is None else 1):
-        problem = RigidProblem(points, rig, observed * stated, depth_fit, names)
+        problem = RigidProblem(points, rig, sigmas, depth_fit, names, observed)
         fit = fit_robustly(problem, known)
         rivals = fit.rivals or rivals  # only the first round looks for them
-        known, observed = fit.used, max(observed * fit.noise_factor, _MIN_NOISE)
-    fit = replace(fit, rivals=rivals)
-    return RigidFit(
-        pose=fit.solution.theta,
-        used=fit.used,
-        residuals_px=problem.residual_vectors_px(fit.solution.theta),
-        degrees=fit.solution.degrees,
-        noise_factor=observed,
-        condition=fit.condition,
-        doubtful=doubtful(fit),
-        rig=rig,
-        problem=problem,
-        fit=fit,
-    )
-
-
-def _cross_matrices(vectors: Float64Array) -> Float64Array:
-    matrices = np.zeros((len(vectors), 3, 3))
-    x, y, z = vectors.T
-    matrices[:, 0, 1], matrices[:, 0, 2], matrices[:, 1, 2] = -z, y, -x
-    matrices[:, 1, 0], matrices[:, 2, 0], matrices[:, 2, 1] = z, -y, x
-    return matrices
+        known, observed = fit.used, max(fit.noise_factor, _MIN_NOISE)
+    return RigidFit(problem, fit.solution, fit.used, rivals)

@@ -21,7 +21,7 @@ from ..model.arrays import BoolArray, Float32Array, Float64Array, IndexArray, Ui
 from ..model.frames import Rig, SensorFrame
 from .correspondences import Correspondence
 from .detect import to_gray
-from .rigid import Pose, RigidFit, RigidPoints, color_lens, color_pose, fit_rigid, ray_seen
+from .rigid import Pose, RigidFit, RigidPoints, color_lens, fit_rigid, to_color
 from .snapshots import depth_under
 
 _ROUNDS = 3
@@ -34,6 +34,8 @@ _MIN_PAIRS = 12
 _RATIO = 0.8
 #: Standard deviation of a matched droplet, pixels.
 _MATCH_SIGMA_PX = 0.15
+#: Images of different scenes agree by chance within `_REACH_PX`; a lens without its distortion agrees to this, pixels.
+_MAX_RMS_PX = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +83,7 @@ def match_texture(frames: Sequence[SensorFrame], rig: Rig) -> TextureMatches:
             )
     stated = rig.T_proximity_tactile
     views = [_View(number, frame, rig) for number, frame in enumerate(frames)]
-    start = _pose_of(stated) if stated is not None else _fit(_described(views), rig).pose
+    start = Pose.of(stated) if stated is not None else _fit(_described(views), rig).pose
     found = _guided(views, rig, start)
     if len(found.points.tactile) < _MIN_PAIRS and stated is not None:
         start = _fit(_described(views), rig).pose
@@ -89,6 +91,12 @@ def match_texture(frames: Sequence[SensorFrame], rig: Rig) -> TextureMatches:
     for _ in range(_ROUNDS - 1):
         found = _guided(views, rig, _fit(found, rig).pose)
     fit = _fit(found, rig)
+    if fit.rms_px > _MAX_RMS_PX:
+        raise CalibrationError(
+            f"the {len(found.points.tactile)} places that look alike in both colour images agree only to "
+            f"{fit.rms_px:.1f} px, right ones agree to {_MAX_RMS_PX:g} px; check that both images show the same "
+            "scene, or click the points"
+        )
     return _proposed(found, fit, rig)
 
 
@@ -199,11 +207,7 @@ def _tracked(source: Uint8Array, target: Uint8Array, start: Float32Array) -> tup
 
 def _color_pixels(places: Float64Array, rig: Rig, pose: Pose) -> Float64Array:
     """Map tactile places (N, 3) to proximity colour pixels (N, 2) by a pose."""
-    depth = pose.scale * places[:, 2] + pose.offset_m
-    rays = ray_seen(rig.tactile.intrinsics, places[:, :2])
-    points = np.column_stack([rays * depth[:, None], depth]) @ pose.rotation.T + pose.translation
-    T_color_depth = color_pose(rig)
-    return color_lens(rig).project(points @ T_color_depth[:3, :3].T + T_color_depth[:3, 3])
+    return color_lens(rig).project(to_color(rig, pose.points_m(rig.tactile.intrinsics, places)))
 
 
 def _described(views: list[_View]) -> _Found:
@@ -270,15 +274,8 @@ def _color_points(places: Float64Array, proximity: Float64Array) -> RigidPoints:
 def _joined(parts: list[_Found]) -> _Found:
     if not parts:
         return _Found(_color_points(np.zeros((0, 3)), np.zeros((0, 2))), np.zeros(0, np.intp), np.zeros(0))
-    points = [part.points for part in parts]
     return _Found(
-        RigidPoints(
-            np.concatenate([p.tactile for p in points]),
-            np.concatenate([p.tactile_depth_m for p in points]),
-            np.concatenate([p.proximity for p in points]),
-            np.concatenate([p.in_color for p in points]),
-            np.concatenate([p.proximity_depth_m for p in points]),
-        ),
+        RigidPoints.joined([part.points for part in parts]),
         np.concatenate([part.view for part in parts]),
         np.concatenate([part.likeness for part in parts]),
     )
@@ -308,8 +305,3 @@ def _filled(depth_m: Float64Array, valid: BoolArray) -> Float64Array:
     smooth = cv2.GaussianBlur(np.where(valid, depth_m, 0.0), (0, 0), 2.5)
     usual = float(np.median(depth_m[valid])) if valid.any() else 0.3
     return np.asarray(np.where(weight > 0.05, smooth / np.maximum(weight, 0.05), usual))
-
-
-def _pose_of(matrix: npt.ArrayLike) -> Pose:
-    array = np.asarray(matrix, np.float64)
-    return Pose(array[:3, :3], array[:3, 3])

@@ -62,13 +62,15 @@ class ContactPipeline:
     """
 
     def __init__(self, preset: Preset, rig: Rig, *, still: Still | None = None) -> None:
-        self._stated = rig
-        self.rig = rig = rig_in_use(preset, rig)
-        self.warnings = check_rig(preset, rig)
-        self._still = still
+        self._recording_rig, self._still = rig, still
+        self._start(preset)
+
+    def _start(self, preset: Preset) -> None:
+        """Begin anew with a preset, with the lenses that it knows."""
+        rig = rig_in_use(preset, self._recording_rig)
+        warnings, alignment = check_rig(preset, self._recording_rig), make_alignment(preset.alignment, rig)  # may raise
+        self.rig, self.warnings, self._alignment, self._preset = rig, warnings, alignment, preset
         self._workspace = Workspace(rig)
-        self._preset = preset
-        self._alignment = make_alignment(preset.alignment, rig)
         self._keys = _step_keys(preset)
         self._finder: ContactFinder | None = None
         self._finder_key: Any = None
@@ -89,11 +91,10 @@ class ContactPipeline:
         RigMismatchError
             As the constructor does; the old preset then stays in use.
         """
-        rig = rig_in_use(preset, self._stated)
-        if rig != self.rig:  # other lenses: nothing of this pipeline can be kept
-            vars(self).update(vars(ContactPipeline(preset, self._stated, still=self._still)))
+        if rig_in_use(preset, self._recording_rig) != self.rig:  # other lenses: nothing computed so far can be kept
+            self._start(preset)
             return
-        warnings = check_rig(preset, self.rig)
+        warnings = check_rig(preset, self._recording_rig)
         if preset.alignment.geometry != self._preset.alignment.geometry:
             self._alignment = make_alignment(preset.alignment, self.rig)
         self._average_over(preset)

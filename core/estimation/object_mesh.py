@@ -13,10 +13,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..errors import MissingExtraError, SourceError
-from ..evaluation.scan.scan import UNITS_M, read_triangles, triangle_areas
+from ..evaluation.scan.scan import read_triangles, triangle_areas
 from ..model.arrays import BoolArray, Float64Array, Int32Array
+from ..model.units import UNITS_M
 from ..sources.simulator.scenes import Scene
-from ..sources.simulator.source import SimulatorSource
 
 #: Suffixes of meshes.
 SUFFIXES: Final = (".obj", ".ply", ".stl")
@@ -202,17 +202,12 @@ def load_mesh(path: Path | str, unit: str | None = None) -> ObjectMesh:
     tried = f"in {unit}" if unit else "in m or in mm"
     raise SourceError(
         f"{path} is {size:.4g} across, which {tried} is no object of {1e3 * _SMALLEST_M:g} mm to {_LARGEST_M:g} m; "
-        "check its unit"
+        f"check its unit, which is one of {', '.join(UNITS_M)}"
     )
 
 
-def simulated_mesh(source: SimulatorSource) -> ObjectMesh:
-    """Return the mesh of the simulator's object, in the frame of its true pose."""
-    return mesh_of_scene(source.scene, source.name)
-
-
-def mesh_of_scene(scene: Scene, name: str) -> ObjectMesh:
-    """Return the mesh of the object of a simulator's scene that need not be open."""
+def simulated_mesh(scene: Scene, name: str) -> ObjectMesh:
+    """Return the mesh of the object of a simulator's scene, in the frame of its true pose."""
     from ..evaluation.scan.simulated import object_surface
 
     vertices, quads = object_surface(scene.pressed.kind, _SIMULATED_SIDE_M)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
@@ -212,7 +213,9 @@ class PoseTracker:
         """Return whether a patch is large enough to tell a pose."""
         return len(patch_points(patch.points, self._rig, self._density_m4).points) >= _MIN_TILES
 
-    def find(self, patch: ContactPatch | npt.ArrayLike) -> Float64Array:
+    def find(
+        self, patch: ContactPatch | npt.ArrayLike, progress: Callable[[float], None] = lambda share: None
+    ) -> Float64Array:
         """Find the object in any orientation and begin there; takes some seconds.
 
         Of many starts the pose with the smallest two-way residual is taken: the patch lies on the mesh, and no part of
@@ -222,6 +225,8 @@ class PoseTracker:
         ----------
         patch : ContactPatch or array_like, shape (N, 3)
             A patch; or points in the proximity depth frame, metres, which say nothing about the membrane beside them.
+        progress : callable
+            Called with the share done, 0 to 1; may raise to end the search.
 
         Returns
         -------
@@ -241,7 +246,7 @@ class PoseTracker:
                 f"least {_MIN_TILES} are needed; press it deeper, or start from a pose"
             )
         film = Membrane.of(patch, self._preset) if isinstance(patch, ContactPatch) else None
-        found = search(self.mesh, tiles, film, len(points))
+        found = search(self.mesh, tiles, film, len(points), progress)
         if _is_lost(found):
             raise CalibrationError(
                 f"the mesh {self.mesh.name} does not fit the contact: at best {100 * found.fit.overlap:.0f} % of the "

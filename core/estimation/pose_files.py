@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import csv
-import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..errors import ExportError
+from ..errors import ExportError, TactuneError
 from ..model.files import atomic_path
 from .pose import PoseError, PoseEstimate
 
@@ -49,30 +49,56 @@ def error_record(error: PoseError | None) -> Record:
     return dict(zip(_ERRORS, map(_rounded, values), strict=True))
 
 
-def save_poses(path: Path, records: Sequence[Mapping[str, Any]]) -> None:
-    """Write records of `pose_record` by the file's suffix: ``.tum`` without lost frames, else CSV with all columns.
+@contextmanager
+def open_poses(path: Path) -> Iterator[Callable[[Mapping[str, Any]], None]]:
+    """Yield a function that writes a record of `pose_record`; the file gets its name when this ends.
 
-    Times in a ``.tum`` file increase, as ``evo`` demands: of several poses of one time, as after a jump back in a
-    recording, the last is kept.
+    A ``.tum`` file holds no lost frames, and its times increase, as ``evo`` demands; other files are CSV with all
+    columns. After a `TactuneError`, such as of an unplugged camera, the poses until then are kept.
 
     Raises
     ------
     ExportError
         There is nothing to write, or the file cannot be written.
     """
-    text = io.StringIO(newline="")
+    is_tum, rows, known, last_s = path.suffix.lower() == TUM_SUFFIX, 0, False, -math.inf
+    failure: TactuneError | None = None
+    with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file, lineterminator="\n")
+
+        def write(record: Mapping[str, Any]) -> None:
+            nonlocal rows, known, last_s
+            if is_tum and (record["lost"] or record["time_s"] <= last_s):
+                return
+            if is_tum:
+                file.write(" ".join(repr(record[key]) for key in _TUM) + "\n")
+            else:
+                table.writerows([record.values()] if rows else [record, record.values()])
+            rows, known, last_s = rows + 1, known or not record["lost"], record["time_s"]
+
+        try:
+            yield write
+        except TactuneError as error:
+            if not known:
+                raise
+            failure = error
+        if not rows:
+            raise ExportError(f"the object was in no frame, so {path} would be empty; start from another pose")
+    if failure is not None:
+        raise failure
+
+
+def save_poses(path: Path, records: Iterable[Mapping[str, Any]]) -> None:
+    """Write records as `open_poses` does.
+
+    In a ``.tum`` file, of several poses of one time, as after a jump back in a recording, the last is kept.
+    """
     if path.suffix.lower() == TUM_SUFFIX:
         newest = {record["time_s"]: record for record in records if not record["lost"]}
         records = [newest[time_s] for time_s in sorted(newest)]
-        text.writelines(" ".join(repr(record[key]) for key in _TUM) + "\n" for record in records)
-    elif records:
-        writer = csv.DictWriter(text, list(records[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(records)
-    if not records:
-        raise ExportError(f"the object was in no frame, so {path} would be empty; start from another pose")
-    with atomic_path(path) as temporary:
-        temporary.write_text(text.getvalue(), encoding="utf-8")
+    with open_poses(path) as write:
+        for record in records:
+            write(record)
 
 
 def _rounded(value: float) -> float | str:

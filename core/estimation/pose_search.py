@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -20,6 +21,8 @@ from .pose_fit import Fit, PatchPoints, fit, moved
 #: Orientations from which the whole search starts, the points and iterations of a first fit, and how many are fitted
 #: to the end.
 _ORIENTATIONS, _QUICK_POINTS, _QUICK_ROUNDS, _FINALISTS = 160, 120, 10, 10
+#: Share of the time that the first fits take.
+_QUICK_SHARE: Final = 0.9
 #: Offsets of the search around a pose, as shares of the mesh's radius, and the angles tried about a free axis.
 _NEAR_SHARES, _FREE_ANGLES = (0.0, 0.15, 0.35), 24
 _NEAR_STARTS: Final = 16
@@ -80,8 +83,14 @@ class Searched:
     cost_m: float
 
 
-def search(mesh: ObjectMesh, patch: PatchPoints, film: Membrane | None, patch_px: int) -> Searched:
-    """Search all orientations."""
+def search(
+    mesh: ObjectMesh,
+    patch: PatchPoints,
+    film: Membrane | None,
+    patch_px: int,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Searched:
+    """Search all orientations; ``progress`` gets the share done, 0 to 1, and ends the search by raising."""
     toward = patch.centre_m / np.linalg.norm(patch.centre_m)
     corners = mesh.vertices_m[mesh.triangles]
     places, normals = corners.mean(axis=1), np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -94,7 +103,7 @@ def search(mesh: ObjectMesh, patch: PatchPoints, film: Membrane | None, patch_px
         pose[:3, :3] = rotation
         pose[:3, 3] = patch.centre_m - rotation @ ((places * seen[:, None]).sum(axis=0) / seen.sum())
         starts.append(pose)
-    return _best(mesh, patch, film, patch_px, starts)
+    return _best(mesh, patch, film, patch_px, starts, progress)
 
 
 def search_near(
@@ -119,12 +128,22 @@ def search_near(
 
 
 def _best(
-    mesh: ObjectMesh, patch: PatchPoints, film: Membrane | None, patch_px: int, starts: list[Float64Array]
+    mesh: ObjectMesh,
+    patch: PatchPoints,
+    film: Membrane | None,
+    patch_px: int,
+    starts: list[Float64Array],
+    progress: Callable[[float], None] = lambda share: None,
 ) -> Searched:
     """Fit from all starts with few points, then from the best ones with all."""
     few = patch.every(max(len(patch.points) // _QUICK_POINTS, 1))
-    quick = sorted((_scored(mesh, few, film, patch_px, start, _QUICK_ROUNDS) for start in starts), key=_cost)
-    final = [_scored(mesh, patch, film, patch_px, found.fit.pose) for found in quick[:_FINALISTS]]
+    quick, final = list[Searched](), list[Searched]()
+    for number, start in enumerate(starts):
+        progress(_QUICK_SHARE * number / len(starts))
+        quick.append(_scored(mesh, few, film, patch_px, start, _QUICK_ROUNDS))
+    for number, found in enumerate(sorted(quick, key=_cost)[:_FINALISTS]):
+        progress(_QUICK_SHARE + (1 - _QUICK_SHARE) * number / _FINALISTS)
+        final.append(_scored(mesh, patch, film, patch_px, found.fit.pose))
     return min(final, key=_cost)
 
 

@@ -11,8 +11,8 @@ plane by least squares and uses what is known of the errors:
   columns, so it costs two small matrix products.
 * In contact both cameras see the same surface. So the difference of their depths shows the errors of both, and the
   error of the plane is predicted from the difference's plane and three quadratic modes (the best linear prediction, as
-  in kriging). The amplitude of the slow error is not known: it is a sum over amplitudes, weighted by how well they
-  explain the difference.
+  in kriging). The amplitude of the slow error is that measured on the rig (`rig.slow_error`). Where it was not, the
+  result is a sum over amplitudes, weighted by how well they explain the difference.
 
 The standard deviation is about the plane that fits best. It does not contain a wrong rotation between the cameras'
 calibration and the robot, nor the shape of an object that is not flat.
@@ -33,6 +33,7 @@ from ..model.intrinsics import Intrinsics
 from ..model.patch import ContactPatch
 from ..preset import Preset
 from ..preset.checks import rig_in_use
+from ..rig.slow_error import SLOW_CHANCE, SLOW_LENGTH, SLOW_M
 from .plane import Cells, DepthNoise, Functionals
 
 TiltMethod = Literal["pca", "noise"]
@@ -40,15 +41,13 @@ TiltMethod = Literal["pca", "noise"]
 #: Noise of an L515 and a D405, in proximity pixels, for a rig whose noise was not measured.
 _USUAL_PROXIMITY: Final = DepthNoise(0.0002, 0.0009, 2.0, 0.5, 0.285, power=0)
 _USUAL_TACTILE: Final = DepthNoise(0.0003, 0.0011, 6.0, 0.5, 0.285, power=2)
-#: Amplitudes of a proximity error that varies slowly over the image, metres, and how likely they are before the frame
-#: is seen; the one that is assumed where no difference shows it; its length as a share of the image's width.
-_SLOW_M: Final = np.array([0.0, 0.0001, 0.0002, 0.0004, 0.0008])
-_SLOW_CHANCE: Final = np.array([0.3, 0.175, 0.175, 0.175, 0.175])
+#: Slow error that is assumed where it was not measured and no difference shows it, metres.
 _USUAL_SLOW_M: Final = 0.0004
 #: The tactile plane has this share of the slow proximity error: where that error is towards the camera, membrane beside
 #: the contact counts as contact. Measured with sim:tray on sensors that are not held out.
 _SHARED_SLOW: Final = 0.25
-_SLOW_SHARE: Final = 1 / 12
+#: That share differs from patch to patch: the tactile plane has an error of its own, this share of the slow error.
+_OWN_SLOW: Final = 0.125
 #: An angle with a larger standard deviation is not determined, radians: 5 and 15 degrees.
 MAX_SIGMA_RAD: Final = math.radians(5.0)
 MAX_AXIS_SIGMA_RAD: Final = math.radians(15.0)
@@ -153,7 +152,8 @@ class TiltEstimator:
             pixels = rig.proximity.intrinsics.fx / rig.tactile.intrinsics.fx
             self._proximity = DepthNoise.of(preset.noise.proximity, 1.0, power=0)
             self._tactile = DepthNoise.of(preset.noise.tactile, pixels, power=2)
-        length_px = _SLOW_SHARE * rig.proximity.intrinsics.width
+        self._slow_m = None if preset.noise is None else preset.noise.slow_m
+        length_px = SLOW_LENGTH * rig.proximity.intrinsics.width
         self._slow = DepthNoise(0.0, 1.0, length_px, 1.0, 1.0, power=0)
 
     def estimate(self, patch: ContactPatch | MethodPatch, sequence: int = 0, time_s: float = 0.0) -> Tilt:
@@ -240,26 +240,29 @@ class TiltEstimator:
         plane = fit.matrix[:3] @ cells.inverse_m
         near, near_fixed = fit.covariance(self._proximity, averaged_frames)
         far, far_fixed = fit.covariance(self._tactile, averaged_frames)
-        slow_m = np.array([_USUAL_SLOW_M]) if cells.difference_m is None else _SLOW_M
+        slow_m, prior = np.array([_USUAL_SLOW_M if self._slow_m is None else self._slow_m]), np.ones(1)
+        if self._slow_m is None and cells.difference_m is not None:
+            slow_m, prior = SLOW_M, SLOW_CHANCE
         slow = (slow_m**2)[:, None, None] * fit.covariance(self._slow, 1)[0]
+        far_all = far + _OWN_SLOW**2 * slow
         own_slow = 1 - tactile_weight * (1 - _SHARED_SLOW)  # of the points' depth
         chance = np.ones(len(slow_m))
         gains, shifts = np.zeros((len(slow_m), 3, len(near) - 3)), np.zeros((len(slow_m), 3))
         if cells.difference_m is not None:
             modes = fit.matrix[3:] @ (-cells.difference_m * cells.inverse_m**2)
-            both = (near + far + (1 - _SHARED_SLOW) ** 2 * slow)[:, 3:, 3:]
+            both = (near + far_all + (1 - _SHARED_SLOW) ** 2 * slow)[:, 3:, 3:]
             inverse = np.linalg.inv(both)
             log_chance = -0.5 * (np.einsum("i,sij,j->s", modes, inverse, modes) + np.linalg.slogdet(both)[1])
-            chance = _SLOW_CHANCE * np.exp(log_chance - log_chance.max())
+            chance = prior * np.exp(log_chance - log_chance.max())
             if self.method == "noise":
-                cross = (1 - tactile_weight) * near - tactile_weight * far + own_slow * (1 - _SHARED_SLOW) * slow
+                cross = (1 - tactile_weight) * near - tactile_weight * far_all + own_slow * (1 - _SHARED_SLOW) * slow
                 gains = cross[:, :3, 3:] @ inverse
                 shifts = gains @ modes
         chance /= chance.sum()
         shift = chance @ shifts
         from_near, from_far = _operators(tactile_weight, gains)
         from_slow = from_near + _SHARED_SLOW * from_far
-        parts = ((from_near, near), (from_far, far), (from_slow, slow))
+        parts = ((from_near, near), (from_far, far_all), (from_slow, slow))
         each = sum(np.asarray(to @ errors @ to.swapaxes(1, 2)) for to, errors in parts)
         away = shifts - shift
         covariance = np.tensordot(chance, each, 1) + (away.T * chance) @ away + fit.unknown

@@ -253,11 +253,6 @@ def _quick_tree(points: Float64Array) -> cKDTree:
     return cKDTree(points, balanced_tree=False, compact_nodes=False)
 
 
-def area_error_mm2(patch_mm2: float, truth_mm2: float) -> float:
-    """Return the patch area minus the true area, mm^2."""
-    return patch_mm2 - truth_mm2
-
-
 def boundary_distance_px(patch: BoolArray, truth: BoolArray) -> float:
     """Return the average symmetric distance of the outlines of two masks, pixels; nan if either is empty.
 

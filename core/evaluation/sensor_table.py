@@ -184,7 +184,7 @@ def measure_sensors(
     """
     folder = TableCellFolder(plan.work, plan.preset, variant=f"rig {plan.rig}")
     wanted = list(itertools.product(plan.scenes, plan.seeds))
-    stored = [folder.load_all(METHODS, scene, seed) for scene, seed in wanted]
+    stored = [folder.load(METHODS, scene, seed) for scene, seed in wanted]
     missing = iter([frame for frame, cells in zip(wanted, stored, strict=True) if cells is None])
     bench = _Bench(plan.preset, make)
     with _Reader(plan.preset, measure_rig if plan.rig == "measured" else None, open_scene) as reader:
@@ -196,7 +196,7 @@ def measure_sensors(
                 runs = bench.run(shown)
                 reader.begin(next(missing, None))
                 cells = score_runs(runs, scene, seed, shown.frames[-1], shown.rig)
-                folder.save_all(cells, scene)
+                folder.save(cells, scene)
             yield cells
 
 

@@ -29,7 +29,8 @@ from .table_cell import (
     TableCell,
     TableCellFolder,
     build_method,
-    measure_cell,
+    run_method,
+    score_run,
     table_methods,
 )
 
@@ -105,11 +106,11 @@ def measure_table(
         with _SceneFrames(scene, open_scene) as shown:
             for seed in plan.seeds:
                 for method in plan.methods:
-                    cell = folder.load(method, scene, seed)
-                    if cell is None:
-                        cell = shown.measure(method, seed, plan.preset, make)
-                        folder.save(cell, scene)
-                    yield cell
+                    cells = folder.load([method], scene, seed)
+                    if cells is None:
+                        cells = [shown.measure(method, seed, plan.preset, make)]
+                        folder.save(cells, scene)
+                    yield from cells
 
 
 class _SceneFrames(ExitStack):
@@ -124,16 +125,15 @@ class _SceneFrames(ExitStack):
         self._seed = -1
 
     def measure(self, method: str, seed: int, preset: Preset, make: MakeMethod) -> TableCell:
-        """Measure one method."""
+        """Measure one method; if it cannot be built or fails, the cell holds the error message."""
         if seed != self._seed:
             self._source = self.enter_context(self._open(f"{self._scene.source}&seed={seed}"))
             self._untouched = untouched_frame(self._source)
             self._frames = list(itertools.islice(self._source, FRAMES_PER_CELL))
             self._seed = seed
         untouched, rig = self._untouched, self._source.rig
-        return measure_cell(
-            method, self._scene, seed, lambda: build_method(method, preset, rig, untouched, make), self._frames, rig
-        )
+        run = run_method(lambda: build_method(method, preset, rig, untouched, make), self._frames)
+        return score_run(method, self._scene, seed, run, self._frames[-1], rig)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,6 @@ from ..model.loading import read_json
 from ..preset import Preset
 from ..sources.simulator.scenes import HELD_OUT
 from .metrics import (
-    area_error_mm2,
     boundary_distance_px,
     cloud_distances,
     method_area_mm2,
@@ -156,8 +155,10 @@ class TableCell:
         Distances to the true contact; see `CloudDistances`.
     iou, precision, recall : float or None
         See `PixelScores`; over proximity pixels.
-    area_error_mm2, boundary_px : float or None
-        See the functions `area_error_mm2` and `boundary_distance_px`.
+    area_error_mm2 : float or None
+        Area of the patch minus that of the true contact.
+    boundary_px : float or None
+        See `boundary_distance_px`.
     points : int
         Number of points of the patch; without contact, all of them are false.
     max_strain, strain_length, strain_width : float or None
@@ -284,26 +285,6 @@ def score_run(
     return TableCell(*where, **((scores or all_scores)(run.patch, frame, rig) | known), ms=run.ms)
 
 
-def measure_cell(
-    name: str,
-    scene: PlannedScene,
-    seed: int,
-    build: Callable[[], ContactMethod],
-    frames: Sequence[SensorFrame],
-    rig: Rig,
-) -> TableCell:
-    """Measure one method on frames of one still scene; its patch in the last frame is scored.
-
-    If the method cannot be built or fails, the cell holds the error message.
-
-    Raises
-    ------
-    TactuneError
-        The scene has no ground truth.
-    """
-    return score_run(name, scene, seed, run_method(build, frames), frames[-1], rig)
-
-
 def _strain(frame: SensorFrame) -> dict[str, Any]:
     known = frame.truth.strain if frame.truth is not None else None
     if known is None:
@@ -342,7 +323,7 @@ def all_scores(patch: MethodPatch, frame: SensorFrame, rig: Rig) -> dict[str, An
         "iou": pixels.iou,
         "precision": pixels.precision,
         "recall": pixels.recall,
-        "area_error_mm2": area_error_mm2(method_area_mm2(patch, rig), truth_mm2),
+        "area_error_mm2": method_area_mm2(patch, rig) - truth_mm2,
         "boundary_px": boundary_distance_px(patch.mask, frame.truth.contact),
     }
     known = {key: number if math.isfinite(number) else None for key, number in numbers.items()}
@@ -373,49 +354,30 @@ class TableCellFolder:
         settings = preset.model_dump_json(exclude={"name", "notes", "created", "modified"})
         self._settings = f"{settings} {STRAIGHT_T} {FRAMES_PER_CELL} {code_version()} {variant}"
 
-    def load(self, method: str, scene: PlannedScene, seed: int) -> TableCell | None:
-        """Return a stored cell, or None if it is not stored or its file is damaged."""
-        cells = self._read(self._path(method, [method], scene, seed))
-        return cells[0] if cells is not None and _cells_of(cells) == [(method, scene.source, seed)] else None
+    def load(self, methods: Sequence[str], scene: PlannedScene, seed: int) -> list[TableCell] | None:
+        """Return the cells of these methods that `save` stored together, or None if they are missing or damaged."""
+        try:
+            cells = [table_cell_from_json(found) for found in read_json(self._path(methods, scene, seed))]
+        except (OSError, ValueError, TypeError):
+            return None
+        known = [(cell.method, cell.source, cell.seed) for cell in cells]
+        return cells if known == [(method, scene.source, seed) for method in methods] else None
 
-    def save(self, cell: TableCell, scene: PlannedScene) -> None:
-        """Store a cell; the file is written atomically.
+    def save(self, cells: Sequence[TableCell], scene: PlannedScene) -> None:
+        """Store the cells of some methods on one scene with one seed in one file, atomically.
 
         Raises
         ------
         ExportError
             The folder cannot be written.
         """
-        self._write(self._path(cell.method, [cell.method], scene, cell.seed), [cell])
-
-    def load_all(self, methods: Sequence[str], scene: PlannedScene, seed: int) -> list[TableCell] | None:
-        """Return the cells of several methods that `save_all` stored, or None if they are missing or damaged."""
-        cells = self._read(self._path("all", methods, scene, seed))
-        known = cells is not None and _cells_of(cells) == [(method, scene.source, seed) for method in methods]
-        return cells if known else None
-
-    def save_all(self, cells: Sequence[TableCell], scene: PlannedScene) -> None:
-        """Store the cells of several methods on one scene with one seed in one file. Errors: see `save`."""
-        methods, seed = [cell.method for cell in cells], cells[0].seed
-        self._write(self._path("all", methods, scene, seed), cells)
-
-    def _read(self, path: Path) -> list[TableCell] | None:
-        try:
-            return [table_cell_from_json(found) for found in read_json(path)]
-        except (OSError, ValueError, TypeError):
-            return None
-
-    def _write(self, path: Path, cells: Sequence[TableCell]) -> None:
-        with atomic_path(path) as temporary:
+        with atomic_path(self._path([cell.method for cell in cells], scene, cells[0].seed)) as temporary:
             temporary.write_text(json.dumps([asdict(cell) for cell in cells], allow_nan=False), encoding="utf-8")
 
-    def _path(self, name: str, methods: Sequence[str], scene: PlannedScene, seed: int) -> Path:
+    def _path(self, methods: Sequence[str], scene: PlannedScene, seed: int) -> Path:
+        name = methods[0] if len(methods) == 1 else "all"
         text = json.dumps([*methods, asdict(scene), seed, self._settings])
         return self.folder / f"{name}-{hashlib.sha256(text.encode()).hexdigest()[:24]}.json"
-
-
-def _cells_of(cells: Sequence[TableCell]) -> list[tuple[str, str, int]]:
-    return [(cell.method, cell.source, cell.seed) for cell in cells]
 
 
 def table_cell_from_json(found: Any) -> TableCell:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..errors import TactuneError
 from ..model.arrays import Float32Array, Float64Array, Uint16Array
 from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
@@ -34,17 +33,14 @@ class MembraneMechanics(ContactMethod):
     gauge_pressure_pa : float
         Gauge pressure of the untouched membrane, Pa.
     housing_m3 : float
-        Volume of air below the plane of the rim.
-    crop_px : int
-        Width of the excluded rim of the membrane, tactile pixels. With 0, the membrane is clamped at the outline of
-        the untouched frame; otherwise the outline follows the measurement.
+        Volume of air below the plane of the rim. The membrane is clamped at its outline in the untouched frame.
     regularisation : float
         Weight of the contact pressure relative to the misfit, see `MembraneProblem`.
 
     Raises
     ------
     TactuneError
-        A parameter is out of its range, or the untouched frame shows no inflated membrane.
+        The untouched frame shows no inflated membrane.
 
     References
     ----------
@@ -63,10 +59,8 @@ class MembraneMechanics(ContactMethod):
         threshold: float = 0.5,
         gauge_pressure_pa: float = 1600.0,
         housing_m3: float = 0.009,
-        crop_px: int = 0,
         regularisation: float = 1.0,
     ) -> None:
-        _check(nodes, threshold, gauge_pressure_pa, housing_m3, crop_px, regularisation)
         untouched.check_against(rig)
         self._rig, self._threshold = rig, threshold
         self._view = MembraneView(preset.alignment, rig)
@@ -77,9 +71,8 @@ class MembraneMechanics(ContactMethod):
             self._factor,
             preset.alignment.depth_offset_m,
             nodes,
-            crop_px,
         )
-        self.problem = MembraneProblem(mesh, gauge_pressure_pa, housing_m3, regularisation, fixed_rim=crop_px == 0)
+        self.problem = MembraneProblem(mesh, gauge_pressure_pa, housing_m3, regularisation)
         self._sampler = make_sampler(mesh.pixels, mesh.spacing_px, self._factor)
         self._untouched = self._sampler.sample(untouched.tactile_depth)
         self._way_per_depth = np.linalg.norm(mesh.positions, axis=1) / mesh.positions[:, 2]
@@ -121,22 +114,6 @@ class MembraneMechanics(ContactMethod):
 
     def _failed(self, reason: str) -> MethodPatch:
         return failed(self._rig.proximity.intrinsics.shape, f"mechanics: {reason}")
-
-
-def _check(
-    nodes: int, threshold: float, gauge_pressure_pa: float, housing_m3: float, crop_px: int, regularisation: float
-) -> None:
-    """Raise if a parameter is out of its range."""
-    for name, value, fits, needs in (
-        ("nodes", nodes, 50 <= nodes <= 20_000, "from 50 to 20000"),
-        ("threshold", threshold, 0 < threshold < np.inf, "above 0"),
-        ("gauge_pressure_pa", gauge_pressure_pa, 0 < gauge_pressure_pa < np.inf, "above 0"),
-        ("housing_m3", housing_m3, 0 <= housing_m3 < np.inf, "from 0"),
-        ("crop_px", crop_px, crop_px >= 0, "from 0"),
-        ("regularisation", regularisation, 0 < regularisation < np.inf, "above 0"),
-    ):
-        if not fits:
-            raise TactuneError(f"mechanics: {name} is {value:g}, but it must be {needs}")
 
 
 def _make(preset: Preset, rig: Rig, untouched: SensorFrame | None) -> ContactMethod:

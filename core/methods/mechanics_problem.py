@@ -91,7 +91,7 @@ class DepthSampler:
 
 
 def build_mesh(
-    untouched: Uint16Array, camera: Intrinsics, factor_m: float, offset_m: float, nodes: int, crop_px: int
+    untouched: Uint16Array, camera: Intrinsics, factor_m: float, offset_m: float, nodes: int
 ) -> MembraneMesh:
     """Cover the region where the untouched frame has depth with triangles of about equal size in the image.
 
@@ -105,8 +105,6 @@ def build_mesh(
         Metres are ``counts * factor_m + offset_m``.
     nodes : int
         Approximate number of nodes.
-    crop_px : int
-        Width of the excluded rim.
 
     Raises
     ------
@@ -116,11 +114,11 @@ def build_mesh(
     whole = _membrane_region(untouched)
     spacing = np.sqrt(np.count_nonzero(whole) / (0.866 * nodes))
     for _ in range(6):
-        region = _eroded(whole, crop_px + round(spacing / 4))
+        region = _eroded(whole, round(spacing / 4))
         if np.count_nonzero(region) < _MIN_NODES:
             raise TactuneError(
                 f"the untouched frame shows the membrane in {np.count_nonzero(whole)} tactile pixels, too small "
-                f"for a mesh without a rim of {crop_px} pixels; take a new untouched frame or reduce the rim"
+                "for a mesh; take a new untouched frame"
             )
         outline, inner = _place_nodes(region, spacing)
         found = len(outline) + len(inner)
@@ -257,8 +255,8 @@ _LARGEST_RADIUS_M = 10.0
 class QuadraticProgram:
     """Minimise ``x' P x / 2 + q' x`` subject to ``A x = 0`` and ``x[positive] >= 0``.
 
-    ``x`` is the displacements of all nodes that move in millimetres, the rise of the air's pressure and
-    the contact pressures of all nodes but the rim's, both in units of the untouched gauge pressure.
+    ``x`` is the displacements of all nodes but the rim's in millimetres, the rise of the air's pressure and
+    the contact pressures of the same nodes, both in units of the untouched gauge pressure.
 
     Attributes
     ----------
@@ -290,8 +288,6 @@ class MembraneProblem:
         Volume of the air beneath the plane of the mesh's rim.
     regularisation : float
         r: what a contact pressure of p0 costs, in squared millimetres of misfit at one node.
-    fixed_rim : bool
-        Whether the rim is clamped. Otherwise it follows the measurement, which is right for a cropped rim.
 
     Raises
     ------
@@ -305,19 +301,17 @@ class MembraneProblem:
         gauge_pressure_pa: float,
         housing_m3: float,
         regularisation: float,
-        fixed_rim: bool,
     ) -> None:
         stiffness, areas = stiffness_and_areas(mesh.positions, mesh.triangles)
         inner = ~mesh.rim
         self.mesh, self.inner, self.areas_m2 = mesh, inner, areas
         self.radius_m = curvature_radius(mesh, stiffness, areas)
-        self.moving = inner if fixed_rim else np.ones(len(inner), bool)
         self._regularisation = regularisation
         volume = housing_m3 + enclosed_volume(mesh)
         self.gas_per_m3 = (ATMOSPHERE_PA + gauge_pressure_pa) / gauge_pressure_pa / volume
         self.A = self._constraints(stiffness)
-        moved, pressed = int(self.moving.sum()), int(inner.sum())
-        self.positive = slice(moved + 1, moved + 1 + pressed)
+        moved = int(inner.sum())
+        self.positive = slice(moved + 1, 2 * moved + 1)
 
     def _constraints(self, stiffness: sparse.csr_matrix) -> sparse.csc_matrix:
         """Return the equilibrium equation of each inner node, divided by the mean area, and the gas law."""
@@ -325,12 +319,12 @@ class MembraneProblem:
         tension_mm = self.radius_m / 2 * _MM
         share = areas[self.inner] / mean
         balance = [
-            sparse.csc_matrix(tension_mm / mean * stiffness[self.inner][:, self.moving]),
+            sparse.csc_matrix(tension_mm / mean * stiffness[self.inner][:, self.inner]),
             sparse.csc_matrix(-share[:, None]),
             _diagonal(share),
         ]
         gas = np.zeros((1, sum(block.shape[1] for block in balance)))
-        gas[0, : balance[0].shape[1]] = self.gas_per_m3 * _MM * areas[self.moving]
+        gas[0, : balance[0].shape[1]] = self.gas_per_m3 * _MM * areas[self.inner]
         gas[0, balance[0].shape[1]] = 1.0
         return sparse.csc_matrix(sparse.vstack([sparse.hstack(balance), sparse.csc_matrix(gas)]))
 
@@ -342,7 +336,7 @@ class MembraneProblem:
         way_m : float64, shape (N,)
             Displacement of each node along its ray since the untouched frame, metres; nan if it is not seen.
         """
-        cosine, way_mm = self.mesh.facing[self.moving], way_m[self.moving] / _MM
+        cosine, way_mm = self.mesh.facing[self.inner], way_m[self.inner] / _MM
         seen = np.isfinite(way_mm) & (cosine > _EDGE_ON)
         areas = self.areas_m2[self.inner]
         diagonal = np.concatenate(

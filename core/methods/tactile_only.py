@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
-from ..errors import TactuneError
 from ..model.arrays import BoolArray, Uint16Array
 from ..model.clouds import valid_depth
 from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
 from .membrane_view import MembraneView
 from .method import ContactMethod, MethodKind, MethodPatch
+
+Rule = Literal["share", "threshold"]
 
 
 class TactileOnly(ContactMethod):
@@ -33,11 +35,6 @@ class TactileOnly(ContactMethod):
     noise_m : float
         Deformation below which a point counts as untouched.
 
-    Raises
-    ------
-    TactuneError
-        The share is outside 0 to 1, or a length is negative.
-
     References
     ----------
     Yin et al., "Proximity and Visuotactile Point Cloud Fusion for Contact Patches in Extreme
@@ -49,15 +46,11 @@ class TactileOnly(ContactMethod):
         preset: Preset,
         rig: Rig,
         untouched: SensorFrame,
-        rule: Literal["share", "threshold"] = "share",
+        rule: Rule = "share",
         share: float = 0.6,
         threshold_m: float = 0.005,
         noise_m: float = 0.0015,
     ) -> None:
-        if not 0.0 < share <= 1.0:
-            raise TactuneError(f"tactile-only: the share is {share:g}, but it must be above 0 and at most 1")
-        if threshold_m < 0 or noise_m < 0:
-            raise TactuneError(f"tactile-only: {min(threshold_m, noise_m):g} m is no deformation; give one from 0")
         untouched.check_against(rig)
         self.name = "tactile-only" if rule == "share" else "tactile-threshold"
         self._rig, self._rule, self._share = rig, rule, share
@@ -87,21 +80,16 @@ class TactileOnly(ContactMethod):
             return deformed & (deformation_m >= least_m)
 
 
-def _make_by_share(preset: Preset, rig: Rig, untouched: SensorFrame | None) -> ContactMethod:
+def _make(rule: Rule, preset: Preset, rig: Rig, untouched: SensorFrame | None) -> ContactMethod:
     assert untouched is not None  # `make_method` has checked
-    return TactileOnly(preset, rig, untouched, rule="share")
-
-
-def _make_by_threshold(preset: Preset, rig: Rig, untouched: SensorFrame | None) -> ContactMethod:
-    assert untouched is not None
-    return TactileOnly(preset, rig, untouched, rule="threshold")
+    return TactileOnly(preset, rig, untouched, rule)
 
 
 SHARE = MethodKind(
     "tactile-only",
     "Tactile camera: the 60 % of the deformed membrane that moved most",
     (86, 180, 233),
-    _make_by_share,
+    partial(_make, "share"),
     needs_untouched=True,
     rank=11,
 )
@@ -109,7 +97,7 @@ THRESHOLD = MethodKind(
     "tactile-threshold",
     "Tactile camera: parts that moved by more than 5 mm",
     (105, 60, 90),
-    _make_by_threshold,
+    partial(_make, "threshold"),
     needs_untouched=True,
     dark_rgb=(240, 228, 66),  # plum is hard to see on a dark background, yellow on a light one
     rank=12,

@@ -13,6 +13,9 @@ from .arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint8Arra
 from .frames import NO_DEPTH_COUNTS, DepthCamera
 from .intrinsics import Intrinsics
 
+#: Largest share of an image's pixels that may see nothing.
+_MAX_FOLDED = 0.9
+
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
@@ -39,18 +42,25 @@ class PointCloud:
 def ray_table(intrinsics: Intrinsics) -> Float32Array:
     """Return the camera's rays ``(x / z, y / z)``, float32, shape (H, W, 2), made once and read-only.
 
+    Pixels beyond the fold of the lens model see nothing, as a rule in the corners. Their rays are held at its rim.
+
     Raises
     ------
     SourceError
-        The lens bends some pixels so much that they see nothing.
+        More than `_MAX_FOLDED` of the pixels see nothing.
     """
-    with np.errstate(all="ignore"):
-        table = intrinsics.rays()
-    if not np.isfinite(table).all():
+    table = intrinsics.rays()
+    folded = ~np.isfinite(table).all(axis=2)
+    if folded.mean() > _MAX_FOLDED:
         raise SourceError(
-            f"the lens coefficients {intrinsics.coefficients} leave some pixels of the "
-            f"{intrinsics.width} x {intrinsics.height} image without a ray; check them in the rig"
+            f"the lens coefficients {intrinsics.coefficients} leave {100 * folded.mean():.0f} % of the "
+            f"{intrinsics.width} x {intrinsics.height} pixels without a ray; check them in the rig"
         )
+    if folded.any():
+        row, column = np.nonzero(folded)
+        ahead = np.column_stack([(column - intrinsics.cx) / intrinsics.fx, (row - intrinsics.cy) / intrinsics.fy])
+        ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+        table[folded] = ahead * np.linalg.norm(table[~folded], axis=1).max()
     table.flags.writeable = False
     return table
 

@@ -15,7 +15,7 @@ from typing import Final
 from ..errors import ExportError
 
 #: A temporary file that nobody has written to for this time was left by a killed writer, seconds.
-_LEFT_S: Final = 3600
+LEFT_S: Final = 3600
 
 
 @contextmanager
@@ -68,7 +68,7 @@ def remove_leftovers(folder: Path, name: str = "*") -> None:
     pattern = f".{stem}-{'[0-9a-f]' * 8}{suffix}"
     with suppress(OSError):
         for left in folder.rglob(pattern) if name == "*" else folder.glob(pattern):
-            if left.stat().st_mtime < time.time() - _LEFT_S:
+            if left.stat().st_mtime < time.time() - LEFT_S:
                 shutil.rmtree(left) if left.is_dir() else left.unlink()
 
 

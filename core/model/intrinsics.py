@@ -18,6 +18,8 @@ _Coefficient = Annotated[float, Field(ge=-1e3, le=1e3)]
 
 #: Number of fixed-point steps in which librealsense removes distortion.
 _UNDISTORT_STEPS = 10
+#: A ray that leads back to a place farther from its pixel than this is beyond the fold of the lens model.
+_FOLDED_PX = 1.0
 
 
 class Distortion(StrEnum):
@@ -110,10 +112,16 @@ class Intrinsics(BaseModel):
     def rays(self) -> Float32Array:
         """Return ``(x / z, y / z)`` of every pixel: float32, shape (H, W, 2).
 
-        A point is its ray times its depth, so distortion takes no time per frame.
+        A point is its ray times its depth, so distortion takes no time per frame. Pixels beyond the fold of the lens
+        model, where no ray leads to, are nan.
         """
         v, u = np.mgrid[: self.height, : self.width]
-        table = self.normalise(np.stack([u.ravel(), v.ravel()], axis=1))
+        pixels = np.stack([u.ravel(), v.ravel()], axis=1)
+        with np.errstate(all="ignore"):
+            table = self.normalise(pixels)
+            if self.has_distortion and self.distortion is not Distortion.MODIFIED_BROWN_CONRADY:
+                again = self.project(np.column_stack([table, np.ones(len(table))]))
+                table[~(np.abs(again - pixels).max(axis=1) <= _FOLDED_PX)] = np.nan
         return table.reshape(self.height, self.width, 2).astype(np.float32)
 
     def _radial(self, r2: Any) -> Any:

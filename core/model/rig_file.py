@@ -96,7 +96,7 @@ def parse_rig(data: dict[str, Any], origin: str) -> Rig:
     try:
         return Rig.model_validate_json(json.dumps(nested), strict=True)
     except ValidationError as error:
-        raise SourceError(_sentence(error, origin)) from error
+        raise SourceError(validation_sentence(error, origin, "a rig")) from error
 
 
 def _depth_json(camera: DepthCamera) -> dict[str, Any]:
@@ -119,16 +119,16 @@ def _nest_lens(flat: dict[str, Any]) -> dict[str, Any]:
     return {**rest, "intrinsics": lens} if "intrinsics" not in rest else rest
 
 
-def _sentence(error: ValidationError, origin: str) -> str:
-    """Return a message about the first error, with the path of the field as in the file."""
+def validation_sentence(error: ValidationError, origin: str, what: str) -> str:
+    """Return a message about the first error, with the path of the field as in the file; ``what`` has the fields."""
     details = error.errors(include_url=False)
     first = details[0]
-    where = ".".join(str(part) for part in first["loc"] if part != "intrinsics") or "the rig"
+    where = ".".join(str(part) for part in first["loc"] if part != "intrinsics") or what
     more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
     if first["type"] == "missing":
         return f"{origin}: {where} is missing{more}; add it"
     if first["type"] == "extra_forbidden":
-        return f"{origin}: {where} is no field of a rig{more}; remove it or correct its name"
+        return f"{origin}: {where} is no field of {what}{more}; remove it or correct its name"
     if first["type"] == "value_error":
         return f"{origin}: {where}: {first['msg'].removeprefix('Value error, ')}{more}; correct it"
     found = reprlib.repr(first["input"])

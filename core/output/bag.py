@@ -24,23 +24,20 @@ from ..preset.file import preset_json
 from ..sources.mcap.messages import (
     FORMAT_VERSION,
     METADATA_NAME,
-    OBJECT_FRAME,
     POINT_CLOUD,
     PRESET_NAME,
     RIG_NAME,
-    TRANSFORMS,
     Topic,
 )
 from .messages import (
-    POSE,
+    POSE_TOPICS,
     SAID_ONCE,
     STATIC_QOS,
     LogClock,
     definition,
     nanoseconds,
     point_cloud,
-    pose_with_covariance,
-    transforms,
+    pose_parts,
     type_hash,
 )
 
@@ -296,7 +293,7 @@ class PatchWriter:
         self._clock = LogClock(1.0 / frame_rate_hz)
         topics: dict[str, str] = {Topic.PATCH: POINT_CLOUD}
         if poses:
-            topics |= {Topic.OBJECT_POSE: POSE, Topic.TRANSFORMS: TRANSFORMS}
+            topics |= POSE_TOPICS
         self._bag = Bag(path, topics, rig, preset, frame_rate_hz)
 
     def write(
@@ -317,7 +314,7 @@ class PatchWriter:
         time_s : float
             The proximity time stamp of its frame.
         pose : (float64 (4, 4), float64 (6, 6)), optional
-            ``T_proximity_object`` and its covariance, as `pose_with_covariance` expects it.
+            ``T_proximity_object`` and its covariance, as `tactune.core.output.messages.pose_with_covariance` takes it.
 
         Raises
         ------
@@ -326,10 +323,9 @@ class PatchWriter:
         """
         stamp_ns = nanoseconds(time_s)
         log_ns = self._clock.tick(stamp_ns)
-        parts = {Topic.PATCH: point_cloud(points, stamp_ns)}
+        parts: dict[str, bytes] = {Topic.PATCH: point_cloud(points, stamp_ns)}
         if pose is not None:
-            parts[Topic.OBJECT_POSE] = pose_with_covariance(*pose, stamp_ns)
-            parts[Topic.TRANSFORMS] = transforms({OBJECT_FRAME: pose[0]}, stamp_ns)
+            parts |= pose_parts(*pose, stamp_ns)
         self._bag.write(
             [
                 Message(self._bag.channel(topic), sequence, log_ns, max(stamp_ns, 0), (data,))

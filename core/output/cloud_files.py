@@ -1,4 +1,4 @@
-"""Point clouds as files: PLY, PCD, NPZ and CSV; reading also PLY and PCD of other programs, binary or text.
+"""Point clouds as files: writing PLY, PCD, NPZ and CSV, and reading the points of these, also of other programs.
 
 PLY and PCD are written here, binary and little-endian, rather than by a library: a frame without
 contact is an empty cloud, which Open3D refuses to write, and a robot needs neither Open3D nor PCL.
@@ -10,7 +10,6 @@ import io
 import math
 import re
 import struct
-import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -47,7 +46,6 @@ _PLY_NAMES = {np.dtype(code): name for name, code in reversed(_PLY_TYPES.items()
 _CSV_FORMATS = {"f4": "%.9g", "f8": "%.17g"}
 #: A header is shorter; more is not searched for its end.
 _HEADER_BYTES: Final = 100_000
-_ENDS: Final = {".ply": rb"^end_header\s*?\n", ".pcd": rb"^DATA ascii\s*?\n"}
 
 
 def patch_cloud(patch: ContactPatch, frame: SensorFrame, rig: Rig) -> PointCloud:
@@ -98,35 +96,42 @@ def write_cloud(path: Path | str, cloud: PointCloud) -> None:
         write(temporary, columns)
 
 
-def read_cloud(path: Path | str) -> PointCloud:
-    """Read a cloud that `write_cloud` or another program wrote; PLY and PCD must be binary.
+def read_points(path: Path | str) -> tuple[Float64Array, int]:
+    """Read the points of a cloud file.
 
-    A CSV file holds no types: its attributes come back as float64.
+    Parameters
+    ----------
+    path : path
+        ``.ply`` and ``.pcd``, binary or text, ``.npz``, ``.csv``.
+
+    Returns
+    -------
+    points : float64, shape (N, 3)
+        In the file's unit, without points that have a nan: PCD marks missing points so.
+    dropped : int
+        Number of points with a nan.
 
     Raises
     ------
     SourceError
-        No such file, unknown suffix, or contents that this reader does not know.
+        No such file, or none that can be read, or a coordinate is infinite.
     """
     path = Path(path)
     _, read = _format(path, SourceError)
     try:
-        columns = read(path)
-        if missing := [name for name in _XYZ if name not in columns]:
-            raise ValueError(f"it has no {missing[0]}")
-        points = np.stack([columns.pop(name) for name in _XYZ], axis=1).astype(np.float32)
-        colors = None
-        if set(_RGB) <= columns.keys():
-            colors = np.stack([columns.pop(name) for name in _RGB], axis=1).astype(np.uint8)
-        return PointCloud(points, colors, dict(columns))
+        points = read(read_file(path))
     except OSError as error:
         raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
     except (ValueError, KeyError, IndexError, TypeError, struct.error) as error:
         detail = " ".join(str(error).split())
         raise SourceError(f"{path} is no readable {path.suffix} cloud ({detail}); export it again") from error
+    if np.isinf(points).any():
+        raise SourceError(f"{path} holds an infinite coordinate; export it again")
+    known = ~np.isnan(points).any(axis=1)
+    return points[known], int(np.count_nonzero(~known))
 
 
-def _format(path: Path, error: type[Exception]) -> tuple[Callable[[Path, Columns], None], Callable[[Path], Columns]]:
+def _format(path: Path, error: type[Exception]) -> _Format:
     suffix = path.suffix.lower()
     if suffix not in _FORMATS:
         raise error(f"{path} has the suffix {suffix!r}; clouds are {', '.join(_FORMATS)}")
@@ -171,21 +176,23 @@ def _write_ply(path: Path, columns: Columns) -> None:
     path.write_bytes("\n".join(header).encode("ascii") + b"\n" + records.tobytes())
 
 
-def _read_ply(path: Path) -> Columns:
-    header, body = _split(read_file(path), b"end_header")
-    if not header or header[0] != "ply":
+def _read_ply(data: bytes) -> Float64Array:
+    header, body = _split(data, b"end_header")
+    if header[:1] != [["ply"]]:
         raise ValueError("it does not begin with the line ply")
-    if "format binary_little_endian 1.0" not in header:
-        raise ValueError("it is not binary_little_endian")
-    elements = [index for index, line in enumerate(header) if line.startswith("element ")]
-    if not elements or not header[elements[0]].startswith("element vertex "):
+    elements = [index for index, words in enumerate(header) if words[:1] == ["element"]]
+    if not elements or header[elements[0]][1:2] != ["vertex"]:
         raise ValueError("its first element is not vertex")
     lines = header[elements[0] + 1 : elements[1] if len(elements) > 1 else None]
-    properties = [line.split()[1:] for line in lines if line.startswith("property ")]
+    properties = [words[1:] for words in lines if words[:1] == ["property"]]
+    count = _whole_number(header[elements[0]][2:], "points")
     if strange := [words for words in properties if len(words) != 2 or words[0] not in _PLY_TYPES]:
         raise ValueError(f"its vertices have the property {' '.join(strange[0])!r}, which is of no known type")
-    layout = np.dtype([(name, _PLY_TYPES[kind]) for kind, name in properties])
-    return _unpack(body, layout, _whole_number(header[elements[0]].split()[2:], "points"))
+    if ["format", "ascii", "1.0"] in header:
+        return _text_points(body, [name for _, name in properties], count, len(header) + 1)
+    if ["format", "binary_little_endian", "1.0"] not in header:
+        raise ValueError("it is neither ascii nor binary_little_endian")
+    return _unpack(body, np.dtype([(name, _PLY_TYPES[kind]) for kind, name in properties]), count)
 
 
 def _write_pcd(path: Path, columns: Columns) -> None:
@@ -212,37 +219,32 @@ def _write_pcd(path: Path, columns: Columns) -> None:
     path.write_bytes("\n".join(header).encode("ascii") + b"\n" + records.tobytes())
 
 
-def _read_pcd(path: Path) -> Columns:
-    lines, body = _split(read_file(path), b"DATA binary")
-    header = _pcd_header(lines, ("FIELDS", "SIZE", "TYPE", "COUNT", "POINTS"))
-    if set(header["COUNT"]) != {"1"}:
-        raise ValueError(f"its fields have the counts {' '.join(header['COUNT'])}, only 1 is known")
-    if not len(header["FIELDS"]) == len(header["TYPE"]) == len(header["SIZE"]):
+def _read_pcd(data: bytes) -> Float64Array:
+    lines, body = _split(data, b"DATA ascii", b"DATA binary")
+    header = {words[0]: words[1:] for words in lines if words}
+    is_text = header["DATA"] == ["ascii"]
+    needed = ("FIELDS", "POINTS") if is_text else ("FIELDS", "POINTS", "SIZE", "TYPE")
+    if missing := [name for name in needed if name not in header]:
+        raise ValueError(f"its header has no line {missing[0]}")
+    fields, points = header["FIELDS"], _whole_number(header["POINTS"], "points")
+    counts = [_whole_number([count], "values a field") for count in header.get("COUNT", ["1"] * len(fields))]
+    if len(counts) != len(fields):
+        raise ValueError(f"it has {len(fields)} fields and {len(counts)} counts")
+    if sum(counts) > len(data):
+        raise ValueError(f"it claims {sum(counts)} values a point in {len(data)} bytes")
+    if is_text:
+        names = [name for name, count in zip(fields, counts, strict=True) for _ in range(count)]
+        return _text_points(body, names, points, len(lines) + 1)
+    if not len(fields) == len(header["TYPE"]) == len(header["SIZE"]):
         raise ValueError("its lines FIELDS, TYPE and SIZE are of different lengths")
     kinds = [f"{kind}{size}" for kind, size in zip(header["TYPE"], header["SIZE"], strict=True)]
     if strange := [kind for kind in kinds if kind not in _PCD_TYPES]:
         raise ValueError(f"it has a field of the type {strange[0]}, which is not known")
-    fields = zip(header["FIELDS"], header["TYPE"], header["SIZE"], strict=True)
-    layout = np.dtype([(name, "<u4" if name == "rgb" else f"<{kind.lower()}{size}") for name, kind, size in fields])
-    columns = _unpack(body, layout, _whole_number(header["POINTS"], "points"))
-    if "rgb" in columns:
-        packed = columns.pop("rgb")
-        columns |= {name: packed >> shift & 255 for name, shift in zip(_RGB, (16, 8, 0), strict=True)}
-    return columns
-
-
-def _pcd_header(lines: Sequence[str], needed: Sequence[str]) -> dict[str, list[str]]:
-    """Return the words of each line of a PCD header, by the line's first word.
-
-    Raises
-    ------
-    ValueError
-        A needed line is missing.
-    """
-    header = {words[0]: words[1:] for words in (line.split() for line in lines) if words}
-    if missing := [name for name in needed if name not in header]:
-        raise ValueError(f"its header has no line {missing[0]}")
-    return header
+    if set(counts) != {1}:
+        raise ValueError(f"its fields have the counts {' '.join(header['COUNT'])}, only 1 is known in binary")
+    return _unpack(
+        body, np.dtype([(name, f"<{kind.lower()}") for name, kind in zip(fields, kinds, strict=True)]), points
+    )
 
 
 def _whole_number(words: Sequence[str], what: str) -> int:
@@ -258,19 +260,70 @@ def _whole_number(words: Sequence[str], what: str) -> int:
     return int(words[0])
 
 
-def _split(data: bytes, last_line: bytes) -> tuple[list[str], bytes]:
-    """Split a file after the line that ends its header."""
-    match = re.search(rb"^" + last_line + rb"\r?\n", data, re.MULTILINE)
+def _split(data: bytes, *last_lines: bytes) -> tuple[list[list[str]], bytes]:
+    """Return the words of each line of a header, which ends with one of these lines, and what follows it."""
+    match = re.search(rb"^(?:" + b"|".join(last_lines) + rb")[ \t]*\r?\n", data[:_HEADER_BYTES], re.MULTILINE)
     if match is None:
-        raise ValueError(f"it has no line {last_line.decode()}")
-    return data[: match.start()].decode("ascii").splitlines(), data[match.end() :]
+        raise ValueError(f"it has no line {b' or '.join(last_lines).decode()}")
+    header = data[: match.end()].decode("ascii", "replace")
+    return [line.split() for line in header.splitlines()], data[match.end() :]
 
 
-def _unpack(body: bytes, layout: np.dtype[Any], count: int) -> Columns:
+def _unpack(body: bytes, layout: np.dtype[Any], count: int) -> Float64Array:
+    """Return x, y and z of ``count`` binary records."""
+    _places(layout.names or ())
     if len(body) < count * layout.itemsize:
         raise ValueError(f"it ends after {len(body) // layout.itemsize} of {count} points")
     records = np.frombuffer(body, layout, count)
-    return {name: records[name].astype(layout[name].newbyteorder("=")) for name in layout.names or ()}
+    return np.column_stack([records[name] for name in _XYZ]).astype(np.float64)
+
+
+def _text_points(
+    rows: bytes, names: Sequence[str], count: int | None, first_line: int, separator: str | None = None
+) -> Float64Array:
+    """Return x, y and z of ``count`` rows of text, or all; ``first_line`` is their line number in the file."""
+    columns = _places(names)
+    if count is not None and not 0 <= count <= len(rows):
+        raise ValueError(f"it claims {count} points in {len(rows)} bytes")
+    text = rows.decode("ascii", "replace")
+    if count == 0 or not text.strip():
+        table = np.empty((0, 3))
+    else:
+        try:
+            used = columns if separator is None else None  # a row of CSV has all its columns, and no more
+            table = np.loadtxt(
+                io.StringIO(text), delimiter=separator, comments=None, max_rows=count, usecols=used, ndmin=2
+            )
+            if separator is not None and table.shape[1] != len(names):
+                raise ValueError
+        except ValueError as error:
+            raise ValueError(_bad_line(text, names, first_line, separator)) from error
+    if count is not None and len(table) != count:
+        raise ValueError(f"it ends after {len(table)} of {count} points")
+    return np.asarray(table[:, :3], np.float64)
+
+
+def _places(names: Sequence[str]) -> list[int]:
+    """Return where x, y and z stand among the names of a file's columns."""
+    if missing := [name for name in _XYZ if name not in names]:
+        raise ValueError(f"it has no {missing[0]}")
+    return [list(names).index(name) for name in _XYZ]
+
+
+def _bad_line(text: str, names: Sequence[str], first_line: int, separator: str | None) -> str:
+    """Return a clause that names the line without a point."""
+    columns, what = _places(names), "numbers with x, y and z"
+    if separator is not None:
+        columns, what = list(range(len(names))), f"numbers of the {len(names)} columns in its header"
+    for number, line in enumerate(text.splitlines(), first_line):
+        words = line.split(separator) if line.strip() else []
+        try:
+            good = len([float(words[column]) for column in columns if words]) == len(words) or separator is None
+        except (ValueError, IndexError):
+            good = False
+        if not good:
+            return f"line {number} is {line[:80]!r}, not {what}"
+    return "its points cannot be read"
 
 
 def _write_npz(path: Path, columns: Columns) -> None:
@@ -282,17 +335,13 @@ def _write_npz(path: Path, columns: Columns) -> None:
         np.savez(file, allow_pickle=False, **arrays)
 
 
-def _read_npz(path: Path) -> Columns:
-    arrays = parse_npz(read_file(path))
-    points = arrays.pop("points", None)
+def _read_npz(data: bytes) -> Float64Array:
+    points = parse_npz(data).get("points")
     if points is None:
         raise ValueError("it has no array points")
     if points.ndim != 2 or points.shape[1] != len(_XYZ) or points.dtype.kind not in "fiu":
         raise ValueError(f"its points are {points.dtype} of the shape {points.shape}, not numbers of the shape (N, 3)")
-    columns: Columns = dict(zip(_XYZ, points.T, strict=True))
-    if "colors" in arrays:
-        columns |= zip(_RGB, arrays.pop("colors").T, strict=True)
-    return columns | arrays
+    return points.astype(np.float64)
 
 
 def _write_csv(path: Path, columns: Columns) -> None:
@@ -304,148 +353,21 @@ def _write_csv(path: Path, columns: Columns) -> None:
     np.savetxt(path, table, fmt=formats, delimiter=",", header=",".join(titles), comments="")
 
 
-def _read_csv(path: Path) -> Columns:
-    try:
-        first, _, rest = read_file(path).decode("utf-8-sig").replace("\r\n", "\n").partition("\n")
-    except UnicodeDecodeError as error:
-        raise ValueError("it is no text") from error
-    names = first.strip().split(",")
+def _read_csv(data: bytes) -> Float64Array:
+    titles, _, rows = data.removeprefix(b"\xef\xbb\xbf").partition(b"\n")
+    names = titles.decode("ascii", "replace").strip().split(",")
     if tuple(names[:3]) != _CSV_XYZ:
         raise ValueError(f"its header does not begin with {','.join(_CSV_XYZ)}")
-    if not rest.strip():
-        return {name: np.empty(0) for name in (*_XYZ, *names[3:])}
-    try:
-        table = np.loadtxt(io.StringIO(rest), delimiter=",", comments=None, ndmin=2)
-    except ValueError:
-        table = np.empty((0, 0))
-    if table.shape[1] != len(names):  # slower, and it names the line
-        rows = [_csv_row(number, line, names) for number, line in enumerate(rest.splitlines(), 2) if line.strip()]
-        table = np.array(rows)
-    return dict(zip([*_XYZ, *names[3:]], table.T, strict=True))
+    return _text_points(rows, [*_XYZ, *names[3:]], None, 2, ",")
 
 
-def _csv_row(number: int, line: str, names: list[str]) -> list[float]:
-    try:
-        values = [float(word) for word in line.split(",")]
-    except ValueError:
-        values = []
-    if len(values) != len(names):
-        raise ValueError(f"line {number} is {line[:80]!r}, not {len(names)} numbers")
-    return values
-
-
-_FORMATS: dict[str, tuple[Callable[[Path, Columns], None], Callable[[Path], Columns]]] = {
+_Format = tuple[Callable[[Path, Columns], None], Callable[[bytes], Float64Array]]
+_FORMATS: dict[str, _Format] = {
     ".ply": (_write_ply, _read_ply),
     ".pcd": (_write_pcd, _read_pcd),
     ".npz": (_write_npz, _read_npz),
     ".csv": (_write_csv, _read_csv),
 }
-
-
-def read_points(path: Path | str) -> tuple[Float64Array, int]:
-    """Read the points of a cloud file.
-
-    Parameters
-    ----------
-    path : path
-        ``.ply`` and ``.pcd``, binary or text, ``.npz``, ``.csv``.
-
-    Returns
-    -------
-    points : float64, shape (N, 3)
-        In the file's unit, without points that have a nan: PCD marks missing points so.
-    dropped : int
-        Number of points with a nan.
-
-    Raises
-    ------
-    SourceError
-        No such file, or none that can be read, or a coordinate is infinite.
-    """
-    path = Path(path)
-    header, rows = _text_of(path)
-    if header is None:
-        points = read_cloud(path).points.astype(np.float64)
-    else:
-        try:
-            points = _ply_points(header, rows) if path.suffix.lower() == ".ply" else _pcd_points(header, rows)
-        except (ValueError, KeyError, IndexError, UnicodeDecodeError) as error:
-            detail = " ".join(str(error).split())
-            raise SourceError(f"{path} is no readable {path.suffix} cloud ({detail}); export it again") from error
-    if np.isinf(points).any():
-        raise SourceError(f"{path} holds an infinite coordinate; export it again")
-    known = ~np.isnan(points).any(axis=1)
-    return points[known], int(np.count_nonzero(~known))
-
-
-def _text_of(path: Path) -> tuple[list[str] | None, bytes]:
-    """Return the header's lines and the rest of a PLY or PCD written as text, else None."""
-    end = _ENDS.get(path.suffix.lower())
-    if end is None:
-        return None, b""
-    try:
-        data = read_file(path)
-    except OSError as error:
-        raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
-    match = re.search(end, data[:_HEADER_BYTES], re.MULTILINE)
-    if match is None:
-        return None, b""
-    header = data[: match.start()].decode("ascii", "replace").splitlines()
-    if path.suffix.lower() == ".ply" and "format ascii 1.0" not in [line.strip() for line in header]:
-        return None, b""
-    return header, data[match.end() :]
-
-
-def _ply_points(header: list[str], rows: bytes) -> Float64Array:
-    words = [line.split() for line in header]
-    elements = [index for index, line in enumerate(words) if line[:1] == ["element"]]
-    if words[:1] != [["ply"]] or not elements or words[elements[0]][1:2] != ["vertex"]:
-        raise ValueError("its first element is not vertex")
-    last = elements[1] if len(elements) > 1 else None
-    names = [line[-1] for line in words[elements[0] : last] if line[:1] == ["property"]]
-    return _text_points(rows, names, _whole_number(words[elements[0]][2:], "points"), len(header) + 2)
-
-
-def _pcd_points(header: list[str], rows: bytes) -> Float64Array:
-    facts = _pcd_header(header, ("FIELDS", "POINTS"))
-    counts = [_whole_number([count], "values a field") for count in facts.get("COUNT", ["1"] * len(facts["FIELDS"]))]
-    if len(counts) != len(facts["FIELDS"]):
-        raise ValueError(f"it has {len(facts['FIELDS'])} fields and {len(counts)} counts")
-    if sum(counts) > len(rows):
-        raise ValueError(f"it claims {sum(counts)} values a point in {len(rows)} bytes")
-    names = [name for name, count in zip(facts["FIELDS"], counts, strict=True) for _ in range(count)]
-    return _text_points(rows, names, _whole_number(facts["POINTS"], "points"), len(header) + 2)
-
-
-def _text_points(rows: bytes, names: list[str], count: int, first_line: int) -> Float64Array:
-    """Return x, y and z of ``count`` rows of text; ``first_line`` is their line number in the file."""
-    if missing := [name for name in ("x", "y", "z") if name not in names]:
-        raise ValueError(f"it has no {missing[0]}")
-    if not 0 <= count <= len(rows):
-        raise ValueError(f"it claims {count} points in {len(rows)} bytes")
-    if count == 0:
-        return np.empty((0, 3))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # an empty body is told below
-        places = [names.index(name) for name in ("x", "y", "z")]
-        try:
-            table = np.loadtxt(io.StringIO(rows.decode("ascii")), max_rows=count, usecols=places, ndmin=2)
-        except ValueError as error:
-            raise ValueError(_bad_line(rows, places, first_line)) from error
-    if len(table) != count:
-        raise ValueError(f"it ends after {len(table)} of {count} points")
-    return np.asarray(table, np.float64)
-
-
-def _bad_line(rows: bytes, places: list[int], first_line: int) -> str:
-    """Return a clause that names the line without a point."""
-    for number, line in enumerate(rows.decode("ascii", "replace").splitlines(), first_line):
-        words = line.split()
-        try:
-            [float(words[place]) for place in places if words]
-        except (ValueError, IndexError):
-            return f"line {number} is {line[:80]!r}, not numbers with x, y and z"
-    return "its points cannot be read"
 
 
 def unit_doubt(points: Float64Array, path: Path) -> str:

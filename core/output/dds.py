@@ -155,6 +155,9 @@ class DdsSink:
         for message in messages:
             _write(self._writers[message.topic], message.data)
 
+    def tell(self, subject: str, sentence: str) -> None:
+        """Do nothing: ROS 2 has ``/diagnostics``."""
+
     def close(self) -> None:
         """Leave the domain; twice is harmless."""
         self._writers.clear()

@@ -13,9 +13,11 @@ import re
 import threading
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import MissingExtraError, PublishError, TactuneError
+from ..model.files import atomic_path
 from .messages import definition
 from .parameters import PresetParameters
 from .publisher import LiveMessage, SinkStatus
@@ -24,9 +26,11 @@ if TYPE_CHECKING:
     from foxglove.websocket import ChannelView, Client, Parameter, WebSocketServer
 
 
-def layout_text() -> str:
-    """Return the shipped layout of the Foxglove app, which shows all topics, as JSON text."""
-    return importlib.resources.files(__package__).joinpath("foxglove_layout.json").read_text("utf-8")
+def save_layout(path: Path) -> None:
+    """Write the shipped layout of the Foxglove app, which shows all topics; raises `ExportError`."""
+    layout = importlib.resources.files(__package__).joinpath("foxglove_layout.json")
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(layout.read_bytes())
 
 
 class FoxgloveSink:
@@ -87,6 +91,17 @@ class FoxgloveSink:
         """Queue messages for the clients; one that is slow loses its oldest."""
         for message in messages:
             self._channels[message.topic].log(message.data, log_time=message.stamp_ns)
+
+    def tell(self, subject: str, sentence: str) -> None:
+        """Show a warning in the Foxglove app's list of problems, or take it back."""
+        from foxglove import StatusLevel
+
+        if self._server is None:
+            return
+        if sentence:
+            self._server.publish_status(sentence, StatusLevel.Warning, subject)
+        else:
+            self._server.remove_status([subject])
 
     def close(self) -> None:
         """Disconnect clients and free the port."""

@@ -23,6 +23,7 @@ from ..model.intrinsics import Intrinsics
 from ..sources.mcap.messages import (
     CAMERA_INFO,
     IMAGE,
+    OBJECT_FRAME,
     POINT_CLOUD,
     PROXIMITY_COLOR_FRAME,
     PROXIMITY_FRAME,
@@ -54,6 +55,9 @@ STATIC_QOS: Final = """\
 
 #: Topics with one message, which players keep for late subscribers.
 SAID_ONCE: Final = (Topic.RIG, Topic.STATIC_TRANSFORMS)
+
+#: Types of the topics of a tracked object.
+POSE_TOPICS: Final[dict[str, str]] = {Topic.OBJECT_POSE: POSE, Topic.TRANSFORMS: TRANSFORMS}
 
 #: Topics that ROS 2 keeps out of namespaces.
 _GLOBAL_TOPICS: Final = (Topic.TRANSFORMS, Topic.STATIC_TRANSFORMS)
@@ -198,6 +202,14 @@ def pose_with_covariance(pose: Float64Array, covariance: Float64Array, stamp_ns:
     return _serialise(_type(POSE)(_header(PROXIMITY_FRAME, stamp_ns), known), POSE)
 
 
+def pose_parts(pose: Float64Array, covariance: Float64Array, stamp_ns: int) -> dict[str, bytes]:
+    """Return the messages of a tracked object's pose, as `pose_with_covariance` takes it, by topic."""
+    return {
+        Topic.OBJECT_POSE: pose_with_covariance(pose, covariance, stamp_ns),
+        Topic.TRANSFORMS: transforms({OBJECT_FRAME: pose}, stamp_ns),
+    }
+
+
 def vector(x: float, y: float, z: float, stamp_ns: int) -> bytes:
     """Return three numbers about the axes of the proximity depth frame."""
     return _serialise(
@@ -210,11 +222,12 @@ def number(value: float) -> bytes:
     return _serialise(_type(NUMBER)(float(value)), NUMBER)
 
 
-def diagnostics(name: str, values: Mapping[str, str], stamp_ns: int) -> bytes:
-    """Return named values; ``name`` says what they belong to."""
+def diagnostics(name: str, values: Mapping[str, str], stamp_ns: int, warning: str = "") -> bytes:
+    """Return named values and a warning, if there is one; ``name`` says what they belong to."""
     status, pair = _type("diagnostic_msgs/msg/DiagnosticStatus"), _type("diagnostic_msgs/msg/KeyValue")
     pairs = [pair(key, value) for key, value in values.items()]
-    entry = status(level=status.OK, name=name, message="", hardware_id="", values=pairs)
+    level = status.WARN if warning else status.OK
+    entry = status(level=level, name=name, message=warning, hardware_id="", values=pairs)
     return _serialise(_type(DIAGNOSTICS)(_header("", stamp_ns), [entry]), DIAGNOSTICS)
 
 

@@ -1,9 +1,9 @@
 """Live connections: processed frames as messages, to whoever listens.
 
-The `Publisher` takes each processed frame. A `Sink` is one way out, such as a Foxglove server or ROS 2. Each has its
-own thread, which takes the newest frame from a mailbox with one slot: a slow sink loses its own frames only, and
-nothing waits for it. A message is built when the first sink asks for it, once for all sinks, and only if somebody
-listens to its topic.
+The `Publisher` takes each processed frame, and the pose of a tracked object when it is known. A `Sink` is one way out,
+such as a Foxglove server or ROS 2. Each has its own thread, which takes the newest frame and the newest pose from a
+mailbox with one slot for each: a slow sink loses its own frames only, and nothing waits for it. A message is built when
+the first sink asks for it, once for all sinks, and only if somebody listens to its topic.
 """
 
 from __future__ import annotations
@@ -11,10 +11,12 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Any, ClassVar, Final, Protocol
 
 import numpy as np
 
@@ -30,7 +32,6 @@ from ..preset import Preset
 from ..sources.mcap.messages import (
     CAMERA_INFO,
     IMAGE,
-    OBJECT_FRAME,
     POINT_CLOUD,
     TACTILE_FRAME,
     TEXT,
@@ -38,7 +39,7 @@ from ..sources.mcap.messages import (
     Topic,
 )
 from . import messages
-from .messages import DIAGNOSTICS, NUMBER, POSE, VECTOR
+from .messages import DIAGNOSTICS, NUMBER, POSE_TOPICS, VECTOR
 
 _IMAGES: Final = (Topic.PROXIMITY_DEPTH, Topic.PROXIMITY_COLOR, Topic.TACTILE_DEPTH, Topic.TACTILE_COLOR)
 
@@ -48,8 +49,7 @@ LIVE_TOPICS: Final[Mapping[str, str]] = {
     Topic.AREA: NUMBER,
     Topic.TILT: VECTOR,
     Topic.TILT_SIGMA: VECTOR,
-    Topic.OBJECT_POSE: POSE,
-    Topic.TRANSFORMS: TRANSFORMS,
+    **POSE_TOPICS,
     Topic.STATIC_TRANSFORMS: TRANSFORMS,
     Topic.PROXIMITY_CLOUD: POINT_CLOUD,
     Topic.TACTILE_CLOUD: POINT_CLOUD,
@@ -66,6 +66,9 @@ _REPEAT_NS: Final = 10**9
 
 #: A source whose clock is farther than this from the computer's gets time stamps of now: a recording, a simulator.
 _MAX_CLOCK_ERROR_NS: Final = 10**9
+
+#: Frames whose time stamps are kept for poses that come later.
+_KEPT_STAMPS: Final = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,33 +132,14 @@ class Sink(Protocol):
     def send(self, messages: Sequence[LiveMessage]) -> None:
         """Send the messages of one frame, each of a wanted topic; may block."""
 
+    def tell(self, subject: str, sentence: str) -> None:
+        """Show clients a sentence, where the protocol can; called from any thread, and empty takes it back."""
+
     def close(self) -> None:
         """Disconnect clients and free the port; twice is harmless."""
 
     def status(self) -> SinkStatus:
         """Return the state; called from any thread."""
-
-
-@dataclass(frozen=True, eq=False)
-class Estimates:
-    """What was read from a patch; what is None is not published.
-
-    Attributes
-    ----------
-    tilt : Lazy of a dict, optional
-        As `tactune.core.estimation.tilt.Tilt.record` returns it; computed if somebody listens to it.
-    pose : float64, shape (4, 4), optional
-        ``T_proximity_object`` of a tracked object that is not lost.
-    covariance : float64, shape (6, 6), optional
-        Of that pose, as in `tactune.core.estimation.pose.PoseEstimate`.
-    """
-
-    tilt: Lazy[dict[str, Any]] | None = None
-    pose: Float64Array | None = None
-    covariance: Float64Array | None = None
-
-
-_NO_ESTIMATES: Final = Estimates()
 
 
 @dataclass(frozen=True)
@@ -166,9 +150,9 @@ class OutputStatus:
     ----------
     sink : SinkStatus
     rate_hz : float
-        Frames sent in a second, over the last seconds; 0 while nobody listens.
+        Frames sent per second over the last seconds; poses if clients listen to poses only; 0 without a client.
     sent, missed : int
-        Frames sent, and frames that came while the sink was still sending another.
+        Frames sent (or poses), and frames and poses that came while the sink was still sending another.
     error : str
         Why the last frame could not be sent; empty if it was.
     """
@@ -180,8 +164,53 @@ class OutputStatus:
     error: str
 
 
-class FrameMessages:
-    """The messages of one processed frame, each built when it is first asked for; for any thread.
+class Messages(ABC):
+    """Messages with one time stamp, each built when it is first asked for; for any thread.
+
+    Attributes
+    ----------
+    topics : set of str
+        Those that there may be messages of.
+    stamp_ns : int
+        Time stamp of the frame, nanoseconds since 1970.
+    """
+
+    topics: ClassVar[Set[str]]
+
+    def __init__(self, stamp_ns: int) -> None:
+        self.stamp_ns = stamp_ns
+        self._built: dict[str, LiveMessage | None] = {}
+        self._lock = threading.Lock()
+
+    def get(self, topic: str) -> LiveMessage | None:
+        """Return the message of one of the topics, or None if there is none this time."""
+        with self._lock:
+            if topic not in self._built:
+                data = self._build(topic)
+                self._built[topic] = (
+                    None if data is None else LiveMessage(topic, LIVE_TOPICS[topic], data, self.stamp_ns)
+                )
+            return self._built[topic]
+
+    @abstractmethod
+    def _build(self, topic: str) -> bytes | None: ...
+
+
+class PoseMessages(Messages):
+    """The pose of a tracked object: ``T_proximity_object``, (4, 4), and its covariance, (6, 6)."""
+
+    topics = POSE_TOPICS.keys()
+
+    def __init__(self, pose: Float64Array, covariance: Float64Array, stamp_ns: int) -> None:
+        super().__init__(stamp_ns)
+        self._pose, self._covariance = pose, covariance
+
+    def _build(self, topic: str) -> bytes:
+        return messages.pose_parts(self._pose, self._covariance, self.stamp_ns)[topic]
+
+
+class FrameMessages(Messages):
+    """The messages of one processed frame.
 
     Parameters
     ----------
@@ -191,35 +220,30 @@ class FrameMessages:
         The one that the patch was computed with.
     shift_ns : int
         Added to the frame's time stamps.
-    estimates : Estimates
+    tilt : Lazy of a dict, optional
+        As `tactune.core.estimation.tilt.Tilt.record` returns it.
+    warning : str
+        For ``/diagnostics``; empty if all is well.
     """
 
+    topics = LIVE_TOPICS.keys() - POSE_TOPICS.keys()
+
     def __init__(
-        self, frame: SensorFrame, patch: ContactPatch, preset: Preset, shift_ns: int, estimates: Estimates
+        self,
+        frame: SensorFrame,
+        patch: ContactPatch,
+        preset: Preset,
+        shift_ns: int,
+        tilt: Lazy[dict[str, Any]] | None = None,
+        warning: str = "",
     ) -> None:
-        self._frame, self._patch, self._preset, self._estimates = frame, patch, preset, estimates
-        self._proximity_ns = messages.nanoseconds(frame.proximity_time_s) + shift_ns
+        super().__init__(messages.nanoseconds(frame.proximity_time_s) + shift_ns)
+        self._frame, self._patch, self._preset = frame, patch, preset
+        self._tilt, self._warning = tilt, warning
         self._tactile_ns = messages.nanoseconds(frame.tactile_time_s) + shift_ns
-        self._built: dict[str, LiveMessage | None] = {}
-        self._lock = threading.Lock()
-
-    @property
-    def stamp_ns(self) -> int:
-        """Time stamp of the frame, nanoseconds since 1970."""
-        return self._proximity_ns
-
-    def get(self, topic: str) -> LiveMessage | None:
-        """Return the message of a topic of `LIVE_TOPICS`, or None if this frame has none."""
-        with self._lock:
-            if topic not in self._built:
-                data = self._build(topic)
-                self._built[topic] = (
-                    None if data is None else LiveMessage(topic, LIVE_TOPICS[topic], data, self.stamp_ns)
-                )
-            return self._built[topic]
 
     def _build(self, topic: str) -> bytes | None:
-        frame, rig, stamp_ns = self._frame, self._patch.rig, self._proximity_ns
+        frame, rig, stamp_ns = self._frame, self._patch.rig, self.stamp_ns
         if topic.endswith(("/image", "/camera_info")):
             return self._build_image(topic)
         build: dict[str, Callable[[], bytes | None]] = {
@@ -227,8 +251,6 @@ class FrameMessages:
             Topic.AREA: lambda: messages.number(self._patch.area_mm2),
             Topic.TILT: lambda: self._build_tilt(""),
             Topic.TILT_SIGMA: lambda: self._build_tilt("_sigma"),
-            Topic.OBJECT_POSE: self._build_pose,
-            Topic.TRANSFORMS: self._build_transforms,
             Topic.STATIC_TRANSFORMS: self._build_static_transforms,
             Topic.PROXIMITY_CLOUD: lambda: messages.point_cloud(
                 deproject_image(frame.proximity_depth, rig.proximity), stamp_ns
@@ -249,7 +271,7 @@ class FrameMessages:
         image = next((image for of, image in messages.images_of(self._frame) if of == image_topic), None)
         if image is None:
             return None
-        stamp_ns = self._tactile_ns if stream.of_tactile else self._proximity_ns
+        stamp_ns = self._tactile_ns if stream.of_tactile else self.stamp_ns
         if topic != image_topic:
             return messages.stamped(stream.lens, stamp_ns) if stream.lens is not None else None
         stream.check(image, self._frame.sequence)
@@ -257,22 +279,12 @@ class FrameMessages:
         return b"".join((messages.stamped(stream.head, stamp_ns), pixels.data))
 
     def _build_tilt(self, of: str) -> bytes | None:
-        if self._estimates.tilt is None:
+        if self._tilt is None:
             return None
-        tilt = self._estimates.tilt.get()
+        tilt = self._tilt.get()
         angles = [tilt[f"{angle}{of}_rad"] for angle in ("roll", "pitch", "axis")]
         x, y, z = (math.nan if angle is None else angle for angle in angles)
         return messages.vector(x, y, z, self.stamp_ns)
-
-    def _build_pose(self) -> bytes | None:
-        pose, covariance = self._estimates.pose, self._estimates.covariance
-        if pose is None or covariance is None:
-            return None
-        return messages.pose_with_covariance(pose, covariance, self.stamp_ns)
-
-    def _build_transforms(self) -> bytes | None:
-        pose = self._estimates.pose
-        return None if pose is None else messages.transforms({OBJECT_FRAME: pose}, self.stamp_ns)
 
     def _build_static_transforms(self) -> bytes:
         calibrated = None
@@ -289,7 +301,7 @@ class FrameMessages:
             "points": str(len(patch.points)),
             "skew ms": f"{1e3 * self._frame.skew_s:.3f}",
         }
-        return messages.diagnostics("tactune", values, self.stamp_ns)
+        return messages.diagnostics("tactune", values, self.stamp_ns, self._warning)
 
 
 class Publisher:
@@ -307,6 +319,8 @@ class Publisher:
 
     def __init__(self, sinks: Sequence[Sink]) -> None:
         self._shift_ns = 0
+        self._stamps_ns: dict[float, int] = {}
+        self._told: dict[str, str] = {}
         self._outputs: list[_Output] = []
         try:
             for sink in sinks:
@@ -317,7 +331,11 @@ class Publisher:
             raise
 
     def put(
-        self, frame: SensorFrame, patch: ContactPatch, preset: Preset, estimates: Estimates = _NO_ESTIMATES
+        self,
+        frame: SensorFrame,
+        patch: ContactPatch,
+        preset: Preset,
+        tilt: Lazy[dict[str, Any]] | None = None,
     ) -> None:
         """Publish a frame and return at once.
 
@@ -328,7 +346,8 @@ class Publisher:
         patch : ContactPatch
         preset : Preset
             The one that the patch was computed with.
-        estimates : Estimates
+        tilt : Lazy of a dict, optional
+            As `tactune.core.estimation.tilt.Tilt.record` returns it; computed if somebody listens to it.
         """
         now_ns, stamp_ns = time.time_ns(), messages.nanoseconds(frame.proximity_time_s)
         if abs(stamp_ns + self._shift_ns - now_ns) > _MAX_CLOCK_ERROR_NS:
@@ -336,7 +355,51 @@ class Publisher:
             self._shift_ns = 0 if is_live else now_ns - stamp_ns
         elif self._shift_ns:  # a frame that took less time than those before: no stamp lies in the future
             self._shift_ns = min(self._shift_ns, now_ns - stamp_ns)
-        built = FrameMessages(frame, patch, preset, self._shift_ns, estimates)
+        warning = " ".join(tuple(self._told.values()))
+        built = FrameMessages(frame, patch, preset, self._shift_ns, tilt, warning)
+        self._stamps_ns.pop(frame.proximity_time_s, None)  # of a recording that begins again
+        self._stamps_ns[frame.proximity_time_s] = built.stamp_ns
+        if len(self._stamps_ns) > _KEPT_STAMPS:
+            del self._stamps_ns[next(iter(self._stamps_ns))]
+        self._give(built)
+
+    def put_pose(self, pose: Float64Array, covariance: Float64Array, time_s: float) -> None:
+        """Publish the pose of a tracked object that is not lost, and return at once; for any thread.
+
+        Parameters
+        ----------
+        pose : float64, shape (4, 4)
+            ``T_proximity_object``.
+        covariance : float64, shape (6, 6)
+            As in `tactune.core.estimation.pose.PoseEstimate`.
+        time_s : float
+            Proximity time stamp of its frame, whose messages have the same stamp. If that frame was not among the
+            newest 100 of `put`, nothing is published.
+        """
+        stamp_ns = self._stamps_ns.get(time_s)
+        if stamp_ns is not None:
+            self._give(PoseMessages(pose, covariance, stamp_ns))
+
+    def tell(self, subject: str, sentence: str) -> None:
+        """Warn clients, in ``/diagnostics`` and where the protocol has a way for it; for any thread.
+
+        Parameters
+        ----------
+        subject : str
+            A new sentence about a subject replaces the one before.
+        sentence : str
+            Empty: the warning is taken back.
+        """
+        if sentence == self._told.get(subject, ""):
+            return
+        if sentence:
+            self._told[subject] = sentence
+        else:
+            del self._told[subject]
+        for output in self._outputs:
+            output.sink.tell(subject, sentence)
+
+    def _give(self, built: Messages) -> None:
         for output in self._outputs:
             output.put(built)
 
@@ -360,29 +423,32 @@ class _Output:
     """A started sink, its thread and the mailbox between them."""
 
     def __init__(self, sink: Sink) -> None:
-        self._sink = sink
+        self.sink = sink
         self._changed = threading.Condition()
-        self._waiting: FrameMessages | None = None
+        self._waiting: dict[type[Messages], Messages] = {}
         self._closing = False
-        self._sent = self._missed = 0
-        self._times_s: list[float] = []
+        self._sent: Counter[type[Messages]] = Counter()
+        self._missed = 0
+        self._sent_s: deque[tuple[type[Messages], float]] = deque(maxlen=_RATE_FRAMES)
         self._error = ""
         self._repeated_ns: dict[str, int] = {}
         self._thread = threading.Thread(target=self._run, name=f"publish {sink.status().name}", daemon=True)
         self._thread.start()
 
-    def put(self, frame: FrameMessages) -> None:
-        """Replace the frame in the mailbox."""
+    def put(self, built: Messages) -> None:
+        """Replace the frame, or the pose, in the mailbox."""
         with self._changed:
-            self._missed += self._waiting is not None
-            self._waiting = frame
+            self._missed += type(built) in self._waiting
+            self._waiting[type(built)] = built
             self._changed.notify()
 
     def status(self) -> OutputStatus:
         """Return the state."""
         with self._changed:
-            times_s = [time_s for time_s in self._times_s if time_s > time.monotonic() - _RATE_OVER_S]
-            return OutputStatus(self._sink.status(), len(times_s) / _RATE_OVER_S, self._sent, self._missed, self._error)
+            since_s = time.monotonic() - _RATE_OVER_S
+            recent = Counter(kind for kind, time_s in self._sent_s if time_s > since_s)
+            sent, rate = (max(counts.values(), default=0) for counts in (self._sent, recent))
+            return OutputStatus(self.sink.status(), rate / _RATE_OVER_S, sent, self._missed, self._error)
 
     def close(self) -> None:
         """Stop the thread and close the sink."""
@@ -392,30 +458,30 @@ class _Output:
         self._thread.join(_CLOSE_S)
 
     def _run(self) -> None:
-        while (frame := self._next()) is not None:
+        while (built := self._next()) is not None:
             try:
-                self._send(frame)
+                self._send(built)
             except Exception as error:  # nobody can catch an exception of this thread, and the next frame may pass
                 with self._changed:
                     self._error = str(error) or type(error).__name__
-        self._sink.close()
+        self.sink.close()
 
-    def _next(self) -> FrameMessages | None:
+    def _next(self) -> Messages | None:
         with self._changed:
-            self._changed.wait_for(lambda: self._closing or self._waiting is not None)
-            frame, self._waiting = self._waiting, None
-            return None if self._closing else frame
+            self._changed.wait_for(lambda: self._closing or bool(self._waiting))
+            return None if self._closing else self._waiting.pop(next(iter(self._waiting)))
 
-    def _send(self, frame: FrameMessages) -> None:
-        wanted = [topic for topic in self._sink.wanted() if self._is_due(topic, frame.stamp_ns)]
-        found = [message for topic in wanted if (message := frame.get(topic)) is not None]
+    def _send(self, built: Messages) -> None:
+        wanted = [topic for topic in self.sink.wanted() if topic in built.topics]
+        due = [topic for topic in wanted if self._is_due(topic, built.stamp_ns)]
+        found = [message for topic in due if (message := built.get(topic)) is not None]
         if not found:
             return
-        self._sink.send(found)
+        self.sink.send(found)
         with self._changed:
-            self._sent += 1
+            self._sent[type(built)] += 1
             self._error = ""
-            self._times_s = [*self._times_s[-_RATE_FRAMES:], time.monotonic()]
+            self._sent_s.append((type(built), time.monotonic()))
 
     def _is_due(self, topic: str, stamp_ns: int) -> bool:
         if topic not in _REPEATED:
@@ -428,6 +494,6 @@ class _Output:
 
 #: The rate is that of the last seconds, from at most this many frames.
 _RATE_OVER_S: Final = 2.0
-_RATE_FRAMES: Final = 1000
+_RATE_FRAMES: Final = 2000
 #: Longest wait for a sink that is still sending when it is closed.
 _CLOSE_S: Final = 5.0

@@ -73,6 +73,9 @@ class RosSink:
         for message in messages:
             self._publishers[message.topic].publish(message.data)
 
+    def tell(self, subject: str, sentence: str) -> None:
+        """Do nothing: ROS 2 has ``/diagnostics``."""
+
     def close(self) -> None:
         """Destroy the node; twice is harmless."""
         self._publishers.clear()

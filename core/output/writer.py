@@ -8,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -15,6 +16,7 @@ from typing import Self
 import numpy as np
 
 from ..errors import ExportError, TactuneError
+from ..model.arrays import Float64Array
 from ..model.files import atomic_path, remove_leftovers
 from ..model.frames import Rig, SensorFrame
 from ..model.rig_file import json_text, rig_to_json
@@ -23,7 +25,18 @@ from ..preset import Preset
 from ..sources.base import FrameSource, Progress
 from ..sources.mcap.messages import CAMERA_INFO, IMAGE, TEXT, TRANSFORMS, UNTOUCHED_NAME, Topic
 from .bag import Bag, Buffer, Message
-from .messages import LogClock, frame_text, image_streams, images_of, nanoseconds, stamped, static_transforms, text
+from .messages import (
+    POSE_TOPICS,
+    LogClock,
+    frame_text,
+    image_streams,
+    images_of,
+    nanoseconds,
+    pose_parts,
+    stamped,
+    static_transforms,
+    text,
+)
 
 #: Memory limit of the queue: about two seconds of a full rig.
 QUEUE_BYTES = 256 * 2**20
@@ -76,6 +89,8 @@ class SessionWriter:
         The source's rate, for playback.
     untouched : SensorFrame, optional
         A frame of the untouched membrane, kept in the file.
+    poses : bool
+        Whether there may be poses of an object.
     queue_bytes : int
         Memory limit of the queue, bytes; one frame is always accepted.
 
@@ -93,14 +108,15 @@ class SessionWriter:
         preset: Preset | None = None,
         frame_rate_hz: float = 30.0,
         untouched: SensorFrame | None = None,
+        poses: bool = False,
         queue_bytes: int = QUEUE_BYTES,
     ) -> None:
-        self._rig = rig
+        self._rig, self._has_poses = rig, poses
         self._streams = image_streams(rig)
         self._clock = LogClock(1.0 / frame_rate_hz)
         attachments = {} if untouched is None else {UNTOUCHED_NAME: untouched_bytes(untouched)}
         self._bag = Bag(path, self._topics(), rig, preset, frame_rate_hz, attachments)
-        self._queue: deque[tuple[SensorFrame, int]] = deque()
+        self._queue: deque[tuple[Callable[[], None], int]] = deque()
         self._queue_bytes = queue_bytes
         self._waiting_bytes = 0
         self._changed = threading.Condition()
@@ -132,11 +148,18 @@ class SessionWriter:
             if self._error or self._closing or not self._has_room(size):
                 self._dropped += 1
                 return False
-            self._queue.append((frame, size))
+            self._queue.append((partial(self._write, frame), size))
             self._accepted += 1
             self._waiting_bytes += size
             self._changed.notify_all()
         return True
+
+    def put_pose(self, pose: Float64Array, covariance: Float64Array, sequence: int, time_s: float) -> None:
+        """Queue a pose, as `tactune.core.output.bag.PatchWriter.write` takes it; one before the first frame is lost."""
+        with self._changed:
+            if not self._error and not self._closing:
+                self._queue.append((partial(self._write_pose, pose, covariance, sequence, time_s), 0))
+                self._changed.notify_all()
 
     def status(self) -> RecordingStatus:
         """Return the state of the recording."""
@@ -171,6 +194,7 @@ class SessionWriter:
 
     def _topics(self) -> dict[str, str]:
         topics: dict[str, str] = {Topic.FRAME: TEXT, Topic.RIG: TEXT, Topic.STATIC_TRANSFORMS: TRANSFORMS}
+        topics |= POSE_TOPICS if self._has_poses else {}
         for stream in self._streams.values():
             topics[stream.topic] = IMAGE
             if stream.lens is not None:
@@ -186,7 +210,7 @@ class SessionWriter:
         return size
 
     def _has_room(self, size: int) -> bool:
-        return not self._queue or self._waiting_bytes + size <= self._queue_bytes
+        return not self._waiting_bytes or self._waiting_bytes + size <= self._queue_bytes
 
     def _run(self) -> None:
         self._attempt(self._write_frames)
@@ -215,23 +239,23 @@ class SessionWriter:
 
     def _write_frames(self) -> None:
         synced_s = time.monotonic()
-        while (frame := self._next()) is not None:
-            self._write(frame)
+        while (write := self._next()) is not None:
+            write()
             if time.monotonic() - synced_s > _SYNC_EVERY_S:
                 self._bag.sync()
                 synced_s = time.monotonic()
 
-    def _next(self) -> SensorFrame | None:
-        """Wait for a frame; None when the recording is closed and all are written."""
+    def _next(self) -> Callable[[], None] | None:
+        """Wait for what writes a frame or a pose; None when the recording is closed and all are written."""
         with self._changed:
             while not self._queue and not self._closing:
                 self._changed.wait()
             if not self._queue:
                 return None
-            frame, size = self._queue.popleft()
+            write, size = self._queue.popleft()
             self._waiting_bytes -= size
             self._changed.notify_all()
-            return frame
+            return write
 
     def _write(self, frame: SensorFrame) -> None:
         proximity_ns, tactile_ns = nanoseconds(frame.proximity_time_s), nanoseconds(frame.tactile_time_s)
@@ -258,6 +282,18 @@ class SessionWriter:
             self._first_ns = self._first_ns if self._frames else log_ns
             self._last_ns = log_ns
             self._frames += 1
+
+    def _write_pose(self, pose: Float64Array, covariance: Float64Array, sequence: int, time_s: float) -> None:
+        if not self._frames:
+            return
+        stamp_ns, log_ns = nanoseconds(time_s), self._last_ns
+        parts = pose_parts(pose, covariance, stamp_ns)
+        self._bag.write(
+            [
+                Message(self._bag.channel(topic), sequence, log_ns, max(stamp_ns, 0), (data,))
+                for topic, data in parts.items()
+            ]
+        )
 
 
 def export_mcap(

@@ -30,10 +30,11 @@ def homography_notes(preset: Preset) -> list[str]:
 def rig_in_use(preset: Preset, rig: Rig) -> Rig:
     """Return the present rig with the lens distortion that the preset's calibration estimated.
 
-    A lens of the preset's rig replaces the present one if the present one has no distortion and nothing else differs.
+    A lens of the preset's rig replaces the present one if the present one has no distortion and nothing else differs;
+    `check_rig` says so.
     """
     made_for = preset.rig
-    if made_for is None:
+    if made_for is None or not any(lens.has_distortion for lens in made_for.lenses()):
         return rig
     lenses = {role: _with_distortion(getattr(made_for, role), getattr(rig, role)) for role in ("tactile", "proximity")}
     before, now = made_for.proximity_color, rig.proximity_color
@@ -70,7 +71,13 @@ def check_rig(preset: Preset, rig: Rig) -> list[str]:
     RigMismatchError
         The image sizes differ, or the region of interest lies outside the image.
     """
-    rig, warnings = rig_in_use(preset, rig), []
+    stated, warnings = rig, []
+    rig = rig_in_use(preset, stated)
+    if rig is not stated:
+        warnings.append(
+            f"Preset {preset.name!r} contains lens distortion that the source does not state; the preset's is used. "
+            "Calibrate again if the source removes distortion itself."
+        )
     if preset.rig is not None:
         for role in ("proximity", "tactile"):
             warnings += _compare(preset.name, role, getattr(preset.rig, role), getattr(rig, role))

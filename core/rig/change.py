@@ -24,6 +24,7 @@ from ..model.clouds import valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
 from ..model.intrinsics import Intrinsics
 from ..preset import Preset
+from .drift import MIN_BULGE_M, spread
 
 #: Side length of the image tiles over which depth is averaged, pixels.
 _TILE_PX: Final = 16
@@ -31,29 +32,36 @@ _TILE_PX: Final = 16
 _MAX_PLACES: Final = 300
 _APART_PX: Final = 12.0
 _WINDOW_PX: Final = 15
+#: Levels of the image pyramid above the first. With a larger scatter about the fitted motion, pixels, texture was
+#: matched with its neighbours: the camera has moved too far to be followed.
+_LEVELS: Final = 4
+_MAX_SCATTER_PX: Final = 2.5
+#: Displacement that is followed in any case, metres.
+FAR_M: Final = 0.010
 #: A place counts as found where tracking it back ends within this distance, pixels.
 _RETURN_PX: Final = 0.5
 _MIN_PLACES: Final = 20
 _MIN_TILES: Final = 60
-#: Local contrast is that of log brightness between these two Gaussian windows, averaged over a square; pixels.
+#: Local contrast is that of log brightness between the first and the last of these Gaussian windows, averaged over a
+#: square; the middle one parts it in fine and coarse texture, because blur takes more of the fine one; pixels.
 _FINE_PX: Final = 1.0
+_MIDDLE_PX: Final = 2.0
 _COARSE_PX: Final = 6.0
 _SQUARE_PX: Final = 21
 #: Grey levels per unit of log contrast in the image that is tracked.
 _TRACKED_GAIN: Final = 200.0
 #: Brightness below which an 8-bit image is noise; keeps the logarithm finite.
 _DARK_LEVELS: Final = 8.0
-#: Texture is lost where this share of its contrast is left.
+#: Texture is lost where this share of its contrast is left. If more than the second share of it is lost, the lens
+#: explains that no texture is found again, else a motion does.
 _LOST_CONTRAST: Final = 0.7
-#: Smallest bulge by which a change of inflation can be detected, metres.
-_MIN_BULGE_M: Final = 0.005
+_BLIND: Final = 0.5
 #: Contact: the preset's pipeline finds a patch that is larger by this than on the untouched frame, ...
 _CONTACT_MM2: Final = 50.0
 #: ... or this many neighbouring tiles differ from the fit by more than 4 standard deviations and by more than this.
 _DENT_TILES: Final = 7
 _DENT_SIGMAS: Final = 4.0
 _DENT_M: Final = 0.0008
-_NORMAL: Final = 1.4826
 _ROUNDS: Final = 5
 #: Smallest standard deviations that are believed: of a tile's depth, metres, and of a place of texture, pixels.
 _LEAST_M: Final = 0.0001
@@ -69,7 +77,8 @@ class Change:
     touched : bool
         Whether something touches the membrane; then nothing else is measured.
     tactile_m, proximity_m : float or None
-        Root mean square displacement of the membrane's points in a camera's frame as that camera moves, metres.
+        Root mean square displacement of the membrane's points in a camera's frame as that camera moves, metres. It is
+        `FAR_M` if the camera has moved too far to be followed; then its depth and its lens are not measured.
     depth_m : float or None
         Root mean square of the plane that the tactile depth has changed by beyond the camera's motion, metres.
     inflation_m : float or None
@@ -79,7 +88,8 @@ class Change:
     bulge_m : float
         Height of the apex above the rim in the untouched frame, metres.
     tactile_lost, proximity_lost : float or None
-        Share of the membrane's texture that a colour image has lost, 0 to 1.
+        Share of the membrane's texture that a colour image has lost, 0 to 1: the share of places that have lost
+        contrast, or what fine texture has lost against coarse texture in their median.
     """
 
     touched: bool
@@ -153,7 +163,8 @@ class ChangeMeter:
         motion = None if tactile is None else tactile.motion
         depth = None
         change, known = surface.changes(frame.tactile_depth)
-        if known.sum() >= _MIN_TILES:
+        lost_track = tactile is not None and tactile.lost is None
+        if known.sum() >= _MIN_TILES and not lost_track:
             depth = surface.fit(change if motion is None else change - surface.columns @ motion, known, self._noise_m)
         if self._touched(frame, depth):
             return Change(touched=True)
@@ -164,7 +175,7 @@ class ChangeMeter:
             tactile_m=None if tactile is None else tactile.moved_m,
             proximity_m=None if proximity is None else proximity.moved_m,
             depth_m=None if depth is None else depth.plane_m,
-            inflation_m=None if depth is None or surface.bulge_m < _MIN_BULGE_M else depth.inflation_m,
+            inflation_m=None if depth is None or surface.bulge_m < MIN_BULGE_M else depth.inflation_m,
             inflation_sigma_m=0.0 if depth is None else depth.inflation_sigma_m,
             bulge_m=surface.bulge_m,
             tactile_lost=None if tactile is None else tactile.lost,
@@ -215,7 +226,7 @@ class _Surface:
         self.columns: Float64Array = (
             moves[:, 2] - slope_x[self._inner, None] * shift_x - slope_y[self._inner, None] * shift_y
         )
-        bulge = (z - rim_m) / self.bulge_m if self.bulge_m >= _MIN_BULGE_M else np.zeros_like(z)
+        bulge = (z - rim_m) / self.bulge_m if self.bulge_m >= MIN_BULGE_M else np.zeros_like(z)
         self._shapes = np.column_stack([np.ones_like(z), x, y, bulge])
 
     def changes(self, counts: Uint16Array) -> tuple[Float64Array, BoolArray]:
@@ -251,11 +262,11 @@ class _DepthFit:
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """Motion (w, t) of a camera by the texture it sees, None with too little; share of the texture that is lost."""
+    """Motion (w, t) of a camera by the texture it sees, None if it is not known; share of the texture that is lost."""
 
     motion: Float64Array | None
     moved_m: float | None
-    lost: float
+    lost: float | None
 
 
 class _Texture:
@@ -271,7 +282,7 @@ class _Texture:
 
     def __init__(self, color: Uint8Array, lens: Intrinsics, cloud: Float64Array) -> None:
         self._lens = lens
-        self._image, energy = _contrast(color)
+        self._image, energies = _contrast(color)
         corners = cv2.goodFeaturesToTrack(self._image, _MAX_PLACES, 0.05, _APART_PX, blockSize=_WINDOW_PX)
         places = np.zeros((0, 2)) if corners is None else corners.reshape(-1, 2).astype(np.float64)
         distance, nearest = cKDTree(lens.project(cloud)).query(places) if len(places) else (np.zeros(0), [])
@@ -280,7 +291,7 @@ class _Texture:
             (places > _WINDOW_PX) & (places < (width - _WINDOW_PX, height - _WINDOW_PX))
         ).all(axis=1)
         self.places = places[kept]
-        self._energy = _sampled(energy, self.places)
+        self._energy, self._sharpness = _texture_at(energies, self.places)
         self._rays = ray_seen(lens, self.places)
         z = cloud[np.asarray(nearest, np.intp)[kept], 2]
         self._points: Float64Array = np.column_stack([self._rays * z[:, None], z])
@@ -292,21 +303,34 @@ class _Texture:
         """Find the texture in another image; None if the untouched frame has too little."""
         if len(self.places) < _MIN_PLACES:
             return None
-        image, energy = _contrast(color)
+        image, energies = _contrast(color)
         start = self.places.astype(np.float32).reshape(-1, 1, 2)
         there, ahead = _tracked(self._image, image, start)
         back, behind = _tracked(image, self._image, there)
         moved = there.reshape(-1, 2).astype(np.float64)
         found = ahead & behind & (np.hypot(*(back - start).reshape(-1, 2).T) < _RETURN_PX)
-        left = np.sqrt(_sampled(energy, np.where(found[:, None], moved, self.places)) / self._energy)
-        rays = ray_seen(self._lens, moved[found]) - self._rays[found]
-        lost = float(np.mean(left < _LOST_CONTRAST))
         if found.sum() < _MIN_PLACES:
-            return _Seen(None, None, lost)
+            lost = self._lost(energies, self.places)
+            return _Seen(None, None, lost) if lost > _BLIND else _Seen(None, FAR_M, None)
+        rays = ray_seen(self._lens, moved[found]) - self._rays[found]
         flow = rays * (self._lens.fx, self._lens.fy)
-        motion = _fit(self._columns[found].reshape(-1, 6), flow.ravel(), _LEAST_PX).values
-        moved = np.cross(motion[:3], self._points) + motion[3:]
-        return _Seen(motion, float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))), lost)
+        fit = _fit(self._columns[found].reshape(-1, 6), flow.ravel(), _LEAST_PX)
+        if fit.sigma > _MAX_SCATTER_PX:
+            return _Seen(None, FAR_M, None)
+        motion = fit.values
+        shifts_m = np.cross(motion[:3], self._points) + motion[3:]
+        lost = self._lost(energies, self.places + self._columns @ motion)
+        return _Seen(motion, float(np.sqrt(np.mean(np.sum(shifts_m**2, axis=1)))), lost)
+
+    def _lost(self, energies: list[Float32Array], places: Float64Array) -> float:
+        """Return the share of texture that is lost at the places where it should be; those outside do not count."""
+        height, width = self._image.shape
+        inside = ((places > _WINDOW_PX) & (places < (width - _WINDOW_PX, height - _WINDOW_PX))).all(axis=1)
+        if inside.sum() < _MIN_PLACES:
+            return 0.0
+        energy, sharpness = _texture_at(energies, places[inside])
+        faded = float(np.mean(energy < _LOST_CONTRAST**2 * self._energy[inside]))
+        return max(faded, 1.0 - float(np.median(sharpness / self._sharpness[inside])))
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,12 +353,12 @@ def _fit(columns: Float64Array, wanted: Float64Array, least: float) -> _Fit:
     least : float
         Lower limit of the standard deviation of a row.
     """
-    kept = np.abs(wanted - np.median(wanted)) <= 3 * max(_spread(wanted), least)
+    kept = np.abs(wanted - np.median(wanted)) <= 3 * max(spread(wanted), least)
     for _ in range(_ROUNDS):
         inverse = np.linalg.pinv(columns[kept])
         values = inverse @ wanted[kept]
         residuals = wanted - columns @ values
-        sigma = max(_spread(residuals), least)
+        sigma = max(spread(residuals), least)
         kept = np.abs(residuals) <= 3 * sigma
     return _Fit(values, sigma * np.sqrt(np.sum(inverse**2, axis=1)), residuals, sigma)
 
@@ -348,19 +372,35 @@ def _moves(points: Float64Array) -> Float64Array:
     return moves
 
 
-def _contrast(color: Uint8Array) -> tuple[Uint8Array, Float32Array]:
-    """Return an image of local contrast for tracking, and its mean energy; neither depends on the exposure."""
+def _contrast(color: Uint8Array) -> tuple[Uint8Array, list[Float32Array]]:
+    """Return an image of local contrast for tracking, and the mean energy of fine and of coarse contrast.
+
+    None depends on the exposure.
+    """
     gray = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY).astype(np.float32)
     logs = np.log(cv2.GaussianBlur(gray, (0, 0), _FINE_PX) + _DARK_LEVELS)
-    band = logs - cv2.GaussianBlur(logs, (0, 0), _COARSE_PX)
-    image = np.clip(np.rint(128.0 + _TRACKED_GAIN * band), 0, 255).astype(np.uint8)
-    return image, np.asarray(cv2.boxFilter(band * band, cv2.CV_32F, (_SQUARE_PX, _SQUARE_PX)), np.float32)
+    middle, coarse = (cv2.GaussianBlur(logs, (0, 0), width) for width in (_MIDDLE_PX, _COARSE_PX))
+    image = np.clip(np.rint(128.0 + _TRACKED_GAIN * (logs - coarse)), 0, 255).astype(np.uint8)
+    square = (_SQUARE_PX, _SQUARE_PX)
+    return image, [np.asarray(cv2.sqrBoxFilter(band, cv2.CV_32F, square)) for band in (logs - middle, middle - coarse)]
+
+
+def _texture_at(energies: list[Float32Array], places: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Return the energy of contrast at places, and the ratio of fine to coarse contrast there."""
+    fine, coarse = (_sampled(energy, places) for energy in energies)
+    return fine + coarse, np.sqrt(fine / coarse)
 
 
 def _tracked(source: Uint8Array, target: Uint8Array, start: Float32Array) -> tuple[Float32Array, BoolArray]:
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 30, 0.005)
     places, found, _ = cv2.calcOpticalFlowPyrLK(
-        source, target, start, np.empty_like(start), winSize=(_WINDOW_PX, _WINDOW_PX), maxLevel=2, criteria=criteria
+        source,
+        target,
+        start,
+        np.empty_like(start),
+        winSize=(_WINDOW_PX, _WINDOW_PX),
+        maxLevel=_LEVELS,
+        criteria=criteria,
     )
     return np.asarray(places, np.float32), np.asarray(found).ravel() == 1
 
@@ -408,7 +448,3 @@ def _tile_noise_m(preset: Preset, rig: Rig) -> float:
     focal_px = rig.tactile.intrinsics.fx
     area_m2 = (_TILE_PX * camera.distance_m / focal_px) ** 2
     return float(np.sqrt(camera.changing_share * camera.density_m4(focal_px) / area_m2))
-
-
-def _spread(values: Float64Array) -> float:
-    return float(_NORMAL * np.median(np.abs(values - np.median(values))))

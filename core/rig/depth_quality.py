@@ -11,8 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -118,10 +117,6 @@ class DepthQuality:
     tactile: CameraQuality
     bias: CameraBias | None
     bias_problem: str = ""
-
-    def to_json(self) -> dict[str, Any]:
-        """Return everything as JSON values; unknown numbers are null."""
-        return {name: _without_nan(value) for name, value in asdict(self).items()}
 
 
 def fill_rate(counts: Uint16Array) -> float:
@@ -232,19 +227,21 @@ def camera_quality(
     median_m = np.median(depth)
     without = fit_plane(points[np.abs(depth - median_m) <= _STRAY_SHARE * median_m])
     turned = 1.0 if without is None else float(np.dot(plane.normal, without.normal))
-    measured = {
-        "distance_m": plane.distance_m,
-        "angle_deg": plane.angle_deg,
-        "stray_tilt_deg": math.degrees(math.acos(min(turned, 1.0))),
-        "plane_rms_m": rms,
-        "plane_rms_share": rms / plane.distance_m,
-    }
+    quality = replace(
+        quality,
+        distance_m=plane.distance_m,
+        angle_deg=plane.angle_deg,
+        stray_tilt_deg=math.degrees(math.acos(min(turned, 1.0))),
+        plane_rms_m=rms,
+        plane_rms_share=rms / plane.distance_m,
+    )
     if baseline is not None:
-        measured["subpixel_rms_px"] = root_mean_square(subpixel_errors(kept, plane, camera.intrinsics.fx, baseline))
+        errors_px = subpixel_errors(kept, plane, camera.intrinsics.fx, baseline)
+        quality = replace(quality, subpixel_rms_px=root_mean_square(errors_px))
     if true_distance_m is not None:
         error = float(np.median(plane.along_axis_m() - true_distance_m + errors))
-        measured["z_accuracy"] = error / true_distance_m
-    return CameraQuality(**{**asdict(quality), **measured})
+        quality = replace(quality, z_accuracy=error / true_distance_m)
+    return quality
 
 
 def camera_bias(frames: Sequence[SensorFrame], rig: Rig, section: AlignmentSection, region: Rectangle) -> CameraBias:
@@ -379,12 +376,6 @@ def _cut(region: Rectangle, camera: DepthCamera) -> Rectangle:
     size = camera.intrinsics
     left, top = min(region[0], size.width - 1), min(region[1], size.height - 1)
     return left, top, min(region[2], size.width - left), min(region[3], size.height - top)
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_nan(inner) for key, inner in value.items()}
-    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 @dataclass(frozen=True)

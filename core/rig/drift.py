@@ -28,7 +28,7 @@ _DENT_SHARE: Final = 0.02
 #: The proximity camera sees the membrane itself only on prints, where both depths agree within this.
 _SAME_SURFACE_M: Final = 0.006
 #: Smallest bulge by which a change of inflation can be detected, metres.
-_MIN_BULGE_M: Final = 0.005
+MIN_BULGE_M: Final = 0.005
 _MIN_PIXELS: Final = 200
 _MAX_PIXELS: Final = 20_000
 _ROUNDS: Final = 4
@@ -110,7 +110,7 @@ def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouch
             "check that it sees the membrane, or capture the untouched frame again"
         )
     rim, apex = np.quantile(before, [0.02, 0.98])
-    inflated = apex - rim >= _MIN_BULGE_M
+    inflated = apex - rim >= MIN_BULGE_M
     bulge = (before - rim) / (apex - rim) if inflated else np.zeros_like(before)
     fitted = _fit(change, np.column_stack([np.ones_like(x), x, y, bulge]))
     inflation_m = float(fitted[3]) if inflated else 0.0
@@ -157,22 +157,23 @@ def _changes(
 
 def _fit(change: Float64Array, columns: Float64Array) -> Float64Array:
     """Return robust least-squares coefficients: outliers are dropped and the fit is repeated."""
-    kept = np.abs(change - np.median(change)) <= 3 * _spread(change) + LIMIT_M
+    kept = np.abs(change - np.median(change)) <= 3 * spread(change) + LIMIT_M
     fitted: Float64Array = np.zeros(columns.shape[1])
     for _ in range(_ROUNDS):
         fitted = np.asarray(np.linalg.lstsq(columns[kept], change[kept], rcond=None)[0], np.float64)
         left = change - columns @ fitted
-        kept = np.abs(left) <= 3 * _spread(left) + LIMIT_M / 2
+        kept = np.abs(left) <= 3 * spread(left) + LIMIT_M / 2
     return fitted
 
 
-def _spread(values: Float64Array) -> float:
+def spread(values: Float64Array) -> float:
+    """Return a robust standard deviation: 1.4826 median absolute deviations."""
     return float(_NORMAL * np.median(np.abs(values - np.median(values))))
 
 
 def _sum_up(change: Float64Array, plane: Float64Array) -> DepthChange:
     moved = float(np.sqrt(np.mean(plane**2)))
-    return DepthChange(float(np.median(change)), _spread(change), moved, len(change))
+    return DepthChange(float(np.median(change)), spread(change), moved, len(change))
 
 
 def _judge(

@@ -31,6 +31,7 @@ from ..preset import CameraNoise, MaskSection, Preset, RigNoise, now
 from ..preset.checks import rig_in_use
 from ..preset.rig_noise import BiasOrigin
 from ..sources.base import CameraRole, FrameSource, Progress
+from .slow_error import slow_error_m
 from .untouched import frames_to_average, tile_medians
 
 #: Default number of live frames, and upper limit: more take too much memory.
@@ -177,6 +178,7 @@ def measure_noise(
     ]
     report(1.0, "The noise is measured")
     bias = choose_bias([bias for bias in found if bias is not None], warn or (lambda sentence: None))
+    some = _metres([frame.proximity_depth for frame in _spread_out(different)], rig.proximity)
     return RigNoise(
         proximity=proximity,
         tactile=tactile,
@@ -184,6 +186,7 @@ def measure_noise(
         bias_sigma_m=bias.sigma_m,
         bias_from=bias.origin,
         bias_per_m=bias.per_m,
+        slow_m=slow_error_m(_mean_over_frames(some)[0], proximity.length_px),
         measured=now(),
         frames=len(different),
     )
@@ -210,9 +213,10 @@ def frames_at_rest(
 
 def describe(noise: RigNoise) -> list[str]:
     """Return the result in sentences: tactile noise, proximity noise, bias."""
+    slow = "" if noise.slow_m is None else f" Its slow error, over the image, is about {1e3 * noise.slow_m:.2f} mm."
     return [
         _describe_camera("Tactile", noise.tactile),
-        _describe_camera("Proximity", noise.proximity),
+        _describe_camera("Proximity", noise.proximity) + slow,
         _describe_bias(MeasuredBias(noise.bias_m, noise.bias_sigma_m, noise.bias_from, noise.bias_per_m)),
     ]
 

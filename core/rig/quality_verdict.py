@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
+from ..errors import as_sentence
 from ..preset import Preset
 from .depth_quality import NOISE_FRAMES, CameraQuality, DepthQuality
 
@@ -91,8 +92,8 @@ def judge_bias(quality: DepthQuality, preset: Preset) -> Reading:
     bias = quality.bias
     title = "Bias between the cameras"
     if bias is None:
-        problem = quality.bias_problem or "the cameras cannot be compared"
-        return Reading(title, "", Verdict.UNKNOWN, step=f"{problem[0].upper()}{problem[1:]}.")
+        step = as_sentence(quality.bias_problem or "the cameras cannot be compared")
+        return Reading(title, "", Verdict.UNKNOWN, step=step)
     farther = "proximity" if bias.bias_m >= 0 else "tactile"
     value = (
         f"the {farther} camera reads {1e3 * abs(bias.bias_m):.2f} mm ({100 * abs(bias.share):.2f} %) farther, "

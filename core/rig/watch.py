@@ -1,8 +1,8 @@
 """The drift watchdog: a look every ten seconds tells whether a camera moved, the pressure changed or a lens is dirty.
 
-No single frame decides. A change is told once its median over 3, 6 or 12 looks exceeds what is harmless by 4 standard
-deviations of that median, so a large change is told after two looks and a small one later. It is withdrawn when it is
-harmless again.
+No single frame decides. A change is told once its median over 3, 6, 12 or 24 looks exceeds what is harmless by 4
+standard deviations of that median, so a large change is told after two looks and a small one later. It is withdrawn
+when it is harmless again.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from ..calibration.recheck import RECALIBRATE_PX, Drift, recheck
 from ..errors import CalibrationError, RigMismatchError
 from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
-from .change import Change, ChangeMeter
+from .change import FAR_M, Change, ChangeMeter
 
 #: Seconds from one look to the next.
 INTERVAL_S: Final = 10.0
@@ -33,11 +33,12 @@ SUBJECTS: Final[tuple[Subject, ...]] = (
     "depth",
     "alignment",
 )
-#: Harmless change and standard deviation of one look; metres, for a lens the share of lost texture.
+#: Harmless change, and its least standard deviation in one look; metres, for a lens the share of lost texture. Noise of
+#: the depth that changes slowly doubles the harmless change of pressure over less than the third of `_SPANS`.
 _HARMLESS: Final[dict[Subject, float]] = {
     "tactile": 0.00025,
     "proximity": 0.00025,
-    "pressure": 0.0003,
+    "pressure": 0.00015,
     "depth": 0.0007,
     "alignment": 0.0004,
     "tactile_lens": 0.05,
@@ -53,10 +54,12 @@ _SIGMA: Final[dict[Subject, float]] = {
     "proximity_lens": 0.01,
 }
 #: Numbers of looks over which the median is taken, and the certainty that it needs, in its standard deviations.
-_SPANS: Final = (3, 6, 12)
+_SPANS: Final = (3, 6, 12, 24)
 _CERTAIN: Final = 4.0
 #: Standard deviation of a median of n normal values: this times that of their mean.
 _MEDIAN: Final = 1.2533
+#: A change of the apex moves the texture sideways as a camera does that moves by at most this share of it.
+_LOOKS_MOVED: Final = 0.06
 #: While something touches, the alignment is checked at every fifth look only: it takes ten times as long.
 _ALIGNMENT_EVERY: Final = 5
 
@@ -178,9 +181,14 @@ class Watchdog:
 
     def _kept(self, change: Change) -> dict[Subject, float]:
         self._pressure_sigma_m, self._bulge_m = change.inflation_sigma_m, change.bulge_m
+        by_pressure_m = _LOOKS_MOVED * abs(change.inflation_m or 0.0)
+        tactile_m, proximity_m = (
+            moved_m if moved_m is None or moved_m >= FAR_M else max(moved_m - by_pressure_m, 0.0)
+            for moved_m in (change.tactile_m, change.proximity_m)
+        )
         measured: dict[Subject, float | None] = {
-            "tactile": change.tactile_m,
-            "proximity": change.proximity_m,
+            "tactile": tactile_m,
+            "proximity": proximity_m,
             "pressure": change.inflation_m,
             "depth": change.depth_m,
             "tactile_lens": change.tactile_lost,
@@ -198,10 +206,12 @@ class Watchdog:
         values = self._values[subject]
         if subject not in self.readings or len(values) < _SPANS[0]:
             return None
+        harmless = self._harmless(subject)
         if subject in self._told:
-            median = float(np.median(list(values)[-_SPANS[0] :]))
-            if abs(median) > self._harmless(subject):
+            latest = list(values)[-_SPANS[0] :]
+            if max(map(abs, latest)) > harmless:
                 return None
+            median = float(np.median(latest))
             self._told.discard(subject)
             while len(values) > _SPANS[0]:  # those of the time before must not tell it again
                 values.popleft()
@@ -213,7 +223,8 @@ class Watchdog:
                 break
             median = float(np.median(list(values)[-span:]))
             sigma = max(_SIGMA[subject], self._pressure_sigma_m if subject == "pressure" else 0.0)
-            if abs(median) > self._harmless(subject) + _CERTAIN * _MEDIAN * sigma / np.sqrt(span):
+            slow = subject == "pressure" and span < _SPANS[2]
+            if abs(median) > (1 + slow) * harmless + _CERTAIN * _MEDIAN * sigma / np.sqrt(span):
                 self._told.add(subject)
                 return WatchReport(subject, "told", time_s, median, self._sentence(subject, median))
         return None
@@ -248,7 +259,8 @@ class Watchdog:
             return f"The tactile camera's depth has drifted by {1e3 * value:.1f} mm since the untouched frame."
         if subject == "alignment":
             return f"The cameras have moved against each other: the alignment is off by {1e3 * value:.1f} mm."
-        return f"The {subject} camera has moved by {1e3 * value:.1f} mm since the untouched frame."
+        size = f"{1e3 * value:.1f} mm" if value < FAR_M else f"{1e3 * FAR_M:.0f} mm or more"
+        return f"The {subject} camera has moved by {size} since the untouched frame."
 
 
 def _withdrawn(subject: Subject, value: float) -> str:

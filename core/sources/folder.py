@@ -24,12 +24,12 @@ import os
 import re
 import secrets
 import shutil
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..errors import ExportError, FrameError, SourceError
 from ..model.arrays import AnyArray, Float32Array, Uint8Array, Uint16Array
@@ -37,21 +37,32 @@ from ..model.clouds import valid_depth
 from ..model.files import remove_leftovers, user_path
 from ..model.frames import MAX_TIME_S, NO_DEPTH_COUNTS, GroundTruth, Rig, SensorFrame, note_number
 from ..model.loading import decode_image, parse_npy, read_file
-from ..model.rig_file import json_text, load_rig, read_json_object, rig_to_json
+from ..model.rig_file import json_text, load_rig, read_json_object, rig_to_json, validation_sentence
 from .base import FrameSource, Progress, SeekableSource
 from .registry import SourceKind
 
 _NOMINAL_RATE_HZ = 30.0
-_REQUIRED = ("proximity_depth.png", "proximity_color.png", "tactile_depth.png")
+#: The images of a frame: whether it needs each, its bits and its channels.
+IMAGES = {
+    "proximity_depth.png": (True, 16, 1),
+    "proximity_color.png": (True, 8, 3),
+    "tactile_depth.png": (True, 16, 1),
+    "tactile_color.png": (False, 8, 3),
+}
+_REQUIRED = tuple(name for name, (needed, _, _) in IMAGES.items() if needed)
 
 
-@dataclass(frozen=True)
-class _Stamp:
+_Seconds = Annotated[float, Field(ge=-MAX_TIME_S, le=MAX_TIME_S, allow_inf_nan=False)]
+
+
+class _Stamp(BaseModel):
     """The contents of ``frame.json``."""
 
-    sequence: int
-    proximity_time_s: float
-    tactile_time_s: float
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+
+    sequence: Annotated[int, Field(ge=0, lt=2**63)]
+    proximity_time_s: _Seconds
+    tactile_time_s: _Seconds
 
 
 class FolderSource(SeekableSource):
@@ -163,10 +174,16 @@ def export_folder(
     return count
 
 
+def numbered_folders(path: Path) -> list[Path]:
+    """Return the subfolders whose names are numbers, in the order of these."""
+    numbered = [entry for entry in path.iterdir() if re.fullmatch("[0-9]+", entry.name) and entry.is_dir()]
+    return sorted(numbered, key=lambda folder: int(folder.name))
+
+
 def _frame_folders(path: Path) -> list[Path]:
     """Return the frames of a recording by their numbers."""
     try:
-        numbered = [entry for entry in path.iterdir() if re.fullmatch("[0-9]+", entry.name) and entry.is_dir()]
+        numbered = numbered_folders(path)
     except OSError as error:
         raise SourceError(f"cannot list {path}: {error.strerror or error}; check its permissions") from error
     single = any((path / name).exists() for name in _REQUIRED)
@@ -177,7 +194,7 @@ def _frame_folders(path: Path) -> list[Path]:
             f"{path} has no frames: neither {_REQUIRED[0]} nor numbered subfolders such as 000000; "
             "export or copy the recording again"
         )
-    folders = [path] if single else sorted(numbered, key=lambda folder: int(folder.name))
+    folders = [path] if single else numbered
     for first, second in itertools.pairwise(folders):
         if int(first.name) == int(second.name):
             raise SourceError(f"{path}: {first.name} and {second.name} are the same number; rename one of them")
@@ -197,21 +214,11 @@ def _read_stamp(folder: Path, index: int) -> _Stamp:
     path = folder / "frame.json"
     if not path.exists():
         time_s = index / _NOMINAL_RATE_HZ
-        return _Stamp(index, time_s, time_s)
-    data = read_json_object(path)
-    expected = ("sequence", "proximity_time_s", "tactile_time_s")
-    for key in expected:
-        if key not in data:
-            raise SourceError(f"{path}: {key} is missing; add it or remove the file")
-    for key, value in data.items():
-        if key not in expected:
-            raise SourceError(f"{path}: {key} is no field of a frame; it has {', '.join(expected)}")
-        whole = key == "sequence"
-        good = type(value) is int or (not whole and type(value) is float)
-        if not good or not abs(value) <= (2**63 - 1 if whole else MAX_TIME_S) or (whole and value < 0):
-            kind = "a whole number from 0" if whole else "a number of seconds"
-            raise SourceError(f"{path}: {key} is {value!r}, but it should be {kind}; correct it")
-    return _Stamp(data["sequence"], float(data["proximity_time_s"]), float(data["tactile_time_s"]))
+        return _Stamp(sequence=index, proximity_time_s=time_s, tactile_time_s=time_s)
+    try:
+        return _Stamp.model_validate(read_json_object(path))
+    except ValidationError as error:
+        raise SourceError(validation_sentence(error, str(path), "a frame")) from error
 
 
 def _read_frame(folder: Path, stamp: _Stamp, rig: Rig) -> SensorFrame:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,17 +13,11 @@ from ..model.files import atomic_path, user_path
 from ..model.frames import Rig
 from ..model.loading import decode_image, image_size, read_file
 from ..model.rig_file import json_text, rig_to_json
+from .folder import IMAGES, numbered_folders
 
 RIG_FILE = "rig.json"
 #: Frames of a long folder whose images are looked at.
 _LOOKED_AT = 20
-#: The images of a frame: whether it needs each, its bits and its channels.
-IMAGES = {
-    "proximity_depth.png": (True, 16, 1),
-    "proximity_color.png": (True, 8, 3),
-    "tactile_depth.png": (True, 16, 1),
-    "tactile_color.png": (False, 8, 3),
-}
 
 
 @dataclass(frozen=True)
@@ -78,7 +71,7 @@ def find_images(path: Path) -> FolderImages:
         first = _first_frame(path)
         if first is None:
             raise SourceError(f"{path} has no images of frames; they are called {', '.join(IMAGES)}")
-        numbered = [] if first == path else _numbered(path)
+        numbered = [] if first == path else numbered_folders(path)
         sizes, problems = {}, []
         for name, (needed, bits, channels) in IMAGES.items():
             file = first / name
@@ -136,10 +129,5 @@ def write_rig(path: Path, rig: Rig) -> None:
 
 
 def _first_frame(path: Path) -> Path | None:
-    folders = [path, *_numbered(path)[:1]]
+    folders = [path, *numbered_folders(path)[:1]]
     return next((folder for folder in folders if any((folder / name).is_file() for name in IMAGES)), None)
-
-
-def _numbered(path: Path) -> list[Path]:
-    numbered = [entry for entry in path.iterdir() if re.fullmatch("[0-9]+", entry.name) and entry.is_dir()]
-    return sorted(numbered, key=lambda folder: int(folder.name))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from ..model.arrays import AnyArray
+from ..calibration.snapshots import content_hash
 from ..model.files import recording_files, user_path
 from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
@@ -110,7 +110,7 @@ def inspect_clips(
         name = _absolute(source)
         with opener(name) as opened:
             check_rig(preset, opened.rig)
-            identity, has_truth, chosen = _read_frames(source, opened, frames)
+            identity, has_truth, chosen = _inspect(source, opened, frames)
         clips.append(Clip(source, name, chosen, identity, has_truth))
     return clips
 
@@ -122,17 +122,28 @@ def frames_identity(rig: Rig) -> hashlib.blake2b:
 
 def add_frame(digest: hashlib.blake2b, frame: SensorFrame) -> None:
     """Add a frame's images and truth to a hash."""
-    truth = frame.truth
-    images: list[AnyArray | None] = [frame.proximity_depth, frame.proximity_color, frame.tactile_depth]
-    images += [frame.tactile_color, *((truth.contact, truth.depth_m) if truth else (None, None))]
-    for image in images:
-        if image is None:
-            digest.update(b"none")
-        else:
-            digest.update(repr(image.shape).encode() + np.ascontiguousarray(image).tobytes())
+    digest.update(content_hash(frame).encode())
+    for image in (frame.truth.contact, frame.truth.depth_m) if frame.truth else ():
+        digest.update(b"none" if image is None else np.ascontiguousarray(image).tobytes())
 
 
-def _read_frames(source: str, opened: FrameSource, frames: FrameRange) -> tuple[str, bool, range]:
+def read_frames(source: str, opened: FrameSource, indices: range) -> Iterator[SensorFrame]:
+    """Yield the frames of an open source.
+
+    Raises
+    ------
+    TuneError
+        The source ends before.
+    """
+    for index in indices:
+        opened.seek(index)
+        frame = opened.next_frame()
+        if frame is None:
+            raise TuneError(f"{source} ends before its frame {index}; check the recording or choose fewer frames")
+        yield frame
+
+
+def _inspect(source: str, opened: FrameSource, frames: FrameRange) -> tuple[str, bool, range]:
     """Return the hash of the frames, whether one of them has ground truth, and their indices."""
     if opened.length is None:
         raise TuneError(f"{source} has no end; record it first with tactune record")
@@ -140,11 +151,7 @@ def _read_frames(source: str, opened: FrameSource, frames: FrameRange) -> tuple[
     if not chosen:
         raise TuneError(f"{source} has {opened.length} frames, none of them in {frames}; choose others with --frames")
     digest, has_truth = frames_identity(opened.rig), False
-    for index in chosen:
-        opened.seek(index)
-        frame = opened.next_frame()
-        if frame is None:
-            raise TuneError(f"{source} ends before its frame {index}; check the recording or choose fewer frames")
+    for frame in read_frames(source, opened, chosen):
         add_frame(digest, frame)
         has_truth = has_truth or frame.truth is not None
     return digest.hexdigest(), has_truth, chosen

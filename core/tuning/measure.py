@@ -32,7 +32,7 @@ from ..model.frames import Rig, SensorFrame
 from ..model.patch import ContactPatch
 from ..preset import Preset
 from ..sources.registry import open_source
-from .clips import Clip, add_frame, frames_identity
+from .clips import Clip, add_frame, frames_identity, read_frames
 from .space import STAGE_OF, TuneError
 
 
@@ -174,11 +174,7 @@ class _OpenClip:
     def frames(self) -> Iterator[SensorFrame]:
         """Yield the frames; the first time, check that they are those of the plan."""
         digest = None if self._checked else frames_identity(self.source.rig)
-        for index in self.clip.frames:
-            self.source.seek(index)
-            frame = self.source.next_frame()
-            if frame is None:
-                raise TuneError(f"{self.clip.source} ends before its frame {index}; check the recording")
+        for frame in read_frames(self.clip.source, self.source, self.clip.frames):
             if digest is not None:
                 add_frame(digest, frame)
             yield frame

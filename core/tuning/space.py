@@ -107,6 +107,14 @@ def plain_value(preset: Preset, path: str) -> Any:
     return json.loads(json.dumps(value.model_dump(mode="json") if hasattr(value, "model_dump") else value))
 
 
+def json_or_word(text: str) -> Any:
+    """Return the value of a JSON text, or else the text itself."""
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        return text
+
+
 def parse_axis(text: str) -> Axis:
     """Read ``FIELD=VALUES`` such as ``outliers.k=10,20`` or ``tolerance.t=0.005:0.03:6log``.
 
@@ -121,10 +129,13 @@ def parse_axis(text: str) -> Axis:
     found = _RANGE.fullmatch(given)
     if found is not None and not given.startswith(("[", "{", '"')):
         return _range(path, given, *found.groups())
-    values = tuple(map(_value, _parted(given)))
+    try:
+        values = json.loads(f"[{given.strip(',')}]")
+    except (ValueError, RecursionError):  # words
+        values = [json_or_word(part.strip()) for part in given.split(",") if part.strip()]
     if not values:
         raise TuneError(f"{path} has no value; list some with commas, or give a range LOW:HIGH")
-    return Axis(path, values)
+    return Axis(path, tuple(values))
 
 
 def check_axes(axes: Sequence[Axis], base: Preset) -> tuple[Axis, ...]:
@@ -197,10 +208,10 @@ def at_edge(axes: Sequence[Axis], best: dict[str, Any]) -> list[str]:
     """Return a sentence for each number whose best value is the smallest or largest one of its axis."""
     said = []
     for axis in axes:
-        ends = (min(axis.values), max(axis.values)) if _are_numbers(axis.values) else (axis.low, axis.high)
-        for end, which in zip(ends, ("smallest", "largest"), strict=True):
-            if (_are_numbers(axis.values) or not axis.values) and ends[0] < ends[1] and best[axis.path] == end:
-                said.append(f"the best {axis.path}, {end:g}, is the {which} one that was allowed")
+        numbers = [value for value in axis.values or (axis.low, axis.high) if type(value) in (int, float)]
+        for end, which in ((min, "smallest"), (max, "largest")):
+            if len(set(numbers)) > 1 and best[axis.path] == end(numbers):
+                said.append(f"the best {axis.path}, {best[axis.path]:g}, is the {which} one that was allowed")
     return said
 
 
@@ -232,26 +243,3 @@ def _range(path: str, text: str, low: str, high: str, count: str | None, log: st
     if count and not 2 <= int(count) <= MAX_GRID:
         raise TuneError(f"{path}: {text} has {count} steps; give 2 to {MAX_GRID}")
     return Axis(path, (), *ends, int(count) if count else None, bool(log))
-
-
-def _parted(text: str) -> list[str]:
-    """Split at commas outside brackets."""
-    parts, depth, start = [], 0, 0
-    for at, letter in enumerate(text):
-        depth += (letter in "[{") - (letter in "]}")
-        if letter == "," and depth == 0:
-            parts.append(text[start:at])
-            start = at + 1
-    return [part.strip() for part in (*parts, text[start:]) if part.strip()]
-
-
-def _value(text: str) -> Any:
-    """Return the JSON value of a text; the text itself if it is not valid JSON."""
-    try:
-        return json.loads(text)
-    except (ValueError, RecursionError):
-        return text
-
-
-def _are_numbers(values: Sequence[Any]) -> bool:
-    return bool(values) and all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)

@@ -8,8 +8,6 @@ from __future__ import annotations
 import hashlib
 import json
 import secrets
-import sys
-import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
@@ -17,7 +15,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import IO, Any, Final, Literal, Self
+from typing import Any, Final, Literal, Self
 
 from ..errors import ExportError, MissingExtraError, TactuneError
 from ..evaluation.table_cell import code_version
@@ -50,11 +48,10 @@ _POPULATION: Final = 20
 _BATCHES_A_WORKER: Final = 4
 #: Interval of looks at workers and other searches, seconds.
 _LOOK_S: Final = 0.5
-#: Grace period of a lock whose holder was killed, and of a trial that was begun but not yet claimed, seconds.
-_GRACE_S: Final = 10
-
-#: The trial of the preset that the search starts from.
-PRESENT: Final = "present"
+#: Grace period of a lock whose holder was killed, seconds.
+_GRACE_S: Final = 5
+#: Begin of the name of each search, and of the study's user attribute that holds the listed points that it measures.
+_SEARCH: Final = "search "
 #: In the notes of each preset that a search has written.
 FOUND_BY: Final = "found by tactune tune"
 
@@ -99,15 +96,8 @@ class Plan:
         """Hash of all that a trial's result and the choice of trials depend on, the program's code included."""
         fixed = {path: plain_value(self.base, path) for path in result_paths()}
         clips = [(clip.identity, list(clip.frames)) for clip in self.clips]
-        decisive = [
-            fixed,
-            list(map(asdict, self.axes)),
-            clips,
-            self.objectives,
-            self.sampler,
-            self.seed,
-            code_version(),
-        ]
+        axes = list(map(asdict, self.axes))
+        decisive = [fixed, axes, clips, self.objectives, self.sampler, self.seed, code_version()]
         return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()[:12]
 
 
@@ -196,8 +186,10 @@ def make_plan(
 class Study:
     """The study of a plan in a journal file; a context manager.
 
-    Several processes may work on the same study. Each holds a lock on a file of its own beside the journal, which the
-    system releases however the process ends, so that the others can tell which running trials are abandoned.
+    The file holds finished trials only, each written at once, so a search that is killed leaves nothing to mend. It is
+    sampled from a copy in memory. Several searches may work on one study: each notes in the file which listed points
+    (of a grid or quasi-random) it measures, and takes those of others once no other points are left, because the others
+    may be dead. The first result of a point counts.
 
     Parameters
     ----------
@@ -208,13 +200,12 @@ class Study:
 
     def __init__(self, plan: Plan, path: Path) -> None:
         self.plan, self.path = plan, path
-        self._grid = grid_of(plan.axes) if plan.sampler == "grid" else []
         self._distributions = {axis.path: _distribution(axis) for axis in plan.axes}
         self._present = {axis.path: plain_value(plan.base, axis.path) for axis in plan.axes}
-        self._searcher = secrets.token_hex(4)
+        self._search = f"{_SEARCH}{secrets.token_hex(4)}"
 
     def __enter__(self) -> Self:
-        """Open the file, and free the trials of searches that were killed.
+        """Open the file.
 
         Raises
         ------
@@ -225,43 +216,37 @@ class Study:
         """
         if self.path.exists() and not self.path.is_file():
             raise TuneError(f"{self.path} is no ordinary file; choose another --study")
-        try:
+        with self._undamaged():
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            with self._undamaged():
-                self._study = self._open()
-                self.trials()
-            self._alive = self._alive_file(self._searcher).open("xb")
-            _lock(self._alive)
-        except OSError as error:
-            raise ExportError(f"cannot write {self.path}: {error.strerror or error}; choose another --study") from error
+            self._study = self._open()
+            self.trials()
+            self._claim([])
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Free this search's own unfinished trials."""
-        with suppress(*_DAMAGE, OSError):  # it was told already, and the next search frees them
-            for trial in self._all(TrialState.RUNNING):
-                if trial.user_attrs.get("searcher") == self._searcher:
-                    self._study.tell(trial.number, state=TrialState.FAIL)
-        self._alive.close()
-        self._alive_file(self._searcher).unlink(missing_ok=True)
+        """Give up the points that were not measured."""
+        with suppress(*_DAMAGE, OSError):  # it was told already
+            self._claim([])
 
     def trials(self) -> list[Trial]:
         """Return all measured trials, by number."""
-        return [self._trial(trial) for trial in self._all() if _is_measured(trial)]
+        with self._undamaged():
+            return [self._trial(trial) for trial in self._measured()]
 
     def front(self) -> list[Trial]:
         """Return the trials that no other trial beats in all objectives, the best by the first objective first.
 
         Trials that found no contact at all do not count.
         """
-        found = [self._trial(trial) for trial in self._study.best_trials]
         first = self.plan.objectives[0]
         sign = -1.0 if OBJECTIVES[first].larger else 1.0
 
         def rank(trial: Trial) -> tuple[float, float]:
             return float(f"{sign * trial.figures[first]:.9g}"), trial.figures.get("ms", 0.0)
 
-        return sorted(found, key=rank)
+        with self._undamaged():
+            counted = {trial.number for trial in self._measured()}
+            return sorted((self._trial(it) for it in self._study.best_trials if it.number in counted), key=rank)
 
     def run(self, workers: Workers, stopped: Callable[[], bool] = lambda: False) -> Iterator[int]:
         """Measure trials until the plan's number is reached; yield the number that is measured each time it grows.
@@ -278,12 +263,18 @@ class Study:
 
     def _run(self, workers: Workers, stopped: Callable[[], bool]) -> Iterator[int]:
         running: dict[Future[list[Measured]], list[optuna.Trial]] = {}
-        self._study.sampler = self._sampler()
-        ahead = 2 if self.plan.sampler in ("grid", "qmc") else 1
-        said = len(self.trials())
+        self._listed = self._list_points()
+        self._sampled = self._make_sampled()
+        self._known = 0
+        ahead = 2 if self._listed else 1
+        said = len(self._measured())
         yield said
-        while not stopped():
-            while len(running) < ahead * max(1, workers.count()) and (trials := self._ask(workers.count())):
+        while said < self.plan.trials and not stopped():
+            take_over = not running
+            while len(running) < ahead * max(1, workers.count()):
+                trials = self._ask(workers.count(), [trial for batch in running.values() for trial in batch], take_over)
+                if not trials:
+                    break
                 values = tuple(self._values(trial) for trial in trials)
                 timed = "ms" in self.plan.objectives
                 batch = Batch(self.plan.base, self.plan.clips, code_version(), values, timed)
@@ -291,15 +282,11 @@ class Study:
                     running[workers.executor.submit(measure_batch, batch)] = trials
                 except BrokenProcessPool as error:
                     raise TuneError(_KILLED) from error
-            if not running and not self._all(TrialState.RUNNING, TrialState.WAITING) and not self._missing_points():
-                break
-            if not running:
-                time.sleep(_LOOK_S)  # another search is about to finish the last trials
             for future in wait(running, _LOOK_S, FIRST_COMPLETED).done:
                 for trial, measured in zip(running.pop(future), _result(future, workers), strict=True):
                     self._tell(trial, measured)
             workers.check()
-            if (done := len(self.trials())) != said:
+            if (done := len(self._measured())) != said:
                 said = done
                 yield done
 
@@ -315,155 +302,138 @@ class Study:
                 file.truncate(data.rfind(b"\n") + 1)
         finally:
             lock.release()
-        directions: list[Direction] = [
-            "maximize" if OBJECTIVES[name].larger else "minimize" for name in self.plan.objectives
-        ]
         study = optuna.create_study(
             storage=JournalStorage(JournalFileBackend(str(self.path), lock_obj=lock)),
             study_name=f"{self.plan.base.name[:60]} {self.plan.identity}",
-            directions=directions,
+            directions=self._directions,
             load_if_exists=True,
         )
         if not study.user_attrs:
-            with warnings.catch_warnings(action="ignore", category=optuna.exceptions.ExperimentalWarning):
+            with _no_experimental_warning():
                 study.set_metric_names(list(self.plan.objectives))
             study.set_user_attr("sources", [clip.source for clip in self.plan.clips])
             study.set_user_attr("preset", {path: plain_value(self.plan.base, path) for path in result_paths()})
         return study
 
+    @property
+    def _directions(self) -> list[Direction]:
+        return ["maximize" if OBJECTIVES[name].larger else "minimize" for name in self.plan.objectives]
+
     @contextmanager
     def _undamaged(self) -> Iterator[None]:
-        """Raise a `TuneError` where the journal is damaged or was removed."""
+        """Raise a `TuneError` where the journal is damaged, an `ExportError` where it cannot be written."""
         try:
             yield
         except _DAMAGE as error:
             raise TuneError(f"{self.path} is damaged or not the file of a search; choose another --study") from error
+        except OSError as error:
+            raise ExportError(f"cannot write {self.path}: {error.strerror or error}; choose another --study") from error
 
-    def _sampler(self) -> optuna.samplers.BaseSampler:
-        """Return the sampler. Its seed changes as trials are added, lest a continued search draws the same again."""
-        seed = self.plan.seed + len(self._all()) + (0 if not self._others() else int(self._searcher, 16) % 2**20)
-        if self.plan.sampler == "qmc":
-            with warnings.catch_warnings(action="ignore", category=optuna.exceptions.ExperimentalWarning):
-                return optuna.samplers.QMCSampler(scramble=True, seed=self.plan.seed, warn_independent_sampling=False)
+    def _list_points(self) -> list[dict[str, Any]]:
+        """Return the points of a grid or of a quasi-random sequence; none if a sampler learns from earlier trials."""
+        if self.plan.sampler == "grid":
+            return grid_of(self.plan.axes)
+        if self.plan.sampler != "qmc":
+            return []
+        with _no_experimental_warning():
+            sampler = optuna.samplers.QMCSampler(scramble=True, seed=self.plan.seed, warn_independent_sampling=False)
+        study = optuna.create_study(sampler=sampler)
+        study.tell(study.ask(self._distributions), 0.0)  # the sequence begins after the first trial
+        drawn = [self._values(study.ask(self._distributions)) for _ in range(self.plan.trials)]
+        return [*self._first(), *drawn][: self.plan.trials]
+
+    def _first(self) -> list[dict[str, Any]]:
+        """Return the present preset's values if they belong to the space."""
+        return [self._present] if all(axis.holds(self._present[axis.path]) for axis in self.plan.axes) else []
+
+    def _make_sampled(self) -> optuna.Study:
+        """Return an empty study in memory with the sampler; each search has a seed of its own."""
+        searches = [name for name in self._study.user_attrs if name.startswith(_SEARCH)]
+        seed = self.plan.seed + searches.index(self._search)
+        sampler: optuna.samplers.BaseSampler = optuna.samplers.TPESampler(seed=seed)
         if self.plan.sampler == "nsga2":
-            return optuna.samplers.NSGAIISampler(population_size=_POPULATION, seed=seed)
-        if self.plan.sampler == "tpe":
-            return optuna.samplers.TPESampler(seed=seed)
-        return optuna.samplers.RandomSampler(seed=seed)  # its draws do not count: all points of a grid are queued
+            sampler = optuna.samplers.NSGAIISampler(population_size=_POPULATION, seed=seed)
+        return optuna.create_study(directions=self._directions, sampler=sampler)
 
-    def _ask(self, workers: int) -> list[optuna.Trial]:
-        """Begin the trials of one batch; none if all are measured or running."""
-        self._free_abandoned()
-        if not self._grid and all(axis.holds(self._present[axis.path]) for axis in self.plan.axes):
-            self._offer(PRESENT, self._present)
-        waiting = self._all(TrialState.WAITING)
-        missing = self._missing_points()
-        left = (
-            len(missing) + len(waiting) if self._grid else self.plan.trials - len(list(filter(_is_begun, self._all())))
-        )
+    def _ask(self, workers: int, running: list[optuna.Trial], take_over: bool) -> list[optuna.Trial]:
+        """Begin the trials of one batch; none if all are measured or running.
+
+        Parameters
+        ----------
+        running : list of Trial
+            Those that this search measures.
+        take_over : bool
+            Whether points that another search measures may be taken if no others are left.
+        """
+        measured = self._measured()
+        for trial in measured[self._known :]:  # of earlier and of other searches
+            if trial.user_attrs["search"] != self._search:
+                self._sampled.add_trial(trial)
+        self._known = len(measured)
+        mine = [trial.user_attrs["point"] for trial in running if self._listed]
+        missing = self._missing_points({*mine, *map(_point, measured)}, take_over)
+        left = len(missing) if self._listed else self.plan.trials - len(measured) - len(running)
         frames = sum(len(clip.frames) for clip in self.plan.clips)
         share = -(-left // (_BATCHES_A_WORKER * max(1, workers)))
-        size = max(1, min(_FRAMES_A_BATCH // frames, _TRIALS_A_BATCH[self.plan.sampler], share))
-        begun = []
-        for at in range(min(size, left)):
-            if self._grid and at >= len(waiting):
-                point = missing[at - len(waiting)]
-                self._offer(point, self._grid[point])
-            trial = self._study.ask(self._distributions)
-            trial.set_user_attr("searcher", self._searcher)
-            if self._is_surplus(trial.number):
-                self._study.tell(trial, state=TrialState.FAIL)
-            else:
-                begun.append(trial)
-        return begun
+        size = min(left, max(1, min(_FRAMES_A_BATCH // frames, _TRIALS_A_BATCH[self.plan.sampler], share)))
+        if self._listed:
+            for point in missing[:size]:
+                self._queue(point, self._listed[point])
+            self._claim(mine + missing[:size])
+        elif not measured and not running:
+            for values in self._first():
+                self._queue(0, values)
+        return [self._sampled.ask(self._distributions) for _ in range(size)]
 
-    def _missing_points(self) -> list[int]:
-        """Return the points of the grid that are neither measured nor begun nor queued, in the grid's order."""
-        known = {trial.user_attrs.get("point") for trial in self._all() if _is_live(trial)}
-        return [point for point in range(len(self._grid)) if point not in known]
+    def _missing_points(self, known: set[int | None], take_over: bool) -> list[int]:
+        """Return the listed points that are not known, those that other searches measure only if no others are left."""
+        missing = [point for point in range(len(self._listed)) if point not in known]
+        searches = {name: points for name, points in self._study.user_attrs.items() if name.startswith(_SEARCH)}
+        claimed = {point for name, points in searches.items() if name != self._search for point in points}
+        return [point for point in missing if point not in claimed] or (missing if take_over else [])
 
-    def _is_surplus(self, number: int) -> bool:
-        """Return whether another search has begun the same point, or the last trial, before this trial.
+    def _queue(self, point: int, values: dict[str, Any]) -> None:
+        params = {axis.path: _label(values[axis.path]) if axis.values else values[axis.path] for axis in self.plan.axes}
+        self._sampled.enqueue_trial(params, user_attrs={"point": point, "values": values})
 
-        A trial of a grid without a point was drawn at random, since another search had begun the queued one.
-        """
-        *before, mine = [trial for trial in self._all() if trial.number <= number and _is_begun(trial)]
-        point = mine.user_attrs.get("point")
-        doubled = point is not None and any(trial.user_attrs.get("point") == point for trial in before)
-        return doubled or (point is None if self._grid else len(before) >= self.plan.trials)
+    def _claim(self, points: list[int]) -> None:
+        """Note in the file which listed points this search measures."""
+        self._study.set_user_attr(self._search, points)
 
-    def _offer(self, point: int | str, values: dict[str, Any]) -> None:
-        """Queue a trial unless there is one."""
-        if not any(trial.user_attrs.get("point") == point for trial in self._all() if _is_live(trial)):
-            self._study.enqueue_trial(self._params(values), user_attrs={"point": point})
-
-    def _tell(self, trial: optuna.Trial | FrozenTrial, measured: Measured) -> None:
-        objectives = self.plan.objectives
-        absent = [name for name in objectives if name not in measured.figures]
-        failure = measured.failure or (f"{absent[0]} is undefined on these frames" if absent else "")
-        if isinstance(trial, optuna.Trial):
-            if not failure and not measured.figures["points"]:
-                trial.set_constraint("contact found", 1.0)
-            trial.set_user_attr("measured", {"figures": measured.figures, "failure": failure})
-        with suppress(optuna.exceptions.UpdateFinishedTrialError):  # another search took it for abandoned
-            if failure:
-                self._study.tell(trial.number, state=TrialState.FAIL)
-            else:
-                self._study.tell(trial.number, [measured.figures[name] for name in objectives])
-
-    def _free_abandoned(self) -> None:
-        """Finish the running trials of searches that have ended, as failed; measured ones keep their result."""
-        running = self._all(TrialState.RUNNING)
-        if all(trial.user_attrs.get("searcher") == self._searcher for trial in running):
+    def _tell(self, trial: optuna.Trial, measured: Measured) -> None:
+        """Write a result to the file, unless another search was first."""
+        point, known = trial.user_attrs.get("point"), self._measured()
+        if len(known) >= self.plan.trials or (point is not None and point in map(_point, known)):
             return
-        others = self._others()
-        for trial in running:
-            owner = trial.user_attrs.get("searcher")
-            if owner is None and others:
-                begun = trial.datetime_start.timestamp() if trial.datetime_start else 0.0
-                abandoned = time.time() - begun > _GRACE_S
-            else:
-                abandoned = owner not in {*others, self._searcher}
-            with suppress(ValueError, optuna.exceptions.UpdateFinishedTrialError):  # freed by another search
-                if abandoned and "measured" in trial.user_attrs:
-                    self._tell(trial, Measured(**trial.user_attrs["measured"]))
-                elif abandoned:
-                    self._study.tell(trial.number, state=TrialState.FAIL)
+        absent = [name for name in self.plan.objectives if name not in measured.figures]
+        failure = measured.failure or (f"{absent[0]} is undefined on these frames" if absent else "")
+        if not failure and not measured.figures["points"]:
+            trial.set_constraint("contact found", 1.0)
+        trial.set_user_attr("search", self._search)
+        trial.set_user_attr("measured", {"figures": measured.figures, "failure": failure})
+        if failure:
+            self._sampled.tell(trial, state=TrialState.FAIL)
+        else:
+            self._sampled.tell(trial, [measured.figures[name] for name in self.plan.objectives])
+        self._study.add_trial(self._sampled.get_trials(deepcopy=False)[trial.number])
 
-    def _others(self) -> set[str]:
-        """Return the other searches that are alive; remove the files of those that have ended."""
-        alive = set()
-        for path in self.path.parent.glob(f"{self.path.name}.*.alive"):
-            name = path.name.split(".")[-2]
-            if name == self._searcher:
-                continue
-            try:
-                with path.open("r+b") as file:
-                    _lock(file)
-                path.unlink(missing_ok=True)
-            except FileNotFoundError:
-                continue
-            except OSError:
-                alive.add(name)
-        return alive
-
-    def _alive_file(self, searcher: str) -> Path:
-        return self.path.with_name(f"{self.path.name}.{searcher}.alive")
-
-    def _all(self, *states: TrialState) -> list[FrozenTrial]:
-        return self._study.get_trials(deepcopy=False, states=states or None)
+    def _measured(self) -> list[FrozenTrial]:
+        """Return the trials in the file; of a point that two searches have measured, the first."""
+        trials, points = [], set[int | None]()
+        for trial in self._study.get_trials(deepcopy=False):
+            if (point := _point(trial)) is None or point not in points:
+                trials.append(trial)
+                points.add(point)
+        return trials
 
     def _trial(self, trial: FrozenTrial) -> Trial:
-        found = trial.user_attrs["measured"]
-        values = self._values(trial)
-        return Trial(trial.number, values, found["figures"], found["failure"], values == self._present)
-
-    def _params(self, values: dict[str, Any]) -> dict[str, Any]:
-        return {axis.path: _label(values[axis.path]) if axis.values else values[axis.path] for axis in self.plan.axes}
+        found, values = trial.user_attrs["measured"], self._values(trial)
+        figures = {name: float(figure) for name, figure in found["figures"].items()}
+        return Trial(trial.number, values, figures, str(found["failure"]), values == self._present)
 
     def _values(self, trial: optuna.Trial | FrozenTrial) -> dict[str, Any]:
-        if trial.user_attrs.get("point") == PRESENT:
-            return self._present
+        if "values" in trial.user_attrs:
+            return {axis.path: trial.user_attrs["values"][axis.path] for axis in self.plan.axes}
         return {
             axis.path: next(value for value in axis.values if _label(value) == trial.params[axis.path])
             if axis.values
@@ -485,16 +455,16 @@ def tuned_preset(plan: Plan, trial: Trial, trials: int) -> Preset:
     return preset.model_copy(update={"notes": notes, "created": now(), "modified": now()})
 
 
-def _is_measured(trial: FrozenTrial) -> bool:
-    return trial.state.is_finished() and "measured" in trial.user_attrs
+@contextmanager
+def _no_experimental_warning() -> Iterator[None]:
+    with warnings.catch_warnings(action="ignore", category=optuna.exceptions.ExperimentalWarning):
+        yield
 
 
-def _is_live(trial: FrozenTrial) -> bool:
-    return not trial.state.is_finished() or _is_measured(trial)
-
-
-def _is_begun(trial: FrozenTrial) -> bool:
-    return trial.state == TrialState.RUNNING or _is_measured(trial)
+def _point(trial: FrozenTrial) -> int | None:
+    """Return the number of a trial's listed point; None if a sampler chose it."""
+    point: int | None = trial.user_attrs.get("point")
+    return point
 
 
 def _distribution(axis: Axis) -> BaseDistribution:
@@ -525,15 +495,3 @@ def _result(future: Future[list[Measured]], workers: Workers) -> list[Measured]:
             f"a worker failed ({type(error).__name__}: {str(error).partition(chr(10))[0][:200]}); check that each has "
             "this version of Tactune and enough memory, and give the same command again"
         ) from error
-
-
-def _lock(file: IO[bytes]) -> None:
-    """Lock a file until it is closed; a crash releases the lock. Raises OSError if another process holds it."""
-    if sys.platform == "win32":
-        import msvcrt
-
-        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-    else:
-        import fcntl
-
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

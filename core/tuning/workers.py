@@ -7,13 +7,12 @@ import multiprocessing
 import os
 import re
 import signal
-import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from multiprocessing.connection import Connection
 from typing import Any, Final
 
 import cv2
@@ -21,8 +20,6 @@ import cv2
 from ..errors import MissingExtraError
 from .space import TuneError
 
-#: Interval at which a worker checks that its parent is alive, seconds.
-_WATCH_S: Final = 0.2
 #: Longest wait for the scheduler, seconds.
 _CONNECT_S: Final = 10.0
 SCHEDULER_GONE: Final = "the Dask scheduler is gone; start it again, and the same command continues"
@@ -49,22 +46,21 @@ class Workers:
 
 @contextmanager
 def local_workers(jobs: int) -> Iterator[Workers]:
-    """Yield workers on this computer: processes of one thread each, or with one job the calling process."""
-    if jobs == 1:
-        threads = cv2.getNumThreads()
-        yield Workers(_Here(), lambda: 1)
-        cv2.setNumThreads(threads)
-        return
+    """Yield workers on this computer: processes of one thread each, or with one job a thread of this process."""
+    threads = cv2.getNumThreads()
     # Processes inherit it. PYTHONSAFEPATH: they import nothing from the working folder.
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "PYTHONSAFEPATH"), "1"))
     context = multiprocessing.get_context("spawn")
-    ended = context.Event()
-    executor = ProcessPoolExecutor(jobs, context, _begin_worker, (os.getpid(), ended))
+    reader, writer = context.Pipe(duplex=False)
+    executor: Executor = (
+        ProcessPoolExecutor(jobs, context, _begin_worker, (reader,)) if jobs > 1 else ThreadPoolExecutor(1)
+    )
     try:
         yield Workers(executor, lambda: jobs)
     finally:
-        ended.set()
+        writer.close()
         executor.shutdown(cancel_futures=True)
+        cv2.setNumThreads(threads)  # the thread's measurements change it for the process
 
 
 @contextmanager
@@ -76,7 +72,7 @@ def cluster_workers(address: str) -> Iterator[Workers]:
     MissingExtraError
         distributed is not installed.
     TuneError
-        No scheduler answers at that address, or it has no worker.
+        No scheduler answers at that address, it has no worker, or Dask's configuration lacks its certificates.
     """
     try:
         import distributed
@@ -84,6 +80,7 @@ def cluster_workers(address: str) -> Iterator[Workers]:
         raise MissingExtraError("--scheduler needs dask: install it with pip install 'tactune[cluster]'") from error
     if not _ADDRESS.fullmatch(address):
         raise TuneError(f"{address!r} is no scheduler's address; write it as tcp://192.168.0.5:8786")
+    _check_certificates(address)
     for name in ("distributed", "distributed.client"):  # it logs lost connections, which are raised as errors
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     try:
@@ -126,27 +123,32 @@ def cluster_workers(address: str) -> Iterator[Workers]:
                 executor.shutdown(wait=False)
 
 
-class _Here(Executor):
-    """Runs each call at once, in the calling thread."""
+def _check_certificates(address: str) -> None:
+    """Raise a `TuneError` where an address wants encryption and Dask's configuration has no certificates for it."""
+    import distributed
 
-    def submit(self, function: Callable[..., Any], /, *words: Any, **named: Any) -> Future[Any]:
-        """Run the function and return its finished future."""
-        future: Future[Any] = Future()
-        try:
-            future.set_result(function(*words, **named))
-        except Exception as error:
-            future.set_exception(error)
-        return future
+    if not address.startswith("tls://"):
+        return
+    try:
+        security: Any = distributed.Security()  # type: ignore[no-untyped-call]
+        if security.get_connection_args("client")["ssl_context"] is not None:
+            return
+        reason = "Dask's configuration has none"
+    except OSError as error:  # SSL errors, too
+        reason = f"those of Dask's configuration cannot be read ({error.strerror or error})"
+    raise TuneError(
+        f"{address} needs certificates, but {reason}; set ca-file, client.cert and client.key "
+        "under distributed.comm.tls"
+    )
 
 
-def _begin_worker(parent: int, ended: Any) -> None:
-    """Ignore Ctrl+C, which a terminal sends to all processes, and end this process with its parent's work."""
+def _begin_worker(parent: Connection) -> None:
+    """Ignore Ctrl+C, which a terminal sends to all processes, and end when the parent closes the pipe or dies."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def watch() -> None:
-        # on Windows the parent's process number stays the same after it has ended
-        while not ended.is_set() and (sys.platform == "win32" or os.getppid() == parent):
-            time.sleep(_WATCH_S)
+        with suppress(EOFError, OSError):
+            parent.recv()
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, Qt
@@ -77,15 +79,34 @@ def test_clouds_in_which_two_presets_do_not_differ_are_drawn_once(preset):
     assert a[CloudName.PATCH] is not b[CloudName.PATCH]
 
 
-def test_histograms_are_counted_less_often_than_frames_run(preset, monkeypatch):
-    monkeypatch.setattr(processing, "COUNTING_INTERVAL_S", 3600.0)
+@pytest.mark.parametrize(("interval", "part"), [("COUNTING_INTERVAL_S", "histogram"), ("STRIP_INTERVAL_S", "strip")])
+def test_histograms_and_images_are_drawn_less_often_than_frames_run(preset, monkeypatch, interval, part):
+    monkeypatch.setattr(processing, interval, 3600.0)
     processor, running = FrameProcessor(), PlaybackState(playing=True)
-    frames = [tiny_frame(index, RIG) for index in range(3)]
-    counted = [processor.process(INFO, frame, preset, Wanted(), running).rendered.histogram for frame in frames]
-    assert counted[0] is not None
-    assert counted[1:] == [None, None]
-    paused = processor.process(INFO, frames[0], preset, Wanted(), PlaybackState(playing=False))
-    assert paused.rendered.histogram is not None, "a frame that stands still has its histogram"
+
+    def drawn(index, state):
+        return getattr(processor.process(INFO, tiny_frame(index, RIG), preset, Wanted(), state).rendered, part)
+
+    assert [drawn(index, running) is not None for index in range(3)] == [True, False, False]
+    assert drawn(3, PlaybackState(playing=False)) is not None, "a frame that stands still is drawn"
+    processor.forget()
+    assert drawn(0, running) is not None, "another source begins with everything"
+
+
+def test_the_first_picture_of_a_cold_start_waits_for_no_images(preset):
+    processor, drawn = FrameProcessor(lambda preset: "Compiling"), []
+    for index in range(2):
+        result = processor.process(INFO, tiny_frame(index, RIG), preset, Wanted(), PlaybackState(playing=False))
+        drawn.append((len(result.rendered.clouds) > 0, result.rendered.strip is not None))
+    assert drawn == [(True, False), (True, True)]
+
+
+def test_no_colour_stands_for_a_negative_distance(preset):
+    frame = tiny_frame(0, RIG)
+    counts = np.linspace(5, 400, frame.tactile_depth.size).reshape(frame.tactile_depth.shape).astype(np.uint16)
+    near = replace(frame, tactile_depth=counts)
+    shown = FrameProcessor().process(INFO, near, preset, Wanted(), PlaybackState(playing=False)).rendered
+    assert shown.depth_range_m[0] >= 0 and shown.tactile_range_m[0] == 0
 
 
 # The window

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
+from threading import Event
 
 import pytest
 from PyQt6.QtCore import Qt
@@ -26,6 +27,7 @@ from hands import (
 from tactune.app.cli.common import default_preset
 from tactune.app.document.recovery import Autosave
 from tactune.app.sources.paths import recording_filters, recording_scheme
+from tactune.app.window import files
 from tactune.app.worker.results import SourceInfo
 from tactune.core.bench.scenes import synthetic_scene
 from tactune.core.errors import PresetError
@@ -79,6 +81,17 @@ def test_export_writes_a_readable_file(window, qtbot, tmp_path, suffix):
         assert len(list(csv.reader(path.read_text().splitlines()))) == count + 1
     else:
         assert f"element vertex {count}" in path.read_bytes()[:400].decode("latin-1")
+
+
+def test_each_of_several_exports_is_written(window, qtbot, tmp_path, monkeypatch):
+    write, go_on = files.write_cloud, Event()
+    monkeypatch.setattr(files, "write_cloud", lambda path, cloud: go_on.wait(30) and write(path, cloud))
+    paths = [tmp_path / f"{number}.ply" for number in range(3)]
+    for path in paths:
+        QTest.keyClick(window, Qt.Key.Key_E, CONTROL)
+        type_path(qtbot, path)
+    go_on.set()
+    qtbot.waitUntil(lambda: all(path.exists() for path in paths))
 
 
 def test_export_to_an_unknown_format_is_said(window, qtbot, tmp_path):
@@ -346,22 +359,13 @@ def test_run_uses_it(tmp_path, tactune):
     assert "press seven" in done.out
 
 
-def test_the_window_offers_it(tmp_path: Path, window, qtbot) -> None:  # type: ignore[no-untyped-def]
+def test_the_window_offers_it(tmp_path, window):
     with McapSource(record(tmp_path / "session.mcap")) as source:
         info = SourceInfo.of(source)
     assert info.preset is not None
     before = window.document.preset
     window.file_flows.offer_preset(info.preset)
-    (button,) = [b for b in window.messages.findChildren(_button()) if b.text() == "Use recorded preset"]
-    button.click()
+    press(window.messages.message("recorded preset"), "Use recorded preset")
     assert window.document.preset == info.preset != before
     window.file_flows.offer_preset(info.preset)
-    assert not [
-        b for b in window.messages.findChildren(_button()) if b.text() == "Use recorded preset" and b.isVisible()
-    ]
-
-
-def _button():  # type: ignore[no-untyped-def]
-    from PyQt6.QtWidgets import QAbstractButton
-
-    return QAbstractButton
+    assert window.messages.message("recorded preset") is None

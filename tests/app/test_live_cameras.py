@@ -14,7 +14,7 @@ from fake_cameras import FakeCameras
 from hands import press, show_source, type_into
 from tactune.app.sources import opening
 from tactune.app.sources import search as search_module
-from tactune.app.sources.search import CameraSearch, FoundCamera
+from tactune.app.sources.search import CameraSearch
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.sources.base import CameraHealth
@@ -117,7 +117,7 @@ def test_a_driver_without_the_l515_says_so_and_a_slow_connection_is_noted(window
             "Live cameras need the camera driver pyrealsense2, which is not installed.",
         ),
         ("import os; os.abort()", "The camera driver failed while searching for cameras"),
-        ("print('hello')", "The search for cameras gave no answer: run “tactune doctor”"),
+        ("print('hello')", "The search for cameras gave no answer: see Help > Check this computer"),
     ],
 )
 def test_what_is_wrong_is_said_with_what_to_do(window, answering, qtbot, program, words):
@@ -187,11 +187,6 @@ def test_a_missing_interpreter_is_said(qtbot, monkeypatch):
     search.start()
     qtbot.waitUntil(lambda: len(failed) == 1)
     assert failed[0].startswith("The search for cameras cannot be started")
-
-
-def test_an_l515_sees_proximity():
-    assert FoundCamera("L515", "1", role="proximity").sees_proximity
-    assert not FoundCamera("D405", "1", role="tactile").sees_proximity
 
 
 # Settings

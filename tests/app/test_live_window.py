@@ -130,24 +130,9 @@ def test_freezing_by_key_holds_the_frame_and_says_nothing_of_old(window, cameras
     qtbot.waitUntil(lambda: cameras.release() or time.monotonic() > too_old_s)
     assert window.result.frame.sequence == 0
     assert set(badges(window).values()) == {""}
+    assert not window.transport.slider.isEnabled() and not window.actions_.next.isEnabled()
     QTest.keyClick(window, Qt.Key.Key_F)
     qtbot.waitUntil(lambda: window.result.frame.sequence == len(cameras.given) - 1 > 0)
-
-
-def test_space_pauses_and_goes_on(window, cameras, qtbot):
-    QTest.keyClick(window, Qt.Key.Key_Space)
-    qtbot.waitUntil(lambda: not window.transport.state.playing)
-    cameras.give(qtbot, 3)
-    QTest.keyClick(window, Qt.Key.Key_Space)
-    qtbot.waitUntil(lambda: window.result.frame.sequence == 3)
-    assert not window.transport.slider.isEnabled()
-    assert not window.actions_.next.isEnabled()
-
-
-def test_closing_the_window_while_no_frame_comes(window, cameras, qtbot):
-    window.close()
-    assert not window.isVisible()
-    assert cameras.closed.is_set(), "its thread was not abandoned"
 
 
 def test_the_window_stays_awake_in_a_storm_of_faults(window, cameras, qtbot):

@@ -328,6 +328,8 @@ def test_a_source_that_cannot_be_opened_is_said(window, qtbot):
     window.open_request(SourceRequest("bag:/x.bag", fail))
     qtbot.waitUntil(lambda: "bag:/x.bag: damaged at byte 12; record it again" in window.messages.sentences())
     assert window.toolbar.source.text() == "Source: tiny"
+    window.worker.seek(5)
+    qtbot.waitUntil(lambda: at_rest(window, 5))
 
 
 def test_names_on_buttons_keep_their_ampersands(window):

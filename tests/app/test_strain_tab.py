@@ -178,8 +178,11 @@ def test_the_map_is_chosen_by_keys_and_read_with_the_mouse(qtbot, make_window):
     assert "% along width" in tab.pointed.text()
 
 
-def test_without_a_grid_it_says_what_to_do(qtbot, make_window):
-    tab = opened(qtbot, make_window(), PressedGrid(dots=False))
+def test_without_a_grid_it_says_what_to_do_and_of_which_frame(qtbot, make_window):
+    window = make_window()
+    tab = opened(qtbot, window, PressedGrid(dots=False))
+    assert window.transport.position.text().endswith("frame 4 of 8")
+    assert tab.numbers.verdict.text().startswith("Frame 4: no grid of dots")
     assert "print a square grid" in tab.numbers.verdict.text()
     assert cell(tab, 0, 1) == "–"
     assert not tab.curve.points
@@ -233,13 +236,6 @@ def test_picture_and_points_are_written(qtbot, make_window, tmp_path):
     assert float(rows[1]["true_strain_length_percent"]) == 25.0
     tab.save_to(tmp_path / "strain.png" / "strain.csv")
     qtbot.waitUntil(lambda: tab.messages.message("failed") is not None)
-
-
-def test_what_cannot_be_measured_is_said_of_the_frame_that_the_window_shows(qtbot, make_window):
-    window = make_window()
-    tab = opened(qtbot, window, PressedGrid(dots=False))
-    assert window.transport.position.text().endswith("frame 4 of 8")
-    assert tab.numbers.verdict.text().startswith("Frame 4: no grid of dots")
 
 
 def test_errors_count_frames_as_windows_do_also_where_a_recording_begins_late():

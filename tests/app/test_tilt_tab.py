@@ -40,7 +40,7 @@ def test_shows_the_angles_of_the_frame_and_its_plane(qtbot, window):
     assert tab.roll.accessibleDescription() == tab.roll.text()
     assert abs(angle) < 0.2 and 0 < sigma < 0.05
     assert [name for name, _ in tab.cloud.legend()] == ["patch", "fitted plane"]
-    assert "noise of usual cameras assumed" in tab.status.text()
+    assert "usual noise assumed" in tab.status.text()
 
 
 def test_switches_method_and_filter_and_remembers_both(qtbot, window):
@@ -82,8 +82,10 @@ def test_exports_what_was_shown_and_brings_a_removed_curve_back(qtbot, window, t
     before = dict(tab.rows)
     QTest.mouseClick(tab.reset, Qt.MouseButton.LeftButton)
     assert not tab.rows and not tab.export.isEnabled()
+    assert tab.curve.empty.isVisible() and not tab.curve.plot.isVisible()
     press(tab.messages.message("reset"), "Bring it back")
     assert tab.rows == before
+    assert tab.curve.plot.isVisible() and not tab.curve.empty.isVisible()
     tab.save_to(tmp_path / "tilt.csv")
     qtbot.waitUntil(lambda: any("written" in sentence for sentence in tab.messages.sentences()))
     with (tmp_path / "tilt.csv").open(newline="") as file:

@@ -232,6 +232,18 @@ def test_two_clicks_with_shift_measure_the_distance_and_escape_clears_it(window)
     assert len(window.views.views[PATCH].ends()) == 1, "the third click begins another distance"
 
 
+def test_a_distance_is_measured_with_the_keyboard(window):
+    QTest.keyClick(window, Qt.Key.Key_D, Qt.KeyboardModifier.ShiftModifier)
+    assert any("No point is marked" in sentence for sentence in window.messages.sentences())
+    places = []
+    for _ in range(2):
+        QTest.keyClick(window.strip, Qt.Key.Key_Right, Qt.KeyboardModifier.ShiftModifier)
+        QTest.keyClick(window.strip, Qt.Key.Key_D, Qt.KeyboardModifier.ShiftModifier)
+        places.append(window.views.views[PATCH].mark())
+    assert window.views.views[PROXIMITY].ends() == tuple(places)
+    assert places[0] != places[1]
+
+
 def test_the_text_of_a_distance():
     assert distance_text((0.0, 0.0, 0.3), (0.003, 0.004, 0.288)) == "13.0 mm (dz −12.0 mm)"
 

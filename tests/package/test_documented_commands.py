@@ -74,6 +74,7 @@ def test_the_guide_builds_without_a_warning_and_reads_without_a_network(tmp_path
     assert done.returncode == 0, done.stdout + done.stderr
     pages = {page.stem for page in (ROOT / "docs" / "guide").glob("*.md")}
     assert {page.stem for page in built.glob("*.html")} == pages | {"404"}
+    assert "membrane" in (built / "search" / "search_index.js").read_text("utf-8"), "file:// pages search this"
     for page in built.glob("*.html"):
         loaded = re.findall(r"<(?:script|img|link)[^>]+(?:src|href)=\"?(https?:[^\" >]+)", page.read_text("utf-8"))
         assert [url for url in loaded if "canonical" not in url] == [], page.name

@@ -20,14 +20,13 @@ import numpy as np
 import pytest
 
 from attacks import SECONDS, bounded
-from tactune.core.calibration.correspondences import read_points as read_pairs
 from tactune.core.calibration.lens import fit_lens
 from tactune.core.errors import TactuneError
 from tactune.core.evaluation.scan.pose import load_transform
 from tactune.core.evaluation.scan.scan import load_scan
 from tactune.core.model.loading import parse_json, read_file
 from tactune.core.model.rig_file import load_rig
-from tactune.core.output.cloud_files import read_cloud, read_points
+from tactune.core.output.cloud_files import read_points
 from tactune.core.output.markers import load_marks
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
@@ -187,8 +186,8 @@ FILES: dict[str, tuple[Callable[[Path], object], Callable[[Path], Any]]] = {
     "index.mcap": (mcap_of_one_index, play),
     "connections.bag": (bag_of_connections, play),
     "fields.bag": (bag_of_fields, play),
-    "cloud.npz": (lambda p: npz_of_zeros(p, "points.npy", npy_header("(26214400, 3)"), 600 * MIB), read_cloud),
-    "claim.npz": (lambda p: npz_of_zeros(p, "points.npy", npy_header("(10000000000, 3)"), 0), read_cloud),
+    "cloud.npz": (lambda p: npz_of_zeros(p, "points.npy", npy_header("(26214400, 3)"), 600 * MIB), read_points),
+    "claim.npz": (lambda p: npz_of_zeros(p, "points.npy", npy_header("(10000000000, 3)"), 0), read_points),
     "example.npz": (
         lambda p: npz_of_zeros(p, "contact.npy", npy_header("(629145600,)", "|b1"), 600 * MIB),
         load_example,
@@ -201,11 +200,6 @@ FILES: dict[str, tuple[Callable[[Path], object], Callable[[Path], Any]]] = {
     "deep.pose.json": (lambda p: p.write_text('{"T_proximity_scan":' + DEEP + "}"), load_transform),
     "zeros.json": (lambda p: p.write_bytes(bytes(50_000_000)), load_preset),
 }
-READERS: dict[str, Callable[[Path], Any]] = {
-    "a.json": load_preset, "rig.json": load_rig, "marks.json": load_marks, "pose.txt": load_transform,
-    "a.npz": read_cloud, "a.ply": read_points, "a.pcd": read_points, "a.csv": read_points, "pairs.csv": read_pairs,
-    "example.npz": load_example, "a.bag": play, "a.mcap": play, "scan.obj": load_scan, "scan.ply": load_scan,
-}  # fmt: skip
 IMAGES: dict[str, Callable[[Path], object]] = {
     "claims gigapixels": lambda p: p.write_bytes(png(60_000, 60_000, zlib.compress(bytes(1000)))),
     "claims 2 gigapixels as JPEG": lambda p: p.write_bytes(b"\xff\xd8\xff\xc0\x00\x11\x08" + b"\xff" * 8 + bytes(99)),
@@ -221,20 +215,6 @@ def test_a_small_file_takes_little_memory_and_time(name: str, tmp_path: Path) ->
     make, read = FILES[name]
     make(tmp_path / name)
     refused(read, tmp_path / name)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("kind", ["pipe", "endless", "folder", "loop"])
-@pytest.mark.parametrize("name", READERS)
-def test_what_is_no_ordinary_file_is_refused(name: str, kind: str, tmp_path: Path) -> None:
-    path = tmp_path / name
-    if kind == "pipe":
-        os.mkfifo(path)
-    elif kind == "folder":
-        path.mkdir()
-    else:
-        path.symlink_to("/dev/zero" if kind == "endless" else path)
-    refused(READERS[name], path)
 
 
 @pytest.mark.long

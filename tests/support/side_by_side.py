@@ -1,8 +1,10 @@
-"""Two small cameras side by side and the depths that they see: helpers, and the fixtures ``rig`` and ``make_frame``."""
+"""Two small cameras side by side and a wall that they see: helpers, and the fixtures ``rig`` and ``make_frame``."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
+from threading import Event
 
 import numpy as np
 import numpy.typing as npt
@@ -10,9 +12,13 @@ import pytest
 
 from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.sources.base import FrameSource, SeekableSource
 
 WIDTH, HEIGHT = 160, 120
 BASELINE_M = 0.040
+#: The colour of the wall's prints, and a mask for them.
+PRINT = (214, 40, 160)
+PRINT_MASK = {"mask.enabled": True, "mask.hue": (145, 175), "mask.saturation": (110, 255), "mask.value": (60, 255)}
 
 
 def lens(f: float, cx: float, cy: float) -> Intrinsics:
@@ -59,3 +65,46 @@ def make_frame(rig: Rig) -> MakeFrame:
         )
 
     return make
+
+
+def wall_frame(rig: Rig, index: int, step_m: float = 0.0, bias_m: float = 0.004) -> SensorFrame:
+    """A wall with prints 300 mm away and noise of 0.6 and 0.3 mm; the proximity camera reads ``bias_m`` too far."""
+    near, far = np.random.default_rng(index).normal(0, (0.0006, 0.0003), (HEIGHT, WIDTH, 2)).transpose(2, 0, 1)
+    color = np.full((HEIGHT, WIDTH, 3), 120, np.uint8)
+    color[30:50, 50:70] = color[70:90, 80:100] = color[60:80, 40:60] = PRINT
+    depth_m = 0.300 + step_m * index
+    proximity, tactile = counts(depth_m + bias_m + near, rig.proximity), counts(depth_m + far, rig.tactile)
+    return SensorFrame(index, proximity, tactile, color, proximity_time_s=index / 30, tactile_time_s=index / 30)
+
+
+class Wall(SeekableSource):
+    """A recording of the wall."""
+
+    def __init__(self, rig: Rig, length: int = 30, step_m: float = 0.0, bias_m: float = 0.004) -> None:
+        super().__init__("wall", rig, length)
+        self._step_m, self._bias_m = step_m, bias_m
+
+    def read(self, index: int) -> SensorFrame:
+        return wall_frame(self.rig, index, self._step_m, self._bias_m)
+
+
+class WallCameras(FrameSource):
+    """Live cameras in front of the wall; silent ones give no more frames."""
+
+    name = "cameras"
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig, self._count = rig, 0
+        self.silent = Event()
+
+    @property
+    def rig(self) -> Rig:
+        return self._rig
+
+    def wait(self, timeout_s: float) -> bool:
+        time.sleep(0.015)
+        return not self.silent.is_set()
+
+    def next_frame(self) -> SensorFrame:
+        self._count += 1
+        return wall_frame(self._rig, self._count)

@@ -85,7 +85,10 @@ def test_what_paints_itself_follows_a_change_of_theme(qapp: QApplication, qtbot)
 @pytest.mark.parametrize(
     ("rule", "allowed"),
     [
-        (r"(?:set\w*Spacing|addSpacing|setContentsMargins)\(([-\d, ]+)\)", lambda text: not int(text) % GRID),
+        (
+            r"(?:(?:Spacing|setContentsMargins)\(|margins=\(?|spacing=)(-?\d+(?:, -?\d+)*)",
+            lambda text: not int(text) % GRID,
+        ),
         (r"setPointSizeF?\((.+)\)", lambda text: "_TEXT_SIZES" in text or "text_font" in text),
     ],
     ids=["spacings lie on the grid", "three sizes of text"],

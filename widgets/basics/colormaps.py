@@ -7,9 +7,10 @@ Contact has one fixed colour everywhere.
 from __future__ import annotations
 
 from collections.abc import Container
-from functools import cache, lru_cache
-from typing import Final, Literal
+from functools import cache
+from typing import Any, Final, Literal
 
+import cv2
 import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtGui import QColor, QPalette
@@ -260,17 +261,16 @@ def patch_index(contact: BoolArray, depth: Uint16Array, near: float, far: float)
     uint8, shape (H, W)
         `CONTACT_ROW` for contact, rows below it for the context by depth.
     """
-    rows: Uint8Array = _shades(near, far).take(depth, mode="clip")  # without this mode, it checks each index
+    rows = _shades(depth, near, far)
     rows[contact] = CONTACT_ROW
     return rows
 
 
-@lru_cache(maxsize=8)
-def _shades(near: float, far: float) -> Uint8Array:
-    """Return the row of the context for every raw count: uint8 (65536,)."""
-    rows = np.clip((np.arange(65536) - near) * ((CONTACT_ROW - 1) / (far - near)), 0, CONTACT_ROW - 1)
-    table: Uint8Array = rows.astype(np.uint8)
-    return table
+def _shades(depth: Uint16Array, near: float, far: float) -> Uint8Array:
+    """Return the row of the context for every pixel; OpenCV's vector loops are several times faster than a table."""
+    beyond: Any = cv2.subtract(depth, float(round(near)))  # type: ignore[call-overload]  # 0 where nearer
+    rows = cv2.convertScaleAbs(beyond, alpha=(CONTACT_ROW - 1) / (far - near))
+    return np.asarray(cv2.min(rows, CONTACT_ROW - 1), np.uint8)  # type: ignore[call-overload]
 
 
 @cache
@@ -289,7 +289,7 @@ def patch_lut(theme: Theme) -> Uint8Array:
 
 def overlap_index(in_a: BoolArray, in_b: BoolArray, depth: Uint16Array, near: float, far: float) -> Uint8Array:
     """Take two contact masks and the depth around them to rows of `overlap_lut`; parameters as of `patch_index`."""
-    rows = np.minimum(_shades(near, far)[depth], np.uint8(BOTH_ROW - 1))
+    rows = np.minimum(_shades(depth, near, far), np.uint8(BOTH_ROW - 1))
     rows[in_a & in_b] = BOTH_ROW
     rows[in_a & ~in_b] = ONLY_A_ROW
     rows[in_b & ~in_a] = ONLY_B_ROW

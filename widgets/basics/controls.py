@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import QEvent, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QKeyEvent, QPainter, QPaintEvent, QPalette
+from PyQt6.QtGui import QAction, QColor, QKeyEvent, QPainter, QPaintEvent, QPalette
 from PyQt6.QtWidgets import (
     QAbstractItemView,
     QApplication,
     QComboBox,
     QDialogButtonBox,
     QFrame,
-    QHBoxLayout,
     QHeaderView,
     QLabel,
     QProgressBar,
     QPushButton,
     QSizePolicy,
     QSpinBox,
-    QTableWidget,
+    QTableView,
     QToolButton,
-    QVBoxLayout,
     QWidget,
 )
 
 from .icons import icon
+from .layouts import hbox, vbox
 from .theme import text_font, theme_colors
 
 
@@ -42,15 +41,53 @@ def push_button(text: str, tip: str, shortcut: str = "") -> QPushButton:
     return button
 
 
-def close_button(name: str, tip: str) -> QToolButton:
-    """Return the cross of a card over the views; ``name`` is for screen readers."""
+def tool_button(text: str, tip: str, name: str = "", *, icon_name: str = "", checkable: bool = False) -> QToolButton:
+    """Return a small button that takes the focus; one with an icon is flat. ``name`` is for screen readers."""
     button = QToolButton()
-    button.setIcon(icon("close"))
-    button.setAutoRaise(True)
-    button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-    button.setAccessibleName(name)
+    button.setText(text)
     button.setToolTip(tip)
+    button.setAccessibleName(name)
+    if icon_name:
+        button.setIcon(icon(icon_name))
+        button.setAutoRaise(True)
+    button.setCheckable(checkable)
+    button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
     return button
+
+
+def close_button(name: str, tip: str) -> QToolButton:
+    """Return the cross of a card over the views."""
+    button = tool_button("", tip, name, icon_name="close")
+    button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+    return button
+
+
+def action_button(action: QAction) -> QToolButton:
+    """Return a flat button with the icon of an action; only the Tab key takes the focus there."""
+    button = QToolButton()
+    button.setDefaultAction(action)
+    button.setAutoRaise(True)
+    button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonIconOnly)
+    button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+    return button
+
+
+class FoldButton(QToolButton):
+    """The button above something that folds: an arrow and a title over the whole width."""
+
+    def __init__(self, title: str, name: str, tip: str) -> None:
+        super().__init__()
+        self.setText(title)
+        self.setAccessibleName(name)
+        self.setToolTip(tip)
+        self.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
+        self.setAutoRaise(True)
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+
+    def show_folded(self, folded: bool) -> None:
+        """Turn the arrow."""
+        self.setArrowType(Qt.ArrowType.RightArrow if folded else Qt.ArrowType.DownArrow)
 
 
 def copy_text(text: str) -> None:
@@ -93,15 +130,39 @@ def make_verdict(label: QLabel) -> None:
     label.setFont(text_font("title", bold=True))
 
 
-def number_label(widest: str, tip: str) -> QLabel:
+class TintedLabel(QLabel):
+    """A label in one of the theme's colours."""
+
+    def __init__(self, text: str = "", color: str = "") -> None:
+        super().__init__(text)
+        self._color = ""
+        self.tint(color)
+
+    def tint(self, color: str) -> None:
+        """Use a colour by its field of `ThemeColors`; empty: the usual one of text."""
+        if color or self._color:
+            palette = QPalette()
+            if color:
+                palette.setColor(QPalette.ColorRole.WindowText, QColor(getattr(theme_colors(), color)))
+            self.setPalette(palette)
+        self._color = color
+
+    def changeEvent(self, event: QEvent | None) -> None:
+        """Follow the theme."""
+        super().changeEvent(event)
+        if event is not None and event.type() == QEvent.Type.PaletteChange and self._color:
+            self.tint(self._color)
+
+
+def number_label(widest: str, tip: str) -> TintedLabel:
     """Return a label wide enough for its widest text, so that nothing moves as numbers change."""
-    label = QLabel()
+    label = TintedLabel()
     label.setToolTip(tip)
     label.setMinimumWidth(label.fontMetrics().horizontalAdvance(widest))
     return label
 
 
-def read_only_table(table: QTableWidget, name: str, tip: str) -> tuple[QHeaderView, QHeaderView]:
+def read_only_table(table: QTableView, name: str, tip: str) -> tuple[QHeaderView, QHeaderView]:
     """Set up a table whose rows are read and selected; return the headers of its columns and its rows."""
     table.setAccessibleName(name)
     table.setToolTip(tip)
@@ -137,8 +198,8 @@ class ProgressBar(QProgressBar):
         The step at first; empty shows the share in percent.
     """
 
-    def __init__(self, words: str = "", parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, words: str = "") -> None:
+        super().__init__()
         self._words = words
         self.setRange(0, 100)
 
@@ -175,22 +236,16 @@ class ProgressCard(QFrame):
         Tooltip of *Cancel*.
     """
 
-    def __init__(self, name: str, tip: str, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, name: str, tip: str) -> None:
+        super().__init__()
         self._words = QLabel()
         self._words.setTextFormat(Qt.TextFormat.PlainText)
         self._words.setWordWrap(True)
         self._bar = ProgressBar()
         self._bar.setAccessibleName(name)
         self.cancel = push_button("Cancel", tip)
-        row = QHBoxLayout()
-        row.addWidget(self._bar, 1)
-        row.addWidget(self.cancel)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(8, 4, 4, 4)
-        layout.setSpacing(4)
-        layout.addWidget(self._words)
-        layout.addLayout(row)
+        row = hbox((self._bar, 1), self.cancel)
+        vbox(self._words, row, within=self, margins=(8, 4, 4, 4), spacing=4)
         self.hide()
 
     def show_share(self, share: float, words: str) -> None:
@@ -202,7 +257,7 @@ class ProgressCard(QFrame):
         self.show()
 
 
-class NoteLabel(QLabel):
+class NoteLabel(TintedLabel):
     """A wrapped sentence that can be selected; an error is in the theme's colour of errors.
 
     Parameters
@@ -212,9 +267,8 @@ class NoteLabel(QLabel):
         Room that is kept for a longer sentence, so that it moves nothing.
     """
 
-    def __init__(self, text: str = "", lines: int = 1, parent: QWidget | None = None) -> None:
-        super().__init__(text, parent)
-        self._error = False
+    def __init__(self, text: str = "", lines: int = 1) -> None:
+        super().__init__(text)
         self.setWordWrap(True)
         self.setMinimumWidth(1)  # a long word widens no window
         self.setTextFormat(Qt.TextFormat.PlainText)
@@ -225,28 +279,15 @@ class NoteLabel(QLabel):
 
     def say(self, sentence: str, error: bool = False) -> None:
         """Show a sentence."""
-        self._error = error
-        self._recolor()
+        self.tint("error" if error else "")
         self.setText(shortened(sentence))
-
-    def changeEvent(self, event: QEvent | None) -> None:
-        """Follow the theme."""
-        super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.PaletteChange and self._error:
-            self._recolor()
-
-    def _recolor(self) -> None:
-        palette = QPalette()
-        if self._error:
-            palette.setColor(QPalette.ColorRole.WindowText, QColor(theme_colors().error))
-        self.setPalette(palette)
 
 
 class AccentButton(QPushButton):
     """A checkable button; the style fills checked ones with the accent colour."""
 
-    def __init__(self, text: str, tip: str, parent: QWidget | None = None) -> None:
-        super().__init__(text, parent)
+    def __init__(self, text: str, tip: str) -> None:
+        super().__init__(text)
         self.setCheckable(True)
         self.setAutoDefault(False)
         self.setToolTip(tip)
@@ -289,34 +330,20 @@ class CollapsibleSection(QFrame):
 
     collapsedChanged = pyqtSignal(bool)
 
-    def __init__(self, title: str, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, title: str) -> None:
+        super().__init__()
         self.title = title
         self._collapsed = False
-        self.button = QToolButton()
-        self.button.setText(title)
-        self.button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
-        self.button.setArrowType(Qt.ArrowType.DownArrow)
-        self.button.setAutoRaise(True)
-        self.button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        self.button.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-        self.button.setAccessibleName(f"{title} section")
-        self.button.setToolTip(f"Fold or unfold {title.lower()}")
+        self.button = FoldButton(title, f"{title} section", f"Fold or unfold {title.lower()}")
+        self.button.show_folded(False)
         self.button.setFont(text_font("body", bold=True))
 
         header = QFrame()
         header.setAutoFillBackground(True)
         header.setBackgroundRole(QPalette.ColorRole.AlternateBase)
-        self._header_layout = QHBoxLayout(header)
-        self._header_layout.setContentsMargins(4, 0, 4, 0)
-        self._header_layout.setSpacing(4)
-        self._header_layout.addWidget(self.button, 1)
+        self._header_layout = hbox((self.button, 1), within=header, margins=(4, 0, 4, 0), spacing=4)
         self.body = QWidget()
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(0)
-        layout.addWidget(header)
-        layout.addWidget(self.body)
+        vbox(header, self.body, within=self, margins=0, spacing=0)
         self.button.clicked.connect(lambda: self.set_collapsed(not self._collapsed))
 
     def add_header_widget(self, widget: QWidget, before: QWidget | None = None) -> None:
@@ -335,5 +362,5 @@ class CollapsibleSection(QFrame):
             return
         self._collapsed = collapsed
         self.body.setVisible(not collapsed)
-        self.button.setArrowType(Qt.ArrowType.RightArrow if collapsed else Qt.ArrowType.DownArrow)
+        self.button.show_folded(collapsed)
         self.collapsedChanged.emit(collapsed)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import QEvent
-from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QPlainTextEdit, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QPlainTextEdit, QWidget
 
 from .controls import copy_text, dialog_buttons, push_button
+from .layouts import vbox
 from .messages import HISTORY
 
 
@@ -24,9 +25,7 @@ class MessageHistory(QDialog):
         buttons = dialog_buttons(QDialogButtonBox.StandardButton.Close)
         buttons.addButton(self.copy, QDialogButtonBox.ButtonRole.ActionRole)
         buttons.rejected.connect(self.close)
-        layout = QVBoxLayout(self)
-        layout.addWidget(self.text)
-        layout.addWidget(buttons)
+        vbox(self.text, buttons, within=self)
         self.resize(620, 360)
 
     def changeEvent(self, event: QEvent | None) -> None:

@@ -24,6 +24,7 @@ from PyQt6.QtWidgets import (
 )
 
 from .controls import close_button, shortened
+from .layouts import STRETCH, hbox, vbox
 from .theme import theme_colors
 
 #: Messages on the screen at once; older ones wait.
@@ -136,10 +137,7 @@ class Message(Card):
         first = QHBoxLayout()
         first.addWidget(text, 1)
         first.addWidget(dismiss, 0, Qt.AlignmentFlag.AlignTop)
-        body = QVBoxLayout()
-        body.setContentsMargins(8, 4, 4, 4)
-        body.setSpacing(4)
-        body.addLayout(first)
+        body = vbox(first, margins=(8, 4, 4, 4), spacing=4)
         answers: list[QWidget] = [self._details_button(said.details, body)] if said.details else []
         for name, action in offers:
             button = QPushButton(name)
@@ -148,16 +146,9 @@ class Message(Card):
             button.clicked.connect(lambda _=False, action=action: action())
             answers.append(button)
         if answers:
-            row = QHBoxLayout()
-            row.addStretch(1)
-            for answer in answers:
-                row.addWidget(answer)
+            row = hbox(STRETCH, *answers)
             body.addLayout(row)
-        layout = QHBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(0)
-        layout.addWidget(_Stripe(said.severity))
-        layout.addLayout(body, 1)
+        hbox(_Stripe(said.severity), (body, 1), within=self, margins=0, spacing=0)
 
     def _details_button(self, details: str, body: QVBoxLayout) -> QToolButton:
         shown = QPlainTextEdit(details)

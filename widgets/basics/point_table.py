@@ -18,8 +18,9 @@ from PyQt6.QtCore import (
     pyqtSignal,
 )
 from PyQt6.QtGui import QBrush, QColor, QKeyEvent
-from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QWidget
+from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableView
 
+from .controls import read_only_table
 from .theme import theme_name
 
 _Role = Qt.ItemDataRole
@@ -184,29 +185,25 @@ class PointTable(QTableView):
     selectionEdited = pyqtSignal(object)
     deleteRequested = pyqtSignal()
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self._model = _Model()
         self._sorted = QSortFilterProxyModel(self)
         self._sorted.setSourceModel(self._model)
         self._sorted.setSortRole(_Role.UserRole)
         self._showing = False
         self.setModel(self._sorted)
-        self.setAccessibleName("Point pairs: left is proximity, right is tactile")
-        self.setToolTip("Point pairs and their residuals: left is proximity, right is tactile")
-        self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        header, _ = read_only_table(
+            self,
+            "Point pairs: left is proximity, right is tactile",
+            "Point pairs and their residuals: left is proximity, right is tactile",
+        )
         self.setSelectionMode(QAbstractItemView.SelectionMode.ExtendedSelection)
-        self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
         self.setAlternatingRowColors(True)
         self.setShowGrid(False)
         self.setSortingEnabled(True)
         self.sortByColumn(0, Qt.SortOrder.AscendingOrder)
-        self.setTabKeyNavigation(False)
         self.setWordWrap(False)
-        header, side = self.horizontalHeader(), self.verticalHeader()
-        assert header is not None and side is not None
-        side.hide()
-        side.setDefaultSectionSize(self.fontMetrics().height() + 6)
         header.setSectionResizeMode(QHeaderView.ResizeMode.Interactive)
         header.setStretchLastSection(True)
         header.setHighlightSections(False)

@@ -43,6 +43,8 @@ class CloudHeader(QWidget):
         self._count.setTextFormat(Qt.TextFormat.PlainText)
         self._count.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        for opaque in (self, self._count):
+            opaque.setAutoFillBackground(True)  # else each new number would paint all widgets behind it
         self._value = 0
         self._place()
 

@@ -130,7 +130,8 @@ class InspectView(CloudView):
         size = max(1, canvas.width()), max(1, canvas.height())
         if self._mark is not None:
             self._paint_ring(painter, self._on_screen([self._mark], size))
-        self._paint_distance(painter, self._on_screen(list(self._ends), size))
+        if self._ends:
+            self._paint_distance(painter, self._on_screen(list(self._ends), size))
 
     def _on_screen(self, places: list[Place], size: tuple[int, int]) -> list[QPointF]:
         """Return where places are seen; empty unless all are before the eye."""

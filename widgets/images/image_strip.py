@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from PyQt6.QtCore import QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QKeyEvent, QPainter, QPaintEvent, QPalette, QPen, QResizeEvent
-from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QSizePolicy, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QSizePolicy, QWidget
 
 from ..basics.colormaps import CONTACT_RGB, MASKED_RGB, depth_lut, difference_lut
 from ..basics.controls import ElidedLabel
 from ..basics.fields import format_number
+from ..basics.layouts import hbox, vbox
 from ..basics.wipe import Wipe
 from .image_pane import ARROW_KEYS, ZOOM_KEYS, ColorBar, ImagePane, Rectangle, Swatch
 from .marks import RegionItem
@@ -24,12 +25,7 @@ PANES = {
     "difference": "Relative difference",
 }
 
-_EMPTY = {
-    "color": "No colour image",
-    "proximity": "No frame yet",
-    "tactile": "No frame yet",
-    "difference": "No frame yet",
-}
+_EMPTY = "No frame yet"
 
 
 class _Banner(QFrame):
@@ -42,10 +38,7 @@ class _Banner(QFrame):
         self.done = QPushButton("Done")
         self.done.setToolTip("End picking (Esc)")
         self.done.setAutoDefault(False)
-        layout = QHBoxLayout(self)
-        layout.setContentsMargins(8, 4, 4, 4)
-        layout.addWidget(self.text, 1)
-        layout.addWidget(self.done)
+        hbox((self.text, 1), self.done, within=self, margins=(8, 4, 4, 4))
         self.setFrameShape(QFrame.Shape.Box)
         self.setAutoFillBackground(True)
         self.setBackgroundRole(QPalette.ColorRole.ToolTipBase)
@@ -112,13 +105,9 @@ class ImageStrip(QWidget):
         row.setSpacing(8)
         for name, pane in self.panes.items():
             row.addWidget(pane, 1)
-            pane.set_message(_EMPTY[name])
+            pane.set_message(_EMPTY)
             self._connect_pane(name, pane)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(4, 4, 4, 4)
-        layout.setSpacing(4)
-        layout.addLayout(row, 1)
-        layout.addWidget(self.readout)
+        vbox((row, 1), self.readout, within=self, margins=4, spacing=4)
         self.banner = _Banner(self)
         self.banner.done.clicked.connect(self.pickingDone)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
@@ -126,7 +115,7 @@ class ImageStrip(QWidget):
 
     def set_images(self, rendered: RenderedStrip | None, right: RenderedStrip | None = None) -> None:
         """Show a rendered frame, or with None that there is none; ``right`` is shown right of the wipe."""
-        for index, (name, pane) in enumerate(self.panes.items()):
+        for index, pane in enumerate(self.panes.values()):
             pixels = None if rendered is None else rendered.panes[index]
             pane.set_pixels(
                 pixels,
@@ -134,7 +123,7 @@ class ImageStrip(QWidget):
                 rendered.stride if rendered else 1,
                 None if right is None else right.panes[index],
             )
-            pane.set_message(_EMPTY[name] if pixels is None else "")
+            pane.set_message(_EMPTY if pixels is None else "")
         if rendered is None:
             return
         if rendered.size != self._size:

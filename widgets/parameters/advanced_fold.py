@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QGridLayout, QSizePolicy, QToolButton, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QGridLayout, QWidget
 
+from ..basics.controls import FoldButton
+from ..basics.layouts import vbox
 from .parameter_row import ParameterRow
 
 
@@ -14,27 +15,18 @@ class AdvancedFold(QWidget):
     It opens by itself when one of its values begins to differ from the default, so that no such value is overlooked.
     """
 
-    def __init__(self, title: str, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, title: str) -> None:
+        super().__init__()
         self.rows: list[ParameterRow] = []
         self._differs = False
-        self.button = QToolButton()
-        self.button.setText("More")
-        self.button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
-        self.button.setAutoRaise(True)
-        self.button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        self.button.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-        self.button.setAccessibleName(f"More of {title.lower()}")
-        self.button.setToolTip(f"Show or hide the fields of {title.lower()} that are seldom changed")
+        self.button = FoldButton(
+            "More", f"More of {title.lower()}", f"Show or hide the fields of {title.lower()} that are seldom changed"
+        )
         self.button.clicked.connect(lambda: self.set_open(not self.is_open))
         self._body = QWidget()
         self.grid = QGridLayout(self._body)
         self.grid.setContentsMargins(0, 0, 0, 0)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(4)
-        layout.addWidget(self.button)
-        layout.addWidget(self._body)
+        vbox(self.button, self._body, within=self, margins=0, spacing=4)
         self.set_open(False)
 
     @property
@@ -45,7 +37,7 @@ class AdvancedFold(QWidget):
     def set_open(self, opened: bool) -> None:
         """Show or hide the rows."""
         self._body.setVisible(opened)
-        self.button.setArrowType(Qt.ArrowType.DownArrow if opened else Qt.ArrowType.RightArrow)
+        self.button.show_folded(not opened)
 
     def add(self, row: ParameterRow) -> None:
         """Append a row."""

@@ -17,11 +17,12 @@ from PyQt6.QtGui import (
     QPen,
     QWheelEvent,
 )
-from PyQt6.QtWidgets import QAbstractSpinBox, QHBoxLayout, QSizePolicy, QWidget
+from PyQt6.QtWidgets import QAbstractSpinBox, QSizePolicy, QWidget
 
 from ..basics.controls import caption
 from ..basics.fields import FieldSpec
 from ..basics.gestures import GestureClock
+from ..basics.layouts import hbox
 from .number_slider import NumberEntry, Scale
 
 Span = tuple[int, int]
@@ -65,8 +66,8 @@ class BandSlider(QWidget):
 
     edited = pyqtSignal(float, float, int)
 
-    def __init__(self, scale: Scale, *, wraps: bool = False, gap: float = 0.0, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, scale: Scale, *, wraps: bool = False, gap: float = 0.0) -> None:
+        super().__init__()
         self._scale = scale
         self._wraps = wraps
         self._gap = scale.fraction(scale.low + gap)
@@ -353,8 +354,8 @@ class _Entries(QWidget):
     edited = pyqtSignal(object, int)
     refused = pyqtSignal(str)
 
-    def __init__(self, spec: FieldSpec, names: Sequence[str], parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, spec: FieldSpec, names: Sequence[str]) -> None:
+        super().__init__()
         self.spec = spec
         self.entries = [NumberEntry(spec, title=f"{spec.title}, {name}", shows_unit=False) for name in names]
         for entry in self.entries:
@@ -398,8 +399,8 @@ class _Entries(QWidget):
 class RangeEditor(_Entries):
     """A low and a high end: entry, slider with two handles, entry."""
 
-    def __init__(self, spec: FieldSpec, parent: QWidget | None = None) -> None:
-        super().__init__(spec, ("low end", "high end"), parent)
+    def __init__(self, spec: FieldSpec) -> None:
+        super().__init__(spec, ("low end", "high end"))
         # whole numbers may coincide (one hue); a range of lengths must not be empty
         gap = 0.0 if spec.integer else spec.step
         self.slider = BandSlider(Scale(*spec.slider, step=spec.step, log=spec.log), wraps=spec.wraps, gap=gap)
@@ -407,12 +408,7 @@ class RangeEditor(_Entries):
         self.slider.setToolTip(spec.tooltip)
         self.slider.setValue(*self._value)
         self.slider.edited.connect(self._slider_edited)
-        layout = QHBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(4)
-        layout.addWidget(self.entries[0])
-        layout.addWidget(self.slider, 1)
-        layout.addWidget(self.entries[1])
+        hbox(self.entries[0], (self.slider, 1), self.entries[1], within=self, margins=0, spacing=4)
 
     @property
     def tab_stops(self) -> list[QWidget]:
@@ -434,12 +430,10 @@ class RangeEditor(_Entries):
 class RectangleEditor(_Entries):
     """Left, top, width and height."""
 
-    def __init__(self, spec: FieldSpec, parent: QWidget | None = None) -> None:
+    def __init__(self, spec: FieldSpec) -> None:
         names = ("left", "top", "width", "height")
-        super().__init__(spec, names, parent)
-        layout = QHBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(4)
+        super().__init__(spec, names)
+        layout = hbox(within=self, margins=0, spacing=4)
         for text, entry in zip(("x", "y", "w", "h"), self.entries, strict=True):
             layout.addWidget(caption(text, entry))
             layout.addWidget(entry, 1)

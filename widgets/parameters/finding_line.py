@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from PyQt6.QtCore import QEvent, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QPalette
-from PyQt6.QtWidgets import QLabel, QPushButton, QVBoxLayout, QWidget
+from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtWidgets import QWidget
 
-from ..basics.theme import theme_colors
+from ..basics.controls import TintedLabel, push_button
+from ..basics.layouts import vbox
 
 
 @dataclass(frozen=True)
@@ -31,20 +31,15 @@ class FindingLine(QWidget):
 
     pressed = pyqtSignal()
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self._sentence = QLabel()
+    def __init__(self) -> None:
+        super().__init__()
+        self._sentence = TintedLabel(color="warning")
         self._sentence.setWordWrap(True)
-        self.button = QPushButton()
-        self.button.setAutoDefault(False)
+        self.button = push_button("", "")
         self.button.clicked.connect(self.pressed)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 4)
-        layout.setSpacing(4)
-        layout.addWidget(self._sentence)
+        layout = vbox(self._sentence, within=self, margins=(0, 0, 0, 4), spacing=4)
         layout.addWidget(self.button, 0, Qt.AlignmentFlag.AlignRight)
         self.hide()
-        self._recolor()
 
     @property
     def sentence(self) -> str:
@@ -59,14 +54,3 @@ class FindingLine(QWidget):
         self.button.setToolTip(shown.tip)
         self.button.setVisible(bool(shown.button))
         self.setVisible(finding is not None)
-
-    def changeEvent(self, event: QEvent | None) -> None:
-        """Follow the theme."""
-        super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.PaletteChange:
-            self._recolor()
-
-    def _recolor(self) -> None:
-        palette = QPalette()
-        palette.setColor(QPalette.ColorRole.WindowText, QColor(theme_colors().warning))
-        self._sentence.setPalette(palette)

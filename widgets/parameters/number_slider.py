@@ -8,10 +8,11 @@ from decimal import Decimal
 
 from PyQt6.QtCore import QEvent, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QFocusEvent, QKeyEvent, QKeySequence, QMouseEvent, QValidator, QWheelEvent
-from PyQt6.QtWidgets import QAbstractSpinBox, QHBoxLayout, QLineEdit, QSlider, QStyle, QStyleOptionSlider, QWidget
+from PyQt6.QtWidgets import QAbstractSpinBox, QLineEdit, QSlider, QStyle, QStyleOptionSlider, QWidget
 
 from ..basics.fields import FieldSpec, format_number
 from ..basics.gestures import GestureClock
+from ..basics.layouts import hbox
 
 
 @dataclass(frozen=True)
@@ -77,10 +78,8 @@ class NumberEntry(QAbstractSpinBox):
     edited = pyqtSignal(object, int)
     refused = pyqtSignal(str)
 
-    def __init__(
-        self, spec: FieldSpec, parent: QWidget | None = None, *, title: str = "", shows_unit: bool = True
-    ) -> None:
-        super().__init__(parent)
+    def __init__(self, spec: FieldSpec, *, title: str = "", shows_unit: bool = True) -> None:
+        super().__init__()
         self._spec = spec
         self._suffix = spec.suffix if shows_unit else ""
         self._title = title or spec.title
@@ -246,8 +245,8 @@ def parse_number(text: str, suffix: str = "") -> float | None:
 class JumpSlider(QSlider):
     """A horizontal slider whose handle jumps to where it is pressed and leaves the wheel to the page."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(Qt.Orientation.Horizontal, parent)
+    def __init__(self) -> None:
+        super().__init__(Qt.Orientation.Horizontal)
         self._grip = 0.0
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
 
@@ -314,8 +313,8 @@ class NumberSlider(QWidget):
     edited = pyqtSignal(object, int)
     refused = pyqtSignal(str)
 
-    def __init__(self, spec: FieldSpec, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, spec: FieldSpec) -> None:
+        super().__init__()
         self.spec = spec
         self._scale = Scale(*spec.slider, step=spec.step, log=spec.log)
         self._clock = GestureClock()
@@ -327,10 +326,7 @@ class NumberSlider(QWidget):
         self.slider.setToolTip(spec.tooltip)
         self.entry = NumberEntry(spec, shows_unit=False)
 
-        layout = QHBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.addWidget(self.slider, 1)
-        layout.addWidget(self.entry)
+        hbox((self.slider, 1), self.entry, within=self, margins=0)
 
         self.slider.sliderPressed.connect(self._clock.hold)
         self.slider.sliderReleased.connect(self._clock.release)

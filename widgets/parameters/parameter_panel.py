@@ -18,7 +18,6 @@ from PyQt6.QtWidgets import (
     QScrollArea,
     QSizePolicy,
     QToolButton,
-    QVBoxLayout,
     QWidget,
 )
 
@@ -26,10 +25,10 @@ from ...core.model.arrays import AnyArray
 from ...core.preset import CONTACT_TESTS, Preset
 from ...core.preset.alignment import CalibrationRecord
 from ..basics.colormaps import MASKED_RGB
-from ..basics.controls import CollapsibleSection
+from ..basics.controls import CollapsibleSection, tool_button
 from ..basics.fields import FieldSpec, field_spec, section_fields
 from ..basics.gestures import new_gesture
-from ..basics.icons import icon
+from ..basics.layouts import hbox, vbox
 from ..images.strip_render import MaskView
 from ..plots.histogram import GAP, RELATIVE_DIFFERENCE, LimitHistogram
 from .advanced_fold import AdvancedFold
@@ -101,8 +100,8 @@ class ParameterPanel(QScrollArea):
     suggestRequested = pyqtSignal(str)
     remedyPressed = pyqtSignal(str)
 
-    def __init__(self, suggestible: Collection[str] = (), parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, suggestible: Collection[str] = ()) -> None:
+        super().__init__()
         self._preset = Preset()
         self._median_m = float("nan")
         self.rows: dict[str, ParameterRow] = {}
@@ -119,9 +118,7 @@ class ParameterPanel(QScrollArea):
         self.histograms: dict[str, LimitHistogram] = {}
 
         content = QWidget()
-        column = QVBoxLayout(content)
-        column.setContentsMargins(4, 4, 4, 4)
-        column.setSpacing(8)
+        column = vbox(within=content, margins=4, spacing=8)
         if suggestible:
             column.addLayout(self._make_suggest_all())
         for name, title in SECTIONS:
@@ -310,12 +307,8 @@ class ParameterPanel(QScrollArea):
                 grid.addWidget(QLabel(words), line, 0)
                 grid.addWidget(bar, line, 1, 1, COLUMNS - 1)
             grid.addWidget(self.masked_share, grid.rowCount(), 1, 1, COLUMNS - 1)
-        reset = QToolButton()
-        reset.setIcon(icon("restore"))
-        reset.setAutoRaise(True)
-        reset.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        reset.setAccessibleName(f"Reset section {title.lower()}")
-        reset.setToolTip(f"Reset everything in {title.lower()}")
+        tip, name_of_reset = f"Reset everything in {title.lower()}", f"Reset section {title.lower()}"
+        reset = tool_button("", tip, name_of_reset, icon_name="restore")
         reset.clicked.connect(lambda: self._reset_section(name))
         section.add_header_widget(reset)
         self.section_resets[name] = reset
@@ -352,25 +345,16 @@ class ParameterPanel(QScrollArea):
             grid.addWidget(histogram, grid.rowCount(), 0, 1, COLUMNS)
 
     def _make_suggest(self, name: str, text: str, tip: str) -> QToolButton:
-        button = QToolButton()
-        button.setText(text)
-        button.setToolTip(tip)
-        button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        button.setAccessibleName(text if name == "all" else f"{text} {name.replace('_', ' ')}")
+        button = tool_button(text, tip, text if name == "all" else f"{text} {name.replace('_', ' ')}")
         button.clicked.connect(lambda: self.suggestRequested.emit(name))
         self.suggests[name] = button
         return button
 
     def _make_suggest_all(self) -> QHBoxLayout:
-        row = QHBoxLayout()
-        row.setContentsMargins(4, 0, 4, 0)
         title = QLabel("Parameters")
         title.setForegroundRole(QPalette.ColorRole.PlaceholderText)
-        row.addWidget(title, 1)
-        row.addWidget(
-            self._make_suggest("all", "Suggest all", "Propose values for all sections, each with its evidence")
-        )
-        return row
+        button = self._make_suggest("all", "Suggest all", "Propose values for all sections, each with its evidence")
+        return hbox((title, 1), button, margins=(4, 0, 4, 0))
 
     def _make_eyedropper_bar(self) -> QWidget:
         for mode, (text, tooltip) in _EYEDROPPERS.items():
@@ -505,24 +489,15 @@ def fields_of(section: str) -> list[FieldSpec]:
 
 
 def _bar_button(text: str, tip: str, name: str) -> QToolButton:
-    button = QToolButton()
-    button.setText(text)
-    button.setToolTip(tip)
-    button.setCheckable(True)
-    button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+    button = tool_button(text, tip, name, checkable=True)
     button.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-    button.setAccessibleName(name)
     return button
 
 
 def _bar(buttons: Iterable[QToolButton]) -> QWidget:
     """Put buttons side by side."""
     bar = QWidget()
-    layout = QHBoxLayout(bar)
-    layout.setContentsMargins(0, 0, 0, 0)
-    layout.setSpacing(4)
-    for button in buttons:
-        layout.addWidget(button, 1)
+    hbox(*((button, 1) for button in buttons), within=bar, margins=0, spacing=4)
     return bar
 
 

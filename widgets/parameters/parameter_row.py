@@ -7,12 +7,11 @@ from typing import Any, Final, Protocol, cast
 
 from PyQt6.QtCore import QObject, Qt, pyqtBoundSignal, pyqtSignal
 from PyQt6.QtGui import QFontDatabase, QPalette, QWheelEvent
-from PyQt6.QtWidgets import QCheckBox, QComboBox, QGridLayout, QLabel, QToolButton, QWidget
+from PyQt6.QtWidgets import QCheckBox, QComboBox, QGridLayout, QLabel, QWidget
 
-from ..basics.controls import NoteLabel
+from ..basics.controls import NoteLabel, tool_button
 from ..basics.fields import FieldSpec
 from ..basics.gestures import new_gesture
-from ..basics.icons import icon
 from ..basics.theme import text_font
 from .band_slider import RangeEditor, RectangleEditor
 from .finding_line import FindingLine
@@ -36,8 +35,8 @@ class ChoiceEditor(QComboBox):
 
     edited = pyqtSignal(object, int)
 
-    def __init__(self, spec: FieldSpec, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, spec: FieldSpec) -> None:
+        super().__init__()
         self.addItems(list(spec.choices))
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setValue(spec.default)
@@ -69,8 +68,8 @@ class FlagEditor(QCheckBox):
 
     edited = pyqtSignal(object, int)
 
-    def __init__(self, spec: FieldSpec, parent: QWidget | None = None) -> None:
-        super().__init__(spec.title, parent)
+    def __init__(self, spec: FieldSpec) -> None:
+        super().__init__(spec.title)
         self.setChecked(bool(spec.default))
         self.clicked.connect(lambda checked: self.edited.emit(bool(checked), new_gesture()))
 
@@ -88,8 +87,8 @@ class MatrixView(QLabel):
 
     edited = pyqtSignal(object, int)
 
-    def __init__(self, spec: FieldSpec, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, spec: FieldSpec) -> None:
+        super().__init__()
         self._factor = spec.factor
         self._suffix = spec.suffix
         self._value: Any = spec.default
@@ -146,8 +145,8 @@ def make_editor(spec: FieldSpec) -> QWidget:
 class MessageLabel(NoteLabel):
     """A sentence about an error; hidden while empty."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent=parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.hide()
 
     def show_sentence(self, sentence: str) -> None:
@@ -183,12 +182,8 @@ class ParameterRow(QObject):
             cast(FlagEditor, self.widget).setText("")  # the label stands beside it
         self.unit = QLabel(spec.suffix.strip() if spec.kind in ("number", "range", "rectangle") else "")
         self.unit.setForegroundRole(QPalette.ColorRole.PlaceholderText)
-        self.reset = QToolButton()
-        self.reset.setIcon(icon("restore"))
-        self.reset.setAutoRaise(True)
+        self.reset = tool_button("", "", f"Reset {spec.title.lower()}", icon_name="restore")
         self.reset.setFixedWidth(_RESET_WIDTH)
-        self.reset.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        self.reset.setAccessibleName(f"Reset {spec.title.lower()}")
         self.reset.clicked.connect(self._reset)
         self.reset.hide()
         self.label.setMinimumHeight(self.reset.sizeHint().height())  # the row keeps its height when it is hidden

@@ -20,8 +20,8 @@ _ENOUGH = 3
 class CoverageGrid(QWidget):
     """Paints the number of points in each grid cell, empty ones hatched, and a depth line below."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self._cells: tuple[tuple[int, ...], ...] = ()
         self._depths_mm: tuple[float, ...] = ()
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
@@ -109,8 +109,8 @@ class Residual:
 class ResidualPlot(QWidget):
     """Rings at round numbers of pixels, a dot for each pair, names at outliers."""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self._residuals: tuple[Residual, ...] = ()
         self._limit = 1.0
         self._message = ""

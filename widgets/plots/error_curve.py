@@ -12,7 +12,8 @@ from PyQt6.QtGui import QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
 from PyQt6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from ...core.model.arrays import Float64Array
-from ..basics.theme import theme_colors
+from ..basics.theme import ThemeColors
+from .plot import Plot
 
 _CM2: Final = 0.01  # square centimetres per square millimetre
 
@@ -30,23 +31,15 @@ class ErrorCurvePlot(QWidget):
 
     chosen = pyqtSignal(float)
 
-    def __init__(self, shown: Callable[[float], str], parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, shown: Callable[[float], str]) -> None:
+        super().__init__()
         self._shown = shown
         self._values = self._missed = self._false = np.zeros(0)
         self._present = self._proposed = float("nan")
-        self.plot = pg.PlotWidget()
+        self.plot = Plot("False area (cm²)", "Missed area (cm²)")
         self.plot.setFixedHeight(170)
-        self.plot.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         item = self.plot.getPlotItem()
-        item.setMenuEnabled(False)
-        item.hideButtons()
-        item.setMouseEnabled(x=False, y=False)
         item.setContentsMargins(0, 8, 8, 0)
-        for axis in ("bottom", "left"):
-            item.getAxis(axis).enableAutoSIPrefix(False)
-        item.setLabel("bottom", "False area (cm²)")
-        item.setLabel("left", "Missed area (cm²)")
         self._line = pg.PlotDataItem(symbol="o", symbolSize=4, symbolPen=None)
         self._ring = pg.ScatterPlotItem(size=14)
         self._dot = pg.ScatterPlotItem(size=12)
@@ -66,7 +59,7 @@ class ErrorCurvePlot(QWidget):
             "of this parameter. Press or drag on the curve, or use the left and right arrow keys, to choose a value."
         )
         self.plot.viewport().installEventFilter(self)
-        self._recolor()
+        self.plot.follow_theme(self._recolor)
 
     def set_curve(self, values: Float64Array, missed_mm2: Float64Array, false_mm2: Float64Array) -> None:
         """Show another curve.
@@ -125,12 +118,6 @@ class ErrorCurvePlot(QWidget):
             painter.setPen(QPen(self.palette().highlight().color(), 2))
             painter.drawRect(self.rect().adjusted(1, 1, -1, -1))
 
-    def changeEvent(self, event: QEvent | None) -> None:
-        """Follow the theme."""
-        super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.PaletteChange:
-            self._recolor()
-
     def _choose(self, index: int) -> None:
         value = float(self._values[index])
         if value != self._proposed:
@@ -155,13 +142,7 @@ class ErrorCurvePlot(QWidget):
                 lines.append(f"{mark} {word} {self._shown(value)}: missed {missed:.2f} cm², false {false:.2f} cm²")
         self.readout.setText("\n".join(lines))
 
-    def _recolor(self) -> None:
-        colors = theme_colors()
-        self.plot.setBackground(colors.base)
-        for name in ("bottom", "left"):
-            axis = self.plot.getPlotItem().getAxis(name)
-            axis.setPen(colors.border)
-            axis.setTextPen(colors.text)
+    def _recolor(self, colors: ThemeColors) -> None:
         self._line.setPen(pg.mkPen(colors.outside, width=2))
         self._line.setSymbolBrush(colors.outside)
         self._ring.setPen(pg.mkPen(colors.text, width=2))

@@ -8,14 +8,16 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 import pyqtgraph as pg
-from PyQt6.QtCore import QEvent, Qt, pyqtSignal
+from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QColor
-from PyQt6.QtWidgets import QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QWidget
 
 from ...core.model.arrays import AnyArray, Float64Array
 from ..basics.fields import format_number
 from ..basics.gestures import GestureClock
-from ..basics.theme import theme_colors
+from ..basics.layouts import vbox
+from ..basics.theme import ThemeColors
+from .plot import Plot
 
 
 @dataclass(frozen=True)
@@ -80,8 +82,8 @@ class LimitHistogram(QWidget):
 
     limitEdited = pyqtSignal(float, int)
 
-    def __init__(self, quantity: Quantity, limit: float, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, quantity: Quantity, limit: float) -> None:
+        super().__init__()
         self._quantity = quantity
         self._limit = limit
         self._counts: Float64Array = np.zeros(1)
@@ -89,20 +91,14 @@ class LimitHistogram(QWidget):
         self._known = 0
         self._stale = False
         self._clock = GestureClock()
-        self.plot_widget = pg.PlotWidget(axisItems={"bottom": _Axis(quantity.unit)})
-        self.plot_widget.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.plot_widget = Plot(axes={"bottom": _Axis(quantity.unit)})
         self.plot_widget.setMinimumWidth(200)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.addWidget(self.plot_widget)
+        vbox(self.plot_widget, within=self, margins=0)
         self.setFixedHeight(120)
         self.setAccessibleName(quantity.name)
         self.setToolTip(quantity.tip)
         plot = self._plot = self.plot_widget.getPlotItem()
-        plot.setMenuEnabled(False)
-        plot.hideButtons()
         plot.hideAxis("left")
-        plot.setMouseEnabled(x=False, y=False)
         plot.setContentsMargins(0, 4, 0, 0)
         plot.getAxis("bottom").setHeight(18)
         self._outside = pg.PlotCurveItem([0.0, 1.0], [0.0], stepMode="center", fillLevel=0)
@@ -119,7 +115,7 @@ class LimitHistogram(QWidget):
         # in the corner away from the tallest bars
         box.sigResized.connect(lambda: self._caption.setPos(2 if quantity.symmetric else box.width() - 2, 0))
         self._place_lines()
-        self._recolor()
+        self.plot_widget.follow_theme(self._recolor)
 
     def set_data(
         self, counts: AnyArray, edges: npt.NDArray[np.floating], limit: float | None = None, known: int = 0
@@ -154,12 +150,6 @@ class LimitHistogram(QWidget):
     def limit(self) -> float:
         """Return the limit that the lines show."""
         return self._limit
-
-    def changeEvent(self, event: QEvent | None) -> None:
-        """Follow the theme."""
-        super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.PaletteChange:
-            self._recolor()
 
     def showEvent(self, event: Any) -> None:
         """Draw the counts that arrived while hidden."""
@@ -212,12 +202,7 @@ class LimitHistogram(QWidget):
         low, high = np.interp((-self._limit, self._limit), self._edges, counted)
         return f"{100 * (high - low) / self._known:.1f} % within t"
 
-    def _recolor(self) -> None:
-        colors = theme_colors()
-        self.plot_widget.setBackground(colors.base)
-        axis = self._plot.getAxis("bottom")
-        axis.setPen(colors.border)
-        axis.setTextPen(colors.text)
+    def _recolor(self, colors: ThemeColors) -> None:
         self._caption.setColor(colors.muted)
         for curve, value in ((self._outside, colors.outside), (self._inside, colors.accent)):
             curve.setPen(None)

@@ -7,10 +7,11 @@ from typing import Final
 
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtCore import QEvent, Qt
-from PyQt6.QtWidgets import QLabel, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QLabel, QWidget
 
-from ..basics.theme import text_font, theme_colors
+from ..basics.layouts import vbox
+from ..basics.theme import ThemeColors, text_font
+from .plot import Plot
 
 #: Frames that are kept, 20 s at 30 frames/s.
 _FRAMES: Final = 600
@@ -25,8 +26,8 @@ class PosePlot(QWidget):
     The rotation's plot is hidden while no error is known.
     """
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self._rows: deque[tuple[float, float, float, float]] = deque(maxlen=_FRAMES)
         self.setAccessibleName("Errors over time")
         self.setToolTip(
@@ -38,30 +39,28 @@ class PosePlot(QWidget):
         for plot, curve in ((self.lengths, self.residual), (self.lengths, self.position), (self.angles, self.angle)):
             plot.addItem(curve)
         self.angles.setXLink(self.lengths)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(4)
+        layout = vbox(within=self, margins=0, spacing=4)
         self.about = QLabel()
         self.about.setWordWrap(True)
         self.about.setFont(text_font("caption"))
         for widget in (self.lengths, self.angles, self.about):
             layout.addWidget(widget)
-        self._recolor()
+        self.angles.follow_theme()
+        self.lengths.follow_theme(self._recolor)
         self._show()
 
-    def _plot(self, unit: str) -> pg.PlotWidget:
-        plot = pg.PlotWidget()
+    def _plot(self, unit: str) -> Plot:
+        plot = Plot(left=unit)
         plot.setFixedHeight(_HEIGHT)
-        plot.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         item = plot.getPlotItem()
-        item.setMenuEnabled(False)
-        item.hideButtons()
-        item.setMouseEnabled(x=False, y=False)
         item.setContentsMargins(0, 8, 8, 0)
         item.getAxis("left").setWidth(44)
-        item.getAxis("left").enableAutoSIPrefix(False)
-        item.setLabel("left", unit)
         return plot
+
+    @property
+    def filled(self) -> bool:
+        """Whether there is anything to see."""
+        return any(np.isfinite(residual_mm) for _, residual_mm, _, _ in self._rows)
 
     def clear(self) -> None:
         """Forget all frames."""
@@ -89,22 +88,9 @@ class PosePlot(QWidget):
         true = (
             "Blue: error in the directions that the patch determines. " if known else "This source knows no true pose. "
         )
-        self.about.setText(f"{true}Grey: residual. Over time in seconds." if times else "Track an object to see them.")
+        self.about.setText(f"{true}Grey: residual. Over time in seconds.")
 
-    def changeEvent(self, event: QEvent | None) -> None:
-        """Follow the theme."""
-        super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.PaletteChange:
-            self._recolor()
-
-    def _recolor(self) -> None:
-        colors = theme_colors()
-        for plot in (self.lengths, self.angles):
-            plot.setBackground(colors.base)
-            for name in ("bottom", "left"):
-                axis = plot.getPlotItem().getAxis(name)
-                axis.setPen(colors.border)
-                axis.setTextPen(colors.text)
+    def _recolor(self, colors: ThemeColors) -> None:
         self.residual.setPen(pg.mkPen(colors.outside, width=1))
         for curve in (self.position, self.angle):
             curve.setPen(pg.mkPen(colors.accent, width=2))

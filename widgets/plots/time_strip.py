@@ -11,12 +11,14 @@ import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, QPointF, Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QColor, QMouseEvent
-from PyQt6.QtWidgets import QGridLayout, QHBoxLayout, QToolButton, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QGridLayout, QWidget
 
 from ...core.model.arrays import BoolArray, Float64Array
-from ..basics.controls import ChoiceBox
+from ..basics.controls import ChoiceBox, action_button
 from ..basics.fields import format_number
-from ..basics.theme import theme_colors
+from ..basics.layouts import STRETCH, hbox, vbox
+from ..basics.theme import ThemeColors, theme_colors
+from .plot import Plot
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ class _SecondsAxis(pg.AxisItem):  # type: ignore[misc]  # pyqtgraph has no types
         return [f"{value:.{0 if spacing >= 1 else 1 if spacing >= 0.1 else 2}f} s" for value in values]
 
 
-class _Plot(pg.PlotWidget):  # type: ignore[misc]  # pyqtgraph has no types
+class _StripPlot(Plot):
     """The left button seeks, wheel and middle button zoom and pan along the time."""
 
     sought = pyqtSignal(float)
@@ -109,8 +111,8 @@ class TimeStrip(QWidget):
     held = pyqtSignal(bool)
     curveChosen = pyqtSignal(str)
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.setFixedHeight(_HEIGHT)
         self._seconds: Float64Array = np.zeros(0)
         self._values: Mapping[str, Float64Array] = {}
@@ -123,23 +125,17 @@ class TimeStrip(QWidget):
         self._words = ""
         self._dragging = False
         self.curve_box = self._make_curve_box()
-        self.plot_widget = _Plot(axisItems={"bottom": _SecondsAxis("bottom")})
+        self.plot_widget = _StripPlot(axes={"bottom": _SecondsAxis("bottom")})
         self._make_plot()
-        self._buttons = QHBoxLayout()
-        self._buttons.setSpacing(0)
-        self._buttons.addStretch(1)
-        side = QVBoxLayout()
-        side.setSpacing(4)
-        side.addWidget(self.curve_box)
-        side.addLayout(self._buttons)
-        side.addStretch(1)
+        self._buttons = hbox(STRETCH, spacing=0)
+        side = vbox(self.curve_box, self._buttons, STRETCH, spacing=4)
         layout = QGridLayout(self)
         layout.setContentsMargins(4, 0, 4, 0)
         layout.setHorizontalSpacing(4)
         layout.addLayout(side, 0, 0)
         layout.addWidget(self.plot_widget, 0, 1)
         layout.setColumnStretch(1, 1)
-        self._recolor()
+        self.plot_widget.follow_theme(self._recolor)
 
     # Building
 
@@ -155,7 +151,6 @@ class TimeStrip(QWidget):
 
     def _make_plot(self) -> None:
         view = self.plot_widget
-        view.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         view.setMouseTracking(True)
         view.setAccessibleName("Time strip")
         view.setToolTip(
@@ -168,8 +163,6 @@ class TimeStrip(QWidget):
         view.left.connect(self._show_words)
         view.opened.connect(lambda _: self.show_all())
         plot = self._plot = view.getPlotItem()
-        plot.setMenuEnabled(False)
-        plot.hideButtons()
         plot.setMouseEnabled(x=True, y=False)
         plot.setContentsMargins(0, 4, 8, 0)
         plot.getAxis("left").setWidth(44)
@@ -191,12 +184,7 @@ class TimeStrip(QWidget):
     def add_buttons(self, actions: Sequence[QAction]) -> None:
         """Put buttons for actions below the choice of the curve."""
         for action in actions:
-            button = QToolButton()
-            button.setDefaultAction(action)
-            button.setAutoRaise(True)
-            button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonIconOnly)
-            button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-            self._buttons.insertWidget(self._buttons.count() - 1, button)
+            self._buttons.insertWidget(self._buttons.count() - 1, action_button(action))
 
     # What is shown
 
@@ -405,19 +393,7 @@ class TimeStrip(QWidget):
         self._text.setText(self.fontMetrics().elidedText(text, Qt.TextElideMode.ElideRight, room))
         self._text.setVisible(bool(text))  # an empty one would still have its background
 
-    def changeEvent(self, event: QEvent | None) -> None:
-        """Follow the theme."""
-        super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.PaletteChange:
-            self._recolor()
-
-    def _recolor(self) -> None:
-        colors = theme_colors()
-        self.plot_widget.setBackground(colors.base)
-        for side in ("left", "bottom"):
-            axis = self._plot.getAxis(side)
-            axis.setPen(colors.border)
-            axis.setTextPen(colors.text)
+    def _recolor(self, colors: ThemeColors) -> None:
         self._line.setPen(pg.mkPen(colors.accent_text))
         self._old_line.setPen(pg.mkPen(colors.outside))
         self._cursor.setPen(pg.mkPen(colors.text, width=2))

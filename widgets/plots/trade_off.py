@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import pyqtgraph as pg
-from PyQt6.QtCore import QEvent, Qt, pyqtSignal
+from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QKeyEvent
-from PyQt6.QtWidgets import QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QWidget
 
+from ..basics.layouts import vbox
 from ..basics.theme import theme_colors
+from .plot import Plot
 
 _DOT_PX, _RING_PX = 9, 17
 
@@ -52,23 +54,17 @@ class TradeOffPlot(QWidget):
     chosen = pyqtSignal(int)
     accepted = pyqtSignal()
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self._dots: dict[int, Dot] = {}
         self._front: tuple[int, ...] = ()
         self._present = -1
         self._number = -1
-        self.plot_widget = pg.PlotWidget()
-        self.plot_widget.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.plot_widget = Plot()
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAccessibleName("Trials: time against error")
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.addWidget(self.plot_widget)
+        vbox(self.plot_widget, within=self, margins=0)
         plot = self._plot = self.plot_widget.getPlotItem()
-        plot.setMenuEnabled(False)
-        plot.hideButtons()
-        plot.setMouseEnabled(x=False, y=False)
         plot.showGrid(x=True, y=True, alpha=0.15)
         self._line = pg.PlotCurveItem()
         self._ring = pg.ScatterPlotItem(size=_RING_PX)
@@ -77,12 +73,11 @@ class TradeOffPlot(QWidget):
             plot.addItem(item)
         self.scatter.sigHovered.connect(self._hovered)
         self.scatter.sigClicked.connect(self._clicked)
-        self._draw()
+        self.plot_widget.follow_theme(lambda _colors: self._draw())
 
     def set_axes(self, x: str, y: str) -> None:
         """Name the axes, with their units."""
         for axis, text in (("bottom", x), ("left", y)):
-            self._plot.getAxis(axis).enableAutoSIPrefix(False)
             self._plot.setLabel(axis, text)
 
     def set_dots(self, dots: Sequence[Dot], front: Sequence[int], present: int = -1) -> None:
@@ -130,18 +125,6 @@ class TradeOffPlot(QWidget):
             self._choose(self._front[at % len(self._front)])
         else:
             super().keyPressEvent(event)
-
-    def changeEvent(self, event: QEvent | None) -> None:
-        """Follow the theme."""
-        super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.PaletteChange:
-            colors = theme_colors()
-            self.plot_widget.setBackground(colors.base)
-            for side in ("left", "bottom"):
-                axis = self._plot.getAxis(side)
-                axis.setPen(colors.border)
-                axis.setTextPen(colors.text)
-            self._draw()
 
     def _draw(self) -> None:
         colors = theme_colors()

@@ -22,13 +22,13 @@ from ...model.files import user_path
 from ...model.loading import image_size, open_regular, read_file
 
 SUFFIXES: Final = (".ply", ".obj")
-#: Units of files by name, metres.
-UNITS_M: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 
 #: Plausible size of an object that a hand-sized sensor can touch.
 _MAX_SIZE_M: Final = 1.0
 _MIN_SIZE_M: Final = 0.002
 _FILE_BYTES: Final = 2_000_000_000
+#: Largest coordinate, in the file's unit.
+_FARTHEST: Final = 1e9
 _MAX_TRIANGLES: Final = 20_000_000
 
 #: Textured triangles are subdivided to this edge length, metres, within this total number of triangles.
@@ -235,9 +235,12 @@ def _geometry(mesh: Any, path: Path) -> tuple[Float64Array, Int64Array]:
     if triangles.min() < 0 or triangles.max() >= len(vertices):
         raise SourceError(f"{path} has a triangle with an invalid vertex index; export it again")
     used = np.unique(triangles)
-    if wrong := int(np.count_nonzero(~np.isfinite(vertices[used]).all(axis=1))):
-        raise SourceError(f"{path} has vertices that are nan or infinite ({wrong}); export it again")
-    return np.where(np.isfinite(vertices), vertices, 0.0), triangles
+    known = np.abs(vertices) < _FARTHEST
+    if wrong := int(np.count_nonzero(~known[used].all(axis=1))):
+        raise SourceError(
+            f"{path} has vertices that are nan, infinite or beyond {_FARTHEST:g} ({wrong}); export it again"
+        )
+    return np.where(known, vertices, 0.0), triangles
 
 
 def _in_metres(mesh: Any, path: Path, unit_m: float) -> tuple[Float64Array, Int64Array]:

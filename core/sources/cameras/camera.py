@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from ...contact.masking import colors_at
-from ...errors import SourceError
+from ...errors import SourceError, as_sentence
 from ...model.arrays import AnyArray, Uint8Array, Uint16Array
 from ...model.clouds import deproject, valid_depth
 from ...model.frames import ColorCamera, DepthCamera, Matrix4, Rig, rigid_transform
@@ -242,8 +242,7 @@ class Camera(ABC):
             try:
                 self.set_option(name, value)
             except SourceError as error:
-                text = str(error)
-                refused.append(f"{text[0].upper()}{text[1:]}.")
+                refused.append(as_sentence(str(error)))
         return refused
 
 

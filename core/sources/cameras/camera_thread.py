@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from threading import Event, Lock, Thread
-from typing import Final, Literal, Protocol
+from typing import Final, Literal
 
-from ...errors import SourceError
+from ...errors import SourceError, as_sentence
 from ..base import CameraHealth, CameraOption, CameraRole
 from .camera import Calibration, Camera, CameraDriver, DeviceInfo, Image, Kind
 
@@ -23,16 +23,6 @@ _READ_S: Final = 0.05
 _TOLD_S: Final = 5.0
 
 
-class Sink(Protocol):
-    """Receives the images, on the cameras' threads."""
-
-    def add_image(self, role: CameraRole, image: Image, arrival_s: float) -> None:
-        """Take an image that arrived at ``arrival_s``, seconds on the computer's clock."""
-
-    def camera_reopened(self, role: CameraRole) -> None:
-        """Note that the next image comes from a camera that was opened again."""
-
-
 class CameraThread:
     """One camera of the rig on a thread of its own.
 
@@ -44,8 +34,10 @@ class CameraThread:
         The device; it is found again by its serial number.
     stored : mapping
         Camera options of the preset.
-    sink : Sink
-        Receives every image, on this camera's thread.
+    take_image : callable
+        Called with the role, every image and its arrival, seconds on the computer's clock, on this camera's thread.
+    note_reopened : callable
+        Called with the role where the next image comes from a camera that was opened again.
 
     Raises
     ------
@@ -59,12 +51,13 @@ class CameraThread:
         driver: CameraDriver,
         info: DeviceInfo,
         stored: Mapping[str, float],
-        sink: Sink,
+        take_image: Callable[[CameraRole, Image, float], None],
+        note_reopened: Callable[[CameraRole], None],
     ) -> None:
         self.role: CameraRole = role
         self.info = info
         self._driver = driver
-        self._sink = sink
+        self._take_image, self._note_reopened = take_image, note_reopened
         self._options_lock = Lock()
         self._wanted = dict(stored)
         self._refused: list[str] = []
@@ -187,7 +180,7 @@ class CameraThread:
             self._seen_s[image.kind] = now_s
             if self._fits(image):
                 self._count_gap(image)
-                self._sink.add_image(self.role, image, arrival_s)
+                self._take_image(self.role, image, arrival_s)
         if now_s - self._seen_s["depth"] > self.silent_s and now_s > self._poll_at_s:
             self._poll_at_s = now_s + _POLL_S
             self._check_plugged_in()
@@ -245,12 +238,11 @@ class CameraThread:
         self._quit.wait(_POLL_S)
 
     def _reopen(self) -> None:
-        self._sink.camera_reopened(self.role)
+        self._note_reopened(self.role)
         try:
             camera = self._open()
         except SourceError as error:
-            text = str(error)
-            self._problem = f"{text[0].upper()}{text[1:]}."
+            self._problem = as_sentence(str(error))
             self._quit.wait(_POLL_S)
             return
         if camera.calibration != self.calibration:

@@ -80,7 +80,9 @@ class CameraSource(FrameSource):
             for share, (role, info) in zip((0.2, 0.6), chosen.items(), strict=True):
                 tell(share, f"opening the {info.title}")
                 driver = next(driver for driver, known in connected if known is info)
-                self._feeds[role] = CameraThread(role, driver, info, getattr(cameras, role).options, self)
+                self._feeds[role] = CameraThread(
+                    role, driver, info, getattr(cameras, role).options, self._add_image, self._restart_clock
+                )
             self._check_rates()
         except SourceError as error:
             self._close_feeds()
@@ -171,14 +173,14 @@ class CameraSource(FrameSource):
         self._assembler.close()
         self._close_feeds()
 
-    def add_image(self, role: CameraRole, image: Image, arrival_s: float) -> None:
+    def _add_image(self, role: CameraRole, image: Image, arrival_s: float) -> None:
         """Take an image from a camera, on its thread."""
         feed = self._feeds[role]
         event = self._assembler.add(role, image, arrival_s)
         if event:
             feed.tell(f"The {feed.info.title}'s {event}")
 
-    def camera_reopened(self, role: CameraRole) -> None:
+    def _restart_clock(self, role: CameraRole) -> None:
         """Forget the clock and the waiting images of a camera."""
         self._assembler.restart(role)
 

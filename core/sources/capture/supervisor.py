@@ -212,7 +212,7 @@ class Supervisor:
 
     def _keep_capturing(self) -> None:
         """Run one capture process after another until the source ends, is closed or cannot continue."""
-        pauses = Pauses()
+        failures = 0
         while not self._stop.is_set():
             self._numbering.restart()
             began_s = time.monotonic()
@@ -220,7 +220,9 @@ class Supervisor:
             if self._stop.is_set() or self._ended:
                 return
             self._take_down(problem)
-            self._stop.wait(pauses.next_s(time.monotonic() - began_s))
+            failures = 0 if time.monotonic() - began_s >= _RECOVERED_S else failures
+            self._stop.wait(_PAUSES_S[min(failures, len(_PAUSES_S) - 1)])
+            failures += 1
 
     def _take_down(self, problem: Failure | str) -> None:
         """Report the problem; raise it before the first frame, or if the source is lossless."""
@@ -376,20 +378,6 @@ class Patience:
         if self._busy_s >= self._busy_limit_s:
             return f"has waited {self._busy_s:.1f} s for its source"
         return ""
-
-
-class Pauses:
-    """How long to wait before a restart: longer after each failure."""
-
-    def __init__(self) -> None:
-        self._failures = 0
-
-    def next_s(self, captured_s: float) -> float:
-        """Return the pause after a process that captured for ``captured_s``."""
-        self._failures = 0 if captured_s >= _RECOVERED_S else self._failures
-        pause_s = _PAUSES_S[min(self._failures, len(_PAUSES_S) - 1)]
-        self._failures += 1
-        return pause_s
 
 
 @dataclass

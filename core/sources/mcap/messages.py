@@ -96,7 +96,7 @@ TACTILE_FRAME: Final = "tactile_depth_optical_frame"
 OBJECT_FRAME: Final = "object"
 
 
-def parse(data: memoryview, message_type: str, origin: Path) -> Any:
+def parse(data: bytes | memoryview, message_type: str, origin: Path) -> Any:
     """Return a message from its bytes; `SourceError` names the file, ``origin``, if they are damaged."""
     try:
         return TYPES.deserialize_cdr(data, message_type)

@@ -93,7 +93,12 @@ class McapFile:
         try:
             with self._damage_told():
                 self._size = self._file.seek(0, 2)
-                if self._read(0, min(len(MAGIC), self._size)) != MAGIC:
+                begun = self._read(0, min(len(MAGIC), self._size))
+                if begun != MAGIC and MAGIC.startswith(begun):
+                    raise SourceError(
+                        f"{path} holds no frame: it was cut off before its first frame was complete; record it again"
+                    )
+                if begun != MAGIC:
                     raise SourceError(f"{path} is no MCAP file; choose a recording")
                 self.complete = self._from_summary() or self._from_scan()
                 known = self._channels.keys()

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from ...errors import PresetError, SourceError
@@ -20,6 +20,7 @@ from ...model.untouched_archive import parse_untouched
 from ...preset import Preset
 from ...preset.file import preset_from_text
 from ..base import Health, Progress, SeekableSource
+from ..ros_image import DamagedFileError, RawImage
 from .messages import (
     CAMERA_INFO,
     FORMAT_VERSION,
@@ -39,26 +40,14 @@ from .reader import McapFile
 #: ROS reads 16UC1 as millimetres.
 _ROS_UNIT_M = 0.001
 
-_Encodings = dict[str, tuple[np.dtype[Any], int, int | None]]
-
-#: Pixel type and channels of each encoding that is read, and OpenCV's conversion to RGB.
-_DEPTH: _Encodings = {"16UC1": (np.dtype(np.uint16), 1, None), "mono16": (np.dtype(np.uint16), 1, None)}
-_COLOR: _Encodings = {
-    "rgb8": (np.dtype(np.uint8), 3, None),
-    "bgr8": (np.dtype(np.uint8), 3, cv2.COLOR_BGR2RGB),
-    "rgba8": (np.dtype(np.uint8), 4, cv2.COLOR_RGBA2RGB),
-    "bgra8": (np.dtype(np.uint8), 4, cv2.COLOR_BGRA2RGB),
-    "mono8": (np.dtype(np.uint8), 1, cv2.COLOR_GRAY2RGB),
-}
-_MASK: _Encodings = {"mono8": (np.dtype(np.uint8), 1, None)}
-_METRES: _Encodings = {"32FC1": (np.dtype(np.float32), 1, None)}
-_ENCODINGS: dict[Topic, _Encodings] = {
-    Topic.PROXIMITY_DEPTH: _DEPTH,
-    Topic.PROXIMITY_COLOR: _COLOR,
-    Topic.TACTILE_DEPTH: _DEPTH,
-    Topic.TACTILE_COLOR: _COLOR,
-    Topic.TRUTH_CONTACT: _MASK,
-    Topic.TRUTH_DEPTH: _METRES,
+#: How the images of each topic are read, from a message and the shape (H, W) that the rig states.
+_IMAGES: dict[Topic, Callable[[RawImage, tuple[int, int]], AnyArray]] = {
+    Topic.PROXIMITY_DEPTH: RawImage.depth,
+    Topic.PROXIMITY_COLOR: RawImage.color,
+    Topic.TACTILE_DEPTH: RawImage.depth,
+    Topic.TACTILE_COLOR: RawImage.color,
+    Topic.TRUTH_CONTACT: lambda image, shape: image.channel(shape, ("mono8",), np.dtype(np.uint8)),
+    Topic.TRUTH_DEPTH: lambda image, shape: image.channel(shape, ("32FC1",), np.dtype(np.float32)),
 }
 
 
@@ -88,7 +77,7 @@ class McapSource(SeekableSource):
             raise SourceError(f"{name}: there is no file {self._path}; check the path")
         self._file = McapFile(self._path, progress)
         try:
-            places = {topic: self._file.places(topic) for topic in (Topic.FRAME, *_ENCODINGS)}
+            places = {topic: self._file.places(topic) for topic in (Topic.FRAME, *_IMAGES)}
             self._check_topics(places)
             self._about = self._file.metadata(METADATA_NAME)
             self._refuse_newer_format()
@@ -240,27 +229,12 @@ class McapSource(SeekableSource):
 
     def _image(self, topic: Topic, place: Uint64Array, shape: tuple[int, int]) -> tuple[AnyArray, float]:
         """Return an image and its time stamp in seconds."""
-        message = self._parse(place, IMAGE)
-        known = _ENCODINGS[topic]
-        if message.encoding not in known:
-            raise SourceError(
-                f"{self._path}: {topic} is encoded as {message.encoding!r}; known are {', '.join(known)}; convert it"
-            )
-        dtype, channels, conversion = known[message.encoding]
-        height, width = shape
-        if (message.height, message.width) != shape:
-            raise SourceError(
-                f"{self._path}: {topic} has an image of {message.width} x {message.height} pixels, but its rig says "
-                f"{width} x {height}; use the rig of the camera that took it"
-            )
-        row_bytes = width * channels * dtype.itemsize
-        if message.step < row_bytes or len(message.data) != height * message.step:
-            raise SourceError(f"{self._path}: {topic} has an image of {len(message.data)} bytes; record it again")
-        rows = np.ascontiguousarray(message.data.reshape(height, message.step)[:, :row_bytes])
-        pixels = rows.view(dtype.newbyteorder(">" if message.is_bigendian else "<")).astype(dtype)
-        image = pixels if channels == 1 else pixels.reshape(height, width, channels)
-        stamp = message.header.stamp
-        return image if conversion is None else cv2.cvtColor(image, conversion), stamp.sec + stamp.nanosec * 1e-9
+        found = self._parse(place, IMAGE)
+        try:
+            image = _IMAGES[topic](RawImage.of(found), shape)
+        except DamagedFileError as error:
+            raise SourceError(f"{self._path}: an image on {topic} cannot be read ({error}); convert it") from error
+        return image, found.header.stamp.sec + found.header.stamp.nanosec * 1e-9
 
     def _parse(self, place: Uint64Array, message_type: str) -> Any:
         return parse(self._file.message(place), message_type, self._path)

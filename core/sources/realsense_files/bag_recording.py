@@ -7,9 +7,11 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ...model.arrays import Float64Array, Int64Array, Uint8Array, Uint16Array
-from .decoding import Cursor, DamagedFileError, RawImage, raw_color, raw_depth
+from ..ros_image import DamagedFileError, RawImage
+from .decoding import Cursor
 from .recording import ImageTimes, Lens, Recording, Stream, milliseconds
 from .ros1_bag import Ros1Bag, Topic, message_bounds
 
@@ -47,7 +49,10 @@ class BagRecording(Recording):
             self._progress(share, f"indexing {self.path.name}: {words}")
 
     def _device_info(self, device: int) -> Mapping[str, str]:
-        cursors = map(Cursor, self._all(f"/device_{device}/info"))
+        topic = self._topics.get(f"/device_{device}/info")
+        if topic is None:
+            return {}
+        cursors = [Cursor(self._bag_open().message(topic, index)) for index in range(len(topic))]
         return {cursor.text(): cursor.text() for cursor in cursors}
 
     def _rate_hz(self, topic: str) -> float:
@@ -75,10 +80,10 @@ class BagRecording(Recording):
         return {name.removeprefix(prefix): _matrix(Cursor(self._first(name)).f64s(7)) for name in names}
 
     def _depth_image(self, stream: Stream, index: int) -> Uint16Array:
-        return raw_depth(self._image(stream, index), stream.intrinsics.shape)
+        return self._image(stream, index).depth(stream.intrinsics.shape)
 
     def _color_image(self, stream: Stream, index: int) -> Uint8Array:
-        return raw_color(self._image(stream, index), stream.intrinsics.shape)
+        return self._image(stream, index).color(stream.intrinsics.shape)
 
     def _image(self, stream: Stream, index: int) -> RawImage:
         topic = self._topics[f"{stream.topic}/image/data"]
@@ -98,11 +103,6 @@ class BagRecording(Recording):
         if topic not in self._topics:
             raise self._refusal(f"the topic {topic} is missing")
         return self._bag_open().message(self._topics[topic], 0)
-
-    def _all(self, topic: str) -> list[bytes]:
-        if topic not in self._topics:
-            return []
-        return [self._bag_open().message(self._topics[topic], index) for index in range(len(self._topics[topic]))]
 
     def _bag_open(self) -> Ros1Bag:
         assert self._bag is not None
@@ -186,17 +186,10 @@ def _skip_header(cursor: Cursor) -> None:
 
 def _matrix(translation_and_quaternion: tuple[float, ...]) -> Float64Array:
     """Return the 4 x 4 matrix of a ROS transform, its quaternion normalised."""
-    quaternion = np.array(translation_and_quaternion[3:])
-    length = np.linalg.norm(quaternion)
-    if not (np.isfinite(translation_and_quaternion).all() and length > 0):
+    translation, quaternion = translation_and_quaternion[:3], translation_and_quaternion[3:]
+    if not (np.isfinite(translation_and_quaternion).all() and np.linalg.norm(quaternion) > 0):
         raise DamagedFileError("a pose is not finite")
-    x, y, z, w = quaternion / length
-    tx, ty, tz = translation_and_quaternion[:3]
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w), tx],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w), ty],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y), tz],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_quat(quaternion).as_matrix()
+    matrix[:3, 3] = translation
+    return matrix

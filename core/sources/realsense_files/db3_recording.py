@@ -19,16 +19,13 @@ from typing import Any
 import numpy as np
 
 from ...model.arrays import Float64Array, Int64Array, Uint8Array, Uint16Array
+from ..mcap.messages import IMAGE, TEXT, parse
+from ..ros_image import DamagedFileError, RawImage
 from .decoding import (
     LARGEST_BYTES,
-    Cursor,
-    DamagedFileError,
-    RawImage,
     check_size,
     png_color,
     png_depth,
-    raw_color,
-    raw_depth,
 )
 from .recording import ImageTimes, Lens, Recording, Stream, milliseconds
 
@@ -145,27 +142,24 @@ class Db3Recording(Recording):
     def _depth_image(self, stream: Stream, index: int) -> Uint16Array:
         image = self._image(stream, index)
         shape = stream.intrinsics.shape
-        return raw_depth(image, shape) if isinstance(image, RawImage) else png_depth(image[_DEPTH_PNG_START:], shape)
+        return image.depth(shape) if isinstance(image, RawImage) else png_depth(image[_DEPTH_PNG_START:], shape)
 
     def _color_image(self, stream: Stream, index: int) -> Uint8Array:
         image = self._image(stream, index)
         shape = stream.intrinsics.shape
-        return raw_color(image, shape) if isinstance(image, RawImage) else png_color(image, shape)
+        return image.color(shape) if isinstance(image, RawImage) else png_color(image, shape)
 
     def _image(self, stream: Stream, index: int) -> RawImage | Uint8Array:
         """Return an image as it is stored: raw, or the bytes of a PNG."""
-        topic = self._images[stream.topic]
-        cursor = Cursor(self._message(int(self._index[stream.topic][index, 1]), LARGEST_BYTES), aligned=True)
-        cursor.u32()
-        cursor.u32()
-        cursor.text()
+        row, topic = int(self._index[stream.topic][index, 1]), self._images[stream.topic]
+        data = self._message(row, LARGEST_BYTES)
         if topic.endswith("/image/data"):
-            return _raw(cursor)
-        layout = _ZSTD_LAYOUT.fullmatch(cursor.text())
-        data = cursor.bytes()
+            return RawImage.of(parse(data, IMAGE, self.path))
+        found = parse(data, "sensor_msgs/msg/CompressedImage", self.path)
+        layout = _ZSTD_LAYOUT.fullmatch(found.format)
         if layout is None:
-            return data
-        raw = np.frombuffer(_unpack_zstd(data.tobytes(), LARGEST_BYTES), np.uint8)
+            return np.asarray(found.data, np.uint8)
+        raw = np.frombuffer(_unpack_zstd(found.data.tobytes(), LARGEST_BYTES), np.uint8)
         return RawImage(int(layout[3]), int(layout[2]), layout[1], False, int(layout[4]), raw)
 
     def _required(self, topic: str) -> Mapping[str, str]:
@@ -193,7 +187,7 @@ class Db3Recording(Recording):
         return rows[np.lexsort(rows.T[::-1])]
 
     def _text(self, row: int) -> str:
-        return Cursor(self._message(row, _LONGEST_TEXT), aligned=True).text()
+        return str(parse(self._message(row, _LONGEST_TEXT), TEXT, self.path).data)
 
     def _message(self, row: int, largest: int) -> bytes:
         with self._lock:
@@ -241,17 +235,6 @@ def _unpack_zstd(data: bytes, largest: int) -> bytes:
         return zstd.ZstdDecompressor().decompress(data, max_length=size)
     except zstd.ZstdError as error:
         raise DamagedFileError(f"a message cannot be decompressed: {error}") from error
-
-
-def _raw(cursor: Cursor) -> RawImage:
-    return RawImage(
-        height=cursor.u32(),
-        width=cursor.u32(),
-        encoding=cursor.text(),
-        big_endian=bool(cursor.u8()),
-        step=cursor.u32(),
-        data=cursor.bytes(),
-    )
 
 
 def _pairs(text: str) -> dict[str, str]:

@@ -18,7 +18,8 @@ from ...model.arrays import Float64Array, Int64Array, Uint8Array, Uint16Array
 from ...model.frames import DepthCamera, Matrix4, camera_pose
 from ...model.intrinsics import Distortion, Intrinsics
 from ..base import Progress
-from .decoding import DamagedFileError
+from ..cameras.camera import Calibration
+from ..ros_image import DamagedFileError
 
 HARDWARE_CLOCK = "Hardware Clock"
 
@@ -42,7 +43,6 @@ class Stream:
     """
 
     topic: str
-    device: int
     intrinsics: Intrinsics
     rate_hz: float
     clock: str
@@ -56,19 +56,17 @@ class Stream:
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """One device: its depth stream and, where recorded, its colour stream and the pose between them."""
+    """One device: its depth stream and, where recorded, its colour stream."""
 
     recording: Recording
-    info: DepthCamera
+    calibration: Calibration
     depth: Stream
     color: Stream | None
-    T_color_depth: Matrix4
 
     @property
-    def color_is_aligned(self) -> bool:
-        """Whether colour and depth pixels are the same rays."""
-        same_lens = self.color is not None and self.color.intrinsics == self.depth.intrinsics
-        return same_lens and np.allclose(self.T_color_depth, np.eye(4), atol=1e-9)
+    def info(self) -> DepthCamera:
+        """Model, serial number, lens and depth unit."""
+        return self.calibration.depth
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +181,7 @@ class Recording(ABC):
         return [self._camera(device, streams, times) for device in devices]
 
     def _camera(self, device: int, streams: Mapping[tuple[int, str], str], times: Mapping[str, ImageTimes]) -> Camera:
-        depth = self._stream(device, streams[device, "Depth"], times)
+        depth = self._stream(streams[device, "Depth"], times)
         sensor = "/".join(depth.topic.split("/")[:3])
         unit_m = self._depth_unit_m(sensor)
         if unit_m is None:
@@ -198,15 +196,14 @@ class Recording(ABC):
             depth_unit_m=unit_m,
         )
         if (device, "Color") not in streams:
-            return Camera(self, info, depth, None, camera_pose(np.eye(4)))
-        color = self._stream(device, streams[device, "Color"], times)
-        return Camera(self, info, depth, color, self._pose(color, depth))
+            return Camera(self, Calibration(info), depth, None)
+        color = self._stream(streams[device, "Color"], times)
+        return Camera(self, Calibration(info, color.intrinsics, self._pose(color, depth)), depth, color)
 
-    def _stream(self, device: int, topic: str, times: Mapping[str, ImageTimes]) -> Stream:
+    def _stream(self, topic: str, times: Mapping[str, ImageTimes]) -> Stream:
         clock, stamps_s, arrived_s = on_one_clock(times[topic])
         return Stream(
             topic=topic,
-            device=device,
             intrinsics=self._intrinsics(topic),
             rate_hz=self._rate_hz(topic),
             clock=clock,

@@ -6,7 +6,6 @@ size of the file.
 
 from __future__ import annotations
 
-import bz2
 import struct
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
@@ -21,7 +20,8 @@ import numpy as np
 
 from ...model.arrays import Int64Array
 from ...model.loading import open_regular
-from .decoding import Cursor, DamagedFileError, check_size
+from ..ros_image import DamagedFileError
+from .decoding import Cursor, check_size
 
 MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _BAG_HEADER, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = range(2, 8)
@@ -202,7 +202,10 @@ class Ros1Bag:
         header, at = self._record_header(at, _CHUNK)
         compression, size, stored = _text(header, b"compression"), _number(header, b"size"), self._u32(at)
         if compression not in _UNPACK:
-            raise DamagedFileError(f"its compression {compression!r} is not one of {', '.join(_UNPACK)}")
+            known = ", ".join(_UNPACK)
+            raise DamagedFileError(
+                f"its compression {compression!r} is not one of {known}; convert it by rosbag decompress"
+            )
         self._claimed += check_size(size, _LARGEST_CHUNK + 8 * self._size)
         if self._claimed > max(self._size * _LARGEST_RATIO, 2**28):
             raise DamagedFileError(f"its {self._size} bytes claim to hold {self._claimed} or more")
@@ -339,15 +342,7 @@ def _unpack_lz4(data: bytes, size: int) -> bytes:
     return unpacked
 
 
-def _unpack_bz2(data: bytes, size: int) -> bytes:
-    try:
-        return bz2.BZ2Decompressor().decompress(data, max_length=size + 1)
-    except (OSError, EOFError, ValueError) as error:
-        raise DamagedFileError(f"a chunk cannot be decompressed: {error}") from error
-
-
 _UNPACK: dict[str, Callable[[bytes, int], bytes]] = {
     "none": lambda data, _: data,
     "lz4": _unpack_lz4,
-    "bz2": _unpack_bz2,
 }

@@ -11,10 +11,9 @@ import numpy as np
 from ...errors import SourceError
 from ...model.arrays import Float64Array, IndexArray, Uint8Array, Uint16Array
 from ...model.files import recording_files, user_path
-from ...model.frames import ColorCamera, Rig, SensorFrame, rigid_transform
+from ...model.frames import Rig, SensorFrame, rigid_transform
 from ...model.loading import open_regular
 from ..base import Health, Progress, SeekableSource
-from ..cameras.camera import Calibration
 from . import db3_recording, ros1_bag
 from .bag_recording import BagRecording
 from .db3_recording import Db3Recording
@@ -75,8 +74,6 @@ class BagSource(SeekableSource):
             self._proximity_index = self._tactile_index = np.arange(len(self._proximity.depth))
         else:
             self._pair(name, self._tactile)
-            color = None if self._tactile.color is None else self._tactile.color.intrinsics
-            self._tactile_calibration = Calibration(self._tactile.info, color, self._tactile.T_color_depth)
         self._color_index = {camera: _color_index(camera) for camera in self._cameras if camera.color is not None}
         super().__init__(name, _rig(self._proximity, self._tactile), len(self._proximity_index))
 
@@ -131,7 +128,7 @@ class BagSource(SeekableSource):
         assert self._tactile is not None
         depth = self._tactile.recording.depth_image(self._tactile.depth, index)
         color = self._color(self._tactile, index)
-        return depth, color if color is None else self._tactile_calibration.color_on_depth(color, depth)
+        return depth, color if color is None else self._tactile.calibration.color_on_depth(color, depth)
 
     def _color(self, camera: Camera, depth_index: int) -> Uint8Array | None:
         """Return the colour image nearest to a depth image of the same camera."""
@@ -199,9 +196,7 @@ def _clock(camera: Camera) -> str:
 
 
 def _rig(proximity: Camera, tactile: Camera | None) -> Rig:
-    color = None
-    if proximity.color is not None and not proximity.color_is_aligned:
-        color = ColorCamera(intrinsics=proximity.color.intrinsics, T_color_depth=proximity.T_color_depth)
+    color = proximity.calibration.color_camera
     if tactile is None:
         nobody = proximity.info.model_copy(update={"model": "none", "serial": ""})
         return Rig(proximity=proximity.info, tactile=nobody, proximity_color=color, T_proximity_tactile=_IDENTITY)

@@ -12,6 +12,7 @@ from typing import Final
 import cv2
 import numpy as np
 import numpy.typing as npt
+from numpy import int64
 
 from ...model.arrays import Float32Array, Uint8Array, Uint16Array
 from ...model.frames import Rig
@@ -31,8 +32,11 @@ _FIELD: Final = 1024
 
 
 @compiled
-def _hash(seed: int, frame: int, stream: int, row: int) -> int:
-    """Mix four numbers into 62 random bits (splitmix64's finaliser, after each number)."""
+def _hash(seed: int, frame: int, stream: int | int64, row: int | int64) -> int:
+    """Mix four numbers into 62 random bits (splitmix64's finaliser, after each number).
+
+    Callers wrap literals in ``int64``: numba would compile this function again for each literal.
+    """
     state = np.uint64(0x9E3779B97F4A7C15)
     for value in (seed, frame, stream, row):
         state = (state ^ np.uint64(value)) + np.uint64(0x9E3779B97F4A7C15)
@@ -71,10 +75,10 @@ def _time_of_flight(
     height, width = behind.shape
     room = gaussian.size - 2 * width
     wrap = moving.shape[0] - 1
-    mv, mu = _hash(seed, frame, 6, 0) & wrap, _hash(seed, frame, 6, 1) & wrap
+    mv, mu = _hash(seed, frame, int64(6), int64(0)) & wrap, _hash(seed, frame, int64(6), int64(1)) & wrap
     for v in range(height):
-        g = gaussian[_hash(seed, frame, 0, v) % room :]
-        r = uniform[_hash(seed, frame, 1, v) % room :]
+        g = gaussian[_hash(seed, frame, int64(0), v) % room :]
+        r = uniform[_hash(seed, frame, int64(1), v) % room :]
         for u in range(width):
             count = behind[v, u]
             if count == 0 or (level > 0.0 and r[u] < dropout[cosine[v, u]]):
@@ -124,10 +128,10 @@ def _stereo(
     height, width = clean.shape
     room = gaussian.size - width
     wrap = moving.shape[0] - 1
-    mv, mu = _hash(seed, frame, 2, 0) & wrap, _hash(seed, frame, 2, 1) & wrap
-    hv, hu = _hash(seed, frame, 3, 0) & wrap, _hash(seed, frame, 3, 1) & wrap
+    mv, mu = _hash(seed, frame, int64(2), int64(0)) & wrap, _hash(seed, frame, int64(2), int64(1)) & wrap
+    hv, hu = _hash(seed, frame, int64(3), int64(0)) & wrap, _hash(seed, frame, int64(3), int64(1)) & wrap
     for v in range(height):
-        g = gaussian[_hash(seed, frame, 7, v) % room :]
+        g = gaussian[_hash(seed, frame, int64(7), v) % room :]
         for u in range(width):
             count = clean[v, u]
             out[v, u] = 0

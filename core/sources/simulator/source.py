@@ -197,7 +197,7 @@ class SimulatorSource(SeekableSource):
     def _solve(self, scene: Scene, progress: Progress) -> SolvedScene:
         """Return the scene from the package or the cache, or compute and cache it."""
         path = cache_file(scene.name, f"{scene.key} {self.rig.model_dump_json()}")
-        progress(0.0, f"Looking for the {_title(scene)} scene in the cache")
+        progress(0.0, f"Looking for the scene {_title(scene)} in the cache")
         solved = _open_scenes.get(path) or find_solved(path, len(scene.drawn))
         if solved is None:
             solved = self._compute(scene, progress)
@@ -206,7 +206,7 @@ class SimulatorSource(SeekableSource):
             except ExportError as error:
                 self._message = f"The scene was not kept, so the next start takes as long: {error}"
         _open_scenes[path] = solved
-        progress(1.0, f"The {_title(scene)} scene is ready")
+        progress(1.0, f"The scene {_title(scene)} is ready")
         return solved
 
     def solve_anew(self, progress: Progress) -> SolvedScene:
@@ -228,7 +228,7 @@ class SimulatorSource(SeekableSource):
             for depth, pose, state in press.states():
                 drawn.append(pool.submit(press.picture, pose, state))
                 facts.append(press.facts(depth, pose, state))
-                progress(0.95 * len(drawn) / len(scene.drawn), f"Pressing the {_title(scene)} into the membrane")
+                progress(0.95 * len(drawn) / len(scene.drawn), f"Computing the scene {_title(scene)}")
             return SolvedScene([future.result() for future in drawn], facts)
         finally:
             pool.shutdown(cancel_futures=True)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
+import cv2
 import numpy as np
 
 from ...contact.pipeline import ContactPipeline
 from ...errors import AdviceError
-from ...model.arrays import Float64Array
+from ...model.arrays import BoolArray, Float32Array, Float64Array
 from ...model.clouds import pixel_areas_m2, valid_depth
 from ...model.frames import Rig
 from ...preset import Preset
@@ -29,10 +31,10 @@ CURVES: Final[dict[str, dict[str, tuple[float, ...]]]] = {
         "membrane.min_area_mm2": (0, 5, 10, 20, 30, 50, 75, 100, 150, 200),
     },
 }
-#: Values whose error exceeds the smallest by at most this are equally good.
+#: Values whose error exceeds the smallest by at most this are equally good, and so are distances by this share.
 _TIE: Final = 0.01
-#: The value chosen among equally good ones, where it is not the default of the field: the paper keeps all clusters, the
-#: shipped preset `simulator` drops those below this area.
+#: The value chosen among equally good ones without the present one, where it is not the default of the field: the paper
+#: keeps all clusters, the shipped preset `simulator` drops those below this area.
 _USUAL: Final = {"outliers.min_cluster_area_mm2": 30.0}
 
 
@@ -48,8 +50,12 @@ class ErrorCurve:
         Ascending; the present and the proposed value are among them.
     missed_mm2, false_mm2 : float64, shape (N,)
         Area of contact that is not found, and area that is found without contact. Mean per example.
+    distance_mm : float64, shape (N,)
+        Root mean square distance in the image between painted and found contact, both ways. Mean per painted example.
     present, proposed : float
-        The proposed value has the smallest `error`; of nearly equal ones the nearest to the shipped value.
+        The proposed value has the smallest `error` of those whose distance is not larger than the present one's: a
+        larger patch may cover more of the contact, but invent contact far from it. Of nearly equal values it is the
+        present one, else the nearest to the shipped one.
     contact_mm2 : float
         Area of the painted contact, mean per example.
     """
@@ -58,6 +64,7 @@ class ErrorCurve:
     values: Float64Array
     missed_mm2: Float64Array
     false_mm2: Float64Array
+    distance_mm: Float64Array
     present: float
     proposed: float
     contact_mm2: float
@@ -96,20 +103,24 @@ class Judge:
         self._examples = examples
         self._pipelines = [ContactPipeline(_single(preset), rig) for _ in examples]
         self._areas_mm2 = [_areas_mm2(example, rig) for example in examples]
-        painted = zip(examples, self._areas_mm2, strict=True)
-        self.contact_mm2 = sum(_contact_mm2(example, areas) for example, areas in painted) / len(examples)
+        painted = list(zip(examples, self._areas_mm2, strict=True))
+        self.contact_mm2 = sum(float(areas[_contact(example)].sum()) for example, areas in painted) / len(examples)
 
-    def areas_mm2(self, preset: Preset) -> tuple[float, float]:
-        """Return the missed and the false area, means per example, mm^2."""
+    def measure(self, preset: Preset) -> tuple[float, float, float]:
+        """Return the missed and the false area, mm^2, and the distance, mm; see `ErrorCurve`."""
         missed = false = 0.0
+        distances = []
         for example, pipeline, areas in zip(self._examples, self._pipelines, self._areas_mm2, strict=True):
             pipeline.update(_single(preset))
-            found = pipeline.process(example.frame).mask
-            known = np.True_ if example.known is None else example.known
-            contact = np.False_ if example.contact is None else example.contact
-            missed += float(areas[contact & ~found & known].sum())
-            false += float(areas[found & ~contact & known].sum())
-        return missed / len(self._examples), false / len(self._examples)
+            found, contact = pipeline.process(example.frame).mask, _contact(example)
+            if example.known is not None:
+                found = found & example.known
+            missed += float(areas[contact & ~found].sum())
+            false += float(areas[found & ~contact].sum())
+            if contact.any():
+                distances.append(_distance_px(found, contact) * math.sqrt(float(np.median(areas[contact]))))
+        count = len(self._examples)
+        return missed / count, false / count, sum(distances) / max(len(distances), 1)
 
 
 def known_examples(evidence: Evidence) -> tuple[Example, ...]:
@@ -152,13 +163,15 @@ def curve_of(path: str, preset: Preset, judge: Judge, progress: Progress) -> Err
     preset = preset.with_values(_in_use(section))
     default, present = usual_value(path), float(preset.value(path))
     values = np.unique([*CURVES[section][path], default, present])
-    areas = np.empty((len(values), 2))
+    measured = np.empty((len(values), 3))
     for number, value in enumerate(values):
         progress(number / len(values), f"Trying {path} = {value:g}")
-        areas[number] = judge.areas_mm2(preset.with_value(path, float(value)))
-    curve = ErrorCurve(path, values, areas[:, 0], areas[:, 1], present, present, judge.contact_mm2)
-    tied = values[curve.error <= curve.error.min() + _TIE]
-    return replace(curve, proposed=float(tied[np.argmin(np.abs(tied - default))]))
+        measured[number] = judge.measure(preset.with_value(path, float(value)))
+    missed_mm2, false_mm2, distance_mm = measured.T
+    curve = ErrorCurve(path, values, missed_mm2, false_mm2, distance_mm, present, present, judge.contact_mm2)
+    near = curve.distance_mm <= (1 + _TIE) * curve.distance_mm[values == present]
+    tied = values[near & (curve.error <= curve.error[near].min() + _TIE)]
+    return curve if present in tied else replace(curve, proposed=float(tied[np.argmin(np.abs(tied - default))]))
 
 
 def usual_value(path: str) -> float:
@@ -188,8 +201,23 @@ def _areas_mm2(example: Example, rig: Rig) -> Float64Array:
     return pixel_areas_m2(depth, rig.proximity.intrinsics) * 1e6
 
 
-def _contact_mm2(example: Example, areas_mm2: Float64Array) -> float:
-    """Return the area of known contact."""
+def _contact(example: Example) -> BoolArray:
+    """Return the pixels of known contact."""
     if example.contact is None:
-        return 0.0
-    return float(areas_mm2[example.contact if example.known is None else example.contact & example.known].sum())
+        return np.zeros(example.frame.proximity_depth.shape, bool)
+    return example.contact if example.known is None else example.contact & example.known
+
+
+def _distance_px(found: BoolArray, contact: BoolArray) -> float:
+    """Return the mean of the RMS distances from found to painted contact and back.
+
+    If nothing is found, it is the diagonal of the contact's bounding box, so that finding nothing never pays.
+    """
+    if not found.any():
+        return float(np.linalg.norm(np.ptp(np.argwhere(contact), axis=0)))
+    distances = (_to_nearest_px(there)[here] for here, there in ((found, contact), (contact, found)))
+    return sum(math.sqrt(float(np.mean(np.square(each)))) for each in distances) / 2
+
+
+def _to_nearest_px(inside: BoolArray) -> Float32Array:
+    return np.asarray(cv2.distanceTransform((~inside).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE), np.float32)

@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import csv
+import socket
+from collections.abc import Callable
+from itertools import chain, repeat
 from threading import Event
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
-from hands import LEFT, drop, show_source, type_path
+from foxglove_client import FoxgloveClient
+from hands import CONTROL_SHIFT, LEFT, drop, show_source, type_into, type_path
 from tactune.app.analysis import track_tab
-from tactune.core.estimation.object_mesh import mesh_of_scene, simulated_mesh
+from tactune.app.analysis.track_work import FrameTracker
+from tactune.core import open_source
+from tactune.core.estimation.object_mesh import simulated_mesh
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scenes import resolve_scene
 from tactune.core.sources.simulator.source import SimulatorSource
@@ -26,7 +34,7 @@ PRESSED = 40
 def cup_file(tmp_path_factory):
     pytest.importorskip("open3d")
     trimesh = pytest.importorskip("trimesh")
-    mesh = mesh_of_scene(resolve_scene("cup"), "cup")
+    mesh = simulated_mesh(resolve_scene("cup"), "cup")
     path = tmp_path_factory.mktemp("mesh") / "cup.stl"
     trimesh.Trimesh(1000 * mesh.vertices_m, mesh.triangles, process=False).export(path)
     return path
@@ -72,7 +80,10 @@ def test_the_unit_of_the_mesh_is_told_by_its_size_and_said(tab):
 
 
 def test_the_cup_is_found_followed_exported_lost_and_found_again(qtbot, tab, source, tmp_path, cup_file):
+    assert tab.align.isVisible() and not tab.pose.isVisible() and not tab.errors.isVisible()
     find(qtbot, tab)
+    qtbot.waitUntil(tab.errors.isVisible)
+    assert tab.pose.isVisible() and not tab.align.isVisible()
     assert tab.track_button.isChecked() and tab.guide.text().startswith("Tracking")
     assert tab.tracked.error.position_m < 0.002 and tab.tracked.error.angle_rad < np.radians(2.0)
     for index in (PRESSED + 1, PRESSED - 1):
@@ -137,40 +148,51 @@ def test_a_wrong_mesh_is_refused_by_its_residual(qtbot, tab, tmp_path):
 
 
 @pytest.mark.parametrize("how", ["cancel", "another mesh"])
-def test_a_search_can_be_given_up_at_once(qtbot, tab, monkeypatch, cup_file, how):
-    began, go_on, ended = Event(), Event(), Event()
+def test_a_search_tells_its_progress_and_can_be_given_up(qtbot, tab, monkeypatch, cup_file, how):
+    ended = Event()
 
     class Endless:
         def __init__(self, *_: object) -> None:
             pass
 
-        def find(self, _result: object) -> np.ndarray:
-            began.set()
-            go_on.wait()
-            ended.set()
-            return np.eye(4)
+        def find(self, _result: object, progress: Callable[[float, str], None]) -> np.ndarray:
+            try:
+                for share in chain([0.25], repeat(0.5)):
+                    progress(share, "Searching for cup.stl")
+                    Event().wait(0.01)
+            finally:
+                ended.set()
 
     monkeypatch.setattr(track_tab, "FrameTracker", Endless)
     QTest.mouseClick(tab.find_button, LEFT)
-    qtbot.waitUntil(began.is_set)
-    assert tab.cancel.isVisible()
+    qtbot.waitUntil(lambda: tab.progress.value() == tab.progress.maximum() // 2)
+    assert tab.cancel.isVisible() and tab.guide.text().startswith("Searching")
     if how == "cancel":
         QTest.mouseClick(tab.cancel, LEFT)
     else:
-        model = tab.model
         tab.open_mesh(cup_file)
-        qtbot.waitUntil(lambda: tab.model is not model)
-    assert not tab.cancel.isVisible() and not go_on.is_set()
-    go_on.set()
     qtbot.waitUntil(ended.is_set)
-    qtbot.wait(200)  # a pose would come now
+    qtbot.waitUntil(lambda: not tab.cancel.isVisible() and tab.guide.text().startswith("Press Find"))
     assert not tab.track_button.isChecked() and tab.session.state.pose is None
+
+
+def test_a_search_of_the_whole_patch_ends_where_its_progress_raises(tab):
+    shares = []
+
+    def stop(share: float, _words: str) -> None:
+        shares.append(share)
+        if len(shares) == 20:
+            raise InterruptedError
+
+    with pytest.raises(InterruptedError):
+        FrameTracker(tab.model.mesh, None).find(tab.main.result, stop)
+    assert shares == sorted(shares) and 0 <= shares[0] < shares[-1] < 0.5
 
 
 def test_the_simulators_own_object_needs_no_file(qtbot, tab, source):
     QTest.mouseClick(tab.simulated, LEFT)
     qtbot.waitUntil(lambda: tab.model.mesh.name == "cup")
-    np.testing.assert_array_equal(tab.model.mesh.vertices_m, simulated_mesh(source).vertices_m)
+    np.testing.assert_array_equal(tab.model.mesh.vertices_m, simulated_mesh(source.scene, source.name).vertices_m)
     tab.unit.setFocus()
     QTest.keyClick(tab.unit, Qt.Key.Key_Down)
     assert not tab.progress.isVisible(), "another unit reads the file that was open before"
@@ -182,3 +204,41 @@ def test_what_is_no_mesh_is_said_and_the_present_one_stays(qtbot, tab, tmp_path)
     tab.open_mesh(tmp_path / "broken.stl")
     qtbot.waitUntil(lambda: any("roken.stl" in sentence for sentence in tab.messages.sentences()))
     assert tab.model is model and not tab.progress.isVisible()
+
+
+def test_poses_are_published_and_recorded_also_behind_another_tab(qtbot, tab, tmp_path):
+    tab.main.settings.set("folder/recordings", str(tmp_path))
+    publishing = tab.main.publishing.window
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    QTest.keyClick(tab.main, Qt.Key.Key_P, CONTROL_SHIFT)
+    type_into(publishing.port, str(port), Qt.Key.Key_Tab)
+    QTest.mouseClick(publishing.start, LEFT)
+    qtbot.waitUntil(lambda: str(port) in publishing.state.text())
+    find(qtbot, tab)
+    tab.main.analysis.window.open_on("tilt")
+    tab.main.actions_.record.trigger()
+    qtbot.waitUntil(lambda: tab.main.recording.running)
+    topics = ["/contact/patch", "/object/pose", "/tf"]
+    with FoxgloveClient(port) as client:
+        client.subscribe(topics)
+        qtbot.waitUntil(lambda: "1 client," in publishing.state.text())
+        tab.main.worker.seek(PRESSED + 1)
+        qtbot.waitUntil(lambda: tab.tracked.estimate.sequence == PRESSED + 1)
+        seen = next(client.frames(topics))
+    estimate, pose = tab.tracked.estimate, seen["/object/pose"].pose
+    assert pose.pose.position.x == seen["/tf"].transforms[0].transform.translation.x
+    assert pose.pose.position.x == estimate.T_proximity_object[0, 3]
+    np.testing.assert_array_equal(pose.covariance, estimate.covariance.ravel())
+    tab.main.actions_.record.trigger()
+    qtbot.waitUntil(lambda: not tab.main.recording.running and any(tmp_path.glob("*.mcap")))
+    [path] = tmp_path.glob("*.mcap")
+    with path.open("rb") as file:
+        read = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages(["/object/pose"])
+        recorded = [(message.sequence, decoded.pose) for _, _, message, decoded in read]
+    with open_source(f"mcap:{path}") as played:
+        assert [frame.sequence for frame in played] == [PRESSED]
+    number, last = recorded[-1]
+    assert (number, last.pose.position.x) == (PRESSED + 1, pose.pose.position.x)
+    np.testing.assert_array_equal(last.covariance, pose.covariance)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from tactune.app.document.document import Document
 from tactune.app.worker.feed import FrameFeed
 from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.results import SourceInfo
+from tactune.app.worker.worker import Worker
 from tactune.core.model.frames import ColorCamera, DepthCamera, Rig, SensorFrame, rigid_transform
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.preset import Preset
@@ -145,9 +147,9 @@ def frames(scene: Scene) -> dict[float, SensorFrame]:
 
 @pytest.fixture
 def feed(scene: Scene, frames: dict[float, SensorFrame]) -> FrameFeed:
-    made = FrameFeed(SourceInfo("tiny", scene.rig, 2, 30.0))
-    made.deliver(frames[0.2], PlaybackState(index=0, length=2))
-    return made
+    info, playback = SourceInfo("tiny", scene.rig, 2, 30.0), PlaybackState(index=0, length=2)
+    worker = Worker(Preset())  # never started, so that it answers no order
+    return FrameFeed(worker, SimpleNamespace(source=info, frame=frames[0.2], playback=playback))
 
 
 OpenWizard = Callable[[], CalibrationWizard]

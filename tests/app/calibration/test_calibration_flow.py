@@ -214,6 +214,10 @@ def test_points_file_round_trip(open_wizard, scene, qtbot, tmp_path: Path):
     path = tmp_path / "points.csv"
     wizard.export_points(path)
     wizard.start_over()
+    assert not wizard.session.state.pairs
+    wizard.session.undo_stack.undo()
+    assert len(wizard.session.state.pairs) == len(before), "a start that was not meant is taken back"
+    wizard.start_over()
     wizard.import_points(path)
     after = [(pair.proximity, pair.tactile, pair.enabled, pair.proximity_image) for pair in wizard.session.state.pairs]
     assert after == before

@@ -9,6 +9,7 @@ from PyQt6.QtWidgets import QApplication
 
 from hands import type_path
 from pairs import with_pairs
+from tactune.app.calibration import snapshots
 from tactune.app.settings import Settings
 from tactune.app.window.first_steps import FirstStepsCard
 from tactune.app.window.main_window import MainWindow
@@ -66,7 +67,8 @@ def test_what_needs_a_source_is_disabled_without_one(window, scene, frames, qtbo
     assert all(needs.isEnabled() for needs in needing)
 
 
-def test_snapshots_come_from_the_present_source(window, scene, frames, qtbot):
+def test_snapshots_come_from_the_present_source(window, scene, frames, qtbot, monkeypatch):
+    monkeypatch.setattr(snapshots, "MOVED_LIMIT_M", 1.0)  # every frame of this source is of another press
     window.open_request(SourceRequest("tiny", lambda progress: TinySource(scene, frames)))
     qtbot.waitUntil(lambda: window.result is not None, timeout=15000)
     window.worker.pause()
@@ -105,7 +107,8 @@ def test_the_recheck_opens_on_the_present_frame(window, scene, frames, qtbot):
     assert "calibrate again" in check.sentence.text()
 
 
-def test_a_snapshot_of_a_playing_recording_has_all_its_frames(window, scene, frames, qtbot):
+def test_a_snapshot_of_a_playing_recording_has_all_its_frames(window, scene, frames, qtbot, monkeypatch):
+    monkeypatch.setattr(snapshots, "MOVED_LIMIT_M", 1.0)
     window.open_request(SourceRequest("tiny", lambda progress: TinySource(scene, frames)))
     qtbot.waitUntil(lambda: window.result is not None, timeout=15000)
     window.worker.pause()

@@ -38,6 +38,7 @@ SAVE = 4
 
 
 def test_several_frames_are_averaged_and_movement_is_told(open_wizard, feed, frames, qtbot):
+    feed.deliver(feed.frame, PlaybackState(index=0, length=None, playing=True))
     wizard = open_wizard()
     page = wizard.frames
     page.average.setValue(3)
@@ -89,6 +90,19 @@ def test_a_snapshot_ends_where_a_recording_begins_again(open_wizard, feed, frame
     taken = wizard.session.state.snapshots[0]
     assert (taken.name, taken.averaged) == ("Frames 7 to 9", 3)
     assert "3 of 10 frames" in wizard.frames.note.text()
+
+
+def test_a_snapshot_of_a_paused_frame_ends_where_the_membrane_moves(open_wizard, feed, frames, qtbot):
+    wizard = open_wizard()
+    for index, level in enumerate((0.2, 0.2, 1.0)):
+        if index == 1:
+            QTest.mouseClick(wizard.frames.take, LEFT)
+        frame = replace(frames[level], sequence=index)
+        feed.deliver(frame, PlaybackState(index=index, length=9, playing=False))
+    qtbot.waitUntil(lambda: len(wizard.session.state.snapshots) == 1)
+    taken = wizard.session.state.snapshots[0]
+    assert (taken.name, taken.averaged) == ("Frames 1 to 2", 2)
+    assert "2 of 10 frames: the membrane moves after them" in wizard.frames.note.text()
 
 
 def test_taking_a_snapshot_can_be_cancelled(open_wizard, feed, qtbot):

@@ -33,6 +33,13 @@ def careless(state, sigma_px=2.5):
     return state
 
 
+def test_saving_without_pairs_says_what_is_missing(open_wizard, document):
+    wizard, before = open_wizard(), document.preset
+    wizard.go_to(SAVE)
+    QTest.mouseClick(wizard.save, LEFT)
+    assert "Press Find points" in wizard.messages.message("next").sentence and document.preset == before
+
+
 def test_a_worse_calibration_asks_before_it_replaces_a_better_one(open_wizard, scene, frames, feed, document, qtbot):
     document.edit(GEOMETRY, scene.T_p_t.tolist())
     before = document.preset.alignment

@@ -23,7 +23,3 @@ def test_findings_are_printed_with_what_mends_them(tactune, tmp_path):
     [finding] = json.loads(tactune("preset", "check", "--source", SOURCE, "--preset", spoiled, "--json").out)
     assert finding["name"] == "peak"
     assert finding["changes"] == {"alignment.depth_offset_m": 0.0}
-
-
-def test_a_frame_that_is_not_there(tactune):
-    assert "there is no frame 9999" in tactune("preset", "check", "--source", SOURCE, "--frame", 9999).sentence

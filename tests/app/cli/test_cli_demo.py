@@ -21,9 +21,3 @@ def test_balance_as_json_with_other_gains_and_the_proximity_camera(tactune):
     assert found["method"] == "proximity" and found["gains"] == {"p_per_s": 0.0, "d": 0.0}
     assert found["frames"] == 120 and found["settle_s"] == [None]
     assert found["patch"]["rms_deg"] < 0.2 and found["latency_p95_ms"] > 0.0
-
-
-def test_an_unknown_sensor_is_refused(tactune):
-    finished = tactune("demo", "balance", "--sensor", "l616")
-    assert finished.status == 2
-    assert "there is no sensor 'l616'; choose one of clean" in finished.sentence

@@ -11,7 +11,7 @@ import pytest
 from tactune.core.evaluation import sensor_cases, sensor_table
 from tactune.core.evaluation import table as table_module
 from tactune.core.methods.registry import method_names
-from tactune.core.output.cloud_files import read_cloud
+from tactune.core.output.cloud_files import read_points
 
 SIM = "sim:cup?press=medium&sensor=datasheet"
 
@@ -48,20 +48,20 @@ def test_what_cannot_be_is_said_before_anything_is_measured(tmp_path, tactune, w
 def test_a_table_of_the_simulator_goes_on_after_an_interrupt(tmp_path, tactune, monkeypatch):
     small = ["--methods", "fusion-rigid,proximity-only", "--objects", "cup", "--presses", "medium", "--seeds", 1]
     words = ["evaluate", "table", *small, "--no-extra", "--work", tmp_path / "work"]
-    measure = table_module.measure_cell
+    measure = table_module.score_run
 
     def interrupted(name, *rest):
         if name == "proximity-only":
             raise KeyboardInterrupt
         return measure(name, *rest)
 
-    monkeypatch.setattr(table_module, "measure_cell", interrupted)
+    monkeypatch.setattr(table_module, "score_run", interrupted)
     status, _, err = tactune(*words)
     assert status == 130
     assert "1 of 2 cells are kept" in err
 
     measured = []
-    monkeypatch.setattr(table_module, "measure_cell", lambda name, *rest: measured.append(name) or measure(name, *rest))
+    monkeypatch.setattr(table_module, "score_run", lambda name, *rest: measured.append(name) or measure(name, *rest))
     status, out, _ = tactune(*words, "--json", "--csv", tmp_path / "t.csv")
     assert status == 0
     document = json.loads(out)
@@ -108,10 +108,6 @@ def test_a_table_of_sensors_goes_on_after_an_interrupt_and_checks(tmp_path, tact
         assert ("Cases that do not hold" in text) == bool(status)
 
 
-def test_bench_refuses_an_unknown_sensor(tactune):
-    assert "no sensor 'magic'" in tactune("bench", "--sensors", "magic").sentence
-
-
 @pytest.mark.parametrize("method", ["fusion", *method_names()])
 def test_run_knows_every_method(tactune, method):
     status, out, _ = tactune("run", "-s", SIM, "-n", 1, "--json", "--truth", "--method", method)
@@ -126,7 +122,7 @@ def test_a_method_writes_its_points(tmp_path, tactune):
     status, out, _ = tactune(*words)
     assert status == 0
     (record,) = lines(out)
-    points = read_cloud(tmp_path / "patch_000000.ply").points
+    points = read_points(tmp_path / "patch_000000.ply")[0]
     assert len(points) == record["points"]
     np.testing.assert_allclose(points.mean(axis=0, dtype=float), record["centroid_m"], rtol=1e-6)
 

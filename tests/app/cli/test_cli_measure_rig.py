@@ -9,15 +9,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from side_by_side import HEIGHT, WIDTH, counts, rig
-from tactune.core.model.frames import Rig, SensorFrame
+from side_by_side import HEIGHT, PRINT_MASK, WIDTH, Wall, rig
+from tactune.core.model.frames import Rig
 from tactune.core.preset import Preset
 from tactune.core.preset.file import save_preset
 from tactune.core.rig.untouched import load_untouched
-from tactune.core.sources import SeekableSource
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.presets import load_preset
 
@@ -25,33 +23,11 @@ __all__ = ["rig"]
 
 Tactune = Callable[..., Any]
 LAST_YEAR = datetime(2025, 6, 1, tzinfo=UTC)
-PRINT = (214, 40, 160)
-MASK = {"mask.enabled": True, "mask.hue": (145, 175), "mask.saturation": (110, 255), "mask.value": (60, 255)}
-
-
-class Wall(SeekableSource):
-    """A wall with prints 300 mm away and known noise; the proximity camera reads 4 mm too far."""
-
-    def __init__(self, rig: Rig, step_m: float = 0.0, bias_m: float = 0.004) -> None:
-        super().__init__("wall", rig, 14)
-        self._step_m, self._bias_m = step_m, bias_m
-
-    def read(self, index: int) -> SensorFrame:
-        near, far = np.random.default_rng(index).normal(0, (0.0006, 0.0003), (HEIGHT, WIDTH, 2)).transpose(2, 0, 1)
-        color = np.full((HEIGHT, WIDTH, 3), 120, np.uint8)
-        color[30:50, 50:70] = color[70:90, 80:100] = color[60:80, 40:60] = PRINT
-        depth_m = 0.300 + self._step_m * index
-        return SensorFrame(
-            index,
-            counts(depth_m + self._bias_m + near, self.rig.proximity),
-            counts(depth_m + far, self.rig.tactile),
-            color,
-        )
 
 
 @pytest.fixture
 def wall(tmp_path: Path, rig: Rig) -> Path:
-    export_folder(Wall(rig), tmp_path / "wall")
+    export_folder(Wall(rig, 14), tmp_path / "wall")
     return tmp_path / "wall"
 
 
@@ -59,7 +35,7 @@ def wall(tmp_path: Path, rig: Rig) -> Path:
 def mine(tmp_path: Path) -> Path:
     """A preset of last year in a folder of its own."""
     path = tmp_path / "presets" / "mine.json"
-    save_preset(Preset(name="mine", created=LAST_YEAR, modified=LAST_YEAR).with_values(MASK), path)
+    save_preset(Preset(name="mine", created=LAST_YEAR, modified=LAST_YEAR).with_values(PRINT_MASK), path)
     return path
 
 
@@ -81,7 +57,7 @@ def test_noise_and_bias_are_said_and_stored(tactune: Tactune, wall: Path, mine: 
 
 def test_a_shipped_preset_is_measured_into_another_file(tactune: Tactune, rig: Rig, tmp_path: Path) -> None:
     wall = tmp_path / "apart"  # the proximity camera looks through the membrane at something 60 mm behind
-    export_folder(Wall(rig, bias_m=0.060), wall)
+    export_folder(Wall(rig, 14, bias_m=0.060), wall)
     refused = tactune("preset", "measure-rig", "--source", wall, "--preset", "default")
     assert "default is no preset file, so nothing can be stored in it; add --out FILE" in refused.sentence
     out = tmp_path / "measured.json"
@@ -139,7 +115,7 @@ def test_the_untouched_frame_goes_with_the_preset(tactune: Tactune, wall: Path, 
 def test_what_cannot_be_measured_is_one_sentence(
     tactune: Tactune, recording: Path, mine: Path, rig: Rig, tmp_path: Path
 ) -> None:
-    export_folder(Wall(rig, step_m=0.001), tmp_path / "moving")
+    export_folder(Wall(rig, 14, step_m=0.001), tmp_path / "moving")
     before = mine.read_bytes()
     for source, words in (
         (recording, "the noise needs 10 different frames of a scene at rest, there are 4"),

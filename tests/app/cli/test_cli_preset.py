@@ -43,7 +43,7 @@ def test_new_writes_a_preset_for_the_rig_with_what_was_set(tactune: Tactune, rec
 
 
 def test_a_section_stays_off_when_told_so(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
-    words = ["--set", "mask.hue=[1,2]", "--set", "mask.enabled=false", "--name", "quiet"]
+    words = ["--set", "mask.hue=[1,2]", "--set", "mask.enabled=false", "--set", "name=quiet"]
     assert tactune("preset", "new", "--rig", recording / "rig.json", "--out", tmp_path / "a.json", *words).status == 0
     preset = load_preset(tmp_path / "a.json")
     assert preset.mask.hue == (1, 2)
@@ -70,14 +70,7 @@ def test_the_contact_test_is_chosen_by_name_or_by_one_of_its_fields(
 
 def test_run_takes_the_contact_test_of_the_preset(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
     file = tmp_path / "fine.json"
-    words = [
-        "--set",
-        "contact_test=membrane",
-        "--set",
-        "membrane.gap_m=0.0001",
-        "--set",
-        "membrane.min_area_mm2=0",
-    ]
+    words = ["--set", "membrane.gap_m=0.0001", "--set", "membrane.min_area_mm2=0"]
     assert tactune("preset", "new", "--rig", recording / "rig.json", "--out", file, *words).status == 0
     finished = tactune("run", "--source", f"folder:{recording}", "--preset", file, "--json", "--truth")
     assert finished.status == 0
@@ -106,7 +99,7 @@ def test_new_starts_from_another_preset_and_its_rig(tactune: Tactune, recording:
     assert (preset.tolerance.t, preset.outliers.k) == (0.011, 9)
     assert preset.created.year > 2020
 
-    words = ["--rig", recording / "rig.json", "--alignment", "homography", "--name", "other"]
+    words = ["--rig", recording / "rig.json", "--alignment", "homography", "--set", "name=other"]
     assert tactune("preset", "new", "--from", "simulator", *words, "--out", third).status == 0
     preset, shipped = load_preset(third), load_preset("simulator")
     assert (preset.name, preset.rig, preset.alignment.model) == ("other", rig, "homography")

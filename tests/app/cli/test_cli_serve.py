@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 import signal
 import socket
@@ -15,6 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,12 +25,15 @@ import pytest
 from commands import Finished
 from foxglove_client import WAIT_S, FoxgloveClient
 from sockets import listening
+from tactune.app.worker import compiling
 from tactune.core import ContactPatch, ContactPipeline, load_preset, open_source
+from tactune.core.errors import CalibrationError
 from tactune.core.estimation.object_mesh import simulated_mesh
 from tactune.core.estimation.pose import PoseTracker
 from tactune.core.estimation.tilt import TiltEstimator
 from tactune.core.model.clouds import deproject_image
 from tactune.core.model.frames import SensorFrame
+from tactune.core.output.foxglove import FoxgloveSink
 from tactune.core.output.publisher import LIVE_TOPICS
 from tactune.core.preset import Preset
 from tactune.core.sources.simulator.source import SimulatorSource
@@ -108,7 +113,7 @@ def mesh(tmp_path: Path) -> Path:
     """The mesh of the simulator's cup, in metres."""
     with open_source("sim:cup") as source:
         assert isinstance(source, SimulatorSource)
-        cup = simulated_mesh(source)
+        cup = simulated_mesh(source.scene, source.name)
     lines = [f"v {x} {y} {z}" for x, y, z in cup.vertices_m]
     path = tmp_path / "cup.obj"
     path.write_text("\n".join(lines + [f"f {a} {b} {c}" for a, b, c in cup.triangles + 1]))
@@ -127,17 +132,20 @@ def test_tilt_is_published_where_asked(server: tuple[subprocess.Popen[str], int]
 
 @pytest.mark.long
 def test_a_pose_is_published_where_a_mesh_is_given(mesh: Path) -> None:
-    topics = ["/object/pose", "/tf", "/contact/patch", "/tactune/frame"]
     asked = ("--mesh", str(mesh), "--unit", "m")
+    numbers: dict[int, int] = {}
     with serving("--port", "0", *asked) as (_, port), FoxgloveClient(port) as client:
-        client.subscribe(topics)
-        seen = next(client.frames(topics))
-    frame, _ = find(number_of(seen), load_preset("simulator"))
+        client.subscribe(["/object/pose", "/tactune/frame"])
+        for topic, stamp_ns, message in client.messages():
+            if topic == "/tactune/frame":
+                numbers[stamp_ns] = number_of({topic: message})
+            elif stamp_ns in numbers:
+                break
+    frame, _ = find(numbers[stamp_ns], load_preset("simulator"))
     assert frame.truth is not None
     truth = np.array(frame.truth.T_proximity_object)
-    position = seen["/object/pose"].pose.pose.position
+    position = message.pose.pose.position
     assert np.linalg.norm(np.array([position.x, position.y, position.z]) - truth[:3, 3]) < 0.03
-    assert seen["/tf"].transforms[0].transform.translation.x == position.x
 
 
 def test_frames_go_on_while_the_object_is_searched(
@@ -145,15 +153,81 @@ def test_frames_go_on_while_the_object_is_searched(
 ) -> None:
     searches, found = [], threading.Event()
 
-    def search(*frame: object) -> None:
+    def search(*frame: object) -> SimpleNamespace:
         searches.append(frame)
         found.wait(WAIT_S)
+        return SimpleNamespace(lost=True)
 
     monkeypatch.setattr(PoseTracker, "track", search)
     done = tactune("serve", "--foxglove", "--port", 0, "--source", "sim:cup", "--mesh", mesh, "--unit", "m", "-n", 5)
     found.set()
     assert "published 5 frames" in done.out
     assert len(searches) == 1
+
+
+def test_a_mesh_that_fits_nothing_is_said_once_and_frames_go_on(
+    mesh: Path, monkeypatch: pytest.MonkeyPatch, tactune: Callable[..., Finished]
+) -> None:
+    told = []
+
+    def refuse(*frame: object) -> None:
+        raise CalibrationError("the mesh cup.obj does not fit the contact")
+
+    monkeypatch.setattr(PoseTracker, "find", refuse)
+    monkeypatch.setattr(PoseTracker, "track", lambda *frame: SimpleNamespace(lost=True))
+    monkeypatch.setattr(FoxgloveSink, "tell", lambda sink, *words: told.append(words))
+    done = tactune("serve", "--foxglove", "--port", 0, "--source", "sim:cup", "--mesh", mesh, "--unit", "m", "-n", 75)
+    assert "published 75 frames" in done.out
+    assert done.err.count("cup.obj does not fit the contact; there is no pose until it fits.") == 1
+    assert told == [("object", "the mesh cup.obj does not fit the contact; there is no pose until it fits.")]
+
+
+def test_frames_go_on_with_the_former_test_while_a_client_s_is_compiled(
+    monkeypatch: pytest.MonkeyPatch, tactune: Callable[..., Finished]
+) -> None:
+    compiled, seen = threading.Event(), list[str]()
+
+    def compile_test(tell: Callable[[float, str], object], _: Preset) -> None:
+        tell(0.5, "Compiling the tolerance test, 5 of 10")
+        assert compiled.wait(WAIT_S)
+
+    monkeypatch.setattr(compiling, "is_compiled", lambda preset: preset.contact_test != "tolerance")
+    monkeypatch.setattr(compiling, "warm_up_if_needed", compile_test)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = int(free.getsockname()[1])
+
+    def watch() -> None:
+        try:
+            while ("tcp", "127.0.0.1", port) not in listening():
+                time.sleep(0.05)
+            with FoxgloveClient(port) as client:
+                client.subscribe(["/diagnostics"])
+                next(client.messages())
+                assert client.set_parameter("contact_test", "tolerance") == {"contact_test": "tolerance"}
+                while "5 of 10; until then the former" not in client.wait_for_text("status")["message"]:
+                    pass
+                for count, (_, _, message) in enumerate(client.messages()):
+                    state = message.status[0]
+                    is_new = "outliers ms" in {pair.key for pair in state.values}
+                    if count < 10:
+                        assert not is_new
+                    elif count == 10:
+                        assert "Compiling" in state.message
+                        compiled.set()
+                    elif is_new and not state.message:
+                        seen.append("the new test")
+                        return
+        finally:
+            compiled.set()
+            os.kill(os.getpid(), signal.SIGINT)
+
+    watching = threading.Thread(target=watch)
+    watching.start()
+    done = tactune("serve", "--foxglove", "--port", port, "--settable", "--source", "sim:cup")
+    watching.join(WAIT_S)
+    assert done.status == 0
+    assert seen == ["the new test"]
 
 
 def test_time_stamps_are_those_of_now(server: tuple[subprocess.Popen[str], int]) -> None:

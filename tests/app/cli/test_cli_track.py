@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,11 +15,13 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
+from tactune.app.cli import track
 from tactune.core.estimation.object_mesh import simulated_mesh
-from tactune.core.estimation.pose import PoseEstimate
+from tactune.core.estimation.pose import PoseEstimate, PoseTracker
 from tactune.core.estimation.pose_files import pose_record, save_poses
 from tactune.core.evaluation.scan.pose import save_transform
 from tactune.core.sources.simulator.source import SimulatorSource
+from tiny_sensor import TinySource
 
 FRAMES = 20
 #: The frames from this one on have enough contact.
@@ -34,7 +38,7 @@ def truths():
 def cup(tmp_path_factory):
     """The simulator's cup in millimetres, and its true pose in the first frame."""
     folder, source = tmp_path_factory.mktemp("cup"), SimulatorSource("cup")
-    mesh = simulated_mesh(source)
+    mesh = simulated_mesh(source.scene, source.name)
     trimesh.Trimesh(1000 * mesh.vertices_m, mesh.triangles, process=False).export(folder / "cup.stl")
     save_transform(folder / "start.json", source.read(0).truth.T_proximity_object)
     return folder
@@ -145,3 +149,32 @@ def test_a_source_that_fails_leaves_the_poses_until_then(tactune, cup, tmp_path)
     assert broken.name in done.err
     with out.open(encoding="utf-8", newline="") as file:
         assert len(list(csv.DictReader(file))) == FRAMES - 2
+
+
+class Endless(TinySource):
+    """Small frames whose times increase."""
+
+    def read(self, index):
+        return replace(super().read(3), sequence=index, proximity_time_s=index / 30)
+
+
+def test_rows_are_written_as_frames_come_and_none_is_kept(tactune, cup, tmp_path, monkeypatch):
+    kept = []
+
+    def follow(_tracker, patch, time_s):
+        if patch.sequence == 100:
+            tracemalloc.start()
+        if patch.sequence in (200, 700):
+            kept.append(tracemalloc.get_traced_memory()[0])
+        return PoseEstimate(patch.sequence, time_s, np.eye(4), np.eye(6), (), 0.0, 1.0, lost=False)
+
+    monkeypatch.setattr(track, "open_with_progress", lambda *_: Endless(750))
+    monkeypatch.setattr(PoseTracker, "is_enough", lambda *_: False)
+    monkeypatch.setattr(PoseTracker, "track", follow)
+    out = tmp_path / "poses.csv"
+    try:
+        assert tactune(*arguments(cup, "--out", out, "--preset", "default", "-n", 750)).status == 0
+    finally:
+        tracemalloc.stop()
+    assert len(out.read_text().splitlines()) == 751
+    assert kept[1] - kept[0] < 200_000, f"500 records have 1 MB: {kept}"

@@ -302,12 +302,6 @@ def test_without_a_source_the_window_says_so(qtbot, make_window):
     assert any("open a source first" in sentence for sentence in window.messages.sentences())
 
 
-def test_every_control_says_what_it_does_also_those_of_a_pause(qtbot, window):
-    opened = open_capture(qtbot, window)
-    parts = (opened.frames, opened.take, opened.go_on, opened.use_taken, opened.cancel, opened.undo, opened.save)
-    assert all(len(part.toolTip()) > 20 for part in parts)
-
-
 def test_the_recheck_compares_the_membrane_with_the_untouched_frame(qtbot, window):
     capture(qtbot, window).close()
     qtbot.waitUntil(lambda: at_rest(window, 3))

@@ -107,7 +107,7 @@ def test_four_points_never_show_a_residual_of_zero_as_quality(rig):
     assert quality.rms_px is quality.worst_px is quality.cross_validated_px is quality.click_noise_px is None
     assert report.to_json()["rms_px"] is None
     assert "mean nothing" in report.verdict
-    assert "Add 2 more points" in report.verdict
+    assert "a homography fits any 4 pairs" in report.verdict and "Click at least 2 more" in report.verdict
     assert " 0.00" not in report.words().split("Points per cell")[0]
 
 
@@ -170,7 +170,10 @@ def test_the_tolerance_follows_its_formula():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda points: [*points, replace(points[0], id="again")], "1 and again are the same points"),
+        (
+            lambda points: [*points, replace(points[0], id="again", tactile_depth_m=0.2)],
+            "1 and again are the same points",
+        ),
         (lambda points: [*points, points[0]], "2 pairs have the id '1'"),
         (lambda points: points[:3], "at least 4"),
         (lambda points: [replace(p, enabled=False) for p in points], "there are 0"),
@@ -180,6 +183,23 @@ def test_the_tolerance_follows_its_formula():
 def test_impossible_pairs_are_refused_with_the_reason(rig, change, words):
     with pytest.raises(CalibrationError, match=words):
         calibrate(change(clicked(rig)), rig)
+
+
+def test_pairs_within_a_pixel_of_each_other_are_told(rig):
+    points, jitter = clicked(rig), np.random.default_rng(0).normal(0, 0.1, (12, 4))
+    near = [
+        replace(p, proximity_u=300 + a, proximity_v=200 + b, tactile_u=300 + c, tactile_v=250 + d)
+        for p, (a, b, c, d) in zip(points, jitter, strict=True)
+    ]
+    assert calibrate([*points[:2], *near[2:8]], rig).verdict.startswith("Poor")
+
+
+def test_a_lens_that_folds_its_image_over_is_refused(rig):
+    k1 = {"distortion": "brown_conrady", "coefficients": (-3, 0, 0, 0, 0)}
+    lens = rig.tactile.intrinsics.model_copy(update=k1)
+    folded = rig.model_copy(update={"tactile": rig.tactile.model_copy(update={"intrinsics": lens})})
+    with pytest.raises(CalibrationError, match=r"pair.*: the tactile lens of the rig takes no ray to that pixel"):
+        calibrate(clicked(rig), folded)
 
 
 RANDOM = np.random.default_rng(0).uniform(0, 639, 12)
@@ -208,7 +228,9 @@ def test_a_depth_correction_is_fitted_as_recommended_or_asked_for(rig):
 
 def test_a_fit_that_no_preset_allows_is_refused(rig):
     report = calibrate(clicked(rig, 20), rig, depth_fit="both")
-    wild = replace(report, rigid=replace(report.rigid, pose=replace(report.rigid.pose, scale=1.4)))
+    solution = report.rigid.solution
+    theta = np.append(solution.theta[:6], [1.4, 0.0])
+    wild = replace(report, rigid=replace(report.rigid, solution=replace(solution, theta=theta)))
     with pytest.raises(CalibrationError, match=r"depth_scale is 1\.4"):
         wild.apply_to(Preset())
 

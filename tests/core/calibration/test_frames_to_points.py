@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -47,6 +50,16 @@ def test_texture_pairs_of_two_levels_are_right_and_usable(matches, rig):
     assert report.model == "rigid"
     assert report.chosen.excluded == ()
     assert report.chosen.rms_px < 0.3
+
+
+@pytest.mark.parametrize("pose", ["stated", "unknown"])
+def test_images_of_different_scenes_are_refused(frames, rig, pose):
+    cameras = rig if pose == "stated" else rig.model_copy(update={"T_proximity_tactile": None})
+    seen = frames[0].proximity_color
+    for other in (seen[:, ::-1], seen[::-1], np.roll(seen, 200, axis=1)[:, :, ::-1].swapaxes(0, 1)):
+        turned = np.ascontiguousarray(cv2.resize(np.ascontiguousarray(other), seen.shape[1::-1]))
+        with pytest.raises(CalibrationError):
+            match_texture([replace(frames[0], proximity_color=turned)], cameras)
 
 
 def test_frames_without_texture_are_refused(frames, rig):

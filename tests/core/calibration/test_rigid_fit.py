@@ -15,6 +15,7 @@ from simulated_clicks import (
     judged_places,
     make_clicks,
 )
+from tactune.core.calibration.agreement import judge_agreement
 from tactune.core.calibration.depth_advice import advise_depth_fit
 from tactune.core.calibration.quality import bound
 from tactune.core.calibration.rigid import RigidPoints, fit_rigid
@@ -130,6 +131,16 @@ def test_proximity_depth_at_contact_measures_the_scale_without_a_stated_pose(rig
     assert abs(fit.pose.scale - 1.03) < 4 * sigma[6]
     corrected = fit.pose.scale * measured.tactile_depth_m + fit.pose.offset_m
     assert np.abs(corrected - clicks.true.tactile_depth_m).max() < 0.003
+
+
+def test_the_noise_expected_of_clicks_does_not_depend_on_a_fitted_depth(rig):
+    points = make_clicks(rig, 30, 5, ClickNoise(0.1, 0.1, 0.0001)).noisy
+    expected = []
+    for depth_fit in ("none", "offset", "both"):
+        fit = fit_rigid(points, rig, depth_fit=depth_fit)
+        assert 0.1 < fit.noise_factor < 0.3
+        expected.append(judge_agreement(fit, points.places, points.places, rig).expected_px)
+    assert expected[1:] == pytest.approx([expected[0]] * 2, rel=0.2)
 
 
 @settings(max_examples=12, deadline=None)

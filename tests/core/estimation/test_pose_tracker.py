@@ -18,7 +18,7 @@ from tactune.core.model.clouds import ray_table
 from tactune.core.model.patch import AlignedDepth, ContactPatch
 from tactune.core.preset import CameraNoise, RigNoise, now
 from tactune.core.sources.simulator.scene import simulator_rig
-from tactune.core.sources.simulator.scenes import Variant
+from tactune.core.sources.simulator.scenes import Variant, resolve_scene
 from tactune.core.sources.simulator.source import SimulatorSource
 
 RIG = simulator_rig()
@@ -154,7 +154,7 @@ def test_covariance_covers_the_errors_of_noise():
 
 
 def test_axis_of_a_cup_is_found_despite_its_handle():
-    mesh = simulated_mesh(SimulatorSource("cup"))
+    mesh = simulated_mesh(resolve_scene("cup"), "cup")
     axis = mesh.round_axis
     assert abs(axis.direction[1]) > 0.999
     assert np.hypot(axis.point_m[0], axis.point_m[2]) < 0.001
@@ -181,7 +181,7 @@ def frames_of(source, pipeline, numbers):
 
 def test_press_is_tracked_from_a_search_and_lost_without_contact():
     source = SimulatorSource("cup")
-    pipeline, mesh = ContactPipeline(PRESET, source.rig), simulated_mesh(source)
+    pipeline, mesh = ContactPipeline(PRESET, source.rig), simulated_mesh(source.scene, source.name)
     tracker, errors = PoseTracker(mesh, PRESET, source.rig), []
     for frame, patch in frames_of(source, pipeline, [*range(30, 60, 3), *range(60, source.length, 2)]):
         found = tracker.track(patch, frame.proximity_time_s)
@@ -209,7 +209,7 @@ def test_object_that_jumps_is_found_again_and_never_silently_wrong():
 
 def test_handle_that_leaves_contact_and_returns():
     source = SimulatorSource("cup", cells=(68, 40), variant=Variant(move="lift"))
-    pipeline, mesh = ContactPipeline(PRESET, source.rig), simulated_mesh(source)
+    pipeline, mesh = ContactPipeline(PRESET, source.rig), simulated_mesh(source.scene, source.name)
     tracker, gone, back = PoseTracker(mesh, PRESET, source.rig), [], []
     tracker.start(source.read(0).truth.T_proximity_object)
     was_touching = True

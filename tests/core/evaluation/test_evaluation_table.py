@@ -13,7 +13,7 @@ from urllib.parse import parse_qsl
 import numpy as np
 import pytest
 
-from rigs import one_place_rig
+from small_scene import RIG, SmallScene
 from tactune.core.errors import ExportError, TactuneError
 from tactune.core.evaluation.metrics import symmetric_rmse_m, truth_cloud
 from tactune.core.evaluation.table import Table, TablePlan, average, measure_table
@@ -26,29 +26,11 @@ from tactune.core.evaluation.table_cell import (
 )
 from tactune.core.evaluation.table_report import check_plot, draw_patches, table_as_json, table_as_text, write_csv
 from tactune.core.methods.method import ContactMethod, MethodPatch, failed
-from tactune.core.model.frames import GroundTruth, SensorFrame
+from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
 from tactune.core.rig.untouched import untouched_frame
-from tactune.core.sources import SeekableSource
 from tactune.core.sources.registry import open_source
 from tactune.core.sources.simulator.scenes import read_options, resolve_scene
-
-RIG = one_place_rig(64, 48, 60.0, tactile_unit_m=0.00025)
-CONTACT = np.zeros((48, 64), bool)
-CONTACT[10:30, 10:40] = True
-
-
-class SmallScene(SeekableSource):
-    """A flat contact 0.3 m away; the seed moves nothing, since methods here do not look."""
-
-    def __init__(self, name: str) -> None:
-        super().__init__(name, RIG, length=6)
-        self.contact = CONTACT & ("hover" not in name)
-
-    def read(self, index: int) -> SensorFrame:
-        counts = np.full((48, 64), 1200, np.uint16)
-        truth = GroundTruth(self.contact, np.full((48, 64), 0.3, np.float32))
-        return SensorFrame(index, counts, counts, np.zeros((48, 64, 3), np.uint8), truth=truth)
 
 
 class Shifted(ContactMethod):

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from small_scene import RIG, SmallScene
 from tactune.core.errors import TactuneError
 from tactune.core.evaluation.metrics import TruthTree, symmetric_rmse_m, truth_cloud
 from tactune.core.evaluation.sensor_cases import BEST_FIXED, ORACLE, sensor_table, worst_case
@@ -29,32 +30,12 @@ from tactune.core.evaluation.sensor_table import (
 )
 from tactune.core.evaluation.table_cell import NO_CONTACT_FOUND, STRAIGHT, TableCell
 from tactune.core.methods.method import ContactMethod, MethodPatch
-from tactune.core.model.frames import DepthCamera, GroundTruth, Rig, SensorFrame
-from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
-from tactune.core.sources import SeekableSource
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 from tactune.core.sources.simulator.membranes import MEMBRANES
 from tactune.core.sources.simulator.sensors import SENSORS
-
-LENS = Intrinsics(width=64, height=48, fx=60.0, fy=60.0, cx=31.5, cy=23.5)
-CAMERA = DepthCamera(intrinsics=LENS, depth_unit_m=0.00025)
-RIG = Rig(proximity=CAMERA, tactile=CAMERA, T_proximity_tactile=np.eye(4).tolist())
-CONTACT = np.zeros((48, 64), bool)
-CONTACT[10:30, 10:40] = True
-
-
-class SmallScene(SeekableSource):
-    """A flat contact 0.3 m away."""
-
-    def __init__(self, name: str) -> None:
-        super().__init__(name, RIG, length=6)
-
-    def read(self, index: int) -> SensorFrame:
-        counts = np.full((48, 64), 1200, np.uint16)
-        truth = GroundTruth(CONTACT, np.full((48, 64), 0.3, np.float32))
-        return SensorFrame(index, counts, counts, np.zeros((48, 64, 3), np.uint8), truth=truth)
 
 
 class Shifted(ContactMethod):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.sparse.linalg import spsolve
+from scipy.spatial import cKDTree
 
 from tactune.core.errors import FrameError, TactuneError
 from tactune.core.evaluation.metrics import pixel_scores
@@ -61,8 +62,7 @@ def test_radius_and_volume_of_a_spherical_cap():
     assert enclosed_volume(mesh) == pytest.approx(np.pi * cap**2 * (3 * sphere - cap) / 3, rel=WITHIN)
 
 
-@pytest.mark.parametrize("nodes", [440, 1500])
-@pytest.mark.parametrize("share", [0.3, 0.5, 0.7])
+@pytest.mark.parametrize(("nodes", "share"), [(440, 0.3), (440, 0.7), (1500, 0.5)])
 def test_contact_radius_under_a_flat_plate(shallow, nodes, share):
     method = mechanics(shallow, nodes=nodes, regularisation=1e-3)
     contact_radius = share * shallow.radius_m
@@ -86,11 +86,9 @@ def test_contact_radius_under_a_flat_plate(shallow, nodes, share):
     assert pixel_scores(patch.mask, frame.truth.contact).iou > 0.93
 
 
-@pytest.mark.parametrize("nodes", [440, 1000])
 @pytest.mark.parametrize("regularisation", [1e-2, 1.0])
-@pytest.mark.parametrize("crop_px", [0, 10])
-def test_optimality_conditions_hold(bulged, nodes, regularisation, crop_px):
-    method = mechanics(bulged, nodes=nodes, regularisation=regularisation, crop_px=crop_px)
+def test_optimality_conditions_hold(bulged, regularisation):
+    method = mechanics(bulged, regularisation=regularisation)
     unseen = np.random.default_rng(1).random(len(method.problem.mesh.pixels)) < 0.1
     for seed, share in enumerate((0.0, 0.4, 0.6)):
         way = method.way_m(bulged.frame(share * bulged.radius_m, noise_m=0.0005, seed=seed).tactile_depth)
@@ -109,14 +107,14 @@ def test_optimality_conditions_hold(bulged, nodes, regularisation, crop_px):
 
 def test_the_program_is_the_membranes_balance_in_si_units(bulged):
     """The rows of A are the mechanics: written out with tension, areas and gas law they agree."""
-    method = mechanics(bulged, crop_px=5)
+    method = mechanics(bulged)
     problem, mesh = method.problem, method.problem.mesh
     solution = method.solve(method.way_m(bulged.frame(0.5 * bulged.radius_m).tactile_depth))
     p0 = bulged.gauge_pressure_pa
     stiffness, areas = stiffness_and_areas(mesh.positions, mesh.triangles)
     tension = p0 * problem.radius_m / 2
-    u = np.zeros(len(problem.moving))
-    u[problem.moving] = 1e-3 * solution.x[: problem.positive.start - 1]
+    u = np.zeros(len(problem.inner))
+    u[problem.inner] = 1e-3 * solution.x[: problem.positive.start - 1]
     rise = (problem.air_pressure(solution.x) - 1.0) * p0
     contact = problem.contact_pressure(solution.x) * p0
     unbalanced = tension * (stiffness @ u) - areas * (rise - contact)
@@ -128,14 +126,15 @@ def test_the_program_is_the_membranes_balance_in_si_units(bulged):
 def test_ways_along_rays_are_displacements_along_normals(bulged):
     """A membrane moved away by 1 mm has moved by that times the z of its normals, however rays meet it."""
     aside = replace(bulged, radius_m=0.04, apex_m=0.01, aside_m=0.11)
-    method = mechanics(aside, nodes=120, crop_px=3)
+    method = mechanics(aside, nodes=120)
     mesh = method.problem.mesh
     counts = replace(aside, rim_m=aside.rim_m + 0.001).frame(0.0).tactile_depth
     program = method.problem.program(method.way_m(counts))
     fitted_mm = -program.q / np.where(program.P.diagonal() > 0, program.P.diagonal(), np.inf)
     inner = ~mesh.rim
-    assert mesh.facing[inner].min() < 0.85
-    np.testing.assert_allclose(fitted_mm[: len(inner)][inner], mesh.normals[inner, 2], rtol=0.03)
+    inside = cKDTree(mesh.pixels[mesh.rim]).query(mesh.pixels[inner])[0] > 1.5 * mesh.spacing_px
+    assert mesh.facing[inner][inside].min() < 0.85
+    np.testing.assert_allclose(fitted_mm[: inner.sum()][inside], mesh.normals[inner, 2][inside], rtol=0.03)
 
 
 def test_nothing_presses_on_the_untouched_membrane(bulged):
@@ -188,29 +187,10 @@ def test_a_failure_does_not_spoil_the_next_frame(bulged):
     np.testing.assert_array_equal(method.find(frame).points, before)
 
 
-@pytest.mark.parametrize(
-    ("parameter", "value"),
-    [
-        ("nodes", 10),
-        ("threshold", 0.0),
-        ("gauge_pressure_pa", -1.0),
-        ("housing_m3", -1e-3),
-        ("crop_px", -1),
-        ("regularisation", 0.0),
-        ("threshold", float("nan")),
-    ],
-)
-def test_parameters_out_of_range_are_refused(bulged, parameter, value):
-    with pytest.raises(TactuneError, match=rf"mechanics: {parameter} is .* must be"):
-        mechanics(bulged, **{parameter: value})
-
-
 def test_untouched_frames_that_show_no_membrane_are_refused(bulged, cup_frames):
     frame = bulged.frame(0.0)
     with pytest.raises(TactuneError, match="take a new untouched frame"):
         MembraneMechanics(Preset(), bulged.rig, with_tactile(frame, np.zeros_like(frame.tactile_depth)))
-    with pytest.raises(TactuneError, match="reduce the rim"):
-        mechanics(bulged, crop_px=200)
     strip = frame.tactile_depth.copy()
     strip[:118] = strip[130:] = 0
     with pytest.raises(TactuneError, match="nodes within the membrane's outline have depth"):
@@ -224,11 +204,8 @@ def test_untouched_frames_that_show_no_membrane_are_refused(bulged, cup_frames):
 
 @pytest.mark.parametrize("size", [(8, 17), (4, 60), (17, 8)])
 def test_images_too_small_for_a_mesh_are_refused(bulged, size):
-    for crop_px in (0, 1, 6):
-        with pytest.raises(TactuneError, match="untouched frame"):
-            membrane_solver.build_mesh(
-                np.full(size, 300, np.uint16), bulged.rig.tactile.intrinsics, 0.001, 0.0, 900, crop_px
-            )
+    with pytest.raises(TactuneError, match="untouched frame"):
+        membrane_solver.build_mesh(np.full(size, 300, np.uint16), bulged.rig.tactile.intrinsics, 0.001, 0.0, 900)
 
 
 def mechanics(membrane, **parameters) -> MembraneMechanics:

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tactune.core.model.clouds import ray_table
 from tactune.core.model.intrinsics import Distortion, Intrinsics
 
 COEFFICIENTS = (0.12, -0.22, 0.001, -0.0007, 0.08)
@@ -78,6 +79,15 @@ def test_a_ray_table_holds_every_pixel_in_image_order():
     assert table.shape == (480, 640, 2)
     assert table.dtype == np.float32
     assert table[100, 200] == pytest.approx([(200 - 318.2) / 460, (100 - 242.7) / 461], rel=1e-6)
+
+
+def test_pixels_beyond_the_fold_of_a_lens_have_no_ray_and_those_of_the_table_stay_at_its_rim():
+    lens = camera("brown_conrady", (-0.3, 0.0, 0.0, 0.0, 0.0))
+    rays, table = lens.rays(), ray_table(lens)
+    seen = np.isfinite(rays).all(axis=2)
+    assert not seen[0, 0] and 0.9 < seen.mean() < 1.0
+    assert (table[seen] == rays[seen]).all()
+    assert np.hypot(*table[~seen].T).max() <= np.hypot(*rays[seen].T).max() * (1 + 1e-6)
 
 
 @pytest.mark.parametrize(

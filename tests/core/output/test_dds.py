@@ -26,13 +26,16 @@ from tactune.core.errors import PublishError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.model.patch import ContactPatch
 from tactune.core.output.dds import DdsSink
-from tactune.core.output.publisher import LIVE_TOPICS, Estimates, Publisher
+from tactune.core.output.publisher import LIVE_TOPICS, Publisher
 from tactune.core.preset import Preset
 
 SUPPORT = Path(__file__).resolve().parents[2] / "support"
 PERIOD_S = 1 / 30
 
-Processed = tuple[SensorFrame, ContactPatch, Preset, Estimates]
+Processed = tuple[SensorFrame, ContactPatch, Preset]
+#: Pose of the object and its covariance.
+POSE = np.eye(4), np.diag(np.arange(1.0, 7.0))
+POSE[0][:3, 3] = 0.1, -0.02, 0.3
 
 
 @pytest.fixture(scope="module")
@@ -42,10 +45,7 @@ def processed() -> Processed:
         source.seek(40)
         frame = source.next_frame()
         assert frame is not None
-        T_proximity_object = np.eye(4)
-        T_proximity_object[:3, 3] = 0.1, -0.02, 0.3
-        estimates = Estimates(pose=T_proximity_object, covariance=np.diag(np.arange(1.0, 7.0)))
-        return frame, ContactPipeline(preset, source.rig).process(frame), preset, estimates
+        return frame, ContactPipeline(preset, source.rig).process(frame), preset
 
 
 @pytest.fixture(scope="session")
@@ -63,12 +63,13 @@ def domain() -> int:
 @contextmanager
 def published(processed: Processed, *sinks: DdsSink) -> Iterator[Publisher]:
     """Publish the same frame 30 times a second."""
-    frame, patch, preset, estimates = processed
+    frame, patch, preset = processed
     ended = threading.Event()
 
     def run() -> None:
         while not ended.wait(PERIOD_S):
-            publisher.put(frame, patch, preset, estimates)
+            publisher.put(frame, patch, preset)
+            publisher.put_pose(*POSE, frame.proximity_time_s)
 
     with Publisher(sinks) as publisher:
         thread = threading.Thread(target=run)
@@ -85,7 +86,7 @@ def points_of(cloud: Any) -> np.ndarray[Any, Any]:
 
 
 def test_fast_dds_receives_every_bit(processed: Processed, fast_dds_program: Path, domain: int) -> None:
-    frame, patch, _, _ = processed
+    frame, patch, _ = processed
     topics = {
         "/contact/patch": "reliable",
         "/contact/area_mm2": "best_effort",

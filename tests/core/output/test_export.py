@@ -8,9 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as npst
 
 from tactune.core.contact.pipeline import ContactPatch
 from tactune.core.errors import ExportError, SourceError
@@ -19,10 +16,9 @@ from tactune.core.model.frames import ColorCamera, DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.model.patch import AlignedDepth
 from tactune.core.model.provenance import Provenance
-from tactune.core.output.cloud_files import patch_cloud, read_cloud, write_cloud
+from tactune.core.output.cloud_files import patch_cloud, read_points, write_cloud
 
-BINARY = (".ply", ".pcd", ".npz")
-ALL = (*BINARY, ".csv")
+ALL = (".ply", ".pcd", ".npz", ".csv")
 TYPES = (np.int8, np.uint8, np.int16, np.uint16, np.int32, np.uint32, np.float32, np.float64)
 
 
@@ -36,56 +32,24 @@ def make_cloud(count: int = 7, colors: bool = True) -> PointCloud:
     return PointCloud(points, rng.integers(0, 256, (count, 3)).astype(np.uint8) if colors else None, attributes)
 
 
-@pytest.mark.parametrize("suffix", BINARY)
+@pytest.mark.parametrize("suffix", ALL)
 @pytest.mark.parametrize("count", [0, 1, 7])
 @pytest.mark.parametrize("colors", [False, True])
-def test_binary_formats_give_back_every_bit(tmp_path: Path, suffix: str, count: int, colors: bool) -> None:
+def test_points_come_back_bit_for_bit(tmp_path: Path, suffix: str, count: int, colors: bool) -> None:
     cloud = make_cloud(count, colors)
     write_cloud(tmp_path / f"cloud{suffix}", cloud)
-    back = read_cloud(tmp_path / f"cloud{suffix}")
-    assert back.points.dtype == np.float32
-    assert back.points.tobytes() == cloud.points.tobytes()
-    assert (back.colors is None) == (cloud.colors is None)
-    if cloud.colors is not None and back.colors is not None:
-        np.testing.assert_array_equal(back.colors, cloud.colors)
-    assert back.attributes.keys() == cloud.attributes.keys()
-    for name, values in cloud.attributes.items():
-        assert back.attributes[name].dtype == values.dtype, name
-        assert back.attributes[name].tobytes() == values.tobytes(), name
+    points, dropped = read_points(tmp_path / f"cloud{suffix}")
+    assert dropped == 0
+    assert points.astype(np.float32).tobytes() == cloud.points.tobytes()
 
 
-@pytest.mark.parametrize("count", [0, 1, 7])
-@pytest.mark.parametrize("colors", [False, True])
-def test_csv_gives_back_the_same_numbers(tmp_path: Path, count: int, colors: bool) -> None:
-    cloud = make_cloud(count, colors)
-    write_cloud(tmp_path / "cloud.csv", cloud)
-    back = read_cloud(tmp_path / "cloud.csv")
-    np.testing.assert_array_equal(back.points, cloud.points)
-    if cloud.colors is not None:
-        np.testing.assert_array_equal(back.colors, cloud.colors)
-    for name, values in cloud.attributes.items():
-        np.testing.assert_array_equal(back.attributes[name].astype(values.dtype), values)
-
-
-@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    points=npst.arrays(
-        np.float32, st.tuples(st.integers(0, 5), st.just(3)), elements=st.floats(width=32, allow_nan=False)
-    ),
-    suffix=st.sampled_from(ALL),
-)
-def test_any_float32_comes_back(tmp_path: Path, points: np.ndarray, suffix: str) -> None:
-    write_cloud(tmp_path / f"cloud{suffix}", PointCloud(points))
-    np.testing.assert_array_equal(read_cloud(tmp_path / f"cloud{suffix}").points, points)
-
-
-@pytest.mark.parametrize("suffix", BINARY)
-def test_truth_values_become_bytes(tmp_path: Path, suffix: str) -> None:
-    cloud = PointCloud(np.zeros((2, 3), np.float32), None, {"touched": np.array([True, False])})
-    write_cloud(tmp_path / f"cloud{suffix}", cloud)
-    touched = read_cloud(tmp_path / f"cloud{suffix}").attributes["touched"]
-    assert touched.dtype == np.uint8
-    assert touched.tolist() == [1, 0]
+def test_numpy_reads_every_bit_of_the_npz_by_its_names(tmp_path: Path) -> None:
+    cloud = make_cloud()
+    write_cloud(tmp_path / "cloud.npz", cloud)
+    with np.load(tmp_path / "cloud.npz") as archive:
+        assert set(archive) == {"points", "colors", *cloud.attributes}
+        for name, values in {"points": cloud.points, "colors": cloud.colors, **cloud.attributes}.items():
+            assert (archive[name].dtype, archive[name].tobytes()) == (values.dtype, values.tobytes())
 
 
 def test_a_csv_file_has_titles_with_units(tmp_path: Path) -> None:
@@ -99,15 +63,6 @@ def test_a_csv_file_has_titles_with_units(tmp_path: Path) -> None:
         titles, row = csv.reader(file)
     assert titles == ["x_m", "y_m", "z_m", "red", "green", "blue", "relative_difference", "u", "touched"]
     assert row == ["0.100000001", "0.200000003", "0.300000012", "1", "2", "3", "0.5", "7", "1"]
-
-
-def test_numpy_reads_the_npz_by_its_names(tmp_path: Path) -> None:
-    cloud = make_cloud()
-    write_cloud(tmp_path / "cloud.npz", cloud)
-    with np.load(tmp_path / "cloud.npz") as archive:
-        assert set(archive) == {"points", "colors", *cloud.attributes}
-        np.testing.assert_array_equal(archive["points"], cloud.points)
-        np.testing.assert_array_equal(archive["colors"], cloud.colors)
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".pcd"])
@@ -126,21 +81,6 @@ def test_open3d_reads_what_is_written(tmp_path: Path, suffix: str) -> None:
         assert theirs[name].numpy().dtype == values.dtype
 
 
-@pytest.mark.parametrize("suffix", [".ply", ".pcd"])
-def test_what_open3d_writes_is_read(tmp_path: Path, suffix: str) -> None:
-    o3d = pytest.importorskip("open3d", reason="open3d is not installed", exc_type=ImportError)
-    cloud = make_cloud()
-    theirs = o3d.t.geometry.PointCloud(o3d.core.Tensor(cloud.points))
-    theirs.point.colors = o3d.core.Tensor(cloud.colors)
-    theirs.point["u"] = o3d.core.Tensor(cloud.attributes["uint16"][:, None])
-    path = tmp_path / f"cloud{suffix}"
-    assert o3d.t.io.write_point_cloud(str(path), theirs, write_ascii=False)
-    back = read_cloud(path)
-    assert back.points.tobytes() == cloud.points.tobytes()
-    np.testing.assert_array_equal(back.colors, cloud.colors)
-    np.testing.assert_array_equal(back.attributes["u"], cloud.attributes["uint16"])
-
-
 def test_a_mesh_is_read_as_its_vertices(tmp_path: Path) -> None:
     header = (
         "ply\r\nformat binary_little_endian 1.0\r\ncomment a mesh\r\nelement vertex 2\r\nproperty double x\r\n"
@@ -149,14 +89,14 @@ def test_a_mesh_is_read_as_its_vertices(tmp_path: Path) -> None:
     )
     vertices = np.arange(6, dtype="<f8")
     (tmp_path / "mesh.ply").write_bytes(header.encode() + vertices.tobytes() + b"\x03" + bytes(12))
-    np.testing.assert_array_equal(read_cloud(tmp_path / "mesh.ply").points, vertices.reshape(2, 3))
+    np.testing.assert_array_equal(read_points(tmp_path / "mesh.ply")[0], vertices.reshape(2, 3))
 
 
 def test_no_format_imports_open3d(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "open3d", None)
     for suffix in ALL:
         write_cloud(tmp_path / f"cloud{suffix}", make_cloud())
-        assert len(read_cloud(tmp_path / f"cloud{suffix}")) == len(make_cloud())
+        assert len(read_points(tmp_path / f"cloud{suffix}")[0]) == len(make_cloud())
 
 
 # --- refusals --------------------------------------------------------------------------------------
@@ -190,7 +130,7 @@ def test_what_cannot_be_written_is_refused_and_leaves_no_file(
 def test_the_suffix_may_be_in_capitals(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"cloud{suffix.upper()}"
     write_cloud(path, make_cloud())
-    assert np.array_equal(read_cloud(path).points, make_cloud().points)
+    assert np.array_equal(read_points(path)[0].astype(np.float32), make_cloud().points)
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -219,10 +159,10 @@ def test_a_damaged_file_is_refused_in_one_sentence(tmp_path: Path, suffix: str) 
     for length in (0, 10, len(whole) // 2, len(whole) - 9):
         path.write_bytes(whole[:length])
         with pytest.raises(SourceError, match=rf"cloud\{suffix}") as caught:
-            read_cloud(path)
+            read_points(path)
         assert "\n" not in str(caught.value)
     with pytest.raises(SourceError, match=r"missing.*check the path"):
-        read_cloud(tmp_path / f"missing{suffix}")
+        read_points(tmp_path / f"missing{suffix}")
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".pcd"])
@@ -231,13 +171,13 @@ def test_a_short_file_is_told_with_its_number_of_points(tmp_path: Path, suffix: 
     write_cloud(path, PointCloud(np.zeros((7, 3), np.float32)))
     path.write_bytes(path.read_bytes()[:-25])
     with pytest.raises(SourceError, match="it ends after 4 of 7 points"):
-        read_cloud(path)
+        read_points(path)
 
 
 @pytest.mark.parametrize(
     ("name", "text", "sentence"),
     [
-        ("a.ply", "ply\nformat ascii 1.0\nelement vertex 0\nend_header\n", "not binary_little_endian"),
+        ("a.ply", "ply\nformat odd 1.0\nelement vertex 0\nend_header\n", "neither ascii nor binary_little_endian"),
         ("a.ply", "PLY\nend_header\n", "does not begin with the line ply"),
         ("a.ply", "ply\nformat binary_little_endian 1.0\nelement face 0\nend_header\n", "first element is not vertex"),
         (
@@ -245,17 +185,15 @@ def test_a_short_file_is_told_with_its_number_of_points(tmp_path: Path, suffix: 
             "ply\nformat binary_little_endian 1.0\nelement vertex 0\nproperty float x\nproperty float y\nend_header\n",
             "it has no z",
         ),
-        ("a.pcd", "VERSION 0.7\nDATA ascii\n", "no line DATA binary"),
-        ("a.pcd", "FIELDS a\nSIZE 4\nTYPE F\nCOUNT 3\nPOINTS 0\nDATA binary\n", "have the counts 3"),
+        ("a.pcd", "VERSION 0.7\nDATA binary_compressed\n", "no line DATA"),
         ("a.csv", "x,y,z\n1,2,3\n", "header does not begin with x_m,y_m,z_m"),
-        ("a.csv", "x_m,y_m,z_m\n1,2\n", "no readable .csv cloud"),
         ("a.xyz", "", "the suffix '.xyz'"),
     ],
 )
 def test_other_files_are_refused_with_the_reason(tmp_path: Path, name: str, text: str, sentence: str) -> None:
     (tmp_path / name).write_text(text)
     with pytest.raises(SourceError, match=sentence):
-        read_cloud(tmp_path / name)
+        read_points(tmp_path / name)
 
 
 # --- patches ---------------------------------------------------------------------------------------

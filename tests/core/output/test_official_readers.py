@@ -154,14 +154,6 @@ def test_players_keep_static_topics_for_late_listeners(path: Path) -> None:
     assert qos["/tf_static"][0].reliability.name == "RELIABLE"
 
 
-def test_rosbags_reads_the_same(path: Path, frames: list[SensorFrame]) -> None:
-    with AnyReader([path]) as reader:
-        assert reader.message_count == 2 + COUNT * (len(TYPES) - 2)
-        (connection,) = [each for each in reader.connections if each.topic == "/proximity/depth/image"]
-        images = [reader.deserialize(raw, connection.msgtype) for _, _, raw in reader.messages([connection])]
-    assert [bytes(image.data) for image in images] == [frame.proximity_depth.tobytes() for frame in frames]
-
-
 def test_patches_are_point_clouds_of_the_same_time(tmp_path: Path, rig: Rig) -> None:
     clouds = [
         np.random.default_rng(seed).normal(size=(count, 3)).astype(np.float32) for seed, count in enumerate((5, 0, 2))

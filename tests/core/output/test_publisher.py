@@ -20,7 +20,7 @@ from tactune.core.model.clouds import deproject
 from tactune.core.model.frames import SensorFrame
 from tactune.core.model.patch import ContactPatch, Lazy
 from tactune.core.output.messages import definition
-from tactune.core.output.publisher import LIVE_TOPICS, Estimates, FrameMessages, LiveMessage, Publisher, SinkStatus
+from tactune.core.output.publisher import LIVE_TOPICS, FrameMessages, LiveMessage, PoseMessages, Publisher, SinkStatus
 from tactune.core.preset import Preset
 
 WAIT_S = 60
@@ -60,8 +60,10 @@ def processed() -> tuple[SensorFrame, ContactPatch, Preset]:
 def test_every_topic_arrives_bit_for_bit(processed: tuple[SensorFrame, ContactPatch, Preset]) -> None:
     frame, patch, preset = processed
     covariance = np.arange(36, dtype=np.float64).reshape(6, 6)
-    built = FrameMessages(frame, patch, preset, 5 * 10**9, Estimates(Lazy(TILT.record), np.array(TURN), covariance))
-    seen = {topic: decoded(message) for topic in LIVE_TOPICS if (message := built.get(topic)) is not None}
+    built = FrameMessages(frame, patch, preset, 5 * 10**9, Lazy(TILT.record))
+    posed = PoseMessages(np.array(TURN), covariance, built.stamp_ns)
+    found = [of.get(topic) for of in (built, posed) for topic in of.topics]
+    seen = {message.topic: decoded(message) for message in found if message is not None}
     assert seen.keys() == LIVE_TOPICS.keys()
 
     assert len(patch.points) > 1000
@@ -100,10 +102,7 @@ def test_every_topic_arrives_bit_for_bit(processed: tuple[SensorFrame, ContactPa
 
 
 def test_what_was_not_estimated_is_not_sent(processed: tuple[SensorFrame, ContactPatch, Preset]) -> None:
-    built = FrameMessages(*processed, 0, Estimates())
-    assert built.get("/object/pose") is None
-    assert built.get("/tf") is None
-    assert built.get("/contact/tilt") is None
+    assert FrameMessages(*processed, 0).get("/contact/tilt") is None
 
 
 class Collecting:
@@ -118,6 +117,7 @@ class Collecting:
         self.fault: Exception | None = None
         self.arrived = threading.Condition()
         self.is_open = False
+        self.told: list[tuple[str, str]] = []
 
     def start(self, topics: Mapping[str, str]) -> None:
         assert topics == LIVE_TOPICS
@@ -134,6 +134,9 @@ class Collecting:
         with self.arrived:
             self.messages += messages
             self.arrived.notify_all()
+
+    def tell(self, subject: str, sentence: str) -> None:
+        self.told.append((subject, sentence))
 
     def close(self) -> None:
         self.is_open = False
@@ -163,6 +166,40 @@ def test_a_slow_sink_loses_its_own_frames_and_no_other(processed: tuple[SensorFr
     assert not quick.is_open
     assert not slow.is_open
     assert quick.messages[0] is slow.messages[0]  # nothing is encoded twice
+
+
+def test_a_pose_that_comes_later_has_the_stamp_of_its_frame(
+    processed: tuple[SensorFrame, ContactPatch, Preset],
+) -> None:
+    frame, patch, preset = processed
+    later = replace(frame, proximity_time_s=frame.proximity_time_s + 0.5)
+    sink = Collecting(["/object/pose", "/contact/area_mm2", "/tf_static"])
+    with Publisher([sink]) as publisher:
+        publisher.put_pose(np.eye(4), np.eye(6), frame.proximity_time_s)  # of a frame that nobody saw
+        for count, each in enumerate((frame, later), start=1):
+            publisher.put(each, patch, preset)
+            sink.wait_for(lambda messages, count=count: len(messages) == count + 1)
+        publisher.put_pose(np.array(TURN), np.eye(6), frame.proximity_time_s)
+        sink.wait_for(lambda messages: len(messages) == 4)
+        assert publisher.status()[0].sent == 2
+    [pose] = [message for message in sink.messages if message.topic == "/object/pose"]
+    assert pose.stamp_ns == sink.messages[0].stamp_ns
+    assert decoded(pose).pose.pose.position.y == 0.2
+
+
+def test_a_warning_is_told_once_and_until_it_is_taken_back(
+    processed: tuple[SensorFrame, ContactPatch, Preset],
+) -> None:
+    sink = Collecting(["/diagnostics"])
+    with Publisher([sink]) as publisher:
+        for count, sentence in enumerate(("The mesh fits nothing.", "The mesh fits nothing.", ""), start=1):
+            publisher.tell("object", sentence)
+            publisher.put(*processed)
+            sink.wait_for(lambda messages, count=count: len(messages) == count)
+    states = [decoded(message).status[0] for message in sink.messages]
+    assert [state.message for state in states] == ["The mesh fits nothing.", "The mesh fits nothing.", ""]
+    assert [state.level for state in states] in ([1, 1, 0], [b"\1", b"\1", b"\0"])
+    assert sink.told == [("object", "The mesh fits nothing."), ("object", "")]
 
 
 def test_no_stamp_lies_in_the_future_where_the_first_frame_was_late(

@@ -92,12 +92,12 @@ def test_a_file_cut_anywhere_plays_a_prefix_or_is_refused(
     data = (tmp_path / "whole.mcap").read_bytes()
     cut = tmp_path / "cut.mcap"
     lengths = []
-    for size in [*random.Random(0).sample(range(len(data)), 300), len(data) - 1]:
+    for size in [0, 7, *random.Random(0).sample(range(len(data)), 300), len(data) - 1]:
         cut.write_bytes(data[:size])
         try:
             lengths.append((size, plays(cut, frames, same_frame)))
         except SourceError as error:
-            assert "holds no frame: it was cut off before its first frame" in str(error) or "no MCAP file" in str(error)
+            assert "holds no frame: it was cut off before its first frame" in str(error)
             lengths.append((size, 0))
     lengths.sort()
     assert [count for _, count in lengths] == sorted(count for _, count in lengths)
@@ -172,7 +172,8 @@ def test_a_rate_that_cannot_be_is_not_believed(
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
-        (b"", r"is no MCAP file; choose a recording"),
+        (b"", r"holds no frame: it was cut off before its first frame was complete; record it again"),
+        (MAGIC[:5], r"holds no frame: it was cut off before its first frame was complete; record it again"),
         (b"\x89PNG", r"is no MCAP file; choose a recording"),
         (b"#ROSBAG V2.0\n" + bytes(4096), r"is no MCAP file; choose a recording"),
         (MAGIC, r"holds no frame: it was cut off before its first frame was complete; record it again"),

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 
@@ -158,7 +156,6 @@ def test_without_depth_nothing_is_claimed(rig, make_frame):
     assert "no depth" in quality.bias_problem
     verdicts = {reading.title: reading.verdict for reading in judge_camera(quality.proximity)}
     assert verdicts == {"Fill rate": Verdict.POOR, "Plane fit": Verdict.UNKNOWN, "Temporal noise": Verdict.UNKNOWN}
-    assert json.loads(json.dumps(quality.to_json(), allow_nan=False))["proximity"]["plane_rms_m"] is None
 
 
 def test_a_rig_without_pose_is_measured_without_a_bias(rig, make_frame):
@@ -191,15 +188,17 @@ def test_words_say_the_number_what_is_good_and_the_next_step(rig, make_frame):
     assert "over 40 frames" in noise.value
 
 
-def test_a_few_far_pixels_that_tilt_the_plane_are_named(rig):
+def test_a_plane_that_far_pixels_turn_is_named_and_not_judged(rig):
     camera = rig.tactile
-    depth = plane_depth(camera, (0.0, 0.0, 1.0), 0.30)
-    assert judge_camera(camera_quality("tactile", [counts(depth, camera)], camera, REGION))[1].verdict is Verdict.GOOD
-    left, top, width, height = REGION
-    depth[top : top + height, left + width - 8 : left + width] = 0.6
-    reading = judge_camera(camera_quality("tactile", [counts(depth, camera)], camera, REGION))[1]
-    assert reading.verdict is Verdict.UNKNOWN
-    assert "make the region smaller" in reading.line
+    wall = plane_depth(camera, (0, 0, 1), 0.30)
+    flat = camera_quality("tactile", [counts(wall, camera)], camera, REGION)
+    assert flat.stray_tilt_deg < 0.1 and judge_camera(flat)[1].verdict is Verdict.GOOD
+    wall[30:46, 40:46] = 0.65  # 96 of 4,800 pixels, in a corner of the region
+    turned = camera_quality("tactile", [counts(wall, camera)], camera, REGION)
+    assert turned.stray_tilt_deg == pytest.approx(turned.angle_deg - flat.angle_deg, abs=0.1)
+    reading = judge_camera(turned)[1]
+    assert (reading.value, reading.verdict) == ("no flat surface", Verdict.UNKNOWN)
+    assert f"turn the plane by {turned.stray_tilt_deg:.0f}°: make the region smaller" in reading.step
 
 
 @pytest.mark.parametrize(("bias_m", "verdict"), [(0.001, Verdict.GOOD), (-0.005, Verdict.FAIR), (0.017, Verdict.POOR)])

@@ -109,14 +109,6 @@ def test_the_density_is_what_an_average_over_an_area_leaves():
     assert noise.density_m4(focal) == pytest.approx(means.var() * (side_px * pixel_m) ** 2, rel=0.2)
 
 
-def test_it_survives_the_preset_file(rig, preset, still, tmp_path):
-    from tactune.core.preset.file import save_preset
-
-    noise = measure_noise(still, rig, preset)
-    save_preset(preset.model_copy(update={"noise": noise}), tmp_path / "mine.json")
-    assert load_preset(tmp_path / "mine.json").noise == noise
-
-
 def test_too_few_frames_motion_and_no_depth_are_refused(rig, preset, still):
     with pytest.raises(FrameError, match=r"10 different frames .*, there are 9"):
         measure_noise(still[:9] * 3, rig, preset)
@@ -300,14 +292,8 @@ def test_a_simulated_sensor_gives_back_its_model(name):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", [name for name, model in SENSORS.items() if not model.held_out])
+@pytest.mark.parametrize("name", SENSORS)
 def test_every_simulated_sensor_gives_back_its_model(name):
-    check(name)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", [name for name, model in SENSORS.items() if model.held_out])
-def test_sensors_that_were_held_out_give_back_their_model(name):
     check(name)
 
 

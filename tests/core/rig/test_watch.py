@@ -42,7 +42,10 @@ def reports(watchdog: Watchdog, frames: Iterable[SensorFrame], start: int = 0) -
         (Drift("tactile", (0.0005, 0, 0)), "tactile", 0.0005, "The tactile camera has moved by 0.5 mm"),
         (Drift("tactile", (0, 0, 0.005)), "tactile", 0.005, "The tactile camera has moved by 5."),
         (Drift("proximity", (0, 0.001, 0)), "proximity", 0.001, "The proximity camera has moved by 1.0 mm"),
+        (Drift("tactile", turn_deg=(0, 5, 0)), "tactile", 0.010, "The tactile camera has moved by 10 mm or more"),
         (Drift(apex_m=-0.0019), "pressure", -0.0018, "The pressure has fallen: the membrane's apex stands"),
+        (Drift(apex_m=0.0076), "pressure", 0.0070, "The pressure has risen: the membrane's apex stands"),
+        (Drift("tactile", blur_px=1.0), "tactile_lens", 0.14, "The lens of the tactile camera is dirty"),
         (Drift("tactile", smear=0.3), "tactile_lens", 0.16, "The lens of the tactile camera is dirty"),
         (Drift("proximity", blur_px=2.0), "proximity_lens", 0.9, "The lens of the proximity camera is dirty"),
     ],
@@ -61,6 +64,13 @@ def test_a_change_is_told_once_with_its_size_and_taken_back(
     [(_, back)] = reports(watchdog, (before.read(index) for index in LATER), 21)
     assert (back.subject, back.state) == (subject, "withdrawn")
     assert watchdog.told == []
+
+
+def test_one_percent_of_pressure_is_told_within_four_minutes(watchdog: Watchdog) -> None:
+    after = drifted(Drift(apex_m=-0.00038))
+    [(look, report)] = reports(watchdog, (after.read(AVERAGED + look % 15) for look in range(24)))
+    assert (report.subject, report.state) == ("pressure", "told") and look > 3
+    assert report.value == pytest.approx(-0.0004, abs=0.00015)
 
 
 def test_a_single_odd_frame_is_not_told(watchdog: Watchdog) -> None:

@@ -11,9 +11,7 @@ from tactune.core.sources.simulator.membranes import MEMBRANES, STANDARD
 from tactune.core.sources.simulator.mesh import STIFF_FACTOR, MembraneDesign, build_mesh
 from tactune.core.sources.simulator.render import CLEAN_UNIT_M, CONTACT_FLAG
 from tactune.core.sources.simulator.scene import RIM_M
-from tactune.core.sources.simulator.scene_list import MORE_SCENES, SCENE_OPTIONS
-from tactune.core.sources.simulator.scene_list import SCENES as COMMON_SCENES
-from tactune.core.sources.simulator.scenes import HELD_OUT, SCENES, Variant, light_table, read_options, resolve_scene
+from tactune.core.sources.simulator.scenes import HELD_OUT, Variant, light_table, resolve_scene
 from tactune.core.sources.simulator.source import SimulatorSource, cache_file, find_solved
 from tactune.core.sources.simulator.tray import BOOKS, SECONDS
 
@@ -24,21 +22,6 @@ def open_coarse(scene, noise=0.0, light="normal", **variant):
     return SimulatorSource(
         scene, noise=noise, cells=COARSE, variant=Variant(**variant), light=light, sensor="datasheet"
     )
-
-
-def test_the_registry_knows_every_scene():
-    assert set(COMMON_SCENES) | set(MORE_SCENES) == set(SCENES)
-    assert set(SCENE_OPTIONS) >= {"press", "side", "object", "gap", "membrane", "grid", "light"}
-    assert HELD_OUT == ("mug", "hand")
-
-
-def test_options_are_read():
-    variant, light = read_options("sim:x", {"press": "high", "side": "left", "object": "cube", "gap": "7.5"})
-    assert variant == Variant("high", "left", "cube", 7.5) and light == "normal"
-    assert read_options("sim:x", {"light": "dim", "grid": "dots"}) == (Variant(grid="dots"), "dim")
-    assert read_options("sim:x", {"membrane": "taut"}) == (Variant(membrane="taut"), "normal")
-    with pytest.raises(SourceError, match="gap is 'near'"):
-        read_options("sim:hover", {"gap": "near"})
 
 
 @pytest.mark.parametrize(
@@ -171,19 +154,6 @@ def test_light_changes_colours_only():
     assert bright.proximity_color.mean() > 1.15 * normal.proximity_color.mean()
     assert np.array_equal(dim.proximity_depth, normal.proximity_depth)
     assert light_table("normal") is None
-
-
-def test_dots_measure_the_strain_that_the_facts_tell():
-    """Dots found by their darkness in the colour image of the untouched membrane: as many as the grid has."""
-    import cv2
-
-    with open_coarse("hover", gap_mm=20.0, grid="dots") as source:
-        image = source.read(0).tactile_color
-        facts = source.facts(0)
-    dark = (cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[100:400, 40:540] < 85).astype(np.uint8)
-    sizes = cv2.connectedComponentsWithStats(dark)[2][1:, cv2.CC_STAT_AREA]
-    assert ((sizes > 4) & (sizes < 60)).sum() > 400
-    assert 0.1 < facts.strain_length < 0.3 and 0.1 < facts.strain_width < 0.35
 
 
 @pytest.mark.parametrize("membrane", MEMBRANES)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -190,18 +189,6 @@ def test_the_data_sheet_sensor_measures_what_it_always_did():
     places = (slice(60, None, 100), slice(70, None, 140))
     assert np.abs(proximity[places].ravel().astype(int) - PROXIMITY).max() <= 1
     assert np.abs(tactile[places].ravel().astype(int) - TACTILE).max() <= 1
-
-
-def test_another_frame_takes_milliseconds():
-    model = NoiseModel(RIG, 0, 1.0, SENSORS["worn"])
-    proximity_error(model, 0), tactile_error(model, 0)
-    times = []
-    for frame in range(7):
-        started = time.process_time()
-        model.proximity_depth(frame, WALL, WALL, FACING, PLAIN)
-        model.tactile_depth(frame, WALL)
-        times.append(time.process_time() - started)
-    assert min(times) < 0.05
 
 
 def test_sensors_are_listed_from_clean_to_worn_and_held_out_ones_say_so():

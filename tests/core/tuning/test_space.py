@@ -51,6 +51,7 @@ def test_texts_become_the_values_that_a_preset_holds(text, expected):
         ("tolerance.t=0.1:0.2:1", "2 to"),
         ("tolerance.t=0.1:0.2", "no number of steps"),
         ("outliers.k=1.5", "outliers.k is 1.5"),
+        ("outliers.k=10,abc", "outliers.k is 'abc'"),
         ("contact_test=1:2:3", "not a number"),
         ("name=a,b", "cannot vary"),
         ("cameras.tactile_delay_s=0.1", "cannot vary"),

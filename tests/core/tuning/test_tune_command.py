@@ -185,20 +185,8 @@ def test_an_out_that_cannot_be_written_is_refused_before_the_search(tune, record
         (("-s", "REC", "--out", "/tmp"), "which is not a file"),
         (("-s", "REC", "--study", "/dev/zero"), "no ordinary file"),
         (("-s", "REC", "--frames", "1", "--objective", "stability"), "there is only one"),
-        (
-            (
-                "-s",
-                "live:sim:cup",
-            ),
-            "record it first",
-        ),
-        (
-            (
-                "-s",
-                "folder:/nowhere",
-            ),
-            "there is no folder",
-        ),
+        (("-s", "live:sim:cup"), "record it first"),
+        (("-s", "folder:/nowhere"), "there is no folder"),
         (("-s", "REC", "--scheduler", "nonsense"), "is no scheduler's address"),
         (("-s", "REC", "--scheduler", "tcp://127.0.0.1:1", "--jobs", "2"), "remove it or --scheduler"),
     ],

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,7 +13,6 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import optuna
 import pytest
 
 from long_search import LIMIT_S, front_of, trials_of
@@ -43,7 +44,8 @@ def test_two_searches_on_one_file_share_the_trials_and_one_that_dies_is_replaced
     command = [*long_search.command, "--jobs", "1"]
     first, second = (subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(2))
     for _ in range(20 * LIMIT_S):
-        both = len(list(long_search.file.parent.glob("*.alive"))) == 2
+        journal = long_search.file.read_text() if long_search.file.exists() else ""
+        both = len(set(re.findall(r'"search [0-9a-f]+": \[', journal))) == 2
         if (both and long_search.measured() > 10) or first.poll() is not None:
             break
         time.sleep(0.05)
@@ -52,21 +54,6 @@ def test_two_searches_on_one_file_share_the_trials_and_one_that_dies_is_replaced
     out, _ = second.communicate(timeout=LIMIT_S)
     assert second.returncode == 0
     long_search.check(out)
-
-
-def test_a_queued_point_that_another_search_takes_is_not_replaced_by_a_random_one(tune, recording, monkeypatch):
-    enqueue, taken = optuna.Study.enqueue_trial, []
-
-    def enqueue_and_lose(study: optuna.Study, *words: object, **named: object) -> None:
-        enqueue(study, *words, **named)
-        if not taken:
-            taken.append(study.ask())  # by a search that ends at once
-
-    monkeypatch.setattr(optuna.Study, "enqueue_trial", enqueue_and_lose)
-    grid = ("--set", "tolerance.t=0.004:0.02:3", "--set", "outliers.k=5:24:3", "--objective", "iou,area_error")
-    trials = trials_of(tune("-s", recording, *grid, "--json").out)
-    points = [tuple(trial["values"].values()) for trial in trials.values()]
-    assert len(taken) == 1 and len(points) == len(set(points)) == 9
 
 
 def test_ctrl_c_in_a_terminal_keeps_what_is_done_and_the_same_command_goes_on(long_search):
@@ -113,10 +100,11 @@ def living(session: int) -> list[str]:
 class DaskCluster:
     """A scheduler and its workers, each a process."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, protocol: str = "tcp") -> None:
         self._folder = folder
         self.scheduler = self._start(
-            "scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", "about.json"
+            *("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", "about.json"),
+            *("--protocol", protocol),
         )
         about = folder / "about.json"
         for _ in range(20 * LIMIT_S):
@@ -191,3 +179,37 @@ def test_no_scheduler_and_no_worker_are_said_in_a_sentence(long_search, cluster)
         assert (process.returncode, out) == (2, "")
         assert err.startswith("tactune: ") and expected[address] in err, err
         assert err.count("\n") == 1
+
+
+@pytest.mark.long
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="makes certificates with it")
+def test_a_cluster_with_certificates_measures_and_refuses_who_has_none(long_search, tmp_path, monkeypatch):
+    def set_certificate(name: str) -> None:
+        key, certificate = tmp_path / f"{name}.key", tmp_path / f"{name}.pem"
+        words = ("req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "1", "-subj", f"/CN={name}")
+        subprocess.run(["openssl", *words, "-keyout", key, "-out", certificate], check=True, capture_output=True)
+        monkeypatch.setenv(f"{section}__CA_FILE", str(certificate))
+        for who in ("CLIENT", "SCHEDULER", "WORKER"):
+            monkeypatch.setenv(f"{section}__{who}__KEY", str(key))
+            monkeypatch.setenv(f"{section}__{who}__CERT", str(certificate))
+
+    section = "DASK_DISTRIBUTED__COMM__TLS"
+    (tmp_path / "dask").mkdir()
+    set_certificate("ours")
+    running = DaskCluster(tmp_path / "dask", "tls")
+    try:
+        running.add_worker()
+        long_search.finish("--scheduler", running.address)
+        set_certificate("other")
+        refused = [long_search.give("--scheduler", running.address)]
+        monkeypatch.setenv(f"{section}__CLIENT__KEY", str(tmp_path / "missing.key"))
+        refused.append(long_search.give("--scheduler", running.address))
+        for name in ("CA_FILE", "CLIENT__KEY", "CLIENT__CERT"):
+            monkeypatch.delenv(f"{section}__{name}")
+        refused.append(long_search.give("--scheduler", running.address))
+    finally:
+        running.close()
+    sentences = ("no Dask scheduler answers", "cannot be read (No such file", "configuration has none")
+    for done, sentence in zip(refused, sentences, strict=True):
+        assert done.returncode == 2
+        assert sentence in done.stderr and done.stderr.count("\n") == 1, done.stderr

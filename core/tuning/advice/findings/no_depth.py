@@ -23,7 +23,7 @@ _REMEDIES: Final = {
 
 
 def find(situation: Situation) -> Finding | None:
-    """Return a finding if a camera measures hardly any depth, or the tactile camera an implausible one."""
+    """Return a finding if a camera measures hardly any depth, or if the tactile depth is implausible."""
     return find_in_frame(situation.frame, situation.rig)
 
 

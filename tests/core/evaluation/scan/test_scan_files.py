@@ -144,7 +144,12 @@ def without(line):
         ("scan.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", ("no triangles", "as a mesh")),
         ("scan.obj", "v 0 0 0\nv .1 0 0\nv 0 .1 0\nf 1 2 3\n", ("no colours", "vertex colours")),
         ("scan.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", ("scan.obj",)),
-        ("scan.obj", "v 0 0 0 1 0 0\nv nan 0 0 1 0 0\nv 0 1 0 1 0 0\nf 1 2 3\n", ("nan or infinite (1)",)),
+        (
+            "scan.obj",
+            "v 0 0 0 1 0 0\nv nan 0 0 1 0 0\nv 0 1 0 1 0 0\nf 1 2 3\n",
+            ("nan, infinite or beyond 1e+09 (1)",),
+        ),
+        ("scan.obj", "v 0 0 0 1 0 0\nv 1e300 0 0 1 0 0\nv 0 1 0 1 0 0\nf 1 2 3\n", ("beyond 1e+09 (1)",)),
         ("scan.obj", "v 0 0 0 1 0 0\nv .1 0 0 1 0 0\nv .2 0 0 1 0 0\nf 1 2 3\n", ("without area",)),
         ("scan.obj", SQUARE_OBJ, ("texture that is missing", "same folder")),
         ("scan.obj", without("mtllib square.mtl\n"), ("texture that is missing",)),

@@ -37,6 +37,7 @@ from tactune.core.sources.capture.protocol import (
     reserve_memory,
     slot_bytes,
 )
+from tactune.core.sources.registry import open_source
 
 sizes = st.tuples(st.integers(1, 40), st.integers(1, 30))
 rigs = st.builds(make_rig, sizes, sizes, st.none() | sizes)
@@ -220,3 +221,9 @@ def test_waiting(nothing_left: None, tmp_path: Path) -> None:
         assert source.wait(0.0)
         assert source.next_frame() is None
         assert not source.health().stale
+
+
+def test_no_camera_is_told() -> None:
+    pytest.importorskip("pyrealsense2", reason="the camera driver is not installed", exc_type=ImportError)
+    with pytest.raises(SourceError, match=r"^realsense:f0090001,130322270002 .* connected"):
+        open_source("realsense:f0090001,130322270002")

@@ -11,7 +11,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bag_maker import D405, L515, Device, Images, color_images, depth_images, make_bag
-from tactune.core.sources.folder import FolderSource, export_folder
 from tactune.core.sources.realsense_files.source import BagSource
 
 Opener = Callable[..., BagSource]
@@ -161,16 +160,6 @@ def test_tactile_colour_is_brought_to_tactile_depth_pixels(open_bag: Opener, tmp
     expected[5, 3] = 0
     assert frame.tactile_color is not None
     np.testing.assert_array_equal(frame.tactile_color, expected)
-
-
-def test_a_bag_can_be_handed_on_as_a_folder(open_bag: Opener, two_cameras: Path, tmp_path: Path) -> None:
-    source = open_bag(two_cameras)
-    assert export_folder(source, tmp_path / "out") == 3
-    copy = FolderSource(tmp_path / "out")
-    assert copy.rig == source.rig
-    for index in range(3):
-        np.testing.assert_array_equal(copy.read(index).tactile_depth, source.read(index).tactile_depth)
-        assert copy.read(index).skew_s == source.read(index).skew_s
 
 
 def test_indexing_tells_how_far_it_is(open_bag: Opener, two_cameras: Path) -> None:

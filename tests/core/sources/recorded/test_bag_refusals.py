@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from bag_maker import D405, L515, Device, color_images, depth_images, make_bag
@@ -59,7 +58,7 @@ def test_a_recording_that_lacks_something_is_refused_in_one_sentence(tmp_path: P
 @pytest.mark.parametrize(
     ("device", "sentence"),
     [
-        (Device("L515", depth_images(1, ONE, encoding="32FC1")), "'32FC1', not as 16 bit depth"),
+        (Device("L515", depth_images(1, ONE, encoding="32FC1")), "'32FC1'; known are mono16"),
         (Device("L515", depth_images(1, ONE, size=(6, 9))), "it has 8 x 6 pixels, .* 9 x 6"),
         (Device("L515", depth_images(1, ONE, missing_bytes=16)), "it has 80 bytes, too few for its size"),
         (Device("L515", depth_images(1, ONE), color_images(1, ONE, encoding="jpeg")), "'jpeg'; known are rgb8"),
@@ -83,28 +82,6 @@ def test_a_path_that_is_no_bag_is_refused(tmp_path: Path) -> None:
     (tmp_path / "empty.bag").write_bytes(b"")
     with pytest.raises(SourceError, match=r"empty\.bag: this is no readable RealSense recording \(it is empty\)"):
         BagSource(tmp_path / "empty.bag")
-
-
-def test_damage_is_always_told_as_a_source_error(two_cameras: Path, tmp_path: Path) -> None:
-    whole = two_cameras.read_bytes()
-    rng = np.random.default_rng(0)
-    damaged = tmp_path / "damaged.bag"
-    refused = 0
-    for attempt in range(120):
-        data = bytearray(whole)
-        start = int(rng.integers(14, len(data)))
-        if attempt % 2:
-            del data[start:]
-        else:
-            data[start : start + 16] = rng.bytes(16)
-        damaged.write_bytes(data)
-        try:
-            with BagSource(damaged) as source:
-                list(source)
-        except SourceError as error:
-            refused += 1
-            assert "\n" not in str(error)
-    assert refused >= 60
 
 
 def test_a_closed_source_says_so(open_bag: Opener, two_cameras: Path) -> None:

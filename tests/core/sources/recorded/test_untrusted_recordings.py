@@ -6,7 +6,6 @@ import sqlite3
 import struct
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -95,7 +94,7 @@ def test_a_chunk_that_unpacks_to_more_than_it_says_is_refused(tmp_path: Path) ->
 )
 def test_a_chunk_that_claims_too_much_is_refused_unread(tmp_path: Path, size: int, sentence: str) -> None:
     path = tmp_path / "claim.bag"
-    path.write_bytes(_bag_around([(b"x" * 100, size, "bz2")] * 9))
+    path.write_bytes(_bag_around([(b"x" * 100, size, "lz4")] * 9))
     with pytest.raises(SourceError, match=sentence):
         BagSource(path)
 
@@ -181,12 +180,3 @@ def test_a_bag_whose_recorder_was_killed_plays_up_to_its_last_whole_chunk(
     for index, frame in enumerate(source):
         np.testing.assert_array_equal(frame.proximity_depth, L515.depth.images[index])
         np.testing.assert_array_equal(frame.tactile_depth, D405.depth.images[index])
-
-
-def test_refusing_takes_no_time(tmp_path: Path) -> None:
-    path = tmp_path / "noise.bag"
-    path.write_bytes(b"#ROSBAG V2.0\n" + np.random.default_rng(0).bytes(20_000_000))
-    start = time.process_time()
-    with pytest.raises(SourceError):
-        BagSource(path)
-    assert time.process_time() - start < 5

@@ -9,6 +9,7 @@ import pytest
 
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import AdviceError
+from tactune.core.evaluation.metrics import compare_with_truth
 from tactune.core.model.clouds import pixel_areas_m2
 from tactune.core.sources.presets import load_preset
 from tactune.core.tuning.advice.examples import CURVES, error_curve
@@ -72,11 +73,23 @@ def test_only_known_pixels_count(evidence):
     assert not curve.false_mm2.any() and curve.missed_mm2.any()
 
 
-def test_equal_errors_give_the_shipped_value(evidence):
+def test_equal_errors_keep_the_present_value(evidence):
     # nothing is painted, so no value of the largest gap misses or invents anything
     curve = error_curve("membrane.gap_m", evidence(SHIPPED.with_value("membrane.gap_m", 0.0003)))
     assert not curve.error.any()
-    assert curve.proposed == SHIPPED.membrane.gap_m
+    assert curve.proposed == curve.present == 0.0003
+
+
+def test_a_patch_that_covers_more_but_invents_contact_far_away_is_not_proposed(evidence):
+    shown = evidence(TOLERANCE, painted=True)
+    frame, rig = shown.examples[0].frame, shown.rig
+    curve = error_curve("tolerance.t", shown)
+    [covers_most] = curve.values[curve.error == curve.error.min()]
+    rmse = []
+    for t in (curve.present, curve.proposed, covers_most):
+        patch = ContactPipeline(TOLERANCE.with_value("tolerance.t", t), rig).process(frame)
+        rmse.append(compare_with_truth(patch, frame.truth, rig)["rmse_mm"])
+    assert rmse[1] <= 1.02 * rmse[0] < rmse[2]
 
 
 def test_without_examples_there_is_no_curve(evidence):

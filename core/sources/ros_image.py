@@ -1,0 +1,89 @@
+"""Images of ROS messages from untrusted recordings: encodings, padded rows, byte order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ..model.arrays import AnyArray, Uint8Array, Uint16Array
+
+#: Bytes per pixel of each colour encoding and OpenCV's conversion to RGB.
+_TO_RGB = {
+    "rgb8": (3, None),
+    "bgr8": (3, cv2.COLOR_BGR2RGB),
+    "rgba8": (4, cv2.COLOR_RGBA2RGB),
+    "bgra8": (4, cv2.COLOR_BGRA2RGB),
+    "8UC1": (1, cv2.COLOR_GRAY2RGB),
+    "mono8": (1, cv2.COLOR_GRAY2RGB),
+    "YUYV": (2, cv2.COLOR_YUV2RGB_YUYV),
+    "yuv422": (2, cv2.COLOR_YUV2RGB_UYVY),
+    "UYVY": (2, cv2.COLOR_YUV2RGB_UYVY),
+}
+
+
+class DamagedFileError(Exception):
+    """The bytes are damaged; the message is a clause for the end of a sentence."""
+
+
+@dataclass(frozen=True, eq=False)
+class RawImage:
+    """A ``sensor_msgs/Image``: rows of ``step`` bytes, in words of the recording."""
+
+    height: int
+    width: int
+    encoding: str
+    big_endian: bool
+    step: int
+    data: Uint8Array
+
+    @classmethod
+    def of(cls, message: Any) -> RawImage:
+        """Return the image of a parsed message."""
+        big_endian = bool(message.is_bigendian)
+        return cls(message.height, message.width, message.encoding, big_endian, message.step, message.data)
+
+    def depth(self, shape: tuple[int, int]) -> Uint16Array:
+        """Return raw counts: uint16, shape (H, W)."""
+        return self.channel(shape, ("mono16", "16UC1"), np.dtype(np.uint16))
+
+    def channel(self, shape: tuple[int, int], encodings: Sequence[str], dtype: np.dtype[Any]) -> AnyArray:
+        """Return an image of one channel, shape (H, W), in one of some encodings, all of this type.
+
+        Raises
+        ------
+        DamagedFileError
+            It is of another encoding or size, or too short.
+        """
+        if self.encoding not in encodings:
+            raise DamagedFileError(f"it is encoded as {self.encoding[:40]!r}; known are {', '.join(encodings)}")
+        rows = self._rows(shape, dtype.itemsize)
+        return rows.view(dtype.newbyteorder(">" if self.big_endian else "<")).astype(dtype)
+
+    def color(self, shape: tuple[int, int]) -> Uint8Array:
+        """Return a colour image: RGB uint8, shape (H, W, 3); errors as of `channel`."""
+        if self.encoding not in _TO_RGB:
+            raise DamagedFileError(f"it is encoded as {self.encoding[:40]!r}; known are {', '.join(_TO_RGB)}")
+        bytes_per_pixel, conversion = _TO_RGB[self.encoding]
+        pixels = self._rows(shape, bytes_per_pixel).reshape(*shape, bytes_per_pixel)
+        return pixels.copy() if conversion is None else np.asarray(cv2.cvtColor(pixels, conversion), np.uint8)
+
+    def _rows(self, shape: tuple[int, int], bytes_per_pixel: int) -> Uint8Array:
+        """Return the image's bytes, shape (H, W * bytes per pixel), padding cut off."""
+        height, width = shape
+        check_shape((self.height, self.width), shape)
+        if self.step < width * bytes_per_pixel or len(self.data) != height * self.step:
+            raise DamagedFileError(f"it has {len(self.data)} bytes, too few for its size")
+        rows = self.data.reshape(height, self.step)[:, : width * bytes_per_pixel]
+        return np.ascontiguousarray(rows)
+
+
+def check_shape(found: tuple[int, int], stated: tuple[int, int]) -> None:
+    """Raise `DamagedFileError` if an image has another size (H, W) than its lens is said to have."""
+    if found != stated:
+        raise DamagedFileError(
+            f"it has {found[1]} x {found[0]} pixels, but its lens is said to have {stated[1]} x {stated[0]}"
+        )

@@ -1,0 +1,152 @@
+"""Every kind of file while its writer is killed, beside a second writer, and on a full disk."""
+
+from __future__ import annotations
+
+import itertools
+import multiprocessing
+import random
+import resource
+import signal
+import sys
+import time
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import kinds
+from kinds import KINDS, Kind
+from tactune.app.settings import Settings
+from tactune.core.errors import TactuneError
+
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(sys.platform == "win32", reason="kills, and limits the size of files, as POSIX does"),
+]
+KILLS, SECONDS_BESIDE, MOST_S = 12, 1.0, 10.0
+#: What a window reads only when it opens: a state beside those that another window is replacing.
+READ_AT_START = ("unsaved preset", "alignment", "calibration")
+OURS = [name for name, kind in KINDS.items() if kind.ours]
+
+
+@pytest.fixture(scope="module")
+def start() -> Any:
+    """Start a function in a process of its own, which has imported everything already."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(Path(kinds.__file__).parent))
+        context = multiprocessing.get_context("forkserver")
+        context.set_forkserver_preload(["kinds"])
+
+        def run(function: Any, *words: object) -> tuple[Any, Connection]:
+            ours, theirs = context.Pipe(duplex=False)
+            process = context.Process(target=function, args=(theirs, *words), daemon=True)
+            process.start()
+            theirs.close()
+            return process, ours
+
+        yield run
+
+
+def keep_writing(said: Connection, name: str, folder: Path, first: int) -> None:
+    for n in itertools.count(first):
+        try:
+            KINDS[name].write(folder, n % 2)
+        except TactuneError:  # such as a name that the other writer has taken
+            continue
+        if n < first + 2:
+            said.send_bytes(b"written")
+
+
+def write_once(said: Connection, name: str, folder: Path, limit: int) -> None:
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+    try:
+        KINDS[name].write(folder, 1)
+    except TactuneError as error:
+        said.send(str(error))
+    except BaseException as error:
+        said.send(error)
+    else:
+        said.send("")
+
+
+def check(kind: Kind, folder: Path) -> None:
+    begun = time.monotonic()
+    assert kind.read is None or kind.read(folder) is not False
+    assert time.monotonic() - begun < MOST_S
+
+
+def visible(folder: Path) -> dict[str, bytes]:
+    return {
+        str(file.relative_to(folder)): file.read_bytes()
+        for file in folder.rglob("*")
+        if file.is_file() and not file.name.endswith(".lock")
+    }
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_a_killed_writer_leaves_whole_files(name: str, tmp_path: Path, start: Any, qapp: object) -> None:
+    rng = random.Random(name)
+    for _ in range(KILLS):
+        writer, said = start(keep_writing, name, tmp_path, rng.randrange(2))
+        said.recv_bytes()
+        time.sleep(rng.uniform(0, 0.05))
+        writer.kill()
+        writer.join()
+        check(KINDS[name], tmp_path)
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_two_writers_leave_whole_files(name: str, tmp_path: Path, start: Any, qapp: object) -> None:
+    writers = [start(keep_writing, name, tmp_path, n) for n in range(2)]
+    for _, said in writers:
+        said.recv_bytes()
+    end = time.monotonic() + SECONDS_BESIDE
+    while time.monotonic() < end and name not in READ_AT_START:
+        check(KINDS[name], tmp_path)
+    time.sleep(0.3)
+    for writer, _ in writers:
+        assert writer.is_alive()
+        writer.kill()
+        writer.join()
+    check(KINDS[name], tmp_path)
+
+
+def set_values(said: Connection, file: Path, who: int) -> None:
+    kinds.application()
+    settings = Settings(file)
+    for number in range(50):
+        settings.set(f"{who}/{number}", number)
+        settings.sync()
+
+
+def test_two_windows_forget_no_value_of_each_other(tmp_path: Path, start: Any, qapp: object) -> None:
+    windows = [start(set_values, tmp_path / "window.json", who) for who in range(2)]
+    for window, _ in windows:
+        window.join()
+    settings = Settings(tmp_path / "window.json")
+    assert all(settings.number(f"{who}/{number}", -1) == number for who in range(2) for number in range(50))
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_a_full_disk_is_said_and_nothing_is_lost(name: str, tmp_path: Path, start: Any, qapp: object) -> None:
+    kind = KINDS[name]
+    kind.write(tmp_path, 0)
+    before = visible(tmp_path)
+    refused = 0
+    for share in (0, 0.001, 0.05, 0.3, 0.7, 0.99, 1.3, 1.5):
+        limit = int(share * max(map(len, before.values())))
+        writer, said = start(write_once, name, tmp_path, limit)
+        error = said.recv()
+        writer.join()
+        assert isinstance(error, str), f"{limit} bytes: {error!r}"
+        assert "\n" not in error
+        refused += bool(error)
+        after = visible(tmp_path)
+        check(kind, tmp_path)
+        if error and not kind.grows:
+            assert before.items() <= after.items(), f"{limit} bytes"
+            assert not any(left.startswith(".") for left in after), f"{limit} bytes"
+        before = visible(tmp_path)
+    assert refused or kind.silent

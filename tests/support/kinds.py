@@ -1,0 +1,371 @@
+"""Every kind of file that the product writes or reads: one table for damage, kills, full disks and two writers."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import cv2
+import numpy as np
+from PyQt6.QtCore import QCoreApplication, Qt
+from PyQt6.QtGui import QImage
+from PyQt6.QtWidgets import QApplication, QWidget
+
+from bag_maker import D405, L515, make_bag
+from folder_scenes import RIG, ListSource, make_frame
+from tactune.app.analysis.measuring_tab import write_picture
+from tactune.app.analysis.truth_state import FrozenPatch, PickedPair, TruthKeeper, TruthSession, TruthState
+from tactune.app.calibration.keeping import Keeper
+from tactune.app.calibration.session import PointPair, Session, SessionState, Snapshot
+from tactune.app.cli.common import write_csv
+from tactune.app.document.document import Document
+from tactune.app.document.keeping import KeptState
+from tactune.app.document.recovery import Autosave, unsaved_work
+from tactune.app.settings import Settings
+from tactune.app.sources.thumbnails import Thumbnails
+from tactune.core import ContactPipeline, open_source
+from tactune.core.calibration.correspondences import Correspondence, write_points
+from tactune.core.calibration.correspondences import read_points as read_pairs
+from tactune.core.calibration.snapshots import content_hash
+from tactune.core.errors import ExportError, SourceError
+from tactune.core.estimation.object_mesh import load_mesh
+from tactune.core.estimation.pose_files import save_poses
+from tactune.core.evaluation.scan.pose import load_transform, save_transform
+from tactune.core.evaluation.scan.pose import read_pairs as read_scan_pairs
+from tactune.core.evaluation.scan.scan import load_scan
+from tactune.core.evaluation.table_cell import PlannedScene, TableCell, TableCellFolder
+from tactune.core.model.clouds import PointCloud
+from tactune.core.model.rig_file import load_rig
+from tactune.core.output import SessionWriter
+from tactune.core.output.bag import PatchWriter
+from tactune.core.output.cloud_files import read_points, write_cloud
+from tactune.core.output.foxglove import save_layout
+from tactune.core.output.markers import Marker, Marks, load_marks, save_marks
+from tactune.core.output.writer import export_mcap
+from tactune.core.preset import Preset
+from tactune.core.preset.file import save_preset
+from tactune.core.rig.untouched import load_untouched, save_untouched
+from tactune.core.sources.folder import export_folder
+from tactune.core.sources.folder_rig import write_rig
+from tactune.core.sources.presets import load_preset
+from tactune.core.sources.simulator.scene import CleanState, PressFacts, simulator_rig
+from tactune.core.sources.simulator.source import SolvedScene, load_scene, save_scene
+from tactune.core.tuning.advice.example_file import load_example, save_example
+from tactune.core.tuning.advice.proposal import Example
+from tactune.core.tuning.clips import Clip
+from tactune.core.tuning.measure import Batch, Measured
+from tactune.core.tuning.space import Axis
+from tactune.core.tuning.study import Plan, Study
+from tactune.core.tuning.workers import Workers
+
+Kept = TypeVar("Kept", bound=KeptState[Any])
+DATA = Path(__file__).parent.parent / "data"
+POSE = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.3), (0.0, 0.0, 0.0, 1.0))
+PRESET = Preset(contact_test="tolerance").with_value("alignment.rigid.T_proximity_tactile", POSE)
+FRAMES = [make_frame(n) for n in range(3)]
+CLOUDS = [PointCloud(np.full((2000 + n, 3), 0.3 + n, np.float32)) for n in range(2)]
+_numbers = itertools.count()
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of file.
+
+    Attributes
+    ----------
+    write : callable
+        Write version 0 or 1 into a folder, by the product where ``ours``.
+    read : callable or None
+        Read what is in the folder; False, or a `TactuneError`, where it is refused. None: the product does not read it.
+    damaged : int
+        Number of damaged files to try.
+    ours : bool
+        Whether the product writes it.
+    grows : bool
+        Whether a write that fails leaves the part that was written, by intention.
+    silent : bool
+        Whether a write that fails says nothing: what is lost are only values to begin with.
+    keeps_state : bool
+        Whether reading writes, too: a search goes on, a damaged state of the window is set aside.
+    """
+
+    write: Callable[[Path, int], object]
+    read: Callable[[Path], object] | None = None
+    damaged: int = 300
+    ours: bool = True
+    grows: bool = False
+    silent: bool = False
+    keeps_state: bool = False
+
+
+def fresh(folder: Path, suffix: str = "") -> Path:
+    """Return a name that no other process uses."""
+    return folder / f"{os.getpid()}-{next(_numbers)}{suffix}"
+
+
+def play(path: Path) -> None:
+    with open_source(str(path)) as source:
+        pipeline = ContactPipeline(PRESET, source.rig)
+        for frame in source:
+            pipeline.process(frame)
+
+
+def play_all(folder: Path) -> None:
+    """Play all recordings; one that was killed before its first frame may say so."""
+    for path in folder.glob("[!.]*"):
+        try:
+            play(path)
+        except SourceError as error:
+            if "cut off before its first frame" not in str(error):
+                raise
+
+
+def record(folder: Path, n: int) -> None:
+    with SessionWriter(fresh(folder, ".mcap"), RIG, untouched=FRAMES[0]) as writer:
+        for frame in FRAMES:
+            writer.put(frame, wait=True)
+        if error := writer.close().error:
+            raise ExportError(error)
+
+
+def write_patches(folder: Path, n: int) -> None:
+    with PatchWriter(fresh(folder, ".mcap"), RIG, Preset(), 30.0) as writer:
+        for number in range(3):
+            writer.write(CLOUDS[n].points, number, number / 30)
+
+
+def write_untouched(folder: Path, n: int) -> None:
+    record = save_untouched(FRAMES[n], 1, folder / "a.json")
+    save_preset(Preset(name="n" * 60, untouched=record), folder / "a.json")
+
+
+def read_untouched(folder: Path) -> None:
+    preset = load_preset(folder / "a.json")
+    if preset.untouched is not None:
+        load_untouched(preset.untouched, folder / "a.json")
+
+
+def read_rigs(folder: Path) -> None:
+    for path in folder.glob("[0-9]*/rig.json"):
+        load_rig(path)
+
+
+def solved_scene(folder: Path, n: int) -> None:
+    rig = simulator_rig()
+    shapes = (rig.proximity.intrinsics.shape, rig.tactile.intrinsics.shape)
+    deep, flat = (np.full(shapes[0], n, kind) for kind in (np.uint16, np.uint8))
+    colours = [np.full((*shape, 3), n, np.uint8) for shape in shapes]
+    state = CleanState(deep, deep, flat, flat, colours[0], np.full(shapes[1], n, np.uint16), colours[1])
+    facts = PressFacts(0.01, 0.2, 0.1, 0.1, 0.1, 0.1, 5.0, (0.0, 0.0, 0.0), 900.0, 1e-6, POSE)
+    save_scene(folder / "cup.zip", SolvedScene([state], [facts]))
+
+
+# The search
+
+
+class _NoWork:
+    """Workers that measure nothing."""
+
+    def submit(self, work: object, batch: Batch) -> Future[list[Measured]]:
+        future: Future[list[Measured]] = Future()
+        future.set_result([Measured({"iou": 0.5, "points": 9.0}) for _ in batch.trials])
+        return future
+
+
+CLIP = Clip("folder:rec", "folder:/rec", range(3), "0", True)
+PLANS = [
+    Plan(Preset(), (Axis("tolerance.t", low=0.004, high=0.02 + n, count=3),), (CLIP,), ("iou",), "grid", 3)
+    for n in range(2)
+]
+
+
+def search(folder: Path, n: int) -> bool:
+    with Study(PLANS[n], folder / "s.log") as study:
+        list(study.run(Workers(_NoWork(), lambda: 1)))  # type: ignore[arg-type]
+        study.front()
+        values = {str(trial.values["tolerance.t"]) for trial in study.trials()}
+        return len(study.trials()) == 3 and values == set(map(str, PLANS[n].axes[0].steps()))
+
+
+# What the window keeps
+
+
+@cache
+def application() -> QCoreApplication:
+    return QCoreApplication.instance() or QApplication([])
+
+
+@contextmanager
+def said_as_errors(keeper: Kept) -> Iterator[Kept]:
+    said: list[str] = []
+    keeper.failed.connect(said.append, Qt.ConnectionType.DirectConnection)
+    yield keeper
+    if said:
+        raise ExportError(said[0])
+
+
+SNAPSHOTS = [Snapshot(content_hash(frame), "here", frame) for frame in FRAMES[:2]]
+PAIR = PointPair(key=1, proximity=(1.0, 2.0), tactile=(2.0, 3.0), tactile_depth_m=0.3)
+PATCHES = [FrozenPatch(cloud.points, cloud.points[:9], 81.0, "sim:cup", 7, "default") for cloud in CLOUDS]
+
+
+def calibrate(folder: Path, n: int) -> None:
+    application()
+    session = Session(RIG, lambda *_: None)
+    with said_as_errors(Keeper(session, folder)) as keeper:
+        session.edit("all", SessionState((SNAPSHOTS[n],), (PAIR,) * 9))
+        keeper.close()
+
+
+def restore_calibration(folder: Path) -> bool:
+    application()
+    session, said = Session(RIG, lambda *_: None), list[str]()
+    keeper = Keeper(session, folder)
+    keeper.failed.connect(said.append)
+    keeper.restore()
+    keeper.close()
+    return not said
+
+
+def align(folder: Path, n: int) -> None:
+    application()
+    session = TruthSession()
+    with said_as_errors(TruthKeeper(session, folder)) as keeper:
+        keeper.switch_to("abc0")
+        session.edit("all", TruthState(pairs=(PickedPair((0.1, 0.2, 0.3), None),), pose=POSE, patch=PATCHES[n]))
+        keeper.close()
+
+
+def restore_alignment(folder: Path) -> bool:
+    application()
+    session, said = TruthSession(), list[str]()
+    keeper = TruthKeeper(session, folder)
+    keeper.failed.connect(said.append)
+    keeper.switch_to("abc0")
+    keeper.close()
+    return not said
+
+
+def autosave(folder: Path, n: int) -> None:
+    application()
+    document = Document(Preset())
+    with said_as_errors(Autosave(document, folder)) as keeper:
+        document.edit("name", "ab"[n] * 60)
+        keeper.flush()
+        keeper.close(keep=True)
+
+
+def remember(folder: Path, n: int) -> None:
+    application()
+    settings = Settings(folder / "window.json")
+    settings.set("view/point_size", 2.0 + n)
+    settings.set("theme", "dark")
+    settings.set("window/geometry", QWidget().saveGeometry())
+    settings.sync()
+
+
+def read_settings(folder: Path) -> bool:
+    application()
+    settings = Settings(folder / "window.json")
+    settings.number("view/point_size", 1.0)
+    settings.recent("source")
+    QWidget().restoreGeometry(settings.blob("window/geometry"))
+    return settings.text("theme") == "dark"
+
+
+def picture(folder: Path, n: int) -> None:
+    Thumbnails(folder).keep("a", np.full((90, 160, 3), n, np.uint8))
+
+
+# Files of other programs
+
+SCAN_PAIRS = "scan_x,scan_y,scan_z,patch_x_m,patch_y_m,patch_z_m\n1,2,3,0.1,0.2,0.3\n4,5,6,0.1,0.3,0.2\n"
+OBJ = "v 0 0 0 1 0 0\nv .1 0 0 0 1 0\nv 0 .1 0 0 0 1\nv 0 0 .1 1 1 1\nf 1 2 3\nf 1 2 4\nf 2 3 4\nf 1 3 4\n"
+TEXTURED = "mtllib a.mtl\nv 0 0 0\nv .1 0 0\nv 0 .1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl a\nf 1/1 2/2 3/3\n"
+
+
+def textured(folder: Path, n: int) -> None:
+    (folder / "a.obj").write_text(TEXTURED)
+    (folder / "a.mtl").write_text("newmtl a\nKd 1 1 1\nmap_Kd a.png\n")
+    cv2.imwrite(str(folder / "a.png"), np.full((16, 16, 3), (50, 90, 200), np.uint8))
+
+
+def box(name: str) -> Callable[[Path, int], object]:
+    import trimesh
+
+    return lambda folder, n: trimesh.creation.box((0.1, 0.1, 0.1)).export(folder / name)
+
+
+def text(name: str, content: str) -> Callable[[Path, int], object]:
+    return lambda folder, n: (folder / name).write_text(content)
+
+
+def copied(name: str) -> Callable[[Path, int], object]:
+    return lambda folder, n: shutil.copy(DATA / name, folder)
+
+
+def cloud(name: str) -> Kind:
+    return Kind(lambda f, n: write_cloud(f / name, CLOUDS[n]), lambda f: read_points(f / name))
+
+
+PICTURE = QImage(64, 64, QImage.Format.Format_RGB32)
+MARKS = [Marks(markers=tuple(Marker(frame=k, name=f"{n} {k}", time_s=0.1) for k in range(99))) for n in range(2)]
+POINTS = [Correspondence(str(k), 1.0, 2.0, 4.0, 5.0, 0.3) for k in range(50)]
+SCENE = PlannedScene("still", "cup", "low")
+CELL = TableCell("fusion", "cup", "cup", "low", "", "main", SCENE.source, 0, rmse_mm=0.5)
+
+KINDS: dict[str, Kind] = {
+    "preset": Kind(
+        lambda f, n: save_preset(Preset(name="ab"[n] * 60), f / "a.json"), lambda f: load_preset(f / "a.json"), 600
+    ),
+    "untouched frame": Kind(write_untouched, read_untouched),
+    "rig": Kind(lambda f, n: write_rig(fresh(f), RIG), read_rigs, 600),
+    "folder": Kind(lambda f, n: export_folder(ListSource(FRAMES), fresh(f)), play_all),
+    "recording": Kind(record, play_all, 400, grows=True),
+    "converted recording": Kind(lambda f, n: export_mcap(ListSource(FRAMES[n:]), f / "a.mcap"), play_all, 100),
+    "patches": Kind(write_patches, grows=True),
+    "markers": Kind(lambda f, n: save_marks(f / "a.json", MARKS[n]), lambda f: load_marks(f / "a.json")),
+    "cloud.npz": Kind(lambda f, n: write_cloud(f / "a.npz", CLOUDS[n]), lambda f: read_points(f / "a.npz"), 400),
+    "cloud.ply": cloud("a.ply"),
+    "cloud.pcd": cloud("a.pcd"),
+    "cloud.csv": cloud("a.csv"),
+    "points": Kind(lambda f, n: write_points(f / "a.csv", POINTS[n:]), lambda f: read_pairs(f / "a.csv")),
+    "QGIS points": Kind(lambda f, n: write_points(f / "a.points", POINTS[n:]), lambda f: read_pairs(f / "a.points")),
+    "transform": Kind(lambda f, n: save_transform(f / "a.json", POSE), lambda f: load_transform(f / "a.json"), 400),
+    "poses": Kind(lambda f, n: save_poses(f / "a.csv", [{"sequence": n, "time_s": 0.1, "lost": 0}] * 999)),
+    "picture": Kind(lambda f, n: write_picture(PICTURE, f"{n}\n" * 999, f / "a.png", "It was")),
+    "layout": Kind(lambda f, n: save_layout(f / "a.json")),
+    "table.csv": Kind(lambda f, n: write_csv(f / "a.csv", [{"a": n}] * 999)),
+    "table cell": Kind(
+        lambda f, n: TableCellFolder(f, Preset()).save([CELL], SCENE),
+        lambda f: TableCellFolder(f, Preset()).load(["fusion"], SCENE, 0) is not None,
+    ),
+    "example": Kind(
+        lambda f, n: save_example(Example(FRAMES[n], None, None), f / "a.npz"), lambda f: load_example(f / "a.npz")
+    ),
+    "simulator's cache": Kind(solved_scene, lambda f: load_scene(f / "cup.zip", 1) is not None, 200),
+    "search": Kind(search, lambda f: search(f, 0), 600, grows=True, keeps_state=True),
+    "unsaved preset": Kind(autosave, lambda f: len(unsaved_work(f)) == len(list(f.glob("unsaved-*.json")))),
+    "calibration": Kind(calibrate, restore_calibration, keeps_state=True),
+    "alignment": Kind(align, restore_alignment, keeps_state=True),
+    "settings": Kind(remember, read_settings, silent=True),
+    "thumbnail": Kind(picture, lambda f: Thumbnails(f).load("a") is not None, silent=True),
+    "scan's pairs": Kind(text("a.csv", SCAN_PAIRS), lambda f: read_scan_pairs(f / "a.csv"), ours=False),
+    "scan": Kind(text("a.obj", OBJ), lambda f: load_scan(f / "a.obj"), 200, ours=False),
+    "textured scan": Kind(textured, lambda f: load_scan(f / "a.obj"), ours=False),
+    "mesh": Kind(text("a.obj", OBJ), lambda f: load_mesh(f / "a.obj"), 100, ours=False),
+    "mesh.stl": Kind(box("a.stl"), lambda f: load_mesh(f / "a.stl"), ours=False),
+    "mesh.ply": Kind(box("a.ply"), lambda f: load_mesh(f / "a.ply"), ours=False),
+    "bag": Kind(lambda f, n: make_bag(f / "a.bag", D405, L515, compress=True), play_all, ours=False),
+    "L515's bag": Kind(copied("l515_2.54.2.bag"), play_all, ours=False),
+    "database": Kind(copied("d405_2.58.4.db3"), play_all, ours=False),
+    "database of PNG": Kind(copied("d405_2.59.1.db3"), play_all, ours=False),
+}

@@ -1,0 +1,70 @@
+"""The plot that all others are made of: plain, and in the colours of the theme."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pyqtgraph as pg
+from PyQt6.QtCore import QEvent, Qt
+
+from ..basics.theme import ThemeColors, theme_colors
+
+
+class Plot(pg.PlotWidget):  # type: ignore[misc]  # pyqtgraph has no types
+    """A plot without a menu and buttons whose background, axes and legend follow the theme.
+
+    Parameters
+    ----------
+    bottom, left : str, optional
+        Titles of the axes, with their units.
+    movable : bool
+        Whether the mouse moves and scales the plot.
+    axes : dict of str to AxisItem, optional
+        Other axes than the usual ones.
+    """
+
+    def __init__(
+        self, bottom: str = "", left: str = "", *, movable: bool = False, axes: dict[str, pg.AxisItem] | None = None
+    ) -> None:
+        self._recolor: Callable[[ThemeColors], object] | None = None
+        super().__init__(axisItems=axes)
+        item = self.getPlotItem()
+        item.setMenuEnabled(False)
+        item.hideButtons()
+        item.setMouseEnabled(x=movable, y=movable)
+        if not movable:
+            self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        for name, title in (("bottom", bottom), ("left", left)):
+            item.getAxis(name).enableAutoSIPrefix(False)
+            if title:
+                item.setLabel(name, title)
+
+    def follow_theme(self, recolor: Callable[[ThemeColors], object] | None = None) -> None:
+        """Colour the plot now and when the theme changes; then ``recolor`` colours its curves.
+
+        Call it when all curves and the legend are there.
+        """
+        self._recolor = recolor or (lambda _colors: None)
+        self._apply_theme()
+
+    def changeEvent(self, event: QEvent | None) -> None:
+        """Follow the theme."""
+        super().changeEvent(event)
+        if event is not None and event.type() == QEvent.Type.PaletteChange and self._recolor is not None:
+            self._apply_theme()
+
+    def _apply_theme(self) -> None:
+        colors, item = theme_colors(), self.getPlotItem()
+        self.setBackground(colors.base)
+        for name in ("bottom", "left"):
+            axis: Any = item.getAxis(name)
+            axis.setPen(colors.border)
+            axis.setTextPen(colors.text)
+        assert self._recolor is not None
+        self._recolor(colors)
+        if item.legend is not None:
+            item.legend.setLabelTextColor(colors.text)
+            for sample, label in item.legend.items:
+                label.setText(label.text)
+                sample.update()
