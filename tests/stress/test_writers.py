@@ -24,7 +24,7 @@ pytestmark = [
     pytest.mark.long,
     pytest.mark.skipif(sys.platform == "win32", reason="kills, and limits the size of files, as POSIX does"),
 ]
-KILLS, SECONDS_BESIDE, MOST_S = 12, 1.0, 10.0
+KILLS, SECONDS_BESIDE, MOST_S, HUNG_S = 12, 1.0, 10.0, 60.0
 #: What a window reads only when it opens: a state beside those that another window is replacing.
 READ_AT_START = ("unsaved preset", "alignment", "calibration")
 OURS = [name for name, kind in KINDS.items() if kind.ours]
@@ -55,7 +55,7 @@ def keep_writing(said: Connection, name: str, folder: Path, first: int) -> None:
         except TactuneError:  # such as a name that the other writer has taken
             continue
         if n < first + 2:
-            said.send_bytes(b"written")
+            said.send("written")
 
 
 def write_once(said: Connection, name: str, folder: Path, limit: int) -> None:
@@ -69,6 +69,12 @@ def write_once(said: Connection, name: str, folder: Path, limit: int) -> None:
         said.send(error)
     else:
         said.send("")
+
+
+def heard(said: Connection, name: str) -> Any:
+    """What a writer says next; a writer that says nothing hangs, or is refused for ever."""
+    assert said.poll(HUNG_S), f"a writer of {name} said nothing in {HUNG_S:.0f} s"
+    return said.recv()
 
 
 def check(kind: Kind, folder: Path) -> None:
@@ -90,7 +96,7 @@ def test_a_killed_writer_leaves_whole_files(name: str, tmp_path: Path, start: An
     rng = random.Random(name)
     for _ in range(KILLS):
         writer, said = start(keep_writing, name, tmp_path, rng.randrange(2))
-        said.recv_bytes()
+        heard(said, name)
         time.sleep(rng.uniform(0, 0.05))
         writer.kill()
         writer.join()
@@ -101,7 +107,7 @@ def test_a_killed_writer_leaves_whole_files(name: str, tmp_path: Path, start: An
 def test_two_writers_leave_whole_files(name: str, tmp_path: Path, start: Any, qapp: object) -> None:
     writers = [start(keep_writing, name, tmp_path, n) for n in range(2)]
     for _, said in writers:
-        said.recv_bytes()
+        heard(said, name)
     end = time.monotonic() + SECONDS_BESIDE
     while time.monotonic() < end and name not in READ_AT_START:
         check(KINDS[name], tmp_path)
@@ -124,7 +130,7 @@ def set_values(said: Connection, file: Path, who: int) -> None:
 def test_two_windows_forget_no_value_of_each_other(tmp_path: Path, start: Any, qapp: object) -> None:
     windows = [start(set_values, tmp_path / "window.json", who) for who in range(2)]
     for window, _ in windows:
-        window.join()
+        window.join(HUNG_S)
     settings = Settings(tmp_path / "window.json")
     assert all(settings.number(f"{who}/{number}", -1) == number for who in range(2) for number in range(50))
 
@@ -138,7 +144,7 @@ def test_a_full_disk_is_said_and_nothing_is_lost(name: str, tmp_path: Path, star
     for share in (0, 0.001, 0.05, 0.3, 0.7, 0.99, 1.3, 1.5):
         limit = int(share * max(map(len, before.values())))
         writer, said = start(write_once, name, tmp_path, limit)
-        error = said.recv()
+        error = heard(said, name)
         writer.join()
         assert isinstance(error, str), f"{limit} bytes: {error!r}"
         assert "\n" not in error
