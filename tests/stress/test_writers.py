@@ -35,6 +35,7 @@ def start() -> Any:
     """Start a function in a process of its own, which has imported everything already."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", str(Path(kinds.__file__).parent))
+        patch.setenv("OPENBLAS_NUM_THREADS", "1")  # a process with threads must not fork: locks stay locked
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(["kinds"])
 
@@ -99,7 +100,7 @@ def test_a_killed_writer_leaves_whole_files(name: str, tmp_path: Path, start: An
         heard(said, name)
         time.sleep(rng.uniform(0, 0.05))
         writer.kill()
-        writer.join()
+        writer.join(HUNG_S)
         check(KINDS[name], tmp_path)
 
 
@@ -115,7 +116,7 @@ def test_two_writers_leave_whole_files(name: str, tmp_path: Path, start: Any, qa
     for writer, _ in writers:
         assert writer.is_alive()
         writer.kill()
-        writer.join()
+        writer.join(HUNG_S)
     check(KINDS[name], tmp_path)
 
 
@@ -145,7 +146,7 @@ def test_a_full_disk_is_said_and_nothing_is_lost(name: str, tmp_path: Path, star
         limit = int(share * max(map(len, before.values())))
         writer, said = start(write_once, name, tmp_path, limit)
         error = heard(said, name)
-        writer.join()
+        writer.join(HUNG_S)
         assert isinstance(error, str), f"{limit} bytes: {error!r}"
         assert "\n" not in error
         refused += bool(error)
