@@ -53,13 +53,15 @@ def start() -> Any:
 
 
 def keep_writing(said: Connection, name: str, folder: Path, first: int) -> None:
+    heard_of = False
     for n in itertools.count(first):
         try:
             KINDS[name].write(folder, n % 2)
-        except TactuneError:  # such as a name that the other writer has taken
+        except TactuneError:  # such as a name that the other writer has taken, often several times in a row
             continue
-        if n < first + 2:
+        if not heard_of:
             said.send("written")
+            heard_of = True
 
 
 def write_once(said: Connection, name: str, folder: Path, limit: int) -> None:
