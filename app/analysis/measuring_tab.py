@@ -127,11 +127,13 @@ def write_picture(picture: QImage | None, numbers: str, path: Path, what: str) -
     beside = path if picture is None else path.with_suffix(".csv")
     if picture is not None and beside.exists() and not path.exists():
         raise ExportError(f"{beside} already exists and would be replaced; choose another name")
-    with atomic_path(beside) as temporary:
-        temporary.write_text(numbers, encoding="utf-8")
     if picture is None:
+        with atomic_path(path) as temporary:
+            temporary.write_text(numbers, encoding="utf-8")
         return f"{what} written to {path}."
-    with atomic_path(path) as temporary:
+    # The picture gets its name first: a table without its picture would be refused the next time.
+    with atomic_path(beside) as table, atomic_path(path) as temporary:
+        table.write_text(numbers, encoding="utf-8")
         if not picture.save(str(temporary), "PNG"):
             raise ExportError(f"cannot write the picture {path}; choose another place")
     return f"{what} written to {path} and {beside.name}."
