@@ -18,6 +18,8 @@ from ..preset.alignment import SnapshotRecord
 
 #: Depths that differ from the click's by more than this belong to another surface, metres.
 _SAME_SURFACE_M = 0.004
+#: Two middle values of a pixel that differ by more than this share belong to two surfaces.
+_SAME_SURFACE = 0.02
 _ROWS_AT_ONCE = 32
 
 
@@ -78,8 +80,8 @@ def take_snapshot(frames: Iterable[SensorFrame]) -> Snapshot:
 def median_counts(images: Sequence[Uint16Array]) -> Uint16Array:
     """Return the median of raw depth images (H, W); 0 and 65535 are left out.
 
-    For an even number of values it is the lower median, so that the result is always a measured value; 0 if no image
-    has depth.
+    For an even number of values it is the mean of the two middle ones, because the lower one alone is too near. Where
+    these two belong to two surfaces, it is the nearer one; 0 if no image has depth.
 
     Raises
     ------
@@ -167,7 +169,7 @@ def _check_sizes(images: Sequence[AnyArray]) -> None:
 
 @partial(kernel, allocates=True)
 def _median_rows(stack: Uint16Array, out: Uint16Array) -> None:
-    """Write the lower median of the valid values of each pixel; ``stack`` is (rows, columns, images)."""
+    """Write the median of the valid values of each pixel; ``stack`` is (rows, columns, images)."""
     height, width, count = stack.shape
     values = np.empty(count, np.uint16)
     for row in range(height):
@@ -183,4 +185,11 @@ def _median_rows(stack: Uint16Array, out: Uint16Array) -> None:
                     place -= 1
                 values[place] = value
                 kept += 1
-            out[row, column] = values[(kept - 1) // 2] if kept > 0 else 0
+            if kept == 0:
+                out[row, column] = 0
+                continue
+            low = values[(kept - 1) // 2]
+            gap = values[kept // 2] - low
+            middle = low + gap // 2
+            # halves are rounded to even values, so they add no bias
+            out[row, column] = middle + (gap & middle & 1) if gap <= _SAME_SURFACE * low else low
