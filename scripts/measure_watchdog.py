@@ -11,17 +11,21 @@ is a false alarm.
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
+
+from drifted import Drift, DriftedSimulator
 from tactune.core.calibration.snapshots import take_snapshot
 from tactune.core.model.frames import SensorFrame
 from tactune.core.rig.watch import INTERVAL_S, Watchdog
 from tactune.core.sources.presets import load_preset
-from tactune.core.sources.simulator.drifted import Drift, DriftedSimulator
 from tactune.core.sources.simulator.scenes import Light, Variant
 from tactune.core.sources.simulator.sensors import DEFAULT_SENSOR
 

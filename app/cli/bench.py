@@ -10,7 +10,6 @@ import typer
 
 from ...core.errors import TactuneError
 from .common import SOURCE, CliProgress, PresetOption, SourceOption, counted, default_preset, open_with_progress
-from .sensor_table import measure_sensor_table, plan_sensor_table
 
 #: Frames over which ``tactune bench memory`` measures.
 MEASURED_FRAMES = 50
@@ -36,35 +35,21 @@ def bench(
     gate: Annotated[
         bool, typer.Option("--gate", help="Check only the promised speed; exit status 1 if a check fails.")
     ] = False,
-    sensors: Annotated[
-        str | None,
-        typer.Option(
-            "--sensors",
-            metavar="A,B",
-            help="Compare run time and error of the contact tests on these simulated sensors, or 'all', instead.",
-        ),
-    ] = None,
-    plots: Annotated[
-        Path | None, typer.Option("--plots", metavar="DIR", help="Draw the figures into this folder (extra bench).")
-    ] = None,
     report: Annotated[
         Path | None,
         typer.Option("--report", metavar="FILE.md", help="Measure everything and write a Markdown page with figures."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Compare all engines on all scenes; with --gate, check the promised speed; with --sensors, the contact tests."""
+    """Compare all engines on all scenes; with --gate, check the promised speed."""
     if context.invoked_subcommand is not None:
         return
     if gate:
         raise typer.Exit(_run_gate(rounds, as_json))
-    if sensors is not None:
-        _compare_sensors(sensors, plots, as_json)
-        return
     if report is not None:
         _write_report(report, rounds)
         return
-    _compare(_names(scenes), _names(engines), rounds, plots, as_json)
+    _compare(_names(scenes), _names(engines), rounds, as_json)
 
 
 @bench_commands.command()
@@ -170,14 +155,10 @@ def _run_gate(rounds: int, as_json: bool) -> int:
     return 0 if all(check.holds for check in checks) else 1
 
 
-def _compare(scenes: list[str], engines: list[str], rounds: int, plots: Path | None, as_json: bool) -> None:
-    """Compare the engines; with ``plots`` also how run time grows with the number of points and the image size."""
-    from dataclasses import asdict
-
+def _compare(scenes: list[str], engines: list[str], rounds: int, as_json: bool) -> None:
     from ...core.bench.measure import machine_facts
     from ...core.bench.registry import Job
     from ...core.bench.run import compare_engines, rows_as_json, rows_as_text
-    from ...core.bench.scaling import growth_as_text, growth_with_points, growth_with_size
     from ...core.bench.scenes import scene_names
 
     facts = machine_facts()
@@ -185,53 +166,19 @@ def _compare(scenes: list[str], engines: list[str], rounds: int, plots: Path | N
         rows = compare_engines(
             scenes or scene_names(), list(Job), rounds=rounds, only=engines, progress=progress.preparing
         )
-        points = growth_with_points(rounds, progress=progress.preparing) if plots is not None else []
-        sizes = growth_with_size(rounds, progress=progress.preparing) if plots is not None else []
     if as_json:
-        report: dict[str, Any] = {"machine": facts, "rows": rows_as_json(rows)}
-        if plots is not None:
-            report["growth"] = [asdict(row) for row in points + sizes]
-        typer.echo(json.dumps(report, indent=2, allow_nan=False))
+        typer.echo(json.dumps({"machine": facts, "rows": rows_as_json(rows)}, indent=2, allow_nan=False))
     else:
         typer.echo(_machine_line(facts) + "\n\n" + rows_as_text(rows))
-        if plots is not None:
-            typer.echo("\n" + growth_as_text(points) + "\n\n" + growth_as_text(sizes))
-    if plots is not None:
-        from ...core.bench.report import draw_growth, draw_pareto
-
-        for path in draw_pareto(rows, plots) + draw_growth(points, sizes, plots):
-            typer.echo(f"wrote {path}", err=as_json)
-
-
-def _compare_sensors(sensors: str, plots: Path | None, as_json: bool) -> None:
-    """Measure the contact tests on the cup at all presses, each sensor with one seed."""
-    from dataclasses import asdict
-
-    from ...core.bench.measure import machine_facts
-    from ...core.bench.report import draw_sensors
-    from ...core.bench.sensors import sensor_timings, timings_as_text
-
-    plan = plan_sensor_table(
-        sensors, "standard", "cup", "low,medium,high", 1, held_out=False, preset="simulator", rig="measured", work=None
-    )
-    timings = sensor_timings(measure_sensor_table(plan).cells)
-    facts = machine_facts()
-    if as_json:
-        typer.echo(json.dumps({"machine": facts, "sensors": [asdict(it) for it in timings]}, indent=2))
-    else:
-        typer.echo(_machine_line(facts) + "\n\n" + timings_as_text(timings))
-    for path in draw_sensors(timings, plots) if plots is not None else []:
-        typer.echo(f"wrote {path}", err=as_json)
 
 
 def _write_report(path: Path, rounds: int) -> None:
-    """Measure everything and write the page; its figures go into ``images/bench`` beside it."""
+    """Measure everything and write the page; its figure goes into ``images/bench`` beside it."""
     from ...core.bench.gate import run_gate
     from ...core.bench.measure import machine_facts
     from ...core.bench.registry import Job
-    from ...core.bench.report import BenchReport, draw_growth, draw_pareto, write_report
+    from ...core.bench.report import BenchReport, draw_pareto, write_report
     from ...core.bench.run import compare_engines
-    from ...core.bench.scaling import growth_with_points, growth_with_size, stage_breakdown, thread_scaling
     from ...core.bench.scenes import scene_names
     from ...core.bench.stability import check_long_run, check_stability
 
@@ -242,16 +189,10 @@ def _write_report(path: Path, rounds: int) -> None:
             machine=machine,
             checks=run_gate(rounds, progress.preparing),
             rows=compare_engines(scene_names(), list(Job), rounds=rounds, progress=progress.preparing),
-            points=growth_with_points(rounds, progress=progress.preparing),
-            sizes=growth_with_size(rounds, progress=progress.preparing),
-            stages=stage_breakdown(scene_names()),
-            threads=thread_scaling(scene_names(), rounds),
             stability=check_stability(10_000, 0, lambda share: progress.preparing(share, "comparing frames")),
             long_run=check_long_run(20_000, 0, lambda share: progress.preparing(share, "changing parameters")),
         )
-    folder = path.parent / "images" / "bench"
-    figures = draw_pareto(measured.rows, folder) + draw_growth(measured.points, measured.sizes, folder)
-    write_report(measured, path, figures)
+    write_report(measured, path, draw_pareto(measured.rows, path.parent / "images" / "bench"))
     typer.echo(f"wrote {path}")
 
 

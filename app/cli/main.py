@@ -28,7 +28,6 @@ from .evaluate import evaluate_commands
 from .preset import preset_commands
 from .record import convert, record
 from .run import export_folder, run
-from .scan import export_scan
 from .serve import serve
 from .strain import strain
 from .suggest import suggest
@@ -62,7 +61,6 @@ commands.command("export-folder")(export_folder)
 commands.command()(calibrate)
 commands.command()(devices)
 commands.command()(doctor)
-commands.command("export-scan")(export_scan)
 commands.command()(recheck)
 commands.command()(record)
 commands.command()(serve)

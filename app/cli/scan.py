@@ -1,4 +1,4 @@
-"""The commands ``tactune evaluate recording`` and ``tactune export-scan``: contact from paint on a scan."""
+"""The command ``tactune evaluate recording``: contact from paint on a scan."""
 
 from __future__ import annotations
 
@@ -48,15 +48,12 @@ _REFINED: Final = ("rmse_m", "pairs", "iterations", "converged")
 _FAR_MM: Final = 40.0
 
 
-Scanned = Annotated[
-    Path, typer.Option("--scan", metavar="FILE", help="The object's painted scan: .ply or .obj, coloured or textured.")
-]
-
-
 def evaluate_recording(
     *,
     source: Annotated[str, typer.Option("--source", "-s", metavar="SOURCE", help="As for tactune run.")],
-    scan: Scanned,
+    scan: Annotated[
+        Path, typer.Option(metavar="FILE", help="The object's painted scan: .ply or .obj, coloured or textured.")
+    ],
     transform: Annotated[
         Path | None,
         typer.Option(
@@ -161,45 +158,6 @@ def evaluate_recording(
         typer.echo(_table(records, truth.area_mm2, refined))
     for written in filter(None, (save_transform, csv_file)):
         typer.echo(f"wrote {written}", err=True)
-
-
-def export_scan(
-    *,
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out", "-o", metavar="FILE", help="A .ply, with --texture an .obj; the true pose is written beside it."
-        ),
-    ],
-    source: Annotated[
-        str, typer.Option("--source", "-s", metavar="SOURCE", help="A scene of the simulator.")
-    ] = "sim:cup?press=medium",
-    frame: Annotated[int, typer.Option(min=0, metavar="N", help="Which frame's contact is painted, from 0.")] = 0,
-    texture: Annotated[
-        bool, typer.Option("--texture", help="Write a coarse mesh with a fine texture instead of vertex colours.")
-    ] = False,
-    spacing_mm: Annotated[
-        float | None,
-        typer.Option(metavar="MM", help="Vertex spacing of the mesh, 0.3 to 10; default 0.8, with a texture 4."),
-    ] = None,
-    noise: Annotated[
-        float,
-        typer.Option(
-            min=0, max=255, metavar="SIGMA", help="Standard deviation of the noise in each colour channel, 0 to 255."
-        ),
-    ] = 0,
-    specks: Annotated[int, typer.Option(min=0, max=10_000, metavar="N", help="Spots of the wrong colour.")] = 0,
-    seed: Annotated[int, typer.Option(min=0, metavar="S", help="Seed of noise and specks.")] = 0,
-) -> None:
-    """Write a simulated object as a painted scan, pink where the membrane touches it, with its true transform."""
-    from ...core.evaluation.scan.simulated import PaintFlaws, export_painted_scan
-
-    spacing_m = None if spacing_mm is None else spacing_mm / 1e3
-    with open_with_progress(source) as opened:
-        files = export_painted_scan(
-            opened, frame, out, texture=texture, spacing_m=spacing_m, flaws=PaintFlaws(noise, specks, seed)
-        )
-    typer.echo(f"wrote {', '.join(map(str, files))}")
 
 
 def parse_paint(words: list[str]) -> PaintSettings:

@@ -61,7 +61,8 @@ def track(
     start: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Pose in the first frame: four lines of four numbers, or JSON as of export-scan."
+            metavar="FILE",
+            help="Pose in the first frame: four lines of four numbers, or JSON as `evaluate recording` has it.",
         ),
     ] = None,
     pairs: Annotated[

@@ -8,19 +8,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from ..model.figures import pyplot, save_figure
 from ..model.files import atomic_path
 from .gate import Check
-from .measure import Timing
 from .registry import Job
 from .run import Row, rows_as_text
-from .scaling import GrowthRow, StageRow, growth_as_text
-from .sensors import SensorTiming
 from .stability import LongRunReport, StabilityReport
 
-_MARKERS = "osD^vP*Xh<>p"
+_MARKERS = "osD^vP"
 
 
 @dataclass(frozen=True)
@@ -30,10 +26,6 @@ class BenchReport:
     machine: str
     checks: list[Check]
     rows: list[Row]
-    points: list[GrowthRow]
-    sizes: list[GrowthRow]
-    stages: list[StageRow]
-    threads: dict[str, dict[int, Timing]]
     stability: StabilityReport
     long_run: LongRunReport
 
@@ -57,10 +49,6 @@ def write_report(report: BenchReport, path: Path, figures: Sequence[Path]) -> No
         "`differ`: pixels that differ from the float64 reference. IoU and RMSE compare with the ground truth.",
         *(_image(figure, path) for figure in figures if figure.suffix == ".png"),
         _code(rows_as_text(report.rows)),
-        "## Growth",
-        _code(growth_as_text(report.points) + "\n\n" + growth_as_text(report.sizes)),
-        "## Stages and threads",
-        _code(_stages(report.stages) + "\n\n" + _threads(report.threads)),
         "## Numerical stability",
         f"{report.stability.words()}. {report.long_run.words()} (`tactune bench stability`).",
     ]
@@ -76,23 +64,6 @@ def _image(figure: Path, page: Path) -> str:
     return f"![{figure.stem.replace('-', ' ')}]({Path(os.path.relpath(figure, page.parent)).as_posix()})"
 
 
-def _stages(rows: list[StageRow]) -> str:
-    names = list(rows[0].stage_ms) if rows else []
-    lines = [f"{'ms a stage':<16}{'points':>10}" + "".join(f"{name:>12}" for name in names)]
-    lines += [
-        f"{row.scene:<16}{row.points:>10,}" + "".join(f"{row.stage_ms[name]:>12.3f}" for name in names) for row in rows
-    ]
-    return "\n".join(lines)
-
-
-def _threads(scaling: dict[str, dict[int, Timing]]) -> str:
-    counts: list[Any] = list(next(iter(scaling.values()))) if scaling else []
-    lines = [f"{'threads':<16}" + "".join(f"{f'{count}, ms':>12}" for count in counts)]
-    for scene, timings in scaling.items():
-        lines.append(f"{scene:<16}" + "".join(f"{timings[count].median_ms:>12.3f}" for count in counts))
-    return "\n".join(lines)
-
-
 def draw_pareto(rows: list[Row], folder: Path) -> list[Path]:
     """Draw run time against RMSE for each scene with contact; return the PNG and SVG files.
 
@@ -102,42 +73,23 @@ def draw_pareto(rows: list[Row], folder: Path) -> list[Path]:
         matplotlib is not installed.
     """
     usable = [row for row in rows if row.job == Job.PIPELINE and math.isfinite(row.rmse_mm)]
-    points = [(row.scene, row.engine, row.timing.median_ms, row.rmse_mm) for row in usable]
-    return _draw_error_over_time(points, folder, "run-time-against-error")
-
-
-def draw_sensors(timings: Sequence[SensorTiming], folder: Path) -> list[Path]:
-    """Draw run time against RMSE for each sensor, one point per tolerance; return the PNG and SVG files.
-
-    Raises
-    ------
-    MissingExtraError
-        matplotlib is not installed.
-    """
-    points = [(it.sensor, it.test, it.ms, it.rmse_mm) for it in timings]
-    return _draw_error_over_time(points, folder, "sensors")
-
-
-def _draw_error_over_time(points: list[tuple[str, str, float, float]], folder: Path, name: str) -> list[Path]:
-    """Draw points (panel, series, ms, RMSE in mm): one panel for each scene or sensor."""
-    panels = list(dict.fromkeys(panel for panel, *_ in points))
+    panels = list(dict.fromkeys(row.scene for row in usable))
     if not panels:
         return []
     plt = pyplot()
     columns = min(3, len(panels))
     lines = -(-len(panels) // columns)
     figure, axes = plt.subplots(lines, columns, figsize=(5 * columns, 4 * lines + 0.9), squeeze=False)
-    names = list(dict.fromkeys(series for _, series, *_ in points))
-    for axis, title in zip(axes.flat, panels, strict=False):
-        for number, series in enumerate(names):
-            mine = [(ms, rmse_mm) for panel, its, ms, rmse_mm in points if (panel, its) == (title, series)]
-            if mine:
-                axis.plot(
-                    *zip(*mine, strict=True), _MARKERS[number % len(_MARKERS)], color=f"C{number % 10}",
-                    markersize=8 if len(mine) == 1 else 4, label=series,
-                )  # fmt: skip
-        axis.set(title=title, xscale="log", xlabel="median of a frame, ms", ylabel="symmetric RMSE to truth, mm")
-        axis.set_ylim(0.0, 1.08 * max(rmse_mm for panel, _, _, rmse_mm in points if panel == title))
+    names = list(dict.fromkeys(row.engine for row in usable))
+    for axis, scene in zip(axes.flat, panels, strict=False):
+        shown = [row for row in usable if row.scene == scene]
+        for row in shown:
+            number = names.index(row.engine)
+            axis.plot(
+                row.timing.median_ms, row.rmse_mm, _MARKERS[number], color=f"C{number}", markersize=8, label=row.engine
+            )
+        axis.set(title=scene, xscale="log", xlabel="median of a frame, ms", ylabel="symmetric RMSE to truth, mm")
+        axis.set_ylim(0.0, 1.08 * max(row.rmse_mm for row in shown))
         axis.grid(True, which="both", alpha=0.3)
     for axis in list(axes.flat)[len(panels) :]:
         axis.axis("off")
@@ -146,33 +98,6 @@ def _draw_error_over_time(points: list[tuple[str, str, float, float]], folder: P
     }
     figure.legend(labels.values(), labels.keys(), loc="lower center", ncols=min(5, len(labels)), frameon=False)
     figure.tight_layout(rect=(0, 0.9 / (4 * lines + 0.9), 1, 1))
-    return _save(figure, folder, name)
-
-
-def draw_growth(points: list[GrowthRow], sizes: list[GrowthRow], folder: Path) -> list[Path]:
-    """Draw run time against points in contact and against image size; return the PNG and SVG files.
-
-    Raises
-    ------
-    MissingExtraError
-        matplotlib is not installed.
-    """
-    plt = pyplot()
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2))
-    for axis, rows, places, label in (
-        (left, points, [row.points for row in points], "points in contact"),
-        (right, sizes, [row.width * row.height for row in sizes], "pixels (a tenth in contact)"),
-    ):
-        for name in rows[0].timings if rows else ():
-            axis.plot(places, [row.timings[name].median_ms for row in rows], "o-", label=name)
-        axis.set(xscale="log", yscale="log", xlabel=label, ylabel="median of a frame, ms")
-        axis.grid(True, which="both", alpha=0.3)
-        axis.legend(frameon=False)
-    figure.tight_layout()
-    return _save(figure, folder, "growth")
-
-
-def _save(figure: Any, folder: Path, name: str) -> list[Path]:
-    paths = [folder / f"{name}.png", folder / f"{name}.svg"]
+    paths = [folder / f"run-time-against-error.{suffix}" for suffix in ("png", "svg")]
     save_figure(figure, *paths, dpi=110)
     return paths

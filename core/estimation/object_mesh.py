@@ -208,7 +208,7 @@ def load_mesh(path: Path | str, unit: str | None = None) -> ObjectMesh:
 
 def simulated_mesh(scene: Scene, name: str) -> ObjectMesh:
     """Return the mesh of the object of a simulator's scene, in the frame of its true pose."""
-    from ..evaluation.scan.simulated import object_surface
+    from ..sources.simulator.object_surface import object_surface  # on demand: it compiles the objects
 
     vertices, quads = object_surface(scene.pressed.kind, _SIMULATED_SIDE_M)
     triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]).astype(np.int32)

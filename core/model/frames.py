@@ -187,7 +187,7 @@ class GroundTruth:
         Not stored in recordings.
     T_proximity_object : 4 x 4 or None
         Pose of the object in the proximity depth frame, metres; of a pair of objects as a whole. The object's own
-        frame is that of the mesh of ``tactune export-scan``. Not stored in recordings.
+        frame is that of `simulated_mesh`. Not stored in recordings.
     """
 
     contact: BoolArray

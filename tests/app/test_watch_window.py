@@ -9,13 +9,13 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QToolButton
 
+from drifted import Drift
 from drifting import AVERAGED, drifted, untouched
 from fake_cameras import FakeCameras
 from hands import press, show_source
 from tactune.core.preset.file import save_preset
 from tactune.core.rig.untouched import save_untouched
 from tactune.core.sources.presets import load_preset
-from tactune.core.sources.simulator.drifted import Drift
 
 DRIFT = Drift("tactile", (0.002, 0.0, 0.0))
 KEY = "watch tactile"

@@ -7,11 +7,11 @@ from dataclasses import replace
 from functools import cache, lru_cache
 from pathlib import Path
 
+from drifted import Drift, DriftedSimulator
 from tactune.core.calibration.snapshots import take_snapshot
 from tactune.core.model.frames import SensorFrame
 from tactune.core.output import SessionWriter
 from tactune.core.sources.presets import load_preset
-from tactune.core.sources.simulator.drifted import Drift, DriftedSimulator
 from tactune.core.sources.simulator.scenes import Variant
 
 #: Frames of a still scene that go into the untouched frame; later ones have other noise.

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
+from drifted import Drift
 from drifting import drifted, record_looks
-from tactune.core.sources.simulator.drifted import Drift
 
 Tactune = Callable[..., Any]
 

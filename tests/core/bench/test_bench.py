@@ -26,15 +26,11 @@ from tactune.core.bench.measure import (
     time_in_turns,
 )
 from tactune.core.bench.registry import Job, engines, find_engine
-from tactune.core.bench.report import BenchReport, draw_growth, draw_pareto, draw_sensors, write_report
+from tactune.core.bench.report import BenchReport, draw_pareto, write_report
 from tactune.core.bench.run import compare_engines, expected_mask, rows_as_json, rows_as_text
-from tactune.core.bench.scaling import GrowthRow, growth_as_text, growth_with_size, stage_breakdown, thread_scaling
 from tactune.core.bench.scenes import BenchScene, make_scene, scene_names, synthetic_scene
-from tactune.core.bench.sensors import sensor_timings, timings_as_text
 from tactune.core.bench.stability import LongRunReport, check_stability
-from tactune.core.contact.kernels.threads import available_threads, get_threads
 from tactune.core.errors import TactuneError
-from tactune.core.evaluation.table_cell import TableCell
 
 pytest.importorskip("open3d", reason="needs the extra bench")
 
@@ -144,78 +140,30 @@ def test_the_roofline_counts_each_byte_once(scene: BenchScene) -> None:
     assert bandwidth_bytes_per_s(8 << 20) > 1e8
 
 
-def test_growth_is_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tactune.core.bench.scaling.SIZES", ((80, 60), (160, 120)))
-    rows = growth_with_size(3, ["tactune"])
-    assert [(row.width, row.height) for row in rows] == [(80, 60), (160, 120)]
-    assert "160 x 120" in growth_as_text(rows)
-
-
-def test_figures_are_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_figure_is_written(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    folder = tmp_path
-    monkeypatch.setattr("tactune.core.bench.scaling.SIZES", ((80, 60),))
     measured = compare_engines(["empty"], [Job.PIPELINE], rounds=3, only=["tactune-no-outliers"])
     rows = [replace(row, rmse_mm=1.0 + number) for number, row in enumerate(measured)]
-    sizes = growth_with_size(3, ["tactune"])
-    written = draw_pareto(rows, folder) + draw_growth(sizes, sizes, folder)
-    assert sorted(path.name for path in written) == [
-        "growth.png", "growth.svg", "run-time-against-error.png", "run-time-against-error.svg",
-    ]  # fmt: skip
+    written = draw_pareto(rows, tmp_path)
+    assert [path.name for path in written] == ["run-time-against-error.png", "run-time-against-error.svg"]
     assert all(path.stat().st_size > 5000 for path in written)
-
-
-def test_contact_tests_are_drawn_for_each_sensor(tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
-
-    def cell(sensor: str, method: str, seed: int, rmse_mm: float | None, ms: float) -> TableCell:
-        failure = "" if rmse_mm else "it failed"
-        return TableCell(
-            method, "cup", "cup", "low", "", "main", "sim", seed, rmse_mm=rmse_mm, ms=ms, failure=failure, sensor=sensor
-        )
-
-    methods = ("straight", "tolerance-0.008", "tolerance-0.010", "fusion-membrane")
-    cells = [cell(sensor, method, seed, 1.0 + seed, 5.0 + 2 * seed)
-             for sensor in ("clean", "heavy") for method in methods for seed in (0, 1)]  # fmt: skip
-    timings = sensor_timings([*cells, cell("heavy", "fusion-averaged", 0, None, 1.0)])
-    assert [(it.sensor, it.test) for it in timings] == [
-        (sensor, test) for sensor in ("clean", "heavy") for test in ("tolerance", "tolerance", "membrane")
-    ]
-    assert all((it.ms, it.rmse_mm) == (6.0, 1.5) for it in timings)
-    assert len(timings_as_text(timings).splitlines()) == 7
-    assert [path.name for path in draw_sensors(timings, tmp_path)] == ["sensors.png", "sensors.svg"]
-    assert draw_sensors([], tmp_path / "none") == []
-
-
-def test_stages_and_threads_are_told() -> None:
-    (row,) = stage_breakdown(["noisy-51k"], frames=3)
-    assert row.points > 40_000
-    assert row.stage_ms["outliers"] > 0
-    scaling = thread_scaling(["empty"], 3)["empty"]
-    assert 1 in scaling
-    assert all(timing.median_ms > 0 for timing in scaling.values())
-    assert get_threads() == available_threads()
+    assert draw_pareto(measured, tmp_path / "none") == [], "an empty scene has no error to draw"
 
 
 def test_the_page_holds_every_part(tmp_path: Path) -> None:
     rows = compare_engines(["empty"], [Job.PIPELINE], rounds=3, only=["tactune"])
-    timing = rows[0].timing
     report = BenchReport(
         machine="a machine",
         checks=[Check("speed", 5.0, 6)],
         rows=rows,
-        points=[GrowthRow(10, 64, 48, {"tactune": timing})],
-        sizes=[],
-        stages=stage_breakdown(["empty"], frames=2),
-        threads={"empty": {1: timing}},
         stability=check_stability(2),
         long_run=LongRunReport(5, 0),
     )
     page = tmp_path / "docs" / "benchmarks.md"
-    write_report(report, page, [tmp_path / "docs" / "images" / "bench" / "growth.png"])
+    write_report(report, page, [tmp_path / "docs" / "images" / "bench" / "engines.png"])
     text = page.read_text()
     assert "SHORT speed: 5.00" in text
-    assert "![growth](images/bench/growth.png)" in text
+    assert "![engines](images/bench/engines.png)" in text
     assert "5 changes of parameters" in text
     assert "a machine" in text
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from drifted import Drift
 from drifting import AVERAGED, drifted, untouched
 from tactune.core.errors import CalibrationError, FrameError
 from tactune.core.model.frames import SensorFrame
@@ -15,7 +16,6 @@ from tactune.core.preset import Preset
 from tactune.core.rig.watch import INTERVAL_S, Watchdog, WatchReport
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
-from tactune.core.sources.simulator.drifted import Drift
 
 LATER = range(AVERAGED, 30)
 

@@ -226,7 +226,15 @@ def test_a_source_has_its_sensor_in_its_name_and_keeps_it_without_the_object():
 def test_the_cache_key_covers_every_file_that_clean_images_depend_on():
     folder = {path.name for path in Path(simulator.__file__).parent.glob("*.py")}
     in_key = {"scenes.py", "membranes.py"}  # all that they say is in Scene.key
-    later = {"__init__.py", "names.py", "scene_list.py", "noise.py", "sensors.py", "source.py", "drifted.py"} | in_key
+    later = {
+        "__init__.py",
+        "names.py",
+        "scene_list.py",
+        "noise.py",
+        "sensors.py",
+        "source.py",
+        "object_surface.py",
+    } | in_key
     later |= {"between.py", "tray.py"}  # what is between the solved states, and when
     assert set(CLEAN_CODE) | later == folder
     assert not set(CLEAN_CODE) & later

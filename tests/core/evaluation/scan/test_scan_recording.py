@@ -9,13 +9,12 @@ import re
 import numpy as np
 import pytest
 
+from painted_scan import PaintFlaws, write_painted_scan
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.errors import ExportError, SourceError
 from tactune.core.evaluation.metrics import cloud_distances, compare_with_truth, truth_cloud
 from tactune.core.evaluation.scan.paint import PaintSettings, contact_points, painted_contact, scan_truth
 from tactune.core.evaluation.scan.pose import HEADER, load_transform, pose_from_pairs, transformed
 from tactune.core.evaluation.scan.scan import load_scan
-from tactune.core.evaluation.scan.simulated import PaintFlaws, export_painted_scan
 from tactune.core.methods.registry import make_method, method_names, needs_untouched
 from tactune.core.model.clouds import pixel_areas_m2
 from tactune.core.output.writer import SessionWriter
@@ -40,9 +39,9 @@ def scans(source, tmp_path_factory):
     folder = tmp_path_factory.mktemp("my scans")
     flaws = PaintFlaws(noise=12, specks=40, seed=1)
     return {
-        "clean": export_painted_scan(source, FRAME, folder / "clean.ply"),
-        "flawed": export_painted_scan(source, FRAME, folder / "flawed.ply", flaws=flaws),
-        "texture": export_painted_scan(source, FRAME, folder / "a cup.obj", texture=True, flaws=flaws),
+        "clean": write_painted_scan(source, FRAME, folder / "clean.ply"),
+        "flawed": write_painted_scan(source, FRAME, folder / "flawed.ply", flaws),
+        "texture": write_painted_scan(source, FRAME, folder / "a cup.obj", flaws),
     }
 
 
@@ -203,25 +202,3 @@ def test_what_cannot_be_evaluated_ends_with_a_sentence(tactune, scans, tmp_path,
     sentence = tactune(*command, *(names.get(word, word) for word in more)).sentence
     for word in words:
         assert word in sentence
-
-
-def test_export_scan_writes_the_scan_and_its_transform(tactune, tmp_path):
-    status, out, _ = tactune("export-scan", "--source", SOURCE, "--out", tmp_path / "cup.ply", "--spacing-mm", 4)
-    assert status == 0
-    assert out == f"wrote {tmp_path / 'cup.ply'}, {tmp_path / 'cup.transform.json'}\n"
-    assert 2000 < len(load_scan(tmp_path / "cup.ply").vertices_m) < 3000
-
-
-def test_what_cannot_be_exported_is_refused(source, tmp_path):
-    for path, options, error, words in (
-        ("cup.obj", {}, ExportError, "vertex colours is .ply"),
-        ("cup.ply", {"texture": True}, ExportError, "texture is .obj"),
-        ("cup.ply", {"spacing_m": 1e-6}, ExportError, "0.3 to 10 mm"),
-        ("cup.ply", {"spacing_m": 0.0}, ExportError, "the spacing is 0 mm; give 0.3 to 10 mm"),
-        ("cup.ply", {"index": 999}, SourceError, "no frame 999"),
-    ):
-        with pytest.raises(error, match=words):
-            export_painted_scan(source, options.pop("index", 0), tmp_path / path, **options)
-    with open_source(f"live:{SOURCE}") as live, pytest.raises(SourceError, match="painted scans come from"):
-        export_painted_scan(live, 0, tmp_path / "cup.ply")
-    assert list(tmp_path.iterdir()) == []

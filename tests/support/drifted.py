@@ -8,14 +8,14 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from ...model.arrays import Float64Array, Uint8Array
-from ...model.frames import Rig, SensorFrame
-from ..base import CameraRole, Progress
-from .membrane import Membrane
-from .render import Camera
-from .scene import Press, cameras
-from .scenes import Scene
-from .source import SimulatorSource, SolvedScene
+from tactune.core.model.arrays import Float64Array, Uint8Array
+from tactune.core.model.frames import Rig, SensorFrame
+from tactune.core.sources.base import CameraRole, Progress
+from tactune.core.sources.simulator.membrane import Membrane
+from tactune.core.sources.simulator.render import Camera
+from tactune.core.sources.simulator.scene import Press, cameras
+from tactune.core.sources.simulator.scenes import Scene
+from tactune.core.sources.simulator.source import SimulatorSource, SolvedScene
 
 #: What a smear does: it blurs and adds a veil, over an ellipse in the image; shares of the image and 8-bit levels.
 _SMEAR_BLUR_PX: Final = 3.0

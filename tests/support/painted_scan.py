@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -13,33 +12,26 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ...errors import ExportError, SourceError
-from ...model.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Uint8Array
-from ...model.files import atomic_path
-from ...model.frames import GroundTruth, Matrix4, Rig
-from ...sources.base import FrameSource
-from ...sources.simulator.objects import compiled, distance, normal
-from ...sources.simulator.source import SimulatorSource
-from .pose import save_transform, transformed
-from .scan import SUFFIXES, import_trimesh
+from tactune.core.evaluation.scan.pose import save_transform, transformed
+from tactune.core.evaluation.scan.scan import import_trimesh
+from tactune.core.model.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Uint8Array
+from tactune.core.model.frames import GroundTruth, Matrix4, Rig
+from tactune.core.sources.simulator.object_surface import object_surface, to_surface
+from tactune.core.sources.simulator.source import SimulatorSource
 
 #: Thermochromic paint, touched and not, RGB.
 PINK: Final = (235, 110, 170)
 PURPLE: Final = (90, 50, 140)
 
-#: Default side of the mesh's quads, metres: with vertex colours, and with a texture.
+#: Side of the mesh's quads, metres: with vertex colours, and with a texture.
 FINE_M: Final = 0.0008
 COARSE_M: Final = 0.004
-_FINEST_M, _COARSEST_M = 0.0003, 0.010
 #: Texels along a quad's side; the outermost repeat their neighbours.
 _BLOCK: Final = 14
 #: Largest distance between membrane and touched surface along the camera's axis, metres: covers interpolation between
 #: nodes and steep pixels. The far side of every object is farther away.
 _NEAR_M: Final = 0.003
 _SPECK_RADIUS_M: Final = 0.0012
-#: Half side of a cube around the origin that contains every object, metres.
-_HALF_M: Final = 0.084
-_IDENTITY: Final = np.eye(4)[:3].copy()
 
 
 @dataclass(frozen=True)
@@ -60,15 +52,7 @@ class PaintFlaws:
     seed: int = 0
 
 
-def export_painted_scan(
-    source: FrameSource,
-    index: int,
-    path: Path | str,
-    *,
-    texture: bool = False,
-    spacing_m: float | None = None,
-    flaws: PaintFlaws | None = None,
-) -> list[Path]:
+def write_painted_scan(source: SimulatorSource, index: int, path: Path, flaws: PaintFlaws | None = None) -> list[Path]:
     """Write the object of a simulated frame as a scan, pink where the membrane touches it, and its true pose.
 
     Contact is the frame's ground truth, projected from the proximity camera onto the object. Surface that the camera
@@ -76,53 +60,24 @@ def export_painted_scan(
 
     Parameters
     ----------
-    source : FrameSource
-        A `SimulatorSource`.
-    index : int
-        Index of the frame.
     path : path
-        ``.ply`` with vertex colours; with ``texture`` ``.obj``, and a ``.mtl`` and ``.png`` beside it.
-    texture : bool
-        Write a coarse mesh with a fine texture instead of a fine mesh with vertex colours.
-    spacing_m : float, optional
-        Side of the mesh's quads, metres; default 0.0008, with a texture 0.004.
-    flaws : PaintFlaws, optional
+        ``.ply``: a fine mesh with vertex colours. ``.obj``: a coarse mesh with a fine texture, a ``.mtl`` and a
+        ``.png`` beside it.
 
     Returns
     -------
     list of Path
         The scan, its companion files, and last ``NAME.transform.json`` for `load_transform`.
-
-    Raises
-    ------
-    SourceError
-        The source is no simulator or has no such frame.
-    ExportError
-        The suffix or spacing is invalid, or a file cannot be written.
-    MissingExtraError
-        trimesh or Pillow is not installed.
     """
-    path, flaws = Path(path), flaws or PaintFlaws()
-    if spacing_m is None:
-        spacing_m = COARSE_M if texture else FINE_M
-    if path.suffix.lower() != SUFFIXES[texture]:
-        kind = "a texture" if texture else "vertex colours"
-        raise ExportError(f"{path} has the suffix {path.suffix!r}; a scan with {kind} is {SUFFIXES[texture]}")
-    if not _FINEST_M <= spacing_m <= _COARSEST_M:
-        raise ExportError(
-            f"the spacing is {1e3 * spacing_m:g} mm; give {1e3 * _FINEST_M:g} to {1e3 * _COARSEST_M:g} mm"
-        )
-    if not isinstance(source, SimulatorSource):
-        raise SourceError(f"{source.name} knows no object's shape; painted scans come from the simulator, sim:")
-    if not 0 <= index < len(source.scene.frames):
-        raise SourceError(f"{source.name} has no frame {index}; it has 0 to {len(source.scene.frames) - 1}")
+    texture = path.suffix == ".obj"
     truth, pose = source.read(index).truth, source.facts(index).T_proximity_object
     assert truth is not None
-    painter = _Painter(source.scene.pressed.kind, pose, truth, source.rig, flaws)
-    vertices, quads = object_surface(painter.kind, spacing_m)
+    painter = _Painter(source.scene.pressed.kind, pose, truth, source.rig, flaws or PaintFlaws())
+    vertices, quads = object_surface(painter.kind, COARSE_M if texture else FINE_M)
     write = _textured_files if texture else _coloured_files
+    for file, data in write(path, vertices, quads, painter).items():
+        file.write_bytes(data)
     transform = path.with_suffix(".transform.json")
-    _write(write(path, vertices, quads, painter))
     save_transform(transform, pose)
     return [path, *([path.with_suffix(suffix) for suffix in (".mtl", ".png")] if texture else []), transform]
 
@@ -217,96 +172,3 @@ def _places(corners: Float64Array, s: Float64Array) -> Float64Array:
 
 def _halves(quads: Int64Array) -> Int64Array:
     return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-
-
-def _write(files: Mapping[Path, bytes]) -> None:
-    for path, data in files.items():
-        with atomic_path(path) as temporary:
-            temporary.write_bytes(data)
-
-
-def object_surface(kind: int, spacing_m: float) -> tuple[Float64Array, Int64Array]:
-    """Return the surface of an object, in its own frame, as quads of about equal size.
-
-    Surface nets (Gibson 1998): each voxel that the surface crosses gets a vertex at the mean of the crossed edges, and
-    each crossed edge gets a quad. The vertices are then moved onto the surface.
-
-    Parameters
-    ----------
-    kind : int
-        One of the simulator's objects.
-    spacing_m : float
-        Side of a voxel, metres.
-
-    Returns
-    -------
-    vertices : float64, shape (N, 3)
-        Metres.
-    quads : int64, shape (M, 4)
-        Vertex indices, counter-clockwise seen from outside.
-    """
-    count = 2 * math.ceil(_HALF_M / spacing_m) + 2
-    axis = np.asarray((np.arange(count) - (count - 1) / 2) * spacing_m, np.float64)
-    values = np.empty((count, count, count), np.float32)
-    _fill(kind, _IDENTITY, axis, values)
-    number = _voxel_numbers(values < 0)
-    sums, crossings, quads = np.zeros((number.max() + 1, 3)), np.zeros(number.max() + 1), []
-    for along in range(3):
-        step, beside, before = np.roll(np.eye(3, dtype=np.int64), -along, axis=0)
-        start = _crossed_edges(values, along)
-        near, far = values[tuple(start.T)], values[tuple((start + step).T)]
-        places = axis[start] + (near / (near - far))[:, None] * step * spacing_m
-        around = np.stack([number[tuple((start - back).T)] for back in (beside + before, before, 0 * step, beside)], 1)
-        np.add.at(sums, around, places[:, None])
-        np.add.at(crossings, around, 1)
-        quads.append(np.where((near < 0)[:, None], around, around[:, ::-1]))
-    vertices = sums / crossings[:, None]
-    to_surface(kind, vertices)
-    return vertices, np.concatenate(quads)
-
-
-def _voxel_numbers(inside: BoolArray) -> Int64Array:
-    """Number the voxels with corners on both sides of the surface; -1 for all others."""
-    side = len(inside) - 1
-    within = np.zeros((side, side, side), np.int8)
-    for i, j, k in np.ndindex(2, 2, 2):
-        within += inside[i : i + side, j : j + side, k : k + side]
-    passed = (within > 0) & (within < 8)
-    number = np.full(passed.shape, -1, np.int64)
-    number[passed] = np.arange(np.count_nonzero(passed))
-    return number
-
-
-def _crossed_edges(values: Float32Array, along: int) -> Int64Array:
-    """Return the start indices, (N, 3), of the grid edges along one axis that the surface crosses."""
-    ahead = np.moveaxis(values < 0, along, 0)
-    crossed = np.moveaxis(ahead[:-1] != ahead[1:], 0, along)
-    return np.argwhere(crossed)
-
-
-def to_surface(kind: int, points: Float64Array) -> Float64Array:
-    """Move points near an object's surface onto it, in place; return the outward unit normals there, (N, 3)."""
-    normals = np.empty_like(points)
-    _settle(kind, _IDENTITY, points, normals)
-    return normals
-
-
-@compiled
-def _fill(kind: int, pose: Float64Array, axis: Float64Array, values: Float32Array) -> None:
-    for i in range(len(axis)):
-        for j in range(len(axis)):
-            for k in range(len(axis)):
-                values[i, j, k] = distance(kind, pose, axis[i], axis[j], axis[k])
-
-
-@compiled
-def _settle(kind: int, pose: Float64Array, points: Float64Array, normals: Float64Array) -> None:
-    for n in range(len(points)):
-        for _ in range(12):
-            x, y, z = points[n, 0], points[n, 1], points[n, 2]
-            gap = distance(kind, pose, x, y, z)
-            nx, ny, nz = normal(kind, pose, x, y, z)
-            normals[n, 0], normals[n, 1], normals[n, 2] = nx, ny, nz
-            if abs(gap) < 1e-9:
-                break
-            points[n, 0], points[n, 1], points[n, 2] = x - gap * nx, y - gap * ny, z - gap * nz
