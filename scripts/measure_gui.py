@@ -1,4 +1,4 @@
-"""Measure the real window on a source: frames shown, heartbeat of the GUI thread, time and processor time per stage.
+"""Measure the real window on a source: frames shown, heartbeat of the GUI thread, time of each step, processor time.
 
 Processor time hardly depends on other load; times by the clock do.
 
@@ -15,96 +15,42 @@ import os
 import platform
 import sys
 import tempfile
-import threading
 import time
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
-import pyqtgraph
 from PyQt6.QtCore import QEvent, QObject, Qt, QTimer
 from PyQt6.QtWidgets import QWidget
 
 from tactune.app.cli.common import default_preset
 from tactune.app.gui import make_application, start_with
 from tactune.app.settings import Settings
-from tactune.app.window.frame_presenter import FramePresenter
 from tactune.app.window.main_window import MainWindow
-from tactune.app.worker import processing, reading, rendering, worker
 from tactune.app.worker.results import Rendered, Result
 from tactune.core.contact.pipeline import ContactPatch
 from tactune.core.model.patch import AlignedDepth
 from tactune.widgets.basics.theme import ThemeChoice
-from tactune.widgets.clouds.software_backend import SoftwareCanvas, SoftwareRenderer
 
 HEARTBEAT_MS = 5
 WARM_UP_FRAMES = 30
 NOTHING = AlignedDepth.empty((0, 0))
 
 
-class Stages:
-    """Processor time of functions on the threads that call them, each without the stages inside it."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = defaultdict(float)
-        self._local = threading.local()
-
-    def watch(self, owner: object, name: str, stage: str) -> None:
-        """Count all later calls of a function or method as this stage."""
-        function = getattr(owner, name)
-
-        def timed(*given: Any, **named: Any) -> Any:
-            inside = self._local.__dict__.setdefault("inside", [])
-            inside.append(0.0)
-            started = time.thread_time()
-            try:
-                return function(*given, **named)
-            finally:
-                took = time.thread_time() - started
-                self.seconds[stage] += took - inside.pop()
-                if inside:
-                    inside[-1] += took
-
-        setattr(owner, name, timed)
-
-
-def watched_stages() -> Stages:
-    """Watch what a shown frame costs; to be called before the window is made."""
-    stages = Stages()
-    for owner, name, stage in (
-        (reading.FrameReader, "_read", "read (simulate, decode)"),
-        (processing.PatchFinder, "find", "patch"),
-        (rendering, "draw_strip", "worker: colour the images"),
-        (processing.Renderer, "render", "worker: colour the clouds"),
-        (worker.Worker, "_process", "worker: other"),
-        (worker.Worker, "_examine", "worker: findings"),
-        (SoftwareRenderer, "render", "window: draw the clouds"),
-        (SoftwareCanvas, "paintEvent", "window: paint over the clouds"),
-        (pyqtgraph.GraphicsView, "paintEvent", "window: paint images, histogram"),
-        (FramePresenter, "show", "window: update the widgets"),
-        (MainWindow, "_show_newest", "window: tell other parts"),
-    ):
-        stages.watch(owner, name, stage)
-    return stages
-
-
 class Meter(QObject):
     """Collects times and counts in a window after its warm-up frames."""
 
-    def __init__(self, window: MainWindow, seconds: float, stages: Stages) -> None:
+    def __init__(self, window: MainWindow, seconds: float) -> None:
         super().__init__(window)
         self._window = window
         self._seconds = seconds
-        self._stages = stages
-        self._stage_s: dict[str, float] = {}
         self.results: list[tuple[float, Result]] = []
         self.gaps_ms: list[float] = []
         self._left = WARM_UP_FRAMES
         self.paints = 0
-        self.painted_s: list[float] = []
         self._started_s = 0.0
         self._cpu_s = 0.0
         self._beat_s = 0.0
@@ -134,7 +80,6 @@ class Meter(QObject):
         if not self._started_s:
             self._started_s = now
             self._cpu_s = -time.process_time()
-            self._stages.seconds.clear()
             self._beat_s = now
             self._heart.start()
         self.results.append((now, _light(result)))
@@ -142,7 +87,6 @@ class Meter(QObject):
             self._window.context.frameShown.disconnect(self._frame_shown)
             self._heart.stop()
             self._cpu_s += time.process_time()
-            self._stage_s = dict(self._stages.seconds)
             self._window.close()
 
     def _beat(self) -> None:
@@ -166,24 +110,20 @@ class Meter(QObject):
         share = 100 * series.computed.mean() if series is not None else 0
         points = [len(result.patch.points) for _, result in self.results if result.patch is not None]
         shown = len(self.results) - 1
-        processor_s = dict(sorted(self._stage_s.items(), key=lambda item: -item[1]))
-        processor_s["other (Qt, other widgets)"] = self._cpu_s - sum(processor_s.values())
-        processor_s["all"] = self._cpu_s
         size = self._window.size()
         view = self._window.views.views["patch"]
         lines = [
             f"window            {size.width()} x {size.height()}, {view.backend_name} views {view.backend_reason}",
-            f"frames shown      {(len(self.results) - 1) / seconds:.1f} per second",
+            f"frames shown      {shown / seconds:.1f} per second",
             f"patch painted     {self.paints / seconds:.1f} per second",
             f"frames processed  {processed / seconds:.1f} per second",
             f"frames dropped    {last[1].dropped - first[1].dropped}",
             f"time strip        {share:.0f} % of the frames computed",
             f"points            median {np.median(points):.0f}, most {max(points)}",
             f"heartbeat gap     {_spread(self.gaps_ms)} ms ({HEARTBEAT_MS} ms timer)",
+            f"processor         {1e3 * self._cpu_s / shown:.2f} ms per frame shown, all threads",
             "milliseconds per frame, by the clock:",
             *(f"  {stage:<22}{_spread(values)}" for stage, values in stages.items()),
-            "milliseconds of processor per frame shown, all threads:",
-            *(f"  {stage:<32}{1e3 * seconds / shown:6.2f}" for stage, seconds in processor_s.items()),
         ]
         return "\n".join(lines)
 
@@ -217,13 +157,12 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="tactune-") as folder:
         settings = Settings(Path(folder) / "window.json")
         settings.set("window/hidden", "show_time" if options.no_strip else "")
-        stages = watched_stages()
         window = MainWindow(preset, settings, Path(folder), backend=options.backend)
         window.set_theme(cast(ThemeChoice, options.theme), remember=False)
         width, height = (int(part) for part in options.size.split("x"))
         window.resize(width, height)
         window.error_hook.install()
-        meter = Meter(window, options.seconds, stages)
+        meter = Meter(window, options.seconds)
         window.show()
         window.open_source(options.source)
         application.exec()

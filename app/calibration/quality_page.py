@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from PyQt6.QtWidgets import QButtonGroup, QGridLayout, QHBoxLayout, QLabel, QScr
 from scipy.interpolate import LinearNDInterpolator
 
 from ...core.calibration import CalibrationReport
+from ...core.calibration.html_report import write_html
 from ...core.calibration.quality import millimetres_per_pixel
 from ...core.calibration.report import grade
 from ...core.model.arrays import BoolArray, Float64Array, Uint8Array
@@ -26,9 +28,10 @@ from ...widgets.images.point_image import PointImage
 from ...widgets.plots.calibration_plots import CoverageGrid
 from ..worker.jobs import Job
 from .fitting import Outcome, image_marks
+from .overlay import OverlayMode, make_overlay
 from .pictures import membrane_grid, pack_rgb, picture
-from .prediction import project_into
-from .session import Session
+from .prediction import Alignment, project_into
+from .session import Session, Snapshot
 
 _STEP_PX = 8
 _COARSE = 4
@@ -110,6 +113,36 @@ _ESTIMATE_TIP = (
 )
 _REMOVE_TIP = "Fit without the estimated lens distortion again; undo restores it"
 _MAP_TITLE = "Expected alignment error over the membrane"
+
+
+def write_report(
+    path: Path, report: CalibrationReport, alignment: Alignment, preset_name: str, snapshot: Snapshot | None
+) -> Path:
+    """Write the report with overlay and uncertainty over a snapshot, if there is one; return its path.
+
+    Raises
+    ------
+    ExportError
+        The file cannot be written.
+    """
+    pictures: dict[str, Uint8Array] = {}
+    if snapshot is not None:
+        frame = snapshot.frame
+        drawn = uncertainty_picture(report, frame, "px")
+        title = f"Expected alignment error over the membrane, {drawn.low:.2f} px (dark) to {drawn.high:.2f} px (bright)"
+        pictures[title] = _rgb(drawn.pixels)
+        if frame.tactile_color is not None:
+            overlay = make_overlay(alignment, report.rig, frame, "color")
+            pictures["Checkerboard of both images: lines continue across the borders"] = _rgb(
+                overlay.composed(OverlayMode.CHECKER, 0.5)
+            )
+    write_html(path, report, preset_name, None if snapshot is None else snapshot.frame, pictures)
+    return path
+
+
+def _rgb(pixels: Uint8Array) -> Uint8Array:
+    """Convert pixels in the layout of ``QImage.Format_RGB32`` to RGB."""
+    return pixels[:, :, 2::-1].copy()
 
 
 class QualityPage(QWidget):

@@ -40,9 +40,8 @@ from .keeping import Keeper, preset_values
 from .model_page import ModelPage
 from .pictures import snap, tactile_depth_at
 from .points_page import PointsPage
-from .quality_page import QualityPage
+from .quality_page import QualityPage, write_report
 from .recheck_window import RecheckWindow
-from .report_file import write_report
 from .session import ProximityImage, Session, SessionState, count_pairs, count_snapshots
 from .snapshots import MOVED_LIMIT_M, Collector
 

@@ -5,15 +5,13 @@ Everything heavy is imported inside the functions, since ``tactune --help`` impo
 
 from __future__ import annotations
 
-import csv
 import io
-import math
 import os
 import select
 import signal
 import sys
 import threading
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
@@ -24,7 +22,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from ...core.errors import PresetError, SourceError, TactuneError
-from ...core.model.files import atomic_path, user_path
+from ...core.model.files import user_path
 
 if TYPE_CHECKING:
     from ...core.model.frames import Rig, SensorFrame
@@ -105,21 +103,6 @@ def tell_notes(preset: Preset) -> None:
 
     for sentence in preset_notes(preset):
         typer.echo(f"note: {sentence}", err=True)
-
-
-def finite_or_none(number: float | None) -> float | None:
-    """Return a number as JSON can hold it: nan and infinity become None."""
-    return None if number is None or not math.isfinite(number) else float(number)
-
-
-def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write rows with equal keys as CSV, atomically."""
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    with atomic_path(path) as temporary:
-        temporary.write_text(text.getvalue(), encoding="utf-8")
 
 
 class CliProgress:

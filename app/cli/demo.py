@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .common import CliProgress, finite_or_none
+from ...core.model.files import finite_or_none
+from .common import CliProgress
 
 if TYPE_CHECKING:
     from ...core.estimation.balance import AngleErrors, BalanceSummary, Gains

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ...core.errors import TactuneError
-from .common import CliProgress, counted, finite_or_none, tell_notes, warn
+from ...core.model.files import finite_or_none, write_csv
+from .common import CliProgress, counted, tell_notes, warn
 from .scan import evaluate_recording
 from .sensor_table import default_work, listed, plan_sensor_table, print_sensor_table
 
@@ -126,7 +127,7 @@ def table(
         raise typer.Exit(print_sensor_table(plan_of_sensors, as_json=as_json, out=out, check=check))
     if membranes != "all" or rig != RigKnowledge.MEASURED or check or out is not None:
         raise TactuneError("--membranes, --rig, --check and --out belong to --sensors; add --sensors all")
-    from ...core.evaluation.table_report import check_plot, draw_patches, table_as_json, table_as_text, write_csv
+    from ...core.evaluation.table_report import check_plot, draw_patches, table_as_json, table_as_text
 
     plan = _plan(methods, objects, presses, seeds or _SEEDS, extra=extra, held_out=held_out, preset=preset, work=work)
     tell_notes(plan.preset)
@@ -134,7 +135,7 @@ def table(
         check_plot(plot)
     finished = _measure(plan)
     if csv_file is not None:
-        write_csv(finished, csv_file)
+        write_csv(csv_file, [asdict(cell) for cell in finished.cells])
         typer.echo(f"wrote {csv_file}", err=True)
     typer.echo(json.dumps(table_as_json(finished), indent=2, allow_nan=False) if as_json else table_as_text(finished))
     if plot is not None:

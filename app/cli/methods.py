@@ -13,11 +13,12 @@ from ...core.errors import SourceError, TactuneError
 from ...core.evaluation.metrics import method_area_mm2
 from ...core.methods.method import MethodPatch
 from ...core.methods.registry import check_known, make_method, method_kinds, method_names, needs_untouched
+from ...core.model.files import finite_or_none
 from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import Preset
 from ...core.sources import FrameSource
 from ...core.sources.registry import open_source
-from .common import FUSION, finite_or_none, warn
+from .common import FUSION, warn
 
 #: A function from a frame to its record (numbers for JSON) and its patch.
 Step = Callable[[SensorFrame], tuple[dict[str, Any], ContactPatch | MethodPatch]]

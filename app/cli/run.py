@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ...core.errors import ExportError, SourceError
+from ...core.model.files import finite_or_none
 from .common import (
     FUSION,
     SOURCE,
@@ -28,7 +29,6 @@ from .common import (
     SourceOption,
     counted,
     default_preset,
-    finite_or_none,
     number_of_frames,
     open_with_progress,
     parse_settings,

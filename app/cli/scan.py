@@ -9,16 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from ...core.errors import TactuneError
+from ...core.model.files import finite_or_none, write_csv
 from ...core.model.units import UNITS_M, MeshUnit
 from .common import (
     FUSION,
     CliProgress,
     default_preset,
-    finite_or_none,
     number_of_frames,
     open_with_progress,
     warn,
-    write_csv,
 )
 
 if TYPE_CHECKING:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ...core.errors import SourceError
+from ...core.model.files import write_csv
 from .common import (
     CliProgress,
     FrameCount,
@@ -21,7 +22,6 @@ from .common import (
     number_of_frames,
     open_with_progress,
     warn,
-    write_csv,
 )
 
 if TYPE_CHECKING:

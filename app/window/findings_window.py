@@ -18,7 +18,7 @@ from PyQt6.QtWidgets import (
 from ...core.tuning.advice.proposal import Finding
 from ...widgets.basics.controls import push_button
 from ...widgets.basics.layouts import STRETCH, hbox, scrolling, vbox
-from ...widgets.parameters.finding_line import ShownFinding
+from ...widgets.parameters.parameter_row import ShownFinding
 
 _NOTHING = "Nothing is wrong with this frame."
 

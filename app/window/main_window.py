@@ -17,8 +17,7 @@ from ...core.tuning.advice.suggest import SECTIONS
 from ...widgets.basics.controls import ProgressCard
 from ...widgets.basics.dialogs import Dialogs, bring_up, local_files
 from ...widgets.basics.layouts import vbox
-from ...widgets.basics.message_history import MessageHistory
-from ...widgets.basics.messages import Messages, Severity
+from ...widgets.basics.messages import MessageHistory, Messages, Severity
 from ...widgets.basics.style import apply_theme
 from ...widgets.basics.theme import ThemeChoice, theme_name
 from ...widgets.clouds.cloud_view import BackendChoice

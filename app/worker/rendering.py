@@ -85,8 +85,10 @@ def draw_strip(
         tolerance=accepted,
         contact=None if patch is None else patch.mask[every],
         depth_range_m=depth_range_m,
+        size=(width, height),
+        stride=stride,
     )
-    return replace(render_strip(images), size=(width, height), stride=stride)
+    return render_strip(images)
 
 
 def aligned_color(

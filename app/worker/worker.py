@@ -27,7 +27,6 @@ from .errors import explain, guarded
 from .examination import Examination
 from .playback import Playback
 from .processing import FrameProcessor
-from .publishing import publish
 from .reading import PATIENCE_S, FrameReader, LiveReader, SourceRequest, open_requested
 from .recorder import Recorder, RecordingRequest
 from .results import Result, SourceInfo, SourceState, Wanted
@@ -453,7 +452,7 @@ class Worker(QThread):
         if self._mailbox.put(result):
             self.resultReady.emit()
         if (publisher := self._publisher) is not None:
-            publish(publisher, result)
+            _publish(publisher, result)
         self._compiler.start()  # after the first picture, which compiles, too
         self._examination.note(result, self._untouched_home)
 
@@ -464,3 +463,14 @@ class Worker(QThread):
             return  # every frame fails: report it once
         self._failing = self._live is not None
         self.failed.emit(sentence)
+
+
+def _publish(publisher: Publisher, result: Result) -> None:
+    """Publish a frame with its patch and tilt; the tilt is computed if a client listens to it."""
+    from ...core.estimation.tilt import TiltEstimator
+    from ...core.model.patch import Lazy
+
+    patch = result.patch
+    if patch is not None:
+        tilt = Lazy(lambda: TiltEstimator(result.preset, patch.rig).estimate(patch).record())
+        publisher.put(result.frame, patch, result.preset, tilt)

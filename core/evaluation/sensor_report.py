@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
-from ..model.files import atomic_path
+from ..model.files import atomic_path, finite_or_none, write_csv
 from .sensor_cases import (
     BEST_FIXED,
     MAX_OVER_ORACLE,
@@ -21,9 +21,8 @@ from .sensor_cases import (
     worst_case,
 )
 from .sensor_table import AVERAGED, SHIPPED
-from .table import Table
 from .table_cell import NO_CONTACT_FOUND, STRAIGHT
-from .table_report import aligned, finite_or_none, number_text, write_csv
+from .table_report import aligned, number_text
 
 _NOTE: Final = (
     "RMSE: symmetric, in mm, mean over membranes, objects and seeds. t: the best fixed tolerance, one for all.\n"
@@ -68,24 +67,9 @@ def write_report(table: SensorTable, folder: Path) -> list[Path]:
         parts = ["# Sensors", f"Written by `tactune evaluate table --sensors`. Seeds: {seeds}.",
                  f"```\n{sensors_as_text(table)}\n```"]  # fmt: skip
         temporary.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
-    write_cases(table, paths[1])
-    write_csv(Table(table.cells), paths[2])
+    write_csv(paths[1], [_record(case) for case in table.cases])
+    write_csv(paths[2], [asdict(cell) for cell in table.cells])
     return paths
-
-
-def write_cases(table: SensorTable, path: Path) -> None:
-    """Write a CSV file with one line per case; missing numbers are empty.
-
-    Raises
-    ------
-    ExportError
-        The file cannot be written.
-    """
-    records = [_record(case) for case in table.cases]
-    with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, list(records[0]) if records else [])
-        writer.writeheader()
-        writer.writerows(records)
 
 
 def _press(table: SensorTable, press: str) -> str:

@@ -1,12 +1,11 @@
-"""The table as text, JSON and CSV, and the patches of one scene as a figure."""
+"""The table as text and JSON, and the patches of one scene as a figure."""
 
 from __future__ import annotations
 
-import csv
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,7 +16,7 @@ from ..errors import ExportError, TactuneError
 from ..methods.registry import make_method
 from ..model.arrays import Float32Array
 from ..model.figures import pyplot, save_figure
-from ..model.files import atomic_path
+from ..model.files import finite_or_none
 from ..preset import Preset
 from ..rig.untouched import untouched_frame
 from ..sources.base import FrameSource
@@ -78,20 +77,6 @@ def table_as_json(table: Table) -> dict[str, Any]:
         "strain": scene_strains(table),
         "cells": [asdict(cell) for cell in table.cells],
     }
-
-
-def write_csv(table: Table, path: Path) -> None:
-    """Write a CSV file with one line per cell, atomically; missing numbers are empty.
-
-    Raises
-    ------
-    ExportError
-        The file cannot be written.
-    """
-    with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(TableCell)])
-        writer.writeheader()
-        writer.writerows(asdict(cell) for cell in table.cells)
 
 
 def _averages(table: Table) -> str:
@@ -229,11 +214,6 @@ def _shown(it: Average, digits: int) -> str:
 def number_text(number: float, digits: int) -> str:
     """Return a number with some digits, or - if it is nan."""
     return f"{number:.{digits}f}" if math.isfinite(number) else "-"
-
-
-def finite_or_none(number: float) -> float | None:
-    """Return a number as JSON can hold it: nan and infinity become None."""
-    return number if math.isfinite(number) else None
 
 
 def aligned(lines: Sequence[Line]) -> str:

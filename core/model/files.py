@@ -1,16 +1,18 @@
-"""Atomic writing of files, and paths as users write them."""
+"""Atomic writing of files, numbers and tables as files hold them, and paths as users write them."""
 
 from __future__ import annotations
 
+import csv
 import glob
+import math
 import os
 import secrets
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from ..errors import ExportError
 
@@ -88,6 +90,25 @@ def check_writable(target: Path | str) -> None:
         temporary.unlink()
     except OSError as error:
         raise ExportError(f"cannot write {target}: {error.strerror or error}; choose another place") from error
+
+
+def finite_or_none(number: float | None) -> float | None:
+    """Return a number as JSON can hold it: nan and infinity become None."""
+    return None if number is None or not math.isfinite(number) else float(number)
+
+
+def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write rows with equal keys as CSV, atomically; None becomes an empty cell.
+
+    Raises
+    ------
+    ExportError
+        The file cannot be written.
+    """
+    with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]) if rows else [], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 def user_path(path: Path | str) -> Path:

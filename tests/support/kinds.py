@@ -25,7 +25,6 @@ from tactune.app.analysis.measuring_tab import write_picture
 from tactune.app.analysis.truth_state import FrozenPatch, PickedPair, TruthKeeper, TruthSession, TruthState
 from tactune.app.calibration.keeping import Keeper
 from tactune.app.calibration.session import PointPair, Session, SessionState, Snapshot
-from tactune.app.cli.common import write_csv
 from tactune.app.document.document import Document
 from tactune.app.document.keeping import KeptState
 from tactune.app.document.recovery import Autosave, unsaved_work
@@ -43,6 +42,7 @@ from tactune.core.evaluation.scan.pose import read_pairs as read_scan_pairs
 from tactune.core.evaluation.scan.scan import load_scan
 from tactune.core.evaluation.table_cell import PlannedScene, TableCell, TableCellFolder
 from tactune.core.model.clouds import PointCloud
+from tactune.core.model.files import write_csv
 from tactune.core.model.rig_file import load_rig
 from tactune.core.output import SessionWriter
 from tactune.core.output.bag import PatchWriter

@@ -8,23 +8,30 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
 from hands import image_position
-from tactune.widgets.images.image_strip import PANES, ImageStrip, StripImages, render_strip
+from tactune.widgets.images.image_strip import PANES, ImageStrip
+from tactune.widgets.images.strip_render import RenderedStrip, StripImages, render_strip, stride_for
 
 LEFT = Qt.MouseButton.LeftButton
 NONE = Qt.KeyboardModifier.NoModifier
 HEIGHT, WIDTH = 480, 640
 
 
-def scene(height: int = HEIGHT, width: int = WIDTH) -> StripImages:
-    v, u = np.mgrid[:height, :width]
+def rendered(height: int = HEIGHT, width: int = WIDTH, hint: int = 0) -> RenderedStrip:
+    stride = stride_for(width, hint)
+    v, u = np.mgrid[:height:stride, :width:stride]
     depth = (0.2 + 0.0001 * u + 0.0001 * v).astype(np.float32)
-    return StripImages(
-        color=np.dstack([u % 256, v % 256, np.zeros_like(u)]).astype(np.uint8),
-        mask_overlay=None,
-        proximity_m=depth,
-        tactile_m=depth,
-        relative=np.zeros_like(depth),
-        tolerance=0.03,
+    return render_strip(
+        StripImages(
+            color=np.dstack([u % 256, v % 256, np.zeros_like(u)]).astype(np.uint8),
+            mask_overlay=None,
+            proximity_m=depth,
+            tactile_m=depth,
+            relative=np.zeros_like(depth),
+            tolerance=0.03,
+            depth_range_m=(0.2, 0.32),
+            size=(width, height),
+            stride=stride,
+        )
     )
 
 
@@ -35,7 +42,7 @@ def strip(qtbot, qapp: QApplication) -> ImageStrip:
     widget.resize(1280, 260)
     widget.show()
     qtbot.waitExposed(widget)
-    widget.set_images(render_strip(scene(), widget.width_hint()))
+    widget.set_images(rendered(hint=widget.width_hint()))
     widget.reset_view()
     qapp.processEvents()
     return widget
@@ -177,16 +184,16 @@ def test_zooming_asks_for_more_resolution(strip: ImageStrip) -> None:
     strip.widthHintChanged.connect(hints.append)
     before = strip.width_hint()
     assert before < WIDTH / 2 * 1.1
-    assert render_strip(scene(), before).stride == 2
+    assert rendered(hint=before).stride == 2
     zoom_in(strip, "color", 320, 240)
     assert hints
     assert hints[-1] == strip.width_hint() > 2 * before
-    assert render_strip(scene(), strip.width_hint()).stride == 1
+    assert rendered(hint=strip.width_hint()).stride == 1
 
 
 @pytest.mark.parametrize("hint", [0, 300])
 def test_the_pixels_on_the_screen_are_those_of_the_image(strip: ImageStrip, qapp: QApplication, hint: int) -> None:
-    strip.set_images(render_strip(scene(), hint))
+    strip.set_images(rendered(hint=hint))
     zoom_in(strip, "color", 200, 100, notches=12)
     grabbed = strip.panes["color"].view.grab().toImage()
     for u, v in ((200, 100), (202, 102), (198, 98)):
@@ -195,14 +202,14 @@ def test_the_pixels_on_the_screen_are_those_of_the_image(strip: ImageStrip, qapp
 
 
 def test_images_of_another_size_and_none_at_all(strip: ImageStrip, qapp: QApplication) -> None:
-    strip.set_images(render_strip(scene(240, 424)))
+    strip.set_images(rendered(240, 424))
     qapp.processEvents()
     assert strip.width_hint() > 0
     left, _, width, _ = seen_rect(strip, "color")
     assert left + width >= 423
     strip.set_images(None)
     assert strip.panes["proximity"].empty_label.text() == "No frame yet"
-    strip.set_images(render_strip(scene(240, 424)))
+    strip.set_images(rendered(240, 424))
     assert strip.panes["proximity"].empty_label.text() == ""
 
 

@@ -8,8 +8,7 @@ from PyQt6.QtWidgets import QApplication, QFrame, QToolButton, QVBoxLayout, QWid
 
 from hands import press
 from tactune.widgets.basics import messages as module
-from tactune.widgets.basics.message_history import MessageHistory
-from tactune.widgets.basics.messages import Messages, Severity
+from tactune.widgets.basics.messages import MessageHistory, Messages, Severity
 
 LEFT = Qt.MouseButton.LeftButton
 

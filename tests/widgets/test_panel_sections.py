@@ -16,8 +16,8 @@ from tactune.core.preset import (
     Preset,
     RigidAlignment,
 )
-from tactune.widgets.parameters.finding_line import ShownFinding
 from tactune.widgets.parameters.parameter_panel import ParameterPanel
+from tactune.widgets.parameters.parameter_row import ShownFinding
 
 
 def test_a_folded_section_unfolds_for_an_error(panel: ParameterPanel) -> None:

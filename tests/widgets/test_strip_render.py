@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactune.widgets.basics.colormaps import CONTACT_RGB, MASKED_RGB, depth_lut, difference_lut
-from tactune.widgets.images.strip_render import NO_VALUE_RGB, MaskView, StripImages, depth_range_of, render_strip
+from tactune.widgets.images.strip_render import NO_VALUE_RGB, MaskView, StripImages, render_strip, stride_for
 
 HEIGHT, WIDTH = 48, 64
 
@@ -22,6 +22,7 @@ def images(**changes) -> StripImages:
         "relative": (0.002 * (u - 32)).astype(np.float32),
         "tolerance": 0.03,
         "depth_range_m": (0.2, 0.3),
+        "size": (WIDTH, HEIGHT),
     }
     return StripImages(**(values | changes))
 
@@ -104,34 +105,22 @@ def test_contact_is_outlined_in_every_pane() -> None:
 @given(hint=st.integers(1, 200))
 @settings(max_examples=30, deadline=None)
 def test_a_small_pane_gets_every_nth_pixel(hint: int) -> None:
-    full, small = render_strip(images()), render_strip(images(), hint)
-    stride = small.stride
-    assert small.size == full.size == (WIDTH, HEIGHT)
+    whole, stride = images(), stride_for(WIDTH, hint)
     assert stride == 1 or WIDTH / stride >= 0.9 * hint
+    parts = {
+        name: getattr(whole, name)[::stride, ::stride] for name in ("color", "proximity_m", "tactile_m", "relative")
+    }
+    full, small = render_strip(whole), render_strip(images(**parts, stride=stride))
+    assert (small.size, small.stride) == ((WIDTH, HEIGHT), stride)
     for large, reduced in zip(full.panes, small.panes, strict=True):
         np.testing.assert_array_equal(reduced, large[::stride, ::stride])
 
 
 def test_a_scene_without_anything_is_no_error() -> None:
     nothing = np.full((HEIGHT, WIDTH), np.nan, np.float32)
-    rendered = render_strip(
-        images(color=None, proximity_m=nothing, tactile_m=nothing, relative=nothing, depth_range_m=None)
-    )
-    assert rendered.panes[0] is None
+    rendered = render_strip(images(proximity_m=nothing, tactile_m=nothing, relative=nothing))
     for pane in rendered.panes[1:]:
         assert (rgb(pane) == NO_VALUE_RGB).all()
-
-
-@given(low=st.floats(0.1, 1.0), span=st.floats(0.0, 1.0))
-@settings(deadline=None)
-def test_the_depth_range_holds_the_scene_in_whole_centimetres(low: float, span: float) -> None:
-    depth = np.linspace(low, low + span, 480 * 640, dtype=np.float32).reshape(480, 640)
-    near, far = depth_range_of(depth)
-    assert far > near
-    assert near <= low + 0.02 * span + 1e-6
-    assert far >= low + 0.95 * span - 1e-6
-    for end in (near, far):
-        assert end * 100 == pytest.approx(round(end * 100), abs=1e-6)
 
 
 def test_a_porous_patch_shows_its_rim_and_not_every_pore() -> None:

@@ -13,9 +13,7 @@ from ..basics.layouts import hbox, vbox
 from ..basics.wipe import Wipe
 from .image_pane import ARROW_KEYS, ZOOM_KEYS, ColorBar, ImagePane, Rectangle, Swatch
 from .marks import RegionItem
-from .strip_render import NO_VALUE_RGB, RenderedStrip, StripImages, render_strip
-
-__all__ = ["PANES", "ImageStrip", "RenderedStrip", "StripImages", "render_strip"]
+from .strip_render import NO_VALUE_RGB, RenderedStrip
 
 #: Name and title of each pane, left to right.
 PANES = {
@@ -168,7 +166,7 @@ class ImageStrip(QWidget):
         self.panes["color"].view.viewport().setCursor(shape)
 
     def width_hint(self) -> int:
-        """Return the width of the whole image in screen pixels, for `render_strip`."""
+        """Return the width of the whole image in screen pixels, for `stride_for`."""
         return max(1, round(max(pane.scale() for pane in self._shown_panes()) * self._size[0]))
 
     def _shown_panes(self) -> list[ImagePane]:

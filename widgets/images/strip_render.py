@@ -22,8 +22,6 @@ NO_VALUE_RGB: Final = (104, 104, 110)
 #: What the mask covers is mixed with its colour by this share.
 MASK_TINT: Final = 0.6
 
-_SAMPLE_STEP = 8
-_RANGE_STEP_M = 0.01
 _KERNEL = np.ones((5, 5), np.uint8)  # a rim of two pixels: one alone gets lost when the image is shown smaller
 
 
@@ -37,11 +35,11 @@ class MaskView(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class StripImages:
-    """One frame's images, all in proximity depth pixels, (H, W).
+    """One frame's images, all in every ``stride``-th proximity depth pixel, (H, W).
 
     Attributes
     ----------
-    color : uint8 (H, W, 3) or None
+    color : uint8 (H, W, 3)
         RGB, already aligned to depth.
     mask_overlay : bool (H, W) or None
         Where the colour is the mask's.
@@ -54,18 +52,23 @@ class StripImages:
         Relative differences within plus or minus this are shown as a band.
     contact : bool (H, W) or None
         Outlined in the contact colour.
-    depth_range_m : (float, float) or None
-        Ends of the depth colours of both depth panes; None takes them from this frame.
+    depth_range_m : (float, float)
+        Ends of the depth colours of both depth panes.
+    size : (int, int)
+        Width and height of the proximity depth image.
+    stride : int
     """
 
-    color: Uint8Array | None
+    color: Uint8Array
     mask_overlay: BoolArray | None
     proximity_m: Float32Array
     tactile_m: Float32Array
     relative: Float32Array
     tolerance: float
+    depth_range_m: tuple[float, float]
+    size: tuple[int, int]
+    stride: int = 1
     contact: BoolArray | None = None
-    depth_range_m: tuple[float, float] | None = None
     mask_view: MaskView = MaskView.OVERLAY
 
 
@@ -75,16 +78,16 @@ class RenderedStrip:
 
     Attributes
     ----------
-    panes : four arrays uint8 (h, w, 4) or None
+    panes : four arrays uint8 (h, w, 4)
         Colour, proximity depth, tactile depth, relative difference, as ``QImage.Format_RGB32`` has them in
-        memory. Pixel (i, j) shows image pixel (i, j) times ``stride``. None where there is no image.
+        memory. Pixel (i, j) shows image pixel (i, j) times ``stride``.
     size : (int, int)
         Width and height of the image itself.
     masked_share : float or None
         Share of the drawn pixels that have the mask's colour; None without a mask.
     """
 
-    panes: tuple[Uint8Array | None, Uint8Array | None, Uint8Array | None, Uint8Array | None]
+    panes: tuple[Uint8Array, ...]
     size: tuple[int, int]
     stride: int
     depth_range_m: tuple[float, float]
@@ -93,42 +96,25 @@ class RenderedStrip:
     masked_share: float | None = None
 
 
-def render_strip(images: StripImages, width_hint: int = 0) -> RenderedStrip:
-    """Colour all four images.
-
-    Parameters
-    ----------
-    images : StripImages
-    width_hint : int
-        `ImageStrip.width_hint`: how many screen pixels the whole width of an image takes. Only every n-th pixel
-        is coloured where more would not be seen; 0 colours all.
-    """
-    height, width = images.proximity_m.shape
-    stride = stride_for(width, width_hint)
-    depth_range_m = images.depth_range_m or depth_range_of(images.proximity_m, images.tactile_m)
+def render_strip(images: StripImages) -> RenderedStrip:
+    """Colour all four images."""
     limit = max(DIFFERENCE_LIMIT, 2.0 * images.tolerance)
-
     mask = images.mask_overlay
-    outline = None if images.contact is None else _outline(images.contact[::stride, ::stride])
-    packed = [
-        None if images.color is None else _colored(images.color, images.mask_overlay, images.mask_view, stride),
-        _lookup(_depth_index(images.proximity_m[::stride, ::stride], depth_range_m), _packed_depth_lut()),
-        _lookup(_depth_index(images.tactile_m[::stride, ::stride], depth_range_m), _packed_depth_lut()),
-        _lookup(
-            difference_index(images.relative[::stride, ::stride], limit),
-            _packed_difference_lut(round(images.tolerance, 6), limit),
-        ),
-    ]
-    if outline is not None:
+    packed = (
+        _colored(images.color, mask, images.mask_view),
+        _lookup(_depth_index(images.proximity_m, images.depth_range_m), _packed_depth_lut()),
+        _lookup(_depth_index(images.tactile_m, images.depth_range_m), _packed_depth_lut()),
+        _lookup(difference_index(images.relative, limit), _packed_difference_lut(round(images.tolerance, 6), limit)),
+    )
+    if images.contact is not None:
+        outline = _outline(images.contact)
         for pane in packed:
-            if pane is not None:
-                pane[outline] = _pack_rgb(CONTACT_RGB)
-    color, proximity, tactile, relative = (None if pane is None else _as_bytes(pane) for pane in packed)
+            pane[outline] = _pack_rgb(CONTACT_RGB)
     return RenderedStrip(
-        panes=(color, proximity, tactile, relative),
-        size=(width, height),
-        stride=stride,
-        depth_range_m=depth_range_m,
+        panes=tuple(map(_as_bytes, packed)),
+        size=images.size,
+        stride=images.stride,
+        depth_range_m=images.depth_range_m,
         tolerance=images.tolerance,
         difference_limit=limit,
         masked_share=None if mask is None else float(np.count_nonzero(mask) / mask.size),
@@ -136,19 +122,16 @@ def render_strip(images: StripImages, width_hint: int = 0) -> RenderedStrip:
 
 
 def stride_for(width: int, width_hint: int) -> int:
-    """Return the step at which an image of this width is drawn on ``width_hint`` screen pixels; 0 draws all pixels."""
+    """Return the step at which an image is drawn.
+
+    Parameters
+    ----------
+    width : int
+        Of the image, pixels.
+    width_hint : int
+        `ImageStrip.width_hint`: how many screen pixels the whole width takes; 0 draws all pixels.
+    """
     return max(1, int(width / width_hint + 0.1)) if width_hint > 0 else 1
-
-
-def depth_range_of(*depths_m: Float32Array) -> tuple[float, float]:
-    """Return a range for the depth colours in metres: the central 98 %, widened to whole centimetres."""
-    samples = np.concatenate([depth[::_SAMPLE_STEP, ::_SAMPLE_STEP].ravel() for depth in depths_m])
-    samples = samples[np.isfinite(samples)]
-    if samples.size == 0:
-        return 0.0, 1.0
-    low, high = np.percentile(samples, (1.0, 99.0)) / _RANGE_STEP_M
-    first = float(np.floor(low)) * _RANGE_STEP_M
-    return first, max(float(np.ceil(high)) * _RANGE_STEP_M, first + _RANGE_STEP_M)
 
 
 def _depth_index(depth_m: Float32Array, range_m: tuple[float, float]) -> Uint8Array:
@@ -161,14 +144,14 @@ def _depth_index(depth_m: Float32Array, range_m: tuple[float, float]) -> Uint8Ar
     return rows.astype(np.uint8)
 
 
-def _colored(color: Uint8Array, mask: BoolArray | None, view: MaskView, stride: int) -> _Packed:
+def _colored(color: Uint8Array, mask: BoolArray | None, view: MaskView) -> _Packed:
     if mask is not None and view is MaskView.BLACK_WHITE:
-        return np.where(mask[::stride, ::stride], _pack_rgb((255, 255, 255)), _pack_rgb((0, 0, 0)))
-    bgra = cv2.cvtColor(np.ascontiguousarray(color[::stride, ::stride]), cv2.COLOR_RGB2BGRA)
+        return np.where(mask, _pack_rgb((255, 255, 255)), _pack_rgb((0, 0, 0)))
+    bgra = cv2.cvtColor(np.ascontiguousarray(color), cv2.COLOR_RGB2BGRA)
     if mask is not None and view is MaskView.OVERLAY:
         tint = [MASK_TINT * channel for channel in (*MASKED_RGB[::-1], 255)]
         tinted = cv2.add(cv2.convertScaleAbs(bgra, alpha=1.0 - MASK_TINT), np.array(tint))
-        cv2.copyTo(tinted, np.ascontiguousarray(mask[::stride, ::stride]).view(np.uint8), bgra)
+        cv2.copyTo(tinted, np.ascontiguousarray(mask).view(np.uint8), bgra)
     return np.asarray(bgra, dtype=np.uint8).view(np.uint32)[:, :, 0]
 
 

@@ -31,10 +31,8 @@ from ..basics.gestures import new_gesture
 from ..basics.layouts import hbox, vbox
 from ..images.strip_render import MaskView
 from ..plots.histogram import GAP, RELATIVE_DIFFERENCE, LimitHistogram
-from .advanced_fold import AdvancedFold
 from .band_slider import RangeEditor, groove_colors
-from .finding_line import ShownFinding
-from .parameter_row import COLUMNS, ParameterRow, align_columns
+from .parameter_row import COLUMNS, AdvancedFold, ParameterRow, ShownFinding, align_columns
 
 #: The sections of the panel, top to bottom: part of the preset, title.
 SECTIONS = (

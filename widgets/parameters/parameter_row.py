@@ -1,20 +1,24 @@
-"""One row of the parameter panel: label, editor, unit, reset button and a line for a refused value."""
+"""One row of the parameter panel: label, editor, unit, reset button, a line for a refused value and one for a finding.
+
+Rows that few people need are behind a fold.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import dataclass
 from typing import Any, Final, Protocol, cast
 
 from PyQt6.QtCore import QObject, Qt, pyqtBoundSignal, pyqtSignal
 from PyQt6.QtGui import QFontDatabase, QPalette, QWheelEvent
 from PyQt6.QtWidgets import QCheckBox, QComboBox, QGridLayout, QLabel, QWidget
 
-from ..basics.controls import NoteLabel, tool_button
+from ..basics.controls import FoldButton, NoteLabel, TintedLabel, push_button, tool_button
 from ..basics.fields import FieldSpec
 from ..basics.gestures import new_gesture
+from ..basics.layouts import vbox
 from ..basics.theme import text_font
 from .band_slider import RangeEditor, RectangleEditor
-from .finding_line import FindingLine
 from .number_slider import NumberSlider
 
 
@@ -160,6 +164,51 @@ COLUMNS: Final = 4
 _RESET_WIDTH = 20
 
 
+@dataclass(frozen=True)
+class ShownFinding:
+    """A finding as it is shown: the sentence, and text and tooltip of its button; without a text there is none."""
+
+    sentence: str
+    button: str = ""
+    tip: str = ""
+
+
+class FindingLine(QWidget):
+    """A sentence in the colour of warnings and the button below it; hidden while there is no finding.
+
+    Signals
+    -------
+    pressed()
+        The button was pressed.
+    """
+
+    pressed = pyqtSignal()
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._sentence = TintedLabel(color="warning")
+        self._sentence.setWordWrap(True)
+        self.button = push_button("", "")
+        self.button.clicked.connect(self.pressed)
+        layout = vbox(self._sentence, within=self, margins=(0, 0, 0, 4), spacing=4)
+        layout.addWidget(self.button, 0, Qt.AlignmentFlag.AlignRight)
+        self.hide()
+
+    @property
+    def sentence(self) -> str:
+        """What is wrong; empty while there is no finding."""
+        return self._sentence.text()
+
+    def show_finding(self, finding: ShownFinding | None) -> None:
+        """Show a finding, or hide with None."""
+        shown = finding or ShownFinding("")
+        self._sentence.setText(shown.sentence)
+        self.button.setText(shown.button)
+        self.button.setToolTip(shown.tip)
+        self.button.setVisible(bool(shown.button))
+        self.setVisible(finding is not None)
+
+
 class ParameterRow(QObject):
     """The widgets of one field, placed into a section's grid by `add_to`.
 
@@ -298,3 +347,46 @@ def align_columns(rows: Collection[ParameterRow]) -> None:
         row.unit.setMinimumWidth(units)
     for slider in sliders:
         slider.entry.setMinimumWidth(entries)
+
+
+class AdvancedFold(QWidget):
+    """A button *More* above rows that few people need; closed at first.
+
+    It opens by itself when one of its values begins to differ from the default, so that no such value is overlooked.
+    """
+
+    def __init__(self, title: str) -> None:
+        super().__init__()
+        self.rows: list[ParameterRow] = []
+        self._differs = False
+        self.button = FoldButton(
+            "More", f"More of {title.lower()}", f"Show or hide the fields of {title.lower()} that are seldom changed"
+        )
+        self.button.clicked.connect(lambda: self.set_open(not self.is_open))
+        self._body = QWidget()
+        self.grid = QGridLayout(self._body)
+        self.grid.setContentsMargins(0, 0, 0, 0)
+        vbox(self.button, self._body, within=self, margins=0, spacing=4)
+        self.set_open(False)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the rows are shown."""
+        return not self._body.isHidden()
+
+    def set_open(self, opened: bool) -> None:
+        """Show or hide the rows."""
+        self._body.setVisible(opened)
+        self.button.show_folded(not opened)
+
+    def add(self, row: ParameterRow) -> None:
+        """Append a row."""
+        row.add_to(self.grid)
+        self.rows.append(row)
+
+    def open_if_changed(self) -> None:
+        """Open the fold if a value differs from the default now and none did before."""
+        differs = any(row.editor.value() != row.spec.default for row in self.rows)
+        if differs and not self._differs:
+            self.set_open(True)
+        self._differs = differs

@@ -6,6 +6,7 @@ import csv
 import itertools
 import json
 import math
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from urllib.parse import parse_qsl
@@ -24,8 +25,9 @@ from tactune.core.evaluation.table_cell import (
     plan_scenes,
     table_cell_from_json,
 )
-from tactune.core.evaluation.table_report import check_plot, draw_patches, table_as_json, table_as_text, write_csv
+from tactune.core.evaluation.table_report import check_plot, draw_patches, table_as_json, table_as_text
 from tactune.core.methods.method import ContactMethod, MethodPatch, failed
+from tactune.core.model.files import write_csv
 from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
 from tactune.core.rig.untouched import untouched_frame
@@ -202,7 +204,7 @@ def test_csv_and_json_give_every_cell_back(tmp_path):
     assert document["averages"][0]["rmse_mm"]["mean"] == pytest.approx(
         average(table.pick("straight", "main", press="medium"), "rmse_mm").mean
     )
-    write_csv(table, tmp_path / "table.csv")
+    write_csv(tmp_path / "table.csv", [asdict(cell) for cell in table.cells])
     with (tmp_path / "table.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len(table.cells)

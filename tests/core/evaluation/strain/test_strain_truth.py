@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
 from tactune.core.evaluation.table import Table
 from tactune.core.evaluation.table_cell import TableCell
-from tactune.core.evaluation.table_report import scene_strains, table_as_json, table_as_text, write_csv
+from tactune.core.evaluation.table_report import scene_strains, table_as_json, table_as_text
+from tactune.core.model.files import write_csv
 from tactune.core.sources.registry import open_source
 from tactune.core.sources.simulator.grid_strain import dots_shown, grid_strain
 from tactune.core.sources.simulator.membrane import Membrane
@@ -130,7 +131,7 @@ def test_the_table_reports_the_strain_of_each_scene_once(tmp_path):
         ["cup", "medium", "20", "23", "28"],
         ["cup", "high", "left", "86", "70", "127"],
     ]
-    write_csv(table, tmp_path / "table.csv")
+    write_csv(tmp_path / "table.csv", [asdict(cell) for cell in table.cells])
     rows = list(csv.DictReader((tmp_path / "table.csv").read_text().splitlines()))
     assert rows[0]["max_strain"] == "0.284"
     assert rows[-1]["max_strain"] == ""
