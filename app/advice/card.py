@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QFont, QPalette
 from PyQt6.QtWidgets import QCheckBox, QComboBox, QFrame, QGridLayout, QLabel, QVBoxLayout, QWidget
 
@@ -15,7 +15,7 @@ from ...core.model.arrays import Uint8Array
 from ...core.preset import Preset
 from ...core.tuning.advice.examples import CURVES, ErrorCurve
 from ...core.tuning.advice.proposal import MaskLabel, Proposal
-from ...widgets.basics.controls import caption
+from ...widgets.basics.controls import NoteLabel, caption
 from ...widgets.basics.fields import field_spec
 from ...widgets.basics.layouts import STRETCH, hbox
 from ...widgets.images.image_pane import ImagePane, Swatch
@@ -67,10 +67,10 @@ class ProposalCard(QFrame):
         self._heading = QLabel(section_title(proposal.section))
         self._heading.setFont(_bold(self._heading.font()))
         (self._heading if tickable else self.take).hide()
-        self.label = _text(proposal.label)
-        self.evidence = _text(proposal.evidence)
-        self.expected = _text(proposal.expected)
-        self.weak = _text("Weaker than with examples: mark untouched frames or paint contact (Examples…).")
+        self.label = NoteLabel(proposal.label)
+        self.evidence = NoteLabel(proposal.evidence)
+        self.expected = NoteLabel(proposal.expected)
+        self.weak = NoteLabel("Weaker than with examples: mark untouched frames or paint contact (Examples…).")
         self.weak.setVisible(proposal.weak)
         self.weak.setForegroundRole(QPalette.ColorRole.PlaceholderText)
         self._values = QGridLayout()
@@ -203,11 +203,3 @@ def _bold(font: QFont) -> QFont:
     bold = QFont(font)
     bold.setBold(True)
     return bold
-
-
-def _text(text: str) -> QLabel:
-    label = QLabel(text)
-    label.setTextFormat(Qt.TextFormat.PlainText)
-    label.setWordWrap(True)
-    label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-    return label

@@ -16,7 +16,7 @@ from PyQt6.QtWidgets import (
 )
 
 from ...core.tuning.advice.proposal import Finding
-from ...widgets.basics.controls import push_button
+from ...widgets.basics.controls import NoteLabel, push_button
 from ...widgets.basics.layouts import STRETCH, hbox, scrolling, vbox
 from ...widgets.parameters.parameter_row import ShownFinding
 
@@ -66,7 +66,7 @@ class FindingsWindow(QDialog):
         card = QFrame()
         card.setFrameShape(QFrame.Shape.StyledPanel)
         column = QVBoxLayout(card)
-        said = _sentence(finding.sentence)
+        said = NoteLabel(finding.sentence)
         font = said.font()
         font.setBold(True)
         said.setFont(font)
@@ -74,8 +74,8 @@ class FindingsWindow(QDialog):
         proposal = finding.proposal
         if proposal is not None:
             if proposal.evidence != finding.sentence:
-                column.addWidget(_sentence(proposal.evidence))
-            expected = _sentence(proposal.expected)
+                column.addWidget(NoteLabel(proposal.evidence))
+            expected = NoteLabel(proposal.expected)
             expected.setForegroundRole(QPalette.ColorRole.PlaceholderText)
             column.addWidget(expected)
         if shown.button:
@@ -84,11 +84,3 @@ class FindingsWindow(QDialog):
             row = hbox(button, STRETCH)
             column.addLayout(row)
         return card
-
-
-def _sentence(text: str) -> QLabel:
-    label = QLabel(text)
-    label.setTextFormat(Qt.TextFormat.PlainText)
-    label.setWordWrap(True)
-    label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-    return label

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -30,7 +31,6 @@ class BenchScene:
     """One frame with its rig and the preset it is processed with."""
 
     name: str
-    title: str
     rig: Rig
     preset: Preset
     frame: SensorFrame
@@ -57,26 +57,17 @@ def make_scene(name: str) -> BenchScene:
     """
     if name not in _SCENES:
         raise TactuneError(f"there is no scene {name!r}; known are {', '.join(_SCENES)}")
-    title, build = _SCENES[name]
-    scene = build()
-    return replace(scene, name=name, title=title)
+    return replace(_SCENES[name](), name=name)
 
 
-def _simulated(scene: str, depth_m: float | None, seed: int = 0) -> BenchScene:
-    """Return the first frame of a simulated press that is at least ``depth_m`` deep; None for the deepest."""
+def _simulated(scene: str, depth_m: float) -> BenchScene:
+    """Return the first frame of a simulated press that is at least ``depth_m`` deep, or the deepest."""
     from ..sources.simulator.source import SimulatorSource
 
-    source = SimulatorSource(scene=scene, seed=seed, sensor="datasheet")
+    source = SimulatorSource(scene=scene, sensor="datasheet")
     depths = np.array([source.facts(index).depth_m for index in range(source.length)])
-    index = int(np.argmax(depths)) if depth_m is None else int(np.argmax(depths >= depth_m))
-    return BenchScene(scene, "", source.rig, load_preset("simulator").with_values(_TEST), source.read(index))
-
-
-def _untouched() -> BenchScene:
-    from ..sources.simulator.source import SimulatorSource
-
-    source = SimulatorSource(scene="cup", sensor="datasheet")
-    return BenchScene("untouched", "", source.rig, load_preset("simulator").with_values(_TEST), source.read(0))
+    index = int(np.argmax(depths >= min(depth_m, depths.max())))
+    return BenchScene(scene, source.rig, load_preset("simulator").with_values(_TEST), source.read(index))
 
 
 def synthetic_scene(
@@ -125,7 +116,7 @@ def synthetic_scene(
             "mask.saturation": (120, 255),
         }
     )
-    return BenchScene(f"{points} points", "", rig, preset, frame)
+    return BenchScene(f"{points} points", rig, preset, frame)
 
 
 def _scaled_rig(width: int, height: int) -> Rig:
@@ -172,12 +163,12 @@ def _counts(depth_m: Float64Array, unit_m: float) -> Uint16Array:
     return np.clip(np.rint(depth_m / unit_m), 1, 65534).astype(np.uint16)
 
 
-_SCENES: dict[str, tuple[str, Callable[[], BenchScene]]] = {
-    "empty": ("empty scene: nothing within 25 mm of the membrane", lambda: synthetic_scene(0)),
-    "untouched": ("simulator before the first touch, with its reflecting patches", _untouched),
-    "light-touch": ("light touch: cup, 3 mm deep", lambda: _simulated("cup", LIGHT_M)),
-    "cup-medium": ("cup, 24 mm deep", lambda: _simulated("cup", MEDIUM_M)),
-    "octopus-high": ("octopus, as deep as it goes", lambda: _simulated("octopus", None)),
-    "noisy-51k": ("contact of 51,000 points, twice the noise", lambda: synthetic_scene(51_000, noise_m=0.002)),
-    "full-contact": ("every pixel in contact, 307,200 points", lambda: synthetic_scene(640 * 480)),
+_SCENES: dict[str, Callable[[], BenchScene]] = {
+    "empty": lambda: synthetic_scene(0),  # nothing within 25 mm of the membrane
+    "untouched": lambda: _simulated("cup", -math.inf),  # before the first touch, with reflecting prints
+    "light-touch": lambda: _simulated("cup", LIGHT_M),
+    "cup-medium": lambda: _simulated("cup", MEDIUM_M),
+    "octopus-high": lambda: _simulated("octopus", math.inf),
+    "noisy-51k": lambda: synthetic_scene(51_000, noise_m=0.002),
+    "full-contact": lambda: synthetic_scene(640 * 480),
 }

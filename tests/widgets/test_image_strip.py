@@ -28,7 +28,7 @@ def rendered(height: int = HEIGHT, width: int = WIDTH, hint: int = 0) -> Rendere
             tactile_m=depth,
             relative=np.zeros_like(depth),
             tolerance=0.03,
-            depth_range_m=(0.2, 0.32),
+            depth_range_m=(0.2, 0.31),
             size=(width, height),
             stride=stride,
         )
