@@ -48,15 +48,8 @@ _WHICH = (("new", "New"), ("present", "Present"))
 class CheckPage(QWidget):
     """The tactile image over the proximity image, and the contact patch with each alignment."""
 
-    def __init__(
-        self,
-        session: Session,
-        document: Document,
-        feed: FrameFeed,
-        backend: BackendChoice = "auto",
-        parent: QWidget | None = None,
-    ) -> None:
-        super().__init__(parent)
+    def __init__(self, session: Session, document: Document, feed: FrameFeed, backend: BackendChoice = "auto") -> None:
+        super().__init__()
         self._session, self._document, self._feed = session, document, feed
         self._outcome = Outcome()
         self._kept: AlignmentSection | None = None

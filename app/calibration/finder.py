@@ -133,8 +133,8 @@ class Finder(QWidget):
         Starts the search; the wizard places it.
     """
 
-    def __init__(self, session: Session, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, session: Session) -> None:
+        super().__init__()
         self._session = session
         self._gestures = GestureClock()
         self._job = Job(self)

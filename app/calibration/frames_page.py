@@ -47,8 +47,8 @@ _NEXT = "Add another inflation level, or continue with the points."
 class FramesPage(QWidget):
     """A live preview of both cameras beside the list of snapshots. The wizard places the button ``take``."""
 
-    def __init__(self, session: Session, feed: FrameFeed, collector: Collector, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, session: Session, feed: FrameFeed, collector: Collector) -> None:
+        super().__init__()
         self._session, self._feed, self._collector = session, feed, collector
         self.previews = {(side, image): ImagePane(title) for side, image, title in _PREVIEWS}
         self._gestures = GestureClock()

@@ -140,8 +140,8 @@ class _ModelColumn(QGroupBox):
 class ModelPage(QWidget):
     """Both models side by side, the recommendation with its reason, and the choice between them."""
 
-    def __init__(self, session: Session, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, session: Session) -> None:
+        super().__init__()
         self._session = session
         self.reason = QLabel()
         self.reason.setWordWrap(True)

@@ -39,8 +39,8 @@ class PairView(QWidget):
 
     placed = pyqtSignal(str, float, float, str)
 
-    def __init__(self, snapper: Snapper, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, snapper: Snapper) -> None:
+        super().__init__()
         self.images = {side: PointImage(TITLES[side]) for side in SIDES}
         self._pictures: dict[Side, Picture | None] = dict.fromkeys(SIDES)
         self._snapper = snapper

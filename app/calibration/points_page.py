@@ -35,8 +35,8 @@ class PointsPage(QWidget):
     importRequested = pyqtSignal()
     exportRequested = pyqtSignal()
 
-    def __init__(self, session: Session, snapper: Snapper, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, session: Session, snapper: Snapper) -> None:
+        super().__init__()
         self._session = session
         self._outcome = Outcome()
         self._shown: dict[Side, tuple[object, ...]] = {}

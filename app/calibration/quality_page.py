@@ -148,8 +148,8 @@ def _rgb(pixels: Uint8Array) -> Uint8Array:
 class QualityPage(QWidget):
     """The uncertainty map, the verdict, the numbers and the coverage."""
 
-    def __init__(self, session: Session, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, session: Session) -> None:
+        super().__init__()
         self._session = session
         self._outcome = Outcome()
         self._drawn: tuple[object, ...] = ()

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from PyQt6.QtCore import QPoint, pyqtSignal
-from PyQt6.QtWidgets import QComboBox, QFormLayout, QGroupBox, QHBoxLayout, QLabel, QLineEdit, QMenu, QWidget
+from PyQt6.QtWidgets import QComboBox, QFormLayout, QGroupBox, QHBoxLayout, QLabel, QLineEdit, QMenu
 
 from ...core.calibration.lens import MODELS, LensFit, nominal_lens
 from ...core.errors import SourceError
@@ -57,16 +57,9 @@ class CameraForm(QGroupBox):
     failed = pyqtSignal(str)
 
     def __init__(
-        self,
-        title: str,
-        size: tuple[int, int],
-        model: str,
-        *,
-        has_depth: bool = True,
-        native_dialogs: bool = True,
-        parent: QWidget | None = None,
+        self, title: str, size: tuple[int, int], model: str, *, has_depth: bool = True, native_dialogs: bool = True
     ) -> None:
-        super().__init__(f"{title}, {size[0]} x {size[1]}", parent)
+        super().__init__(f"{title}, {size[0]} x {size[1]}")
         self._size, self._has_depth, self._native = size, has_depth, native_dialogs
         self.chessboard: ChessboardDialog | None = None
         self.search: CameraSearch | None = None

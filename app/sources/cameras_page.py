@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QComboBox, QFormLayout, QHeaderView, QTreeWidget, QTreeWidgetItem, QWidget
+from PyQt6.QtWidgets import QComboBox, QFormLayout, QHeaderView, QTreeWidget, QTreeWidgetItem
 
 from ...core.errors import as_sentence
 from ...core.preset import CamerasSection
@@ -32,8 +32,8 @@ class CamerasPage(SourcePage):
 
     title = "Cameras"
 
-    def __init__(self, cameras: CamerasSection, search: CameraSearch, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, cameras: CamerasSection, search: CameraSearch) -> None:
+        super().__init__()
         self._search = search
         search.setParent(self)
         self._remembered = (cameras.proximity.serial, cameras.tactile.serial)

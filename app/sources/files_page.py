@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QHeaderView, QLabel, QTreeWidget, QTreeWidgetItem, QWidget
+from PyQt6.QtWidgets import QHeaderView, QLabel, QTreeWidget, QTreeWidgetItem
 
 from ...core.errors import SourceError
 from ...core.sources.registry import source_kinds
@@ -22,8 +22,8 @@ class FilesPage(SourcePage):
 
     title = "Files and others"
 
-    def __init__(self, settings: Settings, native_dialogs: bool, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, settings: Settings, native_dialogs: bool) -> None:
+        super().__init__()
         self._settings, self._dialogs = settings, Dialogs(self, native_dialogs)
         self.file = push_button("Choose fi&le…", "Choose a recording, or the two .bag files of two cameras")
         self.folder = push_button("Choose fol&der…", "Choose a recording stored as a folder of images")

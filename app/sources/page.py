@@ -30,8 +30,8 @@ class SourcePage(QWidget):
     activated = pyqtSignal()
     title = ""
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.name = ""
         self.note = ""
 

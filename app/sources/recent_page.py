@@ -6,7 +6,7 @@ from functools import partial
 
 from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtGui import QColor, QIcon, QImage, QKeyEvent, QPainter, QPalette, QPixmap
-from PyQt6.QtWidgets import QListWidget, QListWidgetItem, QWidget
+from PyQt6.QtWidgets import QListWidget, QListWidgetItem
 
 from ...core.sources.registry import is_recording, missing_path
 from ...widgets.basics.layouts import vbox
@@ -25,8 +25,8 @@ class RecentPage(SourcePage):
 
     title = "Recent"
 
-    def __init__(self, settings: Settings, thumbnails: Thumbnails, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, settings: Settings, thumbnails: Thumbnails) -> None:
+        super().__init__()
         self._settings, self._thumbnails = settings, thumbnails
         self.list = QListWidget()
         self.list.setAccessibleName("Recent sources")

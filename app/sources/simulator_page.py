@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from PyQt6.QtCore import QSignalBlocker
 from PyQt6.QtGui import QStandardItemModel
-from PyQt6.QtWidgets import QComboBox, QDoubleSpinBox, QFormLayout, QWidget
+from PyQt6.QtWidgets import QComboBox, QDoubleSpinBox, QFormLayout
 
 from ...core.errors import SourceError
 from ...core.sources.simulator.names import (
@@ -28,8 +28,8 @@ class SimulatorPage(SourcePage):
 
     title = "Simulator"
 
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self) -> None:
+        super().__init__()
         self.values = read_name("")
         self.editors: dict[str, QComboBox | QDoubleSpinBox] = {}
         form = QFormLayout(self)

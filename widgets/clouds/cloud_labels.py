@@ -31,8 +31,8 @@ class CloudHeader(QWidget):
     The labels have no layout: a layout would repeat its work through the whole window for every frame.
     """
 
-    def __init__(self, title: str, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, title: str) -> None:
+        super().__init__()
         self._title = ElidedLabel(title, self)
         self._title.setObjectName("title")
         font = self._title.font()

@@ -49,8 +49,8 @@ class ColorBar:
 class PaneHeader(QWidget):
     """Paints a title and a legend, on one line or on two; entries that do not fit are omitted, the last first."""
 
-    def __init__(self, title: str, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, title: str) -> None:
+        super().__init__()
         self._title = title
         self._bar: ColorBar | None = None
         self._swatches: tuple[Swatch, ...] = ()
