@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field
 from pkgutil import resolve_name
 from typing import Any
@@ -14,30 +13,12 @@ from ..preset.checks import check_rig, rig_in_use
 from ..preset.contact_test import AVERAGE
 from .alignment import make_alignment
 from .finder import ContactFinder, Steps, Workspace
-from .kernels import chain as kernels
 from .membrane.average import AveragedDepth
 
-__all__ = ["ContactPatch", "ContactPipeline", "Still"]
+__all__ = ["ContactPatch", "ContactPipeline"]
 
-#: Values of `ContactPatch.skipped`.
+#: Value of `ContactPatch.skipped` where no step was due.
 UNCHANGED = "nothing changed"
-STILL = "no depth changed beyond noise"
-
-
-@dataclass(frozen=True)
-class Still:
-    """When a frame counts as equal to an earlier one, whose patch is then returned again.
-
-    Attributes
-    ----------
-    noise_m : float
-        Largest change of a depth that counts as noise, metres; about five standard deviations of the noise.
-    share : float
-        Largest share of an image's pixels that may change by more, such as flickering edges.
-    """
-
-    noise_m: float
-    share: float = 0.001
 
 
 class ContactPipeline:
@@ -51,9 +32,6 @@ class ContactPipeline:
     preset : Preset
     rig : Rig
         The rig that records the frames; a lens distortion that the preset's calibration estimated is added to it.
-    still : Still, optional
-        Return the last patch again while nothing moves; without it every frame is computed. The depths of a frame
-        are compared with those that the patch was computed from, so small changes do not add up.
 
     Raises
     ------
@@ -61,8 +39,8 @@ class ContactPipeline:
         The preset was made for images of another size, or neither it nor the rig has a pose.
     """
 
-    def __init__(self, preset: Preset, rig: Rig, *, still: Still | None = None) -> None:
-        self._recording_rig, self._still = rig, still
+    def __init__(self, preset: Preset, rig: Rig) -> None:
+        self._recording_rig = rig
         self._start(preset)
 
     def _start(self, preset: Preset) -> None:
@@ -113,11 +91,6 @@ class ContactPipeline:
         memory = self._memory
         if frame is not memory.frame:
             frame.check_against(self.rig)
-            started_ns = time.perf_counter_ns()
-            if memory.patch is not None and self._is_still(frame):
-                ms = dict.fromkeys(self._keys, 0.0)
-                ms[self._preset.test.steps[0].name] = (time.perf_counter_ns() - started_ns) / 1e6
-                return memory.patch.again(frame.sequence, ms, (STILL,))
             memory = self._memory = _Memory(frame)
         due = Steps(self._keys, memory.done)
         if self._average is not None:
@@ -126,7 +99,6 @@ class ContactPipeline:
             frame = memory.averaged or frame
         found = self._finder_now().find(frame, self._preset, due)
         due.finish()
-        memory.preset = self._preset
         if memory.patch is not None and not due.stale:
             return memory.patch.again(frame.sequence, due.ms, (UNCHANGED,))
         alignment, region = self._alignment, self._preset.region
@@ -167,23 +139,6 @@ class ContactPipeline:
             self._average.max_frames = frames
             self._average.expect(preset.noise)
 
-    def _is_still(self, frame: SensorFrame) -> bool:
-        """Return whether the remembered patch, computed with the current preset, is also that of a new frame."""
-        before = self._memory.frame
-        if self._still is None or before is None or self._memory.preset is not self._preset:
-            return False
-        if self._average is not None and not self._average.full:
-            return False
-        pairs = (
-            (before.proximity_depth, frame.proximity_depth, self.rig.proximity.depth_unit_m),
-            (before.tactile_depth, frame.tactile_depth, self.rig.tactile.depth_unit_m),
-        )
-        for old, new, unit_m in pairs:
-            noise = min(int(self._still.noise_m / unit_m), 65535)
-            if kernels.count_changed(kernels.flat(old), kernels.flat(new), noise) > self._still.share * old.size:
-                return False
-        return True
-
 
 @dataclass
 class _Memory:
@@ -193,7 +148,6 @@ class _Memory:
     averaged: SensorFrame | None = None
     done: dict[str, Any] = field(default_factory=dict)
     patch: ContactPatch | None = None
-    preset: Preset | None = None
 
 
 def _step_keys(preset: Preset) -> dict[str, Any]:

@@ -21,7 +21,6 @@ from .simd import (
     LANES,
     absolute,
     bits,
-    count_ones,
     count_trailing_zeros,
     flags,
     float_scratch,
@@ -388,22 +387,6 @@ def classify_rows(images: Any, test: Any, first: Any, last: Any, provenance: Any
             verdict = where(in_region, verdict, ints(_OUTSIDE_REGION))
             verdict = where(has_depth, verdict, ints(_NO_PROXIMITY_DEPTH))
             store_lanes(provenance, v * width + u, width - u, verdict, before, buffer)
-
-
-@kernel
-def count_changed(before: Any, after: Any, noise: Any) -> Any:
-    """Return the number of pixels of two depth images that differ by more than ``noise`` counts or in having depth."""
-    changed = 0
-    low, high = ints(np.int32(-noise)), ints(np.int32(noise))
-    last = before.shape[0] - LANES
-    for start in range(0, before.shape[0], LANES):
-        place = min(start, last)
-        old, new = load(before, place), load(after, place)
-        had, has = is_depth(old), is_depth(new)
-        moved = ((new - old) > high) | ((new - old) < low)
-        is_new = lane_numbers() >= ints(np.int32(start - place))
-        changed += count_ones(bits(is_new & ((had ^ has) | (had & has & moved))))
-    return changed
 
 
 @inline

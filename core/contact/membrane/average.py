@@ -77,11 +77,6 @@ class AveragedDepth:
         )
 
     @property
-    def full(self) -> bool:
-        """Whether ``max_frames`` frames have been averaged since the membrane last moved."""
-        return self._count >= self.max_frames
-
-    @property
     def count(self) -> int:
         """Number of averaged frames."""
         return min(self._count, self.max_frames)

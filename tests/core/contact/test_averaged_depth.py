@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tactune.core.contact.membrane.average import AveragedDepth
-from tactune.core.contact.pipeline import ContactPipeline, Still
+from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.preset import Preset
 from tactune.core.preset.membrane import MEMBRANE as MEMBRANE_TEST
 
@@ -122,20 +122,6 @@ def test_turning_it_off_gives_the_frame_itself(make_frame, rig):
     contact.update(AVERAGED.with_value("membrane.gap_m", 0.002))
     begun = ContactPipeline(contact.preset, rig).process(frames[-1])
     np.testing.assert_array_equal(contact.process(frames[-1]).points, begun.points)
-
-
-def test_a_still_scene_is_averaged_before_its_patch_is_given_again(make_frame, rig):
-    frames = frames_of(make_frame, rig, 9, share_missing=0.0)
-    preset = AVERAGED.with_value("membrane.frames", 4)
-    contact, every = ContactPipeline(preset, rig, still=Still(0.01)), ContactPipeline(preset, rig)
-    patches = [contact.process(frame) for frame in frames]
-    expected = [every.process(frame) for frame in frames]
-    for patch, full in zip(patches[:4], expected, strict=False):
-        assert patch.skipped == ()
-        np.testing.assert_array_equal(patch.points, full.points)
-    for patch in patches[4:]:
-        assert patch.skipped == ("no depth changed beyond noise",)
-        assert patch.points is patches[3].points
 
 
 def test_the_average_is_a_stage_of_its_own(make_frame, rig):

@@ -15,7 +15,7 @@ from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.kernels.threads import set_threads
 from tactune.core.contact.masking import colors_at, in_hsv_range
 from tactune.core.contact.membrane.finder import MembraneFinder
-from tactune.core.contact.pipeline import ContactPipeline, Still
+from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.model.clouds import ray_table
 from tactune.core.model.frames import Rig, SensorFrame
 from tactune.core.model.provenance import Provenance
@@ -281,16 +281,6 @@ def test_the_result_does_not_depend_on_threads(make_rig, make_frame):
         one, three = (pool.submit(patch_with, threads).result() for threads in (1, 3))
     assert len(one.points) > 1000
     assert same_patch(one, three)
-
-
-def test_a_still_scene_is_computed_once_where_that_is_asked_for(rig, scene):
-    contact = ContactPipeline(MEMBRANE, rig, still=Still(0.002))
-    first = contact.process(scene)
-    moved = np.where(scene.proximity_depth > 0, scene.proximity_depth + 1, 0).astype(np.uint16)
-    again = contact.process(replace(scene, proximity_depth=moved))
-    assert again.points is first.points
-    assert again.skipped == ("no depth changed beyond noise",)
-    assert tuple(again.stage_ms) == MEMBRANE_TEST.step_names
 
 
 def test_a_homography_with_the_membrane_test_is_warned_of(rig):

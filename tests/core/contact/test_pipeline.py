@@ -10,7 +10,7 @@ from tactune.core.bench.reference_pipeline import reference_patch
 from tactune.core.contact import tolerance as tolerance_module
 from tactune.core.contact.alignment import homography_table, tactile_homography
 from tactune.core.contact.outliers import statistical
-from tactune.core.contact.pipeline import ContactPipeline, Still
+from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.contact.tolerance import ToleranceFinder
 from tactune.core.errors import FrameError, RigMismatchError, SourceError
 from tactune.core.model.clouds import deproject, valid_depth
@@ -122,33 +122,6 @@ def test_the_same_frame_again_costs_nothing(make_rig, make_frame, monkeypatch):
     assert again.provenance is provenance
     assert not any(again.stage_ms.values())
     assert again.skipped == ("nothing changed",)
-
-
-def test_a_still_scene_is_computed_once_where_that_is_asked_for(make_rig, make_frame):
-    rig = make_rig()
-    frame = make_frame(rig, noise_m=0.0005)
-    contact = ContactPipeline(PRESET, rig, still=Still(0.002, share=0.01))
-    first = contact.process(frame)
-
-    def moved(by_counts, pixels):
-        counts = frame.proximity_depth.copy()
-        chosen = np.flatnonzero((counts > 0) & (counts < 65535))[:pixels]
-        counts.reshape(-1)[chosen] += by_counts
-        return SensorFrame(7, counts, frame.tactile_depth, frame.proximity_color)
-
-    same = contact.process(moved(8, None))  # 2 mm
-    assert same.points is first.points
-    assert same.sequence == 7
-    assert same.skipped == ("no depth changed beyond noise",)
-    assert contact.process(moved(200, 40)).points is first.points
-    for other in (moved(9, None), moved(200, 60)):
-        assert same_patch(contact.process(other), ContactPipeline(PRESET, rig).process(other))
-        contact.process(frame)
-    contact.update(PRESET.with_value("tolerance.t", 0.01))
-    assert "no depth changed beyond noise" not in contact.process(moved(1, None)).skipped
-    contact = ContactPipeline(PRESET, rig)
-    contact.process(frame)
-    assert contact.process(moved(1, None)).skipped == ()
 
 
 def test_another_ratio_does_not_search_for_neighbours_again(make_rig, make_frame, monkeypatch):
