@@ -17,6 +17,7 @@ import pytest
 from hypothesis import settings
 from numba.core.caching import IndexDataCacheFile
 
+from coarse_scenes import solve_coarsely
 from commands import Finished
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -77,6 +78,12 @@ def tactune(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch)
         return Finished(main(), *capsys.readouterr())
 
     return run
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    # Long tests, which judge accuracy, have the fine mesh.
+    if not config.option.markexpr.startswith("long"):
+        solve_coarsely()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -35,7 +35,7 @@ class Excerpt(SeekableSource):
 def pressed_cup(tmp_path_factory):
     """Frames without contact, with some, and with much, as a folder that every way can read."""
     folder = tmp_path_factory.mktemp("identical") / "cup"
-    export_folder(Excerpt(SimulatorSource("cup", cells=(88, 52)), [0, 30, 45]), folder)
+    export_folder(Excerpt(SimulatorSource("cup"), [0, 30, 45]), folder)
     return folder
 
 

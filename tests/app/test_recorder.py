@@ -85,7 +85,7 @@ def test_finished_recordings_pile_up_no_threads(tmp_path):
         recorder.stop()
         for thread in enumerate_threads():
             if thread.name == "recording finisher":
-                thread.join()
+                thread.join(60)
         assert len(finishers) == count
     del thread
     gc.collect()

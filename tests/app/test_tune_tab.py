@@ -80,19 +80,24 @@ def test_a_search_finds_a_better_preset_which_is_previewed_and_used_as_one_step(
     use_by_keys(tab)
 
 
+def walk_left_to(plot, number):
+    for _ in plot.front:
+        if plot.number != number:
+            QTest.keyClick(plot, Qt.Key.Key_Left)
+    assert plot.number == number
+
+
 def use_by_keys(tab):
     """The arrow keys walk along the front, and Enter uses a trial."""
     tab.plot.setFocus()
-    while tab.plot.number != tab.plot.front[0]:
-        QTest.keyClick(tab.plot, Qt.Key.Key_Left)
+    walk_left_to(tab.plot, tab.plot.front[0])
     walked = [tab.plot.number]
     for _ in tab.plot.front[1:]:
         QTest.keyClick(tab.plot, Qt.Key.Key_Right)
         walked.append(tab.plot.number)
     assert tuple(walked) == tab.plot.front
     number = next(number for number in tab.plot.front if not tab.run.trials[number]["present"])
-    while tab.plot.number != number:
-        QTest.keyClick(tab.plot, Qt.Key.Key_Left)
+    walk_left_to(tab.plot, number)
     QTest.keyClick(tab.plot, Qt.Key.Key_Return)
     assert tab.main.document.preset.tolerance.t == tab.run.trials[number]["values"]["tolerance.t"]
 

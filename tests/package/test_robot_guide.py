@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from commands import read_line
 from sockets import free_domain
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -57,7 +58,7 @@ def served(domain: int) -> Iterator[str]:
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
         assert process.stdout is not None
         try:
-            places = dict(process.stdout.readline().split(": ", 1) for _ in range(2))
+            places = dict(read_line(process.stdout).split(": ", 1) for _ in range(2))
             assert places["ROS 2"] == f"domain {domain}, 127.0.0.1, /tactune\n"
             yield places["Foxglove"].strip()
         finally:

@@ -1,8 +1,13 @@
-"""How a command of Tactune ended."""
+"""How a command of Tactune ended, and what a program prints while it runs."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import queue
+import threading
+from typing import IO, AnyStr, NamedTuple
+
+#: Longer than any program is silent, also on a busy machine.
+SILENCE_S = 300
 
 
 class Finished(NamedTuple):
@@ -20,3 +25,13 @@ class Finished(NamedTuple):
         assert self.err.startswith("tactune: ")
         assert self.err.count("\n") == 1
         return self.err
+
+
+def read_line(stream: IO[AnyStr]) -> AnyStr:
+    """Return the next line that a program prints; fail if none comes."""
+    lines: queue.Queue[AnyStr] = queue.Queue()
+    threading.Thread(target=lambda: lines.put(stream.readline()), daemon=True).start()
+    try:
+        return lines.get(timeout=SILENCE_S)
+    except queue.Empty:
+        raise AssertionError(f"a program printed nothing in {SILENCE_S} s") from None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import socket
 import struct
+import time
 from collections.abc import Callable, Iterable, Iterator
 from types import TracebackType
 from typing import Any, Self
@@ -14,6 +15,8 @@ from mcap_ros2.decoder import DecoderFactory
 from websockets.sync.client import connect
 
 WAIT_S = 60
+#: Messages come on and on, also where none is the one that a test waits for.
+LIFETIME_S = 300
 
 _MESSAGE_DATA = 1
 
@@ -25,6 +28,7 @@ class FoxgloveClient:
         place = f"ws://{host}:{port}"
         self._connection = connect(place, subprotocols=["foxglove.sdk.v1"], max_size=None, **options)
         self._socket = self._connection.__enter__()
+        self._end_s = time.monotonic() + LIFETIME_S
         self.texts: list[dict[str, Any]] = []
         self.info = self.wait_for_text("serverInfo")
         self.channels: dict[str, dict[str, Any]] = {}
@@ -55,10 +59,14 @@ class FoxgloveClient:
     def send(self, op: str, **values: Any) -> None:
         self._socket.send(json.dumps({"op": op, **values}))
 
+    def _receive(self) -> str | bytes:
+        assert time.monotonic() < self._end_s, f"what is waited for did not come in {LIFETIME_S} s; said: {self.texts}"
+        return self._socket.recv(timeout=WAIT_S)
+
     def raw_messages(self) -> Iterator[tuple[str, int, bytes]]:
         """Yield topic, time stamp in ns and bytes of each message; texts are kept in ``texts``."""
         while True:
-            data = self._socket.recv(timeout=WAIT_S)
+            data = self._receive()
             if isinstance(data, str):
                 self.texts.append(json.loads(data))
                 continue
@@ -88,7 +96,7 @@ class FoxgloveClient:
             if text["op"] == op:
                 return self.texts.pop(index)
         while True:
-            data = self._socket.recv(timeout=WAIT_S)
+            data = self._receive()
             if isinstance(data, str):
                 text = json.loads(data)
                 if text["op"] == op:

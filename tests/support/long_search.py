@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 LIMIT_S = 240
+POINTS = 48
 
 
 def lines_of(text: str) -> list[dict[str, Any]]:
@@ -33,11 +34,11 @@ def front_of(text: str) -> list[dict[str, Any]]:
 
 
 class LongSearch:
-    """A grid of 80 points as a command of its own; its objectives do not depend on the time."""
+    """A grid of `POINTS` points as a command of its own; its objectives do not depend on the time."""
 
     def __init__(self, recording: str, folder: Path, preset: Path) -> None:
         self.file = folder / "long.log"
-        grid = ("--set", "tolerance.t=0.004:0.02:10", "--set", "outliers.k=5:24:8", "--objective", "iou,area_error")
+        grid = ("--set", "tolerance.t=0.004:0.02:8", "--set", "outliers.k=5:24:6", "--objective", "iou,area_error")
         self.command = [sys.executable, "-m", "tactune.app", "tune", "-s", recording, *grid]
         self.command += ["-p", str(preset), "--study", str(self.file), "--json"]
 
@@ -47,7 +48,7 @@ class LongSearch:
             [*self.command, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
         )
         for _ in range(20 * LIMIT_S):
-            if self.measured() > 10:
+            if self.measured() > 5:
                 return process
             assert process.poll() is None, process.communicate()
             time.sleep(0.05)
@@ -69,9 +70,9 @@ class LongSearch:
         return done.stdout
 
     def check(self, out: str) -> None:
-        """All 80 points were measured, and each was counted once."""
+        """All points were measured, and each was counted once."""
         trials = trials_of(out).values()
         assert all(trial["failure"] == "" for trial in trials)
         points = [(trial["values"]["tolerance.t"], trial["values"]["outliers.k"]) for trial in trials]
-        assert (len(points), len(set(points))) == (80, 80)
-        assert self.measured() == 80, "a trial was measured twice"
+        assert (len(points), len(set(points))) == (POINTS, POINTS)
+        assert self.measured() == POINTS, "a trial was measured twice"

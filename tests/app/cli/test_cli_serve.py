@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from commands import Finished
+from commands import Finished, read_line
 from foxglove_client import WAIT_S, FoxgloveClient
 from sockets import listening
 from tactune.app.worker import compiling
@@ -52,7 +52,7 @@ def serving(*words: str, address: str = "127.0.0.1") -> Iterator[tuple[subproces
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
-            line = process.stdout.readline()
+            line = read_line(process.stdout)
             match = re.fullmatch(rf"Foxglove: ws://{re.escape(address)}:(\d+)\n", line)
             assert match, line
             yield process, int(match[1])
@@ -108,18 +108,6 @@ def test_a_client_that_comes_late_gets_the_static_transforms(server: tuple[subpr
             assert "tactile_depth_optical_frame" in [one.child_frame_id for one in seen["/tf_static"].transforms]
 
 
-@pytest.fixture
-def mesh(tmp_path: Path) -> Path:
-    """The mesh of the simulator's cup, in metres."""
-    with open_source("sim:cup") as source:
-        assert isinstance(source, SimulatorSource)
-        cup = simulated_mesh(source.scene, source.name)
-    lines = [f"v {x} {y} {z}" for x, y, z in cup.vertices_m]
-    path = tmp_path / "cup.obj"
-    path.write_text("\n".join(lines + [f"f {a} {b} {c}" for a, b, c in cup.triangles + 1]))
-    return path
-
-
 def test_tilt_is_published_where_asked(server: tuple[subprocess.Popen[str], int]) -> None:
     topics = ["/contact/tilt", "/tactune/frame"]
     with FoxgloveClient(server[1]) as client:
@@ -128,106 +116,6 @@ def test_tilt_is_published_where_asked(server: tuple[subprocess.Popen[str], int]
     _, patch = find(number_of(seen), load_preset("simulator"))
     tilt = TiltEstimator(load_preset("simulator"), patch.rig).estimate(patch)
     assert (seen["/contact/tilt"].vector.x, seen["/contact/tilt"].vector.y) == (tilt.roll_rad, tilt.pitch_rad)
-
-
-@pytest.mark.long
-def test_a_pose_is_published_where_a_mesh_is_given(mesh: Path) -> None:
-    asked = ("--mesh", str(mesh), "--unit", "m")
-    numbers: dict[int, int] = {}
-    with serving("--port", "0", *asked) as (_, port), FoxgloveClient(port) as client:
-        client.subscribe(["/object/pose", "/tactune/frame"])
-        for topic, stamp_ns, message in client.messages():
-            if topic == "/tactune/frame":
-                numbers[stamp_ns] = number_of({topic: message})
-            elif stamp_ns in numbers:
-                break
-    frame, _ = find(numbers[stamp_ns], load_preset("simulator"))
-    assert frame.truth is not None
-    truth = np.array(frame.truth.T_proximity_object)
-    position = message.pose.pose.position
-    assert np.linalg.norm(np.array([position.x, position.y, position.z]) - truth[:3, 3]) < 0.03
-
-
-def test_frames_go_on_while_the_object_is_searched(
-    mesh: Path, monkeypatch: pytest.MonkeyPatch, tactune: Callable[..., Finished]
-) -> None:
-    searches, found = [], threading.Event()
-
-    def search(*frame: object) -> SimpleNamespace:
-        searches.append(frame)
-        found.wait(WAIT_S)
-        return SimpleNamespace(lost=True)
-
-    monkeypatch.setattr(PoseTracker, "track", search)
-    done = tactune("serve", "--foxglove", "--port", 0, "--source", "sim:cup", "--mesh", mesh, "--unit", "m", "-n", 5)
-    found.set()
-    assert "published 5 frames" in done.out
-    assert len(searches) == 1
-
-
-def test_a_mesh_that_fits_nothing_is_said_once_and_frames_go_on(
-    mesh: Path, monkeypatch: pytest.MonkeyPatch, tactune: Callable[..., Finished]
-) -> None:
-    told = []
-
-    def refuse(*frame: object) -> None:
-        raise CalibrationError("the mesh cup.obj does not fit the contact")
-
-    monkeypatch.setattr(PoseTracker, "find", refuse)
-    monkeypatch.setattr(PoseTracker, "track", lambda *frame: SimpleNamespace(lost=True))
-    monkeypatch.setattr(FoxgloveSink, "tell", lambda sink, *words: told.append(words))
-    done = tactune("serve", "--foxglove", "--port", 0, "--source", "sim:cup", "--mesh", mesh, "--unit", "m", "-n", 75)
-    assert "published 75 frames" in done.out
-    assert done.err.count("cup.obj does not fit the contact; there is no pose until it fits.") == 1
-    assert told == [("object", "the mesh cup.obj does not fit the contact; there is no pose until it fits.")]
-
-
-def test_frames_go_on_with_the_former_test_while_a_client_s_is_compiled(
-    monkeypatch: pytest.MonkeyPatch, tactune: Callable[..., Finished]
-) -> None:
-    compiled, seen = threading.Event(), list[str]()
-
-    def compile_test(tell: Callable[[float, str], object], _: Preset) -> None:
-        tell(0.5, "Compiling the tolerance test, 5 of 10")
-        assert compiled.wait(WAIT_S)
-
-    monkeypatch.setattr(compiling, "is_compiled", lambda preset: preset.contact_test != "tolerance")
-    monkeypatch.setattr(compiling, "warm_up_if_needed", compile_test)
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = int(free.getsockname()[1])
-
-    def watch() -> None:
-        try:
-            while ("tcp", "127.0.0.1", port) not in listening():
-                time.sleep(0.05)
-            with FoxgloveClient(port) as client:
-                client.subscribe(["/diagnostics"])
-                next(client.messages())
-                assert client.set_parameter("contact_test", "tolerance") == {"contact_test": "tolerance"}
-                while "5 of 10; until then the former" not in client.wait_for_text("status")["message"]:
-                    pass
-                for count, (_, _, message) in enumerate(client.messages()):
-                    state = message.status[0]
-                    is_new = "outliers ms" in {pair.key for pair in state.values}
-                    if count < 10:
-                        assert not is_new
-                    elif count == 10:
-                        assert "Compiling" in state.message
-                        compiled.set()
-                    elif is_new and not state.message:
-                        seen.append("the new test")
-                        return
-        finally:
-            compiled.set()
-            os.kill(os.getpid(), signal.SIGINT)
-
-    watching = threading.Thread(target=watch)
-    watching.start()
-    done = tactune("serve", "--foxglove", "--port", port, "--settable", "--source", "sim:cup")
-    watching.join(WAIT_S)
-    assert done.status == 0
-    assert seen == ["the new test"]
 
 
 def test_time_stamps_are_those_of_now(server: tuple[subprocess.Popen[str], int]) -> None:
@@ -302,6 +190,120 @@ def test_a_slow_client_and_one_that_vanishes_cost_their_own_frames_only(
         assert len(late) < 90  # its own frames are lost
 
 
+@pytest.fixture
+def mesh(tmp_path: Path) -> Path:
+    """The mesh of the simulator's cup, in metres."""
+    with open_source("sim:cup") as source:
+        assert isinstance(source, SimulatorSource)
+        cup = simulated_mesh(source.scene, source.name)
+    lines = [f"v {x} {y} {z}" for x, y, z in cup.vertices_m]
+    path = tmp_path / "cup.obj"
+    path.write_text("\n".join(lines + [f"f {a} {b} {c}" for a, b, c in cup.triangles + 1]))
+    return path
+
+
+@pytest.mark.long
+def test_a_pose_is_published_where_a_mesh_is_given(mesh: Path) -> None:
+    asked = ("--mesh", str(mesh), "--unit", "m")
+    numbers: dict[int, int] = {}
+    with serving("--port", "0", *asked) as (_, port), FoxgloveClient(port) as client:
+        client.subscribe(["/object/pose", "/tactune/frame"])
+        for topic, stamp_ns, message in client.messages():
+            if topic == "/tactune/frame":
+                numbers[stamp_ns] = number_of({topic: message})
+            elif stamp_ns in numbers:
+                break
+    frame, _ = find(numbers[stamp_ns], load_preset("simulator"))
+    assert frame.truth is not None
+    truth = np.array(frame.truth.T_proximity_object)
+    position = message.pose.pose.position
+    assert np.linalg.norm(np.array([position.x, position.y, position.z]) - truth[:3, 3]) < 0.03
+
+
+def test_frames_go_on_while_the_object_is_searched(
+    mesh: Path, monkeypatch: pytest.MonkeyPatch, tactune: Callable[..., Finished]
+) -> None:
+    searches, found = [], threading.Event()
+
+    def search(*frame: object) -> SimpleNamespace:
+        searches.append(frame)
+        found.wait(WAIT_S)
+        return SimpleNamespace(lost=True)
+
+    monkeypatch.setattr(PoseTracker, "track", search)
+    done = tactune("serve", "--foxglove", "--port", 0, "--source", "sim:cup", "--mesh", mesh, "--unit", "m", "-n", 5)
+    found.set()
+    assert "published 5 frames" in done.out
+    assert len(searches) == 1
+
+
+def test_a_mesh_that_fits_nothing_is_said_once_and_frames_go_on(
+    mesh: Path, monkeypatch: pytest.MonkeyPatch, tactune: Callable[..., Finished]
+) -> None:
+    told = []
+
+    def refuse(*frame: object) -> None:
+        raise CalibrationError("the mesh cup.obj does not fit the contact")
+
+    monkeypatch.setattr(PoseTracker, "find", refuse)
+    monkeypatch.setattr(PoseTracker, "track", lambda *frame: SimpleNamespace(lost=True))
+    monkeypatch.setattr(FoxgloveSink, "tell", lambda sink, *words: told.append(words))
+    done = tactune("serve", "--foxglove", "--port", 0, "--source", "sim:cup", "--mesh", mesh, "--unit", "m", "-n", 75)
+    assert "published 75 frames" in done.out
+    assert done.err.count("cup.obj does not fit the contact; there is no pose until it fits.") == 1
+    assert told == [("object", "the mesh cup.obj does not fit the contact; there is no pose until it fits.")]
+
+
+def test_frames_go_on_with_the_former_test_while_a_client_s_is_compiled(
+    monkeypatch: pytest.MonkeyPatch, tactune: Callable[..., Finished]
+) -> None:
+    compiled, seen = threading.Event(), list[str]()
+
+    def compile_test(tell: Callable[[float, str], object], _: Preset) -> None:
+        tell(0.5, "Compiling the tolerance test, 5 of 10")
+        assert compiled.wait(WAIT_S)
+
+    monkeypatch.setattr(compiling, "is_compiled", lambda preset: preset.contact_test != "tolerance")
+    monkeypatch.setattr(compiling, "warm_up_if_needed", compile_test)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = int(free.getsockname()[1])
+
+    def watch() -> None:
+        try:
+            end = time.monotonic() + WAIT_S
+            while ("tcp", "127.0.0.1", port) not in listening():
+                assert time.monotonic() < end, "no server listens"
+                time.sleep(0.05)
+            with FoxgloveClient(port) as client:
+                client.subscribe(["/diagnostics"])
+                next(client.messages())
+                assert client.set_parameter("contact_test", "tolerance") == {"contact_test": "tolerance"}
+                while "5 of 10; until then the former" not in client.wait_for_text("status")["message"]:
+                    pass
+                for count, (_, _, message) in enumerate(client.messages()):
+                    state = message.status[0]
+                    is_new = "outliers ms" in {pair.key for pair in state.values}
+                    if count < 10:
+                        assert not is_new
+                    elif count == 10:
+                        assert "Compiling" in state.message
+                        compiled.set()
+                    elif is_new and not state.message:
+                        seen.append("the new test")
+                        return
+        finally:
+            compiled.set()
+            os.kill(os.getpid(), signal.SIGINT)
+
+    watching = threading.Thread(target=watch)
+    watching.start()
+    done = tactune("serve", "--foxglove", "--port", port, "--settable", "--source", "sim:cup")
+    watching.join(WAIT_S)
+    assert done.status == 0
+    assert seen == ["the new test"]
+
+
 def test_either_side_may_be_killed_and_come_back(tactune: Callable[..., Finished]) -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -337,7 +339,7 @@ def test_it_listens_where_it_was_told_and_ends_cleanly(sent: signal.Signals) -> 
 def test_ros_2_beside_foxglove_says_where_it_is() -> None:
     with serving("--port", "0", "--ros2", "--domain", "77", "--namespace", "left") as (process, port):
         assert process.stdout is not None
-        assert process.stdout.readline() == "ROS 2: domain 77, 127.0.0.1, /left\n"
+        assert read_line(process.stdout) == "ROS 2: domain 77, 127.0.0.1, /left\n"
         sockets = listening(process.pid)
         assert {one for one in sockets if one[0].startswith("tcp")} == {("tcp", "127.0.0.1", port)}
         assert {one[0] for one in sockets} == {"tcp", "udp"}
@@ -368,7 +370,7 @@ def other_address() -> str:
 def test_clients_read_only_and_other_computers_connect_only_where_asked() -> None:
     with serving("--port", "0", "--host", "0.0.0.0", address="0.0.0.0") as (process, port):
         assert process.stderr is not None
-        said = process.stderr.readline()
+        said = read_line(process.stderr)
         assert "other computers can connect and read everything, without a password" in said
         assert listening(process.pid) == {("tcp", "0.0.0.0", port)}
         with FoxgloveClient(port, host=other_address()) as client:

@@ -162,19 +162,19 @@ def test_rows_are_written_as_frames_come_and_none_is_kept(tactune, cup, tmp_path
     kept = []
 
     def follow(_tracker, patch, time_s):
-        if patch.sequence == 100:
+        if patch.sequence == 50:
             tracemalloc.start()
-        if patch.sequence in (200, 700):
+        if patch.sequence in (100, 350):
             kept.append(tracemalloc.get_traced_memory()[0])
         return PoseEstimate(patch.sequence, time_s, np.eye(4), np.eye(6), (), 0.0, 1.0, lost=False)
 
-    monkeypatch.setattr(track, "open_with_progress", lambda *_: Endless(750))
+    monkeypatch.setattr(track, "open_with_progress", lambda *_: Endless(375))
     monkeypatch.setattr(PoseTracker, "is_enough", lambda *_: False)
     monkeypatch.setattr(PoseTracker, "track", follow)
     out = tmp_path / "poses.csv"
     try:
-        assert tactune(*arguments(cup, "--out", out, "--preset", "default", "-n", 750)).status == 0
+        assert tactune(*arguments(cup, "--out", out, "--preset", "default", "-n", 375)).status == 0
     finally:
         tracemalloc.stop()
-    assert len(out.read_text().splitlines()) == 751
-    assert kept[1] - kept[0] < 200_000, f"500 records have 1 MB: {kept}"
+    assert len(out.read_text().splitlines()) == 376
+    assert kept[1] - kept[0] < 200_000, f"250 records have 0.5 MB: {kept}"

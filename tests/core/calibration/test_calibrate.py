@@ -148,10 +148,11 @@ def test_the_verdict_follows_the_noise(rig, noise, word):
     assert report.quality["rigid"].click_noise_px == pytest.approx(noise.tactile_px, rel=0.5)
 
 
-def test_the_expected_error_is_the_one_that_happens(rig):
+@pytest.mark.parametrize("seeds", [16, pytest.param(40, marks=pytest.mark.long)])
+def test_the_expected_error_is_the_one_that_happens(rig, seeds):
     places, true = judged_places(rig)
     expected, happened = [], []
-    for seed in range(40):
+    for seed in range(seeds):
         report = calibrate(clicked(rig, 12, seed), rig, "rigid", membrane=places[::9])
         expected.append(report.chosen.alignment_px**2)
         happened.append(np.mean(np.sum((report.rigid.predict(places) - true) ** 2, axis=1)))

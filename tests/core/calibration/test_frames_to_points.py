@@ -19,13 +19,10 @@ from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
 from tactune.core.sources.simulator.source import SimulatorSource
 
-#: A mesh that is solved in a moment; the pictures are as sharp.
-COARSE = (88, 52)
-
 
 @pytest.fixture(scope="module")
 def frames():
-    source = SimulatorSource("cup", cells=COARSE, sensor="datasheet")
+    source = SimulatorSource("cup", sensor="datasheet")
     return [source.read(index) for index in (2, 30)]
 
 
@@ -113,8 +110,8 @@ def test_the_median_leaves_out_what_is_no_depth():
 
 
 def test_a_snapshot_is_quieter_than_a_frame_and_named_by_its_content(rig):
-    source = SimulatorSource("cup", cells=COARSE, sensor="datasheet")
-    clean = SimulatorSource("cup", noise=0.0, cells=COARSE, sensor="datasheet").read(40)
+    source = SimulatorSource("cup", sensor="datasheet")
+    clean = SimulatorSource("cup", noise=0.0, sensor="datasheet").read(40)
     held = [source.read(index) for index in range(40, 49)]
     snapshot = take_snapshot(held)
     valid = (clean.tactile_depth > 0) & (snapshot.frame.tactile_depth > 0)

@@ -122,7 +122,7 @@ from tactune.core.contact.kernels.compiling import compiled_so_far
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.source import SimulatorSource
-source = SimulatorSource("cup", seed=3, variant=Variant(press="low"))
+source = SimulatorSource("cup", seed=3, variant=Variant(press="low"), cells=(60, 36))
 frames = [source.read(index) for index in range(2)]
 preset = load_preset("simulator").with_values({{"contact_test": "membrane", "alignment.model": "rigid"}} | {values!r})
 warm_up_test(preset, lambda share, words: None)

@@ -11,12 +11,10 @@ from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.source import SimulatorSource
 from tactune.core.sources.simulator.tray import BOOKS, Tray
 
-COARSE = (60, 36)
-
 
 @pytest.fixture(scope="module")
 def tray():
-    return SimulatorSource("tray", cells=COARSE)
+    return SimulatorSource("tray")
 
 
 def run(source, seconds, **options):
@@ -64,4 +62,4 @@ def test_the_actuator_is_late_and_has_a_largest_rate(tray):
 
 def test_other_scenes_are_refused():
     with pytest.raises(SourceError, match="no tray to balance; open sim:tray"):
-        BalanceLoop(SimulatorSource("tray", cells=COARSE).with_object_away(), load_preset("simulator"))
+        BalanceLoop(SimulatorSource("tray").with_object_away(), load_preset("simulator"))

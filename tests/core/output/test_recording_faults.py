@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 
+from commands import read_line
 from tactune.core.errors import SourceError
 from tactune.core.model.frames import Rig, SensorFrame
 from tactune.core.output import RecordingStatus, SessionWriter, bag
@@ -69,7 +70,7 @@ def test_a_killed_recording_plays_up_to_its_last_chunk(
         [sys.executable, "-c", _CHILD, tmp_path / "folder", killed], stdout=subprocess.PIPE, text=True
     ) as child:
         assert child.stdout is not None
-        assert child.stdout.readline() == "going\n"
+        assert read_line(child.stdout) == "going\n"
         os.kill(child.pid, signal.SIGKILL)
     folder = FolderSource(tmp_path / "folder")
     with McapSource(killed) as source:
@@ -248,7 +249,9 @@ def test_a_full_queue_drops_and_counts_or_waits(
     frames = make_frames(6)
     writer = SessionWriter(tmp_path / "slow.mcap", rig, queue_bytes=1)
     assert writer.put(frames[0], wait=True)
+    end = time.monotonic() + 30
     while not writer.put(frames[1], wait=False):  # until the thread has taken the first
+        assert time.monotonic() < end, "the thread takes no frame"
         time.sleep(0.001)
     before = writer.status().dropped
     assert not writer.put(frames[2], wait=False)

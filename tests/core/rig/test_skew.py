@@ -96,7 +96,7 @@ def shift(frames, first, seconds, delay_s):
 
 
 @pytest.mark.parametrize(
-    "scene", ["cube", pytest.param("cup", marks=pytest.mark.long), pytest.param("octopus", marks=pytest.mark.long)]
+    "scene", ["cup", pytest.param("cube", marks=pytest.mark.long), pytest.param("octopus", marks=pytest.mark.long)]
 )
 def test_the_simulator_pressed_over_and_over_gives_its_delay(scene):
     source = open_source(f"sim:{scene}?sensor=datasheet&seed=1")

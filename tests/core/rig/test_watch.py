@@ -17,7 +17,7 @@ from tactune.core.rig.watch import INTERVAL_S, Watchdog, WatchReport
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 
-LATER = range(AVERAGED, 30)
+LATER = range(AVERAGED, AVERAGED + 8)
 
 
 @pytest.fixture(scope="module")
@@ -54,14 +54,14 @@ def test_a_change_is_told_once_with_its_size_and_taken_back(
     watchdog: Watchdog, drift: Drift, subject: str, value: float, said: str
 ) -> None:
     before, after = drifted(), drifted(drift)
-    assert not reports(watchdog, (before.read(index) for index in range(AVERAGED, AVERAGED + 6)))
-    [(look, report)] = reports(watchdog, map(after.read, LATER), 6)
+    assert not reports(watchdog, (before.read(index) for index in LATER[:3]))
+    [(look, report)] = reports(watchdog, map(after.read, LATER), 3)
     assert 2 <= look <= 3
     assert (report.subject, report.state) == (subject, "told")
     assert report.value == pytest.approx(value, rel=0.2)
     assert report.sentence.startswith(said)
     assert watchdog.told == [subject]
-    [(_, back)] = reports(watchdog, (before.read(index) for index in LATER), 21)
+    [(_, back)] = reports(watchdog, (before.read(index) for index in LATER), 11)
     assert (back.subject, back.state) == (subject, "withdrawn")
     assert watchdog.told == []
 

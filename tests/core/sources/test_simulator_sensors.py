@@ -14,11 +14,12 @@ from tactune.core.sources.registry import open_source
 from tactune.core.sources.simulator.noise import NoiseModel
 from tactune.core.sources.simulator.render import CLEAN_UNIT_M, EDGE_FLAG
 from tactune.core.sources.simulator.scene import simulator_rig
+from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.sensors import DEFAULT_SENSOR, SENSORS, SensorModel, find_sensor
 from tactune.core.sources.simulator.source import CLEAN_CODE, SimulatorSource
 
 RIG = simulator_rig()
-COARSE = (88, 52)
+MEDIUM = Variant(press="medium")
 #: A wall at 0.3 m that faces both cameras.
 WALL = np.full((480, 640), round(0.3 / CLEAN_UNIT_M), dtype=np.uint16)
 #: Counts of sensor datasheet, seed 7, frame 5, before there were other sensors.
@@ -212,15 +213,15 @@ def test_unknown_sensors_are_refused():
 
 
 def test_a_source_has_its_sensor_in_its_name_and_keeps_it_without_the_object():
-    with SimulatorSource("cube", cells=COARSE, sensor="heavy", seed=3) as source, source.with_object_away() as away:
-        assert source.name == "sim:cube?sensor=heavy&seed=3"
+    with SimulatorSource("cube", variant=MEDIUM, sensor="heavy", seed=3) as source, source.with_object_away() as away:
+        assert source.name == "sim:cube?press=medium&sensor=heavy&seed=3"
         assert "sensor=heavy" in away.name
         assert not source.held_out
-        plain = SimulatorSource("cube", cells=COARSE, seed=3)
+        plain = SimulatorSource("cube", variant=MEDIUM, seed=3)
         assert "sensor" not in plain.name
         assert not np.array_equal(source.read(3).tactile_depth, plain.read(3).tactile_depth)
         assert np.array_equal(source.read(3).truth.contact, plain.read(3).truth.contact)
-    assert SimulatorSource("cube", cells=COARSE, sensor="held-tof").held_out
+    assert SimulatorSource("cube", variant=MEDIUM, sensor="held-tof").held_out
 
 
 def test_the_cache_key_covers_every_file_that_clean_images_depend_on():

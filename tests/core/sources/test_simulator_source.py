@@ -27,23 +27,25 @@ from tactune.core.sources.simulator.source import (
     save_scene,
 )
 
-COARSE = (88, 52)
 REST, DEEP = 0, 45
 
 
-@pytest.fixture(scope="module", params=["cube", "cup", "octopus"])
+@pytest.fixture(
+    scope="module",
+    params=["cup", pytest.param("cube", marks=pytest.mark.long), pytest.param("octopus", marks=pytest.mark.long)],
+)
 def any_scene(request):
-    return SimulatorSource(request.param, cells=COARSE, sensor="datasheet")
+    return SimulatorSource(request.param, sensor="datasheet")
 
 
 @pytest.fixture(scope="module")
 def cup():
-    return SimulatorSource("cup", cells=COARSE, sensor="datasheet")
+    return SimulatorSource("cup", sensor="datasheet")
 
 
 @pytest.fixture(scope="module")
 def exact():
-    return SimulatorSource("cup", noise=0.0, cells=COARSE)
+    return SimulatorSource("cup", noise=0.0)
 
 
 def images(frame):
@@ -129,12 +131,12 @@ def test_droplets_move_with_the_membrane(exact):
 
 @pytest.mark.parametrize("noise", [0.0, 1.0])
 def test_frames_depend_on_seed_and_index_only(noise):
-    one, two = (SimulatorSource("cup", seed=4, noise=noise, cells=COARSE) for _ in range(2))
+    one, two = (SimulatorSource("cup", seed=4, noise=noise) for _ in range(2))
     forward = [images(one.read(n)) for n in (0, 30, 31, 89)]
     backward = [images(two.read(n)) for n in (89, 31, 30, 0)][::-1]
     for a, b in zip(forward, backward, strict=True):
         assert all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
-    other = SimulatorSource("cup", seed=5, noise=noise, cells=COARSE)
+    other = SimulatorSource("cup", seed=5, noise=noise)
     same = [np.array_equal(x, y) for x, y in zip(images(other.read(0)), forward[0], strict=True)]
     assert same == [noise == 0.0] * 4
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from long_search import LIMIT_S, front_of, trials_of
+from long_search import LIMIT_S, POINTS, front_of, trials_of
 from tactune.core.tuning.workers import local_workers
 
 
@@ -23,7 +23,7 @@ def test_killed_and_begun_again_with_two_processes_it_gives_the_front_of_one(lon
     process = long_search.start("--jobs", "2")
     process.kill()
     process.communicate(timeout=LIMIT_S)
-    assert 10 <= long_search.measured() < 80
+    assert 5 <= long_search.measured() < POINTS
     out = long_search.finish("--jobs", "2")
     wait_for_the_end_of(process.pid)
     long_search.file.unlink()
@@ -46,7 +46,7 @@ def test_two_searches_on_one_file_share_the_trials_and_one_that_dies_is_replaced
     for _ in range(20 * LIMIT_S):
         journal = long_search.file.read_text() if long_search.file.exists() else ""
         both = len(set(re.findall(r'"search [0-9a-f]+": \[', journal))) == 2
-        if (both and long_search.measured() > 10) or first.poll() is not None:
+        if (both and long_search.measured() > 5) or first.poll() is not None:
             break
         time.sleep(0.05)
     first.kill()
@@ -62,7 +62,9 @@ def test_ctrl_c_in_a_terminal_keeps_what_is_done_and_the_same_command_goes_on(lo
     _, err = process.communicate(timeout=LIMIT_S)
     assert process.returncode == 130
     assert "Traceback" not in err
-    assert f"{long_search.measured()} of 80 trials are kept in {long_search.file}; the same command continues" in err
+    assert (
+        f"{long_search.measured()} of {POINTS} trials are kept in {long_search.file}; the same command continues" in err
+    )
     long_search.finish("--jobs", "2")
 
 
@@ -149,7 +151,7 @@ def test_a_dask_worker_killed_midway_loses_no_trial_and_doubles_none(long_search
     at_the_kill = long_search.measured()
     out, err = process.communicate(timeout=LIMIT_S)
     assert process.returncode == 0, err
-    assert at_the_kill < 80
+    assert at_the_kill < POINTS
     assert "Traceback" not in err
     long_search.check(out)
 

@@ -14,10 +14,14 @@ from tactune.core.evaluation.strain.average import average_still
 from tactune.core.evaluation.strain.strain import StrainError, indentation_m, measure_strain
 from tactune.core.model.frames import SensorFrame
 from tactune.core.sources.registry import open_source
+from tactune.core.sources.simulator.scenes import Variant
+from tactune.core.sources.simulator.source import SimulatorSource
 
 RIG = one_place_rig(640, 480, 386.0, 0.0001, 1e-5)
 LENS = RIG.tactile.intrinsics
 DEPTH_M = 0.3
+#: The mesh on which the largest strains are right.
+FINE = (236, 136)
 
 
 def grid_frame(
@@ -150,7 +154,8 @@ def test_the_simulator_and_the_dots_agree_within_two_points(scene):
 )
 def test_strain_between_whole_dots_at_edges_is_measured_within_two_points(shape, side):
     """Up to 90 %; at the cup's sharp lip one of the dots lies at the edge. Cut dots beside have 86 to 109 %."""
-    with open_source(f"sim:{shape}?press=high&side={side}&grid=dots&sensor=datasheet") as source:
+    variant = Variant(press="high", side=side, grid="dots")
+    with SimulatorSource(shape, cells=FINE, variant=variant, sensor="datasheet") as source:
         frame = source.next_frame()
         measured, known = measure_strain(frame, source.rig), frame.truth.strain
     assert measured.length.largest == pytest.approx(known.length_seen, abs=0.02)
@@ -159,16 +164,17 @@ def test_strain_between_whole_dots_at_edges_is_measured_within_two_points(shape,
 
 
 @pytest.mark.parametrize(
-    "scene",
+    ("scene", "options", "seed"),
     [
-        "cup?press=high&side=left",
-        pytest.param("cup?press=high&side=right&seed=3", marks=pytest.mark.long),
-        pytest.param("stiff?press=high&object=cube&seed=8", marks=pytest.mark.long),
+        ("cup", {"side": "left"}, 0),
+        pytest.param("cup", {"side": "right"}, 3, marks=pytest.mark.long),
+        pytest.param("stiff", {"object": "cube"}, 8, marks=pytest.mark.long),
     ],
 )
-def test_strain_from_frames_at_rest_is_measured_within_two_points(scene):
+def test_strain_from_frames_at_rest_is_measured_within_two_points(scene, options, seed):
     """Up to 112 %: dots on a lip, dots in the shade of a wall, and pieces of the grid shifted by one row."""
-    with open_source(f"sim:{scene}&grid=dots&sensor=datasheet") as source:
+    variant = Variant(press="high", grid="dots", **options)
+    with SimulatorSource(scene, seed, cells=FINE, variant=variant, sensor="datasheet") as source:
         frame, averaged = average_still(list(islice(source, 30)), source.rig)
         measured, known = measure_strain(frame, source.rig), frame.truth.strain
     assert averaged == 30

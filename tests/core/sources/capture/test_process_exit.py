@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import capture_sources
+from commands import read_line
 
 OPEN = f"""
 import signal, sys, time
@@ -49,7 +50,7 @@ def start(tmp_path: Path) -> Iterator[Start]:
         )
         started.append(parent)
         assert parent.stdout is not None
-        return parent, int(parent.stdout.readline())
+        return parent, int(read_line(parent.stdout))
 
     yield run
     for parent in started:
@@ -102,7 +103,7 @@ except KeyboardInterrupt:
 """)
     assert os.getpgid(pid) != os.getpgid(parent.pid)
     assert parent.stdout is not None
-    assert parent.stdout.readline() == "ready\n"
+    assert read_line(parent.stdout) == "ready\n"
     parent.send_signal(signal.SIGINT)
     answer, words = parent.communicate(timeout=300)
     assert (answer, words) == ("True \n", "")

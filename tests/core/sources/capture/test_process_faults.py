@@ -17,6 +17,7 @@ import pytest
 
 import capture_sources
 from capture_sources import make_frame, make_rig, open_recorded, open_troubled
+from commands import read_line
 from tactune.core.errors import SourceError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.sources.base import Health
@@ -209,7 +210,7 @@ with ProcessSource(partial(open_troubled, Path({str(tmp_path)!r}))) as source:
         [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as parent:
         assert parent.stdout is not None
-        assert parent.stdout.readline() == "ready\n"
+        assert read_line(parent.stdout) == "ready\n"
         parent.send_signal(signal.SIGSTOP)
         time.sleep(3.0)  # longer than the source waits for its process
         parent.send_signal(signal.SIGCONT)

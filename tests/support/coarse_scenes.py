@@ -1,0 +1,17 @@
+"""Simulated still presses on a coarser mesh than the product's: each is solved in 4 s instead of 20."""
+
+from __future__ import annotations
+
+import pytest
+
+from tactune.core.sources.simulator import source
+from tactune.core.sources.simulator.scenes import Scene, Variant, resolve_scene
+
+
+def solve_coarsely() -> None:
+    """Solve scenes that ask for no mesh on that of the shipped scene, in this process."""
+
+    def resolve(name: str, variant: Variant, cells: tuple[int, int] | None) -> Scene:
+        return resolve_scene(name, variant, cells or (118, 68))
+
+    pytest.MonkeyPatch().setattr(source, "resolve_scene", resolve)
