@@ -16,7 +16,7 @@ run_pytest() { # platform, launcher, pytest's options ...
 
 gl=tests/widgets  # where all OpenGL tests are: the others need not be imported for this run
 # What is compiled or solved once, and kept on the disk, is not done by several processes at the same time.
-.venv/bin/python tests/support/prepare.py "$@" &
+.venv/bin/python tests/support/prepare.py &
 prepare=$!
 if [ "${1:-}" = long ]; then
     wait $prepare || status=1

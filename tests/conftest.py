@@ -36,6 +36,8 @@ for name in ("CONFIG", "DATA", "STATE"):
 if not any(os.environ.get(name) for name in ("QT_QPA_PLATFORM", "DISPLAY", "WAYLAND_DISPLAY")):
     os.environ["QT_QPA_PLATFORM"] = "offscreen"
 
+solve_coarsely()
+
 # A busy machine is no failure.
 settings.register_profile("tactune", deadline=None)
 settings.load_profile("tactune")
@@ -78,12 +80,6 @@ def tactune(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch)
         return Finished(main(), *capsys.readouterr())
 
     return run
-
-
-def pytest_configure(config: pytest.Config) -> None:
-    # Long tests, which judge accuracy, have the fine mesh.
-    if not config.option.markexpr.startswith("long"):
-        solve_coarsely()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

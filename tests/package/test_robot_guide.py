@@ -40,7 +40,7 @@ def running(program: str, **environment: str) -> Iterator[Iterator[str]]:
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ | environment) as process:
         assert process.stdout is not None
         try:
-            yield iter(process.stdout)
+            yield iter(lambda: read_line(process.stdout), "")
         finally:
             process.kill()
 

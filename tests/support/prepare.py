@@ -5,8 +5,6 @@ A second run finds everything on the disk and takes a few seconds.
 
 from __future__ import annotations
 
-import sys
-
 from coarse_scenes import solve_coarsely
 from tactune.core.contact.warmup import warm_up_if_needed
 from tactune.core.sources.registry import open_source
@@ -22,8 +20,7 @@ SCENES = (
 )
 
 if __name__ == "__main__":
-    if "long" not in sys.argv:
-        solve_coarsely()
+    solve_coarsely()
     warm_up_if_needed(lambda share, words: None)
     for scene in SCENES:
         open_source(f"sim:{scene}").close()

@@ -10,22 +10,24 @@ from tactune.core.sources.simulator.scenes import OBJECT_SCENES, Variant, resolv
 from tactune.core.sources.simulator.source import SimulatorSource
 
 COARSE = (68, 40)
+#: For the object's path, which the mesh hardly changes.
+COARSEST = (36, 20)
 #: Outside of this distance from the cup's axis there is only its handle, metres.
 BODY_M = 0.042
 
 
-def open_move(move, press=""):
-    return SimulatorSource("cup", noise=0.0, cells=COARSE, variant=Variant(move=move, press=press), sensor="clean")
+def open_move(move, cells):
+    return SimulatorSource("cup", noise=0.0, cells=cells, variant=Variant(move=move), sensor="clean")
 
 
 @pytest.fixture(scope="module")
 def slide():
-    return open_move("slide")
+    return open_move("slide", COARSEST)
 
 
 @pytest.fixture(scope="module")
 def lift():
-    return open_move("lift")
+    return open_move("lift", COARSE)
 
 
 def poses_of(source):
@@ -73,17 +75,15 @@ def test_it_turns_about_its_handle(slide):
 
 
 @pytest.mark.parametrize("n", [0, 30, 74])
-@pytest.mark.parametrize("move", ["slide", "lift"])
-def test_the_images_show_the_object_at_its_true_pose(request, move, n):
-    source = request.getfixturevalue(move)
-    frame = source.read(n)
-    touched = on_object(source, frame, frame.truth.depth_m, frame.truth.contact)
+def test_the_images_show_the_object_at_its_true_pose(lift, n):
+    frame = lift.read(n)
+    touched = on_object(lift, frame, frame.truth.depth_m, frame.truth.contact)
     assert len(touched) > 1500
-    assert np.median(gaps(source, touched)) < 2e-4
-    depth = frame.proximity_depth * source.rig.proximity.depth_unit_m
-    behind = on_object(source, frame, depth, (frame.proximity_depth > 0) & (depth < 0.36))
+    assert np.median(gaps(lift, touched)) < 2e-4
+    depth = frame.proximity_depth * lift.rig.proximity.depth_unit_m
+    behind = on_object(lift, frame, depth, (frame.proximity_depth > 0) & (depth < 0.36))
     assert len(behind) > 8000
-    assert np.percentile(gaps(source, behind), 90) < 5e-4
+    assert np.percentile(gaps(lift, behind), 90) < 5e-4
 
 
 def test_the_membrane_has_folds_also_without_the_object(slide):

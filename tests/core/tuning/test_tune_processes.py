@@ -65,7 +65,7 @@ def test_ctrl_c_in_a_terminal_keeps_what_is_done_and_the_same_command_goes_on(lo
     assert (
         f"{long_search.measured()} of {POINTS} trials are kept in {long_search.file}; the same command continues" in err
     )
-    long_search.finish("--jobs", "2")
+    long_search.finish("--jobs", "1")
 
 
 def test_a_line_that_a_crash_cut_off_is_dropped(tune, recording, tmp_path):

@@ -126,19 +126,20 @@ def test_dots_across_a_step_of_depth_are_no_neighbours():
 
 
 @pytest.mark.parametrize(
-    "scene",
+    ("shape", "press", "cells"),
     [
-        "cup?press=low",
-        pytest.param("cup?press=medium", marks=pytest.mark.long),
-        pytest.param("cube?press=high", marks=pytest.mark.long),
+        ("cup", "low", None),
+        pytest.param("cup", "medium", FINE, marks=pytest.mark.long),
+        pytest.param("cube", "high", FINE, marks=pytest.mark.long),
     ],
 )
-def test_the_simulator_and_the_dots_agree_within_two_points(scene):
+def test_the_simulator_and_the_dots_agree_within_two_points(shape, press, cells):
     """Against the solver's largest strain between dots that the tactile camera sees whole, up to 92 %."""
-    with open_source(f"sim:{scene}&grid=dots&sensor=datasheet") as source:
+    variant = Variant(press=press, grid="dots")
+    with SimulatorSource(shape, cells=cells, variant=variant, sensor="datasheet") as source:
         facts = source.facts(0)
         measured = measure_strain(source.next_frame(), source.rig)
-    assert measured.dots == 665 if "high" not in scene else measured.dots > 580
+    assert measured.dots == 665 if press != "high" else measured.dots > 580
     assert measured.length.largest == pytest.approx(facts.strain_length_seen, abs=0.02)
     assert measured.width.largest == pytest.approx(facts.strain_width_seen, abs=0.02)
 
