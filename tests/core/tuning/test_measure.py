@@ -65,7 +65,7 @@ def test_steps_are_shared_but_a_time_is_that_of_all_steps(recording, monkeypatch
     def process(self, frame):
         patch = original(self, frame)
         asked.append(patch.stage_ms)
-        return patch.again(patch.sequence, {stage: 7.0 * (ms > 0) for stage, ms in patch.stage_ms.items()}, ())
+        return patch
 
     monkeypatch.setattr(ContactPipeline, "process", process)
     trials = [{"outliers.min_cluster_area_mm2": float(area)} for area in range(31)]
@@ -75,20 +75,23 @@ def test_steps_are_shared_but_a_time_is_that_of_all_steps(recording, monkeypatch
     asked.clear()
     found = measure_batch(batch_of(recording, trials=trials))
     assert sum(ms["fusion"] > 0 for ms in asked) == 3 + 3 * 5 * 31, "each is timed on five frames, three times"
-    assert all(0 < trial.figures["ms"] <= 21.0 for trial in found)
+    assert all(trial.figures["ms"] > 0 for trial in found)
 
 
-def test_time_in_which_others_have_the_processor_does_not_count(recording, monkeypatch):
+@pytest.mark.parametrize("step_ms", [50.0, 0.0])
+def test_time_in_which_others_have_the_processor_counts_neither_within_nor_between_steps(
+    recording, monkeypatch, step_ms
+):
     original = ContactPipeline.process
 
     def process(self, frame):
         patch = original(self, frame)
         time.sleep(0.05)  # as if another process had the processor
-        return patch.again(patch.sequence, dict.fromkeys(patch.stage_ms, 50.0), ())
+        return patch.again(patch.sequence, dict.fromkeys(patch.stage_ms, step_ms), ())
 
     monkeypatch.setattr(ContactPipeline, "process", process)
     (found,) = measure_batch(batch_of(recording, trials=[{}]))
-    assert found.figures["ms"] < 0.5 * 150
+    assert 0 < found.figures["ms"] < 0.5 * 150
 
 
 def test_finding_nothing_never_pays(recording):
