@@ -51,3 +51,8 @@ class AdviceError(TactuneError):
 def as_sentence(clause: str) -> str:
     """Return a clause, such as an error's message, with a capital letter and a full stop."""
     return f"{clause[:1].upper()}{clause[1:].rstrip('.')}."
+
+
+def counted(number: int, thing: str) -> str:
+    """Return a number with its noun, such as ``"1 frame"`` or ``"2,000 frames"``."""
+    return f"{number:,} {thing}" + ("s" if number != 1 else "")

@@ -22,6 +22,7 @@ from .bench import bench_commands
 from .calibrate import calibrate, recheck
 from .check import check
 from .common import SOURCE, PresetOption, SourceOption, default_preset
+from .create_rig import create_rig
 from .demo import demo_commands
 from .doctor import devices, doctor, warmup
 from .evaluate import evaluate_commands
@@ -59,6 +60,7 @@ commands.add_typer(demo_commands, name="demo")
 commands.command()(run)
 commands.command("export-folder")(export_folder)
 commands.command()(calibrate)
+commands.command("create-rig")(create_rig)
 commands.command()(devices)
 commands.command()(doctor)
 commands.command()(recheck)

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
 from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QFrame, QLabel, QScrollArea, QWidget
 
-from ...core.calibration.lens import check_lens
-from ...core.errors import TactuneError
+from ...core.calibration.lens import make_rig
+from ...core.errors import TactuneError, counted
 from ...core.model.frames import Rig
-from ...core.model.rig_file import parse_rig
 from ...core.sources.folder_rig import RIG_FILE, FolderImages, write_rig
 from ...widgets.basics.controls import NoteLabel, dialog_buttons
 from ...widgets.basics.layouts import hbox, vbox
@@ -67,15 +63,7 @@ class RigDialog(QDialog):
         TactuneError
             A field is empty, no number, out of range or implausible.
         """
-        data: dict[str, Any] = {key: form.values() for key, form in self.forms.items()}
-        if "proximity_color" in data:
-            data["proximity_color"]["T_color_depth"] = np.eye(4).tolist()
-        rig = parse_rig(data, RIG_FILE)
-        check_lens(rig.proximity.intrinsics, "proximity camera")
-        check_lens(rig.tactile.intrinsics, "tactile camera")
-        if rig.proximity_color is not None:
-            check_lens(rig.proximity_color.intrinsics, "proximity colour camera")
-        return rig
+        return make_rig({key: form.values() for key, form in self.forms.items()})
 
     def _make_forms(self, native_dialogs: bool) -> dict[str, CameraForm]:
         """Return a form for each camera whose images were found, by its key in the file."""
@@ -114,8 +102,7 @@ class RigDialog(QDialog):
 
 
 def _in_words(images: FolderImages) -> str:
-    frames = f"{images.frames} frame{'s' if images.frames > 1 else ''}"
-    lines = [f"{images.path}: {frames}"]
+    lines = [f"{images.path}: {counted(images.frames, 'frame')}"]
     for role in ("proximity", "tactile"):
         found = []
         for name in (f"{role}_depth.png", f"{role}_color.png"):

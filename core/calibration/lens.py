@@ -6,15 +6,17 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
 
 from ..errors import CalibrationError
 from ..model.arrays import AnyArray
+from ..model.frames import Rig
 from ..model.intrinsics import Distortion, Intrinsics
 from ..model.loading import decode_image, read_file
+from ..model.rig_file import parse_rig
 from .detect import detect_chessboard
 
 #: Files that count as pictures.
@@ -81,6 +83,25 @@ def check_lens(lens: Intrinsics, camera: str) -> None:
             )
 
 
+def make_rig(cameras: Mapping[str, dict[str, Any]]) -> Rig:
+    """Return the rig of cameras as ``rig.json`` describes them, by its keys; colour and depth camera stand together.
+
+    Raises
+    ------
+    TactuneError
+        A value is missing, out of range or implausible.
+    """
+    data: dict[str, Any] = dict(cameras)
+    if "proximity_color" in data:
+        data["proximity_color"] = data["proximity_color"] | {"T_color_depth": np.eye(4).tolist()}
+    rig = parse_rig(data, "rig.json")
+    check_lens(rig.proximity.intrinsics, "proximity camera")
+    check_lens(rig.tactile.intrinsics, "tactile camera")
+    if rig.proximity_color is not None:
+        check_lens(rig.proximity_color.intrinsics, "proximity colour camera")
+    return rig
+
+
 @dataclass(frozen=True)
 class LensFit:
     """A lens fitted to pictures of a chessboard.
@@ -96,7 +117,7 @@ class LensFit:
     used : int
         Number of pictures with a whole board.
     refused : dict of str to str
-        Why other pictures were left out, by file name.
+        Why other pictures were rejected, by file name.
     """
 
     intrinsics: Intrinsics

@@ -46,7 +46,8 @@ class FolderImages:
     @property
     def has_own_color_lens(self) -> bool:
         """Whether the proximity colour image is another camera's than the depth image, by its size."""
-        return self.sizes.get("proximity_color.png") != self.sizes.get("proximity_depth.png")
+        size = self.sizes.get("proximity_color.png")
+        return size is not None and size != self.sizes.get("proximity_depth.png")
 
 
 def folder_without_rig(name: str) -> Path | None:

@@ -1,0 +1,100 @@
+"""The command ``tactune create-rig``: what *Create rig…* does in the window."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ...core.errors import CalibrationError
+from .common import CliProgress
+
+if TYPE_CHECKING:
+    from ...core.model.intrinsics import Intrinsics
+
+_HELP = (
+    "Model and lens of the {} camera: L515 or MODEL=nominal for the maker's values, MODEL=fx,fy,cx,cy in px, "
+    "MODEL=camera for that of the connected camera, MODEL=DIR for a folder of pictures of a chessboard."
+)
+
+
+def create_rig(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="PNG images: one frame, or numbered subfolders.")],
+    *,
+    proximity: Annotated[str, typer.Option(metavar="LENS", help=_HELP.format("proximity"))] = "L515",
+    tactile: Annotated[str, typer.Option(metavar="LENS", help=_HELP.format("tactile"))] = "D405",
+    proximity_color: Annotated[
+        str,
+        typer.Option(
+            metavar="LENS",
+            help="Lens of the proximity colour images where they have another size than the depth images.",
+        ),
+    ] = "L515",
+    corners: Annotated[str, typer.Option(metavar="CxR", help="Inner corners of the chessboard.")] = "9x6",
+) -> None:
+    """Write the rig.json of a folder of images. The pose of the cameras is a matter of tactune calibrate."""
+    from ...core.calibration.lens import make_rig
+    from ...core.sources.folder_rig import find_images, write_rig
+
+    images = find_images(folder)
+    if images.problem:
+        raise CalibrationError(images.problem)
+    board = re.fullmatch(r"(\d+)x(\d+)", corners)
+    if board is None:
+        raise typer.BadParameter(f"--corners is {corners!r}; write the inner corners as 9x6")
+    size = int(board[1]), int(board[2])
+    cameras = {
+        "proximity": _camera(proximity, "depth", images.sizes["proximity_depth.png"], size),
+        "tactile": _camera(tactile, "depth", images.sizes["tactile_depth.png"], size),
+    }
+    if images.has_own_color_lens:
+        lens = _camera(proximity_color, "colour", images.sizes["proximity_color.png"], size)
+        cameras["proximity_color"] = {key: lens[key] for key in lens if key not in ("model", "depth_unit_m")}
+    write_rig(folder, make_rig(cameras))
+    typer.echo(f"wrote {folder / 'rig.json'}")
+
+
+def _camera(text: str, kind: str, size: tuple[int, int], corners: tuple[int, int]) -> dict[str, Any]:
+    """Return a camera as ``rig.json`` has it, from an option such as ``D405=boards``."""
+    from ...core.calibration.lens import MODELS, fit_lens, nominal_lens
+    from ...core.model.intrinsics import Intrinsics
+
+    name, _, how = text.partition("=")
+    if name not in MODELS:
+        raise typer.BadParameter(
+            f"{text!r}: the model is {name!r}; choose {', '.join(MODELS)}, or write rig.json by hand"
+        )
+    unit_m = MODELS[name].depth_unit_m
+    lens: Intrinsics
+    if how in ("", "nominal"):
+        lens = nominal_lens(*size, MODELS[name].views_deg[kind])
+    elif how == "camera":
+        lens, unit_m = _connected(name, "color" if kind == "colour" else kind, size)
+    elif len(numbers := how.split(",")) == 4:
+        try:
+            fx, fy, cx, cy = map(float, numbers)
+        except ValueError as error:
+            raise typer.BadParameter(f"{text!r}: write four numbers, fx,fy,cx,cy in px") from error
+        lens = Intrinsics(width=size[0], height=size[1], fx=fx, fy=fy, cx=cx, cy=cy)
+    else:
+        with CliProgress() as progress:
+            fit = fit_lens(Path(how), *corners, size, progress.preparing)
+        typer.echo(f"{how}: {fit.used} pictures, {fit.rms_px:.2f} px RMS, fx ± {fit.focal_sd_px:.1f} px", err=True)
+        lens = fit.intrinsics
+    return {"model": name, "depth_unit_m": unit_m, **lens.model_dump(mode="json")}
+
+
+def _connected(model: str, kind: str, size: tuple[int, int]) -> tuple[Intrinsics, float]:
+    """Return the lens that a connected camera states for images of this size, and its depth unit in metres."""
+    from ...core.sources.cameras.drivers import list_devices, list_lenses
+
+    lenses = list_lenses()
+    for device in list_devices()[0]:
+        for lens in lenses.get(device.serial, []) if model in device.model else []:
+            if lens.kind == kind and (lens.intrinsics.width, lens.intrinsics.height) == size:
+                return lens.intrinsics, lens.depth_unit_m
+    raise CalibrationError(
+        f"no connected {model} states a {kind} lens for {size[0]} x {size[1]} pixels; tactune devices"
+    )

@@ -1,0 +1,60 @@
+"""``tactune create-rig``: the rig of a folder of images, without a window."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tactune.core.model.rig_file import load_rig
+
+
+@pytest.fixture
+def bare(recording: Path) -> Path:
+    """A recording without its rig."""
+    (recording / "rig.json").unlink()
+    return recording
+
+
+def test_the_message_of_a_folder_without_a_rig_names_the_command_and_that_makes_it_a_source(tactune, bare):
+    refused = tactune("run", "--source", bare, "--json")
+    assert refused.status == 2 and "rig.json" in refused.err and "tactune create-rig" in refused.err
+    assert tactune("create-rig", bare, "--proximity", "L515=60,61,31.5,23.5", "--tactile", "D405").status == 0
+    rig = load_rig(bare / "rig.json")
+    lens = rig.proximity.intrinsics
+    assert (lens.fx, lens.fy, lens.cx, lens.cy) == (60, 61, 31.5, 23.5)
+    assert (rig.proximity.model, rig.tactile.model) == ("L515", "D405")
+    assert (rig.proximity.depth_unit_m, rig.tactile.depth_unit_m) == (0.00025, 0.0001)
+    info = tactune("create-rig", bare)
+    assert info.status == 2 and "already there" in info.err
+
+
+@pytest.mark.parametrize(
+    ("lens", "words"),
+    [
+        ("L500", "choose L515"),
+        ("L515=1,1,31,23", "a view of"),
+        ("L515=a,1,31,23", "four numbers"),
+        ("L515=none", "none"),
+    ],
+)
+def test_a_lens_that_no_camera_has_is_refused_and_nothing_is_written(tactune, bare, lens, words):
+    refused = tactune("create-rig", bare, "--proximity", lens)
+    assert refused.status == 2 and words in refused.err
+    assert not (bare / "rig.json").exists()
+
+
+def test_a_lens_is_fitted_to_pictures_of_a_chessboard(tactune, tmp_path, shared_data):
+    folder, boards = tmp_path / "images", tmp_path / "boards"
+    for made in (folder, boards):
+        made.mkdir()
+    for path in (shared_data / "stereo_boards").glob("left*.jpg"):
+        shutil.copy(path, boards)
+    for name in ("proximity_depth", "tactile_depth"):
+        cv2.imwrite(str(folder / f"{name}.png"), np.ones((480, 640), np.uint16))
+    cv2.imwrite(str(folder / "proximity_color.png"), np.ones((480, 640, 3), np.uint8))
+    assert tactune("create-rig", folder, "--tactile", f"D405={boards}").status == 0
+    assert load_rig(folder / "rig.json").tactile.intrinsics.fx == pytest.approx(535.9, rel=0.01)
