@@ -28,7 +28,7 @@ from scipy.interpolate import CubicSpline
 
 from ..contact.alignment import make_alignment, tactile_homography
 from ..contact.kernels.chain import Region
-from ..errors import FrameError, TactuneError
+from ..errors import FrameError, TactuneError, counted
 from ..model.arrays import AnyArray, Float32Array, Float64Array, Uint16Array
 from ..model.clouds import valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
@@ -115,15 +115,21 @@ class Skew:
         return abs(self.delay_s) <= self.uncertainty_s
 
     @property
+    def significant(self) -> bool:
+        """Whether the delay is so far from 0 that compensating it helps: more than twice its uncertainty."""
+        return abs(self.delay_s) > 2 * self.uncertainty_s
+
+    @property
     def sentence(self) -> str:
         """The result in words."""
         about = f"± {max(1e3 * self.uncertainty_s, 0.1):.1f} ms"
         if self.agrees:
             return f"Both cameras' time stamps agree within the uncertainty: {1e3 * self.delay_s:+.1f} {about}."
         later = "later" if self.delay_s > 0 else "earlier"
+        doubt = "" if self.significant else " This is too uncertain to compensate: measure again for longer."
         return (
             f"The tactile camera's time stamps are {1e3 * abs(self.delay_s):.1f} {about} {later} "
-            "than the proximity camera's for the same moment."
+            f"than the proximity camera's for the same moment.{doubt}"
         )
 
 
@@ -150,7 +156,7 @@ def measure_skew(
     """
     if len(samples) < _MIN_SAMPLES:
         raise SkewError(
-            f"there are only {len(samples)} frames; record at least {MIN_TIME_S:g} s in which something moves"
+            f"only {counted(len(samples), 'frame')} came; record at least {MIN_TIME_S:g} s in which something moves"
         )
     proximity, tactile = pressed_depths(samples, rig, section, progress)
     return find_delay(proximity, tactile)

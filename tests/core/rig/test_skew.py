@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -63,6 +64,14 @@ def test_a_known_delay_is_found_to_a_fraction_of_a_frame_and_said(rig, record, d
     assert skew.correlation > 0.95
     assert skew.stamped_s == pytest.approx(0.011, abs=1e-9)
     assert words in skew.sentence
+
+
+def test_a_delay_that_its_uncertainty_nearly_explains_is_not_to_be_compensated(rig, record):
+    skew = measure_skew(record(0.06), rig, AlignmentSection())
+    assert skew.significant and "too uncertain" not in skew.sentence
+    doubtful = replace(skew, delay_s=0.0042, uncertainty_s=0.0037)
+    assert not doubtful.significant and not doubtful.agrees
+    assert "4.2 ± 3.7 ms later" in doubtful.sentence and "too uncertain to compensate" in doubtful.sentence
 
 
 def test_the_delay_is_on_the_time_stamps_not_on_the_frame_numbers(rig, record):
