@@ -111,7 +111,7 @@ class SuggestWindow(QDialog):
         self.resize(500, 640)
 
     def _connect(self, open_examples: Callable[[], None]) -> None:
-        self._job.progress.connect(self.progress.show_share)
+        self._job.progress.connect(self._show_progress)
         self._job.done.connect(self._show_found)
         self._job.failed.connect(self._show_failure)
         self._job.busyChanged.connect(self._show_busy)
@@ -138,11 +138,10 @@ class SuggestWindow(QDialog):
         self._section = section
         self._found, self._outdated = None, ""
         self._clear()
-        self.progress.show_share(0.0, "Gathering evidence")
-        self._say("")
         self._job.cancel()
         self._job.start(lambda progress: find_suggestions(section, gathered, progress))
         self._show_busy(True)
+        self._show_progress(0.0, "Gathering evidence")
 
     def outdated(self, reason: str) -> None:
         """Say why the suggestions that are shown should be made again."""
@@ -184,6 +183,7 @@ class SuggestWindow(QDialog):
 
     def _show_found(self, found: Suggestions) -> None:
         self._found = found
+        self._say("")
         self._clear()
         preset = self._document.preset
         for part in found.parts:
@@ -199,12 +199,17 @@ class SuggestWindow(QDialog):
         for part in found.parts:
             if not part.changes:
                 self.kept.emit(part.section)
-        if not any(card.changes for card in self.cards):
-            self._say("The present values already follow from the evidence." if found.parts else "")
+        if found.parts and not any(card.changes for card in self.cards):
+            self._say("The present values already follow from the evidence.")
         if self._outdated:
             self.outdated(self._outdated)
         self._compares = True
         self._choice_changed()
+
+    def _show_progress(self, share: float, words: str) -> None:
+        self.progress.show_share(share)
+        if self.cancel.isEnabled():  # else it was on its way when the job was cancelled
+            self._say(f"{words}…")
 
     def _show_failure(self, sentence: str) -> None:
         if sentence:
@@ -212,11 +217,13 @@ class SuggestWindow(QDialog):
 
     def _cancel(self) -> None:
         self._job.cancel()
+        self.cancel.setEnabled(False)
         self._say("Cancelled; nothing was changed.")
 
     def _show_busy(self, busy: bool) -> None:
         self.progress.setVisible(busy)
         self.cancel.setVisible(busy)
+        self.cancel.setEnabled(busy)
         self.again.setEnabled(not busy)
         self._show_state()
 

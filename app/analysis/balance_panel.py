@@ -215,7 +215,7 @@ class BalancePlot(QWidget):
         ]
         for line in (*self._limits, *self._books):
             item.addItem(line)
-        item.addLegend(offset=(-10, 6), colCount=3)
+        self.plot.add_legend(3)
         self._proximity = item.plot(name="proximity alone", connect="finite")
         self._patch = item.plot(name="patch", connect="finite")
         self._true = item.plot(name="true")

@@ -50,7 +50,6 @@ class Tile(QWidget):
     def show_setting_up(self) -> None:
         """Show that the method is being set up."""
         self.caption.setText(f"Setting up {self.name}…")
-        self.view.set_message(f"Setting up {self.name}…")
 
 
 class TileGrid(QWidget):

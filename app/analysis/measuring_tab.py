@@ -7,7 +7,7 @@ from pathlib import Path
 
 from PyQt6.QtCore import QObject, pyqtSignal
 from PyQt6.QtGui import QImage
-from PyQt6.QtWidgets import QHBoxLayout, QPushButton, QSplitter
+from PyQt6.QtWidgets import QLayout, QPushButton, QSplitter
 
 from ...core.errors import ExportError
 from ...core.model.files import atomic_path
@@ -176,7 +176,7 @@ class MeasuringTab(AnalysisTab):
         self.untouched.shut_down()
         self._writing.stop()
 
-    def _lay_out_around(self, sheet: QSplitter, row: QHBoxLayout) -> None:
+    def _lay_out_around(self, sheet: QSplitter, row: QLayout) -> None:
         sheet.setChildrenCollapsible(False)
         vbox(row, (sheet, 1), within=self, margins=0)
 

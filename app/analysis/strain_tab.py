@@ -16,6 +16,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
+from ...core.errors import counted
 from ...core.evaluation.strain.strain import SPACING_M, SPACING_RANGE_M
 from ...core.model.frames import SensorFrame
 from ...widgets.basics.controls import caption, frame_count, push_button
@@ -112,6 +113,7 @@ class StrainTab(MeasuringTab):
         )
         self.progress.setToolTip("The origin of the displacement; strain does not need it")
         self.capture.setEnabled(False)
+        self.reset.setEnabled(False)
 
     def _lay_out(self) -> None:
         row = QHBoxLayout()
@@ -161,11 +163,14 @@ class StrainTab(MeasuringTab):
         self.messages.clear("reset")  # its points belong to the former source
         if former is not None and points:
             text = self.curve.as_csv()
-            sentence = f"The curve of {former.name} ({len(points)} points) ended because {source.name} was opened."
+            sentence = (
+                f"The curve of {former.name} ({counted(len(points), 'point')}) ended because {source.name} was opened."
+            )
             self.messages.show_message(
                 "former", Severity.INFO, sentence, [("Save it…", partial(self._ask_where, text))]
             )
         self.curve.reset()
+        self._offer_curve()
 
     def _measure(self) -> None:
         """Measure the newest frame with the present entries."""
@@ -192,7 +197,7 @@ class StrainTab(MeasuringTab):
         elif view.measured is not None:
             self.curve.complete(view)
         self.capture.setEnabled(True)
-        self.export.setEnabled(bool(self.curve.points))
+        self._offer_curve()
         self.map.show_view(view, MapOf(self.map_of.currentText()), view.problem or _WAITING)
         self.numbers.show_view(view)
         self._show_status()
@@ -244,15 +249,22 @@ class StrainTab(MeasuringTab):
         if not points:
             return
         self.curve.reset()
-        self.export.setEnabled(False)
+        self._offer_curve()
 
         def bring_back() -> None:
             self.curve.merge(points)
-            self.export.setEnabled(True)
+            self._offer_curve()
 
         self.messages.show_message(
-            "reset", Severity.INFO, f"The curve of {len(points)} points was removed.", [("Bring it back", bring_back)]
+            "reset",
+            Severity.INFO,
+            f"The curve of {counted(len(points), 'point')} was removed.",
+            [("Bring it back", bring_back)],
         )
+
+    def _offer_curve(self) -> None:
+        for button in (self.reset, self.export):
+            button.setEnabled(bool(self.curve.points))
 
     def _ask_where(self, text: str, _checked: bool = False) -> None:
         """Ask for a file for the present curve and map, or for the CSV text of a former curve."""

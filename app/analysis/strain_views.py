@@ -135,6 +135,7 @@ def _inside(corners: Float64Array, u: float, v: float) -> IndexArray:
 MAX_POINTS = 5000
 #: Smallest range of both axes, in mm and percent.
 _MIN_RANGE = 10.0
+_NO_CURVE = "No curve yet: play while the membrane is pressed. It starts when the untouched frame is known."
 _COLUMNS = (
     "sequence", "displacement_mm", "strain_length_percent", "strain_width_percent",
     "strain_length_sigma_percent", "strain_width_sigma_percent", "dots", "averaged_frames", "spacing_mm",
@@ -211,7 +212,7 @@ class StrainCurve(QWidget):
             "frames. A cross marks a strain that is unlike those of the frames before and after"
         )
         self.plot.setAccessibleName("Strain against displacement")
-        legend = self.plot.addLegend(offset=(10, 6))
+        legend = self.plot.add_legend(4)
         self._truths = [self.plot.plot(pen=None, symbol="+", symbolSize=11) for _ in range(2)]
         self._curves = [
             self.plot.plot(name=name, symbol=symbol, symbolSize=6) for name, symbol in (("length", "o"), ("width", "s"))
@@ -220,8 +221,13 @@ class StrainCurve(QWidget):
         self._now = self.plot.plot(pen=None, symbol="o", symbolSize=13)
         legend.addItem(self._truths[0], "solver, dots seen")
         legend.addItem(self._unlikely, "unlikely")
-        vbox(self.plot, within=self, margins=0)
+        #: Shown instead of axes without a curve.
+        self.empty = QLabel(_NO_CURVE)
+        self.empty.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.empty.setWordWrap(True)
+        vbox((self.empty, 1), (self.plot, 1), within=self, margins=0)
         self.plot.follow_theme(self._recolor)
+        self.redraw()
 
     def add(self, view: StrainView) -> None:
         """Add a measurement; it replaces an earlier one of the same frame, as in a loop."""
@@ -253,6 +259,8 @@ class StrainCurve(QWidget):
     def redraw(self) -> None:
         """Draw the points whose displacement is known, in the order of their frames."""
         known = [point for point in self.points if point.displacement_mm is not None]
+        self.plot.setVisible(bool(known))
+        self.empty.setVisible(not known)
         x = np.array([point.displacement_mm for point in known], np.float64)
         strains = np.array([point.at_spacing(self._spacing_mm) for point in known]).reshape(-1, 2)
         unlikely = self._judged(known)

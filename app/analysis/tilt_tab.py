@@ -10,6 +10,7 @@ from typing import Final
 from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QLabel, QSplitter, QWidget
 
+from ...core.errors import counted
 from ...core.estimation.tilt import MAX_SIGMA_RAD, Tilt, TiltEstimator, TiltMethod
 from ...core.estimation.tilt_filter import TiltFilter
 from ...widgets.basics.colormaps import CONTACT_COLOR, palette_theme
@@ -119,8 +120,7 @@ class TiltTab(MeasuringTab):
         row.addWidget(self.method)
         row.addSpacing(8)
         row.addWidget(self.filtered)
-        row.addSpacing(8)
-        row.addWidget(self.status, 1)
+        row.addStretch(1)
         dials = hbox(self.roll, self.pitch)
         buttons = hbox((self.axis, 1), self.copy, self.reset, self.export)
         side = QWidget()
@@ -130,7 +130,7 @@ class TiltTab(MeasuringTab):
         sheet.addWidget(self.cloud)
         sheet.addWidget(side)
         sheet.setSizes([480, 480])
-        self._lay_out_around(sheet, row)
+        self._lay_out_around(sheet, vbox(row, self.status))  # its hints are wider than what is left of the row
         layout = self.layout()
         assert layout is not None
         layout.addWidget(self.balance)
@@ -151,7 +151,9 @@ class TiltTab(MeasuringTab):
         self._filter.restart()
         self.messages.clear("reset")  # its rows belong to the former source
         if former is not None and rows:
-            sentence = f"The tilts of {former.name} ({len(rows)} frames) ended because {source.name} was opened."
+            sentence = (
+                f"The tilts of {former.name} ({counted(len(rows), 'frame')}) ended because {source.name} was opened."
+            )
             ask = partial(self._ask_where, rows_as_csv(rows.values()))
             self.messages.show_message("former", Severity.INFO, sentence, [("Save them…", ask)])
 
@@ -238,7 +240,7 @@ class TiltTab(MeasuringTab):
             self.rows = rows | self.rows
             self._show_curve()
 
-        sentence = f"The curve of {len(rows)} frames was removed."
+        sentence = f"The curve of {counted(len(rows), 'frame')} was removed."
         self.messages.show_message("reset", Severity.INFO, sentence, [("Bring it back", bring_back)])
 
     def _ask_where(self, text: str, _checked: bool = False) -> None:

@@ -203,7 +203,7 @@ class TiltCurve(QWidget):
             "Drag to move, wheel to zoom; press A to show all again"
         )
         self.plot.setAccessibleName("Roll and pitch over time")
-        self.plot.addLegend(offset=(10, 6), colCount=2)
+        self.plot.add_legend(2)
         self._parts = []
         for name, rgb in (("roll", ROLL_RGB), ("pitch", PITCH_RGB)):
             ends = [pg.PlotCurveItem(connect="finite", pen=None) for _ in range(2)]

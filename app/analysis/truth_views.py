@@ -9,12 +9,12 @@ from typing import Final
 import numpy as np
 from PyQt6.QtCore import QEvent, Qt, pyqtSignal
 from PyQt6.QtGui import QColor
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSplitter, QWidget
+from PyQt6.QtWidgets import QSplitter, QWidget
 
 from ...core.model.arrays import Float64Array, Uint8Array
 from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_RGB, CONTACT_ROW, Legend, Theme, palette_theme, patch_lut
 from ...widgets.basics.controls import ElidedLabel, push_button
-from ...widgets.basics.layouts import vbox
+from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.clouds.cloud_data import DepthCloud, free_cloud
 from ...widgets.clouds.cloud_view import BackendChoice, as_place
 from ...widgets.clouds.pick_view import PickView, Spot
@@ -139,19 +139,12 @@ class TruthViews(QSplitter):
     def _lay_out(self) -> None:
         self.setChildrenCollapsible(False)
         for view, name, tools in (
-            (self.scan, self.scan_name, ()),
-            (self.patch, self.patch_name, (self.present, self.follow)),
+            (self.scan, self.scan_name, self.present.sizeHint().height() + 4),
+            (self.patch, self.patch_name, hbox(self.present, self.follow, STRETCH)),
         ):
             side = QWidget()
-            line = QHBoxLayout()
-            line.addWidget(QLabel())  # as high as the buttons of the other side
-            line.addWidget(name, 1)
-            for button in tools:
-                line.addWidget(button)
-            vbox(line, (view, 1), within=side, margins=0, spacing=4)
+            vbox(name, tools, (view, 1), within=side, margins=0, spacing=4)
             self.addWidget(side)
-        height = self.present.sizeHint().height()
-        self.scan_name.setMinimumHeight(height)
 
     def set_highlight(self, on: bool) -> None:
         """Show the contact in its own colour, or the paint."""

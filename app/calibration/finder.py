@@ -10,14 +10,14 @@ from PyQt6.QtWidgets import QComboBox, QDoubleSpinBox, QSpinBox, QWidget
 
 from ...core.calibration.detect import Detection, detect_charuco, detect_chessboard, detect_circles, match_detections
 from ...core.calibration.texture import match_texture
-from ...core.errors import CalibrationError
+from ...core.errors import CalibrationError, counted
 from ...core.model.frames import Rig
 from ...widgets.basics.controls import ElidedLabel, ProgressBar, caption, push_button
 from ...widgets.basics.gestures import GestureClock
 from ...widgets.basics.layouts import hbox
 from ..worker.jobs import Job, Progress
 from .pictures import Picture, picture, tactile_depth_at
-from .session import Choices, PointPair, Session, SessionState, Snapshot, Target, count_pairs, count_snapshots
+from .session import Choices, PointPair, Session, SessionState, Snapshot, Target
 
 _TARGETS: dict[Target, tuple[str, str]] = {
     "texture": (
@@ -62,7 +62,7 @@ def find_pairs(choices: Choices, snapshots: Sequence[Snapshot], rig: Rig, progre
             problems.append(f"{snapshot.name}: {error}")
     if not found:
         raise CalibrationError(problems[-1] if problems else "no snapshot yet: take one on the page Snapshots")
-    words = f"{count_pairs(len(found))} found in {count_snapshots(len(snapshots))}."
+    words = f"{counted(len(found), 'pair')} found in {counted(len(snapshots), 'snapshot')}."
     return Found(tuple(found), " ".join([words, *(f"Not in {problem}." for problem in problems)]))
 
 
@@ -72,7 +72,7 @@ def _texture(snapshots: Sequence[Snapshot], rig: Rig, progress: Progress) -> Fou
             raise CalibrationError(
                 f"{snapshot.name}: the tactile camera has no colour image to match; detect a target or click the points"
             )
-    progress(0.1, f"Matching droplets in {count_snapshots(len(snapshots))}")
+    progress(0.1, f"Matching droplets in {counted(len(snapshots), 'snapshot')}")
     try:
         matches = match_texture([snapshot.frame for snapshot in snapshots], rig)
     except CalibrationError as error:
@@ -93,8 +93,8 @@ def _texture(snapshots: Sequence[Snapshot], rig: Rig, progress: Progress) -> Fou
     )
     return Found(
         pairs,
-        f"{count_pairs(len(pairs))} found in {count_snapshots(len(snapshots))}; together they fit a rigid pose to "
-        f"{matches.fit.rms_px:.2f} px.",
+        f"{counted(len(pairs), 'pair')} found in {counted(len(snapshots), 'snapshot')}; together they fit a rigid pose "
+        f"to {matches.fit.rms_px:.2f} px.",
     )
 
 
@@ -241,7 +241,7 @@ class Finder(QWidget):
         ]
         known = len(found.pairs) - len(new)
         if new:
-            session.add_pairs(new, f"Find {count_pairs(len(new))}")
+            session.add_pairs(new, f"Find {counted(len(new), 'pair')}")
             session.select(())
         self.words.setText(found.words + (f" {known} of them were pairs already." if known else ""))
 

@@ -13,7 +13,7 @@ from PyQt6.QtCore import QObject, pyqtSignal
 from ...core.calibration import CalibrationReport, Correspondence, calibrate
 from ...core.calibration.correspondences import enabled_pairs
 from ...core.calibration.distortion import DistortionAdvice, advise_distortion
-from ...core.errors import CalibrationError
+from ...core.errors import CalibrationError, counted
 from ...core.model.arrays import Float64Array
 from ...core.model.clouds import valid_depth
 from ...core.model.frames import Rig, SensorFrame
@@ -22,7 +22,7 @@ from ...widgets.images.marks import Mark, MarkKind
 from ..worker.jobs import Job
 from .pictures import membrane_grid, tactile_depth_at
 from .prediction import Alignment
-from .session import ImageChoice, PointPair, Session, SessionState, Side, Snapshot, count_pairs
+from .session import ImageChoice, PointPair, Session, SessionState, Side, Snapshot
 
 if TYPE_CHECKING:
     from ...core.calibration import CalibrationReport
@@ -74,7 +74,7 @@ class Outcome:
 
     @property
     def rejected(self) -> frozenset[int]:
-        """Keys of the pairs that the fit left out because they contradict the others."""
+        """Keys of the pairs that the fit rejects, because the others contradict them."""
         return frozenset(key for key, fit in self.fits.items() if not fit.used)
 
     @property
@@ -182,7 +182,7 @@ def _hint(pair: PointPair, fit: PairFit, outcome: Outcome) -> str:
             "move the right point by a few pixels, or average more frames."
         )
     if not fit.used:
-        return "This pair contradicts the others and was excluded from the fit; check both points."
+        return "This pair is rejected, because the others contradict it; check both points."
     if pair.key in outcome.worst:
         return "This pair has a large residual; check both points, or disable it."
     return ""
@@ -272,7 +272,7 @@ def missing_pairs(state: SessionState) -> str:
     """Say how many pairs a first fit still needs; empty if there are enough."""
     enabled = sum(pair.enabled for pair in state.complete_pairs)
     more = MIN_PAIRS - enabled
-    return f"{count_pairs(enabled)}; {count_pairs(more)} more for a first fit." if more > 0 else ""
+    return f"{counted(enabled, 'pair')}; {counted(more, 'pair')} more for a first fit." if more > 0 else ""
 
 
 def outcome_of(pairs: tuple[PointPair, ...], report: CalibrationReport) -> Outcome:
@@ -377,7 +377,7 @@ def _line(report: CalibrationReport) -> str:
     """Summarise the fit in one line."""
     chosen = report.chosen
     used = sum(pair.used for pair in chosen.pairs)
-    parts = [f"{report.model}, {count_pairs(used)}"]
+    parts = [f"{report.model}, {counted(used, 'pair')}"]
     if chosen.rms_px is None:
         parts.append("an exact fit says nothing about quality: click at least six pairs")
     else:
@@ -386,5 +386,5 @@ def _line(report: CalibrationReport) -> str:
             parts.append(f"cross-validated residual {chosen.cross_validated_px:.2f} px")
         parts.append(f"error {at_least(chosen.alignment_mm, 'mm')}")
     if chosen.excluded:
-        parts.append(f"{len(chosen.excluded)} excluded")
+        parts.append(f"{len(chosen.excluded)} rejected")
     return ", ".join(parts)

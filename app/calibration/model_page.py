@@ -232,7 +232,7 @@ def _extra_words(report: CalibrationReport, quality: ModelQuality) -> str:
         if sigma["offset_mm"] is not None:
             words.append(f"Tactile depth {1e3 * pose.offset_m:+.2f} ± {sigma['offset_mm']:.2f} mm.")
     if quality.excluded:
-        words.append(f"Left out because they disagree: {', '.join(quality.excluded[:12])}.")
+        words.append(f"Rejected, because the others contradict them: {', '.join(quality.excluded[:12])}.")
     return " ".join(words)
 
 

@@ -8,6 +8,7 @@ from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QKeySequence, QShortcut
 from PyQt6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QSplitter, QToolButton, QWidget
 
+from ...core.errors import counted
 from ...widgets.basics.controls import ElidedLabel, caption
 from ...widgets.basics.gestures import GestureClock
 from ...widgets.basics.layouts import hbox, vbox
@@ -17,7 +18,7 @@ from .fitting import Outcome, image_marks, missing_depth, same_pixels, table_row
 from .pair_view import PairView, Snapper
 from .pictures import image_choices, picture
 from .prediction import Alignment, nominal_alignment, proximity_partner, tactile_partner
-from .session import SIDES, ImageChoice, Place, Session, SessionState, Side, Snapshot, count_pairs
+from .session import SIDES, ImageChoice, Place, Session, SessionState, Side, Snapshot
 
 IMAGE_NAMES: dict[ImageChoice, str] = {"color": "Colour", "depth": "Depth", "relative": "Relative depth"}
 ARROWS = {"Arrows off": 0.0, "Arrows ×1": 1.0, "Arrows ×10": 10.0, "Arrows ×100": 100.0}
@@ -86,7 +87,7 @@ class PointsPage(QWidget):
             "Arrows in the left image point from each click to its fitted position, enlarged by this factor"
         )
         self.whole = _button("Whole", "Fit both images into view (0)")
-        self.drop = _button("", "Delete the pairs that the fit leaves out because they contradict the others")
+        self.drop = _button("", "Delete the pairs that the fit rejects, because the others contradict them")
         self.drop.hide()
         self.load = _button("Import…", "Read pairs from a CSV or a QGIS .points file")
         self.store = _button("Export…", "Write the pairs to a CSV or a QGIS .points file")
@@ -150,7 +151,7 @@ class PointsPage(QWidget):
         """Show a new fit: residuals, arrows, predicted partner."""
         self._outcome = outcome
         self.fit_line.setText("" if outcome.report is None else outcome.sentence)
-        self.drop.setText(f"Remove {count_pairs(len(outcome.rejected), 'rejected')}")
+        self.drop.setText(f"Remove {counted(len(outcome.rejected), 'rejected pair')}")
         self.drop.setVisible(bool(outcome.rejected))
         self._show_points()
 

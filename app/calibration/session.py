@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from ...core.calibration.calibrate import DepthChoice
+from ...core.errors import counted
 from ...core.model.frames import Rig, SensorFrame
 from ..document.history import History
 
@@ -260,7 +261,7 @@ class Session(History[SessionState]):
         """Delete pairs."""
         gone = set(keys)
         kept = tuple(pair for pair in self._state.pairs if pair.key not in gone)
-        self.edit(f"Delete {count_pairs(len(self._state.pairs) - len(kept))}", replace(self._state, pairs=kept))
+        self.edit(f"Delete {counted(len(self._state.pairs) - len(kept), 'pair')}", replace(self._state, pairs=kept))
 
     def enable(self, keys: Iterable[int], enabled: bool) -> None:
         """Switch pairs on or off."""
@@ -268,7 +269,9 @@ class Session(History[SessionState]):
         pairs = tuple(
             pair.model_copy(update={"enabled": enabled}) if pair.key in chosen else pair for pair in self._state.pairs
         )
-        self.edit(f"Switch {count_pairs(len(chosen))} {'on' if enabled else 'off'}", replace(self._state, pairs=pairs))
+        self.edit(
+            f"Switch {counted(len(chosen), 'pair')} {'on' if enabled else 'off'}", replace(self._state, pairs=pairs)
+        )
 
     def add_pairs(self, pairs: Iterable[PointPair], text: str) -> None:
         """Add complete pairs under new numbers, as one step."""
@@ -285,13 +288,3 @@ class Session(History[SessionState]):
             snapshot = self._state.snapshot_of(pair)
             values["tactile_depth_m"] = self._read_depth(snapshot, u, v) if snapshot is not None else None
         return pair.model_copy(update=values)
-
-
-def count_pairs(number: int, kind: str = "") -> str:
-    """Return a number of pairs in words, such as "1 rejected pair"."""
-    return " ".join(filter(None, (str(number), kind, "pair" if number == 1 else "pairs")))
-
-
-def count_snapshots(number: int) -> str:
-    """Return a number of snapshots in words."""
-    return "1 snapshot" if number == 1 else f"{number} snapshots"

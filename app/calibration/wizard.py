@@ -23,7 +23,7 @@ from PyQt6.QtWidgets import (
 from ...core.calibration import CalibrationReport, Correspondence, read_points, write_points
 from ...core.calibration.recheck import Replacement, replacement
 from ...core.calibration.report import grade
-from ...core.errors import TactuneError
+from ...core.errors import TactuneError, counted
 from ...widgets.basics.controls import AccentButton, push_button
 from ...widgets.basics.dialogs import Dialogs, bring_up
 from ...widgets.basics.layouts import hbox, vbox
@@ -42,7 +42,7 @@ from .pictures import snap, tactile_depth_at
 from .points_page import PointsPage
 from .quality_page import QualityPage, write_report
 from .recheck_window import RecheckWindow
-from .session import ProximityImage, Session, SessionState, count_pairs, count_snapshots
+from .session import ProximityImage, Session, SessionState
 from .snapshots import MOVED_LIMIT_M, Collector
 
 STEPS = ("Snapshots", "Points", "Model", "Quality", "Save")
@@ -323,7 +323,7 @@ class CalibrationWizard(QDialog):
         else:
             rejected, judged = self.outcome.rejected, grade(report.chosen)
             worse = self._is_worse(report)
-            findings["Points"] = f"{count_pairs(len(rejected), 'rejected')}." if rejected else ""
+            findings["Points"] = f"{counted(len(rejected), 'rejected pair')}." if rejected else ""
             findings["Model"] = "" if report.model == report.recommended else report.reason
             if report.rigid is not None and report.depth_fit != report.depth_advice.depth_fit:
                 findings["Model"] = report.depth_advice.reason
@@ -494,7 +494,7 @@ class CalibrationWizard(QDialog):
 
 def _contents(state: SessionState) -> str:
     """Return what a session holds, in words."""
-    return f"{count_pairs(len(state.pairs))} and {count_snapshots(len(state.snapshots))}"
+    return f"{counted(len(state.pairs), 'pair')} and {counted(len(state.snapshots), 'snapshot')}"
 
 
 def _short(report: CalibrationReport) -> str:

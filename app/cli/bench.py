@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from ...core.errors import TactuneError
-from .common import SOURCE, CliProgress, PresetOption, SourceOption, counted, default_preset, open_with_progress
+from ...core.errors import TactuneError, counted
+from .common import SOURCE, CliProgress, PresetOption, SourceOption, default_preset, open_with_progress
 
 #: Frames over which ``tactune bench memory`` measures.
 MEASURED_FRAMES = 50

@@ -21,7 +21,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from ...core.errors import PresetError, SourceError, TactuneError
+from ...core.errors import PresetError, SourceError, TactuneError, counted
 from ...core.model.files import user_path
 
 if TYPE_CHECKING:
@@ -84,11 +84,6 @@ def default_preset(source: str) -> str:
 
 
 # Words and numbers
-
-
-def counted(number: int, thing: str) -> str:
-    """Return a number with its noun, such as ``"1 frame"`` or ``"2 frames"``."""
-    return f"{number} {thing}" + ("s" if number != 1 else "")
 
 
 def warn(*sentences: str) -> None:

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...core.errors import TactuneError
+from ...core.errors import TactuneError, counted
 from ...core.model.files import finite_or_none, write_csv
-from .common import CliProgress, counted, tell_notes, warn
+from .common import CliProgress, tell_notes, warn
 from .scan import evaluate_recording
 from .sensor_table import default_work, listed, plan_sensor_table, print_sensor_table
 

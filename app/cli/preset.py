@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ...core.errors import CalibrationError, PresetError, TactuneError
+from ...core.errors import CalibrationError, PresetError, TactuneError, counted
 from .common import (
     AveragedFrames,
     CliProgress,
     PresetOption,
     UntouchedSource,
     average_frames,
-    counted,
     counted_out,
     default_preset,
     find_rig,

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...core.errors import ExportError
+from ...core.errors import ExportError, counted
 from .common import (
     WAIT_S,
     CliProgress,
-    counted,
     number_of_frames,
     open_with_progress,
     stop_on_signals,

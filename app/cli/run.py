@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ...core.errors import ExportError, SourceError
+from ...core.errors import ExportError, SourceError, counted
 from ...core.model.files import finite_or_none
 from .common import (
     FUSION,
@@ -27,7 +27,6 @@ from .common import (
     LineOutput,
     PresetOption,
     SourceOption,
-    counted,
     default_preset,
     number_of_frames,
     open_with_progress,

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from ...core.errors import TactuneError
-from .common import CliProgress, counted, tell_notes, warn
+from ...core.errors import TactuneError, counted
+from .common import CliProgress, tell_notes, warn
 
 if TYPE_CHECKING:
     from ...core.evaluation.sensor_cases import SensorTable

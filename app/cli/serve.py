@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...core.errors import CalibrationError, PresetError
+from ...core.errors import CalibrationError, PresetError, counted
 from .common import (
     SOURCE,
     WAIT_S,
@@ -19,7 +19,6 @@ from .common import (
     FrameCount,
     PresetOption,
     SourceOption,
-    counted,
     default_preset,
     open_with_progress,
     stop_on_signals,

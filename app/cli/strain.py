@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...core.errors import SourceError
+from ...core.errors import SourceError, counted
 from ...core.model.files import write_csv
 from .common import (
     CliProgress,
     FrameCount,
-    counted,
     default_preset,
     number_of_frames,
     open_with_progress,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ...core.errors import ExportError, SourceError
+from ...core.errors import ExportError, SourceError, counted
 from ...core.model.units import UNITS_M, MeshUnit
 from .common import (
     SOURCE,
@@ -22,7 +22,6 @@ from .common import (
     FrameCount,
     PresetOption,
     SourceOption,
-    counted,
     default_preset,
     number_of_frames,
     open_with_progress,

@@ -14,8 +14,8 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
-from ...core.errors import ExportError
-from .common import CliProgress, counted, default_preset, stop_on_signals, warn
+from ...core.errors import ExportError, counted
+from .common import CliProgress, default_preset, stop_on_signals, warn
 
 if TYPE_CHECKING:
     from ...core.preset import Preset

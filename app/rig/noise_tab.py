@@ -10,6 +10,7 @@ from typing import Final
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QLabel
 
+from ...core.errors import counted
 from ...core.model.frames import SensorFrame
 from ...core.preset import Preset, RigNoise
 from ...core.rig.noise import (
@@ -94,7 +95,7 @@ class NoiseTab(GatheringTab):
             return
         info = self._info = self._result.source
         if info.length is not None and info.length < MIN_FRAMES:
-            self._fail(f"This source has {info.length} frames; the noise needs at least {MIN_FRAMES}.")
+            self._fail(f"This source has {counted(info.length, 'frame')}; the noise needs at least {MIN_FRAMES}.")
             return
         if info.name.startswith(_SIMULATOR):
             self._show_busy(True)
@@ -107,7 +108,7 @@ class NoiseTab(GatheringTab):
 
     def _gathered(self) -> tuple[int, float, str]:
         count = len(self._frames)
-        return count, count / self._wanted(), f"Hold everything still: {count} frames"
+        return count, count / self._wanted(), f"Hold everything still: {counted(count, 'frame')}"
 
     def _are_enough(self) -> bool:
         return len(self._frames) >= MIN_FRAMES

@@ -10,6 +10,7 @@ import pyqtgraph as pg
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QDoubleSpinBox, QLabel
 
+from ...core.errors import counted
 from ...core.model.arrays import Float64Array
 from ...core.rig.skew import MAX_GAP_S, MIN_TIME_S, MotionSeries, Sample, Skew, measure_skew
 from ...widgets.basics.controls import make_verdict, push_button
@@ -75,7 +76,7 @@ class SkewTab(GatheringTab):
 
     def _gathered(self) -> tuple[int, float, str]:
         count, share = len(self._samples), watched_s(self._samples) / self.seconds.value()
-        return count, share, f"Press in and pull out now: {count} frames"
+        return count, share, f"Press in and pull out now: {counted(count, 'frame')}"
 
     def _lay_out(self) -> None:
         intro = QLabel(_INTRO)
@@ -90,11 +91,13 @@ class SkewTab(GatheringTab):
         self.sentence.setWordWrap(True)
         self.sentence.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         result = hbox((self.sentence, 1), self.compensate)
-        vbox(intro, self._row(QLabel("Watch for")), result, (self.curve, 100), (self.motion, 100), STRETCH, within=self)
+        row = self._row(QLabel("Watch for"))
+        # without the plots the next step stands in the centre
+        vbox(STRETCH, intro, row, result, (self.curve, 100), (self.motion, 100), STRETCH, within=self)
         for plot, name in ((self.curve, "Correlation against delay"), (self.motion, "Motion of both cameras")):
             plot.getPlotItem().showGrid(x=True, y=True, alpha=0.2)
             plot.setAccessibleName(name)
-        self.motion.addLegend(offset=(-10, 10))
+        self.motion.add_legend(2)
 
     def _measure(self) -> None:
         assert self._info is not None
@@ -107,7 +110,7 @@ class SkewTab(GatheringTab):
         self._draw()
         delay = self._new_delay_s()
         self.compensate.setText(f"Set the tactile delay to {1e3 * delay:.1f} ms")
-        self.compensate.setVisible(not skew.agrees and delay != self._document.preset.cameras.tactile_delay_s)
+        self.compensate.setVisible(skew.significant and delay != self._document.preset.cameras.tactile_delay_s)
 
     def _new_delay_s(self) -> float:
         """Return the delay for the preset. Live time stamps are already corrected by the current one."""

@@ -97,11 +97,11 @@ class ChessboardDialog(QDialog):
 
     def _show_fit(self, fit: LensFit) -> None:
         self._fit = fit
-        lens, left_out = fit.intrinsics, ", ".join(fit.refused)
+        lens, rejected = fit.intrinsics, ", ".join(fit.refused)
         self.note.say(
             f"{fit.used} of {fit.used + len(fit.refused)} pictures, {fit.rms_px:.2f} px RMS: fx {lens.fx:.1f} ± "
             f"{fit.focal_sd_px:.1f} px, fy {lens.fy:.1f} px, centre {lens.cx:.1f}, {lens.cy:.1f} px."
-            + (f" Left out: {left_out}." if left_out else "")
+            + (f" Rejected: {rejected}." if rejected else "")
         )
         self._use.setEnabled(True)
         self._use.setFocus()

@@ -9,7 +9,7 @@ from typing import Any
 
 from PyQt6.QtCore import QObject
 
-from ...core.errors import SourceError, TactuneError
+from ...core.errors import SourceError, TactuneError, counted
 from ...core.output.cloud_files import patch_cloud, write_cloud
 from ...core.preset import Preset, now
 from ...core.preset.file import shipped_presets
@@ -245,4 +245,4 @@ def _export_patch(result: Result, path: Path) -> str:
     patch = result.patch
     assert patch is not None
     write_cloud(path, patch_cloud(patch, result.frame, result.source.rig))
-    return f"Frame {result.frame_number}: {len(patch.points)} points written to {path}."
+    return f"Frame {result.frame_number}: {counted(len(patch.points), 'point')} written to {path}."

@@ -178,11 +178,17 @@ class MainWindow(QMainWindow):
         return self.context.result
 
     def resize_to(self, width: int, height: int) -> None:
-        """Give the window a size in pixels, at most that of the screen, also if it was maximised."""
+        """Give the window a size in pixels, also if it was maximised, and keep all of it on the screen."""
         self.setWindowState(self.windowState() & ~(Qt.WindowState.WindowMaximized | Qt.WindowState.WindowFullScreen))
         size, screen = QSize(width, height), self.screen()
         if screen is not None and QApplication.platformName() != "offscreen":  # a picture may have any size
-            size = size.boundedTo(screen.availableSize())
+            room = screen.availableGeometry()
+            size = size.boundedTo(room.size())
+            free = room.adjusted(0, 0, -size.width(), -size.height())  # of the upper left corner
+            self.move(
+                min(max(self.x(), free.left()), free.x() + free.width()),
+                min(max(self.y(), free.top()), free.y() + free.height()),
+            )
         self.resize(size)
 
     # Building

@@ -21,7 +21,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from ...core.errors import PresetError
+from ...core.errors import PresetError, counted
 from ...core.output.connections import FOXGLOVE_PORT, LOOPBACK, Connections
 from ...widgets.basics.controls import AccentButton, NoteLabel, caption, dialog_buttons, push_button
 from ...widgets.basics.dialogs import bring_up
@@ -275,7 +275,7 @@ class PublishControl(QObject):
         states = self._publisher.status()
         self.window.show_state("\n".join(map(_in_words, states)))
         clients = sum(state.sink.clients for state in states)
-        self._indicator.setText(f"Publishing, {_counted(clients, 'client')}")
+        self._indicator.setText(f"Publishing, {counted(clients, 'client')}")
         self._indicator.show()
 
     def _edit(self, path: str, value: Any) -> None:
@@ -333,14 +333,10 @@ class PublishControl(QObject):
 
 def _in_words(state: OutputStatus) -> str:
     sink = state.sink
-    counts = _counted(sink.clients, "client")
+    counts = counted(sink.clients, "client")
     if sink.clients:
         counts += f", {state.rate_hz:.0f} frames/s, {state.missed} missed"
     return f"{sink.name}, {sink.place}: {counts}{'. ' if state.error else ''}{state.error}"
-
-
-def _counted(number: int, thing: str) -> str:
-    return f"{number} {thing}" + ("s" if number != 1 else "")
 
 
 def _number(least: int, most: int, value: int, name: str, tip: str) -> QSpinBox:

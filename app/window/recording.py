@@ -14,6 +14,7 @@ from PyQt6.QtCore import QObject, QTimer, QUrl, pyqtSignal
 from PyQt6.QtGui import QAction, QDesktopServices
 from PyQt6.QtWidgets import QFrame, QHBoxLayout, QPushButton
 
+from ...core.errors import counted
 from ...core.output.writer import RecordingStatus
 from ...widgets.basics.controls import ElidedLabel, TintedLabel, number_label
 from ...widgets.basics.layouts import vbox
@@ -80,7 +81,7 @@ class RecordingBar(QFrame):
     def show_progress(self, status: RecordingStatus, elapsed_s: float, free_bytes: int) -> None:
         """Show the numbers of a recording."""
         self._time.setText(clock(elapsed_s))
-        self._frames.setText(f"{status.frames} frames")
+        self._frames.setText(counted(status.frames, "frame"))
         self._size.setText(size(status.bytes))
         self._dropped.setText(f"{status.dropped} dropped")
         self._dropped.tint("error" if status.dropped else "")
@@ -258,8 +259,8 @@ class RecordingControl(QObject):
         offers: list[Offer] = []
         if status.frames:
             self._context.settings.add_recent(RECENT, f"mcap:{status.path}")
-            count = f"{status.frames} frame{'' if status.frames == 1 else 's'}"
-            sentence = f"Recorded {status.path.name}: {duration(status.seconds)}, {count}, {size(status.bytes)}."
+            frames = counted(status.frames, "frame")
+            sentence = f"Recorded {status.path.name}: {duration(status.seconds)}, {frames}, {size(status.bytes)}."
             offers = [
                 ("Open recording", lambda: self._context.sourceRequested.emit(f"mcap:{status.path}")),
                 ("Show in folder", lambda: show_in_folder(status.path)),
@@ -268,8 +269,8 @@ class RecordingControl(QObject):
             sentence = f"Nothing was recorded: {status.error.rstrip('.') or 'no frame came'}."
         if status.dropped:
             sentence += (
-                f" {status.dropped} frames are missing: the cameras or this computer lost them, they did not fit "
-                "the rig, or the disk was too slow."
+                f" {counted(status.dropped, 'missing frame')}: the cameras or this computer lost them, they did not "
+                "fit the rig, or the disk was too slow."
             )
         if status.error and status.frames:
             sentence += f" {status.error[0].upper()}{status.error[1:]}."

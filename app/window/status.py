@@ -13,6 +13,7 @@ from PyQt6.QtWidgets import (
     QStatusBar,
 )
 
+from ...core.errors import counted
 from ...widgets.basics.controls import ElidedLabel, number_label
 from ...widgets.basics.icons import icon
 from ...widgets.basics.messages import Card
@@ -80,7 +81,7 @@ class FrameDetails(Card):
         patch, runs = result.patch, result.playback.running
         stages = {} if patch is None else patch.stage_ms
         computed = [f"{stage} {ms:.1f}" for stage, ms in stages.items() if ms >= _MIN_SHOWN_MS]
-        points = "none" if patch is None else f"{len(patch.points):,} points"
+        points = "none" if patch is None else counted(len(patch.points), "point")
         if patch is not None and patch.averaged_frames > 1:
             points += f", mean of {patch.averaged_frames} frames"
         for name, text in {
@@ -160,7 +161,7 @@ class FrameStatus(QStatusBar):
 
     def show_findings(self, count: int) -> None:
         """Show the number of findings; the button is hidden while there is none."""
-        self.findings.setText(f"{count} finding{'s' if count > 1 else ''}")
+        self.findings.setText(counted(count, "finding"))
         self.findings.setVisible(count > 0)
 
     def show_state(self, state: SourceState) -> None:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from ...core.contact.alignment import tactile_pose
-from ...core.contact.masking import colors_at, in_hsv_range
+from ...core.contact.masking import colors_at, in_hsv_range, masked_share
 from ...core.contact.pipeline import ContactPatch
 from ...core.errors import TactuneError
 from ...core.model.arrays import BoolArray, Float32Array, IndexArray, Uint8Array, Uint16Array
@@ -88,7 +88,8 @@ def draw_strip(
         size=(width, height),
         stride=stride,
     )
-    return render_strip(images)
+    share = masked_share(frame.proximity_color, preset.mask) if preset.mask.enabled else None
+    return replace(render_strip(images), masked_share=share)
 
 
 def aligned_color(

@@ -153,7 +153,7 @@ def fit_homography(
     use: npt.ArrayLike | None = None,
     names: Sequence[str] | None = None,
 ) -> HomographyFit:
-    """Fit the homography from tactile to proximity pixels; outliers are left out.
+    """Fit the homography from tactile to proximity pixels; outliers are rejected.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ from .report import NUMBERS, CalibrationReport, PairQuality, shown
 
 #: Residual arrows are drawn this much longer than they are.
 ARROW_FACTOR = 10
-USED_RGB, _EXCLUDED_RGB, _ARROW_RGB = (64, 196, 255), (255, 92, 80), (255, 255, 255)
+USED_RGB, _REJECTED_RGB, _ARROW_RGB = (64, 196, 255), (255, 92, 80), (255, 255, 255)
 _BLANK = 40
 _CELL_PX = 80
 _PAGE = Template("""<!DOCTYPE html>
@@ -117,7 +117,7 @@ def residual_pictures(report: CalibrationReport, frame: SensorFrame | None) -> d
         right = frame.tactile_color.copy()
     for pair in pairs:
         fit = fits[pair.id]
-        color = USED_RGB if fit.used else _EXCLUDED_RGB
+        color = USED_RGB if fit.used else _REJECTED_RGB
         _ring(right, pair.tactile, color)
         if pair.proximity_image == kind:
             _ring(left, pair.proximity, color)
@@ -125,8 +125,8 @@ def residual_pictures(report: CalibrationReport, frame: SensorFrame | None) -> d
             if np.isfinite(end).all():
                 cv2.line(left, _pixel(pair.proximity), _pixel(end), _ARROW_RGB, 1, cv2.LINE_AA)
     return {
-        f"Proximity camera, residuals enlarged {ARROW_FACTOR} times (red: left out)": left,
-        "Tactile camera (red: left out)": right,
+        f"Proximity camera, residuals enlarged {ARROW_FACTOR} times (red: rejected)": left,
+        "Tactile camera (red: rejected)": right,
     }
 
 
@@ -194,4 +194,4 @@ def _made_with(report: CalibrationReport, preset_name: str) -> list[list[str]]:
 
 def _pair_row(pair: PairQuality) -> list[str]:
     values = (pair.residual_u, pair.residual_v, pair.residual_px, pair.residual_mm, pair.left_out_px)
-    return [pair.id, *(shown(value, 0) for value in values), "yes" if pair.used else "left out"]
+    return [pair.id, *(shown(value, 0) for value in values), "yes" if pair.used else "rejected"]

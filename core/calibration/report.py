@@ -319,7 +319,7 @@ class CalibrationReport:
         lines.append(f"Points per cell of the image: {cells}{depth}")
         lines.append(f"Pairs under the {self.model} model (px: dX, dY, length, cross-validated; mm):")
         for pair in chosen.pairs:
-            mark = "" if pair.used else "  left out: disagrees with the others"
+            mark = "" if pair.used else "  rejected: the others contradict it"
             lines.append(
                 f"  {pair.id:>6}  {pair.residual_u:8.2f} {pair.residual_v:8.2f} {pair.residual_px:8.2f} "
                 f"{shown(pair.left_out_px, 8)}  {shown(pair.residual_mm, 7)}{mark}"
@@ -424,7 +424,7 @@ def next_step(quality: ModelQuality, coverage: Coverage, proximity: Float64Array
         worst = max((pair for pair in quality.pairs if not pair.used), key=lambda pair: pair.residual_px)
         them = "them" if len(quality.excluded) > 1 else "it"
         return (
-            f"Click {listed(quality.excluded)} again or delete {them}: left out, because the others contradict {them} "
+            f"Click {listed(quality.excluded)} again or delete {them}: rejected, because the others contradict {them} "
             f"(pair {worst.id} by {worst.residual_px:.0f} px){_or_doubtful(quality)}."
         )
     if quality.doubtful:

@@ -467,7 +467,7 @@ def fit_rigid(
     like: RigidFit | None = None,
     names: Sequence[str] | None = None,
 ) -> RigidFit:
-    """Fit the tactile camera's pose in the proximity frame; outliers are left out.
+    """Fit the tactile camera's pose in the proximity frame; outliers are rejected.
 
     Parameters
     ----------

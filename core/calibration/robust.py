@@ -159,7 +159,7 @@ def _samples(count: int, size: int) -> IndexArray:
 def _scores(problem: Problem, distances: Float64Array, largest_px: float = np.inf) -> Float64Array:
     """Return roughly the log evidence of the k pairs with the smallest squared distance, for each k above the sample.
 
-    Distances are in units of the stated noise; those above ``largest_px`` are excluded.
+    Distances are in units of the stated noise; those above ``largest_px`` are rejected.
     """
     size, nearest = problem.sample_size, np.sort(distances)
     k = np.arange(size + 1, len(nearest) + 1)

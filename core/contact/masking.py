@@ -30,6 +30,12 @@ def in_hsv_range(colors: Uint8Array, section: MaskSection) -> BoolArray:
     return inside
 
 
+def masked_share(image: Uint8Array, section: MaskSection) -> float:
+    """Return the share of a colour image (H, W, 3) that the mask covers, of large images from every n-th pixel."""
+    step = max(1, len(image) // 240)
+    return float(np.mean(in_hsv_range(np.ascontiguousarray(image[::step, ::step]), section)))
+
+
 def colors_at(points: Float32Array, pixels: IndexArray, image: Uint8Array, rig: Rig) -> tuple[Uint8Array, BoolArray]:
     """Return the proximity colour of each point and whether the colour camera sees it.
 

@@ -45,7 +45,7 @@ _MEASURES_NOTE = (
 _NOTE = (
     "Mean over seeds ± half of its 95 % confidence interval (Student's t-distribution over the seeds); left and right\n"
     "high presses are averaged first. Averages of a press are over its objects. Fail: no patch in any of the cells;\n"
-    "* no patch in some of them, which are excluded. The paper's figures are for other, real objects."
+    "* no patch in some of them, which the mean leaves out. The paper's figures are for other, real objects."
 )
 #: The true points, and by method either its points or an error message.
 Panel = tuple[Float32Array, dict[str, Float32Array | str]]

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Final, Generic, TypeVar
 
 import numpy as np
 
+from ..errors import counted
 from ..model.arrays import Uint8Array
 from ..model.provenance import Provenance
 from .sections import Section
@@ -174,7 +175,7 @@ class ContactTest(ABC, Generic[S]):
         by = max(dropped, key=lambda verdict: dropped[verdict])
         reason = self.drop_reasons[by]
         share = f"{dropped[by]:,} of {total:,}" if dropped[by] < total else "all" if total > 1 else "it"
-        points = f"{total:,} point{'s' if total > 1 else ''}"
+        points = counted(total, "point")
         return f"{points} {self.near_words}, but {reason.step} dropped {share}: {reason.remedy}"
 
     def remedy_action(self, provenance: Uint8Array) -> str:

@@ -215,8 +215,10 @@ def cut_off(shown: QWidget, page: int, size: QSize) -> set:
     cut = set()
     for widget in within(shown, QLabel) + within(shown, QAbstractButton):
         least = widget.minimumSizeHint()
-        if isinstance(widget, ElidedLabel) or (isinstance(widget, QLabel) and widget.wordWrap()):
+        if isinstance(widget, ElidedLabel):
             continue
+        if isinstance(widget, QLabel) and widget.wordWrap():
+            least = QSize(0, widget.heightForWidth(widget.width()))
         if isinstance(widget, QAbstractButton) and not widget.icon().isNull():
             continue
         if isinstance(widget, QAbstractButton):

@@ -157,7 +157,7 @@ def test_the_mask_is_shown_in_black_and_white_with_its_share(window, qtbot):
     QTest.mouseClick(pane.view.viewport(), LEFT, pos=image_position(pane, 8, 8).toPoint())
     qtbot.waitUntil(panel.masked_share.isVisible)
     share = np.mean((window.result.frame.proximity_color == MEMBRANE_RGB).all(-1))
-    assert f"{100 * share:.1f} %" in panel.masked_share.text()
+    assert f"{100 * share:.1f} % of the colour image" in panel.masked_share.text()
     QTest.mouseClick(panel.mask_views[MaskView.BLACK_WHITE], LEFT)
     qtbot.waitUntil(lambda: set(np.unique(window.result.rendered.strip.panes[0][4:8, 4:8, :3])) == {255})
     assert [view for view, button in panel.mask_views.items() if button.isChecked()] == [MaskView.BLACK_WHITE]

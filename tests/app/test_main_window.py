@@ -6,10 +6,11 @@ import json
 from dataclasses import replace
 from pathlib import Path
 from threading import get_ident
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from PyQt6.QtCore import QByteArray, QSettings, Qt, QTimer
+from PyQt6.QtCore import QByteArray, QRect, QSettings, QSize, Qt, QTimer
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QDialog, QPushButton, QScrollArea, QWidget
 
@@ -208,6 +209,17 @@ def test_a_given_size_wins_over_a_maximised_window(make_window):
     again.resize_to(1000, 700)
     assert not again.isMaximized()
     assert (again.width(), again.height()) == (1000, 700)
+
+
+@pytest.mark.parametrize("asked", [(9000, 9000), (1200, 700)])
+def test_a_window_is_never_larger_than_the_screen_nor_partly_beside_it(make_window, monkeypatch, asked):
+    window, room = make_window(), QRect(0, 30, 1600, 1000)
+    monkeypatch.setattr(QApplication, "platformName", lambda: "xcb")
+    monkeypatch.setattr(window, "screen", lambda: SimpleNamespace(availableGeometry=lambda: room))
+    window.move(1500, 900)
+    window.resize_to(*asked)
+    assert room.contains(QRect(window.pos(), window.size()))
+    assert window.size() == QSize(*asked).boundedTo(room.size())
 
 
 def test_a_damaged_settings_file_means_defaults(make_window, settings_file):

@@ -12,6 +12,7 @@ from PyQt6.QtWidgets import QApplication
 
 from hands import press, show_source
 from small_recordings import GrowingPress, small_rig
+from tactune.core.errors import counted
 from tactune.core.sources.registry import open_source
 
 
@@ -102,4 +103,6 @@ def test_offers_the_tilts_of_the_former_source(qtbot, window):
     former = tab.rows
     show_source(qtbot, window, open_source("sim:cube?press=low"), 0)
     qtbot.waitUntil(lambda: tab.rows is not former)
-    assert f"The tilts of sim:cube?press=medium ({len(former)} frames) ended" in " ".join(tab.messages.sentences())
+    assert f"The tilts of sim:cube?press=medium ({counted(len(former), 'frame')}) ended" in " ".join(
+        tab.messages.sentences()
+    )

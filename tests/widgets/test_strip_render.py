@@ -52,7 +52,6 @@ def test_masked_pixels_are_tinted_and_others_are_not() -> None:
     np.testing.assert_array_equal(shown[~mask], scene.color[~mask])
     expected = 0.4 * scene.color[mask] + 0.6 * np.array(MASKED_RGB)
     assert np.abs(shown[mask] - expected).max() <= 1.0
-    assert render_strip(scene).masked_share == mask.mean()
     plain = images(mask_overlay=mask, mask_view=MaskView.COLOR)
     np.testing.assert_array_equal(rgb(render_strip(plain).panes[0]), scene.color)
     black_white = render_strip(images(mask_overlay=mask, mask_view=MaskView.BLACK_WHITE))

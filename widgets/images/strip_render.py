@@ -84,7 +84,7 @@ class RenderedStrip:
     size : (int, int)
         Width and height of the image itself.
     masked_share : float or None
-        Share of the drawn pixels that have the mask's colour; None without a mask.
+        Share of the colour image that the mask covers, None without a mask; `render_strip` leaves it to its caller.
     """
 
     panes: tuple[Uint8Array, ...]
@@ -99,9 +99,8 @@ class RenderedStrip:
 def render_strip(images: StripImages) -> RenderedStrip:
     """Colour all four images."""
     limit = max(DIFFERENCE_LIMIT, 2.0 * images.tolerance)
-    mask = images.mask_overlay
     packed = (
-        _colored(images.color, mask, images.mask_view),
+        _colored(images.color, images.mask_overlay, images.mask_view),
         _lookup(_depth_index(images.proximity_m, images.depth_range_m), _packed_depth_lut()),
         _lookup(_depth_index(images.tactile_m, images.depth_range_m), _packed_depth_lut()),
         _lookup(difference_index(images.relative, limit), _packed_difference_lut(round(images.tolerance, 6), limit)),
@@ -117,7 +116,6 @@ def render_strip(images: StripImages) -> RenderedStrip:
         depth_range_m=images.depth_range_m,
         tolerance=images.tolerance,
         difference_limit=limit,
-        masked_share=None if mask is None else float(np.count_nonzero(mask) / mask.size),
     )
 
 

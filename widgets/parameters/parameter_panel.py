@@ -237,7 +237,7 @@ class ParameterPanel(QScrollArea):
         self.masked_share.setVisible(share is not None)
         if share is not None:
             swatch = QColor(*MASKED_RGB).name()
-            self.masked_share.setText(f'<font color="{swatch}">■</font> {100 * share:.1f} % of the image masked')
+            self.masked_share.setText(f'<font color="{swatch}">■</font> {100 * share:.1f} % of the colour image masked')
 
     def add_section(self, name: str, section: CollapsibleSection) -> None:
         """Append a section that edits no preset field; its fold is remembered with the others."""

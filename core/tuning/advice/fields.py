@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ...errors import AdviceError, FrameError
+from ...errors import AdviceError, FrameError, counted
 from ...model.frames import SensorFrame
 from ...preset import CameraNoise
 from ...rig.noise import depth_noises
@@ -104,8 +104,8 @@ def _from_examples(section: str, evidence: Evidence, progress: Progress) -> Prop
         evidence,
         section,
         changes,
-        f"In {_counted(touched, 'frame')} with painted contact and "
-        f"{_counted(len(examples) - touched, 'untouched frame')}, the best values leave {sum(after):.0f} mm² of missed "
+        f"In {counted(touched, 'frame')} with painted contact and "
+        f"{counted(len(examples) - touched, 'untouched frame')}, the best values leave {sum(after):.0f} mm² of missed "
         "and false contact per frame.",
         f"Missed contact changes from {before[0]:.0f} to {after[0]:.0f} mm² per frame, false contact from "
         f"{before[1]:.0f} to {after[1]:.0f} mm².",
@@ -212,10 +212,6 @@ def _proposal(
     label = ", ".join(f"{_NAMES[path]} {_shown(path, value)}" for path, value in changed.items())
     label = label[:1].upper() + label[1:] if label else f"Keep {', '.join(_NAMES[path] for path in changes)}"
     return Proposal(section, changed, label, sentence, expected, weak)
-
-
-def _counted(number: int, thing: str) -> str:
-    return f"{number} {thing}" + ("s" if number != 1 else "")
 
 
 def _shown(path: str, value: float) -> str:

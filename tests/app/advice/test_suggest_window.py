@@ -145,7 +145,7 @@ def test_measuring_can_be_cancelled(main, qtbot, monkeypatch):
     monkeypatch.setattr(suggest_window, "suggest", endless)
     QTest.mouseClick(main.panel.suggests["mask"], LEFT)
     window = main.suggest.window
-    qtbot.waitUntil(lambda: window.progress.text() == "Measuring")
+    qtbot.waitUntil(lambda: window.sentence.text() == "Measuring…")
     QTest.mouseClick(window.cancel, LEFT)
     qtbot.waitUntil(lambda: not window.busy)
     assert window.sentence.text() == "Cancelled; nothing was changed."

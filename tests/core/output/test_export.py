@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactune.core.contact.pipeline import ContactPatch
+from tactune.core.contact.pipeline import ContactPatch, ContactPipeline
 from tactune.core.errors import ExportError, SourceError
 from tactune.core.model.clouds import PointCloud
 from tactune.core.model.frames import ColorCamera, DepthCamera, Rig, SensorFrame
@@ -17,6 +17,8 @@ from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.model.patch import AlignedDepth
 from tactune.core.model.provenance import Provenance
 from tactune.core.output.cloud_files import patch_cloud, read_points, write_cloud
+from tactune.core.sources.presets import load_preset
+from tactune.core.sources.registry import open_source
 
 ALL = (".ply", ".pcd", ".npz", ".csv")
 TYPES = (np.int8, np.uint8, np.int16, np.uint16, np.int32, np.uint32, np.float32, np.float64)
@@ -236,3 +238,20 @@ def test_a_patch_carries_colour_difference_and_pixels(own_color_camera: bool) ->
         else:
             inside = True
         assert color.tolist() == (image[v, u].tolist() if inside else [0, 0, 0])
+
+
+def test_only_points_of_the_membrane_test_that_lack_a_depth_have_no_difference(tmp_path: Path) -> None:
+    with open_source("sim:cup") as source:
+        source.seek(45)
+        frame = source.next_frame()
+        assert frame is not None
+        patch = ContactPipeline(load_preset("simulator"), source.rig).process(frame)
+        write_cloud(tmp_path / "patch.csv", patch_cloud(patch, frame, source.rig))
+    table = np.genfromtxt(tmp_path / "patch.csv", delimiter=",", names=True)
+    assert len(table) == len(patch.points)
+    at = table["v"].astype(int), table["u"].astype(int)
+    expected, measured = (image[at] for image in (patch.aligned.expected_m, patch.aligned.measured_m))
+    lacks = np.isnan(expected) | np.isnan(measured)
+    assert 0 < np.count_nonzero(lacks) < 0.02 * len(table)
+    assert lacks[frame.proximity_depth[at] == 0].all()
+    np.testing.assert_allclose(table["relative_difference"], (expected - measured) / expected, rtol=1e-6)

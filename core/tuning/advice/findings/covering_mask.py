@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from typing import Final
 
-import numpy as np
-
-from ....contact.masking import in_hsv_range
+from ....contact.masking import masked_share
 from ..proposal import Finding, Proposal
 from .situation import Situation
 
 #: Largest share of the colour image that prints cover.
 _MAX_SHARE: Final = 0.5
-_STRIDE: Final = 4
 
 
 def find(situation: Situation) -> Finding | None:
@@ -20,11 +17,10 @@ def find(situation: Situation) -> Finding | None:
     mask = situation.preset.mask
     if not mask.enabled:
         return None
-    colors = np.ascontiguousarray(situation.frame.proximity_color[::_STRIDE, ::_STRIDE])
-    share = float(np.mean(in_hsv_range(colors, mask)))
+    share = masked_share(situation.frame.proximity_color, mask)
     if share <= _MAX_SHARE:
         return None
-    sentence = f"The mask covers {100 * share:.0f} % of the colour image, and nothing under it counts as contact."
+    sentence = f"The mask covers {100 * share:.1f} % of the colour image, and nothing under it counts as contact."
     return Finding(
         name="covering_mask",
         field="mask.hue",

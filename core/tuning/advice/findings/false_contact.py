@@ -8,6 +8,7 @@ from typing import Final
 import cv2
 import numpy as np
 
+from ....errors import counted
 from ....model.arrays import Float64Array
 from ....model.frames import Rig
 from ....model.patch import ContactPatch
@@ -33,7 +34,7 @@ def find(situation: Situation) -> Finding | None:
         if patch.area_mm2 < _MIN_AREA_MM2 or not _at_rest(situation):
             return None
     areas = _areas_mm2(patch, situation.rig)
-    places = f"{len(areas)} place{'s' if len(areas) != 1 else ''}"
+    places = counted(len(areas), "place")
     sentence = f"{where} {patch.area_mm2:.0f} mm² of contact in {places} with this preset."
     field = _FIELDS[situation.preset.contact_test]
     smallest_mm2 = float(math.ceil(_MARGIN * areas.max()))

@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from tactune.core.contact.masking import masked_share
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.preset import CameraNoise, RigNoise, now
 from tactune.core.sources.presets import load_preset
@@ -151,9 +152,11 @@ def test_a_source_with_one_camera_gives_no_finding():
 
 def test_a_mask_that_covers_the_image():
     rig, frame = scene(PRESSED)
-    covered = SHIPPED.with_values({"mask.hue": (0, 179), "mask.saturation": (0, 255), "mask.value": (0, 255)})
+    covered = SHIPPED.with_values({"mask.hue": (0, 179), "mask.saturation": (0, 255), "mask.value": (60, 255)})
     found = findings(covered, rig, frame)["covering_mask"]
-    assert "covers 100 %" in found.sentence
+    share = masked_share(frame.proximity_color, covered.mask)
+    assert 0.5 < share < 1.0
+    assert f"covers {100 * share:.1f} % of the colour image" in found.sentence, "the number that the panel shows"
     assert mended(found, covered, rig, frame)
 
 
