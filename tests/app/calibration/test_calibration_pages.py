@@ -190,7 +190,7 @@ def test_a_click_without_depth_is_told_in_words(open_wizard, scene, frames, feed
     assert "no depth here" in wizard.points.table.rows()[0].hint
 
 
-def test_a_wrong_pair_is_left_out_highlighted_and_named(open_wizard, scene, frames, feed, qtbot):
+def test_a_wrong_pair_is_rejected_highlighted_and_named(open_wizard, scene, frames, feed, qtbot):
     state = with_pairs(scene, frames, feed)
     wrong = state.pairs[4]
     moved = wrong.model_copy(update={"proximity": (wrong.proximity[0] + 25, wrong.proximity[1] - 11)})
@@ -199,7 +199,7 @@ def test_a_wrong_pair_is_left_out_highlighted_and_named(open_wizard, scene, fram
     qtbot.waitUntil(lambda: wizard.outcome.report is not None)
     rows = {row.key: row for row in wizard.points.table.rows()}
     assert [key for key, row in rows.items() if row.worst] == [5]
-    assert "contradicts" in rows[5].hint
+    assert "rejected" in rows[5].hint
     assert "pair 5" in wizard.quality.step.text()
 
     wizard.go_to(1)
