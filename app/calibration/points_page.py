@@ -65,7 +65,7 @@ class PointsPage(QWidget):
         self.snapshot = QComboBox()
         self.snapshot.setToolTip("The snapshot to click in; points at several inflation levels span depth")
         self.snapshot.setAccessibleName("Snapshot")
-        self.snapshot.setMinimumContentsLength(10)
+        self.snapshot.setMinimumContentsLength(15)
         self.left_image, self.right_image = QComboBox(), QComboBox()
         for box, name in ((self.left_image, "Left image (proximity camera)"), (self.right_image, "Right image")):
             box.setAccessibleName(name)
