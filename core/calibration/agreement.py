@@ -9,8 +9,9 @@ whitened design Q (orthonormal columns) and the whitened residuals r,
 - the fit of a half B differs from that of all by ``(Q_B^T Q_B)^-1 Q_B^T r_B``,
 - a smooth error ``F z`` of the pairs, z normal with variance g, has the restricted likelihood of a variance component
   (Patterson and Thompson 1971; Searle, Casella and McCulloch, *Variance Components*, section 6.6). The kinds of error
-  are the lens, the depth, the surface and any smooth field. They and independent noise are weighed by their marginal
-  likelihoods (Kass and Raftery 1995), so the bound grows with the evidence, not by a threshold.
+  are the lens, the depth, the surface and any smooth field. They, independent noise and noise that only near
+  neighbours share are weighed by their marginal likelihoods (Kass and Raftery 1995), so the bound grows with the
+  evidence, not by a threshold.
 """
 
 from __future__ import annotations
@@ -33,7 +34,10 @@ from .rigid import RigidFit
 #: Variances of a smooth error, relative to the noise of a pair, that are tried.
 _VARIANCES = np.geomspace(0.003, 300.0, 26)
 #: Lengths over which a smooth field changes, as shares of the judged region, and the order of its cosines.
-_LENGTHS, _ORDER, _MARGIN = (0.25, 0.4, 0.7), 5, 0.3
+_LENGTHS, _ORDER, _MARGIN = (0.25, 0.4, 0.7), 10, 0.3
+#: The same for noise that only near neighbours share, such as a camera's depth noise under many pairs. Without it, such
+#: noise is taken for a smooth error or for none, as chance decides.
+_NOISE_LENGTH = 0.1
 #: Odds of a smooth error before the pairs are seen. They are chosen for the coverage of the 95 % bound
 #: (``scripts/measure_calibration.py coverage``).
 _PRIOR_ODDS = 4.0
@@ -174,7 +178,7 @@ class Agreement:
             there = self.shapes(np.asarray(places, np.float64))
             for name, size, absorbed in self.errors:
                 # what a lens, a depth or a surface does, the cameras see; a field may be an error of the clicks alone
-                seen = self.field_is_true or not name.startswith("field")
+                seen = self.field_is_true if name.startswith("field") else not name.startswith("noise")
                 columns.append(by_noise @ absorbed - (size * there[name] if seen else 0.0))
         return np.concatenate(columns, axis=2)
 
@@ -217,7 +221,7 @@ def judge_agreement(fit: HomographyFit | RigidFit, pairs: Float64Array, places: 
     made = [
         Agreement(
             fit=fit,
-            probability=weight,
+            probability=sum(kind.weight for kind in kinds if kind.cause in _STEPS),
             cause=cause,
             cross_validated_px=None if crossed is None else crossed * pixel,
             expected_px=expected * pixel,
@@ -234,7 +238,7 @@ def judge_agreement(fit: HomographyFit | RigidFit, pairs: Float64Array, places: 
 
 @dataclass(frozen=True, eq=False)
 class _Kind:
-    """A kind of smooth error: its posterior probability, its size, and what the fit absorbs of it (P, K)."""
+    """A kind of shared error: its posterior probability, its size, and what the fit absorbs of it (P, K)."""
 
     name: str
     weight: float
@@ -249,7 +253,7 @@ class _Kind:
 
 
 class _Shapes:
-    """The shapes of smooth errors at places (N, 3): displacements (N, 2, K) by unit variates, any scale."""
+    """The shapes of shared errors at places (N, 3): displacements (N, 2, K) by unit variates, any scale."""
 
     def __init__(self, fit: HomographyFit | RigidFit, rig: Rig, pairs: Float64Array, places: Float64Array) -> None:
         self.fit, self.rig = fit, rig
@@ -274,9 +278,10 @@ class _Shapes:
         inside = (places[:, :2] - self.low) / self.width
         waves = np.pi * self.orders * ((inside[:, None] + _MARGIN) / (1 + 2 * _MARGIN))
         field = np.cos(waves).prod(axis=2) * np.sqrt(2.0) ** (self.orders > 0).sum(axis=1)
-        for length in _LENGTHS:
+        for length in (_NOISE_LENGTH, *_LENGTHS):
             power = np.exp(-((np.pi * self.orders * length / (1 + 2 * _MARGIN)) ** 2) / 2).prod(axis=1)
-            found[f"field {length}"] = _in_both(field * np.sqrt(power))
+            kept, kind = power > _NEGLIGIBLE**2, "field" if length in _LENGTHS else "noise"
+            found[f"{kind} {length}"] = _in_both(field[:, kept] * np.sqrt(power[kept]))
         return found
 
 
@@ -295,7 +300,7 @@ def _weigh(
     shape: tuple[int, ...],
     degrees: int,
 ) -> list[_Kind]:
-    """Return each kind of smooth error with its posterior probability and its most likely size."""
+    """Return each kind of error with its posterior probability and its most likely size."""
     total = float(rest @ rest)
     kinds, evidence, priors = [], [], []
     for name, of_pairs in shapes.items():
@@ -313,7 +318,7 @@ def _weigh(
         gain = -0.5 * (degrees * np.log(noise * degrees / max(total, 1e-300)) + np.log(growth).sum(axis=1))
         best = int(gain.argmax())
         evidence.append(np.exp(np.minimum(gain, 600.0)).mean())
-        priors.append(1.0 / (len(_LENGTHS) if name.startswith("field") else 1))
+        priors.append(1.0 / (len(_LENGTHS) + 1 if name.startswith(("field", "noise")) else 1))
         size = float(np.sqrt(_VARIANCES[best] * noise[best]))
         kinds.append((name, float(noise[best]), size, scale, rows.T @ error))
     odds = _PRIOR_ODDS * np.array(evidence) * priors / sum(priors)

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from simulated_clicks import judged_places, make_clicks
 from tactune.core.calibration import calibrate
 from tactune.core.calibration.recheck import recheck
+from tactune.core.calibration.rigid import Pose
 from tactune.core.calibration.snapshots import content_hash, depth_under, median_counts, take_snapshot
 from tactune.core.calibration.texture import match_texture
 from tactune.core.errors import CalibrationError
@@ -123,6 +124,16 @@ def test_a_snapshot_is_quieter_than_a_frame_and_named_by_its_content(rig):
     assert snapshot.record("held").sha256 == snapshot.sha256
     with pytest.raises(CalibrationError, match="at least one frame"):
         take_snapshot([])
+
+
+def test_the_texture_of_two_averaged_frames_is_off_by_no_more_than_the_bound(rig):
+    source = SimulatorSource("cup", cells=COARSE, sensor="datasheet")
+    frames = [take_snapshot([source.read(index), source.read(index + 1)]).frame for index in (2, 30)]
+    quality = calibrate(match_texture(frames, rig).pairs, rig, "rigid").chosen
+    points = Pose.of(rig.T_proximity_tactile).points_m(rig.tactile.intrinsics, quality.map.places)
+    off = quality.map.proximity - rig.proximity.intrinsics.project(points)
+    assert np.sqrt((off**2).sum(axis=1).mean()) < quality.alignment_bound_95_px < 0.1
+    assert quality.agreement.words() == ""
 
 
 def test_depth_under_a_click_follows_the_slope_and_keeps_to_its_surface():
