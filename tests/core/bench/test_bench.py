@@ -10,6 +10,7 @@ import time
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,11 @@ from tactune.core.bench.scenes import BenchScene, make_scene, scene_names, synth
 from tactune.core.bench.stability import LongRunReport, check_stability
 from tactune.core.errors import TactuneError
 
-pytest.importorskip("open3d", reason="needs the extra bench")
+# Importing it takes 2 s in every test process that collects this file.
+pytestmark = [
+    pytest.mark.skipif(find_spec("open3d") is None, reason="needs the extra bench"),
+    pytest.mark.filterwarnings("ignore:Open3D was built with CUDA:ImportWarning"),
+]
 
 
 def allocated_bytes(run: Callable[[], Any], calls: int = 5) -> int:
