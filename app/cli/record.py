@@ -117,6 +117,8 @@ def convert(
                 warn(f"a folder cannot hold a preset; {kept.name!r} was not written")
         if opened.health().message:
             warn(opened.health().message)
+        if isinstance(opened, McapSource) and opened.has_poses:
+            warn(f"the poses of the object in {opened.name} were not written; tactune track computes them again")
     typer.echo(f"wrote {counted(count, 'frame')} of {opened.name} to {target}")
 
 

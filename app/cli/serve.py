@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
@@ -188,6 +188,8 @@ def _publish(
             count += 1
     finally:
         compiler.stop()
+        if poses is not None:
+            poses.close()
     return count
 
 
@@ -200,6 +202,16 @@ class _Poses:
         self._newest: Future[None] | None = None
         self._lost_since_s = math.nan
         self._told = self._warned = False
+        self._closed = Event()
+
+    def close(self) -> None:
+        """End a search that runs, and the thread."""
+        self._closed.set()
+        self._thread.shutdown(cancel_futures=True)
+
+    def _go_on(self, _: float) -> None:
+        if self._closed.is_set():
+            raise CancelledError
 
     def put(self, patch: ContactPatch, time_s: float) -> None:
         """Track in this patch, in place of one that still waits."""
@@ -208,7 +220,7 @@ class _Poses:
         self._newest = self._thread.submit(self._track, patch, time_s)
 
     def _track(self, patch: ContactPatch, time_s: float) -> None:
-        pose = self._tracker.track(patch, time_s)
+        pose = self._tracker.track(patch, time_s, self._go_on)
         if not pose.lost:
             self._lost_since_s, self._told = math.nan, False
             self._publisher.tell("object", "")
@@ -222,7 +234,7 @@ class _Poses:
     def _search(self, patch: ContactPatch) -> None:
         """Search once more, and say how badly the mesh fits; the tracker goes on searching."""
         try:
-            self._tracker.find(patch)
+            self._tracker.find(patch, self._go_on)
         except CalibrationError as error:
             sentence = f"{error}; there is no pose until it fits."
             self._publisher.tell("object", sentence)

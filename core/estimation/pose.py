@@ -257,7 +257,9 @@ class PoseTracker:
         self._last = found.fit
         return found.fit.pose
 
-    def track(self, patch: ContactPatch, time_s: float) -> PoseEstimate:
+    def track(
+        self, patch: ContactPatch, time_s: float, progress: Callable[[float], None] = lambda share: None
+    ) -> PoseEstimate:
         """Return the object's pose in the next frame; the first one is searched for unless the tracker was started.
 
         Parameters
@@ -266,18 +268,22 @@ class PoseTracker:
             Of the next frame.
         time_s : float
             The frame's time, seconds; must increase.
+        progress : callable
+            As for `find`, of each search.
         """
         tiles = patch_points(patch.points, self._rig, self._density_m4)
         if len(tiles.points) < _MIN_TILES:
             return self._nowhere(patch, time_s)
         film = Membrane.of(patch, self._preset)
-        found = self._follow(tiles, film, len(patch.points), time_s)
+        found = self._follow(tiles, film, len(patch.points), time_s, progress)
         if found is None:
             return self._nowhere(patch, time_s)
         self._keep(found.fit, time_s)
         return self._estimate(found, patch, time_s)
 
-    def _follow(self, tiles: PatchPoints, film: Membrane, patch_px: int, time_s: float) -> Searched | None:
+    def _follow(
+        self, tiles: PatchPoints, film: Membrane, patch_px: int, time_s: float, progress: Callable[[float], None]
+    ) -> Searched | None:
         """Return the fit of the next frame; None if there is none yet, or if the object is lost and not found."""
         mesh = self.mesh
         found: Searched | None = None
@@ -287,11 +293,11 @@ class PoseTracker:
             good = near.overlap > _GOOD_OVERLAP and found.cost_m < _GOOD_M
             if not good and self._may_search(time_s, everywhere=False):
                 around = self._last or near
-                other = search_near(mesh, tiles, film, patch_px, around, self._pose)
+                other = search_near(mesh, tiles, film, patch_px, around, self._pose, progress)
                 if other.cost_m < _BETTER * found.cost_m:
                     found, self._time_s = self._nearest_equal(other, self._pose), math.nan  # a jump is no velocity
         if (found is None or _is_lost(found)) and self._may_search(time_s, everywhere=True):
-            found, self._time_s = search(mesh, tiles, film, patch_px), math.nan
+            found, self._time_s = search(mesh, tiles, film, patch_px, progress), math.nan
             if self._pose is not None:
                 found = self._nearest_equal(found, self._pose)
         return None if found is None or _is_lost(found) else found

@@ -107,9 +107,15 @@ def search(
 
 
 def search_near(
-    mesh: ObjectMesh, patch: PatchPoints, film: Membrane | None, patch_px: int, last: Fit, pose: Float64Array
+    mesh: ObjectMesh,
+    patch: PatchPoints,
+    film: Membrane | None,
+    patch_px: int,
+    last: Fit,
+    pose: Float64Array,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> Searched:
-    """Search around a pose, and all the way along the turns that were free there."""
+    """Search around a pose, and all the way along the turns that were free there; ``progress`` as for `search`."""
     random = np.random.default_rng(0)
     starts = [pose]
     for direction in last.directions[:, last.free].T:
@@ -124,7 +130,7 @@ def search_near(
     for share in _NEAR_SHARES[1:]:
         for motion in random.normal(size=(_NEAR_STARTS, 6)):
             starts.append(moved(pose, share * mesh.radius_m * motion / math.sqrt(2), patch.centre_m, mesh.radius_m))
-    return _best(mesh, patch, film, patch_px, starts)
+    return _best(mesh, patch, film, patch_px, starts, progress)
 
 
 def _best(

@@ -41,6 +41,8 @@ from .messages import (
 #: Memory limit of the queue: about two seconds of a full rig.
 QUEUE_BYTES = 256 * 2**20
 
+#: Frames that may still get a pose; a pose that comes later is not kept.
+_AWAITING_POSE = 300
 #: Time between two writes to the disk, which a power failure may lose; a killed process loses the queue only.
 _SYNC_EVERY_S = 2.0
 
@@ -120,6 +122,7 @@ class SessionWriter:
         self._queue_bytes = queue_bytes
         self._waiting_bytes = 0
         self._changed = threading.Condition()
+        self._awaiting_pose: deque[int] = deque(maxlen=_AWAITING_POSE)
         self._closing = False
         self._accepted = self._frames = self._dropped = 0
         self._first_ns = self._last_ns = 0
@@ -149,15 +152,20 @@ class SessionWriter:
                 self._dropped += 1
                 return False
             self._queue.append((partial(self._write, frame), size))
+            self._awaiting_pose.append(frame.sequence)
             self._accepted += 1
             self._waiting_bytes += size
             self._changed.notify_all()
         return True
 
     def put_pose(self, pose: Float64Array, covariance: Float64Array, sequence: int, time_s: float) -> None:
-        """Queue a pose, as `tactune.core.output.bag.PatchWriter.write` takes it; one before the first frame is lost."""
+        """Queue the pose of a frame, as `tactune.core.output.bag.PatchWriter.write` takes it.
+
+        Kept is one pose of each frame that `put` has accepted, if it comes soon after it.
+        """
         with self._changed:
-            if not self._error and not self._closing:
+            if sequence in self._awaiting_pose and not self._error and not self._closing:
+                self._awaiting_pose.remove(sequence)
                 self._queue.append((partial(self._write_pose, pose, covariance, sequence, time_s), 0))
                 self._changed.notify_all()
 
@@ -284,8 +292,6 @@ class SessionWriter:
             self._frames += 1
 
     def _write_pose(self, pose: Float64Array, covariance: Float64Array, sequence: int, time_s: float) -> None:
-        if not self._frames:
-            return
         stamp_ns, log_ns = nanoseconds(time_s), self._last_ns
         parts = pose_parts(pose, covariance, stamp_ns)
         self._bag.write(

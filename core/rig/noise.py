@@ -32,7 +32,7 @@ from ..preset.checks import rig_in_use
 from ..preset.rig_noise import BiasOrigin
 from ..sources.base import CameraRole, FrameSource, Progress
 from .slow_error import slow_error_m
-from .untouched import frames_to_average, tile_medians
+from .untouched import TILE_PX, frames_to_average, tile_medians
 
 #: Default number of live frames, and upper limit: more take too much memory.
 NOISE_FRAMES: Final = 60
@@ -74,10 +74,13 @@ _MIN_CORRELATED: Final = 0.01
 
 #: Movement: the median depth of an image tile differs by more than this share in more than this share of the tiles,
 #: between these parts of the time. The last number limits the frames that are read of each part.
-_MOVED_SHARE, _MOVED_TILES, _PARTS, _PART_FRAMES = 0.0067, 0.02, 4, 8
+_MOVED_SHARE, _MOVED_TILES, _PARTS, _PART_FRAMES = 0.0067, 0.03, 4, 8
 #: Changes of an image tile within this number of standard errors are noise. The standard error of a median is that of a
 #: mean times the second number.
 _MOVED_SIGMAS, _MEDIAN_ERROR = 5.0, 1.25
+#: Fast movement looks like noise. No sensor of the simulator makes the median depth of a tile vary from frame to frame
+#: by half of this share of the depth (standard deviation), except at edges.
+_RESTLESS_SHARE: Final = 0.01
 #: Fewest pixels at the membrane's distance from which the proximity noise there is taken, and the range of distances.
 _NEAR_PIXELS, _NEAR_SHARE = 1500, 0.25
 
@@ -163,7 +166,7 @@ def measure_noise(
             width, height = camera.intrinsics.shape[::-1]
             raise FrameError(f"the {role} images have {width} x {height} pixels, too few to measure their noise")
     report(0.0, "Looking for movement")
-    _refuse_movement(different)
+    _refuse_movement(different, rig)
     if warn is not None and all(_same_depth(different[0], frame) for frame in different[1:]):
         warn(
             f"all {len(different)} frames have the same depths, so the noise that changes from frame to frame is "
@@ -253,6 +256,39 @@ def depth_noises(frames: Sequence[SensorFrame], rig: Rig, progress: Progress) ->
         report=lambda share: progress((1 + share) / 2, "Measuring the proximity noise"),
     )
     return proximity, tactile
+
+
+def image_noise(counts: Uint16Array, camera: DepthCamera) -> CameraNoise:
+    """Measure the noise of one tactile image, or of an average: its residual from smooth surfaces.
+
+    Which part of it changes from frame to frame cannot be told; ``changing_share`` is 0.
+
+    Parameters
+    ----------
+    counts : uint16, shape (H, W)
+        At least `_MIN_SIDE_PX` pixels wide and high.
+    camera : DepthCamera
+
+    Raises
+    ------
+    FrameError
+        The camera sees no smooth surface.
+    """
+    depth = _metres([counts], camera)[0]
+    seen = np.isfinite(depth)
+    distance_m = float(np.median(depth[seen])) if seen.any() else 1.0
+    surface = distance_m - distance_m**2 / depth
+    fixed, tile_px = _fixed_autocovariances("tactile", surface, np.ones_like(depth), seen, 0.0)
+    unknown = Autocovariances(np.full(len(_LAGS), np.nan), np.ones(len(_LAGS)))
+    parts, length_px = _fit_noise(unknown, fixed, tile_px, lengths_px=(0.0, tile_px / _TILE_LENGTHS))
+    white, shared = parts[:2] + parts[2:]  # of one image it makes no difference what changes
+    return CameraNoise(
+        white_m=float(np.sqrt(white + camera.depth_unit_m**2 / 12)),
+        correlated_m=float(np.sqrt(shared)),
+        length_px=length_px if shared > 0 else 0.0,
+        changing_share=0.0,
+        distance_m=distance_m,
+    )
 
 
 @dataclass(frozen=True)
@@ -636,21 +672,30 @@ def choose_bias(found: Sequence[MeasuredBias], warn: Callable[[str], None]) -> M
 # Movement, frames, words
 
 
-def _refuse_movement(frames: Sequence[SensorFrame]) -> None:
+def _refuse_movement(frames: Sequence[SensorFrame], rig: Rig) -> None:
     """Raise if the depth of either camera differs between the frames by more than noise."""
-    for role, images in (
-        ("tactile", [frame.tactile_depth for frame in frames]),
-        ("proximity", [frame.proximity_depth for frame in frames]),
+    for role, camera, images in (
+        ("tactile", rig.tactile, [frame.tactile_depth for frame in frames]),
+        ("proximity", rig.proximity, [frame.proximity_depth for frame in frames]),
     ):
-        parts, errors = np.ma.masked_invalid([_resting_depth(part) for part in _split(images, _PARTS)]).swapaxes(0, 1)
+        found = np.ma.masked_invalid([_resting_depth(part) for part in _split(images, _PARTS)])
+        parts, errors, deviations = found.swapaxes(0, 1)
         known = parts.count(axis=0) > _PARTS // 2
         if not known.any():
             continue  # the lack of depth is reported later
-        parts, noise = parts[:, known], _MOVED_SIGMAS * np.sqrt(np.mean(errors[:, known] ** 2, axis=0))
-        moved = np.ma.ptp(parts, axis=0) > np.maximum(_MOVED_SHARE * parts.mean(axis=0), noise)
-        if moved.mean() > _MOVED_TILES:
+        depth, change = parts.mean(axis=0), np.ma.ptp(parts, axis=0)
+        deviation = np.sqrt(np.mean(deviations**2, axis=0))
+        noise = _MOVED_SIGMAS * np.sqrt(np.mean(errors**2, axis=0))
+        moved = (change > np.maximum(_MOVED_SHARE * depth, noise))[known]
+        restless = (deviation > _RESTLESS_SHARE * depth)[known]
+        share = max(moved.mean(), restless.mean())
+        if share > _MOVED_TILES:
+            most = np.ma.maximum(change, deviation)
+            row, column = divmod(int(most.argmax()), camera.intrinsics.width // TILE_PX)
             raise FrameError(
-                f"the scene moves: the {role} depth changes in {100 * moved.mean():.0f} % of the image; "
+                f"the scene moves: the {role} depth changes in {100 * share:.0f} % of the image, most "
+                f"by {1e3 * camera.depth_unit_m * most.max():.0f} mm near pixel "
+                f"({TILE_PX * column + TILE_PX // 2}, {TILE_PX * row + TILE_PX // 2}); "
                 "hold everything still and measure again"
             )
 
@@ -667,16 +712,17 @@ def _split(images: Sequence[Uint16Array], parts: int) -> list[Sequence[Uint16Arr
 
 
 def _resting_depth(images: Sequence[Uint16Array]) -> Float64Array:
-    """Return the median depth of each image tile over some of the images and its standard error, counts.
+    """Return the median depth of each image tile over some of the images, its standard error and deviation, counts.
 
-    Shape (2, M); nan where most of the images have no depth.
+    Shape (3, M); nan where most of the images have no depth.
     """
     some = np.array([tile_medians(image) for image in images[:: -(-len(images) // _PART_FRAMES)]])
     count = np.isfinite(some).sum(axis=0)
     seen = 2 * count >= len(some)
-    found = np.full((2, some.shape[1]), np.nan)
+    found = np.full((3, some.shape[1]), np.nan)
     found[0, seen] = np.nanmedian(some[:, seen], axis=0)
-    found[1, seen] = _MEDIAN_ERROR * np.nanstd(some[:, seen], axis=0) / np.sqrt(np.maximum(count[seen] - 1, 1))
+    found[2, seen] = np.nanstd(some[:, seen], axis=0)
+    found[1] = _MEDIAN_ERROR * found[2] / np.sqrt(np.maximum(count - 1, 1))
     return found
 
 

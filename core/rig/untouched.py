@@ -29,7 +29,7 @@ MAX_FRAMES: Final = 1000
 #: Frames per block. When 2 blocks are held, the older one is replaced by its median.
 _BLOCK: Final = 30
 #: Movement test: the median depth of image tiles of this side length, pixels, ...
-_TILE_PX: Final = 16
+TILE_PX: Final = 16
 #: ... changes by more than this share of the depth (2 mm at 300 mm) ...
 _MOVED_SHARE: Final = 0.0067
 #: ... and by more than this number of standard deviations of its noise, each this median deviation, ...
@@ -282,14 +282,14 @@ def _refuse_movement(first: SensorFrame, frame: SensorFrame) -> None:
 
 def tile_medians(counts: Uint16Array) -> Float64Array:
     """Return the median of the valid counts of each image tile, shape (M,); nan where most pixels have no depth."""
-    height, width = (size // _TILE_PX * _TILE_PX for size in counts.shape)
-    tiles = counts[:height, :width].reshape(height // _TILE_PX, _TILE_PX, width // _TILE_PX, _TILE_PX)
-    pixels = tiles.swapaxes(1, 2).reshape(-1, _TILE_PX**2)
+    height, width = (size // TILE_PX * TILE_PX for size in counts.shape)
+    tiles = counts[:height, :width].reshape(height // TILE_PX, TILE_PX, width // TILE_PX, TILE_PX)
+    pixels = tiles.swapaxes(1, 2).reshape(-1, TILE_PX**2)
     valid = valid_depth(pixels)
     ordered = np.sort(np.where(valid, pixels, np.uint16(65535)), axis=1)
     known = valid.sum(axis=1)
     medians = ordered[np.arange(len(ordered)), np.maximum(known - 1, 0) // 2].astype(np.float64)
-    return np.where(known >= _TILE_PX**2 // 2, medians, np.nan)
+    return np.where(known >= TILE_PX**2 // 2, medians, np.nan)
 
 
 def _noise(single: list[SensorFrame], parts: list[SensorFrame]) -> tuple[float, float]:

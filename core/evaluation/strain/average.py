@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
 from ...calibration.snapshots import take_snapshot
-from ...model.arrays import Float64Array
+from ...model.arrays import Float64Array, Uint16Array
 from ...model.clouds import valid_depth
 from ...model.frames import Rig, SensorFrame
 
-#: Movement test: the mean depth of image tiles of this side length, pixels; its noise is a few tenths of a millimetre.
+#: Movement test: mean inverse depths of image tiles of this side length, pixels.
 _TILE_PX: Final = 32
-#: The membrane has moved if the mean depth of a tile changes by more than this share (1.2 mm at 300 mm).
-_MOVED_SHARE: Final = 0.004
+#: The membrane has moved if a tile changes by more than this number of standard deviations of its noise, or if the mean
+#: square of all tiles exceeds that of noise by this factor.
+_MOVED_SIGMAS, _MOVED_FACTOR = 6.0, 2.0
+#: Standard deviation of normal values as a multiple of their median distance from 0.
+_NORMAL: Final = 1.4826
 
 
 def average_still(frames: Sequence[SensorFrame], rig: Rig) -> tuple[SensorFrame, int]:
@@ -66,14 +70,26 @@ def average_still(frames: Sequence[SensorFrame], rig: Rig) -> tuple[SensorFrame,
 
 
 def _moved(frame: SensorFrame, newest: SensorFrame) -> bool:
-    """Tell whether the mean tactile depth of any tile has changed. Tiles need depth in half of their pixels."""
-    before, now = frame.tactile_depth, newest.tactile_depth
-    valid = valid_depth(before) & valid_depth(now)
-    change = np.where(valid, before.astype(np.float64) - now, 0.0)
-    known = _tile_sums(valid.astype(np.float64))
-    depth = _tile_sums(np.where(valid, now, 0.0))
-    judged = known >= _TILE_PX**2 / 2
-    return bool((np.abs(_tile_sums(change)) > _MOVED_SHARE * depth)[judged].any())
+    """Tell whether the membrane has moved between two frames by more than the noise of tiles.
+
+    Movement is smooth, noise is not: a tile minus the mean of its neighbours on either side contains noise only.
+    """
+    change = _tile_changes(frame.tactile_depth, newest.tactile_depth)
+    noise = [change[1:-1] - (change[:-2] + change[2:]) / 2, change[:, 1:-1] - (change[:, :-2] + change[:, 2:]) / 2]
+    noise_m = np.abs(np.concatenate([part[np.isfinite(part)] for part in noise]))
+    change = change[np.isfinite(change)]
+    if not noise_m.size:
+        return bool(change.any())
+    sigmas = change / max(_NORMAL * float(np.median(noise_m)) / math.sqrt(1.5), np.finfo(float).tiny)
+    return bool(np.abs(sigmas).max() > _MOVED_SIGMAS or np.mean(sigmas**2) > _MOVED_FACTOR)
+
+
+def _tile_changes(before: Uint16Array, now: Uint16Array) -> Float64Array:
+    """Return the mean change of inverse depth of each tile, 1/counts; nan where half of its pixels have no depth."""
+    known = valid_depth(before) & valid_depth(now)
+    change = np.where(known, 1.0 / np.maximum(now, 1) - 1.0 / np.maximum(before, 1), 0.0)
+    count = _tile_sums(known.astype(np.float64))
+    return np.where(count >= _TILE_PX**2 / 2, _tile_sums(change) / np.maximum(count, 1), np.nan)
 
 
 def _tile_sums(image: Float64Array) -> Float64Array:

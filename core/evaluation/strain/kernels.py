@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from ...contact.kernels.compiling import inline, kernel
-from ...model.arrays import Float64Array, Int64Array
+from ...model.arrays import Float32Array, Float64Array, Int64Array
 
 #: Terms of a quadratic, and shape of the normal equations. Both right-hand sides: the values, and the unit vector e0.
 _TERMS: Final = 6
@@ -17,8 +17,8 @@ SCRATCH_SHAPE: Final = (_TERMS, _TERMS + 2)
 NEAREST: Final = 9
 #: From this radius on only every other row and column is used: the noise of neighbouring pixels is correlated.
 _SPARSE_FROM_PX: Final = 8
-#: Stereo matching correlates noise within its window; this many pixels count as one measurement.
-_PIXELS_A_SAMPLE: Final = 70.0
+#: A dot is in a hole without depth, and has no place, if no disc up to this radius has enough depths, pixels.
+_MAX_HOLE_PX: Final = 18
 #: Pixels whose inverse depth differs from the central median by more than this share belong to another surface.
 _SAME_SURFACE: Final = 0.04
 #: A wider fit is accepted if it agrees with the narrower ones within this many standard deviations.
@@ -120,6 +120,7 @@ def fit_inverse_depths(
     inverse: Float64Array,
     pixels: Float64Array,
     noise: float,
+    pixels_a_sample: float,
     radii: Int64Array,
     scratch: Float64Array,
     nearest: Float64Array,
@@ -137,22 +138,28 @@ def fit_inverse_depths(
         ``(u, v)``.
     noise : float
         Standard deviation of inverse depth, 1/m.
+    pixels_a_sample : float
+        Neighbouring pixels share noise; this many count as one measurement.
     radii : int64, shape (K,)
         Radii of the discs, pixels, ascending.
     scratch, nearest : float64, shapes `SCRATCH_SHAPE` and (2, NEAREST)
         Work arrays, overwritten.
-    out : float64, shape (N, 2)
-        Output: inverse depth at each dot and its standard deviation, 1/m; nan without depth.
+    out : float64, shape (N, 4)
+        Output for each dot: inverse depth and its standard deviation, 1/m; radius of the disc, pixels; inverse depth
+        that tells the pixels of the dot's surface, 1/m. nan without depth.
     """
     for dot in range(len(pixels)):
         u, v = pixels[dot, 0], pixels[dot, 1]
-        out[dot, 0], out[dot, 1] = math.nan, math.nan
+        out[dot] = math.nan
         low, high = -math.inf, math.inf
         for radius in radii:
+            if radius > _MAX_HOLE_PX and math.isnan(out[dot, 0]):
+                break
             stride = _stride(radius)
-            known, same = _find_nearest(inverse, u, v, radius, nearest), 0
+            known, same, middle = _find_nearest(inverse, u, v, radius, nearest), 0, math.nan
             if known * stride**2 >= _MIN_SHARE * math.pi * radius**2 and known >= _MIN_COUNT:
-                same = _gather(inverse, u, v, radius, _median(nearest[1], min(known, NEAREST)), scratch)
+                middle = _median(nearest[1], min(known, NEAREST))
+                same = _gather(inverse, u, v, radius, middle, scratch)
             if same < max(_MIN_SHARE * known, _MIN_COUNT) or not _solve(scratch):
                 if math.isnan(out[dot, 0]):
                     continue
@@ -160,11 +167,63 @@ def fit_inverse_depths(
             fit, share = scratch[0, _TERMS], scratch[0, _TERMS + 1]
             if share > 1.0:  # noisier than one pixel: the dot lies in a hole and the fit extrapolates
                 continue
-            sigma = noise * min(math.sqrt(share * max(_PIXELS_A_SAMPLE / stride**2, 1.0)), 1.0)
+            sigma = noise * min(math.sqrt(share * max(pixels_a_sample / stride**2, 1.0)), 1.0)
             low, high = max(low, fit - _AGREES_WITHIN * sigma), min(high, fit + _AGREES_WITHIN * sigma)
             if low > high:
                 break
-            out[dot, 0], out[dot, 1] = fit, sigma
+            out[dot, 0], out[dot, 1], out[dot, 2], out[dot, 3] = fit, sigma, radius, middle
+
+
+@kernel
+def fit_to_noise(
+    inverse: Float64Array,
+    pixels: Float64Array,
+    fits: Float64Array,
+    field: Float32Array,
+    shifts: Int64Array,
+    scratch: Float64Array,
+    out: Float64Array,
+) -> None:
+    """Apply the fits of `fit_inverse_depths` to noise: the errors that they would make.
+
+    Parameters
+    ----------
+    inverse : float64, shape (H, W)
+    pixels : float64, shape (N, 2)
+    fits : float64, shape (N, 4)
+        Output of `fit_inverse_depths`.
+    field : float32, shape (F, F)
+        Noise, which wraps around; F is a power of 2.
+    shifts : int64, shape (B, 2)
+        Row and column of the field at the image's corner, for each sample.
+    scratch : float64, shape `SCRATCH_SHAPE`
+    out : float64, shape (N, B)
+        Output: error of each fit in each sample, in the field's unit; nan without depth.
+    """
+    wrap = field.shape[0] - 1
+    for dot in range(len(pixels)):
+        u, v, middle = pixels[dot, 0], pixels[dot, 1], fits[dot, 3]
+        out[dot] = math.nan
+        if math.isnan(middle):
+            continue
+        out[dot] = 0.0
+        radius = int(fits[dot, 2])
+        _gather(inverse, u, v, radius, middle, scratch)
+        _solve(scratch)
+        share = scratch[:, _TERMS + 1]
+        middle_u, middle_v = int(np.rint(u)), int(np.rint(v))
+        for row in range(max(middle_v - radius, 0), min(middle_v + radius + 1, inverse.shape[0]), _stride(radius)):
+            for column in range(
+                max(middle_u - radius, 0), min(middle_u + radius + 1, inverse.shape[1]), _stride(radius)
+            ):
+                outside = (row - v) ** 2 + (column - u) ** 2 > (radius + 0.5) ** 2
+                if outside or not abs(inverse[row, column] - middle) <= _SAME_SURFACE * middle:
+                    continue
+                x, y = (column - u) / radius, (row - v) / radius
+                weight = share[0] + x * (share[1] + share[3] * x + share[4] * y) + y * (share[2] + share[5] * y)
+                for sample in range(len(shifts)):
+                    place = (row + shifts[sample, 0]) & wrap, (column + shifts[sample, 1]) & wrap
+                    out[dot, sample] += weight * field[place]
 
 
 @kernel

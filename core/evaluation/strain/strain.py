@@ -17,9 +17,11 @@ from ...errors import TactuneError
 from ...model.arrays import BoolArray, Float64Array, IndexArray, Int64Array, Uint16Array
 from ...model.clouds import valid_depth
 from ...model.frames import DepthCamera, Rig, SensorFrame
+from ...preset import CameraNoise
+from ...rig.noise import image_noise
 from .dots import DOT_WIDTHS_PX, Spots, find_dots
 from .lattice import DotLattice, order_dots
-from .surface import SeenSurface, dot_covariance, dot_points, surface_between, whole_dots
+from .surface import DotFits, SeenSurface, dot_points, dot_samples, surface_between, whole_dots
 
 #: Default distance of neighbouring dots on the flat sheet, metres.
 SPACING_M: Final = 0.010
@@ -44,6 +46,8 @@ _MAX_RATIO: Final = 1.35
 #: or a spot that is no dot was taken for a side. Each side needs this many crossing sides.
 _MAX_COSINE: Final = 0.5
 _MIN_CROSSINGS: Final = 2
+#: Samples of the noise that tell the uncertainty.
+_SAMPLES: Final = 32
 #: Standard deviation that smoothing cannot reduce: noise fixed to the scene, and variation of strain between dots.
 _SYSTEMATIC_SIGMA: Final = 0.007
 
@@ -102,8 +106,7 @@ class _Grid:
 
     surface: SeenSurface
     pixels: Float64Array
-    points_m: Float64Array
-    depth_sigma_m: Float64Array
+    found: DotFits
     lattice: DotLattice
     sides: tuple[Int64Array, Int64Array]
 
@@ -142,20 +145,21 @@ def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -
     depth_m = _depth_m(frame.tactile_depth, camera)
     if not np.isfinite(depth_m).any():
         raise StrainError(f"frame {frame.sequence} has no tactile depth at all; check the tactile camera and its range")
-    grid = _find_grid(frame, depth_m, camera)
-    lattice = grid.lattice
-    covariance_m2 = dot_covariance(grid.surface, grid.pixels, grid.points_m, grid.depth_sigma_m)
+    noise = image_noise(frame.tactile_depth, camera)
+    grid = _find_grid(frame, depth_m, camera, noise)
+    lattice, points_m = grid.lattice, grid.found.points_m
+    samples_m = dot_samples(grid.surface, grid.pixels, grid.found, noise, _SAMPLES)
     places = np.column_stack([lattice.piece, lattice.cells])
     axes = []
     for pairs, name in zip(grid.sides, ("length", "width"), strict=True):
-        strain = axis_strain(pairs, grid.points_m, covariance_m2, spacing_m, places)
+        strain = axis_strain(pairs, points_m, samples_m, spacing_m, places)
         if len(strain.pairs) == 0:
             raise StrainError(
                 f"frame {frame.sequence}: {len(grid.pixels)} dots are found, but no neighbours along the {name} have "
                 "depth; check that the tactile depth image covers the membrane"
             )
         axes.append(strain)
-    return StrainMeasurement(grid.pixels, grid.points_m, lattice, *axes)
+    return StrainMeasurement(grid.pixels, points_m, lattice, *axes)
 
 
 def check_spacing(spacing_m: float) -> None:
@@ -256,7 +260,7 @@ def _reordered(
     return DotLattice(cells, piece)
 
 
-def _find_grid(frame: SensorFrame, depth_m: Float64Array, camera: DepthCamera) -> _Grid:
+def _find_grid(frame: SensorFrame, depth_m: Float64Array, camera: DepthCamera, noise: CameraNoise) -> _Grid:
     """Find the grid at each dot size, and at all sizes together; return the one with most accepted neighbour pairs."""
     assert frame.tactile_color is not None
     surface = SeenSurface.of(depth_m, camera.intrinsics)
@@ -268,7 +272,7 @@ def _find_grid(frame: SensorFrame, depth_m: Float64Array, camera: DepthCamera) -
         if ordered.sum() >= max(_MIN_DOTS, _MIN_SHARE * len(spots)):
             kept = DotLattice(lattice.cells[ordered], lattice.piece[ordered])
             tree = cKDTree(spots.pixels)
-            grids.append(_in_space(spots.some(ordered), tree, kept, frame.tactile_depth, surface, camera))
+            grids.append(_in_space(spots.some(ordered), tree, kept, surface, noise))
     if not grids:
         most = max(map(len, found))
         raise StrainError(
@@ -283,20 +287,20 @@ def _in_space(
     spots: Spots,
     all_spots: cKDTree,
     lattice: DotLattice,
-    counts: Uint16Array,
     surface: SeenSurface,
-    camera: DepthCamera,
+    noise: CameraNoise,
 ) -> _Grid:
     """Deproject dots, reorder those without accepted neighbours, and drop pairs with partly hidden dots."""
-    pixels, focal_px, depth_m = spots.pixels, camera.intrinsics.fx, surface.depth_m
-    points, sigma = dot_points(counts, camera, pixels)
+    pixels, focal_px, depth_m = spots.pixels, surface.intrinsics.fx, surface.depth_m
+    found = dot_points(surface, pixels, noise)
+    points = found.points_m
     sides = _sides(lattice, depth_m, focal_px, pixels, points, all_spots)
     loose = np.setdiff1d(np.arange(len(pixels)), np.concatenate(sides))
     lattice = _reordered(lattice, loose, partial(_linked, depth_m, focal_px), pixels)
     whole = whole_dots(lattice, points, spots.area_m2, spots.at_step)
     sides = _sides(lattice, depth_m, focal_px, pixels, points, all_spots)
     along, across = (pairs[whole[pairs].all(axis=1)] for pairs in sides)
-    return _Grid(surface, pixels, points, sigma, lattice, (along, across))
+    return _Grid(surface, pixels, found, lattice, (along, across))
 
 
 def _merged(found: list[Spots]) -> Spots:
@@ -323,33 +327,27 @@ class AxisStrain:
     pairs : int64, shape (M, 2)
         Indices of both dots.
     strain : float64, shape (M,)
-        Distance over spacing, minus 1, smoothed over neighbouring pairs.
+        Distance over spacing, minus 1, smoothed over neighbouring pairs. Noise lengthens distances; that is corrected.
     sigma : float64, shape (M,)
         Standard deviation of ``strain``.
     raw : float64, shape (M,)
         Distance over spacing, minus 1, without smoothing.
+    largest, largest_sigma : float
+        The largest strain and its standard deviation; that noise makes the largest of many too large is part of it.
     """
 
     pairs: Int64Array
     strain: Float64Array
     sigma: Float64Array
     raw: Float64Array
-
-    @property
-    def largest(self) -> float:
-        """The largest strain."""
-        return float(self.strain.max())
-
-    @property
-    def largest_sigma(self) -> float:
-        """Standard deviation of the largest strain."""
-        return float(self.sigma[np.argmax(self.strain)])
+    largest: float
+    largest_sigma: float
 
 
 def axis_strain(
     pairs: Int64Array,
     points_m: Float64Array,
-    covariance_m2: Float64Array,
+    samples_m: Float64Array,
     spacing_m: float,
     places: Int64Array,
 ) -> AxisStrain:
@@ -360,23 +358,37 @@ def axis_strain(
     pairs : int64, shape (M, 2)
     points_m : float64, shape (N, 3)
         Dots in the camera's frame, metres.
-    covariance_m2 : float64, shape (N, 3, 3)
-        Covariance of each point.
+    samples_m : float64, shape (N, 3, B)
+        The dots with random errors added, from `dot_samples`.
     spacing_m : float
     places : int64, shape (N, 3)
         Grid piece, row and column of each dot.
     """
-    start, end = points_m[pairs[:, 0]], points_m[pairs[:, 1]]
-    length = np.linalg.norm(end - start, axis=1)
-    direction = (end - start) / length[:, None]
-    both = covariance_m2[pairs[:, 0]] + covariance_m2[pairs[:, 1]]
-    variance = np.einsum("ni,nij,nj->n", direction, both, direction)
-    raw, sigma = length / spacing_m - 1.0, np.sqrt(variance) / spacing_m
-    where = places[pairs[:, 0]]
-    kept = _plausible(where, raw)
-    pairs, raw, sigma, where = pairs[kept], raw[kept], sigma[kept], where[kept]
-    strain, spread = _smoothed(where, raw, sigma)
-    return AxisStrain(pairs, strain, np.hypot(spread, _SYSTEMATIC_SIGMA), raw)
+    raw = _lengths(points_m, pairs) / spacing_m - 1.0
+    pairs = pairs[_plausible(places[pairs[:, 0]], raw)]
+    if not len(pairs):
+        none = np.empty(0)
+        return AxisStrain(pairs, none, none, none, math.nan, math.nan)
+    raw = _lengths(points_m, pairs) / spacing_m - 1.0
+    samples = _lengths(samples_m, pairs) / spacing_m - 1.0
+    weights = _smoothing(places[pairs[:, 0]], raw, samples.std(axis=1))
+    smoothed = weights @ samples
+    mean = smoothed.mean(axis=1)
+    errors, strain = smoothed - mean[:, None], 2 * (weights @ raw) - mean
+    excess = (strain[:, None] + errors).max(axis=0) - strain.max()
+    return AxisStrain(
+        pairs,
+        strain,
+        np.hypot(errors.std(axis=1), _SYSTEMATIC_SIGMA),
+        raw,
+        float(strain.max()),
+        float(np.hypot(np.sqrt(np.mean(excess**2)), _SYSTEMATIC_SIGMA)),
+    )
+
+
+def _lengths(points_m: Float64Array, pairs: Int64Array) -> Float64Array:
+    """Return the distances of pairs, (M, ...), of points, (N, 3, ...)."""
+    return np.asarray(np.linalg.norm(points_m[pairs[:, 1]] - points_m[pairs[:, 0]], axis=1))
 
 
 def crossed(pairs: Int64Array, crossing: Int64Array, points_m: Float64Array) -> BoolArray:
@@ -437,13 +449,13 @@ def _confirmed(where: Int64Array, raw: Float64Array) -> BoolArray:
     return kept
 
 
-def _smoothed(where: Int64Array, raw: Float64Array, sigma: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Return smoothed strain and its standard deviation, each (M,).
+def _smoothing(where: Int64Array, raw: Float64Array, sigma: Float64Array) -> Float64Array:
+    """Return the weights of all pairs in the smoothed strain of each pair, shape (M, M).
 
     Polynomials are fitted in windows around each pair; wider windows are used while they agree with the narrower ones
     (Lepski 1991).
     """
-    strain, spread = raw.copy(), sigma.copy()
+    weights, spread = np.eye(len(raw)), sigma.copy()
     for number in range(len(raw)):
         low, high = raw[number] - _AGREES_WITHIN * sigma[number], raw[number] + _AGREES_WITHIN * sigma[number]
         for reach, terms in _WINDOWS:
@@ -459,13 +471,15 @@ def _smoothed(where: Int64Array, raw: Float64Array, sigma: Float64Array) -> tupl
             if np.linalg.cond(normal) > 1e9:
                 break
             covariance = np.linalg.inv(normal)
-            value, error = float(covariance[0] @ (weighted.T @ raw[around])), float(np.sqrt(covariance[0, 0]))
+            share = weighted @ covariance[0]
+            value, error = float(share @ raw[around]), float(np.sqrt(covariance[0, 0]))
             low, high = max(low, value - _AGREES_WITHIN * error), min(high, value + _AGREES_WITHIN * error)
             if low > high:
                 break
             if error < spread[number]:
-                strain[number], spread[number] = value, error
-    return strain, spread
+                weights[number], spread[number] = 0.0, error
+                weights[number, around] = share
+    return weights
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,18 +8,18 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
-from ...model.arrays import AnyArray, BoolArray, Float64Array, Int32Array, Uint16Array
-from ...model.clouds import valid_depth
-from ...model.frames import DepthCamera
+from ...model.arrays import AnyArray, BoolArray, Float64Array, Int32Array
 from ...model.intrinsics import Intrinsics
-from .kernels import NEAREST, SCRATCH_SHAPE, fit_inverse_depths, is_smooth_between
+from ...preset import CameraNoise
+from .kernels import NEAREST, SCRATCH_SHAPE, fit_inverse_depths, fit_to_noise, is_smooth_between
 from .lattice import DotLattice
 
 #: Radii of the discs in which inverse depth is fitted, pixels.
-_RADII_PX: Final = np.array((2, 3, 5, 8, 12, 18))
-#: Radius of the discs in which noise is estimated, pixels, from every other row and column.
-_NOISE_RADIUS_PX: Final = 12
+_RADII_PX: Final = np.array((2, 3, 5, 8, 12, 18, 27, 40))
+#: Side of the square of random noise, which wraps around, pixels; a power of 2.
+_FIELD_PX: Final = 1024
 #: Steepest surface on which neighbouring dots can still be separated: slope against the image plane.
 STEEPEST: Final = 3.0
 #: Bilateral filter before slopes are taken: depth difference, metres, and radius, pixels; then the slope's step.
@@ -44,7 +44,23 @@ _CENTROID_SIGMA_PX, _EDGE_SIGMA_PX = 0.07, 0.12
 _EDGE_NEAR_PX: Final = 8
 
 
-def dot_points(counts: Uint16Array, camera: DepthCamera, pixels: Float64Array) -> tuple[Float64Array, Float64Array]:
+@dataclass(frozen=True, eq=False)
+class DotFits:
+    """Dots in space, and the fits of inverse depth that tell their places.
+
+    Attributes
+    ----------
+    points_m : float64, shape (N, 3)
+        Metres in the tactile camera's frame; nan where there is no depth.
+    fits : float64, shape (N, 4)
+        See `fit_inverse_depths`.
+    """
+
+    points_m: Float64Array
+    fits: Float64Array
+
+
+def dot_points(surface: SeenSurface, pixels: Float64Array, noise: CameraNoise) -> DotFits:
     """Deproject dots to points in the camera's frame.
 
     Inverse depth, in which the noise of a stereo camera is uniform, is fitted by polynomials in growing discs as long
@@ -52,44 +68,67 @@ def dot_points(counts: Uint16Array, camera: DepthCamera, pixels: Float64Array) -
 
     Parameters
     ----------
-    counts : uint16, shape (H, W)
-        Raw depth, aligned to the image in which the dots were found.
-    camera : DepthCamera
+    surface : SeenSurface
+        Depth aligned to the image in which the dots were found.
     pixels : float64, shape (N, 2)
+    noise : CameraNoise
+        Noise of the depth image.
+    """
+    fits = np.empty((len(pixels), 4))
+    scratch, nearest = np.empty(SCRATCH_SHAPE), np.empty((2, NEAREST))
+    sigma = noise.total_m / noise.distance_m**2
+    shared_px = 4 * math.pi * (noise.length_px * noise.correlated_m / noise.total_m) ** 2
+    fit_inverse_depths(1.0 / surface.depth_m, pixels, sigma, shared_px, _RADII_PX, scratch, nearest, fits)
+    return DotFits(_with_z(surface.intrinsics.normalise(pixels)) / fits[:, :1], fits)
+
+
+def dot_samples(
+    surface: SeenSurface, pixels: Float64Array, found: DotFits, noise: CameraNoise, count: int
+) -> Float64Array:
+    """Return the dots' places with random errors of their depths and centroids added.
+
+    Dots share the errors of pixels that their fits share. A centroid that is off by a pixel moves the dot along the
+    surface, farther where the surface is steeper.
+
+    Parameters
+    ----------
+    surface : SeenSurface
+    pixels : float64, shape (N, 2)
+    found : DotFits
+    noise : CameraNoise
+    count : int
+        Number of samples, B.
 
     Returns
     -------
-    points : float64, shape (N, 3)
-        Metres in the camera's frame; nan where there is no depth.
-    sigma_m : float64, shape (N,)
-        Standard deviation of the depth.
+    float64, shape (N, 3, B)
+        Metres in the tactile camera's frame.
     """
-    inverse = np.full(counts.shape, np.nan)
-    valid = valid_depth(counts)
-    inverse[valid] = 1.0 / (counts[valid] * camera.depth_unit_m)
-    fits = np.empty((len(pixels), 2))
-    scratch, nearest = np.empty(SCRATCH_SHAPE), np.empty((2, NEAREST))
-    fit_inverse_depths(inverse, pixels, _inverse_noise(inverse, pixels), _RADII_PX, scratch, nearest, fits)
-    depth = 1.0 / fits[:, 0]
-    rays = camera.intrinsics.normalise(pixels)
-    return np.column_stack([rays * depth[:, None], depth]), fits[:, 1] * depth**2
+    rng = np.random.default_rng(0)
+    field = rng.standard_normal((_FIELD_PX, _FIELD_PX), dtype=np.float32)
+    if noise.length_px:
+        white = noise.white_m * rng.standard_normal(field.shape, dtype=np.float32)
+        smooth = gaussian_filter(field, noise.length_px, mode="wrap")
+        field = np.asarray(noise.correlated_m / smooth.std() * smooth + white, np.float32)
+    else:
+        field *= np.float32(noise.total_m)
+    errors = np.empty((len(pixels), count))
+    shifts = rng.integers(_FIELD_PX, size=(count, 2))
+    fit_to_noise(1.0 / surface.depth_m, pixels, found.fits, field, shifts, np.empty(SCRATCH_SHAPE), errors)
+    height, width = surface.depth_m.shape
+    u, v = np.rint(pixels).astype(np.intp).T
+    at_edge = surface.near_step(_EDGE_NEAR_PX)[v.clip(0, height - 1), u.clip(0, width - 1)]
+    centroid_sigma = np.where(at_edge, _EDGE_SIGMA_PX, _CENTROID_SIGMA_PX)
+    rays, depth = _with_z(surface.intrinsics.normalise(pixels)), found.points_m[:, 2]
+    across = np.zeros((len(pixels), 3, 2))
+    across[:, 0, 0], across[:, 1, 1] = depth / surface.intrinsics.fx, depth / surface.intrinsics.fy
+    along = (across + rays[:, :, None] * surface.slopes(pixels)[:, None, :]) * centroid_sigma[:, None, None]
+    inverse = found.fits[:, :1] + errors / noise.distance_m**2
+    return np.asarray(rays[:, :, None] / inverse[:, None, :] + along @ rng.standard_normal((len(pixels), 2, count)))
 
 
-def _inverse_noise(inverse: Float64Array, pixels: Float64Array) -> float:
-    """Return the standard deviation of inverse depth, 1/m: the residual of local fits around pixels, (N, 2)."""
-    scatter = []
-    for u, v in pixels[:: max(len(pixels) // 100, 1)]:
-        top, left = max(round(v) - _NOISE_RADIUS_PX, 0), max(round(u) - _NOISE_RADIUS_PX, 0)
-        window = inverse[top : round(v) + _NOISE_RADIUS_PX + 1 : 2, left : round(u) + _NOISE_RADIUS_PX + 1 : 2]
-        rows, columns = np.nonzero(np.isfinite(window))
-        x, y, values = 2 * columns + left - u, 2 * rows + top - v, window[rows, columns]
-        within = x**2 + y**2 <= (_NOISE_RADIUS_PX + 0.5) ** 2
-        x, y, values = x[within], y[within], values[within]
-        if len(values) >= 30:
-            design = np.stack([np.ones(len(x)), x, y, x * x, x * y, y * y], axis=1)
-            rest = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
-            scatter.append(float(np.sqrt(np.mean(rest**2))))
-    return float(np.percentile(scatter, 30)) if scatter else math.nan
+def _with_z(rays: Float64Array) -> Float64Array:
+    return np.column_stack([rays, np.ones(len(rays))])
 
 
 def surface_area(depth_m: Float64Array, intrinsics: Intrinsics) -> Float64Array:
@@ -297,41 +336,6 @@ def whole_dots(lattice: DotLattice, points_m: Float64Array, area_m2: Float64Arra
     share = area_m2 / square
     low, high = np.array(_WHOLE_AREA) * np.nanmedian(share)
     return np.asarray(~at_step | ((share >= low) & (share <= high)))
-
-
-def dot_covariance(
-    surface: SeenSurface, pixels: Float64Array, points_m: Float64Array, depth_sigma_m: Float64Array
-) -> Float64Array:
-    """Return the covariance of each dot's place in space, from the errors of its centroid and of its depth.
-
-    A centroid that is off by a pixel moves the dot along the surface, farther where the surface is steeper.
-
-    Parameters
-    ----------
-    surface : SeenSurface
-    pixels : float64, shape (N, 2)
-        Centroids in the tactile image, ``(u, v)``.
-    points_m : float64, shape (N, 3)
-        Dots in the tactile camera's frame; nan where there is no depth.
-    depth_sigma_m : float64, shape (N,)
-        Standard deviation of each depth.
-
-    Returns
-    -------
-    float64, shape (N, 3, 3)
-        Square metres.
-    """
-    height, width = surface.depth_m.shape
-    u, v = np.rint(pixels).astype(np.intp).T
-    at_edge = surface.near_step(_EDGE_NEAR_PX)[v.clip(0, height - 1), u.clip(0, width - 1)]
-    centroid_sigma = np.where(at_edge, _EDGE_SIGMA_PX, _CENTROID_SIGMA_PX)
-    depth = points_m[:, 2:]
-    rays = points_m / depth
-    across = np.zeros((len(pixels), 3, 2))
-    across[:, 0, 0], across[:, 1, 1] = points_m[:, 2] / surface.intrinsics.fx, points_m[:, 2] / surface.intrinsics.fy
-    along = (across + rays[:, :, None] * surface.slopes(pixels)[:, None, :]) * centroid_sigma[:, None, None]
-    away = rays * depth_sigma_m[:, None]
-    return np.asarray(along @ along.transpose(0, 2, 1) + away[:, :, None] * away[:, None, :])
 
 
 def _steps(depth_m: Float64Array, axis: int, focal_px: float) -> BoolArray:

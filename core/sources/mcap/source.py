@@ -127,6 +127,11 @@ class McapSource(SeekableSource):
         data = self._file.attachment(UNTOUCHED_NAME)
         return None if data is None else parse_untouched(data, str(self._path))
 
+    @property
+    def has_poses(self) -> bool:
+        """Whether the recording contains poses of a tracked object."""
+        return Topic.OBJECT_POSE in self._file.topics
+
     def health(self) -> Health:
         """Return what the recording lacks."""
         lacks = []

@@ -21,6 +21,7 @@ from capture_sources import same_frame
 from tactune.core import ContactPipeline, load_preset, open_source
 from tactune.core.errors import SourceError
 from tactune.core.model.frames import SensorFrame
+from tactune.core.output import SessionWriter
 from tactune.core.sources import FrameSource
 from tactune.core.sources.base import CameraHealth, Health
 from tactune.core.sources.mcap.source import McapSource
@@ -260,6 +261,16 @@ def test_a_file_that_cannot_be_begun_is_named_as_the_person_named_it(
     target = tmp_path / f"{'x' * 245}.mcap"
     sentence = tactune("convert", recording, target).sentence
     assert sentence == f"tactune: cannot write {target}: File name too long; choose another place\n"
+
+
+def test_converting_says_that_poses_are_left_out(tmp_path: Path, recording: Path, tactune: Run) -> None:
+    with open_source(str(recording)) as source, SessionWriter(tmp_path / "p.mcap", source.rig, poses=True) as writer:
+        frame = source.next_frame()
+        assert frame is not None
+        writer.put(frame, wait=True)
+        writer.put_pose(np.eye(4), np.eye(6), frame.sequence, frame.proximity_time_s)
+    done = tactune("convert", tmp_path / "p.mcap", tmp_path / "images")
+    assert "the poses of the object in mcap:" in done.err and "tactune track" in done.err
 
 
 def test_converting_there_and_back_changes_no_bit(tmp_path: Path, recording: Path, tactune: Run) -> None:

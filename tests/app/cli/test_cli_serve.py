@@ -220,19 +220,19 @@ def test_a_pose_is_published_where_a_mesh_is_given(mesh: Path) -> None:
     assert np.linalg.norm(np.array([position.x, position.y, position.z]) - truth[:3, 3]) < 0.03
 
 
-def test_frames_go_on_while_the_object_is_searched(
+def test_frames_go_on_while_the_object_is_searched_and_the_end_ends_the_search(
     mesh: Path, monkeypatch: pytest.MonkeyPatch, tactune: Callable[..., Finished]
 ) -> None:
-    searches, found = [], threading.Event()
+    searches = []
 
-    def search(*frame: object) -> SimpleNamespace:
-        searches.append(frame)
-        found.wait(WAIT_S)
-        return SimpleNamespace(lost=True)
+    def search(tracker: PoseTracker, patch: ContactPatch, time_s: float, go_on: Callable[[float], None]) -> None:
+        searches.append(patch.sequence)
+        while True:
+            go_on(0.5)
+            time.sleep(0.01)
 
     monkeypatch.setattr(PoseTracker, "track", search)
     done = tactune("serve", "--foxglove", "--port", 0, "--source", "sim:cup", "--mesh", mesh, "--unit", "m", "-n", 5)
-    found.set()
     assert "published 5 frames" in done.out
     assert len(searches) == 1
 

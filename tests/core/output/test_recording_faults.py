@@ -15,6 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from commands import read_line
@@ -22,7 +23,8 @@ from tactune.core.errors import SourceError
 from tactune.core.model.frames import Rig, SensorFrame
 from tactune.core.output import RecordingStatus, SessionWriter, bag
 from tactune.core.sources.folder import FolderSource, export_folder
-from tactune.core.sources.mcap.reader import MAGIC
+from tactune.core.sources.mcap.messages import Topic
+from tactune.core.sources.mcap.reader import MAGIC, McapFile
 from tactune.core.sources.mcap.source import McapSource
 
 LZ4_MAGIC = b"\x04\x22\x4d\x18"
@@ -283,3 +285,15 @@ def test_an_error_of_the_thread_is_told_and_nobody_waits_for_it(
     assert (status.frames, status.dropped) == (0, 4)
     assert status.error == f"cannot continue writing {tmp_path / 'a.mcap'} (MemoryError: no memory)"
     assert not (tmp_path / "a.mcap").exists()
+
+
+def test_a_recording_keeps_one_pose_of_each_of_its_frames(tmp_path: Path, rig: Rig, make_frames: Frames) -> None:
+    path, frame = tmp_path / "poses.mcap", make_frames(1)[0]
+    with SessionWriter(path, rig, poses=True) as writer:
+        writer.put_pose(np.eye(4), np.eye(6), frame.sequence, 0.0)  # of a frame that is not there yet
+        writer.put(frame, wait=True)
+        for sequence in (frame.sequence, frame.sequence, frame.sequence + 1):
+            writer.put_pose(np.eye(4), np.eye(6), sequence, 0.0)
+    file = McapFile(path, None)
+    assert len(file.places(Topic.OBJECT_POSE)) == 1
+    file.close()

@@ -115,6 +115,9 @@ def test_too_few_frames_motion_and_no_depth_are_refused(rig, preset, still):
     moving = [wall(rig, index, proximity_m=0.3 + 0.0004 * index) for index in range(20)]
     with pytest.raises(FrameError, match=r"the scene moves: the proximity depth changes in .* hold everything still"):
         measure_noise(moving, rig, preset)
+    shaken = [wall(rig, index, proximity_m=0.3 + 0.02 * (-1) ** index) for index in range(20)]
+    with pytest.raises(FrameError, match=r"the proximity depth changes in 100 % .* by \d+ mm near pixel"):
+        measure_noise(shaken, rig, preset)
     blind = [wall(rig, index, tactile_m=-1.0) for index in range(20)]
     blind = [
         SensorFrame(f.sequence, f.proximity_depth, np.zeros_like(f.tactile_depth), f.proximity_color) for f in blind

@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactune.core.evaluation.strain.surface import STEEPEST, dot_points, surface_between
+from tactune.core.evaluation.strain.surface import STEEPEST, SeenSurface, dot_points, surface_between
 from tactune.core.model.frames import DepthCamera
 from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.rig.noise import image_noise
 
 LENS = Intrinsics(width=120, height=90, fx=100.0, fy=100.0, cx=59.5, cy=44.5)
 CAMERA = DepthCamera(intrinsics=LENS, depth_unit_m=1e-6)
@@ -20,13 +21,20 @@ def counts_of(inverse):
     return np.rint(1e6 / inverse).astype(np.uint16)
 
 
+def points_of(counts, pixels):
+    """Return the places of dots and the standard deviations of their depths, metres."""
+    surface = SeenSurface.of(np.where(counts > 0, counts * CAMERA.depth_unit_m, np.nan), LENS)
+    found = dot_points(surface, pixels, image_noise(counts, CAMERA))
+    return found.points_m, found.fits[:, 1] * found.points_m[:, 2] ** 2
+
+
 def quadratic(u, v):
     return 18.0 + 0.02 * (u - 60) - 0.01 * (v - 45) + 4e-4 * (u - 60) ** 2 - 2e-4 * (u - 60) * (v - 45)
 
 
 def test_a_surface_whose_inverse_depth_is_quadratic_is_met_between_the_pixels():
     v, u = np.indices(LENS.shape).astype(float)
-    points, sigma = dot_points(counts_of(quadratic(u, v)), CAMERA, PIXELS)
+    points, sigma = points_of(counts_of(quadratic(u, v)), PIXELS)
     assert np.abs(points[:, 2] - 1 / quadratic(*PIXELS.T)).max() < 1e-5
     assert (sigma > 0).all()
     assert np.allclose(LENS.project(points), PIXELS, atol=1e-9)
@@ -35,7 +43,7 @@ def test_a_surface_whose_inverse_depth_is_quadratic_is_met_between_the_pixels():
 @pytest.mark.parametrize("side, depth_m", [(56.0, 0.05), (58.9, 0.05), (62.0, 0.056), (64.2, 0.056)])
 def test_a_dot_beside_a_step_has_the_depth_of_its_own_side(side, depth_m):
     counts = np.where(np.arange(LENS.width) < 60, 50_000, 56_000) * np.ones(LENS.shape)
-    points, _ = dot_points(counts.astype(np.uint16), CAMERA, np.array([(side, 40.0)]))
+    points, _ = points_of(counts.astype(np.uint16), np.array([(side, 40.0)]))
     assert points[0, 2] == pytest.approx(depth_m, abs=1e-5)
 
 
@@ -45,7 +53,7 @@ def test_noise_is_averaged_over_as_much_as_is_smooth_and_told():
     errors, told = [], []
     for _ in range(40):
         noisy = quadratic(u, v) + 0.02 * np.kron(rng.normal(size=(15, 20)), np.ones((6, 6)))  # as of a stereo camera
-        points, sigma = dot_points(counts_of(noisy), CAMERA, PIXELS[:1])
+        points, sigma = points_of(counts_of(noisy), PIXELS[:1])
         errors.append(points[0, 2] - 1 / quadratic(*PIXELS[0]))
         told.append(sigma[0])
     assert 0.5 < np.std(errors) / np.mean(told) < 2.0
@@ -57,7 +65,7 @@ def test_a_bump_is_not_flattened_by_what_lies_around():
     top = np.array([(60.3, 45.8)])
     bump = np.exp(-((u - 60.3) ** 2 + (v - 45.8) ** 2) / (2 * 7.0**2))
     noise = 0.01 * np.kron(np.random.default_rng(5).normal(size=(15, 20)), np.ones((6, 6)))
-    points, _ = dot_points(counts_of(18.0 + 0.3 * bump + noise), CAMERA, top)
+    points, _ = points_of(counts_of(18.0 + 0.3 * bump + noise), top)
     assert points[0, 2] == pytest.approx(1 / 18.3, abs=0.04 / 18**2)
 
 
@@ -69,14 +77,14 @@ def test_a_dot_whose_own_depth_is_missing_takes_that_around_it(hole_px):
     for dot in PIXELS:
         counts[np.hypot(u - dot[0], v - dot[1]) <= hole_px] = 0
     inner = PIXELS[[0, 3]]
-    points, _ = dot_points(counts, CAMERA, inner)
+    points, _ = points_of(counts, inner)
     assert np.abs(points[:, 2] - 1 / quadratic(*inner.T)).max() < 5e-5
 
 
 def test_where_there_is_no_depth_there_is_no_place():
     counts = np.full(LENS.shape, 50_000, np.uint16)
     counts[30:60, 40:80] = 0
-    points, _ = dot_points(counts, CAMERA, np.array([(60.0, 45.0), (20.0, 20.0)]))
+    points, _ = points_of(counts, np.array([(60.0, 45.0), (20.0, 20.0)]))
     assert np.isnan(points[0]).all() and points[1, 2] == pytest.approx(0.05, abs=1e-6)
 
 

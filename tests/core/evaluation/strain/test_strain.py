@@ -183,6 +183,20 @@ def test_strain_from_frames_at_rest_is_measured_within_two_points(scene, options
     assert measured.width.largest == pytest.approx(known.width_seen, abs=0.02)
 
 
+@pytest.mark.parametrize("sensor", ["l515-d405", "held-stereo"])
+def test_the_uncertainty_holds_where_neighbouring_pixels_share_noise(sensor):
+    sigmas, points = [], []
+    for seed in (21, 22, 23):
+        with open_source(f"sim:cup?press=low&grid=dots&sensor={sensor}&seed={seed}") as source:
+            frame = source.next_frame()
+            measured, known = measure_strain(frame, source.rig), frame.truth.strain
+        for axis, true in ((measured.length, known.length_seen), (measured.width, known.width_seen)):
+            sigmas.append(abs(axis.largest - true) / axis.largest_sigma)
+            points.append(100 * abs(axis.largest - true))
+    assert sum(sigma < 2 for sigma in sigmas) >= 5  # none was, 20 points too high
+    assert max(points) < 5
+
+
 def test_no_pair_skips_a_dot_that_is_seen_between():
     """Two rows of a lattice that has grown apart meet; the dots between them are in no order, but seen."""
     spots = np.array([[10.0, 10.0], [20.0, 10.0], [30.0, 10.0], [10.0, 20.0], [30.0, 21.0]])

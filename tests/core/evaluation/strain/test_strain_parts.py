@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from rigs import one_place_rig
 from tactune.core.errors import FrameError
@@ -55,7 +56,8 @@ def test_a_length_is_confirmed_only_by_lengths_that_are_confirmed():
     row = cells[across[:, 0], 0]
     across = across[~(middle[across[:, 0]] & ((row == 1) | (row == 3)))]
     where = np.column_stack([np.zeros(len(cells), np.int64), cells])
-    axis = axis_strain(across, points, np.broadcast_to(1e-8 * np.eye(3), (len(points), 3, 3)), 0.01, where)
+    samples = points[:, :, None] + np.random.default_rng(0).normal(0, 1e-8, (*points.shape, 32))
+    axis = axis_strain(across, points, samples, 0.01, where)
     assert axis.largest == pytest.approx(0.0, abs=1e-6)
     assert len(axis.pairs) > len(across) / 2
 
@@ -94,7 +96,7 @@ def test_a_square_of_the_map_needs_all_four_sides():
     along, across = pairs_of(cells)
 
     def axis(pairs, strain):
-        return AxisStrain(pairs, strain, np.zeros(len(pairs)), strain)
+        return AxisStrain(pairs, strain, np.zeros(len(pairs)), strain, float(strain.max()), 0.0)
 
     length = np.where((cells[along[:, 0]] == (0, 0)).all(axis=1), 0.4, 0.2)
     lattice = DotLattice(cells, np.zeros(9, np.int64))
@@ -128,6 +130,21 @@ def test_frames_at_rest_are_averaged_up_to_the_newest_movement():
     noise = frame.tactile_depth[:32].std() / frames[-1].tactile_depth[:32].std()
     assert noise < 0.6
     assert frame.tactile_color.std() < 0.7 * frames[-1].tactile_color.std()
+
+
+@pytest.mark.parametrize("length_px, moved_m, count", [(0.0, 0.0, 9), (5.0, 0.0, 9), (8.0, 0.0, 9), (5.0, 0.003, 4)])
+def test_noise_that_neighbours_share_is_no_movement(length_px, moved_m, count):
+    rng = np.random.default_rng(1)
+    v, u = np.indices((480, 640))
+    bump = np.exp(-((v - 240) ** 2 + (u - 320) ** 2) / (2 * 80.0**2))
+    rig, frames = one_place_rig(640, 480, 400.0, 1e-4), []
+    for number in range(9):
+        noise = gaussian_filter(rng.normal(size=bump.shape), length_px)
+        depth = 0.3 - moved_m * (number > 4) * bump + 0.0012 / noise.std() * noise
+        counts = np.rint(depth / 1e-4).astype(np.uint16)
+        color = np.zeros((480, 640, 3), np.uint8)
+        frames.append(SensorFrame(number, counts, counts, color, color))
+    assert average_still(frames, rig)[1] == count
 
 
 def test_a_single_frame_stays_what_it_is():
