@@ -10,6 +10,7 @@ import typer
 
 from ...core.errors import TactuneError, counted
 from .common import SOURCE, CliProgress, PresetOption, SourceOption, default_preset, open_with_progress
+from .sensor_table import measure_sensor_table, plan_sensor_table
 
 #: Frames over which ``tactune bench memory`` measures.
 MEASURED_FRAMES = 50
@@ -35,21 +36,35 @@ def bench(
     gate: Annotated[
         bool, typer.Option("--gate", help="Check only the promised speed; exit status 1 if a check fails.")
     ] = False,
+    sensors: Annotated[
+        str | None,
+        typer.Option(
+            "--sensors",
+            metavar="A,B",
+            help="Compare run time and error of the contact tests on these simulated sensors, or 'all', instead.",
+        ),
+    ] = None,
+    plots: Annotated[
+        Path | None, typer.Option("--plots", metavar="DIR", help="Draw the figures into this folder (extra bench).")
+    ] = None,
     report: Annotated[
         Path | None,
         typer.Option("--report", metavar="FILE.md", help="Measure everything and write a Markdown page with figures."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Compare all engines on all scenes; with --gate, check the promised speed."""
+    """Compare all engines on all scenes; with --gate, check the promised speed; with --sensors, the contact tests."""
     if context.invoked_subcommand is not None:
         return
     if gate:
         raise typer.Exit(_run_gate(rounds, as_json))
+    if sensors is not None:
+        _compare_sensors(sensors, plots, as_json)
+        return
     if report is not None:
         _write_report(report, rounds)
         return
-    _compare(_names(scenes), _names(engines), rounds, as_json)
+    _compare(_names(scenes), _names(engines), rounds, plots, as_json)
 
 
 @bench_commands.command()
@@ -155,7 +170,7 @@ def _run_gate(rounds: int, as_json: bool) -> int:
     return 0 if all(check.holds for check in checks) else 1
 
 
-def _compare(scenes: list[str], engines: list[str], rounds: int, as_json: bool) -> None:
+def _compare(scenes: list[str], engines: list[str], rounds: int, plots: Path | None, as_json: bool) -> None:
     from ...core.bench.measure import machine_facts
     from ...core.bench.registry import Job
     from ...core.bench.run import compare_engines, rows_as_json, rows_as_text
@@ -170,6 +185,32 @@ def _compare(scenes: list[str], engines: list[str], rounds: int, as_json: bool) 
         typer.echo(json.dumps({"machine": facts, "rows": rows_as_json(rows)}, indent=2, allow_nan=False))
     else:
         typer.echo(_machine_line(facts) + "\n\n" + rows_as_text(rows))
+    if plots is not None:
+        from ...core.bench.report import draw_pareto
+
+        for path in draw_pareto(rows, plots):
+            typer.echo(f"wrote {path}", err=as_json)
+
+
+def _compare_sensors(sensors: str, plots: Path | None, as_json: bool) -> None:
+    """Measure the contact tests on the cup at all presses, each sensor with one seed."""
+    from dataclasses import asdict
+
+    from ...core.bench.measure import machine_facts
+    from ...core.bench.report import draw_sensors
+    from ...core.bench.sensors import sensor_timings, timings_as_text
+
+    plan = plan_sensor_table(
+        sensors, "standard", "cup", "low,medium,high", 1, held_out=False, preset="simulator", rig="measured", work=None
+    )
+    timings = sensor_timings(measure_sensor_table(plan).cells)
+    facts = machine_facts()
+    if as_json:
+        typer.echo(json.dumps({"machine": facts, "sensors": [asdict(it) for it in timings]}, indent=2))
+    else:
+        typer.echo(_machine_line(facts) + "\n\n" + timings_as_text(timings))
+    for path in draw_sensors(timings, plots) if plots is not None else []:
+        typer.echo(f"wrote {path}", err=as_json)
 
 
 def _write_report(path: Path, rounds: int) -> None:

@@ -8,15 +8,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from ..model.figures import pyplot, save_figure
 from ..model.files import atomic_path
 from .gate import Check
 from .registry import Job
 from .run import Row, rows_as_text
+from .sensors import SensorTiming
 from .stability import LongRunReport, StabilityReport
 
-_MARKERS = "osD^vP"
+_MARKERS = "osD^vP*Xh<>p"
 
 
 @dataclass(frozen=True)
@@ -73,23 +75,42 @@ def draw_pareto(rows: list[Row], folder: Path) -> list[Path]:
         matplotlib is not installed.
     """
     usable = [row for row in rows if row.job == Job.PIPELINE and math.isfinite(row.rmse_mm)]
-    panels = list(dict.fromkeys(row.scene for row in usable))
+    points = [(row.scene, row.engine, row.timing.median_ms, row.rmse_mm) for row in usable]
+    return _draw_error_over_time(points, folder, "run-time-against-error")
+
+
+def draw_sensors(timings: Sequence[SensorTiming], folder: Path) -> list[Path]:
+    """Draw run time against RMSE for each sensor, one point per tolerance; return the PNG and SVG files.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    points = [(it.sensor, it.test, it.ms, it.rmse_mm) for it in timings]
+    return _draw_error_over_time(points, folder, "sensors")
+
+
+def _draw_error_over_time(points: list[tuple[str, str, float, float]], folder: Path, name: str) -> list[Path]:
+    """Draw points (panel, series, ms, RMSE in mm): one panel for each scene or sensor."""
+    panels = list(dict.fromkeys(panel for panel, *_ in points))
     if not panels:
         return []
     plt = pyplot()
     columns = min(3, len(panels))
     lines = -(-len(panels) // columns)
     figure, axes = plt.subplots(lines, columns, figsize=(5 * columns, 4 * lines + 0.9), squeeze=False)
-    names = list(dict.fromkeys(row.engine for row in usable))
-    for axis, scene in zip(axes.flat, panels, strict=False):
-        shown = [row for row in usable if row.scene == scene]
-        for row in shown:
-            number = names.index(row.engine)
-            axis.plot(
-                row.timing.median_ms, row.rmse_mm, _MARKERS[number], color=f"C{number}", markersize=8, label=row.engine
-            )
-        axis.set(title=scene, xscale="log", xlabel="median of a frame, ms", ylabel="symmetric RMSE to truth, mm")
-        axis.set_ylim(0.0, 1.08 * max(row.rmse_mm for row in shown))
+    names = list(dict.fromkeys(series for _, series, *_ in points))
+    for axis, title in zip(axes.flat, panels, strict=False):
+        for number, series in enumerate(names):
+            mine = [(ms, rmse_mm) for panel, its, ms, rmse_mm in points if (panel, its) == (title, series)]
+            if mine:
+                axis.plot(
+                    *zip(*mine, strict=True), _MARKERS[number % len(_MARKERS)], color=f"C{number % 10}",
+                    markersize=8 if len(mine) == 1 else 4, label=series,
+                )  # fmt: skip
+        axis.set(title=title, xscale="log", xlabel="median of a frame, ms", ylabel="symmetric RMSE to truth, mm")
+        axis.set_ylim(0.0, 1.08 * max(rmse_mm for panel, _, _, rmse_mm in points if panel == title))
         axis.grid(True, which="both", alpha=0.3)
     for axis in list(axes.flat)[len(panels) :]:
         axis.axis("off")
@@ -98,6 +119,10 @@ def draw_pareto(rows: list[Row], folder: Path) -> list[Path]:
     }
     figure.legend(labels.values(), labels.keys(), loc="lower center", ncols=min(5, len(labels)), frameon=False)
     figure.tight_layout(rect=(0, 0.9 / (4 * lines + 0.9), 1, 1))
-    paths = [folder / f"run-time-against-error.{suffix}" for suffix in ("png", "svg")]
+    return _save(figure, folder, name)
+
+
+def _save(figure: Any, folder: Path, name: str) -> list[Path]:
+    paths = [folder / f"{name}.png", folder / f"{name}.svg"]
     save_figure(figure, *paths, dpi=110)
     return paths

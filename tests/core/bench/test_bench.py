@@ -27,11 +27,13 @@ from tactune.core.bench.measure import (
     time_in_turns,
 )
 from tactune.core.bench.registry import Job, engines, find_engine
-from tactune.core.bench.report import BenchReport, draw_pareto, write_report
+from tactune.core.bench.report import BenchReport, draw_pareto, draw_sensors, write_report
 from tactune.core.bench.run import compare_engines, expected_mask, rows_as_json, rows_as_text
 from tactune.core.bench.scenes import BenchScene, make_scene, scene_names, synthetic_scene
+from tactune.core.bench.sensors import sensor_timings, timings_as_text
 from tactune.core.bench.stability import LongRunReport, check_stability
 from tactune.core.errors import TactuneError
+from tactune.core.evaluation.table_cell import TableCell
 
 # Importing it takes 2 s in every test process that collects this file.
 pytestmark = [
@@ -153,6 +155,28 @@ def test_the_figure_is_written(tmp_path: Path) -> None:
     assert [path.name for path in written] == ["run-time-against-error.png", "run-time-against-error.svg"]
     assert all(path.stat().st_size > 5000 for path in written)
     assert draw_pareto(measured, tmp_path / "none") == [], "an empty scene has no error to draw"
+
+
+def test_contact_tests_are_drawn_for_each_sensor(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+
+    def cell(sensor: str, method: str, seed: int, rmse_mm: float | None, ms: float) -> TableCell:
+        failure = "" if rmse_mm else "it failed"
+        return TableCell(
+            method, "cup", "cup", "low", "", "main", "sim", seed, rmse_mm=rmse_mm, ms=ms, failure=failure, sensor=sensor
+        )
+
+    methods = ("straight", "tolerance-0.008", "tolerance-0.010", "fusion-membrane")
+    cells = [cell(sensor, method, seed, 1.0 + seed, 5.0 + 2 * seed)
+             for sensor in ("clean", "heavy") for method in methods for seed in (0, 1)]  # fmt: skip
+    timings = sensor_timings([*cells, cell("heavy", "fusion-averaged", 0, None, 1.0)])
+    assert [(it.sensor, it.test) for it in timings] == [
+        (sensor, test) for sensor in ("clean", "heavy") for test in ("tolerance", "tolerance", "membrane")
+    ]
+    assert all((it.ms, it.rmse_mm) == (6.0, 1.5) for it in timings)
+    assert len(timings_as_text(timings).splitlines()) == 7
+    assert [path.name for path in draw_sensors(timings, tmp_path)] == ["sensors.png", "sensors.svg"]
+    assert draw_sensors([], tmp_path / "none") == []
 
 
 def test_the_page_holds_every_part(tmp_path: Path) -> None:
