@@ -62,6 +62,7 @@ def serving(*words: str, address: str = "127.0.0.1") -> Iterator[tuple[subproces
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[tuple[subprocess.Popen[str], int]]:
+    """Its tests are the last ones: it publishes 30 frames a second until this module ends."""
     with serving("--port", "0", "--estimate", "tilt", "--settable") as started:
         yield started
 
@@ -82,112 +83,6 @@ def find(number: int, preset: Preset) -> tuple[SensorFrame, ContactPatch]:
         frame = source.next_frame()
         assert frame is not None
         return frame, ContactPipeline(preset, source.rig).process(frame)
-
-
-def test_every_point_and_pixel_arrives(server: tuple[subprocess.Popen[str], int]) -> None:
-    with FoxgloveClient(server[1]) as client:
-        client.subscribe(ALL)
-        seen = next(frame for frame in client.frames(ALL) if frame["/contact/patch"].width > 1000)
-    frame, patch = find(number_of(seen), load_preset("simulator"))
-    assert np.array_equal(cloud_of(seen["/contact/patch"])[0], patch.points)
-    assert seen["/contact/area_mm2"].data == patch.area_mm2
-    for name, camera in (("proximity", patch.rig.proximity), ("tactile", patch.rig.tactile)):
-        depth = getattr(frame, f"{name}_depth")
-        assert cloud_of(seen[f"/{name}/points"]).shape == (480, 640, 3)
-        assert np.array_equal(cloud_of(seen[f"/{name}/points"]), deproject_image(depth, camera), equal_nan=True)
-        assert bytes(seen[f"/{name}/depth/image"].data) == depth.tobytes()
-        assert bytes(seen[f"/{name}/color/image"].data) == getattr(frame, f"{name}_color").tobytes()
-        assert seen[f"/{name}/depth/camera_info"].k[0] == camera.intrinsics.fx
-
-
-def test_a_client_that_comes_late_gets_the_static_transforms(server: tuple[subprocess.Popen[str], int]) -> None:
-    for _ in range(2):
-        with FoxgloveClient(server[1]) as client:
-            client.subscribe(["/tf_static", "/tactune/rig"])
-            seen = next(client.frames(["/tf_static", "/tactune/rig"]))
-            assert "tactile_depth_optical_frame" in [one.child_frame_id for one in seen["/tf_static"].transforms]
-
-
-def test_tilt_is_published_where_asked(server: tuple[subprocess.Popen[str], int]) -> None:
-    topics = ["/contact/tilt", "/tactune/frame"]
-    with FoxgloveClient(server[1]) as client:
-        client.subscribe(topics)
-        seen = next(seen for seen in client.frames(topics) if not math.isnan(seen["/contact/tilt"].vector.x))
-    _, patch = find(number_of(seen), load_preset("simulator"))
-    tilt = TiltEstimator(load_preset("simulator"), patch.rig).estimate(patch)
-    assert (seen["/contact/tilt"].vector.x, seen["/contact/tilt"].vector.y) == (tilt.roll_rad, tilt.pitch_rad)
-
-
-def test_time_stamps_are_those_of_now(server: tuple[subprocess.Popen[str], int]) -> None:
-    with FoxgloveClient(server[1]) as client:
-        client.subscribe(["/contact/patch"])
-        found = islice(client.messages(), 5)
-        stamps = [(stamp_ns, time.time_ns(), message) for _, stamp_ns, message in found]
-    for stamp_ns, now_ns, message in stamps:
-        assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp_ns
-        assert abs(now_ns - stamp_ns) < WAIT_S * 10**9
-    assert [stamp_ns for stamp_ns, _, _ in stamps] == sorted({stamp_ns for stamp_ns, _, _ in stamps})
-
-
-def test_parameters_are_read_set_and_refused(server: tuple[subprocess.Popen[str], int]) -> None:
-    preset = load_preset("simulator")
-    with FoxgloveClient(server[1]) as client, FoxgloveClient(server[1]) as other:
-        values = client.parameters()
-        assert values["tolerance.t"] == preset.tolerance.t
-        assert values["mask.hue"] == list(preset.mask.hue)
-        assert not {"name", "cameras.proximity.serial"} & values.keys()
-        other.send("subscribeParameterUpdates", parameterNames=["tolerance.t"])
-        other.parameters()
-
-        assert client.set_parameter("tolerance.t", 0.02) == {"tolerance.t": 0.02}
-        assert other.wait_for_text("parameterValues")["parameters"][0]["value"] == 0.02
-        assert client.set_parameter("contact_test", "tolerance") == {"contact_test": "tolerance"}
-        changed = preset.with_values({"tolerance.t": 0.02, "contact_test": "tolerance"})
-        topics = ["/contact/patch", "/tactune/frame", "/diagnostics"]
-        client.subscribe(topics)
-        steps = {f"{step} ms" for step in changed.test.step_names}
-        seen = next(
-            frame
-            for frame in client.frames(topics)
-            if steps <= {pair.key for pair in frame["/diagnostics"].status[0].values} and frame["/contact/patch"].width
-        )
-        assert np.array_equal(cloud_of(seen["/contact/patch"])[0], find(number_of(seen), changed)[1].points)
-
-        refused = {"tolerance.t": 7, "outliers.k": 2.5, "range.limits_m": [0.5, 0.1], "alignment.model": "no"}
-        refused |= {"outliers.ratio": 1e300, "contact_test": "x" * 1_000_000}
-        for name, value in refused.items():
-            present = client.parameters()[name]
-            assert client.set_parameter(name, value) == {name: present}
-            assert client.wait_for_text("status")["message"]
-        assert client.set_parameter("no.such", 1) == {}
-        assert "no.such" in client.wait_for_text("status")["message"]
-        assert client.parameters() == values | {"tolerance.t": 0.02, "contact_test": "tolerance"}
-        for name in ("tolerance.t", "contact_test"):
-            client.set_parameter(name, values[name])
-
-
-@pytest.mark.long
-def test_a_slow_client_and_one_that_vanishes_cost_their_own_frames_only(
-    server: tuple[subprocess.Popen[str], int],
-) -> None:
-    big = ["/proximity/points", "/tactile/points"]
-    with FoxgloveClient(server[1], max_queue=1) as slow, FoxgloveClient(server[1]) as quick:
-        slow.subscribe([*big, "/tactune/frame"])  # and reads nothing
-        with FoxgloveClient(server[1]) as vanishing:
-            vanishing.subscribe(big)
-            next(vanishing.frames(big))
-            vanishing.vanish()
-        quick.subscribe(["/tactune/frame"])
-        numbers = [number_of({"/tactune/frame": message}) for _, _, message in islice(quick.messages(), 90)]
-        assert len(set(numbers)) == 90
-        assert numbers == sorted(numbers)
-        late = []
-        for topic, _, message in slow.messages():
-            if topic == "/tactune/frame":
-                late.append(number_of({topic: message}))
-                if late[-1] >= numbers[-1]:
-                    break
-        assert len(late) < 90  # its own frames are lost
 
 
 @pytest.fixture
@@ -408,3 +303,109 @@ def test_the_layout_names_topics_that_exist(tmp_path: Path, tactune: Callable[..
     layout = json.loads(text)
     panels = re.findall(r'"(\w+!\w+)"', json.dumps(layout["layout"]))
     assert sorted(panels) == sorted(layout["configById"])
+
+
+def test_every_point_and_pixel_arrives(server: tuple[subprocess.Popen[str], int]) -> None:
+    with FoxgloveClient(server[1]) as client:
+        client.subscribe(ALL)
+        seen = next(frame for frame in client.frames(ALL) if frame["/contact/patch"].width > 1000)
+    frame, patch = find(number_of(seen), load_preset("simulator"))
+    assert np.array_equal(cloud_of(seen["/contact/patch"])[0], patch.points)
+    assert seen["/contact/area_mm2"].data == patch.area_mm2
+    for name, camera in (("proximity", patch.rig.proximity), ("tactile", patch.rig.tactile)):
+        depth = getattr(frame, f"{name}_depth")
+        assert cloud_of(seen[f"/{name}/points"]).shape == (480, 640, 3)
+        assert np.array_equal(cloud_of(seen[f"/{name}/points"]), deproject_image(depth, camera), equal_nan=True)
+        assert bytes(seen[f"/{name}/depth/image"].data) == depth.tobytes()
+        assert bytes(seen[f"/{name}/color/image"].data) == getattr(frame, f"{name}_color").tobytes()
+        assert seen[f"/{name}/depth/camera_info"].k[0] == camera.intrinsics.fx
+
+
+def test_a_client_that_comes_late_gets_the_static_transforms(server: tuple[subprocess.Popen[str], int]) -> None:
+    for _ in range(2):
+        with FoxgloveClient(server[1]) as client:
+            client.subscribe(["/tf_static", "/tactune/rig"])
+            seen = next(client.frames(["/tf_static", "/tactune/rig"]))
+            assert "tactile_depth_optical_frame" in [one.child_frame_id for one in seen["/tf_static"].transforms]
+
+
+def test_tilt_is_published_where_asked(server: tuple[subprocess.Popen[str], int]) -> None:
+    topics = ["/contact/tilt", "/tactune/frame"]
+    with FoxgloveClient(server[1]) as client:
+        client.subscribe(topics)
+        seen = next(seen for seen in client.frames(topics) if not math.isnan(seen["/contact/tilt"].vector.x))
+    _, patch = find(number_of(seen), load_preset("simulator"))
+    tilt = TiltEstimator(load_preset("simulator"), patch.rig).estimate(patch)
+    assert (seen["/contact/tilt"].vector.x, seen["/contact/tilt"].vector.y) == (tilt.roll_rad, tilt.pitch_rad)
+
+
+def test_time_stamps_are_those_of_now(server: tuple[subprocess.Popen[str], int]) -> None:
+    with FoxgloveClient(server[1]) as client:
+        client.subscribe(["/contact/patch"])
+        found = islice(client.messages(), 5)
+        stamps = [(stamp_ns, time.time_ns(), message) for _, stamp_ns, message in found]
+    for stamp_ns, now_ns, message in stamps:
+        assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp_ns
+        assert abs(now_ns - stamp_ns) < WAIT_S * 10**9
+    assert [stamp_ns for stamp_ns, _, _ in stamps] == sorted({stamp_ns for stamp_ns, _, _ in stamps})
+
+
+def test_parameters_are_read_set_and_refused(server: tuple[subprocess.Popen[str], int]) -> None:
+    preset = load_preset("simulator")
+    with FoxgloveClient(server[1]) as client, FoxgloveClient(server[1]) as other:
+        values = client.parameters()
+        assert values["tolerance.t"] == preset.tolerance.t
+        assert values["mask.hue"] == list(preset.mask.hue)
+        assert not {"name", "cameras.proximity.serial"} & values.keys()
+        other.send("subscribeParameterUpdates", parameterNames=["tolerance.t"])
+        other.parameters()
+
+        assert client.set_parameter("tolerance.t", 0.02) == {"tolerance.t": 0.02}
+        assert other.wait_for_text("parameterValues")["parameters"][0]["value"] == 0.02
+        assert client.set_parameter("contact_test", "tolerance") == {"contact_test": "tolerance"}
+        changed = preset.with_values({"tolerance.t": 0.02, "contact_test": "tolerance"})
+        topics = ["/contact/patch", "/tactune/frame", "/diagnostics"]
+        client.subscribe(topics)
+        steps = {f"{step} ms" for step in changed.test.step_names}
+        seen = next(
+            frame
+            for frame in client.frames(topics)
+            if steps <= {pair.key for pair in frame["/diagnostics"].status[0].values} and frame["/contact/patch"].width
+        )
+        assert np.array_equal(cloud_of(seen["/contact/patch"])[0], find(number_of(seen), changed)[1].points)
+
+        refused = {"tolerance.t": 7, "outliers.k": 2.5, "range.limits_m": [0.5, 0.1], "alignment.model": "no"}
+        refused |= {"outliers.ratio": 1e300, "contact_test": "x" * 1_000_000}
+        for name, value in refused.items():
+            present = client.parameters()[name]
+            assert client.set_parameter(name, value) == {name: present}
+            assert client.wait_for_text("status")["message"]
+        assert client.set_parameter("no.such", 1) == {}
+        assert "no.such" in client.wait_for_text("status")["message"]
+        assert client.parameters() == values | {"tolerance.t": 0.02, "contact_test": "tolerance"}
+        for name in ("tolerance.t", "contact_test"):
+            client.set_parameter(name, values[name])
+
+
+@pytest.mark.long
+def test_a_slow_client_and_one_that_vanishes_cost_their_own_frames_only(
+    server: tuple[subprocess.Popen[str], int],
+) -> None:
+    big = ["/proximity/points", "/tactile/points"]
+    with FoxgloveClient(server[1], max_queue=1) as slow, FoxgloveClient(server[1]) as quick:
+        slow.subscribe([*big, "/tactune/frame"])  # and reads nothing
+        with FoxgloveClient(server[1]) as vanishing:
+            vanishing.subscribe(big)
+            next(vanishing.frames(big))
+            vanishing.vanish()
+        quick.subscribe(["/tactune/frame"])
+        numbers = [number_of({"/tactune/frame": message}) for _, _, message in islice(quick.messages(), 90)]
+        assert len(set(numbers)) == 90
+        assert numbers == sorted(numbers)
+        late = []
+        for topic, _, message in slow.messages():
+            if topic == "/tactune/frame":
+                late.append(number_of({topic: message}))
+                if late[-1] >= numbers[-1]:
+                    break
+        assert len(late) < 90  # its own frames are lost

@@ -127,7 +127,7 @@ def test_a_snapshot_is_quieter_than_a_frame_and_named_by_its_content(rig):
 
 
 def test_the_texture_of_two_averaged_frames_is_off_by_no_more_than_the_bound(rig):
-    source = SimulatorSource("cup", cells=COARSE, sensor="datasheet")
+    source = SimulatorSource("cup", sensor="datasheet")
     frames = [take_snapshot([source.read(index), source.read(index + 1)]).frame for index in (2, 30)]
     quality = calibrate(match_texture(frames, rig).pairs, rig, "rigid").chosen
     points = Pose.of(rig.T_proximity_tactile).points_m(rig.tactile.intrinsics, quality.map.places)
