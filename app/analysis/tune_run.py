@@ -16,7 +16,7 @@ from PyQt6.QtCore import QObject, QProcess, pyqtSignal
 from ...core.contact.kernels.threads import available_threads
 from ...core.preset import Preset
 from ...core.preset.file import save_preset
-from ...core.tuning.space import Axis
+from ...core.tuning.plan import Axis
 
 #: Exit status after a stop by the person.
 _STOPPED = 130

@@ -20,8 +20,7 @@ from PyQt6.QtWidgets import (
 from ...core.errors import PresetError, TactuneError
 from ...core.preset import Preset
 from ...core.tuning.advice.proposal import Proposal
-from ...core.tuning.measure import OBJECTIVES
-from ...core.tuning.space import Axis, default_axes
+from ...core.tuning.plan import OBJECTIVES, Axis, default_axes
 from ...widgets.basics.controls import ElidedLabel, ProgressBar, push_button
 from ...widgets.basics.fields import field_spec, format_number
 from ...widgets.basics.layouts import hbox, scrolling, vbox

@@ -244,7 +244,7 @@ def parse_settings(texts: Sequence[str]) -> dict[str, Any]:
 
 def _parse_setting(text: str) -> tuple[str, Any]:
     """Split ``path=value``; the value is JSON, or else a bare word."""
-    from ...core.tuning.space import json_or_word
+    from ...core.preset.preset import json_or_word
 
     path, separator, value = text.partition("=")
     if not separator:

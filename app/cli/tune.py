@@ -3,33 +3,24 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from enum import StrEnum
+import re
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
-from ...core.errors import ExportError, counted
+from ...core.errors import ExportError, TactuneError, counted
 from .common import CliProgress, default_preset, stop_on_signals, warn
 
 if TYPE_CHECKING:
-    from ...core.preset import Preset
-    from ...core.tuning.study import Plan, Study, Trial
+    from ...core.sources import FrameSource
+    from ...core.tuning.plan import Plan
+    from ...core.tuning.study import Study, Trial
     from ...core.tuning.workers import Workers
-
-
-class SamplerName(StrEnum):
-    """How trials are chosen."""
-
-    GRID = "grid"
-    QMC = "qmc"
-    TPE = "tpe"
-    NSGA2 = "nsga2"
 
 
 def tune(
@@ -67,7 +58,7 @@ def tune(
                      "grid, else 60."),
     ] = None,
     sampler: Annotated[
-        SamplerName | None,
+        Literal["grid", "qmc", "tpe", "nsga2"] | None,
         typer.Option(help="grid: every combination. qmc: quasi-random, covers evenly. tpe: learns from trials. nsga2: "
                      "evolves. Default: grid if all fields have steps and --trials is not given, else tpe."),
     ] = None,
@@ -92,43 +83,82 @@ def tune(
     as_json: Annotated[bool, typer.Option("--json", help="Print each trial as one line of JSON when it ends.")] = False,
 ) -> None:  # fmt: skip
     """Search for preset values with the best error and run time. After Ctrl+C or a crash the same command continues."""
+    from ...core.contact.kernels.threads import available_threads
+    from ...core.contact.warmup import warm_up_if_needed
+    from ...core.preset.file import save_preset
+    from ...core.rig.untouched import copy_untouched
     from ...core.sources.presets import load_preset
     from ...core.sources.registry import open_source
-    from ...core.tuning.clips import ALL_FRAMES, parse_frames
-    from ...core.tuning.space import parse_axis
-    from ...core.tuning.study import Study, make_plan
+    from ...core.tuning.plan import make_plan, parse_axis
+    from ...core.tuning.study import Study, tuned_preset
+    from ...core.tuning.workers import cluster_workers, local_workers
 
     axes = [parse_axis(text) for text in settings or []]
-    chosen = ALL_FRAMES if frames is None else parse_frames(frames)
     sources = source or []
-    name = preset or _usual_preset(sources)
+    usual = {default_preset(name) for name in sources}
+    name = preset or (usual.pop() if len(usual) == 1 else "default")
     base, base_file = load_preset(name), Path(name) if Path(name).is_file() else None
     kept = study or (out.with_name(f"{out.stem}.study.log") if out else Path("tune.study.log"))
     if out is not None:
         _check_out(out, kept, base_file)
-    with _workers(scheduler, jobs) as workers, CliProgress(quiet=as_json) as progress:
-        plan = make_plan(
-            base,
-            axes,
-            sources,
-            frames=chosen,
-            objectives=[word.strip() for word in (objective or "").split(",") if word.strip()],
-            sampler=None if sampler is None else sampler.value,
-            trials=trials,
-            seed=seed,
-            opener=lambda name: open_source(name, progress.preparing),
-            progress=lambda name: progress.frames(0, None, f"reading {name}"),
-        )
-        with Study(plan, kept) as opened:
+    if scheduler and jobs:
+        raise TactuneError("--jobs is for processes on this computer; remove it or --scheduler")
+    with CliProgress(quiet=as_json) as progress:
+
+        def read(name: str) -> FrameSource:
+            progress.frames(0, None, f"reading {name}")
+            return open_source(name, progress.preparing)
+
+        if not scheduler:
+            warm_up_if_needed(progress.preparing)
+        with cluster_workers(scheduler) if scheduler else local_workers(jobs or available_threads()) as workers:
+            plan = make_plan(
+                base,
+                axes,
+                sources,
+                frames=_parse_frames(frames),
+                objectives=[word.strip() for word in (objective or "").split(",") if word.strip()],
+                sampler=sampler,
+                trials=trials,
+                seed=seed,
+                opener=read,
+            )
+            opened = Study(plan, kept)
             _search(opened, workers, progress, as_json)
-            found, front = opened.trials(), opened.front()
+    found, front = opened.results()
     if not front:
         failure = next((f", such as: {trial.failure}" for trial in found if trial.failure), "")
         raise ExportError(f"no trial found any contact{failure}; widen the ranges, or take frames with contact")
     if not as_json:
         _print_front(plan, found, front)
     if out is not None:
-        _write_best(out, plan, front[0], len(found), base_file)
+        best = tuned_preset(plan, front[0], len(found))
+        if best.untouched is not None and base_file is not None:
+            copy_untouched(best.untouched, base_file, out)
+        save_preset(best, out)
+        typer.echo(f"wrote {out}: trial {front[0].number}", err=True)
+
+
+def _check_out(path: Path, study: Path, base_file: Path | None) -> None:
+    """Refuse an --out that cannot be written, or would overwrite anything but an earlier search's preset."""
+    from ...core.model.files import check_writable
+    from ...core.tuning.study import FOUND_BY
+
+    if path.resolve() == study.resolve():
+        raise ExportError(f"--out and --study are both {path}; name two files")
+    if base_file is not None and path.resolve() == base_file.resolve():
+        raise ExportError(f"--out would replace {path}, the preset that the search starts from; name another file")
+    if path.exists() and not (path.is_file() and FOUND_BY in path.read_text("utf-8", errors="replace")):
+        raise ExportError(f"{path} already exists and was not written by a search; choose another --out or remove it")
+    check_writable(path)
+
+
+def _parse_frames(text: str | None) -> slice:
+    """Read ``N``, ``A:B`` or ``A:B:STEP``; all frames without a text."""
+    text = ":" if text is None else text
+    if not re.fullmatch(r"[0-9]{1,9}|[0-9]{0,9}:[0-9]{0,9}(:0*[1-9][0-9]{0,8})?", text):
+        raise TactuneError(f"--frames is {text!r}; write a number of frames, or FIRST:END or FIRST:END:STEP")
+    return slice(*(int(part) if part else None for part in text.split(":")))
 
 
 def _search(study: Study, workers: Workers, progress: CliProgress, as_json: bool) -> None:
@@ -141,14 +171,15 @@ def _search(study: Study, workers: Workers, progress: CliProgress, as_json: bool
         for done in study.run(workers, stopped.is_set):
             progress.frames(done, plan.trials, "trials")
             if as_json:
-                for trial in study.trials():
+                trials, front = study.results()
+                for trial in trials:
                     if trial.number not in said:
                         said.add(trial.number)
                         _say(vars(trial))
-                _say({"front": [trial.number for trial in study.front()]})
+                _say({"front": [trial.number for trial in front]})
     if stopped.is_set():
         warn(
-            f"{len(study.trials())} of {counted(plan.trials, 'trial')} are kept in {study.path}; "
+            f"{len(study.results()[0])} of {counted(plan.trials, 'trial')} are kept in {study.path}; "
             "the same command continues from there"
         )
         raise typer.Exit(130)
@@ -158,63 +189,9 @@ def _say(document: dict[str, Any]) -> None:
     typer.echo(json.dumps(document, allow_nan=False))
 
 
-def _usual_preset(sources: Sequence[str]) -> str:
-    names = {default_preset(source) for source in sources}
-    return names.pop() if len(names) == 1 else "default"
-
-
-@contextmanager
-def _workers(scheduler: str | None, jobs: int | None) -> Iterator[Workers]:
-    """Yield local workers, or those of a cluster."""
-    from ...core.contact.kernels.threads import available_threads
-    from ...core.contact.warmup import warm_up_if_needed
-    from ...core.tuning.space import TuneError
-    from ...core.tuning.workers import cluster_workers, local_workers
-
-    if scheduler is None:
-        with CliProgress() as progress:
-            warm_up_if_needed(progress.preparing)
-        with local_workers(jobs or available_threads()) as workers:
-            yield workers
-        return
-    if jobs is not None:
-        raise TuneError("--jobs is for processes on this computer; remove it or --scheduler")
-    with cluster_workers(scheduler) as workers:
-        yield workers
-
-
-def _check_out(path: Path, study: Path, base_file: Path | None) -> None:
-    """Refuse an --out that cannot be written, or would overwrite anything but an earlier search's preset."""
-    from ...core.model.files import check_writable
-    from ...core.tuning.study import FOUND_BY
-
-    if path.resolve() == study.resolve():
-        raise ExportError(f"--out and --study are both {path}; name two files")
-    if path.exists() and not path.is_file():
-        raise ExportError(f"--out is {path}, which is not a file; name a .json file")
-    if base_file is not None and path.resolve() == base_file.resolve():
-        raise ExportError(f"--out would replace {path}, the preset that the search starts from; name another file")
-    if path.is_file() and FOUND_BY not in path.read_text("utf-8", errors="replace"):
-        raise ExportError(f"{path} already exists and was not written by a search; choose another --out or remove it")
-    check_writable(path)
-
-
-def _write_best(path: Path, plan: Plan, best: Trial, trials: int, base_file: Path | None) -> None:
-    from ...core.preset.file import save_preset
-    from ...core.rig.untouched import copy_untouched
-    from ...core.tuning.study import tuned_preset
-
-    preset: Preset = tuned_preset(plan, best, trials)
-    if preset.untouched is not None and base_file is not None:
-        copy_untouched(preset.untouched, base_file, path)
-    save_preset(preset, path)
-    typer.echo(f"wrote {path}: trial {best.number}", err=True)
-
-
 def _print_front(plan: Plan, found: Sequence[Trial], front: Sequence[Trial]) -> None:
     """Print the trials that no other beats, and the present preset."""
-    from ...core.tuning.measure import OBJECTIVES
-    from ...core.tuning.space import at_edge
+    from ...core.tuning.plan import OBJECTIVES
 
     table = Table(title=f"Not beaten by any of {counted(len(found), 'trial')}", box=SIMPLE, title_justify="left")
     table.add_column("trial", justify="right", no_wrap=True)
@@ -232,7 +209,11 @@ def _print_front(plan: Plan, found: Sequence[Trial], front: Sequence[Trial]) -> 
         )
     console = Console(highlight=False, width=1000)
     console.print(table)
-    for sentence in at_edge(plan.axes, front[0].values):
-        console.print(f"{sentence[:1].upper()}{sentence[1:]}.")
+    for axis in plan.axes:
+        best, given = front[0].values[axis.path], axis.values or (axis.low, axis.high)
+        numbers = sorted(value for value in given if type(value) in (int, float))
+        if len(numbers) > 1 and best in (numbers[0], numbers[-1]):
+            end = "smallest" if best == numbers[0] else "largest"
+            console.print(f"The best {axis.path}, {best:g}, is the {end} one that was allowed.")
     if failed := [trial for trial in found if trial.failure]:
         warn(f"{counted(len(failed), 'trial')} failed, such as: {failed[0].failure}")

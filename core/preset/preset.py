@@ -213,6 +213,14 @@ def set_path(document: Document, path: str, value: Any) -> None:
     document[last] = value
 
 
+def json_or_word(text: str) -> Any:
+    """Return the value of a JSON text, or else the text itself: a field's value as people write it."""
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        return text
+
+
 def preset_paths() -> list[str]:
     """Return the dotted path of every field that can be set by itself."""
 

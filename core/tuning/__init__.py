@@ -1,1 +1,1 @@
-"""The search for good preset values: space, measurement of trials, workers, and the study that keeps all trials."""
+"""The search for good preset values: its plan, how a trial is measured, the workers, and the study of all trials."""

@@ -1,4 +1,4 @@
-"""Measures a batch of trials over all clips, on one thread of a worker.
+"""Measures trials over all clips, on one thread of a worker.
 
 The outer loop is over frames, the inner loop over trials. Each frame is therefore read once for all trials, and
 consecutive trials share the results of their common steps. A worker keeps its sources open.
@@ -10,320 +10,188 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import lru_cache
 from statistics import fmean, median
 from typing import Any, Final
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
 
-from ..contact.kernels.threads import get_threads, set_threads
+from ..contact.kernels.threads import set_threads
 from ..contact.pipeline import ContactPipeline
 from ..contact.warmup import warm_up
 from ..errors import TactuneError
-from ..evaluation.metrics import pixel_scores, truth_cloud
-from ..evaluation.table_cell import code_version
+from ..evaluation.metrics import TruthTree, pixel_scores
+from ..evaluation.table_cell import code_version, true_contact
 from ..model.arrays import BoolArray, Float32Array
-from ..model.clouds import pixel_areas_m2
 from ..model.frames import Rig, SensorFrame
 from ..model.patch import ContactPatch
 from ..preset import Preset
-from ..sources.registry import open_source
-from .clips import Clip, add_frame, frames_identity, read_frames
-from .space import STAGE_OF, TuneError
+from ..sources.base import SeekableSource
+from .plan import STAGE_OF, Clip, Plan, TuneError, content_of, open_recording
 
-
-@dataclass(frozen=True)
-class Objective:
-    """One figure to optimise: its unit, whether larger is better, and whether it needs ground truth."""
-
-    unit: str
-    larger: bool
-    needs_truth: bool
-    meaning: str
-
-
-#: What a search can optimise. Means over frames, then over sources; the time is the median of all frames.
-OBJECTIVES: Final = {
-    "rmse": Objective("mm", False, True, "mean symmetric distance between patch and truth"),
-    "iou": Objective("", True, True, "intersection over union with the true pixels"),
-    "area_error": Objective("mm2", False, True, "mean absolute difference to the true area"),
-    "ms": Objective("ms", False, False, "median processor time of a frame on one thread"),
-    "area": Objective("mm2", True, False, "mean area of the patch"),
-    "stability": Objective("", True, False, "mean IoU of the masks of consecutive frames"),
-}
+#: Values of `OBJECTIVES`, the time only if it is one, and ``points``; those that are undefined are missing. And why the
+#: trial's parameters cannot be used; empty if they can.
+Measured = tuple[dict[str, float], str]
 
 #: Frames on which a trial is timed without shared steps, and runs of each; the least time of a frame counts.
 _TIMES: Final = 5
 _REPEATS: Final = 3
-#: Upper limit of the clips that a worker keeps open.
+#: Upper limit of the sources that a worker keeps open.
 _MAX_OPEN: Final = 8
-
-_kept: Final = threading.local()
-
-
-@dataclass(frozen=True)
-class Batch:
-    """Trials that a worker measures together.
-
-    Attributes
-    ----------
-    base : Preset
-    clips : tuple of Clip
-    code : str
-        Version of the program's code.
-    trials : tuple of dict
-        Values of the varying fields of each trial.
-    timed : bool
-        Whether the time matters.
-    """
-
-    base: Preset
-    clips: tuple[Clip, ...]
-    code: str
-    trials: tuple[dict[str, Any], ...]
-    timed: bool
+#: Time in which other workers and programs have the processor does not count, except on Windows, whose clock of
+#: threads counts in 16 ms.
+_clock_ns: Final = time.perf_counter_ns if sys.platform == "win32" else time.thread_time_ns
 
 
-@dataclass(frozen=True)
-class Measured:
-    """What a trial gave.
-
-    Attributes
-    ----------
-    figures : dict of str to float
-        Values of `OBJECTIVES` (the time only if it matters), ``points`` and ``missed`` (frames with true contact in
-        which none was found). A figure that is undefined is missing.
-    failure : str
-        Why the parameters cannot be used; empty if they can.
-    """
-
-    figures: dict[str, float]
-    failure: str = ""
+@lru_cache(_MAX_OPEN)
+def _opened(clip: Clip, thread: int) -> SeekableSource:
+    """Return a thread's own source of a clip. Raises a `TuneError` if its frames are not those of the plan."""
+    warm_up()  # so that no measured time includes loading code
+    source = open_recording(clip.name)
+    if content_of(source, clip.frames)[0] != clip.content:
+        raise TuneError(
+            f"{clip.source} holds other frames than when this search began, or on this worker; "
+            "make it the same everywhere and give the same command again"
+        )
+    return source
 
 
-def measure_batch(batch: Batch) -> list[Measured]:
-    """Measure all trials of a batch on one thread, in the order given.
+def measure(plan: Plan, trials: Sequence[dict[str, Any]]) -> list[Measured]:
+    """Measure trials, each given by the values of its fields. The calling thread does nothing else: it is a worker's.
 
     Raises
     ------
     TactuneError
         This process runs another version of the code than the plan, or its recording has other frames.
     """
-    if code_version() != batch.code:
+    if code_version() != plan.code:
         raise TuneError(
             "a worker runs another version of Tactune than this search; install the same one everywhere, "
             "restart the workers and give the same command again"
         )
-    before = get_threads()
     set_threads(1)
-    cv2.setNumThreads(1)  # for the whole process: a worker does nothing else
-    try:
-        return _measure(batch)
-    finally:
-        set_threads(before)
-
-
-def _measure(batch: Batch) -> list[Measured]:
-    shared = sorted(range(len(batch.trials)), key=lambda at: _early_first(batch.trials[at]))
-    runs = [_Run() for _ in batch.trials]
-    for clip in batch.clips:
-        opened = _OpenClip.of(clip)
-        pipelines = _Pipelines(batch.base, opened.source.rig)
+    cv2.setNumThreads(1)
+    runs = [_Run(plan.base, values) for values in trials]
+    early_first = sorted(runs, key=_Run.order)
+    timed_frames = -(-_TIMES // len(plan.clips)) if "ms" in plan.objectives else 0
+    for clip in plan.clips:
+        source = _opened(clip, threading.get_ident())
+        shared = ContactPipeline(plan.base, source.rig)
         for run in runs:
-            run.begin_clip()
-        times = -(-_TIMES // len(batch.clips)) if batch.timed else 0
-        for number, frame in enumerate(opened.frames()):
-            judged = _JudgedFrame(frame, opened.source.rig)
-            for at in shared:
-                runs[at].judge_frame(pipelines, batch.trials[at], judged)
-            due = len(range(number, times, len(clip.frames)))  # a short clip's frames are timed more than once
-            for at in due * shared:
-                runs[at].time_frame(pipelines, batch.trials[at], frame)
-    return [run.measured() for run in runs]
+            run.attempt(run.begin, shared, source.rig)
+        for number, frame in enumerate(map(source.read, clip.frames)):
+            truth = _Truth(frame, source.rig) if frame.truth is not None else None
+            for run in early_first:
+                run.attempt(run.judge, frame, truth)
+            for _ in range(number, timed_frames, len(clip.frames)):  # a short clip's frames are timed more than once
+                for run in early_first:
+                    run.attempt(run.time, frame)
+    return [({}, run.failure) if run.failure else (run.figures(), "") for run in runs]
 
 
-def _early_first(values: dict[str, Any]) -> list[tuple[int, str, str]]:
-    return sorted((STAGE_OF.get(path, 0), path, repr(value)) for path, value in values.items())
-
-
-class _OpenClip:
-    """A clip whose source is open."""
-
-    def __init__(self, clip: Clip) -> None:
-        self.clip = clip
-        self.source = open_source(clip.name)
-        self._checked = False
-
-    @staticmethod
-    def of(clip: Clip) -> _OpenClip:
-        """Return the calling thread's open clip."""
-        clips: dict[Clip, _OpenClip] | None = getattr(_kept, "clips", None)
-        if clips is None:
-            warm_up()  # so that no measured time includes loading code
-            clips = _kept.clips = {}
-        if clip not in clips:
-            while len(clips) >= _MAX_OPEN:
-                clips.pop(next(iter(clips))).source.close()
-            clips[clip] = _OpenClip(clip)
-        return clips[clip]
-
-    def frames(self) -> Iterator[SensorFrame]:
-        """Yield the frames; the first time, check that they are those of the plan."""
-        digest = None if self._checked else frames_identity(self.source.rig)
-        for frame in read_frames(self.clip.source, self.source, self.clip.frames):
-            if digest is not None:
-                add_frame(digest, frame)
-            yield frame
-        if digest is not None and digest.hexdigest() != self.clip.identity:
-            raise TuneError(
-                f"{self.clip.source} holds other frames than when this search began, or on this worker; "
-                "make it the same everywhere and give the same command again"
-            )
-        self._checked = True
-
-
-class _Pipelines:
-    """One pipeline for all trials on a clip, so that unchanged steps are not repeated.
-
-    A trial that averages frames has its own pipeline, because that pipeline keeps frames.
-    """
-
-    def __init__(self, base: Preset, rig: Rig) -> None:
-        self._base, self._rig = base, rig
-        self._shared = ContactPipeline(base, rig)
-        self._own: dict[str, ContactPipeline] = {}
-
-    def of(self, values: dict[str, Any]) -> ContactPipeline:
-        """Return the pipeline for a trial, with its values."""
-        preset = self._base.with_values(values)
-        if preset.averaged_frames > 1:
-            return self._own.setdefault(repr(values), ContactPipeline(preset, self._rig))
-        self._shared.update(preset)
-        return self._shared
-
-
-def _timed(pipeline: ContactPipeline, frame: SensorFrame) -> tuple[ContactPatch, float]:
-    """Return the patch and the processor time of this thread, ms.
-
-    Time in which other workers and programs have the processor does not count, but they slow down memory. Windows
-    counts processor time in steps of 16 ms; there it is the time of the steps of the contact test.
-    """
-    started = time.thread_time_ns()
-    patch = pipeline.process(frame)
-    busy_ms = (time.thread_time_ns() - started) / 1e6
-    return patch, sum(patch.stage_ms.values()) if sys.platform == "win32" else busy_ms
-
-
-class _JudgedFrame:
-    """Measures patches against the truth of one frame; values that depend on the truth alone are computed once."""
-
-    def __init__(self, frame: SensorFrame, rig: Rig) -> None:
-        self.frame, self._rig = frame, rig
-        self._last: tuple[ContactPatch, dict[str, float]] | None = None
-
-    def judge(self, patch: ContactPatch) -> dict[str, float]:
-        """Return the figures of a patch in this frame; nan where one is undefined."""
-        if self._last is not None and np.array_equal(self._last[0].points, patch.points):
-            return self._last[1]
-        figures = {"points": float(len(patch.points)), "area": patch.area_mm2}
-        if (truth := self.frame.truth) is not None:
-            figures |= {
-                "iou": pixel_scores(patch.mask, truth.contact).iou,
-                "missed": float(len(patch.points) == 0 and bool(truth.contact.any())),
-            }
-            if len(self._truth) or not truth.contact.any():  # the true depth is known
-                figures |= {
-                    "rmse": self._rmse_mm(patch.points),
-                    "area_error": abs(patch.area_mm2 - self._area_mm2),
-                }
-        self._last = patch, figures
-        return figures
-
-    @cached_property
-    def _truth(self) -> Float32Array:
-        assert self.frame.truth is not None
-        return truth_cloud(self.frame.truth, self._rig).points
-
-    @cached_property
-    def _tree(self) -> cKDTree:
-        return cKDTree(self._truth.astype(np.float64))
-
-    @cached_property
-    def _area_mm2(self) -> float:
-        return 1e6 * float(pixel_areas_m2(self._truth[:, 2], self._rig.proximity.intrinsics).sum())
-
-    def _rmse_mm(self, found: Float32Array) -> float:
-        """Return `evaluation.metrics.symmetric_rmse_m` in mm; the tree of the truth is reused.
-
-        If only one of patch and truth is empty, it is the diagonal of the other's bounding box, which no misplaced
-        patch within it exceeds: finding nothing must never pay. nan if both are empty.
-        """
-        points = found.astype(np.float64)
-        if len(points) == 0 or self._tree.n == 0:
-            cloud = self._tree.data if self._tree.n else points
-            return 1e3 * float(np.linalg.norm(np.ptp(cloud, axis=0))) if len(cloud) else math.nan
-        there, back = self._tree.query(points)[0], cKDTree(points).query(self._tree.data)[0]
-        return 500.0 * sum(math.sqrt(float(np.mean(np.square(distances)))) for distances in (there, back))
-
-
-@dataclass
 class _Run:
-    """Collects the figures of one trial over all frames of all clips."""
+    """One trial: its preset, its pipeline on the present clip, and its figures of all frames so far."""
 
-    _clips: list[dict[str, list[float]]] = field(default_factory=list)
-    _ms: list[float] = field(default_factory=list)
-    _failure: str = ""
-    _mask: BoolArray | None = None
+    def __init__(self, base: Preset, values: dict[str, Any]) -> None:
+        self.failure = ""
+        self._base, self._values = base, values
+        self._clips: list[dict[str, list[float]]] = []
+        self._ms: list[float] = []
 
-    def begin_clip(self) -> None:
-        self._clips.append({})
-        self._mask = None
+    def order(self) -> list[tuple[int, str, str]]:
+        """Return a key that puts trials with equal fields of early steps beside each other."""
+        return sorted((STAGE_OF.get(path, 0), path, repr(value)) for path, value in self._values.items())
 
-    def judge_frame(self, pipelines: _Pipelines, values: dict[str, Any], judged: _JudgedFrame) -> None:
-        """Add the next frame."""
-        if self._failure:
+    def attempt(self, step: Callable[..., None], *arguments: object) -> None:
+        """Take a step unless one has failed; parameters that cannot be used are a failure of this trial alone."""
+        if self.failure:
             return
         try:
-            pipeline = pipelines.of(values)
-            patch, ms = _timed(pipeline, judged.frame)
-            if pipeline.preset.averaged_frames > 1:
-                self._ms.append(ms)
-            self._add(judged.judge(patch), patch.mask)
+            step(*arguments)
         except TactuneError as error:
-            self._failure = str(error)
+            self.failure = str(error)
         except (ValueError, ArithmeticError, LookupError, TypeError, cv2.error) as error:  # not lack of memory
-            self._failure = f"{type(error).__name__}: {error}"
+            self.failure = f"{type(error).__name__}: {error}"
 
-    def time_frame(self, pipelines: _Pipelines, values: dict[str, Any], frame: SensorFrame) -> None:
-        """Add the time of a frame; an average must not see a frame twice."""
-        if not self._failure and (pipeline := pipelines.of(values)).preset.averaged_frames == 1:
-            self._ms.append(min(_timed(pipeline, replace(frame))[1] for _ in range(_REPEATS)))  # a copy is unknown
+    def begin(self, shared: ContactPipeline, rig: Rig) -> None:
+        """Begin a clip with the pipeline that all trials share; one that averages keeps frames, so it is not shared."""
+        self._preset = self._base.with_values(self._values)
+        self._averages = self._preset.averaged_frames > 1
+        self._pipeline = ContactPipeline(self._preset, rig) if self._averages else shared
+        self._mask: BoolArray | None = None
+        self._clips.append({})
 
-    def _add(self, figures: dict[str, float], mask: BoolArray) -> None:
+    def judge(self, frame: SensorFrame, truth: _Truth | None) -> None:
+        """Add the figures of the next frame."""
+        patch, ms = self._process(frame)
+        if self._averages:
+            self._ms.append(ms)
+        figures = {"points": float(len(patch.points)), "area": patch.area_mm2}
+        if truth is not None:
+            figures |= truth.compare(patch)
         if self._mask is not None:
-            figures = figures | {"stability": pixel_scores(self._mask, mask).iou}
-        self._mask = mask
+            figures["stability"] = pixel_scores(self._mask, patch.mask).iou
+        self._mask = patch.mask
         for name, figure in figures.items():
             self._clips[-1].setdefault(name, []).append(figure)
 
-    def measured(self) -> Measured:
+    def time(self, frame: SensorFrame) -> None:
+        """Add the time of a frame without shared steps; an average must not see a frame twice."""
+        if not self._averages:
+            self._ms.append(min(self._process(replace(frame))[1] for _ in range(_REPEATS)))  # a copy is unknown
+
+    def figures(self) -> dict[str, float]:
         """Return the figures: means over frames, then over clips."""
-        if self._failure:
-            return Measured({}, self._failure)
         figures = {"ms": median(self._ms)} if self._ms else {}
         for name in dict.fromkeys(name for clip in self._clips for name in clip):
-            of_clips = [clip[name] for clip in self._clips if name in clip]
-            if name == "missed":
-                figures[name] = sum(map(sum, of_clips))
-            else:  # nan only for an RMSE where nothing was to be found and nothing was
-                figures[name] = _mean([_mean(clip) for clip in of_clips], default=0.0)
-        return Measured(figures)
+            figures[name] = _mean([_mean(clip[name], math.nan) for clip in self._clips if name in clip], 0.0)
+        return figures
+
+    def _process(self, frame: SensorFrame) -> tuple[ContactPatch, float]:
+        """Return the patch and the processor time that it took, ms."""
+        self._pipeline.update(self._preset)
+        started = _clock_ns()
+        patch = self._pipeline.process(frame)
+        return patch, 1e-6 * (_clock_ns() - started)
 
 
-def _mean(numbers: Sequence[float], default: float = math.nan) -> float:
+class _Truth:
+    """The true contact of a frame, for many patches."""
+
+    def __init__(self, frame: SensorFrame, rig: Rig) -> None:
+        assert frame.truth is not None
+        self._contact = frame.truth.contact
+        self._points, self._area_mm2 = true_contact(frame, rig)
+        self._tree = TruthTree(self._points, samples=max(1, len(self._points)))
+        self._last: tuple[Float32Array, dict[str, float]] | None = None
+
+    def compare(self, patch: ContactPatch) -> dict[str, float]:
+        """Return the figures of a patch that need truth; without true depth only the IoU."""
+        if self._last is not None and np.array_equal(self._last[0], patch.points):
+            return self._last[1]
+        figures = {"iou": pixel_scores(patch.mask, self._contact).iou}
+        if len(self._points) or not self._contact.any():
+            figures["rmse"] = self._rmse_mm(patch.points)
+            figures["area_error"] = abs(patch.area_mm2 - self._area_mm2)
+        self._last = patch.points, figures
+        return figures
+
+    def _rmse_mm(self, points: Float32Array) -> float:
+        """Return the symmetric RMSE, mm; nan if nothing touches and nothing was found.
+
+        If only one of patch and truth is empty, it is the diagonal of the other's bounding box, which no misplaced
+        patch within it exceeds: finding nothing must never pay.
+        """
+        if len(points) and len(self._points):
+            return 1e3 * self._tree.symmetric_rmses_m([points])[0]
+        cloud = points if len(points) else self._points
+        return 1e3 * float(np.linalg.norm(np.ptp(cloud, axis=0))) if len(cloud) else math.nan
+
+
+def _mean(numbers: Sequence[float], default: float) -> float:
+    """Return the mean of the finite numbers, or else the default."""
     known = [number for number in numbers if math.isfinite(number)]
     return fmean(known) if known else default

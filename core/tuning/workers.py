@@ -1,11 +1,10 @@
-"""Where batches are measured: here, in local processes, or on a Dask cluster, as executors of `concurrent.futures`."""
+"""Where trials are measured: here, in local processes, or on a Dask cluster, as executors of `concurrent.futures`."""
 
 from __future__ import annotations
 
 import logging
 import multiprocessing
 import os
-import re
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -15,39 +14,39 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any, Final
 
-import cv2
-
-from ..errors import MissingExtraError
-from .space import TuneError
+from ..errors import MissingExtraError, TactuneError
+from .plan import TuneError
 
 #: Longest wait for the scheduler, seconds.
 _CONNECT_S: Final = 10.0
-SCHEDULER_GONE: Final = "the Dask scheduler is gone; start it again, and the same command continues"
-_ADDRESS: Final = re.compile(r"([a-z]+://)?[^/\s]+:[0-9]{1,5}")
+_GONE: Final = "the Dask scheduler is gone; start it again, and the same command continues"
 
 
 @dataclass(frozen=True)
 class Workers:
-    """Workers that measure batches.
-
-    Attributes
-    ----------
-    executor : concurrent.futures.Executor
-    count : callable
-        Returns the number of batches that are measured at once.
-    check : callable
-        Raises a `TuneError` if the workers are gone.
-    """
+    """An executor, and the number of batches that it measures at once; asking for it raises where they are gone."""
 
     executor: Executor
     count: Callable[[], int]
-    check: Callable[[], None] = lambda: None
+
+    @contextmanager
+    def told(self) -> Iterator[None]:
+        """Raise a `TuneError` for whatever error a batch that is submitted, or its result, gives."""
+        try:
+            yield
+        except TactuneError:
+            raise
+        except Exception as error:
+            self.count()  # a scheduler that is gone is the reason for whatever error its client gives
+            raise TuneError(
+                f"a worker failed or was killed ({type(error).__name__}: {_begin_of(error)}); check its memory, "
+                "or try fewer --jobs, check that each has this version of Tactune, and give the same command again"
+            ) from error
 
 
 @contextmanager
 def local_workers(jobs: int) -> Iterator[Workers]:
     """Yield workers on this computer: processes of one thread each, or with one job a thread of this process."""
-    threads = cv2.getNumThreads()
     # Processes inherit it. PYTHONSAFEPATH: they import nothing from the working folder.
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "PYTHONSAFEPATH"), "1"))
     context = multiprocessing.get_context("spawn")
@@ -60,7 +59,18 @@ def local_workers(jobs: int) -> Iterator[Workers]:
     finally:
         writer.close()
         executor.shutdown(cancel_futures=True)
-        cv2.setNumThreads(threads)  # the thread's measurements change it for the process
+
+
+def _begin_worker(parent: Connection) -> None:
+    """Ignore Ctrl+C, which a terminal sends to all processes, and end when the parent closes the pipe or dies."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def watch() -> None:
+        with suppress(EOFError, OSError):
+            parent.recv()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 @contextmanager
@@ -78,33 +88,29 @@ def cluster_workers(address: str) -> Iterator[Workers]:
         import distributed
     except ImportError as error:
         raise MissingExtraError("--scheduler needs dask: install it with pip install 'tactune[cluster]'") from error
-    if not _ADDRESS.fullmatch(address):
-        raise TuneError(f"{address!r} is no scheduler's address; write it as tcp://192.168.0.5:8786")
-    _check_certificates(address)
     for name in ("distributed", "distributed.client"):  # it logs lost connections, which are raised as errors
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    security: Any = distributed.Security()  # type: ignore[no-untyped-call]
     try:
+        if address.startswith("tls://") and security.get_connection_args("client")["ssl_context"] is None:
+            raise ValueError("Dask's configuration has no certificates")
         client: Any = distributed.Client(  # type: ignore[no-untyped-call]
             address, timeout=_CONNECT_S, set_as_default=False
         )
     except (OSError, ValueError, TypeError) as error:
         raise TuneError(
-            f"no Dask scheduler answers at {address} ({str(error).partition(chr(10))[0][:200]}); start one with "
-            "dask scheduler and give the address that it prints, such as tcp://192.168.0.5:8786"
+            f"no Dask scheduler answers at {address} ({_begin_of(error)}); start one with dask scheduler and give the "
+            "address that it prints, such as tcp://192.168.0.5:8786; tls:// needs ca-file, client.cert and client.key "
+            "under distributed.comm.tls in Dask's configuration"
         ) from error
-
-    closed = distributed.client.ClosedClientError
-
-    def check() -> None:
-        if client.status != "running":
-            raise TuneError(SCHEDULER_GONE)
 
     def threads() -> int:
         try:
-            workers = client.scheduler_info(n_workers=-1)["workers"].values()
+            if client.status == "running":
+                return sum(client.nthreads().values())
         except Exception as error:  # what the client raises without a scheduler depends on where it lost it
-            raise TuneError(SCHEDULER_GONE) from error
-        return sum(worker["nthreads"] for worker in workers)
+            raise TuneError(_GONE) from error
+        raise TuneError(_GONE)
 
     with client:
         try:
@@ -113,42 +119,8 @@ def cluster_workers(address: str) -> Iterator[Workers]:
             raise TuneError(
                 f"the scheduler at {address} has no worker; start some with dask worker {address}"
             ) from error
-        executor = client.get_executor(pure=False)
-        try:
-            yield Workers(executor, threads, check)
-        except closed as error:
-            raise TuneError(SCHEDULER_GONE) from error
-        finally:
-            with suppress(closed):
-                executor.shutdown(wait=False)
+        yield Workers(client.get_executor(pure=False), threads)
 
 
-def _check_certificates(address: str) -> None:
-    """Raise a `TuneError` where an address wants encryption and Dask's configuration has no certificates for it."""
-    import distributed
-
-    if not address.startswith("tls://"):
-        return
-    try:
-        security: Any = distributed.Security()  # type: ignore[no-untyped-call]
-        if security.get_connection_args("client")["ssl_context"] is not None:
-            return
-        reason = "Dask's configuration has none"
-    except OSError as error:  # SSL errors, too
-        reason = f"those of Dask's configuration cannot be read ({error.strerror or error})"
-    raise TuneError(
-        f"{address} needs certificates, but {reason}; set ca-file, client.cert and client.key "
-        "under distributed.comm.tls"
-    )
-
-
-def _begin_worker(parent: Connection) -> None:
-    """Ignore Ctrl+C, which a terminal sends to all processes, and end when the parent closes the pipe or dies."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-    def watch() -> None:
-        with suppress(EOFError, OSError):
-            parent.recv()
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
+def _begin_of(error: Exception) -> str:
+    return str(error).partition("\n")[0][:200]

@@ -60,10 +60,9 @@ from tactune.core.sources.simulator.scene import CleanState, PressFacts, simulat
 from tactune.core.sources.simulator.source import SolvedScene, load_scene, save_scene
 from tactune.core.tuning.advice.example_file import load_example, save_example
 from tactune.core.tuning.advice.proposal import Example
-from tactune.core.tuning.clips import Clip
-from tactune.core.tuning.measure import Batch, Measured
-from tactune.core.tuning.space import Axis
-from tactune.core.tuning.study import Plan, Study
+from tactune.core.tuning.measure import Measured
+from tactune.core.tuning.plan import Axis, Clip, Plan
+from tactune.core.tuning.study import Study
 from tactune.core.tuning.workers import Workers
 
 Kept = TypeVar("Kept", bound=KeptState[Any])
@@ -174,25 +173,25 @@ def solved_scene(folder: Path, n: int) -> None:
 class _NoWork:
     """Workers that measure nothing."""
 
-    def submit(self, work: object, batch: Batch) -> Future[list[Measured]]:
+    def submit(self, work: object, plan: Plan, trials: list[dict[str, Any]]) -> Future[list[Measured]]:
         future: Future[list[Measured]] = Future()
-        future.set_result([Measured({"iou": 0.5, "points": 9.0}) for _ in batch.trials])
+        future.set_result([({"iou": 0.5, "points": 9.0}, "") for _ in trials])
         return future
 
 
 CLIP = Clip("folder:rec", "folder:/rec", range(3), "0", True)
 PLANS = [
-    Plan(Preset(), (Axis("tolerance.t", low=0.004, high=0.02 + n, count=3),), (CLIP,), ("iou",), "grid", 3)
+    Plan(Preset(), (Axis("tolerance.t", low=0.004, high=0.02 + n, count=3),), (CLIP,), ("iou",), "grid", 3, 0, "")
     for n in range(2)
 ]
 
 
 def search(folder: Path, n: int) -> bool:
-    with Study(PLANS[n], folder / "s.log") as study:
-        list(study.run(Workers(_NoWork(), lambda: 1)))  # type: ignore[arg-type]
-        study.front()
-        values = {str(trial.values["tolerance.t"]) for trial in study.trials()}
-        return len(study.trials()) == 3 and values == set(map(str, PLANS[n].axes[0].steps()))
+    study = Study(PLANS[n], folder / "s.log")
+    list(study.run(Workers(_NoWork(), lambda: 1)))  # type: ignore[arg-type]
+    trials, _ = study.results()
+    values = {str(trial.values["tolerance.t"]) for trial in trials}
+    return len(trials) == 3 and values == set(map(str, PLANS[n].axes[0].steps()))
 
 
 # What the window keeps

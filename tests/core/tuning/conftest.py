@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import cv2
 import pytest
 
 from commands import Finished
 from long_search import LongSearch
 from small_recordings import NoisyPress, small_rig
+from tactune.core.contact.kernels.threads import get_threads, set_threads
 from tactune.core.preset.file import save_preset
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.presets import load_preset
+
+
+@pytest.fixture(autouse=True)
+def _threads() -> Iterator[None]:
+    """Undo what a worker does to its thread and process, which are those of the tests here."""
+    kernels, images = get_threads(), cv2.getNumThreads()
+    yield
+    set_threads(kernels)
+    cv2.setNumThreads(images)
 
 
 @pytest.fixture

@@ -93,6 +93,20 @@ def test_a_best_value_at_the_end_of_its_range_is_said(tune, recording):
     assert "The best tolerance.t, 0.004, is the largest one that was allowed." in done.out
 
 
+@pytest.mark.parametrize(
+    ("text", "expected"), [("2", [0, 1]), ("1:4", [1, 2]), ("::2", [0, 2]), ("2:", [2]), (":9", [0, 1, 2])]
+)
+def test_frames_as_people_write_them(tune, recording, tmp_path, text, expected):
+    words = ("--set", "tolerance.t=0.007", "--objective", "iou", "--json")
+    (trial,) = trials_of(tune("-s", recording, "--frames", text, *words).out).values()
+    source = FolderSource(tmp_path / "rec")
+    pipeline = ContactPipeline(load_preset("default").with_values(
+        {"contact_test": "tolerance", "tolerance.t": 0.007}), source.rig)  # fmt: skip
+    frames = [source.read(index) for index in expected]
+    scores = [pixel_scores(pipeline.process(frame).mask, frame.truth.contact).iou for frame in frames]
+    assert trial["figures"]["iou"] == pytest.approx(sum(scores) / len(scores))
+
+
 def test_the_best_preset_keeps_the_untouched_frame(tune, recording, tmp_path):
     source = FolderSource(tmp_path / "rec")
     path = tmp_path / "base.json"
@@ -180,14 +194,15 @@ def test_an_out_that_cannot_be_written_is_refused_before_the_search(tune, record
         (("-s", "REC", "--set", "tolerance.t=0.1", "--set", "tolerance.t=0.2"), "given twice"),
         (("-s", "REC", "--set", "tolerance.t=0.1:0.2", "--sampler", "grid"), "no number of steps"),
         (("-s", "REC", "--objective", "beauty"), "there is no objective 'beauty'"),
-        (("-s", "REC", "--frames", "9:"), "has 3 frames"),
+        *((("-s", "REC", "--frames", text), "has 3 frames") for text in ("9:", "0", "4:2")),
+        *((("-s", "REC", "--frames", text), "write a number of frames") for text in ("a", "1:2:0", "-1", "")),
         (("-s", "REC", "--out", "a.json", "--study", "a.json"), "name two files"),
-        (("-s", "REC", "--out", "/tmp"), "which is not a file"),
+        (("-s", "REC", "--out", "/tmp"), "was not written by a search"),
         (("-s", "REC", "--study", "/dev/zero"), "no ordinary file"),
         (("-s", "REC", "--frames", "1", "--objective", "stability"), "there is only one"),
         (("-s", "live:sim:cup"), "record it first"),
         (("-s", "folder:/nowhere"), "there is no folder"),
-        (("-s", "REC", "--scheduler", "nonsense"), "is no scheduler's address"),
+        (("-s", "REC", "--scheduler", "nonsense"), "no Dask scheduler answers at nonsense"),
         (("-s", "REC", "--scheduler", "tcp://127.0.0.1:1", "--jobs", "2"), "remove it or --scheduler"),
     ],
 )

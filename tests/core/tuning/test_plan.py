@@ -1,13 +1,15 @@
-"""The search space: texts, ranges, grids, default ranges, and errors before the first trial."""
+"""The plan of a search: texts, ranges, grids, default ranges, and errors before the first trial."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import pytest
 
 from tactune.core.errors import TactuneError
 from tactune.core.preset import Preset
 from tactune.core.sources.presets import load_preset
-from tactune.core.tuning.space import at_edge, check_axes, default_axes, grid_of, parse_axis
+from tactune.core.tuning.plan import check_axes, default_axes, grid_of, make_plan, parse_axis
 
 BASE = Preset().with_value("contact_test", "tolerance")
 
@@ -45,14 +47,15 @@ def test_texts_become_the_values_that_a_preset_holds(text, expected):
         ("tolerance.t=2", "tolerance.t is 2"),
         ("tolerance.t=0.5:2:3", "tolerance.t is 2"),
         ("tolerance.t=,", "no value"),
-        ("tolerance.t=0.03:0.01:5", "empty"),
+        ("tolerance.t=0.03:0.01:5", "no range"),
         ("tolerance.t=a:b:5", "no range"),
         ("tolerance.t=0:0.1:5log", "above 0"),
         ("tolerance.t=0.1:0.2:1", "2 to"),
         ("tolerance.t=0.1:0.2", "no number of steps"),
         ("outliers.k=1.5", "outliers.k is 1.5"),
         ("outliers.k=10,abc", "outliers.k is 'abc'"),
-        ("contact_test=1:2:3", "not a number"),
+        ("contact_test=1:2:3", "contact_test is 1"),
+        ("mask.enabled=0:1", "should be true or false"),
         ("name=a,b", "cannot vary"),
         ("cameras.tactile_delay_s=0.1", "cannot vary"),
         ("untouched=null", "cannot vary"),
@@ -89,8 +92,23 @@ def test_without_a_choice_the_numbers_of_the_contact_test_vary_around_their_pres
     assert axes["tolerance.t"].log and axes["tolerance.t"].holds(0.5)
 
 
-def test_a_best_value_at_the_end_of_its_axis_is_said():
-    axes = check_axes([parse_axis("tolerance.t=0.002,0.003,0.004"), parse_axis("outliers.k=5:20:4")], BASE)
-    assert at_edge(axes, {"tolerance.t": 0.004, "outliers.k": 10}) == [
-        "the best tolerance.t, 0.004, is the largest one that was allowed"
-    ]
+def test_a_clip_is_known_by_its_content(make_recording):
+    rec, other = make_recording(), make_recording("other", seed=1)
+
+    def content(source: str, frames: slice = slice(None)) -> str:
+        return make_plan(BASE, [], [source], frames=frames).clips[0].content
+
+    first = content(rec)
+    assert content(rec) == first
+    assert len({first, content(other), content(rec, slice(2))}) == 3
+    image = Path(rec.removeprefix("folder:")) / "000002" / "tactile_depth.png"
+    image.write_bytes((Path(other.removeprefix("folder:")) / "000002" / "proximity_depth.png").read_bytes())
+    assert content(rec) != first
+
+
+def test_workers_in_another_folder_find_a_recording(make_recording, tmp_path, monkeypatch):
+    make_recording()
+    monkeypatch.chdir(tmp_path)
+    for name in ("rec", "folder:rec"):
+        (clip,) = make_plan(BASE, [], [name]).clips
+        assert (clip.source, clip.name) == (name, name.replace("rec", str(tmp_path / "rec")))
