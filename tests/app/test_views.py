@@ -186,11 +186,11 @@ def test_a_point_under_the_mouse_marks_its_pixel_in_the_images_and_its_points_in
     for name in (PROXIMITY, TACTILE, PATCH):
         at = on_canvas(window, name, place_of(window, name, u, v))
         seen = partial(hover, window, name)
-        qtbot.waitUntil(lambda: seen(at, lambda: window.strip.readout.text().startswith(f"({u}, {v})")))  # noqa: B023
+        qtbot.waitUntil(lambda: seen(at, lambda: window.strip.readout.text().startswith(f"({u}, {v})")))  # noqa: B023  # used at once
         assert all(pane.cross.isVisible() for pane in window.strip.panes.values())
         for other, view in window.views.views.items():
             np.testing.assert_allclose(view.mark(), place_of(window, other, u, v), atol=2e-3)
-        qtbot.waitUntil(lambda: seen(QPoint(3, 3), lambda: {mark() for mark in marks} == {None}))  # noqa: B023
+        qtbot.waitUntil(lambda: seen(QPoint(3, 3), lambda: {mark() for mark in marks} == {None}))  # noqa: B023  # used at once
         assert window.strip.readout.text() == ""
 
 

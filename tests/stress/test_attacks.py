@@ -118,10 +118,10 @@ def ros1_record(fields: dict[bytes, bytes], data: bytes) -> bytes:
 
 def bag(path: Path, content: bytes, entries: int) -> None:
     """A bag of one chunk, whose index points to its first byte again and again."""
-    u32 = lambda value: struct.pack("<I", value)  # noqa: E731
+    u32 = lambda value: struct.pack("<I", value)
     magic = b"#ROSBAG V2.0\n"
     counts = {b"conn_count": u32(1), b"chunk_count": u32(1)}
-    head = lambda at: ros1_record({b"op": b"\x03", b"index_pos": struct.pack("<Q", at)} | counts, b"")  # noqa: E731
+    head = lambda at: ros1_record({b"op": b"\x03", b"index_pos": struct.pack("<Q", at)} | counts, b"")
     start = len(magic) + len(head(0))
     body = ros1_record({b"op": b"\x05", b"compression": b"none", b"size": u32(len(content))}, content)
     places = b"".join(struct.pack("<III", n, 0, 0) for n in range(entries))

@@ -85,7 +85,7 @@ class BagMaker:
                 self.add_stream(f"/device_{number}/sensor_{sensor}/{name}", stream, device.without)
 
     def add_stream(self, topic: str, stream: Images, without: set[str]) -> None:
-        header = lambda stamp: T["std_msgs/msg/Header"](  # noqa: E731
+        header = lambda stamp: T["std_msgs/msg/Header"](
             seq=0,
             stamp=T["builtin_interfaces/msg/Time"](
                 sec=int(round(stamp * SECOND) // SECOND), nanosec=int(round(stamp * SECOND) % SECOND)

@@ -43,7 +43,7 @@ def test_a_whole_calibration_by_mouse_and_keys(  # noqa: PLR0915 - one flow, ste
     open_wizard, hand, scene, frames, feed, document, qtbot, tmp_path
 ):
     wizard = open_wizard()
-    state = lambda: wizard.session.state  # noqa: E731
+    state = lambda: wizard.session.state
 
     # Frames: two inflation levels
     assert wizard.stack.currentIndex() == 0

@@ -135,7 +135,7 @@ def test_six_actions_lead_from_the_window_to_a_good_preset(window, scene, frames
     QTest.keyClick(window, Qt.Key.Key_K, CONTROL)
     wizard = window.calibration.wizard
     wizard.session.choose("Frames", average=1)
-    press = lambda button: QTest.mouseClick(button, Qt.MouseButton.LeftButton)  # noqa: E731
+    press = lambda button: QTest.mouseClick(button, Qt.MouseButton.LeftButton)
     press(wizard.frames.take)
     qtbot.waitUntil(lambda: bool(wizard.session.state.snapshots), timeout=15000)
     press(wizard.next)

@@ -109,7 +109,7 @@ def test_messages_cover_nothing_below_the_images_of_points(open_wizard, scene, f
 
 def test_next_and_save_say_what_is_missing(open_wizard, scene, frames, feed, document, qtbot):
     wizard = open_wizard()
-    sentence = lambda: wizard.messages.message("next").sentence  # noqa: E731
+    sentence = lambda: wizard.messages.message("next").sentence
     QTest.mouseClick(wizard.next, LEFT)
     assert "No snapshot yet" in sentence() and wizard.stack.currentIndex() == 0
     wizard.session.click("proximity", 100.0, 100.0)

@@ -233,7 +233,7 @@ def test_a_patch_carries_colour_difference_and_pixels(own_color_camera: bool) ->
     assert cloud.colors is not None
     for (u, v), (x, y, z), color in zip(pixels, points, cloud.colors, strict=True):
         if own_color_camera:
-            u, v = round((x + 0.25) / z * 4.0 + 3.0), round(y / z * 4.0 + 2.0)  # noqa: PLW2901
+            u, v = round((x + 0.25) / z * 4.0 + 3.0), round(y / z * 4.0 + 2.0)  # noqa: PLW2901  # the other camera
             inside = 0 <= u < 8 and 0 <= v < 6
         else:
             inside = True

@@ -38,7 +38,7 @@ def test_the_folder_has_its_name_only_when_it_is_complete(tmp_path: Path) -> Non
     export_folder(ListSource([make_frame(0)]), target, progress=lambda *_: seen.append(target.exists()))
     assert seen == [False]
     assert (target / "rig.json").exists()
-    assert os.listdir(target.parent) == ["out"]  # noqa: PTH208
+    assert os.listdir(target.parent) == ["out"]  # noqa: PTH208  # names only
 
 
 @pytest.mark.parametrize("error", [SourceError("the camera is gone"), KeyboardInterrupt(), OSError(28, "disk full")])

@@ -71,7 +71,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     ],
 )
 def test_simulator_names(opened: list[dict[str, Any]], name: str, expected: dict[str, Any]) -> None:
-    progress: Callable[[float, str], None] = lambda *_: None  # noqa: E731
+    progress: Callable[[float, str], None] = lambda *_: None
     open_source(name, progress)
     plain = {"sensor": DEFAULT_SENSOR, "variant": Variant(), "light": "normal"}
     assert opened == [plain | expected | {"progress": progress}]

@@ -64,11 +64,11 @@ def _record(fields: dict[bytes, bytes], data: bytes) -> bytes:
 
 def _bag_around(chunks: list[tuple[bytes, int, str]]) -> bytes:
     """A bag whose chunks (bytes, claimed size, compression) hold one message of a depth topic each."""
-    u32 = lambda value: struct.pack("<I", value)  # noqa: E731
+    u32 = lambda value: struct.pack("<I", value)
     topic = b"/device_0/sensor_0/Depth_0/image/data"
     magic = b"#ROSBAG V2.0\n"
     counts = {b"conn_count": u32(1), b"chunk_count": u32(len(chunks))}
-    head = lambda index: _record({b"op": b"\x03", b"index_pos": struct.pack("<Q", index)} | counts, b"")  # noqa: E731
+    head = lambda index: _record({b"op": b"\x03", b"index_pos": struct.pack("<Q", index)} | counts, b"")
     body, infos = b"", b""
     start = len(magic) + len(head(0))
     for data, size, compression in chunks:
@@ -103,7 +103,7 @@ def test_chunks_that_share_bytes_are_refused(tmp_path: Path) -> None:
     # One large chunk that a small file names a thousand times would be unpacked a thousand times.
     data = _bag_around([(b"x" * 100, 100, "none")] * 2)
     first, second = (data.index(b"op=\x05", at) for at in (0, data.index(b"op=\x05") + 1))
-    place = lambda at: struct.pack("<Q", at - 8)  # noqa: E731
+    place = lambda at: struct.pack("<Q", at - 8)
     path = tmp_path / "shared.bag"
     path.write_bytes(data.replace(b"chunk_pos=" + place(second), b"chunk_pos=" + place(first)))
     with pytest.raises(SourceError, match=r"its chunks overlap"):
