@@ -43,7 +43,7 @@ class Plot(pg.PlotWidget):  # type: ignore[misc]  # pyqtgraph has no types
     def add_legend(self, columns: int) -> pg.LegendItem:
         """Return a legend above the axes, where it covers no point; curves with a name enter it."""
         item = self.getPlotItem()
-        item.layout.setContentsMargins(1, 24, 1, 1)
+        item.layout.setContentsMargins(0, 24, 0, 0)
         item.legend = pg.LegendItem(offset=(48, 1), colCount=columns)
         item.legend.setParentItem(item)
         return item.legend
