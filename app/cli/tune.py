@@ -148,7 +148,9 @@ def _check_out(path: Path, study: Path, base_file: Path | None) -> None:
         raise ExportError(f"--out and --study are both {path}; name two files")
     if base_file is not None and path.resolve() == base_file.resolve():
         raise ExportError(f"--out would replace {path}, the preset that the search starts from; name another file")
-    if path.exists() and not (path.is_file() and FOUND_BY in path.read_text("utf-8", errors="replace")):
+    if path.exists() and not path.is_file():
+        raise ExportError(f"--out is {path}, which is not a file; name a .json file")
+    if path.exists() and FOUND_BY not in path.read_text("utf-8", errors="replace"):
         raise ExportError(f"{path} already exists and was not written by a search; choose another --out or remove it")
     check_writable(path)
 

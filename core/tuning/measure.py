@@ -39,16 +39,22 @@ Measured = tuple[dict[str, float], str]
 #: Frames on which a trial is timed without shared steps, and runs of each; the least time of a frame counts.
 _TIMES: Final = 5
 _REPEATS: Final = 3
-#: Upper limit of the sources that a worker keeps open.
+#: Upper limit of the sources that a worker's thread keeps open.
 _MAX_OPEN: Final = 8
 #: Time in which other workers and programs have the processor does not count, except on Windows, whose clock of
 #: threads counts in 16 ms.
 _clock_ns: Final = time.perf_counter_ns if sys.platform == "win32" else time.thread_time_ns
 
 
-@lru_cache(_MAX_OPEN)
-def _opened(clip: Clip, thread: int) -> SeekableSource:
-    """Return a thread's own source of a clip. Raises a `TuneError` if its frames are not those of the plan."""
+class _Sources(threading.local):
+    """The sources that a thread keeps open."""
+
+    def __init__(self) -> None:
+        self.of = lru_cache(_MAX_OPEN)(_open)
+
+
+def _open(clip: Clip) -> SeekableSource:
+    """Open the source of a clip. Raises a `TuneError` if its frames are not those of the plan."""
     warm_up()  # so that no measured time includes loading code
     source = open_recording(clip.name)
     if content_of(source, clip.frames)[0] != clip.content:
@@ -57,6 +63,9 @@ def _opened(clip: Clip, thread: int) -> SeekableSource:
             "make it the same everywhere and give the same command again"
         )
     return source
+
+
+_sources: Final = _Sources()
 
 
 def measure(plan: Plan, trials: Sequence[dict[str, Any]]) -> list[Measured]:
@@ -78,7 +87,7 @@ def measure(plan: Plan, trials: Sequence[dict[str, Any]]) -> list[Measured]:
     early_first = sorted(runs, key=_Run.order)
     timed_frames = -(-_TIMES // len(plan.clips)) if "ms" in plan.objectives else 0
     for clip in plan.clips:
-        source = _opened(clip, threading.get_ident())
+        source = _sources.of(clip)
         shared = ContactPipeline(plan.base, source.rig)
         for run in runs:
             run.attempt(run.begin, shared, source.rig)

@@ -92,6 +92,7 @@ class Study:
         first = self.plan.objectives[0]
         sign = -1.0 if OBJECTIVES[first].larger else 1.0
         with self._undamaged():
+            best = self._study.best_trials  # before all trials: another search may finish one in between
             trials = {}
             for trial in self._study.get_trials(deepcopy=False):
                 if trial.state.is_finished():
@@ -99,7 +100,7 @@ class Study:
                     told = dict(zip(self.plan.objectives, trial.values or (), strict=False))
                     figures = figures | told  # another search may have measured it, too
                     trials[trial.number] = Trial(trial.number, values, figures, failure, values == self._present)
-            front = [trials[trial.number] for trial in self._study.best_trials]
+            front = [trials[trial.number] for trial in best]
             front.sort(key=lambda it: (float(f"{sign * it.figures[first]:.9g}"), it.figures.get("ms", 0.0)))
             return list(trials.values()), front
 
@@ -197,7 +198,7 @@ class Study:
         frames = sum(len(clip.frames) for clip in self.plan.clips)
         size = max(1, min(_FRAMES_A_BATCH // frames, _TRIALS_A_BATCH[self.plan.sampler], share))
         trials = [self._study.ask() for _ in range(min(size, left))]
-        trials += [optuna.Trial(self._study, number) for number in others[:size]]
+        trials += [optuna.Trial(self._study, trial_id) for trial_id in others[:size]]
         # Another search may have begun the last ones meanwhile.
         return [self._choose(trial) for trial in trials if trial.number < self.plan.trials]
 
@@ -215,6 +216,8 @@ class Study:
 
     def _tell(self, trial: optuna.Trial, measured: Measured) -> None:
         """Write a result to the file, unless another search was first."""
+        if self._study.get_trials(deepcopy=False)[trial.number].params != trial.params:
+            return  # another search chose others at the same moment; the trial is measured again with those in the file
         figures, failure = measured
         undefined = [name for name in self.plan.objectives if name not in figures]
         if undefined and not failure:

@@ -39,8 +39,8 @@ class Workers:
         except Exception as error:
             self.count()  # a scheduler that is gone is the reason for whatever error its client gives
             raise TuneError(
-                f"a worker failed or was killed ({type(error).__name__}: {_begin_of(error)}); check its memory, "
-                "or try fewer --jobs, check that each has this version of Tactune, and give the same command again"
+                f"a worker failed or was killed ({type(error).__name__}: {_begin_of(error)}); try fewer --jobs "
+                "if memory ran out, check that each worker has this version of Tactune, and give the same command again"
             ) from error
 
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ...errors import TactuneError
+from ...errors import FrameError, TactuneError
 from ...model.arrays import BoolArray, Float64Array, IndexArray, Int64Array, Uint16Array
 from ...model.clouds import valid_depth
 from ...model.frames import DepthCamera, Rig, SensorFrame
@@ -125,7 +125,7 @@ def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -
     Raises
     ------
     StrainError
-        The frame has no tactile colour image, no grid is found, or the grid has no depth.
+        The frame has no tactile colour image, no grid is found, or there is too little depth.
     FrameError
         The frame belongs to another rig.
     """
@@ -145,7 +145,13 @@ def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -
     depth_m = _depth_m(frame.tactile_depth, camera)
     if not np.isfinite(depth_m).any():
         raise StrainError(f"frame {frame.sequence} has no tactile depth at all; check the tactile camera and its range")
-    noise = image_noise(frame.tactile_depth, camera)
+    try:
+        noise = image_noise(frame.tactile_depth, camera)
+    except FrameError as error:
+        raise StrainError(
+            f"frame {frame.sequence} has tactile depth in {100 * np.isfinite(depth_m).mean():.0f} % of its pixels, too "
+            "few to measure its noise; check the tactile camera and its range"
+        ) from error
     grid = _find_grid(frame, depth_m, camera, noise)
     lattice, points_m = grid.lattice, grid.found.points_m
     samples_m = dot_samples(grid.surface, grid.pixels, grid.found, noise, _SAMPLES)

@@ -197,7 +197,7 @@ def test_an_out_that_cannot_be_written_is_refused_before_the_search(tune, record
         *((("-s", "REC", "--frames", text), "has 3 frames") for text in ("9:", "0", "4:2")),
         *((("-s", "REC", "--frames", text), "write a number of frames") for text in ("a", "1:2:0", "-1", "")),
         (("-s", "REC", "--out", "a.json", "--study", "a.json"), "name two files"),
-        (("-s", "REC", "--out", "/tmp"), "was not written by a search"),
+        (("-s", "REC", "--out", "/tmp"), "which is not a file"),
         (("-s", "REC", "--study", "/dev/zero"), "no ordinary file"),
         (("-s", "REC", "--frames", "1", "--objective", "stability"), "there is only one"),
         (("-s", "live:sim:cup"), "record it first"),

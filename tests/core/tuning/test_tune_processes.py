@@ -16,6 +16,9 @@ from pathlib import Path
 import pytest
 
 from long_search import LIMIT_S, POINTS, front_of, trials_of
+from tactune.core.preset import Preset
+from tactune.core.tuning.plan import make_plan, parse_axis
+from tactune.core.tuning.study import Study
 from tactune.core.tuning.workers import local_workers
 
 
@@ -54,6 +57,38 @@ def test_two_searches_on_one_file_share_the_trials_and_one_that_dies_is_replaced
     out, _ = second.communicate(timeout=LIMIT_S)
     assert second.returncode == 0
     long_search.check(out)
+
+
+@pytest.fixture
+def two_searches(recording, tmp_path):
+    base, axis = Preset().with_value("contact_test", "tolerance"), parse_axis("tolerance.t=0.004:0.02:4")
+    plan = make_plan(base, [axis], [recording], objectives=["iou"])
+    return [Study(plan, tmp_path / "shared.log") for _ in range(2)]
+
+
+def test_a_trial_that_another_search_ends_while_results_are_read_is_no_damage(two_searches, monkeypatch):
+    one, other = two_searches
+    look = one._study.get_trials
+    with local_workers(1) as workers:
+        running = other.run(workers)
+
+        def look_and_wait(*words, **options):
+            found = look(*words, **options)
+            next((done for done in running if done), None)
+            return found
+
+        monkeypatch.setattr(one._study, "get_trials", look_and_wait)
+        trials, front = one.results()
+        assert trials and front
+
+
+def test_a_result_of_other_values_than_the_files_does_not_count(two_searches):
+    one, other = two_searches
+    trial = one._study.ask()
+    trial.suggest_float("tolerance.t", 0.004, 0.02)
+    other._study._storage.set_trial_param(trial._trial_id, "tolerance.t", 0.01, trial.distributions["tolerance.t"])
+    one._tell(trial, ({"points": 9.0, "iou": 0.5}, ""))
+    assert other.results()[0] == []
 
 
 def test_ctrl_c_in_a_terminal_keeps_what_is_done_and_the_same_command_goes_on(long_search):

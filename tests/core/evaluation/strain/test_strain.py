@@ -221,6 +221,9 @@ def test_frames_that_cannot_be_measured_are_refused_in_words():
     nothing = np.zeros_like(frame.tactile_depth)
     with pytest.raises(StrainError, match="no tactile depth"):
         measure_strain(SensorFrame(0, nothing, nothing, empty, frame.tactile_color), RIG)
+    sparse = np.where(np.arange(480)[:, None] % 2 == 0, frame.tactile_depth, 0).astype(np.uint16)
+    with pytest.raises(StrainError, match=r"frame 0 has tactile depth in 50 % of its pixels, too few"):
+        measure_strain(SensorFrame(0, sparse, sparse, empty, frame.tactile_color), RIG)
     for spacing in (0.0, float("nan"), 10.0):
         with pytest.raises(StrainError, match="spacing is"):
             measure_strain(frame, RIG, spacing)
