@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ...core.errors import CalibrationError
-from .common import CliProgress
+from .common import CliProgress, warn
 
 if TYPE_CHECKING:
     from ...core.model.intrinsics import Intrinsics
 
 _HELP = (
-    "Model and lens of the {} camera: L515 or MODEL=nominal for the maker's values, MODEL=fx,fy,cx,cy in px, "
+    "Model and lens of the {} camera: MODEL (L515, D405 or D435) for the maker's values, MODEL=fx,fy,cx,cy in px, "
     "MODEL=camera for that of the connected camera, MODEL=DIR for a folder of pictures of a chessboard."
 )
 
@@ -26,12 +26,13 @@ def create_rig(
     proximity: Annotated[str, typer.Option(metavar="LENS", help=_HELP.format("proximity"))] = "L515",
     tactile: Annotated[str, typer.Option(metavar="LENS", help=_HELP.format("tactile"))] = "D405",
     proximity_color: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="LENS",
-            help="Lens of the proximity colour images where they have another size than the depth images.",
+            help="The same of its colour images, where they have another size than the depth images. Default: the "
+            "model of --proximity, from the connected camera if --proximity says so, else the maker's values.",
         ),
-    ] = "L515",
+    ] = None,
     corners: Annotated[str, typer.Option(metavar="CxR", help="Inner corners of the chessboard.")] = "9x6",
 ) -> None:
     """Write the rig.json of a folder of images. The pose of the cameras is a matter of tactune calibrate."""
@@ -50,9 +51,13 @@ def create_rig(
         "tactile": _camera(tactile, "depth", images.sizes["tactile_depth.png"], size),
     }
     if images.has_own_color_lens:
-        lens = _camera(proximity_color, "colour", images.sizes["proximity_color.png"], size)
+        model, _, how = proximity.partition("=")
+        color = proximity_color or (proximity if how == "camera" else model)
+        lens = _camera(color, "colour", images.sizes["proximity_color.png"], size)
         cameras["proximity_color"] = {key: lens[key] for key in lens if key not in ("model", "depth_unit_m")}
     write_rig(folder, make_rig(cameras))
+    if images.different:
+        warn(f"not all frames can be read: {images.different}")
     typer.echo(f"wrote {folder / 'rig.json'}")
 
 
@@ -70,6 +75,10 @@ def _camera(text: str, kind: str, size: tuple[int, int], corners: tuple[int, int
     lens: Intrinsics
     if how in ("", "nominal"):
         lens = nominal_lens(*size, MODELS[name].views_deg[kind])
+        warn(
+            f"the {kind} lens of the {name} is the maker's, not measured: positions to the side are wrong by a few per "
+            f"cent; give {name}=camera, or {name}=DIR with pictures of a chessboard"
+        )
     elif how == "camera":
         lens, unit_m = _connected(name, "color" if kind == "colour" else kind, size)
     elif len(numbers := how.split(",")) == 4:
@@ -81,7 +90,10 @@ def _camera(text: str, kind: str, size: tuple[int, int], corners: tuple[int, int
     else:
         with CliProgress() as progress:
             fit = fit_lens(Path(how), *corners, size, progress.preparing)
-        typer.echo(f"{how}: {fit.used} pictures, {fit.rms_px:.2f} px RMS, fx ± {fit.focal_sd_px:.1f} px", err=True)
+        rejected = f"; rejected: {', '.join(fit.refused)}" if fit.refused else ""
+        typer.echo(
+            f"{how}: {fit.used} pictures, {fit.rms_px:.2f} px RMS, fx ± {fit.focal_sd_px:.1f} px{rejected}", err=True
+        )
         lens = fit.intrinsics
     return {"model": name, "depth_unit_m": unit_m, **lens.model_dump(mode="json")}
 

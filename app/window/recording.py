@@ -269,8 +269,8 @@ class RecordingControl(QObject):
             sentence = f"Nothing was recorded: {status.error.rstrip('.') or 'no frame came'}."
         if status.dropped:
             sentence += (
-                f" {counted(status.dropped, 'missing frame')}: the cameras or this computer lost them, they did not "
-                "fit the rig, or the disk was too slow."
+                f" Not recorded: {counted(status.dropped, 'frame')}. Frames are lost by the cameras or this computer, "
+                "do not fit the rig, or come faster than the disk writes."
             )
         if status.error and status.frames:
             sentence += f" {status.error[0].upper()}{status.error[1:]}."

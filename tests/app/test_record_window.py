@@ -220,7 +220,7 @@ def test_frames_that_never_reached_the_recorder_are_told(window, cameras, qtbot)
     cameras.dropped = 8
     qtbot.waitUntil(lambda: "3 dropped" in text_of(window.recording_bar))
     end(window, qtbot)
-    assert "3 missing frames: the cameras or this computer lost them" in told(window)
+    assert "Not recorded: 3 frames. Frames are lost by the cameras" in told(window)
 
 
 def test_the_window_closes_while_a_recording_is_made_of_a_source_that_hangs(window, qtbot, folder, monkeypatch):

@@ -231,17 +231,19 @@ def test_poses_are_published_and_recorded_also_behind_another_tab(qtbot, tab, tm
     assert pose.pose.position.x == seen["/tf"].transforms[0].transform.translation.x
     assert pose.pose.position.x == estimate.T_proximity_object[0, 3]
     np.testing.assert_array_equal(pose.covariance, estimate.covariance.ravel())
+    tab.main.worker.play()
+    qtbot.waitUntil(lambda: tab.tracked.estimate.sequence > PRESSED + 1)
+    estimate = tab.tracked.estimate
     tab.main.actions_.record.trigger()
     qtbot.waitUntil(lambda: not tab.main.recording.running and any(tmp_path.glob("*.mcap")))
     [path] = tmp_path.glob("*.mcap")
     with path.open("rb") as file:
         read = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages(["/object/pose"])
-        recorded = [(message.sequence, decoded.pose) for _, _, message, decoded in read]
+        recorded = {message.sequence: decoded.pose for _, _, message, decoded in read}
     with open_source(f"mcap:{path}") as played:
         frames = [frame.sequence for frame in played]
     assert frames[0] == PRESSED
-    assert {number for number, _ in recorded} <= set(frames)  # a frame that is only shown has no pose in the file
-    for number, last in recorded:
-        if number == estimate.sequence:
-            assert last.pose.position.x == pose.pose.position.x
-            np.testing.assert_array_equal(last.covariance, pose.covariance)
+    assert set(recorded) <= set(frames)  # a frame that is only shown has no pose in the file
+    kept = recorded[estimate.sequence]
+    assert kept.pose.position.x == estimate.T_proximity_object[0, 3]
+    np.testing.assert_array_equal(kept.covariance, estimate.covariance.ravel())
