@@ -15,8 +15,8 @@ from ...model.frames import Rig, SensorFrame
 
 #: Movement test: mean inverse depths of image tiles of this side length, pixels.
 _TILE_PX: Final = 32
-#: The membrane has moved if a tile changes by more than this number of standard deviations of its noise, or if the mean
-#: square of all tiles exceeds that of noise by this factor.
+#: The membrane has moved if two tiles change by more than this number of standard deviations of their noise (one may,
+#: at a depth step), or if the mean square of all tiles exceeds that of noise by this factor.
 _MOVED_SIGMAS, _MOVED_FACTOR = 6.0, 2.0
 #: Standard deviation of normal values as a multiple of their median distance from 0.
 _NORMAL: Final = 1.4826
@@ -81,7 +81,7 @@ def _moved(frame: SensorFrame, newest: SensorFrame) -> bool:
     if not noise_m.size:
         return bool(change.any())
     sigmas = change / max(_NORMAL * float(np.median(noise_m)) / math.sqrt(1.5), np.finfo(float).tiny)
-    return bool(np.abs(sigmas).max() > _MOVED_SIGMAS or np.mean(sigmas**2) > _MOVED_FACTOR)
+    return bool(np.count_nonzero(np.abs(sigmas) > _MOVED_SIGMAS) > 1 or np.mean(sigmas**2) > _MOVED_FACTOR)
 
 
 def _tile_changes(before: Uint16Array, now: Uint16Array) -> Float64Array:
