@@ -199,8 +199,12 @@ class Study:
         size = max(1, min(_FRAMES_A_BATCH // frames, _TRIALS_A_BATCH[self.plan.sampler], share))
         trials = [self._study.ask() for _ in range(min(size, left))]
         trials += [optuna.Trial(self._study, trial_id) for trial_id in others[:size]]
-        # Another search may have begun the last ones meanwhile.
-        return [self._choose(trial) for trial in trials if trial.number < self.plan.trials]
+        chosen = []
+        for trial in trials:
+            with suppress(optuna.exceptions.UpdateFinishedTrialError):  # another search was first with one taken over
+                if trial.number < self.plan.trials:  # not so where another search began the last ones meanwhile
+                    chosen.append(self._choose(trial))
+        return chosen
 
     def _choose(self, trial: optuna.Trial) -> optuna.Trial:
         """Choose a trial's parameters by its number, so that searches that share a file never draw the same."""
