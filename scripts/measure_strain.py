@@ -1,6 +1,6 @@
 """Compare strain measured from the simulated dots with the solver's, in percent.
 
-    python scripts/measure_strain.py [--sensor NAME] [--seeds 0,1,2,3,4] [--frames N] [SCENE...]
+    python scripts/measure_strain.py [--sensors NAMES] [--seeds 0,1,2,3,4] [--frames N] [SCENE...]
 
 Each line gives, along length and width: the largest strain measured from the dots; the solver's largest between
 neighbouring dots that the tactile camera sees whole (at least 90 % of each dot's area); the solver's largest of all,
@@ -30,13 +30,13 @@ _WITHIN_POINTS = 2.0
 _COLUMNS = "dots, whole, all, off"
 _HEAD = f"""Largest strain between neighbouring dots, percent. dots: measured. whole: the solver's, where the tactile
 camera sees both dots whole. all: the solver's, hidden dots included. off: dots minus whole, points.
-{"scene":23s}{"seed":>4s}{"dots":>6s} | {"length: " + _COLUMNS:^31s} | {"width: " + _COLUMNS:^31s}"""
+{"scene":23s}{"seed":>4s}{"dots":>6s} | {"length: " + _COLUMNS:^31s} | {"width: " + _COLUMNS:^31s} | sensor"""
 
 
 def main() -> int:
     """Print one line per scene and seed, and the verdict."""
     parser = argparse.ArgumentParser(description="Compare measured strain with the solver's.")
-    parser.add_argument("--sensor", default="datasheet", help="sensor of the simulator")
+    parser.add_argument("--sensors", default="datasheet", help="sensors of the simulator, separated by commas")
     parser.add_argument("--seeds", default="0,1,2,3,4", help="seeds of the cameras' noise, separated by commas")
     parser.add_argument("--frames", type=int, default=30, help="frames at rest that are averaged")
     parser.add_argument("scene", nargs="*", default=[], help="'cup high right', ...; all by default")
@@ -47,7 +47,8 @@ def main() -> int:
     results = []
     for name in words.scene or _SCENES:
         for seed in map(int, words.seeds.split(",")):
-            results += [(*line, name, seed) for line in _compare(name, seed, words.frames, words.sensor)]
+            for sensor in words.sensors.split(","):
+                results += [(*line, name, seed) for line in _compare(name, seed, words.frames, sensor)]
     whole, axis, name = max((whole, axis, name) for _, _, whole, axis, name, _ in results)
     print(f"largest strain over whole dots: {whole:.1f} %, {axis} of {name}")
     off, _, _, axis, name, seed = max(results, key=lambda result: abs(result[0]))
@@ -76,7 +77,7 @@ def _compare(name: str, seed: int, frames: int, sensor: str) -> list[tuple[float
         off = 100 * (found.largest - whole)
         words.append(f"{100 * found.largest:7.1f} {100 * whole:7.1f} {100 * every:7.1f} {off:+7.1f}")
         results.append((off, 100 * found.largest_sigma, 100 * whole, axis))
-    print(" | ".join(words), flush=True)
+    print(" | ".join([*words, sensor]), flush=True)
     return results
 
 

@@ -63,8 +63,11 @@ def create_rig(
 
 def _camera(text: str, kind: str, size: tuple[int, int], corners: tuple[int, int]) -> dict[str, Any]:
     """Return a camera as ``rig.json`` has it, from an option such as ``D405=boards``."""
+    from pydantic import ValidationError
+
     from ...core.calibration.lens import MODELS, fit_lens, nominal_lens
     from ...core.model.intrinsics import Intrinsics
+    from ...core.model.rig_file import validation_sentence
 
     name, _, how = text.partition("=")
     if name not in MODELS:
@@ -86,7 +89,10 @@ def _camera(text: str, kind: str, size: tuple[int, int], corners: tuple[int, int
             fx, fy, cx, cy = map(float, numbers)
         except ValueError as error:
             raise typer.BadParameter(f"{text!r}: write four numbers, fx,fy,cx,cy in px") from error
-        lens = Intrinsics(width=size[0], height=size[1], fx=fx, fy=fy, cx=cx, cy=cy)
+        try:
+            lens = Intrinsics(width=size[0], height=size[1], fx=fx, fy=fy, cx=cx, cy=cy)
+        except ValidationError as error:
+            raise typer.BadParameter(validation_sentence(error, repr(text), "a lens")) from error
     else:
         with CliProgress() as progress:
             fit = fit_lens(Path(how), *corners, size, progress.preparing)

@@ -90,7 +90,7 @@ def find_images(path: Path) -> FolderImages:
         different = _first_difference(numbered, sizes)
     except OSError as error:
         raise SourceError(
-            f"cannot read the images in {path}: {error.strerror or error}; check its permissions"
+            f"cannot read the images in {path}: {error.strerror or error}; check its name and permissions"
         ) from error
     if sizes.get("tactile_color.png", sizes.get("tactile_depth.png")) != sizes.get("tactile_depth.png"):
         problems.append("tactile_color.png has another size than tactile_depth.png; align it to the depth image")

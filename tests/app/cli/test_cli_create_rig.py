@@ -52,6 +52,7 @@ def test_what_is_assumed_and_what_cannot_be_read_is_said(tactune, bare):
         ("L500", "choose L515"),
         ("L515=1,1,31,23", "a view of"),
         ("L515=a,1,31,23", "four numbers"),
+        ("L515=nan,1,31,23", "fx is nan"),
         ("L515=none", "none"),
     ],
 )
