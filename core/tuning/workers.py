@@ -94,6 +94,8 @@ def cluster_workers(address: str) -> Iterator[Workers]:
     try:
         if address.startswith("tls://") and security.get_connection_args("client")["ssl_context"] is None:
             raise ValueError("Dask's configuration has no certificates")
+        comm: Any = distributed.comm
+        comm.get_address_host_port(comm.normalize_address(address))  # a client that is never made waits 20 s as it goes
         client: Any = distributed.Client(  # type: ignore[no-untyped-call]
             address, timeout=_CONNECT_S, set_as_default=False
         )
