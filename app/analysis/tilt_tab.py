@@ -130,7 +130,7 @@ class TiltTab(MeasuringTab):
         sheet.addWidget(self.cloud)
         sheet.addWidget(side)
         sheet.setSizes([480, 480])
-        self._lay_out_around(sheet, vbox(row, self.status))  # its hints are wider than what is left of the row
+        self._lay_out_around(sheet, vbox(row, self.status))  # the hints need the whole width
         layout = self.layout()
         assert layout is not None
         layout.addWidget(self.balance)

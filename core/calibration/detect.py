@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import CalibrationError
 from ..model.arrays import AnyArray, BoolArray, Float64Array, Uint8Array
+from ..model.robust import spread
 from .homography import fit_homography
 
 #: Half side of the window for corner refinement, pixels.
@@ -112,7 +113,7 @@ def _blob_near(gray: Uint8Array, u: float, v: float, radius: float, reach: int) 
 def _round_components(window: Uint8Array, inside: BoolArray, threshold: float) -> list[tuple[Float64Array, BoolArray]]:
     """Return weighted centroid and pixels of each round region that does not touch the window's border."""
     flat = cv2.medianBlur(window, 5)
-    noise = 1.4826 * float(np.median(np.abs(window.astype(np.float64) - flat)))
+    noise = spread(window.astype(np.float64) - flat)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(inside.astype(np.uint8), connectivity=4)
     height, width = window.shape
     centers = []

@@ -44,7 +44,7 @@ class ContactPipeline:
         self._start(preset)
 
     def _start(self, preset: Preset) -> None:
-        """Begin anew with a preset, with the lenses that it knows."""
+        """Start with a preset. Where the rig states no lens distortion, the one that the preset estimated is used."""
         rig = rig_in_use(preset, self._recording_rig)
         warnings, alignment = check_rig(preset, self._recording_rig), make_alignment(preset.alignment, rig)  # may raise
         self.rig, self.warnings, self._alignment, self._preset = rig, warnings, alignment, preset

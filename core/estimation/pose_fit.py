@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from ..model.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from ..model.frames import Rig
+from ..model.robust import spread
 from ..preset import Preset
 from .object_mesh import ObjectMesh
 
@@ -197,7 +198,7 @@ def _pair(mesh: ObjectMesh, patch: PatchPoints, pose: Float64Array, centre: Floa
     used = facing & (apart < reach_m)
     cosines = np.maximum(cosines, _LEAST_COSINE)
     along_ray = np.abs(gaps) / cosines
-    sigma = max(1.4826 * float(np.median(along_ray[used])) if used.any() else 0.0, _SMALLEST_SIGMA_M)
+    sigma = max(spread(along_ray[used]) if used.any() else 0.0, _SMALLEST_SIGMA_M)
     weights = patch.weights / cosines**2 * used / np.maximum(along_ray / (_HUBER * sigma), 1)
     rows = np.concatenate([normals, np.cross(places - centre, normals) / mesh.radius_m], axis=1)
     return _Pairs(gaps, apart, rows, weights, facing & (apart < max(ON_MESH_M, _ON_MESH_SIGMAS * sigma)))

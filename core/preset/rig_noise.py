@@ -1,4 +1,4 @@
-"""The measured noise of both cameras and the bias between them; `tactune.core.rig.noise` measures them."""
+"""The measured noise of both cameras and the bias between them; `tactune.core.rig` measures them."""
 
 from __future__ import annotations
 

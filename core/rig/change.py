@@ -23,8 +23,9 @@ from ..model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array, Ui
 from ..model.clouds import valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
 from ..model.intrinsics import Intrinsics
+from ..model.robust import spread
 from ..preset import Preset
-from .drift import MIN_BULGE_M, spread
+from .drift import MIN_BULGE_M
 
 #: Side length of the image tiles over which depth is averaged, pixels.
 _TILE_PX: Final = 16
@@ -353,12 +354,12 @@ def _fit(columns: Float64Array, wanted: Float64Array, least: float) -> _Fit:
     least : float
         Lower limit of the standard deviation of a row.
     """
-    kept = np.abs(wanted - np.median(wanted)) <= 3 * max(spread(wanted), least)
+    kept = np.abs(wanted - np.median(wanted)) <= 3 * max(spread(wanted, float(np.median(wanted))), least)
     for _ in range(_ROUNDS):
         inverse = np.linalg.pinv(columns[kept])
         values = inverse @ wanted[kept]
         residuals = wanted - columns @ values
-        sigma = max(spread(residuals), least)
+        sigma = max(spread(residuals, float(np.median(residuals))), least)
         kept = np.abs(residuals) <= 3 * sigma
     return _Fit(values, sigma * np.sqrt(np.sum(inverse**2, axis=1)), residuals, sigma)
 

@@ -22,6 +22,7 @@ from ..errors import FrameError, RigMismatchError
 from ..model.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Uint16Array
 from ..model.clouds import ray_table, valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
+from ..model.robust import spread
 from ..preset import AlignmentSection
 from ..sources.base import CameraRole
 
@@ -276,7 +277,7 @@ def camera_bias(frames: Sequence[SensorFrame], rig: Rig, section: AlignmentSecti
     return CameraBias(
         bias_m=bias,
         share=bias / float(np.median(np.concatenate(depths))),
-        spread_m=1.4826 * float(np.median(np.abs(values - bias))),
+        spread_m=spread(values, bias),
         pixels=len(values) // len(frames),
     )
 

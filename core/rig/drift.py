@@ -13,6 +13,7 @@ from ..methods.membrane_view import MembraneView
 from ..model.arrays import Float64Array, Uint16Array
 from ..model.clouds import ray_table, valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
+from ..model.robust import spread
 from ..preset import Preset
 from ..preset.checks import rig_in_use
 
@@ -21,7 +22,6 @@ LIMIT_M: Final = 0.001
 
 Verdict = Literal["fine", "inflation", "camera", "touched"]
 
-_NORMAL: Final = 1.4826
 #: Touch: a residual that neither pressure nor pose explains, above this depth in more than this share of the membrane.
 _DENT_M: Final = 0.003
 _DENT_SHARE: Final = 0.02
@@ -157,23 +157,19 @@ def _changes(
 
 def _fit(change: Float64Array, columns: Float64Array) -> Float64Array:
     """Return robust least-squares coefficients: outliers are dropped and the fit is repeated."""
-    kept = np.abs(change - np.median(change)) <= 3 * spread(change) + LIMIT_M
+    kept = np.abs(change - np.median(change)) <= 3 * spread(change, float(np.median(change))) + LIMIT_M
     fitted: Float64Array = np.zeros(columns.shape[1])
     for _ in range(_ROUNDS):
         fitted = np.asarray(np.linalg.lstsq(columns[kept], change[kept], rcond=None)[0], np.float64)
         left = change - columns @ fitted
-        kept = np.abs(left) <= 3 * spread(left) + LIMIT_M / 2
+        kept = np.abs(left) <= 3 * spread(left, float(np.median(left))) + LIMIT_M / 2
     return fitted
-
-
-def spread(values: Float64Array) -> float:
-    """Return a robust standard deviation: 1.4826 median absolute deviations."""
-    return float(_NORMAL * np.median(np.abs(values - np.median(values))))
 
 
 def _sum_up(change: Float64Array, plane: Float64Array) -> DepthChange:
     moved = float(np.sqrt(np.mean(plane**2)))
-    return DepthChange(float(np.median(change)), spread(change), moved, len(change))
+    median_m = float(np.median(change))
+    return DepthChange(median_m, spread(change, median_m), moved, len(change))
 
 
 def _judge(

@@ -1,4 +1,4 @@
-"""The noise of both depth cameras and the bias between them, measured on frames of a scene at rest.
+"""The noise of both depth cameras, measured on frames of a scene at rest.
 
 Two things tell the noise. The difference of successive frames contains only what changes from frame to frame. The mean
 of all frames contains what stays: its residual from a smooth surface. The autocovariances of both are fitted
@@ -15,22 +15,19 @@ from functools import lru_cache
 from itertools import islice, pairwise
 from typing import Final
 
-import cv2
 import numpy as np
 from scipy.optimize import nnls
 
-from ..contact.alignment import AlignmentModel, make_alignment
-from ..contact.kernels.chain import Region
-from ..contact.masking import colors_at, in_hsv_range
 from ..contact.membrane.finder import firm_contact_bias
 from ..errors import FrameError
 from ..model.arrays import BoolArray, Float32Array, Float64Array, Uint16Array
-from ..model.clouds import deproject, pixel_areas_m2, valid_depth
+from ..model.clouds import valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
-from ..preset import CameraNoise, MaskSection, Preset, RigNoise, now
+from ..model.robust import spread
+from ..preset import CameraNoise, Preset, RigNoise, now
 from ..preset.checks import rig_in_use
-from ..preset.rig_noise import BiasOrigin
 from ..sources.base import CameraRole, FrameSource, Progress
+from .bias import ContactBias, MeasuredBias, choose_bias, describe_bias, pressed_bias, print_bias
 from .slow_error import slow_error_m
 from .untouched import TILE_PX, frames_to_average, tile_medians
 
@@ -39,14 +36,6 @@ NOISE_FRAMES: Final = 60
 MAX_FRAMES: Final = 300
 #: Fewest different frames.
 MIN_FRAMES: Final = 10
-#: Area of firm contact below which a frame tells nothing about the bias, m^2.
-MIN_CONTACT_M2: Final = 1e-3
-#: Standard deviation of a bias that was not measured, metres.
-UNKNOWN_BIAS_M: Final = 0.005
-
-#: Finds firm contact in a frame and returns the bias there, metres, and its area, m^2; None without contact.
-ContactBias = Callable[[SensorFrame], tuple[float, float] | None]
-
 #: Lags of the autocovariances, pixels.
 _LAGS: Final = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
 #: Candidates for the correlation length, pixels.
@@ -66,7 +55,6 @@ _MIN_USABLE: Final = 0.01
 _FLYING: Final = 2.5
 #: Residuals beyond this number of robust standard deviations are outliers.
 _TRIM: Final = 5.0
-_NORMAL: Final = 1.4826
 #: Standard error of an autocovariance as a share of the variance, at the least.
 _MIN_ERROR: Final = 0.005
 #: A correlated part below this share of the variance has no measurable length.
@@ -83,38 +71,6 @@ _MOVED_SIGMAS, _MEDIAN_ERROR = 5.0, 1.25
 _RESTLESS_SHARE: Final = 0.01
 #: Fewest pixels at the membrane's distance from which the proximity noise there is taken, and the range of distances.
 _NEAR_PIXELS, _NEAR_SHARE = 1500, 0.25
-
-#: Prints: how far their rim is eroded, fewest pixels of one, largest bias, and largest scatter between prints.
-_PRINT_RIM_PX, _PRINT_PIXELS, _MAX_BIAS_M, _MAX_SCATTER_M = 5, 60, 0.04, 0.006
-#: Standard deviation of the bias that no area reduces, metres.
-_BIAS_FLOOR_M: Final = 0.0002
-#: Smallest range of depth that tells the slope of the bias, metres.
-_MIN_RANGE_M: Final = 0.040
-#: Two biases disagree beyond this number of standard deviations.
-_DISAGREE: Final = 3.0
-
-
-@dataclass(frozen=True)
-class MeasuredBias:
-    """The bias between both cameras.
-
-    Attributes
-    ----------
-    bias_m, sigma_m : float
-        Value and standard deviation, metres.
-    origin : {"prints", "contact", "unknown"}
-    per_m, per_m_sigma : float
-        Slope per metre of depth, 0 if the range of depth is too small to tell, and its standard deviation.
-    depth_m : float
-        Mean depth that a slope refers to.
-    """
-
-    bias_m: float
-    sigma_m: float
-    origin: BiasOrigin
-    per_m: float = 0.0
-    per_m_sigma: float = 0.0
-    depth_m: float = 0.0
 
 
 def measure_noise(
@@ -220,7 +176,7 @@ def describe(noise: RigNoise) -> list[str]:
     return [
         _describe_camera("Tactile", noise.tactile),
         _describe_camera("Proximity", noise.proximity) + slow,
-        _describe_bias(MeasuredBias(noise.bias_m, noise.bias_sigma_m, noise.bias_from, noise.bias_per_m)),
+        describe_bias(MeasuredBias(noise.bias_m, noise.bias_sigma_m, noise.bias_from, noise.bias_per_m)),
     ]
 
 
@@ -417,7 +373,7 @@ def _changing_autocovariances(
         if not np.isfinite(noise).any():
             continue  # a frame without depth
         noise -= np.nanmedian(noise)
-        limit = _TRIM * _NORMAL * float(np.nanmedian(np.abs(noise))) + 1e-9
+        limit = _TRIM * spread(noise) + 1e-9
         rows.append(_autocovariances(np.where(np.abs(noise) <= limit, noise, np.nan)) / 2)
     values = np.asarray(rows)
     return _with_errors(values)
@@ -499,8 +455,7 @@ def _fit_smooth(basis: Float64Array, values: Float64Array, known: BoolArray) -> 
             np.linalg.solve(used.T @ used, used.T @ values[known])
         )  # orthonormal but for the unknown pixels
         residual = values - basis @ weights
-        spread = _NORMAL * float(np.median(np.abs(residual[known])))
-        known = known & (np.abs(residual) <= _TRIM * spread + 1e-9)
+        known = known & (np.abs(residual) <= _TRIM * spread(residual[known]) + 1e-9)
     return weights, np.where(known, residual, np.nan)
 
 
@@ -570,103 +525,6 @@ def _quadratics(tile_px: int) -> Float64Array:
     y, x = np.mgrid[-1 : 1 : 1j * tile_px, -1 : 1 : 1j * tile_px]
     columns = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=2).reshape(-1, 6)
     return np.linalg.qr(columns)[0].reshape(tile_px, tile_px, 6)
-
-
-# The bias
-
-
-def print_bias(frames: Sequence[SensorFrame], rig: Rig, preset: Preset, density_m4: float) -> MeasuredBias | None:
-    """Return the bias on prints of the mask's colour, where the proximity camera sees the membrane itself, or None.
-
-    Parameters
-    ----------
-    frames : sequence of SensorFrame
-    rig : Rig
-    preset : Preset
-        Without a mask there are no prints.
-    density_m4 : float
-        Noise power per area of the difference of both depths.
-
-    Raises
-    ------
-    RigMismatchError
-        Neither preset nor rig has the pose between the cameras.
-    """
-    if not preset.mask.enabled or not frames:
-        return None
-    alignment = make_alignment(preset.alignment, rig)
-    prints = [found for frame in frames for found in _prints(frame, rig, preset.mask, alignment)]
-    if not prints:
-        return None
-    bias_m, depth_m, area_m2 = np.array(prints).T
-    centre = float(np.median(bias_m))
-    scatter = _NORMAL * float(np.median(np.abs(bias_m - centre)))
-    if scatter > _MAX_SCATTER_M:
-        return None  # the proximity camera looks through this colour
-    kept = np.abs(bias_m - centre) <= _TRIM * scatter + 2 * _BIAS_FLOOR_M
-    bias_m, depth_m, area_m2 = bias_m[kept], depth_m[kept], area_m2[kept]
-    per_m, away_m = 0.0, np.zeros_like(bias_m)
-    mean_m, mean_depth_m = (float(np.average(values, weights=area_m2)) for values in (bias_m, depth_m))
-    each_frame = max(len(bias_m) / len(frames), 1.0)
-    if np.ptp(depth_m) >= _MIN_RANGE_M:
-        per_m = float(np.polyfit(depth_m, bias_m, 1, w=np.sqrt(area_m2))[0])
-        away_m = per_m * (depth_m - mean_depth_m)
-    between = float(np.std(bias_m - away_m)) / np.sqrt(each_frame)
-    noise = np.sqrt(density_m4 / (area_m2.sum() / len(frames)))
-    sigma_m = float(np.hypot(max(noise, between), _BIAS_FLOOR_M))
-    per_m_sigma = max(noise, between) / float(np.std(depth_m)) if per_m else 0.0
-    return MeasuredBias(mean_m, sigma_m, "prints", per_m, per_m_sigma, mean_depth_m)
-
-
-def _prints(
-    frame: SensorFrame, rig: Rig, mask: MaskSection, alignment: AlignmentModel
-) -> Iterator[tuple[float, float, float]]:
-    """Yield median bias, median depth and area of each print, metres and m^2."""
-    camera = rig.proximity
-    height, width = camera.intrinsics.shape
-    aligned = alignment.align(frame.proximity_depth, frame.tactile_depth, Region(0, 0, width, height))
-    with np.errstate(invalid="ignore"):
-        difference = aligned.expected_m - aligned.measured_m
-        near = np.abs(difference) < _MAX_BIAS_M
-    pixels = np.flatnonzero(near & valid_depth(frame.proximity_depth))
-    colors, seen = colors_at(deproject(frame.proximity_depth, camera, pixels), pixels, frame.proximity_color, rig)
-    marked = np.zeros(height * width, np.uint8)
-    marked[pixels] = seen & in_hsv_range(colors, mask)
-    image = cv2.medianBlur(marked.reshape(height, width), 5)  # closes pixels without depth
-    inner = cv2.erode(image, np.ones((_PRINT_RIM_PX, _PRINT_RIM_PX), np.uint8))
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(inner)
-    depth_m = frame.proximity_depth * np.float32(camera.depth_unit_m)
-    areas = pixel_areas_m2(depth_m, camera.intrinsics)
-    for label, (left, top, wide, high, _) in enumerate(stats[1:], start=1):
-        box = slice(top, top + high), slice(left, left + wide)
-        inside = (labels[box] == label) & near[box]
-        if inside.sum() >= _PRINT_PIXELS:
-            found = difference[box][inside], depth_m[box][inside], areas[box][inside]
-            yield float(np.median(found[0])), float(np.median(found[1])), float(found[2].sum())
-
-
-def pressed_bias(frames: Sequence[SensorFrame], contact_bias: ContactBias, density_m4: float) -> MeasuredBias | None:
-    """Return the bias where an object is pressed firmly into the membrane; None without a frame of enough contact."""
-    found = [contact for frame in frames if (contact := contact_bias(frame)) is not None]
-    firm = np.array([contact for contact in found if contact[1] >= MIN_CONTACT_M2])
-    if not len(firm):
-        return None
-    noise = np.sqrt(density_m4 / np.median(firm[:, 1]))
-    return MeasuredBias(float(np.median(firm[:, 0])), float(np.hypot(noise, _BIAS_FLOOR_M)), "contact")
-
-
-def choose_bias(found: Sequence[MeasuredBias], warn: Callable[[str], None]) -> MeasuredBias:
-    """Return the most certain bias; warn if two disagree."""
-    if not found:
-        return MeasuredBias(0.0, UNKNOWN_BIAS_M, "unknown")
-    best, *others = sorted(found, key=lambda bias: bias.sigma_m)
-    for other in others:
-        if abs(other.bias_m - best.bias_m) > _DISAGREE * np.hypot(other.sigma_m, best.sigma_m):
-            warn(
-                f"Two measurements of the bias disagree: {_numbers(best)} on {best.origin} and {_numbers(other)} on "
-                f"{other.origin}; the first is used. Check the mask and the alignment."
-            )
-    return best
 
 
 # Movement, frames, words
@@ -741,21 +599,3 @@ def _describe_camera(name: str, noise: CameraNoise) -> str:
         f"{name} noise {1e3 * noise.total_m:.2f} mm at {1e3 * noise.distance_m:.0f} mm distance ({parts}); "
         f"{100 * noise.changing_share:.0f} % of its variance changes from frame to frame."
     )
-
-
-def _describe_bias(bias: MeasuredBias) -> str:
-    if bias.origin == "unknown":
-        return (
-            "The bias between the cameras could not be told from a gap: press an object firmly (10 cm2 or more) and "
-            "measure again."
-        )
-    slope = f", and {abs(bias.per_m) * 100:.1f} mm {'more' if bias.per_m > 0 else 'less'} per 100 mm of depth"
-    return (
-        f"The proximity camera reads {1e3 * abs(bias.bias_m):.1f} +- {1e3 * bias.sigma_m:.1f} mm "
-        f"{'farther' if bias.bias_m >= 0 else 'nearer'} than the tactile camera{slope if bias.per_m else ''} "
-        f"(measured on {bias.origin})."
-    )
-
-
-def _numbers(bias: MeasuredBias) -> str:
-    return f"{1e3 * bias.bias_m:+.1f} +- {1e3 * bias.sigma_m:.1f} mm"

@@ -33,6 +33,7 @@ from ..model.arrays import AnyArray, Float32Array, Float64Array, Uint16Array
 from ..model.clouds import valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
 from ..model.intrinsics import Intrinsics
+from ..model.robust import spread
 from ..preset import AlignmentSection
 from ..sources.base import Progress
 
@@ -433,7 +434,7 @@ def _series(time_s: Float64Array, depth_m: Float32Array, camera: str) -> MotionS
     mean = np.array([_trimmed_mean(row[np.isfinite(row)]) for row in core])
     # second differences of a smooth motion are small; those of white noise have 6 times its variance
     bends = mean[2:] - 2 * mean[1:-1] + mean[:-2]
-    noise = 1.4826 * float(np.nanmedian(np.abs(bends))) / np.sqrt(6.0) if len(bends) else 0.0
+    noise = spread(bends) / np.sqrt(6.0) if len(bends) else 0.0
     return MotionSeries(np.asarray(time_s), mean, noise)
 
 

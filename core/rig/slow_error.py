@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from ..model.arrays import BoolArray, Float32Array, Float64Array, IndexArray
+from ..model.robust import spread
 
 #: Amplitudes that are expected of cameras before anything is measured, metres, and how likely each is; the length, of
 #: which two pixels at a distance of d share exp(-d^2 / (4 length^2)), as a share of the image's width.
@@ -29,7 +30,7 @@ _MIN_FILLED: Final = 0.75
 #: A cell with a variance larger than the median by this factor contains a step of depth.
 _STEP_FACTOR: Final = 6.0
 #: Residuals beyond this number of robust standard deviations are outliers; a window with a larger one is not flat.
-_TRIM, _NORMAL, _MAX_ROUGH_M = 5.0, 1.4826, 0.004
+_TRIM, _MAX_ROUGH_M = 5.0, 0.004
 #: Bounds of the distances at which products of residuals are averaged, cells.
 _LAGS: Final = np.array([-0.5, 0.5, 1.5, 2.5, 4.5, 7.5, 10.5])
 #: Standard error of a variance: as a share of it, since the image contains few lengths, and at the least, m^2.
@@ -94,9 +95,9 @@ def _flat_windows(cells_m: Float64Array) -> Iterator[tuple[IndexArray, Float64Ar
             surface = median_m - median_m**2 / depth  # linear over a plane, and about the depth
             for _ in range(2):
                 residual = surface - plane @ np.linalg.lstsq(plane[known], surface[known], rcond=None)[0]
-                spread = _NORMAL * float(np.median(np.abs(residual[known])))
-                known = known & (np.abs(residual) <= _TRIM * spread + 1e-9)
-            if known.mean() >= _MIN_FILLED and spread <= _MAX_ROUGH_M:
+                rough_m = spread(residual[known])
+                known = known & (np.abs(residual) <= _TRIM * rough_m + 1e-9)
+            if known.mean() >= _MIN_FILLED and rough_m <= _MAX_ROUGH_M:
                 yield numbers[place].reshape(-1)[known], np.where(known, residual, np.nan)
 
 

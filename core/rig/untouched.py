@@ -19,6 +19,7 @@ from ..model.clouds import valid_depth
 from ..model.files import atomic_path
 from ..model.frames import SensorFrame
 from ..model.loading import read_file
+from ..model.robust import spread
 from ..model.untouched_archive import frame_from_bytes, untouched_bytes
 from ..preset import Preset, UntouchedRecord
 from ..sources.base import FrameSource, Progress
@@ -33,7 +34,7 @@ TILE_PX: Final = 16
 #: ... changes by more than this share of the depth (2 mm at 300 mm) ...
 _MOVED_SHARE: Final = 0.0067
 #: ... and by more than this number of standard deviations of its noise, each this median deviation, ...
-_MOVED_SIGMAS, _NORMAL = 5.0, 1.4826
+_MOVED_SIGMAS = 5.0
 #: ... in more than this share of all tiles.
 _MOVED_TILES: Final = 0.005
 #: Size limit of the file. Images of 1280 x 720 with colour take 15 MB.
@@ -269,7 +270,7 @@ def _refuse_movement(first: SensorFrame, frame: SensorFrame) -> None:
         return  # take_snapshot refuses other sizes
     before, after = tile_medians(first.tactile_depth), tile_medians(frame.tactile_depth)
     change = after - before
-    noise = _NORMAL * float(np.nanmedian(np.abs(change - np.nanmedian(change)))) if np.isfinite(change).any() else 0.0
+    noise = spread(change, float(np.nanmedian(change))) if np.isfinite(change).any() else 0.0
     moved = np.abs(change) > np.maximum(_MOVED_SHARE * before, _MOVED_SIGMAS * noise)
     if moved.mean() > _MOVED_TILES:
         farthest = float(np.abs(change)[moved].max() / np.median(before[moved]))

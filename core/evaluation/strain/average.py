@@ -12,14 +12,13 @@ from ...calibration.snapshots import take_snapshot
 from ...model.arrays import Float64Array, Uint16Array
 from ...model.clouds import valid_depth
 from ...model.frames import Rig, SensorFrame
+from ...model.robust import spread
 
 #: Movement test: mean inverse depths of image tiles of this side length, pixels.
 _TILE_PX: Final = 32
 #: The membrane has moved if two tiles change by more than this number of standard deviations of their noise (one may,
 #: at a depth step), or if the mean square of all tiles exceeds that of noise by this factor.
 _MOVED_SIGMAS, _MOVED_FACTOR = 6.0, 2.0
-#: Standard deviation of normal values as a multiple of their median distance from 0.
-_NORMAL: Final = 1.4826
 
 
 def average_still(frames: Sequence[SensorFrame], rig: Rig) -> tuple[SensorFrame, int]:
@@ -76,11 +75,11 @@ def _moved(frame: SensorFrame, newest: SensorFrame) -> bool:
     """
     change = _tile_changes(frame.tactile_depth, newest.tactile_depth)
     noise = [change[1:-1] - (change[:-2] + change[2:]) / 2, change[:, 1:-1] - (change[:, :-2] + change[:, 2:]) / 2]
-    noise_m = np.abs(np.concatenate([part[np.isfinite(part)] for part in noise]))
+    noise_m = np.concatenate([part[np.isfinite(part)] for part in noise])
     change = change[np.isfinite(change)]
     if not noise_m.size:
         return bool(change.any())
-    sigmas = change / max(_NORMAL * float(np.median(noise_m)) / math.sqrt(1.5), np.finfo(float).tiny)
+    sigmas = change / max(spread(noise_m) / math.sqrt(1.5), np.finfo(float).tiny)
     return bool(np.count_nonzero(np.abs(sigmas) > _MOVED_SIGMAS) > 1 or np.mean(sigmas**2) > _MOVED_FACTOR)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from ...errors import PresetError
 from ...model.clouds import valid_depth
 from ...preset.membrane import LARGEST_BIAS_M
-from ...rig.noise import MeasuredBias
+from ...rig.bias import MeasuredBias
 from ...sources.base import Progress
 from .disagreement import Disagreement, depth_differences, measure_disagreement
 from .proposal import Evidence, Proposal

@@ -18,7 +18,7 @@ from ...model.clouds import pixel_areas_m2
 from ...model.frames import Rig, SensorFrame
 from ...preset import Preset
 from ...preset.checks import rig_in_use
-from ...rig.noise import MeasuredBias, pressed_bias, print_bias
+from ...rig.bias import MeasuredBias, pressed_bias, print_bias
 from ...sources.base import Progress
 from .proposal import Evidence
 

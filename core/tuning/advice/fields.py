@@ -10,6 +10,7 @@ import numpy as np
 
 from ...errors import AdviceError, FrameError, counted
 from ...model.frames import SensorFrame
+from ...model.robust import spread
 from ...preset import CameraNoise
 from ...rig.noise import depth_noises
 from ...rig.untouched import tile_medians
@@ -24,7 +25,7 @@ _MIN_FRAMES, _FRAMES = 2, 4
 
 #: The scene moves if more than the second share of the image tiles changes by more than the first number of standard
 #: deviations; standard deviation over median absolute deviation.
-_MOVED_SIGMAS, _MOVED_TILES, _NORMAL = 5.0, 0.03, 1.4826
+_MOVED_SIGMAS, _MOVED_TILES = 5.0, 0.03
 
 _NAMES: Final = {
     "tolerance.t": "tolerance t",
@@ -198,7 +199,7 @@ def _moves(frames: Sequence[SensorFrame]) -> bool:
         known = np.isfinite(first + second + third + last)
         if not known.any():
             continue
-        noise = _NORMAL * np.median(np.abs((first - 2 * second + third)[known])) / math.sqrt(6)
+        noise = spread((first - 2 * second + third)[known]) / math.sqrt(6)
         moved = np.abs((last - first)[known]) > _MOVED_SIGMAS * math.sqrt(2) * noise
         if moved.mean() > _MOVED_TILES:
             return True

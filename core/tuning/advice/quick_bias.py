@@ -17,7 +17,7 @@ from ...model.clouds import deproject
 from ...model.frames import Rig, SensorFrame
 from ...model.patch import ContactPatch
 from ...preset import Preset
-from ...rig.noise import MeasuredBias, print_bias
+from ...rig.bias import MeasuredBias, print_bias
 from .disagreement import PEAK_SHARE, SAME_SCENE, Disagreement, peak_of
 
 #: Step between the rows and columns that are read at first.

@@ -14,7 +14,8 @@ from side_by_side import HEIGHT, WIDTH, counts
 from tactune.core.errors import FrameError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import CameraNoise, Preset, RigNoise
-from tactune.core.rig.noise import MeasuredBias, choose_bias, describe, measure_noise
+from tactune.core.rig.bias import MeasuredBias, choose_bias
+from tactune.core.rig.noise import describe, measure_noise
 from tactune.core.rig.untouched import untouched_frame
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scenes import Variant

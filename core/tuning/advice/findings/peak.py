@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from ....preset import Preset
-from ....rig.noise import UNKNOWN_BIAS_M
+from ....rig.bias import UNKNOWN_BIAS_M
 from ..alignment import propose_alignment
 from ..proposal import Evidence, Finding
 from ..quick_bias import quick_disagreement

@@ -7,7 +7,7 @@ import pytest
 from tactune.core.errors import AdviceError
 from tactune.core.preset import now
 from tactune.core.preset.alignment import CalibrationRecord, ModelSummary
-from tactune.core.rig.noise import MeasuredBias
+from tactune.core.rig.bias import MeasuredBias
 from tactune.core.sources.presets import load_preset
 from tactune.core.tuning.advice.alignment import propose_alignment
 from tactune.core.tuning.advice.disagreement import DepthPeak, Disagreement
