@@ -164,9 +164,10 @@ def _grain(
     height, width = clean.shape
     room = bank.size - width
     for v in range(height):
-        start = _hash(seed, frame, stream, v) % room
-        for u in range(width):
-            out[v, u] = min(max(int(clean[v, u]) + int(bank[start + u]), 0), 255)
+        grain = bank[_hash(seed, frame, stream, v) % room :]
+        for u in range(width):  # 16 bits hold every sum; wider numbers would take twice as long
+            level = np.int16(clean[v, u]) + np.int16(grain[u])
+            out[v, u] = np.uint8(min(max(level, np.int16(0)), np.int16(255)))
 
 
 class NoiseModel:
