@@ -15,6 +15,7 @@ import os
 import platform
 import sys
 import tempfile
+import threading
 import time
 from collections import defaultdict
 from collections.abc import Iterable
@@ -52,7 +53,7 @@ class Meter(QObject):
         self._left = WARM_UP_FRAMES
         self.paints = 0
         self._started_s = 0.0
-        self._cpu_s = 0.0
+        self._cpu_s = self._reading_s = 0.0
         self._beat_s = 0.0
         self._heart = QTimer(self)
         self._heart.setTimerType(Qt.TimerType.PreciseTimer)
@@ -79,7 +80,7 @@ class Meter(QObject):
         now = time.perf_counter()
         if not self._started_s:
             self._started_s = now
-            self._cpu_s = -time.process_time()
+            self._cpu_s, self._reading_s = -time.process_time(), -_reading_s()
             self._beat_s = now
             self._heart.start()
         self.results.append((now, _light(result)))
@@ -87,6 +88,7 @@ class Meter(QObject):
             self._window.context.frameShown.disconnect(self._frame_shown)
             self._heart.stop()
             self._cpu_s += time.process_time()
+            self._reading_s += _reading_s()
             self._window.close()
 
     def _beat(self) -> None:
@@ -121,11 +123,18 @@ class Meter(QObject):
             f"time strip        {share:.0f} % of the frames computed",
             f"points            median {np.median(points):.0f}, most {max(points)}",
             f"heartbeat gap     {_spread(self.gaps_ms)} ms ({HEARTBEAT_MS} ms timer)",
-            f"processor         {1e3 * self._cpu_s / shown:.2f} ms per frame shown, all threads",
+            f"processor         {1e3 * self._cpu_s / shown:.2f} ms per frame shown, all threads; "
+            f"{1e3 * self._reading_s / shown:.2f} ms of them on the reading thread, where the simulator adds noise",
             "milliseconds per frame, by the clock:",
             *(f"  {stage:<22}{_spread(values)}" for stage, values in stages.items()),
         ]
         return "\n".join(lines)
+
+
+def _reading_s() -> float:
+    """Return the processor time of the thread that reads frames, seconds."""
+    readers = (thread for thread in threading.enumerate() if thread.name.startswith("reader"))
+    return sum(time.clock_gettime(time.pthread_getcpuclockid(thread.ident)) for thread in readers if thread.ident)
 
 
 def _light(result: Result) -> Result:

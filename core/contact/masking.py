@@ -32,8 +32,9 @@ def in_hsv_range(colors: Uint8Array, section: MaskSection) -> BoolArray:
 
 def masked_share(image: Uint8Array, section: MaskSection) -> float:
     """Return the share of a colour image (H, W, 3) that the mask covers, of large images from every n-th pixel."""
-    step = max(1, len(image) // 240)
-    return float(np.mean(in_hsv_range(np.ascontiguousarray(image[::step, ::step]), section)))
+    step = max(1, len(image) // 120)
+    masked = in_hsv_range(np.ascontiguousarray(image[::step, ::step]), section)
+    return float(np.count_nonzero(masked) / masked.size)
 
 
 def colors_at(points: Float32Array, pixels: IndexArray, image: Uint8Array, rig: Rig) -> tuple[Uint8Array, BoolArray]:
