@@ -18,7 +18,6 @@ class SensorTiming:
 
     Attributes
     ----------
-    sensor : str
     method : str
         One of `sensor_table.METHODS`.
     test : str

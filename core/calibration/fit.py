@@ -94,11 +94,8 @@ class Fit:
 
     Attributes
     ----------
-    problem : Problem
-    solution : Solution
     used : bool, shape (N,)
         Inliers.
-    rivals : tuple of Rival
     """
 
     problem: Problem

@@ -66,7 +66,6 @@ class TablePlan:
     ----------
     methods : tuple of str
         Names from `table_methods`.
-    scenes : tuple of PlannedScene
     seeds : tuple of int
         Noise seeds.
     preset : Preset

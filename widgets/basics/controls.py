@@ -262,7 +262,6 @@ class NoteLabel(TintedLabel):
 
     Parameters
     ----------
-    text : str
     lines : int
         Room that is kept for a longer sentence, so that it moves nothing.
     """

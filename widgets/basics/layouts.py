@@ -33,7 +33,6 @@ def hbox(
 
     Parameters
     ----------
-    *parts : Part
     within : QWidget, optional
         The widget that gets this layout.
     margins, spacing : optional

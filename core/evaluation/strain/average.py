@@ -28,7 +28,6 @@ def average_still(frames: Sequence[SensorFrame], rig: Rig) -> tuple[SensorFrame,
     ----------
     frames : sequence of SensorFrame
         At least one, oldest first.
-    rig : Rig
 
     Returns
     -------

@@ -58,7 +58,6 @@ def suggest(section: str, evidence: Evidence, progress: Progress = lambda share,
     ----------
     section : str
         One of `SECTIONS`.
-    evidence : Evidence
     progress : callable, optional
         Called with the finished share, 0 to 1, and a description. What it raises ends the computation.
 
@@ -84,7 +83,6 @@ def suggest_all(
 
     Parameters
     ----------
-    evidence : Evidence
     progress : callable, optional
         As for `suggest`.
     sections : collection of str, optional

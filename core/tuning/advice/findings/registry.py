@@ -29,12 +29,7 @@ CHECKS: Final[tuple[Callable[[Situation], Finding | None], ...]] = (
 
 
 class Examiner:
-    """Runs all checks on frames of one rig. For one thread at a time.
-
-    Parameters
-    ----------
-    rig : Rig
-    """
+    """Runs all checks on frames of one rig. For one thread at a time."""
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
