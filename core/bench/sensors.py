@@ -18,6 +18,7 @@ class SensorTiming:
 
     Attributes
     ----------
+    sensor : str
     method : str
         One of `sensor_table.METHODS`.
     test : str

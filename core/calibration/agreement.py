@@ -94,6 +94,7 @@ class Agreement:
 
     Attributes
     ----------
+    fit : HomographyFit or RigidFit
     probability : float
         Of a smooth error.
     cause : {"lens", "depth", "surface", "field", ""}
@@ -102,6 +103,7 @@ class Agreement:
         Root mean square residual of regions under the fit of the other pairs; None if they determine no model.
     expected_px : float
         The same for independent clicks of the stated noise.
+    halves : tuple of Halves
     """
 
     fit: HomographyFit | RigidFit
@@ -186,10 +188,12 @@ def judge_agreement(fit: HomographyFit | RigidFit, pairs: Float64Array, places: 
 
     Parameters
     ----------
+    fit : HomographyFit or RigidFit
     pairs : float64, shape (N, 3)
         Tactile u, v and depth (metres; nan if unknown) of all pairs of the fit.
     places : float64, shape (M, 3)
         Places of the membrane over which the alignment is judged.
+    rig : Rig
     """
     if fit.degrees <= 0:
         return Agreement(fit, 0.0, "", None, 0.0, (), 1.0, None, (), False)

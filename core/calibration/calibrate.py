@@ -57,6 +57,7 @@ def calibrate(
     ----------
     correspondences : sequence of Correspondence
         Disabled ones are kept in the report but not used.
+    rig : Rig
     model : {"auto", "homography", "rigid"}
         The model to use; the other one is also fitted if possible.
     depth_fit : {"none", "offset", "scale", "both", "auto"}

@@ -38,6 +38,11 @@ def advise_depth_fit(points: RigidPoints, rig: Rig) -> DepthAdvice:
     is `MIN_CERTAINTY` standard errors from none: neighbouring pairs share errors of the tactile depth, which the
     standard errors do not contain. The rig's stated baseline has no say, since a stated pose may be that of a drawing;
     without it, only proximity depths at contact determine a scale.
+
+    Parameters
+    ----------
+    points : RigidPoints
+    rig : Rig
     """
     if len(points.tactile) < _MIN_PAIRS:
         return DepthAdvice("none", f"No correction of the tactile depth: it needs {_MIN_PAIRS} pairs.")

@@ -308,6 +308,7 @@ def detect_circles(image: AnyArray, columns: int, rows: int, *, asymmetric: bool
     image : uint8 or uint16, shape (H, W) or (H, W, 3)
     columns, rows : int
         Circles per row, and rows.
+    asymmetric : bool
 
     Raises
     ------

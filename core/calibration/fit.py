@@ -94,8 +94,11 @@ class Fit:
 
     Attributes
     ----------
+    problem : Problem
+    solution : Solution
     used : bool, shape (N,)
         Inliers.
+    rivals : tuple of Rival
     """
 
     problem: Problem

@@ -59,6 +59,8 @@ def write_html(
 
     Parameters
     ----------
+    path : path-like
+    report : CalibrationReport
     preset_name : str
         The preset that the calibration is for.
     frame : SensorFrame, optional

@@ -146,6 +146,7 @@ def fit_lens(
         Inner corners of the board. The size of its squares does not matter.
     size : (int, int), optional
         Width and height that the pictures must have, pixels.
+    progress : callable, optional
 
     Raises
     ------

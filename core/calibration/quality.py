@@ -177,6 +177,7 @@ def patch_effect(
     lateral_mm, along_mm : array_like, shape (M,)
         Expected alignment error over the membrane, root mean square.
     distance_m : array_like, shape (M,)
+    proximity_noise_m, tactile_noise_m : float
     """
     lateral, along = np.asarray(lateral_mm, np.float64), np.asarray(along_mm, np.float64)
     sensors = (proximity_noise_m**2 + tactile_noise_m**2) * 1e6

@@ -37,6 +37,7 @@ class Drift:
         95th percentile of the distances.
     stored, found : int
         Number of points in the preset, and of those found again.
+    recalibrate : bool
     sentence : str
         The result in words.
     tactile : float64, shape (N, 2)
@@ -64,6 +65,8 @@ def recheck(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
 
     Parameters
     ----------
+    preset : Preset
+    rig : Rig
     frame : SensorFrame
         With a tactile colour image.
 

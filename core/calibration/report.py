@@ -45,6 +45,7 @@ class PairQuality:
 
     Attributes
     ----------
+    id : str
     used : bool
         False for an outlier that the fit leaves out.
     residual_u, residual_v : float
@@ -76,6 +77,7 @@ class ModelQuality:
     model : {"homography", "rigid"}
     rms_px, rms_mm, worst_px : float or None
         Residuals of the correspondences used; None if the model fits exactly for lack of surplus ones.
+    worst_id : str or None
     agreement : Agreement
         Of the regions of the image and of depth.
     click_noise_px : float or None
@@ -88,8 +90,11 @@ class ModelQuality:
         Expected root mean square alignment error over the membrane, from the click noise and smooth errors.
     alignment_bound_95_px : float
         95 % bound of the root mean square alignment error.
+    effect : PatchEffect
     excluded, doubtful : tuple of str
         Ids of outliers, and of pairs that may be some.
+    pairs : tuple of PairQuality
+    map : UncertaintyMap
     """
 
     model: ModelName
@@ -157,6 +162,9 @@ class CalibrationReport:
     reason : str
         Reason of the recommendation.
     homography, rigid : fits, or None if refused
+    quality : mapping of model name to ModelQuality
+    refused : mapping of model name to the reason why it was not fitted
+    coverage : Coverage
     verdict : str
         Grade and next step, in words.
     depth_fit : {"none", "offset", "scale", "both"}
@@ -165,8 +173,11 @@ class CalibrationReport:
         The correction that is recommended, and why.
     distortion : DistortionAdvice
         Lens distortion that the pairs show and the rig does not state; its rig is ``rig`` if it is used.
+    warnings : tuple of str
     pairs : tuple of Correspondence
         All given correspondences, including disabled ones.
+    rig : Rig
+    date : datetime
     """
 
     model: ModelName
@@ -376,8 +387,10 @@ def verdict(quality: ModelQuality, coverage: Coverage, proximity: Float64Array, 
     ----------
     quality : ModelQuality
         Of the chosen model.
+    coverage : Coverage
     proximity : float64, shape (N, 2)
         Proximity depth pixels of the pairs that the fit uses.
+    rig : Rig
     """
     return f"{grade(quality)} {next_step(quality, coverage, proximity, rig)}"
 

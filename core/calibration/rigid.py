@@ -471,6 +471,7 @@ def fit_rigid(
 
     Parameters
     ----------
+    points : RigidPoints
     rig : Rig
         Lenses and the colour camera's extrinsic.
     sigma_tactile_px, sigma_proximity_px, sigma_depth_m : float

@@ -67,6 +67,7 @@ def fit_robustly(problem: Problem, use: BoolArray | None = None) -> Fit:
 
     Parameters
     ----------
+    problem : Problem
     use : bool, shape (N,), optional
         Inliers, if already known.
 

@@ -116,6 +116,8 @@ def depth_under(counts: Uint16Array, unit_m: float, u: float, v: float, radius: 
     Parameters
     ----------
     counts : uint16, shape (H, W)
+    unit_m : float
+    u, v : float
     radius : int
         Half side of the square window, pixels.
     """

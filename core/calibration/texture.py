@@ -143,6 +143,7 @@ def measure_pairs(
     ----------
     frame : SensorFrame
         With a tactile colour image.
+    rig : Rig
     pose : Pose
         Correct to about 10 pixels.
     places : array_like, shape (N, 2), optional

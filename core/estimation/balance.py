@@ -57,6 +57,7 @@ class BalanceStep:
 
     Attributes
     ----------
+    time_s : float
     roll_rad : float
         True roll of the tray over the ground, radians.
     measured_rad : float or None
@@ -197,6 +198,7 @@ class BalanceSummary:
 
     Attributes
     ----------
+    frames : int
     loop_hz : float
         Mean rate that the loop reaches, simulation included.
     latency_median_ms, latency_p95_ms : float
@@ -205,6 +207,7 @@ class BalanceSummary:
         The same in processor time of all threads.
     settle_s : list of float or None
         For each book that was put on: time until the tray stays level, until the next book; None if it does not.
+    patch, proximity : AngleErrors
     noise_factor, rms_factor : float
         Noise and RMS error of the roll from the proximity camera alone, as multiples of the patch's.
     """

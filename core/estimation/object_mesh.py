@@ -51,6 +51,7 @@ class ObjectMesh:
         Metres.
     triangles : int32, shape (M, 3)
         Vertex numbers, counter-clockwise seen from outside.
+    name : str
     unit : str
         Unit of the file, ``m`` or ``mm``, for messages.
     """

@@ -37,6 +37,7 @@ class DepthNoise:
         Two pixels at a distance of d pixels share exp(-d^2 / (4 length_px^2)) of the second part.
     fixed_share : float
         Share of the second part's variance that stays from frame to frame.
+    distance_m : float
     power : int
         Standard deviations grow with this power of the depth.
     """
@@ -135,8 +136,10 @@ class Functionals:
 
     Parameters
     ----------
+    cells : Cells
     weights : float, shape (K,)
         Inverse variances of the cells' inverse depths, m^2.
+    focal_px : float
     """
 
     def __init__(self, cells: Cells, weights: Float64Array, focal_px: float) -> None:

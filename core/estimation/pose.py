@@ -168,6 +168,7 @@ class PoseTracker:
         From `load_mesh` or `simulated_mesh`.
     preset : Preset
         The preset of the patches: the rig's noise and the alignment.
+    rig : Rig
 
     Raises
     ------

@@ -154,6 +154,8 @@ def fit(mesh: ObjectMesh, patch: PatchPoints, start: Float64Array, rounds: int =
 
     Parameters
     ----------
+    mesh : ObjectMesh
+    patch : PatchPoints
     start : float64, shape (4, 4)
         ``T_proximity_object``, off by less than 20 mm.
     rounds : int

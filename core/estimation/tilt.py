@@ -97,10 +97,12 @@ class Tilt:
     axis_rad : float or None
         Direction of the long axis in the image, radians, -pi/2 to pi/2, from +u (right) towards +v (down); None for a
         patch that is about as wide as long.
+    axis_sigma_rad : float or None
     fixed_share : float
         Share of the variance of roll and pitch that stays from frame to frame, 0 to 1: time does not average it.
     roll_rate_rad_s, pitch_rate_rad_s : float or None
         Rates, radians per second; None unless the tilt was filtered over time.
+    roll_rate_sigma_rad_s, pitch_rate_sigma_rad_s : float or None
     """
 
     sequence: int
@@ -136,6 +138,7 @@ class TiltEstimator:
     ----------
     preset : Preset
         Its measured noise, if any; else that of usual cameras is assumed.
+    rig : Rig
     method : {"noise", "pca"}
         The standard deviations follow from the noise with both.
     """

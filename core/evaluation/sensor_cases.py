@@ -33,11 +33,13 @@ class SensorCase:
 
     Attributes
     ----------
+    sensor, membrane, press : str
     rmse_mm : dict of str to float
         Mean RMSE of the methods in `SHOWN`; nan if no frame has a patch.
     over_best, over_oracle : float
         RMSE of the shipped test divided by that of the best fixed t and of the oracle, on the frames where both have a
         patch; nan if there is none.
+    frames : int
     empty : int
         Frames without a shipped patch although at least `MIN_TOUCHED_MM2` touch.
     empty_small : int

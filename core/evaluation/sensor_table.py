@@ -87,6 +87,7 @@ class SensorPlan:
         Each with its sensor and membrane; scenes that share the solved membrane follow one another.
     seeds : tuple of int
         Noise seeds.
+    preset : Preset
     work : Path
         Folder of finished frames.
     rig : {"measured", "unmeasured"}
@@ -171,6 +172,7 @@ def measure_sensors(
 
     Parameters
     ----------
+    plan : SensorPlan
     measure_rig : callable, optional
         Measures a rig, once for each sensor and membrane, if the plan says so. If it fails, so do the methods that use
         the measured noise.

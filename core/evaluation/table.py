@@ -66,6 +66,7 @@ class TablePlan:
     ----------
     methods : tuple of str
         Names from `table_methods`.
+    scenes : tuple of PlannedScene
     seeds : tuple of int
         Noise seeds.
     preset : Preset

@@ -241,6 +241,8 @@ def run_method(build: Callable[[], ContactMethod], frames: Sequence[SensorFrame]
 
     Parameters
     ----------
+    build : callable
+    frames : sequence of SensorFrame
     warm : bool
         Run on the last frame only: the method has no memory and has been used before.
     """

@@ -84,6 +84,7 @@ def time_series(source: FrameSource, preset: Preset, order: Iterable[int] | None
     ----------
     source : FrameSource
         A recording; nothing else may read it meanwhile.
+    preset : Preset
     order : iterable of int, optional
         The frames; default: all, in `visiting_order`.
 

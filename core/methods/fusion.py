@@ -17,6 +17,9 @@ class Fusion(ContactMethod):
 
     Parameters
     ----------
+    preset : Preset
+    rig : Rig
+    name : str
     values : mapping of str to object
         Fields of the preset by their paths.
 

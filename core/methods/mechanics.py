@@ -22,6 +22,7 @@ class MembraneMechanics(ContactMethod):
     ----------
     preset : Preset
         Gives the pose that transforms tactile points to the proximity frame.
+    rig : Rig
     untouched : SensorFrame
         The untouched membrane, from which displacements are measured.
     nodes : int

@@ -438,6 +438,7 @@ class Solution:
         Multipliers of ``A x = 0``.
     bound : float64, shape (k,)
         Multipliers of ``x[positive] >= 0``, none negative.
+    steps : int
     failure : str
         Why the solver failed, as a sentence; empty if it did not.
     """

@@ -30,6 +30,7 @@ class MembraneView:
     ----------
     section : AlignmentSection
         The pose, or the rig's where it has none, and the depth scale and offset.
+    rig : Rig
 
     Raises
     ------

@@ -18,6 +18,7 @@ class ProximityOnly(ContactMethod):
     ----------
     preset : Preset
         Gives the alignment that maps the untouched frame to proximity pixels.
+    rig : Rig
     untouched : SensorFrame
         The untouched membrane.
     margin_m : float

@@ -95,6 +95,8 @@ def make_method(name: str, preset: Preset, rig: Rig, untouched: SensorFrame | No
     ----------
     name : str
         One of `method_names`.
+    preset : Preset
+    rig : Rig
     untouched : SensorFrame, optional
         The inflated, untouched membrane, for methods that need it.
 

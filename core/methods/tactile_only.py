@@ -24,6 +24,7 @@ class TactileOnly(ContactMethod):
     ----------
     preset : Preset
         Gives the pose that transforms tactile points to the proximity frame.
+    rig : Rig
     untouched : SensorFrame
         The untouched membrane.
     share : float

@@ -262,6 +262,7 @@ class NoteLabel(TintedLabel):
 
     Parameters
     ----------
+    text : str
     lines : int
         Room that is kept for a longer sentence, so that it moves nothing.
     """

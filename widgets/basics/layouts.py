@@ -33,6 +33,7 @@ def hbox(
 
     Parameters
     ----------
+    *parts : Part
     within : QWidget, optional
         The widget that gets this layout.
     margins, spacing : optional

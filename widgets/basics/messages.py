@@ -231,6 +231,8 @@ class Messages(QWidget):
         ----------
         key : str
             Identifies the matter; a newer message of the same key replaces this one.
+        severity : Severity
+        sentence : str
         offers : sequence of (button text, action)
             Buttons; pressing one dismisses the message.
         details : str

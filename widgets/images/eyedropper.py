@@ -75,6 +75,7 @@ def new_ranges(rgb: Uint8Array, present: HsvRanges, mode: Mode) -> HsvRanges:
     ----------
     rgb : uint8 (h, w, 3)
         The sampled pixels.
+    present : HsvRanges
     mode : "set", "expand" or "shrink"
         set: the core of the sample and a margin. expand: the smallest ranges that cover both the present ones
         and what set gives. shrink: one channel is cut so that the sample's median colour is outside; the channel

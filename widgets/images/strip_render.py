@@ -43,6 +43,7 @@ class StripImages:
         RGB, already aligned to depth.
     mask_overlay : bool (H, W) or None
         Where the colour is the mask's.
+    mask_view : MaskView
     proximity_m, tactile_m : float32 (H, W)
         Depth in metres; nan where there is none.
     relative : float32 (H, W)
@@ -55,6 +56,7 @@ class StripImages:
         Ends of the depth colours of both depth panes.
     size : (int, int)
         Width and height of the proximity depth image.
+    stride : int
     """
 
     color: Uint8Array

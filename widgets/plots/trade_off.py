@@ -24,6 +24,7 @@ class Dot:
 
     Attributes
     ----------
+    number : int
     x, y : float
         In the units of the axes.
     words : str
@@ -84,6 +85,7 @@ class TradeOffPlot(QWidget):
 
         Parameters
         ----------
+        dots : sequence of Dot
         front : sequence of int
             Numbers of the dots that no other beats.
         present : int

@@ -98,6 +98,7 @@ def contact_points(scan: Scan, contact: BoolArray, spacing_m: float = SPACING_M)
 
     Parameters
     ----------
+    scan : Scan
     contact : bool, shape (N,)
         From `painted_contact`.
     spacing_m : float
@@ -208,6 +209,7 @@ def scan_truth(scan: Scan, contact: BoolArray, pose: Matrix4) -> ScanTruth:
 
     Parameters
     ----------
+    scan : Scan
     contact : bool, shape (N,)
         As from `painted_contact`.
     pose : 4 x 4

@@ -97,6 +97,7 @@ class RefinedPose:
         Root mean square distance of the pairs used, under this pose.
     pairs : int
         Number of pairs used.
+    iterations : int
     converged : bool
         False if the iterations ran out or the callback stopped them.
     """
@@ -137,6 +138,7 @@ def refine_pose(
         False pairs contact points with patch points only; for a patch that extends far beyond the scan.
     farthest_m : float
         Maximum distance of a pair, metres; should exceed the initial error.
+    most_iterations : int
     go_on : callable, optional
         Called before each iteration with the number of iterations done and the RMSE in metres; False stops.
 

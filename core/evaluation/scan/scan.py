@@ -122,6 +122,7 @@ def read_triangles(path: Path | str, suffixes: Sequence[str] = SUFFIXES) -> tupl
 
     Parameters
     ----------
+    path : path
     suffixes : sequence of str
         Formats that are allowed, of those that trimesh reads.
 

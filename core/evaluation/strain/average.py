@@ -28,6 +28,7 @@ def average_still(frames: Sequence[SensorFrame], rig: Rig) -> tuple[SensorFrame,
     ----------
     frames : sequence of SensorFrame
         At least one, oldest first.
+    rig : Rig
 
     Returns
     -------

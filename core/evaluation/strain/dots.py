@@ -164,6 +164,7 @@ def centroids_on_bends(
 
     Parameters
     ----------
+    surface : SeenSurface
     gray : uint8, shape (H, W)
     labels : int32, shape (H, W)
         Label of each pixel's spot, 0 outside.

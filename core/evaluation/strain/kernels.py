@@ -236,6 +236,7 @@ def is_smooth_between(
     ----------
     depth_m : float64, shape (H, W)
         nan where there is none.
+    focal_px : float
     start, end : float64, shape (2,)
         ``(u, v)``.
     steepest : float

@@ -26,6 +26,7 @@ def draw_strain(
     ----------
     displacement_mm, length_percent, width_percent : sequence of float
         One value per frame, in order of time. Strains unlike those before and after are marked, not joined.
+    last : StrainMeasurement
     path : Path
         A .png file.
     solver_percent : sequence of (float, float)

@@ -118,6 +118,7 @@ def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -
     ----------
     frame : SensorFrame
         With a tactile colour image.
+    rig : Rig
     spacing_m : float
         Distance of neighbouring dots on the flat sheet, metres.
 
@@ -365,6 +366,7 @@ def axis_strain(
         Dots in the camera's frame, metres.
     samples_m : float64, shape (N, 3, B)
         The dots with random errors added, from `dot_samples`.
+    spacing_m : float
     places : int64, shape (N, 3)
         Grid piece, row and column of each dot.
     """

@@ -92,7 +92,10 @@ def dot_samples(
 
     Parameters
     ----------
+    surface : SeenSurface
     pixels : float64, shape (N, 2)
+    found : DotFits
+    noise : CameraNoise
     count : int
         Number of samples, B.
 
@@ -137,6 +140,7 @@ def surface_area(depth_m: Float64Array, intrinsics: Intrinsics) -> Float64Array:
     ----------
     depth_m : float64, shape (H, W)
         nan where there is no depth.
+    intrinsics : Intrinsics
 
     Returns
     -------
@@ -177,6 +181,7 @@ def area_of_slopes(
         Rays ``(x / z, y / z)`` of the pixels.
     slopes_m : float64, shape (..., 2)
         Change of depth to the next pixel along u and v.
+    intrinsics : Intrinsics
     steepest : float
         Slopes against the image plane are limited to this value.
     """
@@ -201,6 +206,7 @@ def surface_between(depth_m: Float64Array, focal_px: float, start: Float64Array,
     ----------
     depth_m : float64, shape (H, W)
         nan where there is no depth.
+    focal_px : float
     start, end : float64, shape (2,)
         ``(u, v)``.
     """
@@ -215,6 +221,7 @@ class SeenSurface:
     ----------
     depth_m : float64, shape (H, W)
         nan where there is none.
+    intrinsics : Intrinsics
     area_m2 : float64, shape (H, W)
         Surface area that each pixel shows, square metres.
     step_right, step_down : bool, shape (H, W - 1) and (H - 1, W)
@@ -306,6 +313,7 @@ def whole_dots(lattice: DotLattice, points_m: Float64Array, area_m2: Float64Arra
 
     Parameters
     ----------
+    lattice : DotLattice
     points_m : float64, shape (N, 3)
     area_m2 : float64, shape (N,)
         Area of each spot.

@@ -14,8 +14,10 @@ class NamedMembrane:
 
     Attributes
     ----------
+    name : str
     about : str
         What is particular about it, in a few words.
+    design : MembraneDesign
     held_out : bool
         Whether it is reserved for judging methods, not for developing them.
     """

@@ -39,6 +39,7 @@ class NameField:
         Of a number; the smallest one is 0.
     decimals : int
         Of a number.
+    unit : str
     """
 
     key: str

@@ -175,6 +175,7 @@ class NoiseModel:
 
     Parameters
     ----------
+    rig : Rig
     seed : int
         From 0; frames of different seeds are independent.
     level : float

@@ -148,6 +148,8 @@ class Scene:
     ----------
     name : str
         Scene and variant, usable as a file name.
+    pressed : PressedObject
+    design : MembraneDesign
     print : {"droplets", "dots"}
     way : tuple of Step
         Where the object goes, one solved step after the other.

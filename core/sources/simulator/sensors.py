@@ -18,6 +18,7 @@ class SensorModel:
 
     Attributes
     ----------
+    name : str
     about : str
         What is particular about it, in a few words.
     held_out : bool

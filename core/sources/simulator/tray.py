@@ -47,6 +47,7 @@ class Book:
     ----------
     time_s : float
         When.
+    mass_kg : float
     y_m : float
         Where, from the roll axis along the tray's y axis, metres.
     """
@@ -68,9 +69,11 @@ class Tray:
     ----------
     facts : sequence of PressFacts
         Those of the solved rolls `scenes.TRAY_ROLLS_DEG`, which give the membrane's torque.
+    books : sequence of Book
 
     Attributes
     ----------
+    time_s : float
     roll_rad, sensor_rad : float
         Rolls of the tray and of the sensor over the ground, radians.
     """

@@ -87,6 +87,12 @@ class ErrorCurve:
 class Judge:
     """Measures what presets miss and invent in examples. A pipeline for each example repeats only steps that changed.
 
+    Parameters
+    ----------
+    preset : Preset
+    rig : Rig
+    examples : sequence of Example
+
     Attributes
     ----------
     contact_mm2 : float
@@ -130,6 +136,7 @@ def error_curve(path: str, evidence: Evidence, progress: Progress = lambda share
     ----------
     path : str
         A field in `CURVES`.
+    evidence : Evidence
     progress : callable, optional
         As for `suggest`.
 

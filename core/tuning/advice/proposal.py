@@ -102,6 +102,7 @@ class Example:
 
     Attributes
     ----------
+    frame : SensorFrame
     contact : (H, W) bool array or None
         The proximity pixels in contact; None if nothing touches the membrane.
     known : (H, W) bool array or None
@@ -121,10 +122,12 @@ class Evidence:
     ----------
     preset : Preset
         The present preset.
+    rig : Rig
     frames : tuple of SensorFrame
         The newest frames, the present one last; at least one.
     untouched : SensorFrame or None
         A frame of the untouched membrane.
+    examples : tuple of Example
     """
 
     preset: Preset

@@ -58,6 +58,7 @@ def suggest(section: str, evidence: Evidence, progress: Progress = lambda share,
     ----------
     section : str
         One of `SECTIONS`.
+    evidence : Evidence
     progress : callable, optional
         Called with the finished share, 0 to 1, and a description. What it raises ends the computation.
 
@@ -83,6 +84,7 @@ def suggest_all(
 
     Parameters
     ----------
+    evidence : Evidence
     progress : callable, optional
         As for `suggest`.
     sections : collection of str, optional

@@ -29,7 +29,12 @@ CHECKS: Final[tuple[Callable[[Situation], Finding | None], ...]] = (
 
 
 class Examiner:
-    """Runs all checks on frames of one rig. For one thread at a time."""
+    """Runs all checks on frames of one rig. For one thread at a time.
+
+    Parameters
+    ----------
+    rig : Rig
+    """
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig

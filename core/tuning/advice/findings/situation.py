@@ -22,8 +22,11 @@ class Situation:
 
     Attributes
     ----------
+    frame : SensorFrame
     patch : ContactPatch
         That of the frame and preset.
+    preset : Preset
+    rig : Rig
     untouched : SensorFrame or None
         The stored untouched frame.
     untouched_patch : ContactPatch or None
