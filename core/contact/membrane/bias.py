@@ -168,7 +168,7 @@ def _with_prints(known: RigBias, differences: Differences, rig: Rig) -> RigBias:
     prints = differences.on_prints_m
     if known.measured or len(prints) < _MIN_PRINT_PIXELS:
         return replace(known, mean_m=known.mean_m - differences.bias_m)
-    some = differences.depth_m[_SOME]
+    some = differences.counts[_SOME] * differences.unit_m - np.float32(differences.bias_m)
     pixel_m = float(np.median(some[some > 0])) / rig.proximity.intrinsics.fx
     sigma_m = math.sqrt(known.noise_m4 / (len(prints) * pixel_m**2)) + _PRINT_SIGMA_M
     return replace(known, mean_m=float(np.median(prints)), sigma_m=sigma_m, measured=True)
