@@ -1,13 +1,12 @@
 """Compare the calibration with theoretical bounds and with other implementations, and print the numbers.
 
-    .venv/bin/python scripts/measure_calibration.py [coverage] [wrong] [bound] [lens] [patch] [unrelated]
+    .venv/bin/python scripts/measure_calibration.py [coverage] [wrong] [bound] [patch]
 
 Default: all of them. All random numbers are seeded.
 """
 
 from __future__ import annotations
 
-import itertools
 import re
 import sys
 import time
@@ -29,13 +28,11 @@ from simulated_clicks import (
     make_clicks,
 )
 from tactune.core.calibration.agreement import judge_agreement
-from tactune.core.calibration.correspondences import Correspondence
 from tactune.core.calibration.homography import fit_homography
 from tactune.core.calibration.quality import bound, membrane_places
 from tactune.core.calibration.report import USABLE_PX
 from tactune.core.calibration.rigid import fit_rigid, ray_seen
 from tactune.core.errors import CalibrationError
-from tactune.core.model.intrinsics import Distortion, Intrinsics
 from tactune.core.sources.simulator.scene import simulator_rig
 
 HOMOGRAPHY = np.array([[1.15, 0.02, -30], [-0.015, 1.18, -20], [2e-5, -3e-5, 1]])
@@ -422,52 +419,6 @@ def pose_error(pose, rig):
     return 1e3 * np.linalg.norm(pose[:3, 3] - true[:3, 3]), np.degrees(np.linalg.norm(turn))
 
 
-def unrelated_images():
-    """Return (scene, uint8 RGB) of the real images at hand: a chessboard room, a real scene, a recording."""
-    from tactune.core.sources.registry import open_source
-
-    found = [("boards", cv2.imread(str(path))[:, :, ::-1]) for path in sorted(BOARDS.glob("*.jpg"))[::4]]
-    for scene, source in (("pair", BOARDS.parent / "real_pair"), ("bag", BOARDS.parent / "realsense_bag")):
-        if source.is_dir():
-            for path in sorted([*source.glob("*_color.png"), *source.glob("*.bag")]):
-                if path.suffix == ".png":
-                    found.append((scene, cv2.imread(str(path))[:, :, ::-1]))
-                    continue
-                with open_source(str(path)) as opened:
-                    found.append((scene, opened.read(0).proximity_color))
-    return found
-
-
-def measure_unrelated():
-    """Texture of images that show different scenes: every pair of them must be refused or called poor."""
-    from tactune.core.calibration import calibrate
-    from tactune.core.calibration.texture import match_texture
-    from tactune.core.sources.registry import open_source
-
-    folder = BOARDS.parent / "real_pair"
-    if not folder.is_dir():
-        print(f"unrelated: {folder} is not here")
-        return
-    with open_source(f"folder:{folder}") as source:
-        rig, frame = source.rig, source.read(0)
-    told = {}
-    for (scene, seen), (other, color) in itertools.permutations(unrelated_images(), 2):
-        if scene == other:
-            continue
-        images = {
-            "proximity_color": np.ascontiguousarray(cv2.resize(color, rig.proximity_color_shape[::-1])),
-            "tactile_color": np.ascontiguousarray(cv2.resize(seen, rig.tactile.intrinsics.shape[::-1])),
-        }
-        for cameras in (rig, rig.model_copy(update={"T_proximity_tactile": None})):
-            try:
-                pairs = match_texture([replace(frame, **images)], cameras).pairs
-                word = calibrate(pairs, cameras).verdict.partition(":")[0]
-            except CalibrationError:
-                word = "refused"
-            told[word] = told.get(word, 0) + 1
-    print(f"unrelated images: {sum(told.values())} calibrations: {told}; none may be Good or Usable")
-
-
 def measure_patch():
     """Contact patch with the rigid alignment at its supported t against the homography at t = 0.03.
 
@@ -505,89 +456,11 @@ def measure_patch():
     print(f"patch, mean over objects and depths: rigid {rigid:.2f} mm, homography {plane:.2f} mm: {rigid / plane:.2f}")
 
 
-def bent_rig(tactile_k1, proximity_k1):
-    """Return the simulator's rig with radial distortion in the tactile and in both proximity lenses."""
-    rig = simulator_rig()
-
-    def bent(lens, k1):
-        return lens.model_copy(update={"distortion": Distortion.BROWN_CONRADY, "coefficients": (k1, 0, 0, 0, 0)})
-
-    return rig.with_lenses(
-        bent(rig.tactile.intrinsics, tactile_k1),
-        bent(rig.proximity.intrinsics, proximity_k1),
-        bent(rig.proximity_color.intrinsics, proximity_k1),
-    )
-
-
-def measure_lens():
-    """Radial distortion from pairs: coverage, false offers, two planes, and real boards judged on the other boards."""
-    from tactune.core.calibration.distortion import advise_distortion, two_planes
-
-    rig, trials = simulator_rig(), 300
-    for name, tactile, proximity in (("tactile", 1, 0), ("proximity", 0, 1), ("both", 1, 1), ("none", 0, 0)):
-        found, offered, scaled = 0, 0, []
-        for seed in range(trials):
-            rng = np.random.default_rng(seed)
-            k1 = rng.uniform(-0.4, 0.3, 2) * (tactile, proximity)
-            noise = ClickNoise(*[rng.uniform(0.3, 0.7)] * 2)
-            clicks = make_clicks(bent_rig(*k1), int(rng.choice([20, 30, 54, 100])), seed, noise)
-            advice = advise_distortion(clicks.correspondences(), rig)
-            found, offered = found + advice.found, offered + (advice.rig is not None)
-            if advice.rig is not None:
-                scaled += [
-                    (advice.k1[lens][0] - k) / advice.k1[lens][1]
-                    for lens, k in zip(("tactile", "proximity"), k1, strict=True)
-                ]
-        inside = f"{np.mean(np.abs(scaled) <= 2):.1%} of k1 within 2 sigma" if scaled else "no k1"
-        print(f"lens, distortion of {name}: found in {found}, offered in {offered} of {trials}; {inside}")
-    told = sum(bool(two_planes(pairs_on_two_planes(seed), rig)) for seed in range(100))
-    bent = sum(advise_distortion(pairs_on_two_planes(seed), rig).found for seed in range(100))
-    print(f"lens, two planes without distortion: called two planes in {told}, distortion in {bent} of 100")
-    lens = Intrinsics(width=640, height=480, fx=536, fy=536, cx=319.5, cy=239.5)
-    cameras = rig.with_lenses(lens, lens, lens)
-    real = list(boards().values())
-    for number, (a, b) in enumerate(real, 1):
-        pairs = [Correspondence(str(i), *v, *u) for i, (u, v) in enumerate(zip(a.tolist(), b.tolist(), strict=True))]
-        k1 = advise_distortion(pairs, cameras).k1
-        before, after = [], []
-        for other in (board for board in real if board[0] is not a):
-            for rms, k in ((before, 0.0), (after, None)):
-                sides = [straightened(p, lens, k if k is not None or not k1 else k1[name][0])
-                         for p, name in zip(other, ("tactile", "proximity"), strict=True)]  # fmt: skip
-                H, _ = cv2.findHomography(*sides, 0)
-                rms.append(np.sqrt((np.hypot(*(transfer(H, sides[0]) - sides[1]).T) ** 2).mean()))
-        values = ", ".join(f"{name} {k:.3f} +- {sigma:.3f}" for name, (k, sigma) in k1.items()) or "none found"
-        print(f"lens, board {number}: k1 {values}; other boards {np.mean(before):.2f} -> {np.mean(after):.2f} px RMS")
-
-
-def straightened(pixels, lens, k1):
-    """Remove radial distortion from pixels (N, 2)."""
-    K = lens.camera_matrix()
-    return cv2.undistortPoints(pixels[:, None].astype(float), K, np.array([k1, 0, 0, 0]), P=K)[:, 0]
-
-
-def pairs_on_two_planes(seed):
-    """Return 54 pairs on two frontal planes, 15 to 60 mm apart, with 0.5 px noise."""
-    from simulated_clicks import project_points
-
-    rng, rig = np.random.default_rng(seed), simulator_rig()
-    across = rng.uniform((-0.12, -0.08), (0.16, 0.08), (54, 2))
-    depth = np.where(np.arange(54) % 2, 0.27, 0.27 + rng.uniform(0.015, 0.06))
-    seen = project_points(np.column_stack([across, depth]), rig, np.zeros(54, bool))
-    noisy = np.column_stack([seen.proximity, seen.tactile]) + rng.normal(0, 0.5, (54, 4))
-    return [
-        Correspondence(str(i), *row, d)
-        for i, (row, d) in enumerate(zip(noisy.tolist(), seen.tactile_depth_m, strict=True))
-    ]
-
-
 MEASUREMENTS = {
     "coverage": measure_coverage,
     "wrong": measure_wrong,
     "bound": measure_bound,
-    "lens": measure_lens,
     "patch": measure_patch,
-    "unrelated": measure_unrelated,
 }
 
 if __name__ == "__main__":

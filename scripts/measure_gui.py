@@ -124,7 +124,7 @@ class Meter(QObject):
             f"points            median {np.median(points):.0f}, most {max(points)}",
             f"heartbeat gap     {_spread(self.gaps_ms)} ms ({HEARTBEAT_MS} ms timer)",
             f"processor         {1e3 * self._cpu_s / shown:.2f} ms per frame shown, all threads; "
-            f"{1e3 * self._reading_s / shown:.2f} ms of them on the reading thread (decoding, the noise of the simulator)",
+            f"{1e3 * self._reading_s / shown:.2f} ms of them on the thread that reads (decodes, adds noise)",
             "milliseconds per frame, by the clock:",
             *(f"  {stage:<22}{_spread(values)}" for stage, values in stages.items()),
         ]

@@ -2,7 +2,7 @@
 
 Three states follow each other: nothing published, published without a client, and a client with all topics. For each:
 frames shown and published in a second, and the processor time of the whole process per processed frame, which hardly
-depends on other load. The client speaks WebSocket by hand and throws the bytes away, as a quick one would::
+depends on other load. The client throws the bytes away, as a quick one would::
 
     QT_QPA_PLATFORM=offscreen python scripts/measure_serve.py --source live:sim:cup --seconds 15
 """
@@ -10,10 +10,8 @@ depends on other load. The client speaks WebSocket by hand and throws the bytes 
 from __future__ import annotations
 
 import argparse
-import base64
 import json
 import os
-import socket
 import struct
 import subprocess
 import sys
@@ -21,9 +19,10 @@ import tempfile
 import time
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 from PyQt6.QtCore import QTimer
+from websockets.sync.client import connect
+from websockets.typing import Subprotocol
 
 from tactune.app.cli.common import default_preset
 from tactune.app.gui import make_application
@@ -98,34 +97,22 @@ class Measurement:
 def take_all(port: int, seconds: float) -> str:
     """Wait for a line on standard input, subscribe to every topic, read for some seconds, and return what came."""
     sys.stdin.readline()
-    with socket.create_connection(("127.0.0.1", port)) as connection:
-        key = base64.b64encode(os.urandom(16)).decode()
-        connection.sendall(
-            f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-            f"Sec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\n"
-            "Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n".encode()
-        )
-        stream = connection.makefile("rb", buffering=2**20)
-        while stream.readline() != b"\r\n":
-            pass
-        spent_s = time.process_time()
-        topics: dict[int, str] = {}
-        counts: Counter[str] = Counter()
-        total, end_s, began_s, buffer = 0, time.monotonic() + seconds, time.monotonic(), memoryview(bytearray(2**23))
+    topics: dict[int, str] = {}
+    counts: Counter[str] = Counter()
+    total = 0
+    with connect(f"ws://127.0.0.1:{port}", subprotocols=[Subprotocol("foxglove.sdk.v1")], max_size=None) as server:
+        spent_s, began_s = time.process_time(), time.monotonic()
+        end_s = began_s + seconds
         while time.monotonic() < end_s:
-            payload = buffer[: _length(stream)]
-            stream.readinto(payload)
-            if not payload:  # a ping
-                continue
-            if payload[0] == ord("{"):
-                text = json.loads(bytes(payload))
-                if text["op"] == "advertise":
-                    topics |= {channel["id"]: channel["topic"] for channel in text["channels"]}
-                    _send(connection, {"op": "subscribe", "subscriptions": [{"id": i, "channelId": i} for i in topics]})
-                    began_s = time.monotonic()
-                continue
-            counts[topics[struct.unpack_from("<xI", payload)[0]]] += 1
-            total += len(payload)
+            message = server.recv()
+            if isinstance(message, bytes):
+                counts[topics[struct.unpack_from("<xI", message)[0]]] += 1
+                total += len(message)
+            elif (told := json.loads(message))["op"] == "advertise":
+                topics |= {channel["id"]: channel["topic"] for channel in told["channels"]}
+                wanted = [{"id": number, "channelId": number} for number in topics]
+                server.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+                began_s = time.monotonic()
         took_s = time.monotonic() - began_s
     frames = max(counts["/tactune/frame"], 1)
     return (
@@ -134,19 +121,6 @@ def take_all(port: int, seconds: float) -> str:
         f"{total / took_s / 1e6:.0f} MB/s, {1e3 * (time.process_time() - spent_s) / frames:.1f} ms of its own "
         "processor time per frame"
     )
-
-
-def _length(stream: Any) -> int:
-    """Read the head of a WebSocket frame and return the length of its payload."""
-    length = stream.read(2)[1]
-    if length < 126:
-        return int(length)
-    return int.from_bytes(stream.read(2 if length == 126 else 8), "big")
-
-
-def _send(connection: socket.socket, message: dict[str, Any]) -> None:
-    data = json.dumps(message).encode()
-    connection.sendall(b"\x81" + struct.pack(">BH", 0x80 | 126, len(data)) + bytes(4) + data)
 
 
 def main() -> None:
