@@ -25,7 +25,7 @@ from ..model.intrinsics import Distortion, Intrinsics
 from .correspondences import Correspondence, on_a_line, pixel_arrays
 from .homography import CLICK_SIGMA_PX
 from .quality import membrane_places
-from .rigid import color_lens, color_pose, ray_seen, solve_pose
+from .rigid import color_lens, ray_seen, solve_pose, to_color
 
 #: Fewer pairs in an image estimate no distortion of its lens.
 MIN_PAIRS = 16
@@ -222,8 +222,7 @@ class _Pairs:
         for name, which in (("proximity", ~self.color), ("color", self.color)):
             seen = points[which]
             if name == "color" and self.depth_m is not None:
-                T_color_depth = color_pose(self.rig)
-                seen = seen @ T_color_depth[:3, :3].T + T_color_depth[:3, 3]
+                seen = to_color(self.rig, seen)
             predicted[which] = _pixels(lenses[name], seen, k.get(name))
         return np.asarray(np.nan_to_num(self.proximity - predicted, nan=1e3, posinf=1e3, neginf=-1e3))
 

@@ -1,82 +1,20 @@
-"""A model to be fitted to pairs, and its fit: what the homography and the rigid alignment have in common."""
+"""A model fitted to pairs: what the fits of the homography and of the rigid alignment have in common."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
-from ..model.arrays import BoolArray, Float64Array, IndexArray
-from .maximum_likelihood import Linearised, Measurements, Solution, condition_number, examine, inverse_information
+from ..model.arrays import BoolArray, Float64Array
+from .maximum_likelihood import Problem, Solution, condition_number, examine, inverse_information
 
 #: Weight of the stated noise beside the observed one, in degrees of freedom.
 STATED_DEGREES = 12.0
 #: Pairs on which a rival of this weight differs are doubtful. No correct set of 6 to 12 pairs in 300 has one.
 _DOUBTFUL = 0.01
-
-
-class Problem(ABC):
-    """A model for the robust fit; its parameters are a vector theta (P,).
-
-    Attributes
-    ----------
-    names : sequence of str
-        Names of the pairs, for messages.
-    noise_px : float
-        Noise of a residual if the stated one is right, pixels.
-    square_pixels : float64, shape (N,)
-        Square pixels per square unit of ``seen``.
-    area : float
-        Area over which wrong points are distributed, pixels squared.
-    largest_px, largest_rms_px : float
-        Largest residual of an inlier, and largest RMS residual of an alignment, pixels.
-    """
-
-    name: str
-    sample_size: int
-    measurements: Measurements
-    names: Sequence[str]
-    noise_px: float
-    square_pixels: Float64Array
-    area: float
-    largest_px: float
-    largest_rms_px: float
-
-    @abstractmethod
-    def linearise(self, theta: Float64Array, places: Float64Array, camera: IndexArray) -> Linearised:
-        """Predict ``seen`` of places, with derivatives."""
-
-    def prior(self, theta: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """Return no prior knowledge of theta."""
-        return np.zeros(0), np.zeros((0, len(theta)))
-
-    @abstractmethod
-    def start(self, used: BoolArray) -> Float64Array | None:
-        """Return an initial theta from some pairs, or None if they determine none."""
-
-    @abstractmethod
-    def hypotheses(self, samples: IndexArray) -> list[Float64Array]:
-        """Return the models of index samples (M, sample_size)."""
-
-    @abstractmethod
-    def residuals_px(self, theta: Float64Array) -> Float64Array:
-        """Return each pair's distance in proximity pixels, shape (N,), quickly."""
-
-    @abstractmethod
-    def residual_vectors_px(self, theta: Float64Array) -> Float64Array:
-        """Return clicked minus predicted pixel of each pair, shape (N, 2), exactly."""
-
-    @abstractmethod
-    def predict(self, theta: Float64Array, places: Float64Array) -> Float64Array:
-        """Map places (tactile u, v, and depth where it counts) to proximity pixels (N, 2)."""
-
-    @abstractmethod
-    def sensitivity(self, theta: Float64Array, places: Float64Array) -> Float64Array:
-        """Return the derivative of `predict` by theta, shape (N, 2, P)."""
 
 
 @dataclass(frozen=True, eq=False)

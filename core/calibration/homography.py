@@ -17,8 +17,8 @@ import numpy.typing as npt
 from ..errors import CalibrationError
 from ..model.arrays import BoolArray, Float64Array, IndexArray
 from .correspondences import check_pairs, spread
-from .fit import Fit, Problem
-from .maximum_likelihood import Linearised, Measurements
+from .fit import Fit
+from .maximum_likelihood import Linearised, Measurements, Problem
 from .robust import fit_robustly
 
 #: Standard deviation of a careful click with magnifier, pixels.
@@ -53,27 +53,20 @@ class HomographyProblem(Problem):
     name = "homography"
     sample_size = _SAMPLE
 
-    def __init__(
-        self,
-        tactile: Float64Array,
-        proximity: Float64Array,
-        sigma_tactile: float,
-        sigma_proximity: float,
-        names: Sequence[str] | None,
-    ) -> None:
+    def __init__(self, tactile: Float64Array, proximity: Float64Array, names: Sequence[str] | None) -> None:
         self.names = names or [str(number) for number in range(1, len(tactile) + 1)]
         self.tactile_center, self.tactile_scale = normalisation(tactile)
         self.proximity_center, self.proximity_scale = normalisation(proximity)
         count, unit = len(tactile), np.eye(2)
         self.measurements = Measurements(
             self.to_normal_tactile(tactile),
-            np.broadcast_to(unit * (sigma_tactile * self.tactile_scale) ** 2, (count, 2, 2)),
+            np.broadcast_to(unit * (CLICK_SIGMA_PX * self.tactile_scale) ** 2, (count, 2, 2)),
             (proximity - self.proximity_center) * self.proximity_scale,
-            np.broadcast_to(unit * (sigma_proximity * self.proximity_scale) ** 2, (count, 2, 2)),
+            np.broadcast_to(unit * (CLICK_SIGMA_PX * self.proximity_scale) ** 2, (count, 2, 2)),
             np.zeros(count, np.intp),
         )
         self.square_pixels = np.full(count, self.proximity_scale**-2.0)
-        self.noise_px = float(np.hypot(sigma_tactile * self.tactile_scale / self.proximity_scale, sigma_proximity))
+        self.noise_px = float(np.hypot(CLICK_SIGMA_PX * self.tactile_scale / self.proximity_scale, CLICK_SIGMA_PX))
         extent, self.area = spread(proximity)
         self.largest_px, self.largest_rms_px = np.inf, _MAX_RMS_SHARE * extent
 
@@ -148,8 +141,6 @@ def fit_homography(
     tactile: npt.ArrayLike,
     proximity: npt.ArrayLike,
     *,
-    sigma_tactile_px: float = CLICK_SIGMA_PX,
-    sigma_proximity_px: float = CLICK_SIGMA_PX,
     use: npt.ArrayLike | None = None,
     names: Sequence[str] | None = None,
 ) -> HomographyFit:
@@ -159,9 +150,6 @@ def fit_homography(
     ----------
     tactile, proximity : array_like, shape (N, 2)
         Clicked pixels.
-    sigma_tactile_px, sigma_proximity_px : float
-        Click noise. Their ratio weighs both sides; their size is replaced by the observed noise if there are surplus
-        pairs.
     use : bool, shape (N,), optional
         Inliers, if already known.
     names : sequence of str, optional
@@ -174,7 +162,7 @@ def fit_homography(
         one homography.
     """
     tactile, proximity = check_pairs(tactile, proximity, _SAMPLE, "homography")
-    problem = HomographyProblem(tactile, proximity, sigma_tactile_px, sigma_proximity_px, names)
+    problem = HomographyProblem(tactile, proximity, names)
     fit = fit_robustly(problem, None if use is None else np.asarray(use, bool))
     _refuse_mirrored(problem, fit.solution.theta, fit.used)
     return HomographyFit(problem, fit.solution, fit.used, fit.rivals)

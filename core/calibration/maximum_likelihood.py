@@ -13,8 +13,9 @@ derivatives of f by theta and by x, the residual ``r = seen - f - B (known - x)`
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -67,17 +68,64 @@ class Measurements:
         return Measurements(**{name: values[which] for name, values in vars(self).items()})
 
 
-class Likelihood(Protocol):
-    """A model with its measurements."""
+class Problem(ABC):
+    """A model for the robust fit; its parameters are a vector theta (P,).
+
+    Attributes
+    ----------
+    names : sequence of str
+        Names of the pairs, for messages.
+    noise_px : float
+        Noise of a residual if the stated one is right, pixels.
+    square_pixels : float64, shape (N,)
+        Square pixels per square unit of ``seen``.
+    area : float
+        Area over which wrong points are distributed, pixels squared.
+    largest_px, largest_rms_px : float
+        Largest residual of an inlier, and largest RMS residual of an alignment, pixels.
+    """
 
     name: str
+    sample_size: int
     measurements: Measurements
+    names: Sequence[str]
+    noise_px: float
+    square_pixels: Float64Array
+    area: float
+    largest_px: float
+    largest_rms_px: float
 
+    @abstractmethod
     def linearise(self, theta: Float64Array, places: Float64Array, camera: IndexArray) -> Linearised:
-        """Predict what the cameras see of places, with derivatives."""
+        """Predict ``seen`` of places, with derivatives."""
 
     def prior(self, theta: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """Return whitened residuals (Q,) of what is known of theta beforehand, and their derivative (Q, P)."""
+        """Return no prior knowledge of theta."""
+        return np.zeros(0), np.zeros((0, len(theta)))
+
+    @abstractmethod
+    def start(self, used: BoolArray) -> Float64Array | None:
+        """Return an initial theta from some pairs, or None if they determine none."""
+
+    @abstractmethod
+    def hypotheses(self, samples: IndexArray) -> list[Float64Array]:
+        """Return the models of index samples (M, sample_size)."""
+
+    @abstractmethod
+    def residuals_px(self, theta: Float64Array) -> Float64Array:
+        """Return each pair's distance in proximity pixels, shape (N,), quickly."""
+
+    @abstractmethod
+    def residual_vectors_px(self, theta: Float64Array) -> Float64Array:
+        """Return clicked minus predicted pixel of each pair, shape (N, 2), exactly."""
+
+    @abstractmethod
+    def predict(self, theta: Float64Array, places: Float64Array) -> Float64Array:
+        """Map places (tactile u, v, and depth where it counts) to proximity pixels (N, 2)."""
+
+    @abstractmethod
+    def sensitivity(self, theta: Float64Array, places: Float64Array) -> Float64Array:
+        """Return the derivative of `predict` by theta, shape (N, 2, P)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +168,7 @@ class Residuals:
         return np.asarray(root @ self.by_theta), np.asarray((root @ self.residual[:, :, None])[:, :, 0])
 
 
-def residuals_at(problem: Likelihood, theta: Float64Array, data: Measurements) -> Residuals:
+def residuals_at(problem: Problem, theta: Float64Array, data: Measurements) -> Residuals:
     """Return the residuals of measurements, each at its most likely place."""
     places = data.known
     for _ in range(_INNER_STEPS):
@@ -136,7 +184,7 @@ def residuals_at(problem: Likelihood, theta: Float64Array, data: Measurements) -
     return Residuals(residual, np.asarray(weight, np.float64), by_theta)
 
 
-def maximise(problem: Likelihood, used: BoolArray, start: Float64Array) -> Solution:
+def maximise(problem: Problem, used: BoolArray, start: Float64Array) -> Solution:
     """Find the most likely theta (P,) of the used pairs, from an initial one.
 
     Raises
@@ -204,7 +252,7 @@ class Examined:
     information: Float64Array
 
 
-def examine(problem: Likelihood, solution: Solution, used: BoolArray) -> Examined:
+def examine(problem: Problem, solution: Solution, used: BoolArray) -> Examined:
     """Judge all pairs, N of them, by a solution fitted to the used ones.
 
     The covariance of the residual is ``W - A C A^T`` for a pair that the fit used (Cook and Weisberg, *Residuals and

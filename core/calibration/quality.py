@@ -154,14 +154,7 @@ class PatchEffect:
     supported_tolerance: float
 
 
-def patch_effect(
-    lateral_mm: npt.ArrayLike,
-    along_mm: npt.ArrayLike,
-    distance_m: npt.ArrayLike,
-    *,
-    proximity_noise_m: float = PROXIMITY_NOISE_M,
-    tactile_noise_m: float = TACTILE_NOISE_M,
-) -> PatchEffect:
+def patch_effect(lateral_mm: npt.ArrayLike, along_mm: npt.ArrayLike, distance_m: npt.ArrayLike) -> PatchEffect:
     """Propagate alignment errors to the contact test ``|dp - dt| <= t dp``.
 
     A lateral error l reads the tactile depth beside the right place; on a membrane of slope m this changes dt by
@@ -180,7 +173,7 @@ def patch_effect(
     proximity_noise_m, tactile_noise_m : float
     """
     lateral, along = np.asarray(lateral_mm, np.float64), np.asarray(along_mm, np.float64)
-    sensors = (proximity_noise_m**2 + tactile_noise_m**2) * 1e6
+    sensors = (PROXIMITY_NOISE_M**2 + TACTILE_NOISE_M**2) * 1e6
     variance = along**2 + (MEMBRANE_SLOPE * lateral) ** 2 / 2 + sensors
     relative = variance / (np.asarray(distance_m, np.float64) * 1e3) ** 2
     return PatchEffect(

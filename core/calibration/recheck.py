@@ -86,9 +86,9 @@ def recheck(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
     pose = _present_pose(preset, rig)
     record = section.calibration
     stored = np.array([[p.tactile_u, p.tactile_v] for p in record.points if p.enabled] if record else []).reshape(-1, 2)
-    points, found_again = measure_pairs(frame, rig, pose)[0], 0
+    points, found_again = measure_pairs(frame, rig, pose), 0
     if len(stored):
-        again, _ = measure_pairs(frame, rig, pose, stored)
+        again = measure_pairs(frame, rig, pose, stored)
         points, found_again = RigidPoints.joined([again, points]), len(again.tactile)
     if len(points.tactile) < _MIN_FOUND:
         raise CalibrationError(

@@ -25,9 +25,9 @@ from ..model.arrays import AnyArray, BoolArray, Float64Array, IndexArray
 from ..model.frames import Rig
 from ..model.intrinsics import Intrinsics
 from .correspondences import check_space, on_a_line, spread
-from .fit import Fit, Problem, Rival
+from .fit import Fit, Rival
 from .homography import CLICK_SIGMA_PX
-from .maximum_likelihood import UNMEASURED, Linearised, Measurements
+from .maximum_likelihood import UNMEASURED, Linearised, Measurements, Problem
 from .robust import fit_robustly
 
 #: Which correction of the tactile depth is fitted.
@@ -278,12 +278,11 @@ class RigidProblem(Problem):
         self,
         points: RigidPoints,
         rig: Rig,
-        sigmas: tuple[float, float, float],
+        click_sigma_px: float,
         depth_fit: DepthFit,
         names: Sequence[str] | None,
         observed: float,
     ) -> None:
-        sigma_tactile_px, sigma_proximity_px, sigma_depth_m = sigmas
         self.observed = observed
         self.names = names or [str(number) for number in range(1, len(points.tactile) + 1)]
         self.points, self.rig, self.free = points, rig, _FREE[depth_fit]
@@ -294,14 +293,14 @@ class RigidProblem(Problem):
         self.size = 3 if self.measures_depth else 2
 
         known_covariance = np.zeros((count, 3, 3))
-        known_covariance[:, :2, :2] = ray_covariance(rig.tactile.intrinsics, points.tactile, sigma_tactile_px)
-        known_covariance[:, 2, 2] = sigma_depth_m**2
+        known_covariance[:, :2, :2] = ray_covariance(rig.tactile.intrinsics, points.tactile, click_sigma_px)
+        known_covariance[:, 2, 2] = TACTILE_DEPTH_SIGMA_M**2
         seen = np.zeros((count, self.size))
         seen_covariance = np.zeros((count, self.size, self.size))
         for lens, which in ((rig.proximity.intrinsics, ~points.in_color), (color_lens(rig), points.in_color)):
             clicks = points.proximity[which]
             seen[which, :2] = ray_seen(lens, clicks)
-            seen_covariance[which, :2, :2] = ray_covariance(lens, clicks, sigma_proximity_px)
+            seen_covariance[which, :2, :2] = ray_covariance(lens, clicks, click_sigma_px)
         if self.measures_depth:
             measured = np.isfinite(points.proximity_depth_m)
             seen[:, 2] = np.where(measured, points.proximity_depth_m, 0.0)
@@ -318,7 +317,7 @@ class RigidProblem(Problem):
         )
         self.square_pixels = self.focal.prod(axis=1)
         ratio = self.focal.mean() / np.mean([rig.tactile.intrinsics.fx, rig.tactile.intrinsics.fy])
-        self.noise_px = float(np.hypot(sigma_tactile_px * ratio, sigma_proximity_px))
+        self.noise_px = float(np.hypot(click_sigma_px * ratio, click_sigma_px))
         self.space = np.column_stack([rays * points.tactile_depth_m[:, None], points.tactile_depth_m])
         self.start_rays = self._rays_of_depth_camera()
         _, self.area = spread(points.proximity)
@@ -460,9 +459,7 @@ def fit_rigid(
     points: RigidPoints,
     rig: Rig,
     *,
-    sigma_tactile_px: float = CLICK_SIGMA_PX,
-    sigma_proximity_px: float = CLICK_SIGMA_PX,
-    sigma_depth_m: float = TACTILE_DEPTH_SIGMA_M,
+    click_sigma_px: float = CLICK_SIGMA_PX,
     depth_fit: DepthFit = "none",
     like: RigidFit | None = None,
     names: Sequence[str] | None = None,
@@ -474,9 +471,9 @@ def fit_rigid(
     points : RigidPoints
     rig : Rig
         Lenses and the colour camera's extrinsic.
-    sigma_tactile_px, sigma_proximity_px, sigma_depth_m : float
-        Noise of clicks and of the tactile depth. Their ratios weigh the measurements; their common size is replaced by
-        the observed noise if there are surplus pairs.
+    click_sigma_px : float
+        Noise of the clicks. Beside that of the tactile depth it weighs the measurements; the size of both is replaced
+        by the observed noise if there are surplus pairs.
     depth_fit : {"none", "offset", "scale", "both"}
         Corrections of the tactile depth that are also fitted.
     like : RigidFit, optional
@@ -493,13 +490,13 @@ def fit_rigid(
     least = MIN_POINTS + (1 if free else 0)
     name = f"rigid alignment{' with depth correction' if free else ''}"
     check_space(points.places, points.proximity, least, name)
-    sigmas, observed = (sigma_tactile_px, sigma_proximity_px, sigma_depth_m), 1.0
+    observed = 1.0
     known: BoolArray | None = None
     rivals: tuple[Rival, ...] = ()
     if like is not None:
         known, observed = like.used, like.noise_factor
     for _ in range(_NOISE_ROUNDS if free and like is None else 1):
-        problem = RigidProblem(points, rig, sigmas, depth_fit, names, observed)
+        problem = RigidProblem(points, rig, click_sigma_px, depth_fit, names, observed)
         fit = fit_robustly(problem, known)
         rivals = fit.rivals or rivals  # only the first round looks for them
         known, observed = fit.used, max(fit.noise_factor, _MIN_NOISE)

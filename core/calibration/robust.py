@@ -25,8 +25,8 @@ from scipy.special import gammaln
 from ..errors import CalibrationError
 from ..model.arrays import BoolArray, Float64Array, IndexArray
 from .correspondences import listed
-from .fit import STATED_DEGREES, Fit, Problem, Rival
-from .maximum_likelihood import Solution, condition_number, examine, maximise
+from .fit import STATED_DEGREES, Fit, Rival
+from .maximum_likelihood import Problem, Solution, condition_number, examine, maximise
 
 #: Smallest share of inliers; with fewer, the outliers might be the right ones.
 MIN_INLIER_SHARE = 0.55

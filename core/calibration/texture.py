@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from scipy.ndimage import map_coordinates
 
 from ..errors import CalibrationError
 from ..model.arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint8Array
+from ..model.clouds import valid_depth
 from ..model.frames import Rig, SensorFrame
 from .correspondences import Correspondence
 from .detect import to_gray
@@ -117,7 +117,7 @@ class _View:
         self.number = number
         self.tactile = _textured(frame.tactile_color)
         self.proximity = _textured(frame.proximity_color)
-        valid = (frame.tactile_depth > 0) & (frame.tactile_depth < 65535)
+        valid = valid_depth(frame.tactile_depth)
         self.depth_m = _filled(frame.tactile_depth.astype(np.float64) * rig.tactile.depth_unit_m, valid)
         self._counts, self._unit = frame.tactile_depth, rig.tactile.depth_unit_m
         if places is None:
@@ -134,9 +134,7 @@ class _View:
         return np.array([np.nan if depth is None else depth for depth in found], dtype=np.float64)
 
 
-def measure_pairs(
-    frame: SensorFrame, rig: Rig, pose: Pose, places: npt.ArrayLike | None = None
-) -> tuple[RigidPoints, Float64Array]:
+def measure_pairs(frame: SensorFrame, rig: Rig, pose: Pose, places: Float64Array | None = None) -> RigidPoints:
     """Locate places of the tactile image in the proximity colour image.
 
     Parameters
@@ -146,23 +144,20 @@ def measure_pairs(
     rig : Rig
     pose : Pose
         Correct to about 10 pixels.
-    places : array_like, shape (N, 2), optional
+    places : float64, shape (N, 2), optional
         Tactile pixels; default: all places with texture.
 
     Returns
     -------
-    RigidPoints and correlation, (M,)
+    RigidPoints
         Places with depth that were found in the colour image.
     """
-    chosen = None if places is None else np.asarray(places, np.float64).reshape(-1, 2)
-    found = _guided_view(_View(0, frame, rig, chosen), rig, pose)
-    return found.points, found.likeness
+    return _guided_view(_View(0, frame, rig, places), rig, pose).points
 
 
 def _guided(views: list[_View], rig: Rig, pose: Pose) -> _Found:
     """Warp each view, measure the remaining offset of each feature, and keep those with high correlation."""
-    parts = [_guided_view(view, rig, pose) for view in views]
-    return _joined(parts)
+    return _joined([_guided_view(view, rig, pose) for view in views])
 
 
 def _guided_view(view: _View, rig: Rig, pose: Pose) -> _Found:
@@ -243,13 +238,12 @@ def _fit(found: _Found, rig: Rig) -> RigidFit:
             f"only {len(found.points.tactile)} places look alike in both colour images, {_MIN_PAIRS} are needed; "
             "light the membrane evenly, average more frames, or click the points"
         )
-    return fit_rigid(found.points, rig, sigma_tactile_px=_MATCH_SIGMA_PX, sigma_proximity_px=_MATCH_SIGMA_PX)
+    return fit_rigid(found.points, rig, click_sigma_px=_MATCH_SIGMA_PX)
 
 
 def _proposed(found: _Found, fit: RigidFit, rig: Rig) -> TextureMatches:
     points = found.points
     order = np.flatnonzero(fit.used)[np.argsort(-found.likeness[fit.used], kind="stable")]
-    image = "color" if rig.proximity_color is not None else "depth"
     pairs = tuple(
         Correspondence(
             id=f"t{rank + 1}",
@@ -258,7 +252,7 @@ def _proposed(found: _Found, fit: RigidFit, rig: Rig) -> TextureMatches:
             tactile_u=float(points.tactile[i, 0]),
             tactile_v=float(points.tactile[i, 1]),
             tactile_depth_m=float(points.tactile_depth_m[i]),
-            proximity_image="color" if image == "color" else "depth",
+            proximity_image="depth" if rig.proximity_color is None else "color",
             snapshot=int(found.view[i]),
         )
         for rank, i in enumerate(order)

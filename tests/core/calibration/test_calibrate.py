@@ -8,7 +8,7 @@ import pytest
 
 from simulated_clicks import ClickNoise, judged_places, make_clicks
 from tactune.core.calibration import Correspondence, calibrate
-from tactune.core.calibration.quality import patch_effect
+from tactune.core.calibration.quality import PROXIMITY_NOISE_M, TACTILE_NOISE_M, patch_effect
 from tactune.core.calibration.recheck import replacement
 from tactune.core.calibration.report import place_name
 from tactune.core.calibration.rigid import MIN_POINTS
@@ -161,11 +161,11 @@ def test_the_expected_error_is_the_one_that_happens(rig, seeds):
 
 
 def test_the_tolerance_follows_its_formula():
-    effect = patch_effect([2.0], [1.0], [0.25], proximity_noise_m=0.0, tactile_noise_m=0.0)
-    assert effect.supported_tolerance == pytest.approx(1.96 * np.sqrt(1 + 0.5) / 250)
+    sensors = 1e6 * (PROXIMITY_NOISE_M**2 + TACTILE_NOISE_M**2)
+    effect = patch_effect([2.0], [1.0], [0.25])
+    assert effect.supported_tolerance == pytest.approx(1.96 * np.sqrt(1 + 0.5 + sensors) / 250)
     assert effect.boundary_mm == pytest.approx(np.sqrt(5))
-    quiet = patch_effect([0.0], [0.0], [0.3], proximity_noise_m=0.001, tactile_noise_m=0.0)
-    assert quiet.supported_tolerance == pytest.approx(1.96 / 300)
+    assert patch_effect([0.0], [0.0], [0.3]).supported_tolerance == pytest.approx(1.96 * np.sqrt(sensors) / 300)
 
 
 @pytest.mark.parametrize(
