@@ -158,7 +158,8 @@ def patch_effect(lateral_mm: npt.ArrayLike, along_mm: npt.ArrayLike, distance_m:
     """Propagate alignment errors to the contact test ``|dp - dt| <= t dp``.
 
     A lateral error l reads the tactile depth beside the right place; on a membrane of slope m this changes dt by
-    ``m l``. An error a along the line of sight changes dp by a. Both sensors add noise. At true contact:
+    ``m l``. An error a along the line of sight changes dp by a. Both sensors add noise,
+    `PROXIMITY_NOISE_M` (n_p) and `TACTILE_NOISE_M` (n_t). At true contact:
 
         s_i^2 = a_i^2 + (m l_i)^2 / 2 + n_p^2 + n_t^2,        t = 1.96 sqrt(mean (s_i / d_i)^2)
 
@@ -170,7 +171,6 @@ def patch_effect(lateral_mm: npt.ArrayLike, along_mm: npt.ArrayLike, distance_m:
     lateral_mm, along_mm : array_like, shape (M,)
         Expected alignment error over the membrane, root mean square.
     distance_m : array_like, shape (M,)
-    proximity_noise_m, tactile_noise_m : float
     """
     lateral, along = np.asarray(lateral_mm, np.float64), np.asarray(along_mm, np.float64)
     sensors = (PROXIMITY_NOISE_M**2 + TACTILE_NOISE_M**2) * 1e6
