@@ -3,6 +3,7 @@
 # The OpenGL tests need a display, and Qt allows one platform per process: they run first, under Xvfb.
 # The last line is the sum of all runs: "N passed, N failed, N skipped".
 set -uo pipefail
+unset PYTHONDONTWRITEBYTECODE  # tests start hundreds of processes, and pytest rewrites each test file in each of its own
 logs=$(mktemp -d)
 trap 'rm -rf "$logs"' EXIT
 status=0

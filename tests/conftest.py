@@ -15,7 +15,8 @@ from typing import Any
 import platformdirs
 import pytest
 from hypothesis import settings
-from numba.core.caching import IndexDataCacheFile
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.dispatcher import Dispatcher
 
 from coarse_scenes import solve_coarsely
 from commands import Finished
@@ -47,18 +48,22 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-def _save_locked(save: Callable[..., None]) -> Callable[..., None]:
-    """Let one process at a time extend numba's index of a kernel; two at once could mix up their machine code."""
+def _compile_locked(compile_kernel: Callable[..., Any]) -> Callable[..., Any]:
+    """Let one process at a time compile a kernel; the others wait and find the machine code on the disk."""
 
-    def locked(self: Any, key: Any, data: Any) -> None:
-        with Path(self._index_path).with_name(".lock").open("w") as lock:
+    def locked(self: Any, signature: Any) -> Any:
+        if not hasattr(self._cache, "_cache_file"):
+            return compile_kernel(self, signature)
+        path = Path(self._cache._cache_file._index_path).with_suffix(".lock")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with global_compiler_lock, path.open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
-            save(self, key, data)
+            return compile_kernel(self, signature)
 
     return locked
 
 
-IndexDataCacheFile.save = _save_locked(IndexDataCacheFile.save)
+Dispatcher.compile = _compile_locked(Dispatcher.compile)
 
 
 @pytest.fixture(scope="session")
