@@ -72,11 +72,22 @@ def find(qtbot, tab):
     qtbot.waitUntil(lambda: tab.tracked is not None, timeout=30_000)
 
 
-def test_the_unit_of_the_mesh_is_told_by_its_size_and_said(tab):
+def test_a_mesh_is_opened_refused_or_taken_from_the_simulator(qtbot, tab, source, tmp_path):
+    model = tab.model
     assert "cup.stl was read in mm: 107 x 92 x 74 mm" in tab.messages.sentences()[-1]
-    assert np.ptp(tab.model.mesh.vertices_m[:, 0]) == pytest.approx(0.107, abs=0.002)
+    assert np.ptp(model.mesh.vertices_m[:, 0]) == pytest.approx(0.107, abs=0.002)
     assert tab.views.model.point_count() > 5000
     assert "Press Find" in tab.guide.text()
+    (tmp_path / "broken.stl").write_text("no mesh", encoding="ascii")
+    tab.open_mesh(tmp_path / "broken.stl")
+    qtbot.waitUntil(lambda: any("roken.stl" in sentence for sentence in tab.messages.sentences()))
+    assert tab.model is model and not tab.progress.isVisible()
+    QTest.mouseClick(tab.simulated, LEFT)
+    qtbot.waitUntil(lambda: tab.model.mesh.name == "cup")
+    np.testing.assert_array_equal(tab.model.mesh.vertices_m, simulated_mesh(source.scene, source.name).vertices_m)
+    tab.unit.setFocus()
+    QTest.keyClick(tab.unit, Qt.Key.Key_Down)
+    assert not tab.progress.isVisible(), "another unit reads the file that was open before"
 
 
 def test_the_cup_is_found_followed_exported_lost_and_found_again(qtbot, tab, source, tmp_path, cup_file):
@@ -187,23 +198,6 @@ def test_a_search_of_the_whole_patch_ends_where_its_progress_raises(tab):
     with pytest.raises(InterruptedError):
         FrameTracker(tab.model.mesh, None).find(tab.main.result, stop)
     assert shares == sorted(shares) and 0 <= shares[0] < shares[-1] < 0.5
-
-
-def test_the_simulators_own_object_needs_no_file(qtbot, tab, source):
-    QTest.mouseClick(tab.simulated, LEFT)
-    qtbot.waitUntil(lambda: tab.model.mesh.name == "cup")
-    np.testing.assert_array_equal(tab.model.mesh.vertices_m, simulated_mesh(source.scene, source.name).vertices_m)
-    tab.unit.setFocus()
-    QTest.keyClick(tab.unit, Qt.Key.Key_Down)
-    assert not tab.progress.isVisible(), "another unit reads the file that was open before"
-
-
-def test_what_is_no_mesh_is_said_and_the_present_one_stays(qtbot, tab, tmp_path):
-    model = tab.model
-    (tmp_path / "broken.stl").write_text("no mesh", encoding="ascii")
-    tab.open_mesh(tmp_path / "broken.stl")
-    qtbot.waitUntil(lambda: any("roken.stl" in sentence for sentence in tab.messages.sentences()))
-    assert tab.model is model and not tab.progress.isVisible()
 
 
 def test_poses_are_published_and_recorded_also_behind_another_tab(qtbot, tab, tmp_path):

@@ -219,9 +219,14 @@ def test_either_side_may_be_killed_and_come_back(tactune: Callable[..., Finished
 @pytest.mark.parametrize(
     "sent", [signal.SIGINT, *(pytest.param(more, marks=pytest.mark.long) for more in (signal.SIGTERM, signal.SIGHUP))]
 )
-def test_it_listens_where_it_was_told_and_ends_cleanly(sent: signal.Signals) -> None:
-    with serving("--port", "0") as (process, port), FoxgloveClient(port) as client:
-        assert listening(process.pid) == {("tcp", "127.0.0.1", port)}
+def test_ros_2_beside_foxglove_says_where_it_is_and_both_end_cleanly(sent: signal.Signals) -> None:
+    options = ("--port", "0", "--ros2", "--domain", "77", "--namespace", "left")
+    with serving(*options) as (process, port), FoxgloveClient(port) as client:
+        assert process.stdout is not None
+        assert read_line(process.stdout) == "ROS 2: domain 77, 127.0.0.1, /left\n"
+        sockets = listening(process.pid)
+        assert {one for one in sockets if one[0].startswith("tcp")} == {("tcp", "127.0.0.1", port)}
+        assert {one[0] for one in sockets} == {"tcp", "udp"}
         client.subscribe(["/contact/patch"])
         next(client.messages())
         process.send_signal(sent)
@@ -229,15 +234,6 @@ def test_it_listens_where_it_was_told_and_ends_cleanly(sent: signal.Signals) -> 
         assert process.returncode == 0
         assert re.fullmatch(r"published \d+ frames? of live:sim:cup\n", out)
         assert "Traceback" not in err
-
-
-def test_ros_2_beside_foxglove_says_where_it_is() -> None:
-    with serving("--port", "0", "--ros2", "--domain", "77", "--namespace", "left") as (process, port):
-        assert process.stdout is not None
-        assert read_line(process.stdout) == "ROS 2: domain 77, 127.0.0.1, /left\n"
-        sockets = listening(process.pid)
-        assert {one for one in sockets if one[0].startswith("tcp")} == {("tcp", "127.0.0.1", port)}
-        assert {one[0] for one in sockets} == {"tcp", "udp"}
 
 
 def test_a_namespace_that_ros_2_refuses_is_told(tactune: Callable[..., Finished]) -> None:
@@ -303,6 +299,10 @@ def test_the_layout_names_topics_that_exist(tmp_path: Path, tactune: Callable[..
     layout = json.loads(text)
     panels = re.findall(r'"(\w+!\w+)"', json.dumps(layout["layout"]))
     assert sorted(panels) == sorted(layout["configById"])
+
+
+def test_it_listens_where_it_was_told_only(server: tuple[subprocess.Popen[str], int]) -> None:
+    assert listening(server[0].pid) == {("tcp", "127.0.0.1", server[1])}
 
 
 def test_every_point_and_pixel_arrives(server: tuple[subprocess.Popen[str], int]) -> None:

@@ -26,6 +26,12 @@ def clicked(rig, count=12, seed=0, **options):
     return make_clicks(rig, count, seed, **options).correspondences()
 
 
+@pytest.fixture(scope="module")
+def usual(rig):
+    """The calibration from twelve usual clicks."""
+    return calibrate(clicked(rig), rig)
+
+
 def test_points_that_span_depth_make_it_recommend_rigid(rig):
     report = calibrate(clicked(rig, color_share=0.5), rig)
     assert (report.model, report.recommended) == ("rigid", "rigid")
@@ -236,17 +242,16 @@ def test_a_fit_that_no_preset_allows_is_refused(rig):
         wild.apply_to(Preset())
 
 
-def test_pairs_from_another_rig_are_warned_about(rig):
+def test_pairs_from_another_rig_are_warned_about(rig, usual):
     pose = np.array(rig.T_proximity_tactile)
     pose[0, 3] += 0.05
     other = rig.model_copy(update={"T_proximity_tactile": pose.tolist()})
     assert "mm and" in " ".join(calibrate(clicked(rig), other).warnings)
-    assert calibrate(clicked(rig), rig).warnings == ()
+    assert usual.warnings == ()
 
 
-def test_the_report_is_json_with_the_promised_keys(rig):
-    report = calibrate(clicked(rig), rig)
-    data = json.loads(json.dumps(report.to_json(), allow_nan=False))
+def test_the_report_is_json_with_the_promised_keys(usual):
+    data = json.loads(json.dumps(usual.to_json(), allow_nan=False))
     assert {"model", "homography", "T_proximity_tactile", "rms_px", "cross_validated_px"} <= data.keys()
     assert {"supported_tolerance", "verdict"} <= data.keys()
     assert np.shape(data["homography"]) == (3, 3)
@@ -254,18 +259,17 @@ def test_the_report_is_json_with_the_promised_keys(rig):
     assert len(data["models"]["rigid"]["pairs"]) == 12
 
 
-def test_a_preset_keeps_the_calibration_and_aligns_by_it(rig):
-    report = calibrate(clicked(rig), rig)
-    preset = report.apply_to(Preset(), set_tolerance=True)
+def test_a_preset_keeps_the_calibration_and_aligns_by_it(rig, usual):
+    preset = usual.apply_to(Preset(), set_tolerance=True)
     assert preset_from_text(preset_json(preset), "memory") == preset
-    assert preset.value("alignment.rigid.T_proximity_tactile") == tuple(map(tuple, report.rigid.T_proximity_tactile))
+    assert preset.value("alignment.rigid.T_proximity_tactile") == tuple(map(tuple, usual.rigid.T_proximity_tactile))
     assert preset.alignment.calibration.proximity_serial == "SIM-L515"
-    assert preset.tolerance.t == pytest.approx(report.chosen.effect.supported_tolerance, abs=1e-4)
+    assert preset.tolerance.t == pytest.approx(usual.chosen.effect.supported_tolerance, abs=1e-4)
     assert preset.rig == rig
 
 
-def test_the_record_alone_makes_the_pipeline_repeat_nothing(rig, monkeypatch):
-    preset = calibrate(clicked(rig), rig).apply_to(Preset())
+def test_the_record_alone_makes_the_pipeline_repeat_nothing(rig, usual, monkeypatch):
+    preset = usual.apply_to(Preset())
     made = []
     monkeypatch.setattr(pipeline_module, "make_alignment", lambda *given: made.append(given) or make_alignment(*given))
     pipeline = ContactPipeline(preset, rig)

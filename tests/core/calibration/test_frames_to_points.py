@@ -28,6 +28,12 @@ def frames():
 
 
 @pytest.fixture(scope="module")
+def preset(rig):
+    """A preset with a calibration from thirty clicks."""
+    return calibrate(make_clicks(rig, 30, 0).correspondences(), rig).apply_to(Preset())
+
+
+@pytest.fixture(scope="module")
 def matches(frames, rig):
     return match_texture(frames, rig.model_copy(update={"T_proximity_tactile": None}))
 
@@ -50,14 +56,13 @@ def test_texture_pairs_of_two_levels_are_right_and_usable(matches, rig):
     assert report.chosen.rms_px < 0.3
 
 
-@pytest.mark.parametrize("pose", ["stated", "unknown"])
-def test_images_of_different_scenes_are_refused(frames, rig, pose):
-    cameras = rig if pose == "stated" else rig.model_copy(update={"T_proximity_tactile": None})
-    seen = frames[0].proximity_color
-    for other in (seen[:, ::-1], seen[::-1], np.roll(seen, 200, axis=1)[:, :, ::-1].swapaxes(0, 1)):
-        turned = np.ascontiguousarray(cv2.resize(np.ascontiguousarray(other), seen.shape[1::-1]))
+def test_images_of_different_scenes_are_refused(frames, rig):
+    seen, nowhere = frames[0].proximity_color, rig.model_copy(update={"T_proximity_tactile": None})
+    turned = np.roll(seen, 200, axis=1)[:, :, ::-1].swapaxes(0, 1)
+    for cameras, other in ((rig, seen[::-1]), (nowhere, seen[:, ::-1]), (nowhere, turned)):
+        image = np.ascontiguousarray(cv2.resize(np.ascontiguousarray(other), seen.shape[1::-1]))
         with pytest.raises(CalibrationError):
-            match_texture([replace(frames[0], proximity_color=turned)], cameras)
+            match_texture([replace(frames[0], proximity_color=image)], cameras)
 
 
 def test_frames_without_texture_are_refused(frames, rig):
@@ -71,8 +76,7 @@ def test_frames_without_texture_are_refused(frames, rig):
             recheck(Preset(), rig, dull)
 
 
-def test_a_recheck_tells_a_good_calibration_from_a_moved_camera(frames, rig):
-    preset = calibrate(make_clicks(rig, 30, 0).correspondences(), rig).apply_to(Preset())
+def test_a_recheck_tells_a_good_calibration_from_a_moved_camera(frames, rig, preset):
     good = recheck(preset, rig, frames[1])
     assert not good.recalibrate
     assert good.drift_px < 0.8
@@ -85,8 +89,7 @@ def test_a_recheck_tells_a_good_calibration_from_a_moved_camera(frames, rig):
     assert "calibrate again" in moved.sentence
 
 
-def test_a_recheck_measures_the_homography_that_a_preset_uses(frames, rig):
-    preset = calibrate(make_clicks(rig, 12, 0).correspondences(), rig).apply_to(Preset())
+def test_a_recheck_measures_the_homography_that_a_preset_uses(frames, rig, preset):
     drift = recheck(preset.with_value("alignment.model", "homography"), rig, frames[1])
     assert drift.drift_px > 1.5
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -18,6 +19,11 @@ from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 
 LATER = range(AVERAGED, AVERAGED + 8)
+
+
+@cache
+def at_rest(index: int) -> SensorFrame:
+    return drifted().read(index)
 
 
 @pytest.fixture(scope="module")
@@ -53,15 +59,15 @@ def reports(watchdog: Watchdog, frames: Iterable[SensorFrame], start: int = 0) -
 def test_a_change_is_told_once_with_its_size_and_taken_back(
     watchdog: Watchdog, drift: Drift, subject: str, value: float, said: str
 ) -> None:
-    before, after = drifted(), drifted(drift)
-    assert not reports(watchdog, (before.read(index) for index in LATER[:3]))
-    [(look, report)] = reports(watchdog, map(after.read, LATER), 3)
+    after = drifted(drift)
+    assert not reports(watchdog, map(at_rest, LATER[:3]))
+    [(look, report)] = reports(watchdog, map(after.read, LATER[:5]), 3)
     assert 2 <= look <= 3
     assert (report.subject, report.state) == (subject, "told")
     assert report.value == pytest.approx(value, rel=0.2)
     assert report.sentence.startswith(said)
     assert watchdog.told == [subject]
-    [(_, back)] = reports(watchdog, (before.read(index) for index in LATER), 11)
+    [(_, back)] = reports(watchdog, map(at_rest, LATER), 8)
     assert (back.subject, back.state) == (subject, "withdrawn")
     assert watchdog.told == []
 
@@ -74,9 +80,8 @@ def test_one_percent_of_pressure_is_told_within_four_minutes(watchdog: Watchdog)
 
 
 def test_a_single_odd_frame_is_not_told(watchdog: Watchdog) -> None:
-    rest, odd = drifted(), drifted(Drift("tactile", (0.005, 0, 0)))
-    frames = [rest.read(index) for index in LATER]
-    frames[6] = odd.read(21)
+    frames = [at_rest(index) for index in LATER]
+    frames[6] = drifted(Drift("tactile", (0.005, 0, 0))).read(21)
     assert reports(watchdog, frames) == []
 
 
