@@ -4,6 +4,7 @@
 # The last line is the sum of all runs: "N passed, N failed, N skipped".
 set -uo pipefail
 unset PYTHONDONTWRITEBYTECODE  # tests start hundreds of processes, and pytest rewrites each test file in each of its own
+export OPENBLAS_NUM_THREADS=1  # its threads wait by spinning, and the processes share the cores
 logs=$(mktemp -d)
 trap 'rm -rf "$logs"' EXIT
 status=0

@@ -112,6 +112,23 @@ def test_the_key_opens_the_tab_with_the_present_frame_measured(qtbot, make_windo
     assert cell(tab, 1, 2).endswith("px")
     assert len(tab.view.cells.corners) == 12 * 8
     assert tab.view.cells.width == pytest.approx(0.06, abs=0.01)
+    choose_and_read_the_map(qtbot, tab)
+
+
+def choose_and_read_the_map(qtbot, tab):
+    """By keys, and with the mouse."""
+    picture = tab.map.grab().toImage()
+    tab.map_of.setFocus()
+    QTest.keyClick(tab.map_of, Qt.Key.Key_Down)
+    QTest.keyClick(tab.map_of, Qt.Key.Key_Down)
+    assert tab.map_of.currentText() == "Along width"
+    assert tab.map.grab().toImage() != picture
+    viewport, place = tab.map.view.viewport(), image_position(tab.map, 163, 123)
+    free = (Qt.MouseButton.NoButton, Qt.MouseButton.NoButton, Qt.KeyboardModifier.NoModifier)
+    moved = QMouseEvent(QEvent.Type.MouseMove, place, viewport.mapToGlobal(place), *free)
+    QApplication.sendEvent(viewport, moved)  # QTest's moves do not reach a window that the platform has not raised
+    qtbot.waitUntil(lambda: "along length" in tab.pointed.text())
+    assert "% along width" in tab.pointed.text()
 
 
 def test_the_curve_grows_while_the_membrane_is_pressed(qtbot, make_window):
@@ -151,31 +168,19 @@ def test_a_strain_unlike_its_neighbours_is_marked_and_not_joined(qtbot, make_win
     assert float(rows[2]["strain_length_percent"]) > 50
 
 
-def test_another_spacing_changes_strain_and_curve_and_is_remembered(qtbot, make_window):
+def test_a_reset_curve_can_be_brought_back_and_another_spacing_changes_it_and_is_remembered(qtbot, make_window):
     window = make_window()
     tab = opened(qtbot, window)
+    QTest.mouseClick(tab.reset, Qt.MouseButton.LeftButton)
+    assert not tab.curve.points
+    press(tab.messages.message("reset"), "Bring it back")
+    assert [point.sequence for point in tab.curve.points] == [3]
     type_into(tab.spacing, "11.5")
     settled(qtbot, tab, 3)
     qtbot.waitUntil(lambda: abs(tab.view.measured.length.largest) < 0.01)
     (point,) = tab.curve.points
     assert point.at_spacing(11.5)[0] == pytest.approx(0.0, abs=1.0)
     assert window.settings.number("strain/spacing_mm", 0) == 11.5
-
-
-def test_the_map_is_chosen_by_keys_and_read_with_the_mouse(qtbot, make_window):
-    tab = opened(qtbot, make_window())
-    picture = tab.map.grab().toImage()
-    tab.map_of.setFocus()
-    QTest.keyClick(tab.map_of, Qt.Key.Key_Down)
-    QTest.keyClick(tab.map_of, Qt.Key.Key_Down)
-    assert tab.map_of.currentText() == "Along width"
-    assert tab.map.grab().toImage() != picture
-    viewport, place = tab.map.view.viewport(), image_position(tab.map, 163, 123)
-    free = (Qt.MouseButton.NoButton, Qt.MouseButton.NoButton, Qt.KeyboardModifier.NoModifier)
-    moved = QMouseEvent(QEvent.Type.MouseMove, place, viewport.mapToGlobal(place), *free)
-    QApplication.sendEvent(viewport, moved)  # QTest's moves do not reach a window that the platform has not raised
-    qtbot.waitUntil(lambda: "along length" in tab.pointed.text())
-    assert "% along width" in tab.pointed.text()
 
 
 def test_without_a_grid_it_says_what_to_do_and_of_which_frame(qtbot, make_window):
@@ -199,14 +204,6 @@ def test_a_captured_frame_is_the_untouched_frame_of_a_source_without_one(qtbot, 
     go_to(qtbot, window, tab, 5)
     assert tab.view.displacement_mm == pytest.approx(15.0, abs=0.2)
     assert [point.sequence for point in tab.curve.points] == [0, 5]
-
-
-def test_a_reset_curve_can_be_brought_back(qtbot, make_window):
-    tab = opened(qtbot, make_window())
-    QTest.mouseClick(tab.reset, Qt.MouseButton.LeftButton)
-    assert not tab.curve.points
-    press(tab.messages.message("reset"), "Bring it back")
-    assert [point.sequence for point in tab.curve.points] == [3]
 
 
 def test_another_source_begins_a_curve_of_its_own(qtbot, make_window, monkeypatch):

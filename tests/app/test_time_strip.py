@@ -56,6 +56,15 @@ def strip_window(qtbot, make_window, scene):
 
 
 @pytest.fixture
+def marked_window(qtbot, make_window, scene):
+    """The same with the strip hidden, so that no process computes the curve."""
+    window = make_window()
+    window.actions_.show_time.trigger()
+    show_scene(qtbot, window, scene, 3)
+    return window
+
+
+@pytest.fixture
 def plain_window(qtbot, make_window):
     """The same without a file, so that no process computes the curve."""
     window = make_window()
@@ -74,7 +83,7 @@ def computed(window):
     return window.timeline.series is not None and window.timeline.series.complete
 
 
-def test_the_series_is_the_pipelines_and_follows_the_preset_and_undo(strip_window, qtbot):
+def test_the_series_is_the_pipelines_follows_preset_and_undo_and_is_read_by_the_pointer(strip_window, qtbot):
     window = strip_window
     qtbot.waitUntil(lambda: computed(window))
     first = window.timeline.series
@@ -89,6 +98,14 @@ def test_the_series_is_the_pipelines_and_follows_the_preset_and_undo(strip_windo
     window.document.undo_stack.undo()
     assert window.timeline.series is first
     assert computed(window)
+
+    strip = window.time_strip
+    strip.curve_box.setFocus()
+    QTest.keyClick(strip.curve_box, Qt.Key.Key_Down)
+    assert strip.curve.key == "points"
+    QTest.mouseMove(strip.plot_widget.viewport(), strip.position_of(9).toPoint() + QPoint(0, 10))
+    points = int(first.values["points"][9])
+    qtbot.waitUntil(lambda: strip.words == f"0.3 s, frame 10: {points} points")
 
 
 def test_a_recording_that_was_written_anew_is_computed_anew(window, qtbot, tmp_path):
@@ -112,20 +129,8 @@ def test_a_click_and_a_drag_seek(plain_window, qtbot):
     qtbot.waitUntil(lambda: at_rest(window, 5))
 
 
-def test_the_pointer_reads_the_value(strip_window, qtbot):
-    window = strip_window
-    strip = window.time_strip
-    qtbot.waitUntil(lambda: computed(window))
-    strip.curve_box.setFocus()
-    QTest.keyClick(strip.curve_box, Qt.Key.Key_Down)
-    assert strip.curve.key == "points"
-    QTest.mouseMove(strip.plot_widget.viewport(), strip.position_of(9).toPoint() + QPoint(0, 10))
-    points = int(window.timeline.series.values["points"][9])
-    qtbot.waitUntil(lambda: strip.words == f"0.3 s, frame 10: {points} points")
-
-
-def test_an_export_has_exactly_the_marked_frames(strip_window, qtbot, tmp_path):
-    window = strip_window
+def test_an_export_has_exactly_the_marked_frames(marked_window, qtbot, tmp_path):
+    window = marked_window
     mark(qtbot, window, 6, 10)
     assert window.context.trim == (6, 11)
     QTest.keyClick(window, Qt.Key.Key_E, CONTROL_SHIFT)
@@ -141,8 +146,8 @@ def test_an_export_has_exactly_the_marked_frames(strip_window, qtbot, tmp_path):
     assert window.context.trim is None
 
 
-def test_patches_are_exported_for_the_marked_frames(strip_window, qtbot, tmp_path):
-    window = strip_window
+def test_patches_are_exported_for_the_marked_frames(marked_window, qtbot, tmp_path):
+    window = marked_window
     mark(qtbot, window, 20, 22)
     folder = tmp_path / "patches"
     folder.mkdir()
@@ -158,8 +163,8 @@ def test_patches_are_exported_for_the_marked_frames(strip_window, qtbot, tmp_pat
     assert sorted(path.name for path in folder.iterdir()) == [f"patch_{index:06d}.ply" for index in (20, 21, 22)]
 
 
-def test_a_recording_has_exactly_the_marked_frames(strip_window, qtbot, tmp_path):
-    window = strip_window
+def test_a_recording_has_exactly_the_marked_frames(marked_window, qtbot, tmp_path):
+    window = marked_window
     window.settings.set("folder/recordings", str(tmp_path))
     mark(qtbot, window, 9, 14)
     go_to(qtbot, window, 2)
@@ -170,8 +175,8 @@ def test_a_recording_has_exactly_the_marked_frames(strip_window, qtbot, tmp_path
         assert [frame.sequence for frame in written] == [9, 10, 11, 12, 13, 14]
 
 
-def test_a_recording_that_is_behind_the_out_mark_ends(strip_window, qtbot, tmp_path):
-    window = strip_window
+def test_a_recording_that_is_behind_the_out_mark_ends(marked_window, qtbot, tmp_path):
+    window = marked_window
     window.settings.set("folder/recordings", str(tmp_path))
     window.worker.set_speed(0.1)
     mark(qtbot, window, 9, 14)
