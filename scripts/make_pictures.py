@@ -106,7 +106,7 @@ def first_steps() -> None:
     with stage(load_preset("simulator"), "sim:cup") as made:
         made.window.resize(1280, 800)
         made.window.actions_.getting_started.trigger()
-        made.settle()
+        made.wait(lambda: not made.window.time_strip.words, "time strip")
         save(made.window, "first-steps")
 
 

@@ -105,7 +105,7 @@ class TrackViews(QSplitter):
         self.setStretchFactor(0, 1)
         self.setStretchFactor(1, 2)
         model.set_message("No mesh yet: open OBJ, PLY or STL, or drop it here")
-        scene.set_message("No patch yet: open a source in the main window")
+        scene.set_message("No patch yet: show a frame with contact in the main window")
         for view in (model, scene):
             view.set_point_size(2)
 

@@ -87,7 +87,7 @@ class CheckPage(QWidget):
         self.share = QSlider(Qt.Orientation.Horizontal)
         self.share.setRange(0, 100)
         self.share.setValue(50)
-        self.share.setMinimumWidth(120)
+        self.share.setMinimumWidth(60)
         self.share.setAccessibleName("Share of the tactile image")
         self.share.setToolTip("Share of the tactile image, percent")
         self.pixels = QComboBox()
@@ -203,12 +203,10 @@ class CheckPage(QWidget):
     def _show_tolerance(self) -> None:
         report, preset = self._outcome.report, self._document.preset
         used = "tolerance" in preset.test.section_names
-        use = "" if used else f", and the preset's {preset.contact_test} test does not use it"
+        use = "" if used else f"; the {preset.contact_test} test does not use it"
         self.set_tolerance.setEnabled(report is not None)
         supported = "" if report is None else f" to {100 * report.chosen.effect.supported_tolerance:.2f} %"
-        self.set_tolerance.setText(
-            f"Also set the tolerance t{supported} when saving; it is {100 * preset.tolerance.t:.3g} % now{use}"
-        )
+        self.set_tolerance.setText(f"Also set the tolerance t{supported} (now {100 * preset.tolerance.t:.3g} %{use})")
 
     def _draw(self) -> None:
         if not self.isVisible():

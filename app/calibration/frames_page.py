@@ -177,6 +177,8 @@ class FramesPage(QWidget):
         self.average.blockSignals(False)
         digests = [snapshot.digest for snapshot in state.snapshots]
         if digests != [self.list.item(row).data(Qt.ItemDataRole.UserRole) for row in range(self.list.count())]:  # type: ignore[union-attr]
+            if len(digests) < self.list.count():
+                self.note.clear()  # it speaks of a snapshot that is gone
             self.list.blockSignals(True)
             self.list.clear()
             for snapshot in state.snapshots:

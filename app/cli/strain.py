@@ -165,8 +165,8 @@ def _table(records: list[StrainRecord]) -> str:
         if record.problem:
             lines.append(f"{record.sequence:5d}  {record.problem}")
         else:
-            length = f"{record.strain_length_percent:.1f} +- {record.strain_length_sigma_percent:.1f}"
-            width = f"{record.strain_width_percent:.1f} +- {record.strain_width_sigma_percent:.1f}"
+            length = f"{record.strain_length_percent:.1f} ± {record.strain_length_sigma_percent:.1f}"
+            width = f"{record.strain_width_percent:.1f} ± {record.strain_width_sigma_percent:.1f}"
             lines.append(
                 f"{record.sequence:5d}  {record.displacement_mm:15.1f}  {length:>21}  {width:>13}  {record.dots:4d}"
                 + _solver(record)

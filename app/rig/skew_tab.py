@@ -92,8 +92,7 @@ class SkewTab(GatheringTab):
         self.sentence.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         result = hbox((self.sentence, 1), self.compensate)
         row = self._row(QLabel("Watch for"))
-        # without the plots the next step stands in the centre
-        vbox(STRETCH, intro, row, result, (self.curve, 100), (self.motion, 100), STRETCH, within=self)
+        vbox(intro, row, result, (self.curve, 100), (self.motion, 100), STRETCH, within=self)
         for plot, name in ((self.curve, "Correlation against delay"), (self.motion, "Motion of both cameras")):
             plot.getPlotItem().showGrid(x=True, y=True, alpha=0.2)
             plot.setAccessibleName(name)

@@ -19,7 +19,7 @@ from PyQt6.QtWidgets import (
 
 from ...core.calibration.lens import LensFit, fit_lens
 from ...core.model.files import user_path
-from ...widgets.basics.controls import NoteLabel, ProgressBar, dialog_buttons, push_button
+from ...widgets.basics.controls import NoteLabel, ProgressBar, caption, dialog_buttons, push_button
 from ...widgets.basics.dialogs import Dialogs
 from ...widgets.basics.layouts import vbox
 from ..worker.jobs import Job
@@ -66,7 +66,7 @@ class ChessboardDialog(QDialog):
         board.addWidget(self.rows)
         board.addStretch(1)
         form = QFormLayout()
-        form.addRow("Fol&der", path)
+        form.addRow(caption("Fol&der", self.folder), path)
         form.addRow("Inner corners", board)
         vbox(form, self.fit, self.progress, (self.note, 1), self.buttons, within=self)
         self.resize(460, 240)

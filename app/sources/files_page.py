@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QHeaderView, QLabel, QTreeWidget, QTreeWidgetItem
+from PyQt6.QtWidgets import QHeaderView, QLabel, QTableWidget, QTableWidgetItem
 
 from ...core.errors import SourceError
 from ...core.sources.registry import source_kinds
-from ...widgets.basics.controls import push_button
+from ...widgets.basics.controls import push_button, read_only_table
 from ...widgets.basics.dialogs import Dialogs
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ..settings import Settings
@@ -27,26 +27,31 @@ class FilesPage(SourcePage):
         self._settings, self._dialogs = settings, Dialogs(self, native_dialogs)
         self.file = push_button("Choose fi&le…", "Choose a recording, or the two .bag files of two cameras")
         self.folder = push_button("Choose fol&der…", "Choose a recording stored as a folder of images")
-        self.kinds = QTreeWidget()
-        self.kinds.setHeaderLabels(["Name", "What it opens"])
-        self.kinds.setRootIsDecorated(False)
-        self.kinds.setWordWrap(True)
-        self.kinds.setAccessibleName("Kinds of sources")
-        self.kinds.setToolTip("All kinds of sources, also those of other packages; double-click one to begin its name")
-        for kind in source_kinds():
-            item = QTreeWidgetItem([kind.form.partition("[")[0], kind.description])
-            item.setToolTip(0, kind.form)
-            item.setToolTip(1, kind.description)
-            item.setData(0, Qt.ItemDataRole.UserRole, f"{kind.scheme}:")
-            self.kinds.addTopLevelItem(item)
-        header = self.kinds.header()
-        if header is not None:
-            header.setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
+        self.kinds = QTableWidget(0, 2)
+        self.kinds.setHorizontalHeaderLabels(["Name", "What it opens"])
+        tip = "All kinds of sources, also those of other packages; double-click one to begin its name"
+        header, rows = read_only_table(self.kinds, "Kinds of sources", tip)
+        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft)
+        header.setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
+        header.setStretchLastSection(True)
+        rows.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        for row, kind in enumerate(source_kinds()):
+            self.kinds.insertRow(row)
+            name = QTableWidgetItem(kind.form.partition("[")[0])
+            name.setToolTip(kind.form)
+            name.setData(Qt.ItemDataRole.UserRole, f"{kind.scheme}:")
+            self.kinds.setItem(row, 0, name)
+            self.kinds.setItem(row, 1, QTableWidgetItem(kind.description))
         buttons = hbox(self.file, self.folder, STRETCH)
         vbox(buttons, QLabel("Or type a name below:"), (self.kinds, 1), within=self, margins=0)
         self.file.clicked.connect(self._ask_file)
         self.folder.clicked.connect(self._ask_folder)
-        self.kinds.itemActivated.connect(lambda item: self._choose(item.data(0, Qt.ItemDataRole.UserRole)))
+        self.kinds.cellActivated.connect(self._kind_chosen)
+
+    def _kind_chosen(self, row: int, _column: int) -> None:
+        name = self.kinds.item(row, 0)
+        assert name is not None
+        self._choose(name.data(Qt.ItemDataRole.UserRole))
 
     def _ask_file(self) -> None:
         self._dialogs.open_files("Open a recording", self._start(), recording_filters(), self._chosen)

@@ -106,6 +106,8 @@ class Actions:
         redo = undo_stack.createRedoAction(parent, "&Redo")
         assert undo is not None and redo is not None
         undo.setShortcut(QKeySequence(StandardKey.Undo))
+        undo.setIconText("Undo")  # without the step that the text names
+        redo.setIconText("Redo")
         undo.setIcon(icon("undo"))
         redo.setIcon(icon("redo"))
         redo.setShortcuts([QKeySequence("Ctrl+Shift+Z"), QKeySequence("Ctrl+Y")])
@@ -306,4 +308,4 @@ def _choices(menu: QMenu, entries: list[tuple[str, object]]) -> QActionGroup:
 
 def plain_text(action: QAction) -> str:
     """Return an action's text without mnemonic, shortcut and dots."""
-    return action.text().partition("\t")[0].replace("&", "").rstrip("…")
+    return action.iconText().partition("\t")[0].rstrip("…")

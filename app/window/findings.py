@@ -98,7 +98,7 @@ class FindingsControl(QObject):
     def _found(self, findings: tuple[Finding, ...], preset: Preset) -> None:
         if preset is not self._context.document.preset:
             return  # edited meanwhile; the next examination follows
-        before, now = self._shown, time.monotonic()
+        before, first, now = self._shown, self._preset is None, time.monotonic()
         present = {finding.name: self._held(finding, preset is self._preset) for finding in findings}
         self._preset = preset
         self._gone_s = {name: self._gone_s.get(name, now) for name in self._shown if name not in present}
@@ -106,7 +106,7 @@ class FindingsControl(QObject):
         self._shown = present | lingering
         if self._gone_s and not self._timer.isActive():
             self._timer.start()
-        if self._shown != before:
+        if first or self._shown != before:
             self._show()
 
     def _held(self, finding: Finding, same_preset: bool) -> Finding:
@@ -128,7 +128,7 @@ class FindingsControl(QObject):
             self._show()
 
     def _forget(self) -> None:
-        self._shown, self._gone_s = {}, {}
+        self._shown, self._gone_s, self._preset = {}, {}, None
         self._show()
 
     def _show(self) -> None:
@@ -140,7 +140,7 @@ class FindingsControl(QObject):
         self._panel.show_findings(rows)
         self._status.show_findings(len(findings))
         if self._window is not None:
-            self._window.show_findings(findings)
+            self._window.show_findings(findings, examined=self._preset is not None)
         self._explain_empty()
 
     def _explain_empty(self) -> None:

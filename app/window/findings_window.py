@@ -21,6 +21,7 @@ from ...widgets.basics.layouts import STRETCH, hbox, scrolling, vbox
 from ...widgets.parameters.parameter_row import ShownFinding
 
 _NOTHING = "Nothing is wrong with this frame."
+_NO_FRAME = "No frame was examined yet: open a source (Ctrl+O)."
 
 
 class FindingsWindow(QDialog):
@@ -45,8 +46,8 @@ class FindingsWindow(QDialog):
         vbox((scroll, 1), row, within=self)
         self.resize(480, 460)
 
-    def show_findings(self, findings: Sequence[tuple[Finding, ShownFinding]]) -> None:
-        """Show these findings instead of the former ones."""
+    def show_findings(self, findings: Sequence[tuple[Finding, ShownFinding]], examined: bool) -> None:
+        """Show these findings instead of the former ones; without any, say whether a frame was examined."""
         while (item := self._cards.takeAt(0)) is not None:
             widget = item.widget()
             if widget is not None:
@@ -55,7 +56,7 @@ class FindingsWindow(QDialog):
         for finding, shown in findings:
             self._add(self._card(finding, shown))
         if not findings:
-            self._add(QLabel(_NOTHING))
+            self._add(QLabel(_NOTHING if examined else _NO_FRAME))
 
     def _add(self, widget: QWidget) -> None:
         self._cards.addWidget(widget)

@@ -143,7 +143,7 @@ class FirstSteps(QObject):
         self._preset, self._saved = preset, saved
         if preset.alignment.calibration is not None:
             self._tick("calibrate")
-        if preset.mask.enabled:
+        if document.dirty and preset.mask.enabled and preset.mask != document.baseline.mask:
             self._tick("mask")
         if document.dirty and _contact(preset) != _contact(document.baseline):
             self._tick("contact")

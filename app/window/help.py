@@ -51,7 +51,7 @@ _MOUSE = (
     ("Right click in a view or image", "enlarge, copy as picture, measure"),
     ("Drag the line between A and B", "move the wipe while presets are compared"),
     ("Click or drag in the time strip", "seek"),
-    ("Eyedropper, then click in the colour image", "set the mask to the membrane's colour"),
+    ("Eyedropper, then click in the colour image", "set the mask to the prints' colour"),
     ("Drop a file or folder", "open a preset or a recording"),
 )
 

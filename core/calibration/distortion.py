@@ -164,7 +164,7 @@ def _judge(pairs: _Pairs) -> DistortionAdvice:
     missing = _missing(pairs, used, plain, bent)
     if missing:
         return DistortionAdvice(True, None, f"Lens distortion explains the pairs ({change}), but {missing}.", k1)
-    values = ", ".join(f"{value:.2f} +- {sigma:.2f} ({_LENS_NAMES[name]})" for name, (value, sigma) in k1.items())
+    values = ", ".join(f"{value:.2f} ± {sigma:.2f} ({_LENS_NAMES[name]})" for name, (value, sigma) in k1.items())
     sentence = f"{_OFFER}{change}, k1 = {values} from {int(used.sum())} pairs."
     return DistortionAdvice(True, pairs.rig_of(bent), sentence, k1)
 

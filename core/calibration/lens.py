@@ -211,7 +211,7 @@ def _refuse_bad(fit: LensFit, folder: Path) -> None:
         )
     if not fit.focal_sd_px <= _MAX_FOCAL_SHARE * fit.intrinsics.fx:
         raise CalibrationError(
-            f"{folder}: fx is {fit.intrinsics.fx:.0f} +- {fit.focal_sd_px:.0f} px, too uncertain; add pictures with "
+            f"{folder}: fx is {fit.intrinsics.fx:.0f} ± {fit.focal_sd_px:.0f} px, too uncertain; add pictures with "
             "the board tilted in other directions"
         )
     check_lens(fit.intrinsics, str(folder))

@@ -355,9 +355,9 @@ def _pose_words(rigid: RigidFit) -> str:
     sigma = _pose_uncertainty(rigid)
     text = f"Pose: uncertain by {sigma['translation_mm']:.2f} mm and {sigma['rotation_deg']:.3f} degrees (one sigma)"
     if sigma["scale"] is not None:
-        text += f"; tactile depth x {rigid.pose.scale:.4f} +- {sigma['scale']:.4f}"
+        text += f"; tactile depth x {rigid.pose.scale:.4f} ± {sigma['scale']:.4f}"
     if sigma["offset_mm"] is not None:
-        text += f"; tactile depth {1e3 * rigid.pose.offset_m:+.2f} mm +- {sigma['offset_mm']:.2f} mm"
+        text += f"; tactile depth {1e3 * rigid.pose.offset_m:+.2f} mm ± {sigma['offset_mm']:.2f} mm"
     return text
 
 
@@ -412,7 +412,7 @@ def grade(quality: ModelQuality) -> str:
     numbers = (
         f"{word}: expected alignment error {quality.alignment_px:.2f} px ({quality.alignment_mm:.2f} mm), with 95 % "
         f"certainty below {quality.alignment_bound_95_px:.2f} px; patch boundary off by "
-        f"{effect.boundary_mm:.1f} mm; the tolerance test needs t from {effect.supported_tolerance:.4f}."
+        f"{effect.boundary_mm:.2f} mm; the tolerance test needs t = {100 * effect.supported_tolerance:.2f} % or more."
     )
     return f"{numbers} {quality.agreement.words()}".strip()
 

@@ -164,11 +164,11 @@ def describe_bias(bias: MeasuredBias) -> str:
         )
     slope = f", and {abs(bias.per_m) * 100:.1f} mm {'more' if bias.per_m > 0 else 'less'} per 100 mm of depth"
     return (
-        f"The proximity camera reads {1e3 * abs(bias.bias_m):.1f} +- {1e3 * bias.sigma_m:.1f} mm "
+        f"The proximity camera reads {1e3 * abs(bias.bias_m):.1f} ± {1e3 * bias.sigma_m:.1f} mm "
         f"{'farther' if bias.bias_m >= 0 else 'nearer'} than the tactile camera{slope if bias.per_m else ''} "
         f"(measured on {bias.origin})."
     )
 
 
 def _numbers(bias: MeasuredBias) -> str:
-    return f"{1e3 * bias.bias_m:+.1f} +- {1e3 * bias.sigma_m:.1f} mm"
+    return f"{1e3 * bias.bias_m:+.1f} ± {1e3 * bias.sigma_m:.1f} mm"

@@ -69,6 +69,14 @@ def button(widget, text):
     return found
 
 
+def test_without_a_frame_the_list_does_not_say_that_nothing_is_wrong(make_window, qtbot):
+    made = make_window()
+    made.actions_.findings.trigger()
+    assert "No frame was examined yet" in text_of(findings_window())
+    show_source(qtbot, made, TinySource(), 3)
+    qtbot.waitUntil(lambda: "No frame was examined" not in text_of(findings_window()))
+
+
 def test_the_finding_beside_its_control_is_mended_by_one_click(window, qtbot):
     row = offset_row(window)
     assert "+12.0 mm: the cameras disagree" in row.finding.sentence

@@ -103,7 +103,7 @@ def test_the_card_ticks_each_step_when_it_has_happened(first_start, qtbot, tmp_p
 def test_another_preset_is_no_step(first_start, qtbot, preset):
     window = first_start
     window.document.edit("region.enabled", True)
-    other = preset.with_values({"tolerance.t": 0.05, "mask.enabled": False})
+    other = preset.with_values({"tolerance.t": 0.05, "mask.enabled": True})
     window.document.new(other)
     qtbot.waitUntil(lambda: window.result.preset is other)
     assert done(window) == set()

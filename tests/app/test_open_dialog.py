@@ -215,8 +215,8 @@ def test_strange_names_are_listed(window, qtbot):
 def test_each_kind_begins_a_name(window, qtbot):
     dialog = open_dialog(window, qtbot, FILES)
     kinds = dialog.page.kinds
-    forms = [kinds.topLevelItem(row).text(0) for row in range(kinds.topLevelItemCount())]
+    forms = [kinds.item(row, 0).text() for row in range(kinds.rowCount())]
     row = forms.index("mcap:PATH")
-    kinds.setCurrentItem(kinds.topLevelItem(row))
+    kinds.setCurrentCell(row, 0)
     QTest.keyClick(kinds, Qt.Key.Key_Return)
     assert dialog.name.text() == "mcap:"

@@ -153,7 +153,7 @@ class _Model(QAbstractTableModel):
         elif role == _Role.BackgroundRole and row.worst:
             answer = QBrush(_WORST[theme_name()])
         elif role == _Role.ToolTipRole:
-            answer = row.hint or column.tip
+            answer = row.hint or (isinstance(value, str) and value) or column.tip
         return answer
 
     def setData(self, index: QModelIndex, value: Any, role: int = _Role.EditRole) -> bool:
@@ -291,8 +291,8 @@ class PointTable(QTableView):
         metrics = self.fontMetrics()
         for number, column in enumerate(COLUMNS[:-1]):
             sample = "000" if number <= _ENABLED else "-0000.00"
-            text = max(metrics.horizontalAdvance(column.title), metrics.horizontalAdvance(sample))
-            self.setColumnWidth(number, text + 24)
+            title = metrics.horizontalAdvance(column.title) + 24  # with the arrow that shows the order
+            self.setColumnWidth(number, max(title, metrics.horizontalAdvance(sample) + 12))
 
     def _selection_changed(self, *_: object) -> None:
         if not self._showing:

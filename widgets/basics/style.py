@@ -6,7 +6,7 @@ from typing import Any, Final, TypeVar, cast
 
 import pyqtgraph as pg
 from PyQt6 import sip
-from PyQt6.QtCore import QObject, QPointF, QRect, QRectF, Qt
+from PyQt6.QtCore import QObject, QPointF, QRect, QRectF, QSize, Qt
 from PyQt6.QtGui import QColor, QPainter, QPalette, QPen, QPolygonF
 from PyQt6.QtWidgets import (
     QAbstractItemView,
@@ -209,6 +209,13 @@ class ControlStyle(QProxyStyle):
                 _arrow(painter, arrow, option.palette.buttonText().color())
             case _:
                 super().drawComplexControl(control, option, painter, widget)
+
+    def sizeFromContents(
+        self, kind: QStyle.ContentsType, option: QStyleOption | None, size: QSize, widget: QWidget | None = None
+    ) -> QSize:
+        """Make lists to choose from wide enough for their texts: Fusion counts on a wider scroll bar."""
+        made = super().sizeFromContents(kind, option, size, widget)
+        return made + QSize(GRID, 0) if kind is QStyle.ContentsType.CT_ComboBox else made
 
     def subControlRect(
         self,

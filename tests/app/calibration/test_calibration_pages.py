@@ -59,6 +59,8 @@ def test_several_frames_are_averaged_and_movement_is_told(open_wizard, feed, fra
     assert taken.averaged == 3
     np.testing.assert_array_equal(taken.frame.tactile_depth, frames[1.0].tactile_depth)
     assert "moved by" in page.note.text()
+    wizard.session.undo_stack.undo()
+    assert "moved by" not in page.note.text(), "that snapshot is gone"
 
 
 def recorded(frames, length, *indices):

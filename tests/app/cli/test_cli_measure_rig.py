@@ -45,7 +45,7 @@ def test_noise_and_bias_are_said_and_stored(tactune: Tactune, wall: Path, mine: 
     tactile, proximity, bias, written = finished.out.splitlines()
     assert tactile.startswith("Tactile noise 0.30 mm")
     assert proximity.startswith("Proximity noise 0.60 mm")
-    assert bias.startswith("The proximity camera reads 4.0 +- 0.2 mm farther")
+    assert bias.startswith("The proximity camera reads 4.0 ± 0.2 mm farther")
     assert bias.endswith(("(measured on prints).", "(measured on contact)."))
     assert written == f"wrote {mine}"
     preset = load_preset(mine)

@@ -43,7 +43,7 @@ def test_noise_and_bias_are_measured_used_undone_and_saved(open_tab, rig, qtbot,
     tactile, proximity, bias = tab.sentence.text().splitlines()
     assert tactile.startswith("Tactile noise 0.3")
     assert proximity.startswith("Proximity noise 0.6")
-    assert bias.startswith("The proximity camera reads 4.0 +- 0.2 mm farther")
+    assert bias.startswith("The proximity camera reads 4.0 ± 0.2 mm farther")
     assert main.document.preset.noise is None
 
     QTest.keyClick(tab.use, Qt.Key.Key_U, CONTROL)

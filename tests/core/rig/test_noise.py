@@ -178,7 +178,7 @@ def test_without_prints_the_bias_is_unknown_and_contact_tells_it(rig, preset):
     )
     assert pressed.bias_from == "contact"
     assert pressed.bias_m == pytest.approx(0.0031)
-    assert "3.1 +- " in describe(pressed)[2]
+    assert "3.1 ± " in describe(pressed)[2]
     assert "measured on contact" in describe(pressed)[2]
 
 
@@ -316,5 +316,5 @@ def test_sentences_are_plain():
         "52 % of its variance changes from frame to frame.",
         "Proximity noise 1.00 mm at 300 mm distance (from pixel to pixel); "
         "100 % of its variance changes from frame to frame.",
-        "The proximity camera reads 3.1 +- 0.2 mm nearer than the tactile camera (measured on prints).",
+        "The proximity camera reads 3.1 ± 0.2 mm nearer than the tactile camera (measured on prints).",
     ]
