@@ -145,7 +145,7 @@ def test_every_window_can_be_read_reached_and_seen_whole(shown, window, qtbot):
 
 def unreadable(shown: QWidget, window: QWidget, page: int) -> set:
     faint = set()
-    for theme in ("light", "dark"):
+    for theme in ("dark", "light"):  # the last one stays for the tests that follow
         window.set_theme(theme, remember=False)
         settle()
         image = pixels_of(shown)
