@@ -71,36 +71,48 @@ def _both_depths(
     preset: Preset, rig: Rig, frame: SensorFrame, depth: AnyArray, dtype: Any
 ) -> tuple[AnyArray, AnyArray]:
     """Return dp and dt of the tolerance test, nan where either camera has no depth."""
-    height, width = depth.shape
+    expected, u, v, visible = seen_by_tactile(preset, rig, depth, dtype)
     no_depth = (frame.proximity_depth == 0) | (frame.proximity_depth == 65535)
+    expected = np.where(no_depth | ~visible, dtype(np.nan), expected)
+    inside, row, column = _nearest(u, v, frame.tactile_depth.shape)
+    looked_up = frame.tactile_depth[row, column]
+    factor = dtype(rig.tactile.depth_unit_m * preset.alignment.depth_scale)
+    measured = looked_up.astype(dtype) * factor + dtype(preset.alignment.depth_offset_m)
+    measured[~(inside & visible) | (looked_up == 0) | (looked_up == 65535)] = np.nan
+    return expected, measured
+
+
+def seen_by_tactile(
+    preset: Preset, rig: Rig, depth: AnyArray, dtype: Any
+) -> tuple[AnyArray, AnyArray, AnyArray, BoolArray]:
+    """Return the tactile depth (metres) expected at proximity pixels, their tactile pixels u, v, and which are visible.
+
+    All have the shape of ``depth``, (H, W), metres. Points behind the tactile camera are not visible.
+    """
+    height, width = depth.shape
     if preset.alignment.model == "rigid":
         T_t_p = np.linalg.inv(tactile_pose(preset.alignment, rig))
         rays = ray_table(rig.proximity.intrinsics).astype(np.float64)
         rays = np.concatenate([rays, np.ones((height, width, 1))], axis=2)
         seen = (rays @ T_t_p[:3, :3].T).astype(dtype) * depth[..., None] + T_t_p[:3, 3].astype(dtype)
-        expected = np.where(seen[..., 2] > 0, seen[..., 2], dtype(np.nan))
-        u, v = _project(seen, rig.tactile.intrinsics, dtype)
-        u, v = np.where(seen[..., 2] > 0, (u, v), dtype(np.nan))
-    else:
-        H_p_t = tactile_homography(preset.alignment, rig)
-        v0, u0 = np.mgrid[:height, :width].astype(np.float64)
-        mapped = np.einsum("ij,jvu->ivu", np.linalg.inv(H_p_t), np.stack([u0, v0, np.ones_like(u0)]))
-        centre = ((rig.tactile.intrinsics.width - 1) / 2, (rig.tactile.intrinsics.height - 1) / 2, 1.0)
-        visible = mapped[2] * (H_p_t[2] @ centre) > 0
-        u, v = np.where(visible, mapped[:2] / mapped[2], np.nan)
-        expected = depth.copy()
-    expected[no_depth] = np.nan
+        with np.errstate(all="ignore"):
+            u, v = _project(seen, rig.tactile.intrinsics, dtype)
+        return seen[..., 2], u, v, seen[..., 2] > 0
+    H_p_t = tactile_homography(preset.alignment, rig)
+    v0, u0 = np.mgrid[:height, :width].astype(np.float64)
+    mapped = np.einsum("ij,jvu->ivu", np.linalg.inv(H_p_t), np.stack([u0, v0, np.ones_like(u0)]))
+    centre = ((rig.tactile.intrinsics.width - 1) / 2, (rig.tactile.intrinsics.height - 1) / 2, 1.0)
+    with np.errstate(all="ignore"):
+        u, v = mapped[:2] / mapped[2]
+    return depth, u, v, mapped[2] * (H_p_t[2] @ centre) > 0
 
-    tactile = frame.tactile_depth
-    inside = (u >= -0.5) & (u < tactile.shape[1] - 0.5) & (v >= -0.5) & (v < tactile.shape[0] - 0.5)
+
+def _nearest(u: AnyArray, v: AnyArray, shape: tuple[int, ...]) -> tuple[BoolArray, AnyArray, AnyArray]:
+    """Return which places lie within an image, and the row and column of their nearest pixels (0 outside)."""
+    inside = (u >= -0.5) & (u < shape[1] - 0.5) & (v >= -0.5) & (v < shape[0] - 0.5)
     half = u.dtype.type(0.5)
-    column = np.where(inside, np.floor(u + half), 0).astype(int)
-    row = np.where(inside, np.floor(v + half), 0).astype(int)
-    looked_up = tactile[row, column]
-    factor = dtype(rig.tactile.depth_unit_m * preset.alignment.depth_scale)
-    measured = looked_up.astype(dtype) * factor + dtype(preset.alignment.depth_offset_m)
-    measured[~inside | (looked_up == 0) | (looked_up == 65535)] = np.nan
-    return expected, measured
+    column, row = (np.where(inside, np.floor(place + half), 0).astype(int) for place in (u, v))
+    return inside, row, column
 
 
 def _project(points: AnyArray, camera: Intrinsics, dtype: Any) -> tuple[AnyArray, AnyArray]:
@@ -138,13 +150,8 @@ def _membrane_colored(points: AnyArray, frame: SensorFrame, rig: Rig, section: M
     x, y, z = points[..., 0], points[..., 1], points[..., 2]
     seen = np.stack([T[i, 0] * x + T[i, 1] * y + T[i, 2] * z + T[i, 3] for i in range(3)], axis=-1)
     with np.errstate(all="ignore"):
-        u, v = _project(seen, rig.proximity_color.intrinsics, dtype)
-        inside = (seen[..., 2] > 0) & (u >= -0.5) & (u < image.shape[1] - 0.5)
-        inside &= (v >= -0.5) & (v < image.shape[0] - 0.5)
-    half = u.dtype.type(0.5)
-    column = np.where(inside, np.floor(u + half), 0).astype(int)
-    row = np.where(inside, np.floor(v + half), 0).astype(int)
-    return np.asarray(inside & colored[row, column])
+        inside, row, column = _nearest(*_project(seen, rig.proximity_color.intrinsics, dtype), image.shape)
+    return np.asarray((seen[..., 2] > 0) & inside & colored[row, column])
 
 
 def inliers(points: AnyArray, k: int, ratio: float) -> BoolArray:

@@ -14,13 +14,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..contact.alignment import tactile_homography, tactile_pose
 from ..contact.pipeline import ContactPatch, ContactPipeline
 from ..model.arrays import Float64Array, Uint16Array
 from ..model.frames import ColorCamera, DepthCamera, Matrix4, Rig, SensorFrame, rigid_transform
 from ..model.intrinsics import Distortion, Intrinsics
 from ..preset import CONTACT_TESTS, Preset
-from .reference_pipeline import reference_patch
+from .reference_pipeline import reference_patch, seen_by_tactile
 
 #: A verdict involves about ten roundings after the tables, each of half an ulp of the largest number involved: the
 #: depth for the tolerance, the image width for a looked-up pixel.
@@ -138,10 +137,7 @@ def differing_ulps(preset: Preset, rig: Rig, frame: SensorFrame) -> Float64Array
 
 def ulps_to_thresholds(preset: Preset, rig: Rig, frame: SensorFrame) -> Float64Array:
     """Return each pixel's distance to the nearest threshold that decides about it, float32 ulps, flat."""
-    depth = frame.proximity_depth.ravel().astype(np.float64) * rig.proximity.depth_unit_m
-    expected, uv = _expected_and_pixels(preset, rig, depth)
-    counts = _look_up(frame.tactile_depth, uv)
-    measured = counts * (rig.tactile.depth_unit_m * preset.alignment.depth_scale) + preset.alignment.depth_offset_m
+    depth, expected, measured, uv = _depths(preset, rig, frame)
     with np.errstate(all="ignore"):
         margin = np.abs(np.abs(expected - measured) - preset.tolerance.t * np.abs(expected))
         ulps = margin / np.spacing(np.maximum(np.abs(expected), np.abs(measured)).astype(np.float32))
@@ -166,22 +162,16 @@ def _ulps_to_next_pixel(uv: Float64Array, camera: Intrinsics) -> Float64Array:
     return np.asarray(border / np.spacing(np.float32(max(camera.shape))))
 
 
-def _expected_and_pixels(preset: Preset, rig: Rig, depth: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Return each proximity pixel's expected tactile depth (metres) and its tactile pixel coordinates."""
-    camera = rig.proximity.intrinsics
-    if preset.alignment.model == "rigid":
-        T_t_p = np.linalg.inv(tactile_pose(preset.alignment, rig))
-        rays = camera.rays().astype(np.float64).reshape(-1, 2)
-        points = np.concatenate([rays * depth[:, None], depth[:, None]], axis=1) @ T_t_p[:3, :3].T + T_t_p[:3, 3]
-        with np.errstate(all="ignore"):
-            return points[:, 2], rig.tactile.intrinsics.project(points)
-    v, u = np.mgrid[: camera.height, : camera.width]
-    mapped = (
-        np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1)
-        @ np.linalg.inv(tactile_homography(preset.alignment, rig)).T
-    )
-    with np.errstate(all="ignore"):
-        return depth, mapped[:, :2] / mapped[:, 2:]
+def _depths(
+    preset: Preset, rig: Rig, frame: SensorFrame
+) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array]:
+    """Return each pixel's proximity depth, the expected and the measured tactile depth (metres), and tactile pixel."""
+    depth = frame.proximity_depth * rig.proximity.depth_unit_m
+    expected, u, v, _ = seen_by_tactile(preset, rig, depth, np.float64)
+    uv = np.stack([u.ravel(), v.ravel()], axis=1)
+    counts = _look_up(frame.tactile_depth, uv)
+    measured = counts * (rig.tactile.depth_unit_m * preset.alignment.depth_scale) + preset.alignment.depth_offset_m
+    return depth.ravel(), expected.ravel(), measured, uv
 
 
 def _look_up(image: Uint16Array, uv: Float64Array) -> Uint16Array:
@@ -193,10 +183,7 @@ def _look_up(image: Uint16Array, uv: Float64Array) -> Uint16Array:
 
 def _difference_of_a_pixel(preset: Preset, rig: Rig, frame: SensorFrame, random: np.random.Generator) -> float:
     """Return the relative difference of a random pixel: as a tolerance, it puts that pixel exactly on the threshold."""
-    depth = frame.proximity_depth.ravel().astype(np.float64) * rig.proximity.depth_unit_m
-    expected, uv = _expected_and_pixels(preset, rig, depth)
-    counts = _look_up(frame.tactile_depth, uv)
-    measured = counts * (rig.tactile.depth_unit_m * preset.alignment.depth_scale) + preset.alignment.depth_offset_m
+    _, expected, measured, _ = _depths(preset, rig, frame)
     with np.errstate(all="ignore"):
         relative = np.abs(expected - measured) / np.abs(expected)
     usable = relative[np.isfinite(relative) & (relative <= 1.0)]
