@@ -334,6 +334,12 @@ def over_background(lut: Uint8Array, background: tuple[int, int, int]) -> Uint8A
     return mixed
 
 
+def tint(pixels: Uint8Array, where: BoolArray, rgb: tuple[int, int, int], share: float) -> None:
+    """Mix a colour by its share into some pixels of an image, uint8 (H, W, 4) as ``QImage.Format_RGB32``, in place."""
+    tinted = cv2.add(cv2.convertScaleAbs(pixels, alpha=1.0 - share), share * np.array((*rgb[::-1], 255)))
+    cv2.copyTo(tinted, np.ascontiguousarray(where).view(np.uint8), pixels)
+
+
 def _sample(name: str, positions: Float64Array) -> Uint8Array:
     colors = pg.colormap.get(name).map(positions, mode="byte")
     return np.ascontiguousarray(colors, dtype=np.uint8)

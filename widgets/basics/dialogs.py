@@ -11,6 +11,7 @@ from pathlib import Path
 
 from PyQt6.QtCore import QMimeData, QSize, Qt
 from PyQt6.QtWidgets import (
+    QAbstractButton,
     QApplication,
     QDialog,
     QDialogButtonBox,
@@ -42,46 +43,18 @@ class Dialogs:
 
     def ask_unsaved(self, name: str, save: Callable[[], object], discard: Callable[[], object]) -> None:
         """Ask whether to save or discard changes; Cancel calls nothing."""
-        box = QMessageBox(self._parent)
-        box.setIcon(QMessageBox.Icon.Warning)
-        box.setWindowTitle("Unsaved changes")
-        box.setText(f"Save the changes to “{name}”?")
-        box.setInformativeText("Without saving, they are lost.")
-        _show_plain(box)
-        buttons = QMessageBox.StandardButton
-        box.setStandardButtons(buttons.Save | buttons.Discard | buttons.Cancel)
-        box.setDefaultButton(buttons.Save)
-        box.setEscapeButton(buttons.Cancel)
-
-        def answered(_: int) -> None:
-            answer = box.standardButton(box.clickedButton())
-            box.deleteLater()
-            if answer == buttons.Save:
-                save()
-            elif answer == buttons.Discard:
-                discard()
-
-        box.finished.connect(answered)
-        box.open()
+        box = self._box("Unsaved changes", f"Save the changes to “{name}”?", "Without saving, they are lost.")
+        saving = box.addButton(QMessageBox.StandardButton.Save)
+        discarding = box.addButton(QMessageBox.StandardButton.Discard)
+        box.setDefaultButton(saving)
+        _open(box, lambda clicked: save if clicked is saving else discard if clicked is discarding else None)
 
     def ask(self, title: str, question: str, details: str, yes: str, use: Callable[[], object]) -> None:
         """Ask before something is replaced or removed; the button ``yes`` calls ``use``, Cancel nothing."""
-        box = QMessageBox(QMessageBox.Icon.Warning, title, question, parent=self._parent)
-        box.setInformativeText(details)
-        _show_plain(box)
+        box = self._box(title, question, details)
         agree = box.addButton(yes, QMessageBox.ButtonRole.AcceptRole)
-        box.addButton(QMessageBox.StandardButton.Cancel)
         box.setDefaultButton(QMessageBox.StandardButton.Cancel)
-        box.setEscapeButton(QMessageBox.StandardButton.Cancel)
-
-        def answered(_: int) -> None:
-            agreed = box.clickedButton() is agree
-            box.deleteLater()
-            if agreed:
-                use()
-
-        box.finished.connect(answered)
-        box.open()
+        _open(box, lambda clicked: use if clicked is agree else None)
 
     def ask_details(self, name: str, notes: str, use: Callable[[str, str], object]) -> None:
         """Ask for the name and the notes of a preset."""
@@ -113,7 +86,10 @@ class Dialogs:
 
     def open_file(self, title: str, folder: Path, name_filter: str, use: Callable[[Path], None]) -> None:
         """Ask for an existing file."""
-        self._ask_path(title, folder, name_filter, QFileDialog.FileMode.ExistingFile, use)
+        dialog = self._dialog(title, folder)
+        dialog.setFileMode(QFileDialog.FileMode.ExistingFile)
+        dialog.setNameFilters([name_filter, "All files (*)"])
+        self._run(dialog, use)
 
     def open_files(self, title: str, folder: Path, name_filters: list[str], use: Callable[[list[Path]], None]) -> None:
         """Ask for one or more existing files."""
@@ -124,7 +100,10 @@ class Dialogs:
 
     def open_folder(self, title: str, folder: Path, use: Callable[[Path], None]) -> None:
         """Ask for an existing folder."""
-        self._ask_path(title, folder, "", QFileDialog.FileMode.Directory, use)
+        dialog = self._dialog(title, folder)
+        dialog.setFileMode(QFileDialog.FileMode.Directory)
+        dialog.setOption(QFileDialog.Option.ShowDirsOnly)
+        self._run(dialog, use)
 
     def save_file(self, title: str, suggestion: Path, name_filters: list[str], use: Callable[[Path], None]) -> None:
         """Ask where to save; a name without suffix gets the suffix of the chosen filter."""
@@ -136,16 +115,15 @@ class Dialogs:
         dialog.selectFile(suggestion.name)
         self._run(dialog, use)
 
-    def _ask_path(
-        self, title: str, folder: Path, name_filter: str, mode: QFileDialog.FileMode, use: Callable[[Path], None]
-    ) -> None:
-        dialog = self._dialog(title, folder)
-        dialog.setFileMode(mode)
-        if mode == QFileDialog.FileMode.Directory:
-            dialog.setOption(QFileDialog.Option.ShowDirsOnly)
-        else:
-            dialog.setNameFilters([name_filter, "All files (*)"])
-        self._run(dialog, use)
+    def _box(self, title: str, question: str, details: str) -> QMessageBox:
+        """Return a warning with the button Cancel, which Esc presses."""
+        box = QMessageBox(QMessageBox.Icon.Warning, title, question, parent=self._parent)
+        box.setInformativeText(details)
+        for label in box.findChildren(QLabel):
+            label.setTextFormat(Qt.TextFormat.PlainText)  # a name may look like markup
+        box.addButton(QMessageBox.StandardButton.Cancel)
+        box.setEscapeButton(QMessageBox.StandardButton.Cancel)
+        return box
 
     def _dialog(self, title: str, folder: Path) -> QFileDialog:
         dialog = QFileDialog(self._parent, title, str(folder))
@@ -163,10 +141,17 @@ class Dialogs:
         dialog.open()
 
 
-def _show_plain(box: QMessageBox) -> None:
-    """Show the texts as they are: a name may look like markup."""
-    for label in box.findChildren(QLabel):
-        label.setTextFormat(Qt.TextFormat.PlainText)
+def _open(box: QMessageBox, answer: Callable[[QAbstractButton | None], Callable[[], object] | None]) -> None:
+    """Show a question; then call what the answer to the clicked button is, if anything."""
+
+    def answered(_: int) -> None:
+        use = answer(box.clickedButton())
+        box.deleteLater()
+        if use is not None:
+            use()
+
+    box.finished.connect(answered)
+    box.open()
 
 
 def local_files(data: QMimeData | None) -> list[Path]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QImage, QMouseEvent, QPainter, QPaintEvent, QPen
+from PyQt6.QtGui import QColor, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
 from PyQt6.QtWidgets import QLabel, QSizePolicy, QWidget
 
 from ...core.model.arrays import Uint8Array
@@ -26,6 +26,14 @@ _GAP = 5
 #: Columns and rows that each arrow key moves, and the factor of each zoom key.
 ARROW_KEYS = {Qt.Key.Key_Left: (-1, 0), Qt.Key.Key_Right: (1, 0), Qt.Key.Key_Up: (0, -1), Qt.Key.Key_Down: (0, 1)}
 ZOOM_KEYS = {Qt.Key.Key_Plus: 1.25, Qt.Key.Key_Equal: 1.25, Qt.Key.Key_Minus: 0.8}
+
+
+def moved_by_arrow(event: QKeyEvent, place: tuple[float, float], size: tuple[int, int]) -> tuple[int, int]:
+    """Return the pixel beside a place in the direction of an arrow key, within an image; with Shift ten pixels away."""
+    length = 10 if event.modifiers() & Qt.KeyboardModifier.ShiftModifier else 1
+    moved = zip(place, ARROW_KEYS[Qt.Key(event.key())], size, strict=True)
+    u, v = (min(max(round(at) + length * step, 0), extent - 1) for at, step, extent in moved)
+    return u, v
 
 
 @dataclass(frozen=True)

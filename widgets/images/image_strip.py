@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import QRectF, Qt, pyqtSignal
-from PyQt6.QtGui import QKeyEvent, QPainter, QPaintEvent, QPalette, QPen, QResizeEvent
+from PyQt6.QtGui import QKeyEvent, QPaintEvent, QPalette, QResizeEvent
 from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QSizePolicy, QWidget
 
 from ..basics.colormaps import CONTACT_RGB, MASKED_RGB, depth_lut, difference_lut
-from ..basics.controls import ElidedLabel
+from ..basics.controls import ElidedLabel, paint_focus
 from ..basics.fields import format_number
 from ..basics.layouts import hbox, vbox
 from ..basics.wipe import Wipe
-from .image_pane import ARROW_KEYS, ZOOM_KEYS, ColorBar, ImagePane, Rectangle, Swatch
+from .image_pane import ARROW_KEYS, ZOOM_KEYS, ColorBar, ImagePane, Rectangle, Swatch, moved_by_arrow
 from .marks import RegionItem
 from .strip_render import NO_VALUE_RGB, RenderedStrip
 
@@ -191,11 +191,8 @@ class ImageStrip(QWidget):
             return
         key = Qt.Key(event.key())
         if key in ARROW_KEYS:
-            length = 10 if event.modifiers() & Qt.KeyboardModifier.ShiftModifier else 1
             start = self._pixel if self._pixel != (-1, -1) else (self._size[0] // 2, self._size[1] // 2)
-            moved = zip(start, ARROW_KEYS[key], self._size, strict=True)
-            u, v = (min(max(at + length * step, 0), extent - 1) for at, step, extent in moved)
-            self.point_at(u, v)
+            self.point_at(*moved_by_arrow(event, start, self._size))
         elif key in (Qt.Key.Key_Return, Qt.Key.Key_Enter) and self._pixel != (-1, -1):
             self.clicked.emit("color", *self._pixel, event.modifiers())
         elif key in ZOOM_KEYS:
@@ -208,10 +205,7 @@ class ImageStrip(QWidget):
     def paintEvent(self, event: QPaintEvent | None) -> None:
         """Paint a frame while the keyboard acts here."""
         super().paintEvent(event)
-        if self.hasFocus():
-            painter = QPainter(self)
-            painter.setPen(QPen(self.palette().highlight().color(), 2))
-            painter.drawRect(self.rect().adjusted(1, 1, -1, -1))
+        paint_focus(self)
 
     # --- inside ------------------------------------------------------------------------------------------------
 

@@ -12,8 +12,8 @@ from PyQt6.QtCore import QEvent, QObject, QPointF, Qt, pyqtSignal
 from PyQt6.QtGui import QKeyEvent, QMouseEvent, QWheelEvent
 
 from ...core.model.arrays import BoolArray, Float64Array, Int64Array, Uint8Array
-from ..basics.colormaps import CONTACT_RGB
-from .image_pane import ARROW_KEYS, ZOOM_KEYS, ImagePane, Swatch
+from ..basics.colormaps import CONTACT_RGB, tint
+from .image_pane import ARROW_KEYS, ZOOM_KEYS, ImagePane, Swatch, moved_by_arrow
 
 #: Labels of a pixel.
 UNKNOWN, NO_CONTACT, CONTACT = 0, 1, 2
@@ -197,10 +197,7 @@ class PaintImage(ImagePane):
             return
         key = Qt.Key(event.key())
         if key in ARROW_KEYS:
-            length = 10 if event.modifiers() & Qt.KeyboardModifier.ShiftModifier else 1
-            moved = zip(self._at, ARROW_KEYS[key], self._size, strict=True)
-            u, v = (min(max(round(at) + length * step, 0), extent - 1) for at, step, extent in moved)
-            self._at = (u, v)
+            self._at = moved_by_arrow(event, self._at, self._size)
             self._show_ring()
         elif key in {Qt.Key.Key_Space, Qt.Key.Key_Delete, Qt.Key.Key_Backspace} and self.tool == "brush":
             self._begin(self._at, erases=key != Qt.Key.Key_Space)
@@ -223,8 +220,7 @@ class PaintImage(ImagePane):
 def tint_labels(pixels: Uint8Array, labels: Uint8Array) -> None:
     """Tint an image, uint8 (H, W, 4) as ``QImage.Format_RGB32``, by its labels, in place."""
     for label, (share, rgb) in _TINTS.items():
-        tinted = cv2.add(cv2.convertScaleAbs(pixels, alpha=1 - share), share * np.array((*rgb[::-1], 255)))
-        cv2.copyTo(tinted, (labels == label).view(np.uint8), pixels)
+        tint(pixels, labels == label, rgb, share)
 
 
 def _grid(shape: tuple[int, ...]) -> tuple[Int64Array, Int64Array]:

@@ -12,7 +12,15 @@ import numpy as np
 import numpy.typing as npt
 
 from ...core.model.arrays import BoolArray, Float32Array, Uint8Array
-from ..basics.colormaps import CONTACT_RGB, DIFFERENCE_LIMIT, MASKED_RGB, depth_lut, difference_index, difference_lut
+from ..basics.colormaps import (
+    CONTACT_RGB,
+    DIFFERENCE_LIMIT,
+    MASKED_RGB,
+    depth_lut,
+    difference_index,
+    difference_lut,
+    tint,
+)
 
 _Packed = npt.NDArray[np.uint32]
 
@@ -145,12 +153,10 @@ def _depth_index(depth_m: Float32Array, range_m: tuple[float, float]) -> Uint8Ar
 def _colored(color: Uint8Array, mask: BoolArray | None, view: MaskView) -> _Packed:
     if mask is not None and view is MaskView.BLACK_WHITE:
         return np.where(mask, _pack_rgb((255, 255, 255)), _pack_rgb((0, 0, 0)))
-    bgra = cv2.cvtColor(np.ascontiguousarray(color), cv2.COLOR_RGB2BGRA)
+    bgra = np.asarray(cv2.cvtColor(np.ascontiguousarray(color), cv2.COLOR_RGB2BGRA), np.uint8)
     if mask is not None and view is MaskView.OVERLAY:
-        tint = [MASK_TINT * channel for channel in (*MASKED_RGB[::-1], 255)]
-        tinted = cv2.add(cv2.convertScaleAbs(bgra, alpha=1.0 - MASK_TINT), np.array(tint))
-        cv2.copyTo(tinted, np.ascontiguousarray(mask).view(np.uint8), bgra)
-    return np.asarray(bgra, dtype=np.uint8).view(np.uint32)[:, :, 0]
+        tint(bgra, mask, MASKED_RGB, MASK_TINT)
+    return bgra.view(np.uint32)[:, :, 0]
 
 
 def _outline(region: BoolArray) -> BoolArray:

@@ -15,7 +15,6 @@ from PyQt6.QtGui import (
     QPaintEvent,
     QPalette,
     QPen,
-    QWheelEvent,
 )
 from PyQt6.QtWidgets import QAbstractSpinBox, QSizePolicy, QWidget
 
@@ -160,11 +159,6 @@ class BandSlider(QWidget):
         self._hovered = None
         self.update()
         super().leaveEvent(event)
-
-    def wheelEvent(self, event: QWheelEvent | None) -> None:
-        """Let the panel scroll."""
-        if event is not None:
-            event.ignore()
 
     # --- keyboard ----------------------------------------------------------------------------------------------
 

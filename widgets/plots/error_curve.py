@@ -8,10 +8,12 @@ from typing import Final
 import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, QObject, QPointF, Qt, pyqtSignal
-from PyQt6.QtGui import QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
-from PyQt6.QtWidgets import QLabel, QVBoxLayout, QWidget
+from PyQt6.QtGui import QKeyEvent, QMouseEvent, QPaintEvent
+from PyQt6.QtWidgets import QLabel, QWidget
 
 from ...core.model.arrays import Float64Array
+from ..basics.controls import paint_focus
+from ..basics.layouts import vbox
 from ..basics.theme import ThemeColors
 from .plot import Plot
 
@@ -47,11 +49,7 @@ class ErrorCurvePlot(QWidget):
             item.addItem(curve)
         self.readout = QLabel()
         self.readout.setWordWrap(True)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(4, 4, 4, 4)  # room for the frame of the keyboard's focus
-        layout.setSpacing(4)
-        layout.addWidget(self.plot)
-        layout.addWidget(self.readout)
+        vbox(self.plot, self.readout, within=self, margins=4, spacing=4)  # room for the frame of the keyboard's focus
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAccessibleName("Missed and false area")
         self.setToolTip(
@@ -113,10 +111,7 @@ class ErrorCurvePlot(QWidget):
     def paintEvent(self, event: QPaintEvent | None) -> None:
         """Paint a frame while the keyboard acts here."""
         super().paintEvent(event)
-        if self.hasFocus():
-            painter = QPainter(self)
-            painter.setPen(QPen(self.palette().highlight().color(), 2))
-            painter.drawRect(self.rect().adjusted(1, 1, -1, -1))
+        paint_focus(self)
 
     def _choose(self, index: int) -> None:
         value = float(self._values[index])

@@ -39,12 +39,10 @@ class PosePlot(QWidget):
         for plot, curve in ((self.lengths, self.residual), (self.lengths, self.position), (self.angles, self.angle)):
             plot.addItem(curve)
         self.angles.setXLink(self.lengths)
-        layout = vbox(within=self, margins=0, spacing=4)
         self.about = QLabel()
         self.about.setWordWrap(True)
         self.about.setFont(text_font("caption"))
-        for widget in (self.lengths, self.angles, self.about):
-            layout.addWidget(widget)
+        vbox(self.lengths, self.angles, self.about, within=self, margins=0, spacing=4)
         self.angles.follow_theme()
         self.lengths.follow_theme(self._recolor)
         self._show()
