@@ -101,12 +101,13 @@ def _bandwidth(rounds: int) -> list[Check]:
         scene = make_scene(name)
         timing = time_in_turns({"mine": find_engine("tactune-per-pixel").make(scene)}, rounds)["mine"]
         contacts = int(reference_mask(scene, outliers=False).sum())
-        limit = roofline(scene, len(candidate_points(scene)[0]), contacts, bandwidth)
+        must_bytes = least_bytes(scene, len(candidate_points(scene)[0]), contacts)
+        limit_ms = 1e3 * must_bytes / bandwidth
         words = (
-            f"without outlier removal on {name}, time over the limit ({limit.must_bytes / 1e6:.2f} MB at "
-            f"{bandwidth / 1e9:.1f} GB/s: {limit.limit_ms:.3f} ms)"
+            f"without outlier removal on {name}, time over the limit ({must_bytes / 1e6:.2f} MB at "
+            f"{bandwidth / 1e9:.1f} GB/s: {limit_ms:.3f} ms)"
         )
-        checks.append(Check(words, timing.median_ms / limit.limit_ms, 4, False))
+        checks.append(Check(words, timing.median_ms / limit_ms, 4, False))
     return checks
 
 
@@ -125,28 +126,12 @@ def _ratio(scene: BenchScene, baseline: str, mine: str, rounds: int) -> tuple[fl
     return timings[baseline].median_ms / timings[mine].median_ms, int((theirs != ours).sum())
 
 
-@dataclass(frozen=True)
-class Roofline:
-    """The least memory traffic of the per-pixel chain, and the time for it.
+def least_bytes(scene: BenchScene, candidates: int, contacts: int) -> int:
+    """Return the least memory traffic of the per-pixel chain, bytes.
 
-    ``must_bytes`` counts each input and each result once: both depth images, a colour per candidate, a verdict per
-    pixel and a point per contact pixel. Tables are not counted.
+    Each input and each result counts once: both depth images, a verdict per pixel, a colour for each of the
+    ``candidates`` after the tolerance test, and a point for each of the ``contacts`` in the end. Tables do not count.
     """
-
-    must_bytes: int
-    bandwidth_bytes_per_s: float
-
-    @property
-    def limit_ms(self) -> float:
-        """The shortest possible time for these bytes, milliseconds."""
-        return 1e3 * self.must_bytes / self.bandwidth_bytes_per_s
-
-
-def roofline(scene: BenchScene, candidates: int, contacts: int, bandwidth_bytes_per_s: float) -> Roofline:
-    """Return the limit for a scene with ``candidates`` pixels after the tolerance test and ``contacts`` in the end."""
     frame = scene.frame
     must = frame.proximity_depth.nbytes + frame.tactile_depth.nbytes + frame.proximity_depth.size * _VERDICT_BYTES
-    must += contacts * _POINT_BYTES
-    if scene.preset.mask.enabled:
-        must += candidates * _COLOR_BYTES
-    return Roofline(must, bandwidth_bytes_per_s)
+    return must + contacts * _POINT_BYTES + scene.preset.mask.enabled * candidates * _COLOR_BYTES

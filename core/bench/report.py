@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from ..model.figures import pyplot, save_figure
 from ..model.files import atomic_path
@@ -119,10 +118,6 @@ def _draw_error_over_time(points: list[tuple[str, str, float, float]], folder: P
     }
     figure.legend(labels.values(), labels.keys(), loc="lower center", ncols=min(5, len(labels)), frameon=False)
     figure.tight_layout(rect=(0, 0.9 / (4 * lines + 0.9), 1, 1))
-    return _save(figure, folder, name)
-
-
-def _save(figure: Any, folder: Path, name: str) -> list[Path]:
     paths = [folder / f"{name}.png", folder / f"{name}.svg"]
     save_figure(figure, *paths, dpi=110)
     return paths

@@ -5,19 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from itertools import groupby
+from typing import Any, Final
 
 import numpy as np
 
-from ..errors import TactuneError
 from ..evaluation.metrics import pixel_scores, symmetric_rmse_m, truth_cloud
+from ..evaluation.table_report import aligned, number_text
 from ..model.arrays import BoolArray, Float64Array
 from ..model.clouds import ray_table
 from ..model.provenance import Provenance
 from .engines.reference import candidate_points, mask_of
 from .measure import Timing, peak_bytes, time_in_turns
 from .reference_pipeline import inliers, reference_patch
-from .registry import Engine, Job, Outcome, Progress, Runner, engines
+from .registry import Engine, Job, Outcome, Progress, Runner, engines, find_engine
 from .scenes import BenchScene, make_scene
 
 
@@ -75,11 +76,8 @@ def compare_engines(
     TactuneError
         No such scene or engine.
     """
-    unknown = set(only) - {found.name for found in engines()}
-    if unknown:
-        raise TactuneError(
-            f"there is no engine {sorted(unknown)[0]!r}; known are {', '.join(found.name for found in engines())}"
-        )
+    for engine in only:
+        find_engine(engine)
     tasks = [(scene, job) for scene in scenes for job in jobs]
     rows: list[Row] = []
     for done, (name, job) in enumerate(tasks):
@@ -118,10 +116,11 @@ def _row(
     if mask is not None:
         differing = int(np.count_nonzero(mask != expected_mask(scene, found.job)))
         points = int(np.count_nonzero(mask))
-        if scene.truth is not None and found.job in {Job.PIPELINE, Job.PER_PIXEL}:
-            iou = pixel_scores(mask, scene.truth.contact).iou
+        truth = scene.frame.truth
+        if truth is not None and found.job in {Job.PIPELINE, Job.PER_PIXEL}:
+            iou = pixel_scores(mask, truth.contact).iou
             cloud = outcome.points if outcome.points is not None else _points(mask, scene)
-            rmse_mm = 1e3 * symmetric_rmse_m(cloud, truth_cloud(scene.truth, scene.rig).points)
+            rmse_mm = 1e3 * symmetric_rmse_m(cloud, truth_cloud(truth, scene.rig).points)
     ratio = baseline.median_ms / timing.median_ms if baseline is not None else math.nan
     return Row(
         scene.name, found.name, found.job.value, found.title, found.exact, timing, ratio, points, differing, iou,
@@ -168,35 +167,25 @@ def rows_as_json(rows: list[Row]) -> list[dict[str, Any]]:
     return [plain(asdict(row)) for row in rows]
 
 
+_HEADING: Final = ("engine", "ms", "quartiles", "ratio", "points", "differ", "IoU", "RMSE mm", "peak MiB")
+
+
 def rows_as_text(rows: list[Row]) -> str:
     """Return a table as text, one block per scene and job."""
-    lines: list[str] = []
-    heading = ("engine", "ms", "quartiles", "ratio", "points", "differ", "IoU", "RMSE mm", "peak MiB")
-    last: tuple[str, str] | None = None
-    for row in rows:
-        if (row.scene, row.job) != last:
-            last = row.scene, row.job
-            lines += ["", f"{row.scene}, {row.job}", _line(heading)]
-        time = row.timing
-        cells = (
-            row.engine,
-            f"{time.median_ms:.3f}",
-            f"{time.lower_ms:.2f}-{time.upper_ms:.2f}",
-            _number(row.ratio, ".1f", "x"),
-            str(row.points),
-            "-" if row.differing_px is None else str(row.differing_px),
-            _number(row.iou, ".3f"),
-            _number(row.rmse_mm, ".2f"),
-            "-" if row.peak_mib is None else f"{row.peak_mib:.1f}",
-        )
-        lines.append(_line(cells))
-    return "\n".join(lines).lstrip("\n")
+    blocks = groupby(rows, key=lambda row: f"{row.scene}, {row.job}")
+    return "\n\n".join(f"{title}\n{aligned([_HEADING, *map(_cells, block)])}" for title, block in blocks)
 
 
-def _line(cells: Sequence[str]) -> str:
-    first, *others = cells
-    return f"{first:<26}" + "".join(f" {cell:>15}" for cell in others)
-
-
-def _number(value: float, form: str, unit: str = "") -> str:
-    return f"{value:{form}}{unit}" if math.isfinite(value) else "-"
+def _cells(row: Row) -> tuple[str, ...]:
+    time = row.timing
+    return (
+        row.engine,
+        f"{time.median_ms:.3f}",
+        f"{time.lower_ms:.2f}-{time.upper_ms:.2f}",
+        f"{row.ratio:.1f}x" if math.isfinite(row.ratio) else "-",
+        str(row.points),
+        "-" if row.differing_px is None else str(row.differing_px),
+        number_text(row.iou, 3),
+        number_text(row.rmse_mm, 2),
+        "-" if row.peak_mib is None else f"{row.peak_mib:.1f}",
+    )

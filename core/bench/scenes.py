@@ -35,11 +35,6 @@ class BenchScene:
     preset: Preset
     frame: SensorFrame
 
-    @property
-    def truth(self) -> GroundTruth | None:
-        """The ground truth of the frame, or None."""
-        return self.frame.truth
-
 
 def scene_names() -> tuple[str, ...]:
     """Return the names of all scenes, from no contact to full contact."""

@@ -10,6 +10,7 @@ from statistics import median
 from ..evaluation.sensor_table import AVERAGED, METHODS, SHIPPED, TOLERANCE_TESTS
 from ..evaluation.table import average
 from ..evaluation.table_cell import TableCell
+from ..evaluation.table_report import aligned
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,5 @@ def sensor_timings(cells: Sequence[TableCell]) -> list[SensorTiming]:
 
 def timings_as_text(timings: Sequence[SensorTiming]) -> str:
     """Return a table as text, one line per sensor and contact test."""
-    lines = [f"{'sensor':<16}{'contact test':<18}{'ms':>10}{'RMSE mm':>10}"]
-    lines += [f"{it.sensor:<16}{it.method:<18}{it.ms:>10.1f}{it.rmse_mm:>10.2f}" for it in timings]
-    return "\n".join(lines)
+    lines = [(it.sensor, it.method, f"{it.ms:.1f}", f"{it.rmse_mm:.2f}") for it in timings]
+    return aligned([("sensor", "contact test", "ms", "RMSE mm"), *lines])

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..contact.pipeline import ContactPatch, ContactPipeline
-from ..model.arrays import Float64Array, Uint16Array
+from ..model.arrays import AnyArray, Float64Array, Uint16Array
 from ..model.frames import ColorCamera, DepthCamera, Matrix4, Rig, SensorFrame, rigid_transform
 from ..model.intrinsics import Distortion, Intrinsics
 from ..preset import CONTACT_TESTS, Preset
@@ -162,9 +162,7 @@ def _ulps_to_next_pixel(uv: Float64Array, camera: Intrinsics) -> Float64Array:
     return np.asarray(border / np.spacing(np.float32(max(camera.shape))))
 
 
-def _depths(
-    preset: Preset, rig: Rig, frame: SensorFrame
-) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array]:
+def _depths(preset: Preset, rig: Rig, frame: SensorFrame) -> tuple[AnyArray, AnyArray, AnyArray, AnyArray]:
     """Return each pixel's proximity depth, the expected and the measured tactile depth (metres), and tactile pixel."""
     depth = frame.proximity_depth * rig.proximity.depth_unit_m
     expected, u, v, _ = seen_by_tactile(preset, rig, depth, np.float64)

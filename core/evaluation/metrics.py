@@ -189,7 +189,7 @@ def cloud_distances(patch: npt.ArrayLike, truth: npt.ArrayLike) -> CloudDistance
     a, b = np.asarray(patch, np.float64).reshape(-1, 3), np.asarray(truth, np.float64).reshape(-1, 3)
     if len(a) == 0 or len(b) == 0:
         return CloudDistances(*[math.nan] * 6)
-    there, back = _to_nearest(a, b), _to_nearest(b, a)
+    there, back = _nearest(cKDTree(b), a), _nearest(cKDTree(a), b)
     there_rms, back_rms = _rms(there), _rms(back)
     return CloudDistances(
         patch_to_truth_rms_m=there_rms,
@@ -283,10 +283,6 @@ def _outline(mask: BoolArray) -> BoolArray:
     padded = np.pad(mask, 1)
     inner = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
     return mask & ~inner
-
-
-def _to_nearest(points: Float64Array, others: Float64Array) -> Float64Array:
-    return _nearest(cKDTree(others), points)
 
 
 def _nearest(tree: cKDTree, points: Float64Array) -> Float64Array:

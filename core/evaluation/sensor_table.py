@@ -37,6 +37,7 @@ from .table_cell import (
     TableCell,
     TableCellFolder,
     build_method,
+    check_choice,
     failure_of,
     plan_scenes,
     run_method,
@@ -149,13 +150,7 @@ def _chosen(what: str, names: Sequence[str], known: dict[str, bool], held_out: b
         Each known name, and whether it is held out.
     """
     allowed = [name for name in known if held_out or not known[name]]
-    for name in names:
-        if name not in allowed:
-            if name in known:
-                raise TactuneError(
-                    f"the {what} {name!r} is held out; add --held-out, or choose from {', '.join(allowed)}"
-                )
-            raise TactuneError(f"the simulator has no {what} {name!r}; choose from {', '.join(allowed)}")
+    check_choice("the simulator", what, names, allowed, known)
     return tuple(dict.fromkeys(names)) or tuple(name for name in known if known[name] == held_out)
 
 

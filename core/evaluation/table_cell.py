@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import cache
 from pathlib import Path
@@ -118,15 +118,8 @@ def plan_scenes(
     TactuneError
         An object or press is unknown, or a held-out object is given without ``held_out``.
     """
-    known = HELD_OUT if held_out else (*OBJECTS, "two")
-    for what, names, allowed in (("object", objects, known), ("press", presses, PRESSES)):
-        for name in names:
-            if name not in allowed:
-                if name in HELD_OUT:
-                    raise TactuneError(
-                        f"the {what} {name!r} is held out; add --held-out, or choose from {', '.join(allowed)}"
-                    )
-                raise TactuneError(f"the table has no {what} {name!r}; choose from {', '.join(allowed)}")
+    check_choice("the table", "object", objects, HELD_OUT if held_out else (*OBJECTS, "two"), HELD_OUT)
+    check_choice("the table", "press", presses, PRESSES)
     scenes = [scene for name in dict.fromkeys(objects) for press in dict.fromkeys(presses)
               for scene in _still(name, press)]  # fmt: skip
     if extra:
@@ -136,6 +129,18 @@ def plan_scenes(
             scenes += [scene for press in ("medium", "high") for scene in _still("two", press, "extra")]
         scenes += [PlannedScene("hover", pressed, str(gap), group="hover") for gap in GAPS_MM]
     return scenes
+
+
+def check_choice(
+    owner: str, what: str, names: Sequence[str], allowed: Sequence[str], held_out: Collection[str] = ()
+) -> None:
+    """Raise `TactuneError` for a name that is not allowed; ``what`` it names and ``owner``, who knows it, are words."""
+    for name in names:
+        if name not in allowed:
+            choose = f"choose from {', '.join(allowed)}"
+            if name in held_out:
+                raise TactuneError(f"the {what} {name!r} is held out; add --held-out, or {choose}")
+            raise TactuneError(f"{owner} has no {what} {name!r}; {choose}")
 
 
 def _still(name: str, press: str, group: Group = "main") -> list[PlannedScene]:

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -104,17 +105,12 @@ def load_scan(path: Path | str, unit_m: float = 1.0) -> Scan:
     if not (math.isfinite(unit_m) and unit_m > 0):
         raise SourceError(f"the unit of {path} is {unit_m} m; give the length of its unit in metres, such as 0.001")
     _check_file(path, SUFFIXES)
-    try:
+    with _readable(path):
         meshes = [(mesh, *_in_metres(mesh, path, unit_m)) for mesh in _meshes(path)]
         edge = _cut_edge(
             [(vertices, triangles) for mesh, vertices, triangles in meshes if mesh.visual.kind == "texture"]
         )
-        scan = _joined([_coloured(*part, edge, path) for part in meshes], path)
-    except TactuneError:
-        raise
-    except Exception as error:  # trimesh does not wrap the errors of its parsers
-        raise _unreadable(path, error) from error
-    return scan
+        return _joined([_coloured(*part, edge, path) for part in meshes], path)
 
 
 def read_triangles(path: Path | str, suffixes: Sequence[str] = SUFFIXES) -> tuple[Float64Array, Int32Array]:
@@ -142,25 +138,28 @@ def read_triangles(path: Path | str, suffixes: Sequence[str] = SUFFIXES) -> tupl
     """
     path = user_path(path)
     _check_file(path, suffixes)
-    try:
+    with _readable(path):
         grey = [
             Scan(vertices, triangles.astype(np.int32), np.zeros((len(vertices), 3), np.uint8))
             for vertices, triangles in (_geometry(mesh, path) for mesh in _meshes(path))
         ]
         joined = _merged(grey, path)
-    except TactuneError:
-        raise
-    except Exception as error:  # trimesh does not wrap the errors of its parsers
-        raise _unreadable(path, error) from error
     vertices, triangles = joined.vertices_m, joined.triangles
     a, b, c = (vertices[triangles[:, k]] - vertices.mean(axis=0) for k in range(3))
     inside_out = (a * np.cross(b, c)).sum() < 0
     return vertices, np.ascontiguousarray(triangles[:, ::-1]) if inside_out else triangles
 
 
-def _unreadable(path: Path, error: Exception) -> SourceError:
-    detail = " ".join(str(error).split())[:200] or type(error).__name__
-    return SourceError(f"{path} is no readable {path.suffix} mesh ({detail}); export it again")
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Raise a `SourceError` for whatever error trimesh gives, which does not wrap those of its parsers."""
+    try:
+        yield
+    except TactuneError:
+        raise
+    except Exception as error:
+        detail = " ".join(str(error).split())[:200] or type(error).__name__
+        raise SourceError(f"{path} is no readable {path.suffix} mesh ({detail}); export it again") from error
 
 
 def _check_file(path: Path, suffixes: Sequence[str]) -> None:
