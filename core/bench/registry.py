@@ -27,20 +27,20 @@ class Outcome:
 
     Attributes
     ----------
-    make_mask : callable, or None
+    make_mask : callable
         Returns the proximity pixels that are contact (pipeline, per pixel) or inliers (outliers). It is called
         after the clock has stopped, because most consumers need the points only.
     points : float, shape (N, 3), or None
         Metres, proximity depth frame.
     """
 
-    make_mask: Callable[[], BoolArray] | None = None
+    make_mask: Callable[[], BoolArray]
     points: AnyArray | None = None
 
     @property
-    def mask(self) -> BoolArray | None:
-        """The mask, bool, shape (H, W), or None where the job has none."""
-        return None if self.make_mask is None else self.make_mask()
+    def mask(self) -> BoolArray:
+        """The mask, bool, shape (H, W)."""
+        return self.make_mask()
 
 
 #: Told the share done, 0 to 1, and what is being measured.

@@ -30,8 +30,8 @@ class Row:
     ----------
     ratio : float
         Median of the baseline divided by this engine's median, both from this run; nan without a baseline.
-    differing_px : int or None
-        Pixels whose verdict differs from the float64 reference; None if the job has no mask.
+    differing_px : int
+        Pixels whose verdict differs from the float64 reference.
     iou, rmse_mm : float
         Compared with the ground truth of the scene; nan without ground truth or with an empty cloud.
     peak_mib : float or None
@@ -46,7 +46,7 @@ class Row:
     timing: Timing
     ratio: float
     points: int
-    differing_px: int | None
+    differing_px: int
     iou: float
     rmse_mm: float
     peak_mib: float | None
@@ -111,16 +111,13 @@ def _compare(scene: BenchScene, chosen: list[Engine], rounds: int, progress: Cal
 def _row(
     scene: BenchScene, found: Engine, timing: Timing, baseline: Timing | None, outcome: Outcome, peak: int | None
 ) -> Row:
-    differing, iou, rmse_mm, points = None, math.nan, math.nan, 0
-    mask = outcome.mask
-    if mask is not None:
-        differing = int(np.count_nonzero(mask != expected_mask(scene, found.job)))
-        points = int(np.count_nonzero(mask))
-        truth = scene.frame.truth
-        if truth is not None and found.job in {Job.PIPELINE, Job.PER_PIXEL}:
-            iou = pixel_scores(mask, truth.contact).iou
-            cloud = outcome.points if outcome.points is not None else _points(mask, scene)
-            rmse_mm = 1e3 * symmetric_rmse_m(cloud, truth_cloud(truth, scene.rig).points)
+    mask, truth, iou, rmse_mm = outcome.mask, scene.frame.truth, math.nan, math.nan
+    if truth is not None and found.job in {Job.PIPELINE, Job.PER_PIXEL}:
+        iou = pixel_scores(mask, truth.contact).iou
+        cloud = outcome.points if outcome.points is not None else _points(mask, scene)
+        rmse_mm = 1e3 * symmetric_rmse_m(cloud, truth_cloud(truth, scene.rig).points)
+    points = int(np.count_nonzero(mask))
+    differing = int(np.count_nonzero(mask != expected_mask(scene, found.job)))
     ratio = baseline.median_ms / timing.median_ms if baseline is not None else math.nan
     return Row(
         scene.name, found.name, found.job.value, found.title, found.exact, timing, ratio, points, differing, iou,
@@ -184,7 +181,7 @@ def _cells(row: Row) -> tuple[str, ...]:
         f"{time.lower_ms:.2f}-{time.upper_ms:.2f}",
         f"{row.ratio:.1f}x" if math.isfinite(row.ratio) else "-",
         str(row.points),
-        "-" if row.differing_px is None else str(row.differing_px),
+        str(row.differing_px),
         number_text(row.iou, 3),
         number_text(row.rmse_mm, 2),
         "-" if row.peak_mib is None else f"{row.peak_mib:.1f}",

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -129,14 +129,14 @@ class BalanceLoop:
         tray.advance(self._frames * period_s)
         frame = self._source.draw(self._frames, tray.place)
         drawn, drawn_processor = time.perf_counter(), time.process_time()
-        angle_from: dict[BalanceMethod, Callable[[SensorFrame], Tilt]]
-        angle_from = {"patch": self._patch_tilt, "proximity": self._proximity_tilt}
-        found = angle_from.pop(self._method)(frame)
+        angle, other_angle = self._patch_tilt, self._proximity_tilt
+        if self._method == "proximity":
+            angle, other_angle = other_angle, angle
+        found = angle(frame)
         measured = None if found.roll_rad is None else found.roll_rad + tray.sensor_rad
         latency_s, processor_s = time.perf_counter() - drawn, time.process_time() - drawn_processor
         tray.command(self._rate(measured, period_s))
         loop_s = time.perf_counter() - started
-        ((_, other_angle),) = angle_from.items()
         other = other_angle(frame)
         self._frames += 1
         patch, proximity = (found, other) if self._method == "patch" else (other, found)

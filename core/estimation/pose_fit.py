@@ -33,7 +33,7 @@ _DENSITY_M4: Final = 1.6e-11
 FREE_SIGMA_M: Final = 0.003
 _FREE_SHARE: Final = 1e-3
 #: Iterations at most, and the step at which they end, metres.
-_ROUNDS, _DONE_M = 20, 1e-5
+ROUNDS, _DONE_M = 20, 1e-5
 #: Points within this distance of the mesh lie on it, metres; or within this many standard deviations.
 ON_MESH_M, _ON_MESH_SIGMAS = 0.003, 4.0
 #: Pairs farther apart than this do not count, metres, in the first and in the last iterations.
@@ -145,7 +145,7 @@ def moved(pose: Float64Array, motion: Float64Array, centre_m: Float64Array, radi
     return result
 
 
-def fit(mesh: ObjectMesh, patch: PatchPoints, start: Float64Array, rounds: int = _ROUNDS) -> Fit:
+def fit(mesh: ObjectMesh, patch: PatchPoints, start: Float64Array, rounds: int = ROUNDS) -> Fit:
     """Fit a mesh to a patch by point-to-plane ICP (Chen and Medioni 1992), held at the start in free directions.
 
     Each point is paired with the closest point of the mesh, if that faces the camera. A step is solved in the

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Final
 
 import numpy as np
@@ -16,7 +17,7 @@ from ..model.clouds import ray_table
 from ..model.patch import ContactPatch
 from ..preset import Preset
 from .object_mesh import ObjectMesh
-from .pose_fit import Fit, PatchPoints, fit, moved
+from .pose_fit import ROUNDS, Fit, PatchPoints, fit, moved
 
 #: Orientations from which the whole search starts, the points and iterations of a first fit, and how many are fitted
 #: to the end.
@@ -144,17 +145,18 @@ def _best(
     """Fit from all starts with few points, then from the best ones with all."""
     few = patch.every(max(len(patch.points) // _QUICK_POINTS, 1))
     quick, final = list[Searched](), list[Searched]()
+    cost = attrgetter("cost_m")
     for number, start in enumerate(starts):
         progress(_QUICK_SHARE * number / len(starts))
         quick.append(_scored(mesh, few, film, patch_px, start, _QUICK_ROUNDS))
-    for number, found in enumerate(sorted(quick, key=_cost)[:_FINALISTS]):
+    for number, found in enumerate(sorted(quick, key=cost)[:_FINALISTS]):
         progress(_QUICK_SHARE + (1 - _QUICK_SHARE) * number / _FINALISTS)
-        final.append(_scored(mesh, patch, film, patch_px, found.fit.pose))
-    return min(final, key=_cost)
+        final.append(_scored(mesh, patch, film, patch_px, found.fit.pose, ROUNDS))
+    return min(final, key=cost)
 
 
 def _scored(
-    mesh: ObjectMesh, patch: PatchPoints, film: Membrane | None, patch_px: int, start: Float64Array, rounds: int = 20
+    mesh: ObjectMesh, patch: PatchPoints, film: Membrane | None, patch_px: int, start: Float64Array, rounds: int
 ) -> Searched:
     found = fit(mesh, patch, start, rounds)
     return Searched(found, two_way_m(mesh, found, film, patch_px))
@@ -163,10 +165,6 @@ def _scored(
 def two_way_m(mesh: ObjectMesh, found: Fit, film: Membrane | None, patch_px: int) -> float:
     """Return the two-way residual of a fit, metres."""
     return math.hypot(found.cost_m, film.crossed_m(mesh, found.pose, patch_px) if film is not None else 0.0)
-
-
-def _cost(found: Searched) -> float:
-    return found.cost_m
 
 
 def _turned(

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..contact.alignment import tactile_pose
 from ..model.arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint16Array
-from ..model.clouds import deproject, ray_table, valid_depth
+from ..model.clouds import deproject, nearest_pixels, ray_table, valid_depth
 from ..model.frames import Rig
 from ..preset import AlignmentSection
 
@@ -106,10 +106,4 @@ class MembraneView:
 
     def _pixels(self, z: Float64Array, which: IndexArray) -> tuple[IndexArray, IndexArray, BoolArray]:
         """Return row, column and visibility in the tactile image of the points at depth z on some rays."""
-        camera = self._rig.tactile.intrinsics
-        seen = self._directions[which] * z[:, None] + self._origin
-        with np.errstate(all="ignore"):
-            uv = np.floor(camera.project(seen) + 0.5)
-        inside = (seen[:, 2] > 0) & np.all((uv >= 0) & (uv < (camera.width, camera.height)), axis=1)
-        column, row = np.where(inside[:, None], uv, 0).astype(np.intp).T
-        return row, column, inside
+        return nearest_pixels(self._directions[which] * z[:, None] + self._origin, self._rig.tactile.intrinsics)

@@ -117,6 +117,15 @@ def deproject_image(counts: Uint16Array, camera: DepthCamera) -> Float32Array:
     return points
 
 
+def nearest_pixels(points: Float64Array, camera: Intrinsics) -> tuple[IndexArray, IndexArray, BoolArray]:
+    """Return row and column of the pixel in which a camera sees each point (N, 3), 0 if none, and whether it does."""
+    with np.errstate(all="ignore"):
+        uv = np.floor(camera.project(points) + 0.5)
+    inside = (points[:, 2] > 0) & np.all((uv >= 0) & (uv < (camera.width, camera.height)), axis=1)
+    column, row = np.where(inside[:, None], uv, 0).astype(np.intp).T
+    return row, column, inside
+
+
 def pixel_areas_m2(depth_m: Float32Array, intrinsics: Intrinsics) -> Float64Array:
     """Return the area that one pixel covers at each depth, projected across the optical axis, m^2."""
     return np.square(depth_m.astype(np.float64)) / (intrinsics.fx * intrinsics.fy)

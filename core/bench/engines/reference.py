@@ -13,8 +13,8 @@ import numpy as np
 
 from ...contact.alignment import homography_table, tactile_homography, tactile_pose
 from ...model.arrays import AnyArray, BoolArray, Float64Array, IndexArray
+from ...model.clouds import nearest_pixels
 from ...model.frames import ColorCamera
-from ...model.intrinsics import Intrinsics
 from ...preset import MaskSection
 from ..registry import Job, Outcome, Runner, engine
 from ..scenes import BenchScene
@@ -80,7 +80,7 @@ def candidate_colors(scene: BenchScene) -> Any:
     preset, rig, frame = scene.preset, scene.rig, scene.frame
 
     def keeps(points: AnyArray) -> BoolArray:
-        _, row, column = nearest_pixels(points, rig.proximity.intrinsics)
+        row, column, _ = nearest_pixels(points, rig.proximity.intrinsics)
         bare = _membrane_colored(frame.proximity_color, preset.mask)
         return ~_look_up(bare, points, row * rig.proximity.intrinsics.width + column, rig.proximity_color)
 
@@ -155,22 +155,13 @@ def _rigid(scene: BenchScene, rays: Float64Array) -> Any:
 
     def align(depth: AnyArray, pixels: IndexArray, tactile: AnyArray) -> tuple[AnyArray, AnyArray]:
         seen = directions[pixels] * depth[:, None] + origin
-        inside, row, column = nearest_pixels(seen, rig.tactile.intrinsics)
+        row, column, inside = nearest_pixels(seen, rig.tactile.intrinsics)
         counts = tactile[row, column]
         measured = counts * factor + section.depth_offset_m
         measured[~inside | (counts == 0) | (counts == 65535)] = np.nan
         return seen[:, 2], measured
 
     return align
-
-
-def nearest_pixels(seen: AnyArray, camera: Intrinsics) -> tuple[BoolArray, IndexArray, IndexArray]:
-    """Return which points (N, 3) a camera sees, and the row and column of each (0 if not seen)."""
-    uv = camera.project(seen)
-    height, width = camera.shape
-    inside = (seen[:, 2] > 0) & np.all((uv >= -0.5) & (uv < (width - 0.5, height - 0.5)), axis=1)
-    column, row = np.where(inside[:, None], np.floor(uv + 0.5), 0).astype(np.intp).T
-    return inside, row, column
 
 
 def _homography(scene: BenchScene) -> Any:
@@ -209,5 +200,5 @@ def _look_up(bare: BoolArray, points: AnyArray, pixels: IndexArray, camera: Colo
     if camera is None:
         return bare.reshape(-1)[pixels]
     T = np.asarray(camera.T_color_depth)
-    inside, row, column = nearest_pixels(points @ T[:3, :3].T + T[:3, 3], camera.intrinsics)
+    row, column, inside = nearest_pixels(points @ T[:3, :3].T + T[:3, 3], camera.intrinsics)
     return np.asarray(inside & bare[row, column])
