@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from ..sources.base import Progress
 from .engines.reference import candidate_points
 from .measure import OURS, THEIRS, bandwidth_bytes_per_s, import_seconds, time_in_turns
-from .registry import Job, Progress, find_engine
+from .registry import Job, find_engine
 from .run import compare_engines, reference_mask
 from .scenes import BenchScene, make_scene, synthetic_scene
 

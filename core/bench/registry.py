@@ -43,8 +43,6 @@ class Outcome:
         return self.make_mask()
 
 
-#: Told the share done, 0 to 1, and what is being measured.
-Progress = Callable[[float, str], None]
 #: Does the job once, on the scene that it was made for. Everything that can be prepared is prepared.
 Runner = Callable[[], Outcome]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from itertools import groupby
 from typing import Any, Final
@@ -15,10 +15,11 @@ from ..evaluation.table_report import aligned, number_text
 from ..model.arrays import BoolArray, Float64Array
 from ..model.clouds import ray_table
 from ..model.provenance import Provenance
+from ..sources.base import Progress, part_of
 from .engines.reference import candidate_points, mask_of
 from .measure import Timing, peak_bytes, time_in_turns
 from .reference_pipeline import inliers, reference_patch
-from .registry import Engine, Job, Outcome, Progress, Runner, engines, find_engine
+from .registry import Engine, Job, Outcome, Runner, engines, find_engine
 from .scenes import BenchScene, make_scene
 
 
@@ -81,11 +82,8 @@ def compare_engines(
     tasks = [(scene, job) for scene in scenes for job in jobs]
     rows: list[Row] = []
     for done, (name, job) in enumerate(tasks):
-        progress(done / len(tasks), f"{name}: {job}")
-
-        def within(share: float, done: int = done, words: str = f"{name}: {job}") -> None:
-            progress((done + share) / len(tasks), words)
-
+        within = part_of(progress, done, len(tasks))
+        within(0.0, f"{name}: {job}")
         chosen = [
             found for found in engines(job) if not found.missing and (not only or found.baseline or found.name in only)
         ]
@@ -95,13 +93,14 @@ def compare_engines(
     return rows
 
 
-def _compare(scene: BenchScene, chosen: list[Engine], rounds: int, progress: Callable[[float], None]) -> list[Row]:
+def _compare(scene: BenchScene, chosen: list[Engine], rounds: int, progress: Progress) -> list[Row]:
     if not chosen or (chosen[0].job == Job.OUTLIERS and reference_mask(scene, outliers=False).sum() == 0):
         return []
     runners: dict[str, Runner] = {found.name: found.make(scene) for found in chosen}
     outcomes = {name: run() for name, run in runners.items()}
     peaks = {name: peak_bytes(run) for name, run in runners.items()}
-    timings = time_in_turns(runners, rounds, progress=progress)
+    words = f"{scene.name}: {chosen[0].job}"
+    timings = time_in_turns(runners, rounds, progress=lambda share: progress(share, words))
     baseline = next((timings[found.name] for found in chosen if found.baseline), None)
     return [
         _row(scene, found, timings[found.name], baseline, outcomes[found.name], peaks[found.name]) for found in chosen

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -266,27 +267,22 @@ class _Bench:
             self._rig, self._kept = shown.rig, {}
         runs = {}
         for name in METHODS:
-            if name in (SHIPPED, AVERAGED):
-
-                def build(name: str = name) -> ContactMethod:
-                    if isinstance(shown.preset, TactuneError):
-                        raise shown.preset
-                    return build_method(name, shown.preset, shown.rig, None, self._make)
-            else:
-
-                def build(name: str = name) -> ContactMethod:
-                    if name not in self._kept:
-                        self._kept[name] = self._plain(name, shown.rig)
-                    return self._kept[name]
-
+            build = partial(self._by_noise if name in (SHIPPED, AVERAGED) else self._plain, name, shown)
             runs[name] = run_method(build, shown.frames, warm=name in self._kept)
         return runs
 
-    def _plain(self, name: str, rig: Rig) -> ContactMethod:
-        if name in TOLERANCE_TESTS:
-            preset = self._preset.with_values({"tolerance.t": TOLERANCE_TESTS[name]})
-            return build_method("fusion-rigid", preset, rig, None, self._make)
-        return build_method(name, self._preset, rig, None, self._make)
+    def _by_noise(self, name: str, shown: _Shown) -> ContactMethod:
+        if isinstance(shown.preset, TactuneError):
+            raise shown.preset
+        return build_method(name, shown.preset, shown.rig, None, self._make)
+
+    def _plain(self, name: str, shown: _Shown) -> ContactMethod:
+        if name not in self._kept:
+            kind, preset = name, self._preset
+            if name in TOLERANCE_TESTS:
+                kind, preset = "fusion-rigid", preset.with_values({"tolerance.t": TOLERANCE_TESTS[name]})
+            self._kept[name] = build_method(kind, preset, shown.rig, None, self._make)
+        return self._kept[name]
 
 
 def score_runs(

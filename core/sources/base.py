@@ -17,6 +17,11 @@ if TYPE_CHECKING:
 Progress = Callable[[float, str], None]
 
 
+def part_of(progress: Progress, number: int, count: int) -> Progress:
+    """Return the progress of one of several equal parts of a task, counted from 0."""
+    return lambda share, words: progress((number + share) / count, words)
+
+
 #: Which of the two depth cameras of a rig.
 CameraRole = Literal["proximity", "tactile"]
 

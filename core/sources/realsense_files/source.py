@@ -13,7 +13,7 @@ from ...model.arrays import Float64Array, IndexArray, Uint8Array, Uint16Array
 from ...model.files import recording_files, user_path
 from ...model.frames import Rig, SensorFrame, rigid_transform
 from ...model.loading import open_regular
-from ..base import Health, Progress, SeekableSource
+from ..base import Health, Progress, SeekableSource, part_of
 from . import db3_recording, ros1_bag
 from .bag_recording import BagRecording
 from .db3_recording import Db3Recording
@@ -281,19 +281,13 @@ def open_recordings(text: str, progress: Progress | None) -> list[Recording]:
     opened: list[Recording] = []
     try:
         for number, path in enumerate(paths):
-            opened.append(_open(path, _part(progress, number, len(paths))))
+            within = None if progress is None else part_of(progress, number, len(paths))
+            opened.append(_open(path, within))
     except BaseException:
         for recording in opened:
             recording.close()
         raise
     return opened
-
-
-def _part(progress: Progress | None, number: int, count: int) -> Progress | None:
-    """Return a progress function that scales the progress of one of several files to all of them."""
-    if progress is None:
-        return None
-    return lambda share, words: progress((number + share) / count, words)
 
 
 def _open(path: Path, progress: Progress | None) -> Recording:

@@ -14,7 +14,7 @@ from ...model.robust import spread
 from ...preset import CameraNoise
 from ...rig.noise import depth_noises
 from ...rig.untouched import tile_medians
-from ...sources.base import Progress
+from ...sources.base import Progress, part_of
 from .examples import CURVES, Judge, curve_of, known_examples, usual_value
 from .proposal import Evidence, Proposal
 
@@ -90,11 +90,7 @@ def _from_examples(section: str, evidence: Evidence, progress: Progress) -> Prop
     preset, changes, curves = evidence.preset, {}, []
     paths = list(CURVES[section])
     for number, path in enumerate(paths):
-
-        def part_of(share: float, words: str, number: int = number) -> None:
-            progress((number + share) / len(paths), words)
-
-        curve = curve_of(path, preset, judge, part_of)
+        curve = curve_of(path, preset, judge, part_of(progress, number, len(paths)))
         curves.append(curve)
         changes[path] = curve.proposed
         preset = preset.with_value(path, curve.proposed)
@@ -119,13 +115,13 @@ def _smallest_group(section: str, path: str, evidence: Evidence, progress: Progr
     examples = known_examples(evidence)
     reasons, enough_mm2 = [], shipped
     if section == "outliers":
-        noise_mm2, sentence = _noise_group_mm2(evidence, lambda share, words: progress(share / 2, words))
+        noise_mm2, sentence = _noise_group_mm2(evidence, part_of(progress, 0, 2))
         enough_mm2 = max(enough_mm2, noise_mm2)
         reasons.append(sentence)
     values = np.unique([*CURVES[section][path], shipped, present])
     if examples:
         judge = Judge(evidence.preset, evidence.rig, examples)
-        curve = curve_of(path, evidence.preset, judge, lambda share, words: progress((1 + share) / 2, words))
+        curve = curve_of(path, evidence.preset, judge, part_of(progress, 1, 2))
         clean = curve.values[curve.false_mm2 <= curve.false_mm2.min() + 1e-9]
         enough_mm2 = max(enough_mm2, float(clean.min()))
         false_mm2, left_mm2 = curve.at(present)[1], curve.at(enough_mm2)[1]

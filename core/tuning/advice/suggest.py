@@ -10,7 +10,7 @@ from ...contact.pipeline import ContactPipeline
 from ...errors import AdviceError, FrameError, PresetError, RigMismatchError
 from ...preset import Preset
 from ...preset.preset import CONTACT_TESTS
-from ...sources.base import Progress
+from ...sources.base import Progress, part_of
 from .alignment import suggest_alignment
 from .contact_test import suggest_contact_test
 from .fields import suggest_membrane, suggest_outliers, suggest_tolerance
@@ -102,12 +102,8 @@ def suggest_all(
     for number, section in enumerate(SECTIONS):
         if section not in (_read_sections(evidence.preset) if sections is None else sections):
             continue
-
-        def part_of(share: float, words: str, number: int = number) -> None:
-            progress((number + share) / len(SECTIONS), words)
-
         try:
-            proposal = _suggest(section, evidence, part_of)
+            proposal = _suggest(section, evidence, part_of(progress, number, len(SECTIONS)))
             evidence = replace(evidence, preset=proposal.apply(evidence.preset))
         except (AdviceError, FrameError, PresetError, RigMismatchError) as error:
             refusals[section] = str(error)
