@@ -40,7 +40,7 @@ from ...widgets.basics.controls import (
 from ...widgets.basics.fields import FieldSpec, field_spec
 from ...widgets.basics.gestures import new_gesture
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
-from ...widgets.images.eyedropper import HsvRanges, Mode, new_ranges
+from ...widgets.images.eyedropper import Mode, new_ranges
 from ...widgets.parameters.band_slider import RangeEditor, groove_colors
 from ...widgets.parameters.number_slider import NumberEntry
 from ...widgets.parameters.parameter_row import MessageLabel, ParameterRow
@@ -166,8 +166,7 @@ class PaintPanel(CollapsibleSection):
     def pick(self, rgb: Uint8Array) -> None:
         """Change the ranges by colours around a click, uint8 (K, 3). Raises `EyedropperError` if none would be left."""
         paint = self._paint
-        present = HsvRanges(paint.hue, paint.saturation, paint.value)
-        ranges = new_ranges(rgb[None], present, cast(Mode, self.eyedropper))
+        ranges = new_ranges(rgb[None], paint.color_range(), cast(Mode, self.eyedropper))
         changed = replace(paint, hue=ranges.hue, saturation=ranges.saturation, value=ranges.value)
         self.edited.emit(changed, new_gesture())
 

@@ -12,7 +12,7 @@ from PyQt6.QtGui import QColor
 from ...core.model.arrays import Uint8Array
 from ...widgets.basics.gestures import new_gesture
 from ...widgets.basics.messages import Severity
-from ...widgets.images.eyedropper import RADIUS, EyedropperError, HsvRanges, Mode, new_ranges
+from ...widgets.images.eyedropper import RADIUS, EyedropperError, Mode, new_ranges
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.images.point_image import SPAN, Loupe
 from ...widgets.parameters.parameter_panel import ParameterPanel
@@ -118,9 +118,8 @@ class Eyedropper(QObject):
         result, mask = self._context.result, self._document.preset.mask
         if self._mode == "off" or pane != "color" or result is None:
             return
-        present = HsvRanges(mask.hue, mask.saturation, mask.value)
         try:
-            ranges = new_ranges(color_around(result, u, v, RADIUS), present, cast(Mode, self._mode))
+            ranges = new_ranges(color_around(result, u, v, RADIUS), mask, cast(Mode, self._mode))
         except EyedropperError as error:
             self._messages.show_message("eyedropper", Severity.WARNING, str(error), subject=SOURCE)
             return

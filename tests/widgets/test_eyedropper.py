@@ -7,9 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactune.core.errors import TactuneError
-from tactune.widgets.images.eyedropper import HsvRanges, new_ranges, take_sample
+from tactune.core.preset import MaskSection
+from tactune.widgets.images.eyedropper import contains, new_ranges, take_sample
 
-FULL = HsvRanges((0, 179), (0, 255), (0, 255))
+FULL = MaskSection(hue=(0, 179), saturation=(0, 255), value=(0, 255))
 
 
 def every_color() -> np.ndarray:
@@ -37,7 +38,7 @@ def to_hsv(rgb: np.ndarray) -> np.ndarray:
 
 hues = st.integers(0, 179)
 byte_spans = st.tuples(st.integers(0, 255), st.integers(0, 255)).map(lambda pair: (min(pair), max(pair)))
-ranges = st.builds(HsvRanges, hue=st.tuples(hues, hues), saturation=byte_spans, value=byte_spans)
+ranges = st.builds(MaskSection, hue=st.tuples(hues, hues), saturation=byte_spans, value=byte_spans)
 patches = st.builds(
     patch_of, hues, st.integers(0, 255), st.integers(0, 255), spread=st.integers(0, 12), seed=st.integers(0, 99)
 )
@@ -45,14 +46,14 @@ noise = st.integers(0, 999).map(lambda seed: np.random.default_rng(seed).integer
 samples = st.one_of(patches, noise)
 
 
-def median_color(rgb: np.ndarray, present: HsvRanges) -> np.ndarray:
+def median_color(rgb: np.ndarray, present: MaskSection) -> np.ndarray:
     sample = take_sample(rgb)
     hue = present.hue[0] if sample.median_hue is None else sample.median_hue
     return np.array([hue, sample.median_saturation, sample.median_value], np.uint8)
 
 
 @given(samples, ranges)
-def test_set_covers_nine_tenths_of_every_channel(rgb: np.ndarray, present: HsvRanges) -> None:
+def test_set_covers_nine_tenths_of_every_channel(rgb: np.ndarray, present: MaskSection) -> None:
     fresh = new_ranges(rgb, present, "set")
     hsv = to_hsv(rgb).reshape(-1, 3)
     for channel, span in ((1, fresh.saturation), (2, fresh.value)):
@@ -65,20 +66,20 @@ def test_set_covers_nine_tenths_of_every_channel(rgb: np.ndarray, present: HsvRa
 
 
 @given(patches, ranges)
-def test_set_does_not_depend_on_what_was_there(rgb: np.ndarray, present: HsvRanges) -> None:
+def test_set_does_not_depend_on_what_was_there(rgb: np.ndarray, present: MaskSection) -> None:
     assert new_ranges(rgb, present, "set") == new_ranges(rgb, FULL, "set")
 
 
 @given(samples, ranges)
 @settings(max_examples=60)
-def test_expand_covers_both(rgb: np.ndarray, present: HsvRanges) -> None:
-    wider = new_ranges(rgb, present, "expand").contains(COLORS)
-    assert wider[present.contains(COLORS)].all()
-    assert wider[new_ranges(rgb, present, "set").contains(COLORS)].all()
+def test_expand_covers_both(rgb: np.ndarray, present: MaskSection) -> None:
+    wider = contains(new_ranges(rgb, present, "expand"), COLORS)
+    assert wider[contains(present, COLORS)].all()
+    assert wider[contains(new_ranges(rgb, present, "set"), COLORS)].all()
 
 
 @given(samples, ranges)
-def test_expanded_hue_is_the_shortest_arc(rgb: np.ndarray, present: HsvRanges) -> None:
+def test_expanded_hue_is_the_shortest_arc(rgb: np.ndarray, present: MaskSection) -> None:
     def members(arc: tuple[int, int]) -> set[int]:
         return {(arc[0] + i) % 180 for i in range((arc[1] - arc[0]) % 180 + 1)}
 
@@ -93,22 +94,22 @@ def test_expanded_hue_is_the_shortest_arc(rgb: np.ndarray, present: HsvRanges) -
 
 @given(samples, ranges)
 @settings(max_examples=60)
-def test_shrink_excludes_the_median_and_adds_nothing(rgb: np.ndarray, present: HsvRanges) -> None:
+def test_shrink_excludes_the_median_and_adds_nothing(rgb: np.ndarray, present: MaskSection) -> None:
     median = median_color(rgb, present)
     try:
         less = new_ranges(rgb, present, "shrink")
     except TactuneError:
-        assert present.contains(median)
+        assert contains(present, median)
         return
-    assert not less.contains(median)
-    assert present.contains(COLORS)[less.contains(COLORS)].all()
+    assert not contains(less, median)
+    assert contains(present, COLORS)[contains(less, COLORS)].all()
     changed = [name for name in ("hue", "saturation", "value") if getattr(less, name) != getattr(present, name)]
-    assert len(changed) == (1 if present.contains(median) else 0)
+    assert len(changed) == (1 if contains(present, median) else 0)
 
 
 @given(samples)
 def test_shrink_of_the_full_range_is_never_refused(rgb: np.ndarray) -> None:
-    assert not new_ranges(rgb, FULL, "shrink").contains(median_color(rgb, FULL))
+    assert not contains(new_ranges(rgb, FULL, "shrink"), median_color(rgb, FULL))
 
 
 def test_a_sample_around_red_wraps() -> None:
@@ -117,18 +118,18 @@ def test_a_sample_around_red_wraps() -> None:
     assert fresh.hue[0] > 150
     assert fresh.hue[1] < 30
     assert fresh.hue[0] > fresh.hue[1]
-    assert not fresh.contains(np.array([90, 200, 200], np.uint8))
+    assert not contains(fresh, np.array([90, 200, 200], np.uint8))
 
 
 def test_expanding_over_red_takes_the_short_way() -> None:
-    present = HsvRanges((150, 170), (100, 255), (100, 255))
+    present = MaskSection(hue=(150, 170), saturation=(100, 255), value=(100, 255))
     orange = patch_of(hue=8, saturation=200, value=200, spread=1, seed=0)
     assert new_ranges(orange, present, "expand").hue[0] == 150
     assert new_ranges(orange, present, "expand").hue[1] < 30
 
 
 def test_shrinking_cuts_the_channel_that_loses_least() -> None:
-    present = HsvRanges((0, 100), (100, 255), (0, 255))
+    present = MaskSection(hue=(0, 100), saturation=(100, 255), value=(0, 255))
     dark = patch_of(hue=50, saturation=180, value=10, spread=2, seed=0)
     less = new_ranges(dark, present, "shrink")
     assert less.hue == present.hue
@@ -155,4 +156,4 @@ def test_shrinking_to_nothing_is_refused_in_words() -> None:
     pure = np.zeros((7, 7, 3), np.uint8)
     pure[:] = (255, 0, 0)
     with pytest.raises(TactuneError, match="turn the mask off"):
-        new_ranges(pure, HsvRanges((0, 0), (255, 255), (255, 255)), "shrink")
+        new_ranges(pure, MaskSection(hue=(0, 0), saturation=(255, 255), value=(255, 255)), "shrink")

@@ -14,6 +14,7 @@ import numpy as np
 
 from ...core.errors import TactuneError
 from ...core.model.arrays import BoolArray, Int64Array, Uint8Array
+from ...core.preset import MaskSection
 
 Mode = Literal["set", "expand", "shrink"]
 Span = tuple[int, int]
@@ -37,23 +38,6 @@ class EyedropperError(TactuneError):
 
 
 @dataclass(frozen=True)
-class HsvRanges:
-    """The colours of a mask."""
-
-    hue: Span
-    saturation: Span
-    value: Span
-
-    def contains(self, hsv: Uint8Array) -> BoolArray:
-        """Tell which of the colours, uint8 (..., 3) as H, S, V, are inside: bool (...)."""
-        h, s, v = (hsv[..., channel].astype(np.int64) for channel in range(3))
-        inside: BoolArray = (h - self.hue[0]) % _HUES < _arc_length(self.hue)
-        inside &= (s >= self.saturation[0]) & (s <= self.saturation[1])
-        inside &= (v >= self.value[0]) & (v <= self.value[1])
-        return inside
-
-
-@dataclass(frozen=True)
 class Sample:
     """Typical colour of some pixels: span of the core and median, per channel.
 
@@ -68,14 +52,14 @@ class Sample:
     median_value: int
 
 
-def new_ranges(rgb: Uint8Array, present: HsvRanges, mode: Mode) -> HsvRanges:
+def new_ranges(rgb: Uint8Array, present: MaskSection, mode: Mode) -> MaskSection:
     """Return ranges that a sample sets, expands or shrinks.
 
     Parameters
     ----------
     rgb : uint8 (h, w, 3)
         The sampled pixels.
-    present : HsvRanges
+    present : MaskSection
     mode : "set", "expand" or "shrink"
         set: the core of the sample and a margin. expand: the smallest ranges that cover both the present ones
         and what set gives. shrink: one channel is cut so that the sample's median colour is outside; the channel
@@ -92,7 +76,7 @@ def new_ranges(rgb: Uint8Array, present: HsvRanges, mode: Mode) -> HsvRanges:
     fresh = _with_margin(sample)
     if mode == "set":
         return fresh
-    return HsvRanges(
+    return MaskSection(
         hue=_covering_arc(present.hue, fresh.hue),
         saturation=_covering_span(present.saturation, fresh.saturation),
         value=_covering_span(present.value, fresh.value),
@@ -116,6 +100,15 @@ def take_sample(rgb: Uint8Array) -> Sample:
     return Sample(hue, saturation, value, median_hue, median_saturation, median_value)
 
 
+def contains(mask: MaskSection, hsv: Uint8Array) -> BoolArray:
+    """Tell which of the colours, uint8 (..., 3) as H, S, V, a mask covers: bool (...)."""
+    h, s, v = (hsv[..., channel].astype(np.int64) for channel in range(3))
+    inside: BoolArray = (h - mask.hue[0]) % _HUES < _arc_length(mask.hue)
+    inside &= (s >= mask.saturation[0]) & (s <= mask.saturation[1])
+    inside &= (v >= mask.value[0]) & (v <= mask.value[1])
+    return inside
+
+
 def _core(numbers: Int64Array) -> tuple[Span, int]:
     """Return the central share of some numbers, and their median, which is one of them."""
     tail = 50.0 * (1.0 - _CORE_SHARE)
@@ -133,11 +126,11 @@ def _shortest_arc(hues: Int64Array) -> Span:
     return int(hues[first]), int(ends[first] % _HUES)
 
 
-def _with_margin(sample: Sample) -> HsvRanges:
+def _with_margin(sample: Sample) -> MaskSection:
     hue = (0, _HUES - 1)
     if sample.hue is not None and _arc_length(sample.hue) + 2 * HUE_MARGIN < _HUES:
         hue = ((sample.hue[0] - HUE_MARGIN) % _HUES, (sample.hue[1] + HUE_MARGIN) % _HUES)
-    return HsvRanges(
+    return MaskSection(
         hue=hue,
         saturation=_widened(sample.saturation, SATURATION_MARGIN),
         value=_widened(sample.value, VALUE_MARGIN),
@@ -168,28 +161,22 @@ def _covering_arc(first: Span, second: Span) -> Span:
     return min(fitting, key=_arc_length, default=(0, _HUES - 1))
 
 
-def _shrunk(present: HsvRanges, sample: Sample) -> HsvRanges:
+def _shrunk(present: MaskSection, sample: Sample) -> MaskSection:
     """Cut one channel beyond the sample's core; where that leaves nothing, beyond its median."""
     median_hue = present.hue[0] if sample.median_hue is None else sample.median_hue
     median = np.array([median_hue, sample.median_saturation, sample.median_value], np.uint8)
-    if not present.contains(median):
+    if not contains(present, median):
         return present
     cores: list[tuple[Span | None, Span, Span]] = [(sample.hue, sample.saturation, sample.value)]
     hue_point = None if sample.median_hue is None else (sample.median_hue, sample.median_hue)
     cores.append((hue_point, (sample.median_saturation,) * 2, (sample.median_value,) * 2))
     for hue, saturation, value in cores:
-        options = [
-            (lost, HsvRanges(arc, present.saturation, present.value)) for lost, arc in _cut_arc(present.hue, hue)
-        ]
-        options += [
-            (lost, HsvRanges(present.hue, span, present.value))
-            for lost, span in _cut_span(present.saturation, saturation)
-        ]
-        options += [
-            (lost, HsvRanges(present.hue, present.saturation, span)) for lost, span in _cut_span(present.value, value)
-        ]
+        options = [(lost, "hue", arc) for lost, arc in _cut_arc(present.hue, hue)]
+        options += [(lost, "saturation", span) for lost, span in _cut_span(present.saturation, saturation)]
+        options += [(lost, "value", span) for lost, span in _cut_span(present.value, value)]
         if options:
-            return min(options, key=lambda option: option[0])[1]
+            _, channel, span = min(options, key=lambda option: option[0])
+            return present.model_copy(update={channel: span})
     raise EyedropperError("excluding this colour would empty the mask; turn the mask off instead")
 
 
