@@ -205,7 +205,8 @@ def test_the_synthetic_scene_is_its_own_untouched_frame():
     scene = synthetic_scene(20_000)
     assert not TactileOnly(scene.preset, scene.rig, scene.frame).find(scene.frame).mask.any()
     view = MembraneView(scene.preset.alignment, scene.rig).depth_m(scene.frame.tactile_depth)
-    error = (view - scene.truth.depth_m)[scene.truth.contact]
+    truth = scene.frame.truth
+    error = (view - truth.depth_m)[truth.contact]
     assert np.isfinite(error).mean() > 0.99
     assert abs(float(np.nanmean(error))) < 5e-5
     assert float(np.nanstd(error)) < 6e-4
