@@ -14,6 +14,7 @@ from ..evaluation.metrics import pixel_scores, symmetric_rmse_m, truth_cloud
 from ..evaluation.table_report import aligned, number_text
 from ..model.arrays import BoolArray, Float64Array
 from ..model.clouds import ray_table
+from ..model.files import json_fields
 from ..model.provenance import Provenance
 from ..sources.base import Progress, part_of
 from .engines.reference import candidate_points, mask_of
@@ -154,13 +155,7 @@ def _points(mask: BoolArray, scene: BenchScene) -> Float64Array:
 
 def rows_as_json(rows: list[Row]) -> list[dict[str, Any]]:
     """Return the rows as JSON values; nan becomes None."""
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: plain(entry) for key, entry in value.items()}
-        return None if isinstance(value, float) and not math.isfinite(value) else value
-
-    return [plain(asdict(row)) for row in rows]
+    return [json_fields(asdict(row)) for row in rows]
 
 
 _HEADING: Final = ("engine", "ms", "quartiles", "ratio", "points", "differ", "IoU", "RMSE mm", "peak MiB")

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 
 from ..errors import CalibrationError
 from ..model.arrays import Float64Array
+from ..model.files import json_fields
 from ..model.frames import Rig
 from ..preset import AlignmentSection, HomographyAlignment, Preset, RigidAlignment, now
 from ..preset.alignment import CalibrationRecord, ClickedPair, ModelSummary, SnapshotRecord
@@ -146,7 +147,7 @@ class ModelQuality:
             "alignment_mm": self.alignment_mm,
             "depth_difference_mm": self.effect.depth_mm,
             "doubtful": list(self.doubtful),
-            "pairs": [{name: _number_or_none(value) for name, value in vars(pair).items()} for pair in self.pairs],
+            "pairs": [json_fields(vars(pair)) for pair in self.pairs],
         }
 
 
@@ -374,10 +375,6 @@ def _pose_uncertainty(rigid: RigidFit) -> dict[str, float | None]:
 def shown(value: float | None, width: int, decimals: int = 2) -> str:
     """Format a number to a width in characters; a dash for an unknown one."""
     return f"{'-':>{width}}" if value is None or math.isnan(value) else f"{value:{width}.{decimals}f}"
-
-
-def _number_or_none(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def verdict(quality: ModelQuality, coverage: Coverage, proximity: Float64Array, rig: Rig) -> str:

@@ -7,7 +7,6 @@ for each scene and seed, and all methods get the same frames.
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -18,6 +17,7 @@ from typing import Any, Final, Literal
 from ..errors import TactuneError
 from ..methods.method import ContactMethod, MethodPatch
 from ..methods.registry import make_method
+from ..model.files import finite_or_none
 from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
 from ..rig.noise import NOISE_FRAMES, measure_noise
@@ -298,10 +298,7 @@ def score_runs(
     truth, truth_mm2 = true_contact(frame, rig)
     patches = [run.patch for run in runs.values() if run.patch is not None]
     rmses_m = TruthTree(truth).symmetric_rmses_m([patch.points for patch in patches])
-    rmse_mm = {
-        id(patch): 1e3 * rmse_m if math.isfinite(rmse_m) else None
-        for patch, rmse_m in zip(patches, rmses_m, strict=True)
-    }
+    rmse_mm = {id(patch): finite_or_none(1e3 * rmse_m) for patch, rmse_m in zip(patches, rmses_m, strict=True)}
 
     def scores(patch: MethodPatch, frame: SensorFrame, rig: Rig) -> dict[str, Any]:
         reason = failure_of(patch, truth)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass, fields
@@ -18,7 +17,7 @@ from ..methods.method import ContactMethod, MethodPatch
 from ..methods.registry import make_method, method_names
 from ..model.arrays import Float32Array
 from ..model.clouds import pixel_areas_m2
-from ..model.files import atomic_path
+from ..model.files import atomic_path, json_fields
 from ..model.frames import Rig, SensorFrame
 from ..model.loading import read_json
 from ..preset import Preset
@@ -331,7 +330,7 @@ def all_scores(patch: MethodPatch, frame: SensorFrame, rig: Rig) -> dict[str, An
         "area_error_mm2": method_area_mm2(patch, rig) - truth_mm2,
         "boundary_px": boundary_distance_px(patch.mask, frame.truth.contact),
     }
-    known = {key: number if math.isfinite(number) else None for key, number in numbers.items()}
+    known = json_fields(numbers)
     contacts = {"contacts": separate_contacts(patch.mask), "true_contacts": true_contacts}
     return known | contacts | {"points": len(patch.points), "true_mm2": truth_mm2}
 
