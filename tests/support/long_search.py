@@ -39,17 +39,16 @@ class LongSearch:
     def __init__(self, recording: str, folder: Path, preset: Path) -> None:
         self.file = folder / "long.log"
         grid = ("--set", "tolerance.t=0.004:0.02:8", "--set", "outliers.k=5:24:6", "--objective", "iou,area_error")
-        self.words = ["tune", "-s", recording, *grid, "-p", str(preset), "--study", str(self.file), "--json"]
-        self.command = [sys.executable, "-m", "tactune.app", *self.words]
+        self.command = [sys.executable, "-m", "tactune.app", "tune", "-s", recording, *grid]
+        self.command += ["-p", str(preset), "--study", str(self.file), "--json"]
 
     def start(self, *words: str) -> subprocess.Popen[str]:
-        """Start it in a session of its own, and wait until it has measured some trials."""
-        before = self.measured()
+        """Start it in a session of its own, and wait until some trials are measured."""
         process = subprocess.Popen(
             [*self.command, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
         )
         for _ in range(20 * LIMIT_S):
-            if self.measured() > before + 5:
+            if self.measured() > 5:
                 return process
             assert process.poll() is None, process.communicate()
             time.sleep(0.05)
