@@ -48,14 +48,14 @@ gui.run_gui(sys.argv[1], "simulator", None, 1)
 RUN = """
 from tactune.app.cli import run
 process = run.process_frames
-def first(source, step, *rest):
+def first(source, step, *rest, **options):
     def timed(frame):
         done = step(frame)
         at("tactune run: first patch")
         return done
-    return process(source, timed, *rest)
+    return process(source, timed, *rest, **options)
 run.process_frames = first
-run.run_frames(run.RunOptions(sys.argv[1], "simulator", 1, None, "npz", False, False))
+run.run(source=sys.argv[1], preset="simulator", frames=1, json_lines=True)
 """
 
 ALL = """

@@ -4,38 +4,16 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
 from ...core.errors import CalibrationError, FrameError
 from .common import AveragedFrames, UntouchedSource, average_frames, find_rig, open_with_progress, warn
 
-if TYPE_CHECKING:
-    from ...core.rig.drift import MembraneDrift
-
 #: Exit status of ``recheck`` after a drift.
 DRIFTED_STATUS = 1
-
-
-class Model(StrEnum):
-    """The alignment model that is fitted."""
-
-    AUTO = "auto"
-    HOMOGRAPHY = "homography"
-    RIGID = "rigid"
-
-
-class DepthChoice(StrEnum):
-    """The correction of the tactile depth that is fitted."""
-
-    AUTO = "auto"
-    NONE = "none"
-    OFFSET = "offset"
-    SCALE = "scale"
-    BOTH = "both"
 
 
 def calibrate(
@@ -47,11 +25,13 @@ def calibrate(
     rig: Annotated[
         str, typer.Option("--rig", metavar="FILE|SOURCE", help="A rig.json, a preset that has a rig, or a source.")
     ],
-    model: Annotated[Model, typer.Option(help="auto: fit both and take the better one.")] = Model.AUTO,
+    model: Annotated[
+        Literal["auto", "homography", "rigid"], typer.Option(help="auto: fit both and take the better one.")
+    ] = "auto",
     depth_fit: Annotated[
-        DepthChoice,
+        Literal["auto", "none", "offset", "scale", "both"],
         typer.Option("--depth-fit", help="Also fit an offset and a scale of the tactile depth. auto: as recommended."),
-    ] = DepthChoice.AUTO,
+    ] = "auto",
     estimate_distortion: Annotated[
         bool,
         typer.Option(
@@ -82,7 +62,7 @@ def calibrate(
     base = None
     if out is not None:
         base = load_preset(out) if out.exists() else Preset().with_value("name", out.stem)
-    report = fit(pairs, cameras, model.value, depth_fit=depth_fit.value, estimate_distortion=estimate_distortion)
+    report = fit(pairs, cameras, model, depth_fit=depth_fit, estimate_distortion=estimate_distortion)
     if estimate_distortion and not report.distortion_used:
         warn(
             report.distortion.sentence
@@ -137,7 +117,8 @@ def recheck(
         warn(f"the membrane was not checked: {preset} has no untouched frame; see tactune preset capture-untouched")
     else:
         try:
-            found["membrane"] = _membrane_record(compare_with_untouched(checked, rig, now, untouched))
+            membrane = compare_with_untouched(checked, rig, now, untouched)
+            found["membrane"] = {"ok": membrane.verdict == "fine", **asdict(membrane)}
         except (CalibrationError, FrameError) as error:
             warn(f"the membrane was not checked: {error}")
     if not found:
@@ -148,8 +129,3 @@ def recheck(
         typer.echo("\n".join(check["sentence"] for check in found.values()))
     if not all(check["ok"] for check in found.values()):
         raise typer.Exit(DRIFTED_STATUS)
-
-
-def _membrane_record(drift: MembraneDrift) -> dict[str, Any]:
-    """Return the numbers, in metres as their names say."""
-    return {"ok": drift.verdict == "fine", **asdict(drift)}

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -18,13 +17,6 @@ if TYPE_CHECKING:
 demo_commands = typer.Typer(help="Show what a robot can do with a patch, on the simulator.")
 
 
-class Method(StrEnum):
-    """Which angle controls."""
-
-    PATCH = "patch"
-    PROXIMITY = "proximity"
-
-
 @demo_commands.callback()
 def demo() -> None:
     """Keep ``balance`` a subcommand while it is the only one."""
@@ -34,8 +26,9 @@ def demo() -> None:
 def balance(
     *,
     method: Annotated[
-        Method, typer.Option("--method", help="Angle from the contact patch or from the proximity camera alone.")
-    ] = Method.PATCH,
+        Literal["patch", "proximity"],
+        typer.Option("--method", help="Angle from the contact patch or from the proximity camera alone."),
+    ] = "patch",
     sensor: Annotated[
         str, typer.Option("--sensor", metavar="NAME", help="Errors of the simulated cameras, as in 'sim:?sensor=NAME'.")
     ] = "l515-d405",
@@ -63,7 +56,7 @@ def balance(
 
     gains = Gains(p_gain, d_gain)
     with CliProgress() as bar, SimulatorSource("tray", seed=seed, sensor=sensor, progress=bar.preparing) as source:
-        loop = BalanceLoop(source, measured_rig(load_preset("simulator"), source), method.value, gains)
+        loop = BalanceLoop(source, measured_rig(load_preset("simulator"), source), method, gains)
         steps, total = [], round(seconds * source.frame_rate_hz)
         for _ in range(total):
             steps.append(loop.step())
@@ -71,19 +64,19 @@ def balance(
         name = source.name
     summary = summarise(steps)
     if as_json:
-        record = {"source": name, "method": method.value, "gains": asdict(gains)} | asdict(summary)
+        record = {"source": name, "method": method, "gains": asdict(gains)} | asdict(summary)
         typer.echo(json.dumps(_finite(record), allow_nan=False))
     else:
         typer.echo(_report(name, method, gains, summary))
 
 
-def _report(name: str, method: Method, gains: Gains, found: BalanceSummary) -> str:
+def _report(name: str, method: str, gains: Gains, found: BalanceSummary) -> str:
     from ...core.estimation.balance import LEVEL_DEG
     from ...core.sources.simulator.tray import BOOKS, DELAY_S, MAX_RATE_DEG_S
 
     books = ", ".join(f"{1e3 * book.mass_kg:.0f} g at {book.time_s:g} s" for book in BOOKS)
     settled = ", ".join("never" if each is None else f"{each:.2f} s" for each in found.settle_s)
-    used = "the patch" if method is Method.PATCH else "the proximity camera alone"
+    used = "the patch" if method == "patch" else "the proximity camera alone"
     return "\n".join(
         [
             f"{name}, {found.frames} frames; books: {books}",

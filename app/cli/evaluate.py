@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -32,13 +31,6 @@ evaluate_commands.command("recording")(evaluate_recording)
 _PAPER = "the paper's"
 #: Default number of seeds, and that with --sensors.
 _SEEDS, _SENSOR_SEEDS = 5, 2
-
-
-class RigKnowledge(StrEnum):
-    """Whether the noise and bias of each rig are measured before its contact is."""
-
-    MEASURED = "measured"
-    UNMEASURED = "unmeasured"
 
 
 @evaluate_commands.command()
@@ -83,11 +75,11 @@ def table(
         str, typer.Option(metavar="A,B", help="With --sensors: membranes of the simulator, or 'all'.")
     ] = "all",
     rig: Annotated[
-        RigKnowledge,
+        Literal["measured", "unmeasured"],
         typer.Option(
             help="With --sensors: measure the noise and bias of each rig for the membrane test first, or not."
         ),
-    ] = RigKnowledge.MEASURED,
+    ] = "measured",
     check: Annotated[
         bool,
         typer.Option("--check", help="With --sensors: exit status 1 if a case does not hold."),
@@ -122,10 +114,10 @@ def table(
             )
         plan_of_sensors = plan_sensor_table(
             sensors, membranes, "all" if objects == _PAPER else objects, presses, seeds or _SENSOR_SEEDS,
-            held_out=held_out, preset=preset, rig=rig.value, work=work,
+            held_out=held_out, preset=preset, rig=rig, work=work,
         )  # fmt: skip
         raise typer.Exit(print_sensor_table(plan_of_sensors, as_json=as_json, out=out, check=check))
-    if membranes != "all" or rig != RigKnowledge.MEASURED or check or out is not None:
+    if membranes != "all" or rig != "measured" or check or out is not None:
         raise TactuneError("--membranes, --rig, --check and --out belong to --sensors; add --sensors all")
     from ...core.evaluation.table_report import check_plot, draw_patches, table_as_json, table_as_text
 

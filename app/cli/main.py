@@ -9,11 +9,10 @@ import ctypes
 import os
 import re
 import sys
-from enum import StrEnum
 from importlib.metadata import version
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -28,7 +27,7 @@ from .doctor import devices, doctor, warmup
 from .evaluate import evaluate_commands
 from .preset import preset_commands
 from .record import convert, record
-from .run import export_folder, run
+from .run import run
 from .serve import serve
 from .strain import strain
 from .suggest import suggest
@@ -58,7 +57,6 @@ commands.add_typer(bench_commands, name="bench")
 commands.add_typer(evaluate_commands, name="evaluate")
 commands.add_typer(demo_commands, name="demo")
 commands.command()(run)
-commands.command("export-folder")(export_folder)
 commands.command()(calibrate)
 commands.command("create-rig")(create_rig)
 commands.command()(devices)
@@ -71,14 +69,6 @@ commands.command()(strain)
 commands.command()(track)
 commands.command()(tune)
 commands.command()(warmup)
-
-
-class Theme(StrEnum):
-    """Colour themes of the window."""
-
-    LIGHT = "light"
-    DARK = "dark"
-    SYSTEM = "system"
 
 
 def main() -> int:
@@ -125,14 +115,14 @@ def gui(
     ] = None,
     after: Annotated[int, typer.Option(min=1, metavar="N", help="Frames to show before the picture.")] = 30,
     size: Annotated[str | None, typer.Option(metavar="WxH", help="Size of the window, such as 1280x800.")] = None,
-    theme: Annotated[Theme | None, typer.Option(help="Default: the theme used last.")] = None,
+    theme: Annotated[
+        Literal["light", "dark", "system"] | None, typer.Option(help="Default: the theme used last.")
+    ] = None,
 ) -> None:
     """Open the window."""
     if screenshot is not None and screenshot.suffix.lower() not in PICTURES:
         raise typer.BadParameter(f"--screenshot is {screenshot}; give a file that ends in {' or '.join(PICTURES)}")
-    raise typer.Exit(
-        _open_window(source, preset, screenshot, after, size=_parse_size(size), theme=theme and theme.value)
-    )
+    raise typer.Exit(_open_window(source, preset, screenshot, after, size=_parse_size(size), theme=theme))
 
 
 def _check_x_display() -> None:

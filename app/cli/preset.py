@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -51,9 +51,6 @@ def new(
             help="The preset's rig: a rig.json, another preset, or a source of frames; default: that of --from.",
         ),
     ] = None,
-    alignment: Annotated[
-        str | None, typer.Option(metavar="homography|rigid", help="Short for --set alignment.model=...")
-    ] = None,
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -74,10 +71,7 @@ def new(
 
     if out.exists() and not force:
         raise PresetError(f"{out} is already there; choose another name or add --force to replace it")
-    values: dict[str, Any] = {"name": out.stem}
-    if alignment is not None:
-        values["alignment.model"] = alignment
-    values |= parse_settings(settings or [])
+    values = {"name": out.stem, **parse_settings(settings or [])}
     base = Preset() if start is None else load_preset(start)
     made_for = base.rig if rig is None else find_rig(rig)
     if made_for is None:
@@ -139,7 +133,29 @@ def capture_untouched(
     Some methods and ``tactune recheck`` compare with it. It is a file beside the preset. Frames in which the preset
     finds contact are refused. The simulator removes its object for this.
     """
-    _capture_into(preset, source, frames, force=force)
+    from ...core.preset import now
+    from ...core.preset.checks import check_rig
+    from ...core.preset.file import save_preset
+    from ...core.rig.untouched import save_untouched
+    from ...core.sources.presets import load_preset
+
+    if not preset.is_file() or preset.suffix == ".mcap":
+        raise PresetError(
+            f"{preset} is no preset file, so no untouched frame can be stored with it; make one with tactune preset "
+            "new, or copy a shipped one with tactune preset show NAME > FILE"
+        )
+    chosen = load_preset(preset)
+    with open_with_progress(source, chosen.cameras) as opened:
+        warn(*check_rig(chosen, opened.rig))
+        captured = average_frames(opened, frames)
+        _check_untouched(chosen, preset, opened.rig, captured.frame, force=force)
+    record = save_untouched(captured.frame, captured.frames, preset)
+    save_preset(chosen.model_copy(update={"untouched": record, "modified": now()}), preset)
+    if captured.frames < frames:
+        warn(f"{opened.name} ended after {captured.frames} of the {frames} frames asked for")
+    noise = _noise_words(captured, opened.rig.tactile.depth_unit_m)
+    typer.echo(f"averaged {counted(captured.frames, 'frame')} of {opened.name}{noise}")
+    typer.echo(f"wrote {preset.parent / record.file}, named in {preset}")
 
 
 @preset_commands.command("measure-rig")
@@ -205,39 +221,6 @@ def _describe(preset: Preset) -> str:
         else "for any rig"
     )
     return f"preset {preset.name!r} {cameras}"
-
-
-def _capture_into(path: Path, source_name: str, frames: int, *, force: bool) -> None:
-    """Average frames of a source, write them beside the preset, then write the preset that names them.
-
-    Raises
-    ------
-    CalibrationError
-        The preset's own pipeline finds a contact patch on the membrane, unless ``force``.
-    """
-    from ...core.preset import now
-    from ...core.preset.checks import check_rig
-    from ...core.preset.file import save_preset
-    from ...core.rig.untouched import save_untouched
-    from ...core.sources.presets import load_preset
-
-    if not path.is_file() or path.suffix == ".mcap":
-        raise PresetError(
-            f"{path} is no preset file, so no untouched frame can be stored with it; make one with tactune preset new, "
-            "or copy a shipped one with tactune preset show NAME > FILE"
-        )
-    preset = load_preset(path)
-    with open_with_progress(source_name, preset.cameras) as source:
-        warn(*check_rig(preset, source.rig))
-        captured = average_frames(source, frames)
-        _check_untouched(preset, path, source.rig, captured.frame, force=force)
-        unit_m = source.rig.tactile.depth_unit_m
-    record = save_untouched(captured.frame, captured.frames, path)
-    save_preset(preset.model_copy(update={"untouched": record, "modified": now()}), path)
-    if captured.frames < frames:
-        warn(f"{source.name} ended after {captured.frames} of the {frames} frames asked for")
-    typer.echo(f"averaged {counted(captured.frames, 'frame')} of {source.name}{_noise_words(captured, unit_m)}")
-    typer.echo(f"wrote {path.parent / record.file}, named in {path}")
 
 
 def _check_untouched(preset: Preset, path: Path, rig: Rig, membrane: SensorFrame, *, force: bool) -> None:

@@ -1,4 +1,4 @@
-"""The commands ``tactune run`` and ``tactune export-folder``: frames in, patches or images out."""
+"""The command ``tactune run``: frames in, patches out."""
 
 from __future__ import annotations
 
@@ -6,13 +6,11 @@ import json
 import math
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
-from dataclasses import dataclass
-from enum import StrEnum
+from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
 from statistics import median
 from threading import Event
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -71,23 +69,8 @@ STRAIN_KEYS = {
 }
 
 
-class Format(StrEnum):
-    """File formats of a patch."""
-
-    NPZ = "npz"
-    PLY = "ply"
-    PCD = "pcd"
-    CSV = "csv"
-
-
-class Estimate(StrEnum):
-    """What ``--estimate`` reads from each patch."""
-
-    TILT = "tilt"
-    TILT_FILTERED = "tilt-filtered"
-    TILT_PCA = "tilt-pca"
-
-
+#: What ``--estimate`` reads from each patch.
+Estimate = Literal["tilt", "tilt-filtered", "tilt-pca"]
 EstimateOption = Annotated[
     Estimate | None,
     typer.Option(
@@ -96,24 +79,6 @@ EstimateOption = Annotated[
         "measured noise, filtered over time, or by principal components.",
     ),
 ]
-
-
-@dataclass(frozen=True)
-class RunOptions:
-    """Options of ``tactune run``; see its help."""
-
-    source: str
-    preset: str
-    frames: int | None
-    out: Path | None
-    file_format: str
-    json_lines: bool
-    truth: bool
-    method: str = FUSION
-    untouched: str | None = None
-    settings: tuple[str, ...] = ()
-    watch: bool = False
-    estimate: Estimate | None = None
 
 
 def run(
@@ -130,7 +95,9 @@ def run(
             help="A folder for one file per frame (patch_000012.npz), or a .mcap for all patches as PointCloud2.",
         ),
     ] = None,
-    file_format: Annotated[Format, typer.Option("--format", help="Format of the files.")] = Format.NPZ,
+    file_format: Annotated[
+        Literal["npz", "ply", "pcd", "csv"], typer.Option("--format", help="Format of the files.")
+    ] = "npz",
     json_lines: Annotated[
         bool, typer.Option("--json", help="Print a JSON line for each frame at once; no summary.")
     ] = False,
@@ -142,7 +109,7 @@ def run(
         typer.Option(
             metavar="NAME", help="fusion (the preset's own pipeline) or another method; a wrong name lists all."
         ),
-    ] = "fusion",
+    ] = FUSION,
     untouched: Annotated[
         str | None,
         typer.Option(
@@ -172,94 +139,59 @@ def run(
             "give --out DIR or FILE.mcap for the patches, --json for one line per frame, --truth for a comparison, "
             "--watch for the drift watchdog, or --estimate tilt"
         )
-    preset = preset or default_preset(source)
-    changed = tuple(settings or ())
-    run_frames(
-        RunOptions(
-            source,
-            preset,
-            frames,
-            out,
-            file_format.value,
-            json_lines,
-            truth,
-            method,
-            untouched,
-            changed,
-            watch,
-            estimate,
-        )
-    )
-
-
-def export_folder(
-    *,
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="A new or empty folder.")],
-    source: SourceOption = SOURCE,
-    frames: FrameCount = None,
-) -> None:
-    """Write frames as a folder of PNG images with rig.json."""
-    from ...core.sources.folder import export_folder as write_folder
-
-    with open_with_progress(source) as opened, CliProgress() as progress:
-        count = write_folder(opened, out, frames, lambda share, _: progress.frames(round(share * 100), 100))
-    typer.echo(f"wrote {counted(count, 'frame')} of {opened.name} to {out}")
-
-
-def run_frames(options: RunOptions) -> None:
-    """Compute the patch of each frame; write files, JSON lines or a summary."""
     from ...core.contact.warmup import warm_up_if_needed
     from ...core.preset.checks import check_rig
     from ...core.sources.presets import load_preset
     from .methods import make_step, read_untouched
 
-    preset = load_preset(options.preset).with_values(parse_settings(options.settings))
-    untouched = read_untouched(options.method, options.untouched)
-    if options.out is not None and options.out.suffix != MCAP_SUFFIX:
-        make_folder(options.out)
-    with open_with_progress(options.source, preset.cameras) as source:
-        if options.method == FUSION:
+    origin = preset or default_preset(source)
+    chosen = load_preset(origin).with_values(parse_settings(settings or []))
+    compared_with = read_untouched(method, untouched)
+    if out is not None and out.suffix != MCAP_SUFFIX:
+        make_folder(out)
+    with open_with_progress(source, chosen.cameras) as opened:
+        if method == FUSION:
             with CliProgress() as progress:
-                warm_up_if_needed(progress.preparing, preset)
-        step = make_step(options.method, preset, options.preset, source, untouched)
-        warn(*check_rig(preset, source.rig))
-        lost_before = source.health().dropped
+                warm_up_if_needed(progress.preparing, chosen)
+        step = make_step(method, chosen, origin, opened, compared_with)
+        warn(*check_rig(chosen, opened.rig))
+        lost_before = opened.health().dropped
         with (
-            _watching(options, preset, source) as look,
+            _watching(chosen, origin, opened) if watch else nullcontext() as look,
             stop_on_signals() as stopped,
-            patch_output(options, source, preset) as save,
+            patch_output(out, file_format, opened, chosen) as save,
         ):
-            lines = LineOutput(stopped) if options.json_lines else None
-            tilt = make_tilt(options.estimate, preset, source.rig)
-            done, records = process_frames(source, step, options, save, stopped, look, lines, tilt)
+            lines = LineOutput(stopped) if json_lines else None
+            tilt = make_tilt(estimate, chosen, opened.rig)
+            done, records = process_frames(
+                opened, step, frames, save, stopped, truth=truth, look=look, lines=lines, tilt=tilt
+            )
         if lines is not None and lines.reader_gone:
             raise typer.Exit(READER_GONE_STATUS)
         if not done and not stopped.is_set():
-            raise SourceError(f"{source.name} gave no frames; check the source")
-        if source.health().message:
-            warn(source.health().message)
-        warn_of_lost_frames(source, lost_before)
+            raise SourceError(f"{opened.name} gave no frames; check the source")
+        if opened.health().message:
+            warn(opened.health().message)
+        warn_of_lost_frames(opened, lost_before)
         if records:
-            typer.echo(summary(records, source.name, preset.name, options, stopped=stopped.is_set()))
+            typer.echo("\n".join(summary(records, opened.name, chosen.name)))
+            if out is not None:
+                typer.echo(_written(records, out, file_format))
+            if frames is not None and done < frames and not stopped.is_set():
+                typer.echo(f"{opened.name} ended after {done} of the {frames} frames asked for")
         if stopped.is_set():
-            tell_of_stop(source, done, options.frames)
+            tell_of_stop(opened, done, frames)
 
 
-@contextmanager
-def _watching(options: RunOptions, preset: Preset, source: FrameSource) -> Iterator[Watching | None]:
-    if not options.watch:
-        yield None
-        return
+def _watching(preset: Preset, origin: str, source: FrameSource) -> closing[Watching]:
     from .watching import Watching
 
-    with closing(Watching(preset, options.preset, source)) as watching:
-        yield watching
+    return closing(Watching(preset, origin, source))
 
 
 @contextmanager
-def patch_output(options: RunOptions, source: FrameSource, preset: Preset) -> Iterator[SavePatch]:
+def patch_output(out: Path | None, file_format: str, source: FrameSource, preset: Preset) -> Iterator[SavePatch]:
     """Yield the function that saves a patch: into one bag, into one file each, or nowhere."""
-    out = options.out
     if out is None:
         yield lambda patch, frame: None
     elif out.suffix == MCAP_SUFFIX:
@@ -275,7 +207,7 @@ def patch_output(options: RunOptions, source: FrameSource, preset: Preset) -> It
 
         def save(patch: ContactPatch | MethodPatch, frame: SensorFrame) -> None:
             note_number(seen, frame)
-            write_cloud(patch_path(out, frame.sequence, options.file_format), _cloud(patch, frame, source.rig))
+            write_cloud(patch_path(out, frame.sequence, file_format), _cloud(patch, frame, source.rig))
 
         yield save
 
@@ -305,14 +237,16 @@ def tell_of_stop(source: FrameSource, done: int, asked: int | None) -> None:
 def process_frames(
     source: FrameSource,
     step: Step,
-    options: RunOptions,
+    frames: int | None,
     save: SavePatch,
     stopped: Event,
+    *,
+    truth: bool = False,
     look: Watching | None = None,
     lines: LineOutput | None = None,
     tilt: Estimator | None = None,
 ) -> tuple[int, list[Record]]:
-    """Process and save each frame until ``stopped`` is set.
+    """Process and save up to ``frames`` frames, until ``stopped`` is set.
 
     Returns
     -------
@@ -323,8 +257,8 @@ def process_frames(
     """
     records: list[Record] = []
     done, scored = 0, False
-    total = number_of_frames(source, options.frames)
-    with CliProgress(quiet=options.json_lines and sys.stdout.isatty()) as progress:
+    total = number_of_frames(source, frames)
+    with CliProgress(quiet=lines is not None and sys.stdout.isatty()) as progress:
         while done != total and not stopped.is_set():
             if not source.wait(WAIT_S):
                 if lines is not None:
@@ -337,7 +271,7 @@ def process_frames(
                 warn_of_wrong_unit(frame, source.rig)
             record, patch = step(frame)
             record["time_s"] = finite_or_none(frame.proximity_time_s)
-            if options.truth:
+            if truth:
                 record |= truth_record(patch, frame.truth, source.rig)
                 scored |= record["iou"] is not None
             if tilt is not None:
@@ -351,7 +285,7 @@ def process_frames(
                 records.append(record)
             done += 1
             progress.frames(done, total)
-    if options.truth and done and not scored:
+    if truth and done and not scored:
         warn(f"{source.name} has no ground truth; iou, precision, recall and rmse_mm are empty")
     return done, records
 
@@ -363,8 +297,8 @@ def make_tilt(estimate: Estimate | None, preset: Preset, rig: Rig) -> Estimator 
     from ...core.estimation.tilt import TiltEstimator
     from ...core.estimation.tilt_filter import TiltFilter
 
-    estimator = TiltEstimator(preset, rig, "pca" if estimate is Estimate.TILT_PCA else "noise")
-    filtered = TiltFilter() if estimate is Estimate.TILT_FILTERED else None
+    estimator = TiltEstimator(preset, rig, "pca" if estimate == "tilt-pca" else "noise")
+    filtered = TiltFilter() if estimate == "tilt-filtered" else None
 
     def tilt(patch: ContactPatch | MethodPatch, frame: SensorFrame) -> Tilt:
         found = estimator.estimate(patch, frame.sequence, frame.proximity_time_s)
@@ -406,12 +340,14 @@ def truth_record(patch: ContactPatch | MethodPatch, truth: GroundTruth | None, r
     )
 
 
-def summary(records: list[Record], source: str, preset: str, options: RunOptions, *, stopped: bool) -> str:
-    """Return the summary in a few lines."""
+def summary(records: list[Record], source: str, preset: str) -> list[str]:
+    """Return a few lines about all frames."""
     touched = [record["area_mm2"] for record in records if record["points"]]
     # Medians, because the first frame also loads the compiled code and makes the tables.
     stages = {stage: median(record["stage_ms"][stage] for record in records) for stage in records[0]["stage_ms"]}
-    lines = [f"{counted(len(records), 'frame')} of {source} with preset {preset!r}" + _by(options.method)]
+    method = records[0]["method"]
+    by = "" if method == FUSION else f", method {method}"
+    lines = [f"{counted(len(records), 'frame')} of {source} with preset {preset!r}{by}"]
     if touched:
         lines.append(
             f"contact in {len(touched)} of them, patch {min(touched) / 100:.1f} to {max(touched) / 100:.1f} cm2, "
@@ -420,20 +356,19 @@ def summary(records: list[Record], source: str, preset: str, options: RunOptions
     else:
         lines.append("no contact in any of them")
     if failures := [record["failure"] for record in records if record["failure"]]:
-        lines.append(f"{options.method} failed in {len(failures)} of them, such as: {failures[0]}")
+        lines.append(f"{method} failed in {len(failures)} of them, such as: {failures[0]}")
     details = ", ".join(f"{stage} {ms:.1f}" for stage, ms in stages.items())
     lines.append(f"{sum(stages.values()):.1f} ms per frame ({details})")
-    if options.estimate is not None:
+    if "tilt" in records[0]:
         lines += tilt_lines([record["tilt"] for record in records])
-    lines += truth_lines(records)
-    if options.out is not None and options.out.suffix == MCAP_SUFFIX:
-        lines.append(f"wrote {options.out}")
-    elif options.out is not None:
-        first, last = (patch_path(options.out, records[i]["sequence"], options.file_format) for i in (0, -1))
-        lines.append(f"wrote {first}" + (f" to {last.name}" if last != first else ""))
-    if options.frames is not None and len(records) < options.frames and not stopped:
-        lines.append(f"{source} ended after {len(records)} of the {options.frames} frames asked for")
-    return "\n".join(lines)
+    return lines + truth_lines(records)
+
+
+def _written(records: list[Record], out: Path, file_format: str) -> str:
+    if out.suffix == MCAP_SUFFIX:
+        return f"wrote {out}"
+    first, last = (patch_path(out, records[i]["sequence"], file_format) for i in (0, -1))
+    return f"wrote {first}" + (f" to {last.name}" if last != first else "")
 
 
 def tilt_lines(tilts: list[Record]) -> list[str]:
@@ -471,7 +406,3 @@ def truth_lines(records: list[Record]) -> list[str]:
         false = sum(bool(record["points"]) for record in without)
         lines.append(f"{counted(len(without), 'frame')} without true contact, {false} of them with false points")
     return lines
-
-
-def _by(method: str) -> str:
-    return "" if method == FUSION else f", method {method}"

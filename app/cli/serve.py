@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Annotated
@@ -36,31 +35,16 @@ if TYPE_CHECKING:
     from ...core.estimation.pose import PoseTracker
     from ...core.estimation.tilt import Tilt
     from ...core.model.frames import SensorFrame
-    from ...core.output.connections import Connections
     from ...core.output.parameters import PresetParameters
     from ...core.output.publisher import Publisher
     from ...core.preset import Preset
     from ...core.sources import FrameSource
-    from .run import Estimate
 
 #: Time without a fit to the contact after which clients are warned of a wrong mesh, seconds.
 _LOST_S = 1.0
 _LAYOUT_HELP = "Write the layout for the Foxglove app (Import from file) and end, unless --foxglove or --ros2 is given."
 _SETTABLE_HELP = "Let clients of --foxglove set preset parameters; any program or web page on this computer then can."
 _RCLPY_HELP = "Publish by the ROS 2 that is sourced in this shell, whose middleware and settings choose the network."
-
-
-@dataclass(frozen=True)
-class ServeOptions:
-    """Options of ``tactune serve``; see its help."""
-
-    source: str
-    preset: str
-    frames: int | None
-    connections: Connections
-    estimate: Estimate | None = None
-    mesh: Path | None = None
-    unit: str | None = None
 
 
 def serve(
@@ -90,7 +74,7 @@ def serve(
     unit: UnitOption = None,
     layout: Annotated[Path | None, typer.Option("--layout", metavar="FILE", help=_LAYOUT_HELP)] = None,
 ) -> None:
-    """Publish contact patches live for Foxglove and ROS 2; a recording is repeated at its own rate."""
+    """Publish contact patches live for Foxglove and ROS 2, until Ctrl+C; a recording is repeated at its own rate."""
     if layout is not None:
         from ...core.output.foxglove import save_layout
 
@@ -102,13 +86,6 @@ def serve(
 
     if not (foxglove or ros2 or rclpy):
         raise typer.BadParameter("give --foxglove or --ros2; nothing is published unless it is asked for")
-    preset = preset or default_preset(source)
-    connections = Connections(foxglove, ros2, host, port, domain, namespace, rclpy, settable)
-    serve_frames(ServeOptions(source, preset, frames, connections, estimate, mesh, unit))
-
-
-def serve_frames(options: ServeOptions) -> None:
-    """Publish frames until Ctrl+C or SIGTERM, or until the number of frames is reached."""
     from ...core.contact.pipeline import ContactPipeline
     from ...core.contact.warmup import warm_up_if_needed
     from ...core.output.parameters import PresetParameters
@@ -117,30 +94,31 @@ def serve_frames(options: ServeOptions) -> None:
     from ...core.sources.capture.live import LiveLoop
     from ...core.sources.presets import load_preset
 
-    preset, connections = load_preset(options.preset), options.connections
-    parameters = PresetParameters(preset, check=_refuse_while_opening, settable=connections.settable)
+    chosen = load_preset(preset or default_preset(source))
+    connections = Connections(foxglove, ros2, host, port, domain, namespace, rclpy, settable)
+    parameters = PresetParameters(chosen, check=_refuse_while_opening, settable=settable)
     with (
         Publisher(connections.make_sinks(parameters)) as publisher,  # a taken port is told before cameras start
-        open_with_progress(options.source, preset.cameras) as opened,
+        open_with_progress(source, chosen.cameras) as opened,
     ):
-        source = opened if opened.length is None else LiveLoop(opened)
-        tilt, poses = make_tilt(options.estimate, preset, source.rig), None
-        if options.mesh is not None:
+        playing = opened if opened.length is None else LiveLoop(opened)
+        tilt, poses = make_tilt(estimate, chosen, playing.rig), None
+        if mesh is not None:
             from ...core.estimation.pose import PoseTracker
 
-            poses = _Poses(PoseTracker(read_mesh(options.mesh, options.unit), preset, source.rig), publisher)
+            poses = _Poses(PoseTracker(read_mesh(mesh, unit), chosen, playing.rig), publisher)
         with CliProgress() as progress:
-            warm_up_if_needed(progress.preparing, preset)
-        warn(*check_rig(preset, source.rig))
-        parameters.check = lambda changed: ContactPipeline(changed, source.rig)
+            warm_up_if_needed(progress.preparing, chosen)
+        warn(*check_rig(chosen, playing.rig))
+        parameters.check = lambda changed: ContactPipeline(changed, playing.rig)
         with stop_on_signals() as stopped:
             for output in publisher.status():
                 typer.echo(f"{output.sink.name}: {output.sink.place}")
             if connections.warning:
                 warn(connections.warning)
-            count = _publish(source, parameters, publisher, tilt, poses, options.frames, stopped)
-        typer.echo(f"published {counted(count, 'frame')} of {source.name}")
-        warn_of_lost_frames(source, 0)
+            count = _publish(playing, parameters, publisher, tilt, poses, frames, stopped)
+        typer.echo(f"published {counted(count, 'frame')} of {playing.name}")
+        warn_of_lost_frames(playing, 0)
 
 
 def _refuse_while_opening(_: Preset) -> None:

@@ -120,8 +120,7 @@ def test_the_cameras_are_listed_and_recorded(acme: Path, tmp_path: Path) -> None
     listed = tactune(acme, "devices", "--json")
     assert listed.returncode == 0, listed.stderr
     assert {device["serial"] for device in json.loads(listed.stdout)["devices"]} >= {"acme1", "acme2"}
-    words = ["--source", "cameras:", "--frames", "3", "--out", str(tmp_path / "three")]
-    done = tactune(acme, "export-folder", *words)
+    done = tactune(acme, "convert", "cameras:", str(tmp_path / "three"), "--frames", "3")
     assert done.returncode == 0, done.stderr
     with open_source(str(tmp_path / "three")) as recording:
         assert (recording.length, recording.rig.proximity.model, recording.rig.tactile.model) == (3, "A2", "A1")

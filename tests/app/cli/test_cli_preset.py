@@ -26,7 +26,7 @@ Tactune = Callable[..., Any]
 def test_new_writes_a_preset_for_the_rig_with_what_was_set(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
     file = tmp_path / "mine.json"
     finished = tactune(
-        *("preset", "new", "--rig", recording / "rig.json", "--alignment", "homography", "--out", file),
+        *("preset", "new", "--rig", recording / "rig.json", "--set", "alignment.model=homography", "--out", file),
         *("--set", "mask.hue=[150,170]", "--set", "tolerance.t=0.01", "--set", "notes=on the bench"),
     )
     assert finished.status == 0
@@ -99,7 +99,7 @@ def test_new_starts_from_another_preset_and_its_rig(tactune: Tactune, recording:
     assert (preset.tolerance.t, preset.outliers.k) == (0.011, 9)
     assert preset.created.year > 2020
 
-    words = ["--rig", recording / "rig.json", "--alignment", "homography", "--set", "name=other"]
+    words = ["--rig", recording / "rig.json", "--set", "alignment.model=homography", "--set", "name=other"]
     assert tactune("preset", "new", "--from", "simulator", *words, "--out", third).status == 0
     preset, shipped = load_preset(third), load_preset("simulator")
     assert (preset.name, preset.rig, preset.alignment.model) == ("other", rig, "homography")
@@ -215,7 +215,9 @@ def test_a_bad_setting_is_named_and_nothing_written(
 def test_a_bad_alignment_a_bad_rig_and_a_bad_place_are_named(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
     rig = recording / "rig.json"
     out = tmp_path / "mine.json"
-    assert "sideways" in tactune("preset", "new", "--rig", rig, "--alignment", "sideways", "--out", out).sentence
+    assert (
+        "sideways" in tactune("preset", "new", "--rig", rig, "--set", "alignment.model=sideways", "--out", out).sentence
+    )
     assert "nowhere" in tactune("preset", "new", "--rig", "nowhere", "--out", out).sentence
     assert "/dev/null" in tactune("preset", "new", "--rig", rig, "--out", "/dev/null/mine.json").sentence
 

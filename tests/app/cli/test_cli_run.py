@@ -1,4 +1,4 @@
-"""``tactune run`` and ``tactune export-folder``."""
+"""``tactune run``, and ``tactune convert`` into a folder."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from commands import read_line
 from small_recordings import GrowingPress, small_rig
 from tactune.app.cli.common import LineOutput
 from tactune.app.cli.methods import make_step
-from tactune.app.cli.run import RunOptions, process_frames
+from tactune.app.cli.run import process_frames
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.model.frames import SensorFrame
 from tactune.core.model.rig_file import load_rig
@@ -199,9 +199,9 @@ def test_older_patches_in_the_folder_are_mentioned(tactune: Tactune, recording: 
         (["run", "--source", "RECORDING", "--preset", "RECORDING/rig.json", "--json"], "rig.json"),
         (["run", "--source", "RECORDING", "--out", "/dev/null/out"], "/dev/null/out"),
         (["run", "--source", "RECORDING", "--out", "RECORDING/rig.json"], "rig.json"),
-        (["export-folder", "--source", "RECORDING", "--out", "RECORDING"], "recording"),
-        (["export-folder", "--source", "RECORDING", "--out", "/dev/null/out"], "/dev/null/out"),
-        (["export-folder", "--source", "RECORDING", "--out", "."], "working folder"),
+        (["convert", "RECORDING", "RECORDING"], "recording"),
+        (["convert", "RECORDING", "/dev/null/out"], "/dev/null/out"),
+        (["convert", "RECORDING", "."], "working folder"),
         (["run", "--source", "x" * 5000, "--json"], "too long"),
         (["run", "--source", "~nosuchuser/x", "--json"], "nosuchuser"),
         (["run", "--source", "RECORDING", "--json", "--set", "tolerance.tt=1"], "did you mean tolerance.t"),
@@ -218,7 +218,7 @@ def test_what_cannot_be_used_is_named_in_one_sentence(
     [
         ["run", "--source", "sim"],
         ["run", "--json", "--frames", "0"],
-        ["export-folder"],
+        ["convert"],
         ["dance"],
     ],
 )
@@ -229,8 +229,8 @@ def test_wrong_usage_exits_with_2(tactune: Tactune, words: list[str]) -> None:
     assert "Error: " in finished.err
 
 
-def test_export_folder_writes_what_it_read(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
-    finished = tactune("export-folder", "--source", recording, "--out", tmp_path / "copy", "--frames", "3")
+def test_a_folder_holds_what_was_converted(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
+    finished = tactune("convert", recording, tmp_path / "copy", "--frames", "3")
     assert finished.status == 0
     assert "wrote 3 frames" in finished.out
     original, copy = open_source(str(recording)), open_source(str(tmp_path / "copy"))
@@ -333,8 +333,7 @@ def test_json_lines_of_hours_need_no_memory(monkeypatch: pytest.MonkeyPatch, tmp
             return replace(super().read(index % 4), sequence=index)
 
     source, stopped, memory = Endless(small_rig(64), 10**9, True), threading.Event(), []
-    options = RunOptions("small", "default", None, None, "npz", json_lines=True, truth=True)
-    step = make_step(options.method, load_preset("default"), "default", source, None)
+    step = make_step("fusion", load_preset("default"), "default", source, None)
 
     def look(patch: object, frame: SensorFrame) -> None:
         if frame.sequence in (100, 400):
@@ -347,7 +346,7 @@ def test_json_lines_of_hours_need_no_memory(monkeypatch: pytest.MonkeyPatch, tmp
     try:
         with (tmp_path / "lines").open("w") as lines:
             monkeypatch.setattr("sys.stdout", lines)
-            done, _ = process_frames(source, step, options, look, stopped, lines=LineOutput(stopped))
+            done, _ = process_frames(source, step, None, look, stopped, truth=True, lines=LineOutput(stopped))
     finally:
         tracemalloc.stop()
     assert done == 401

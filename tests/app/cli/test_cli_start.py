@@ -25,7 +25,7 @@ def test_version(tactune: Tactune) -> None:
 def test_help_names_every_command(tactune: Tactune) -> None:
     finished = tactune("--help")
     assert finished.status == 0
-    for command in ("gui", "run", "export-folder", "preset"):
+    for command in ("gui", "run", "convert", "preset"):
         assert f"\n  {command} " in finished.out
 
 

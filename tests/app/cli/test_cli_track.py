@@ -139,7 +139,7 @@ def test_wrong_mesh_and_wrong_options_end_with_one_sentence(tactune, cup, tmp_pa
 
 def test_a_source_that_fails_leaves_the_poses_until_then(tactune, cup, tmp_path):
     frames, out = tmp_path / "frames", tmp_path / "poses.csv"
-    assert tactune("export-folder", "--source", "sim:cup", "--out", frames, "-n", FRAMES).status == 0
+    assert tactune("convert", "sim:cup", frames, "-n", FRAMES).status == 0
     broken = sorted(frames.glob("*/proximity_depth.png"))[FRAMES - 2]
     broken.write_bytes(broken.read_bytes()[:1000])
     command = arguments(cup, "--out", out, "--preset", "simulator")
