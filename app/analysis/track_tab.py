@@ -184,8 +184,8 @@ class TrackTab(AnalysisTab):
         self.views.follow.clicked.connect(lambda: self.session.freeze(None))
         self.align.selectionChanged.connect(self.views.select)
         self.align.removeRequested.connect(self.session.remove)
-        self.align.clearRequested.connect(self.session.remove_all)
-        self.align.centerRequested.connect(self._center)
+        self.align.clear.clicked.connect(self.session.remove_all)
+        self.align.center.clicked.connect(self._center)
         self.align.poseEdited.connect(
             lambda pose, gesture: self.session.set_pose(pose, "hand", "Type the model's pose", None, gesture)
         )

@@ -89,13 +89,11 @@ class PaintPanel(CollapsibleSection):
     Signals
     -------
     edited(paint: PaintSettings, gesture: int)
-    highlightChanged(on: bool)
     eyedropperChanged(mode: str)
         "set", "expand", "shrink" or "off".
     """
 
     edited = pyqtSignal(object, int)
-    highlightChanged = pyqtSignal(bool)
     eyedropperChanged = pyqtSignal(str)
 
     def __init__(self) -> None:
@@ -117,7 +115,6 @@ class PaintPanel(CollapsibleSection):
             row.edited.connect(self._row_edited)
         for mode, button in self.droppers.items():
             button.clicked.connect(lambda checked, mode=mode: self._take_up(mode if checked else "off"))
-        self.highlight.toggled.connect(self.highlightChanged)
         self.show_paint(self._paint)
 
     def _lay_out(self) -> None:
@@ -253,19 +250,15 @@ class AlignPanel(CollapsibleSection):
     -------
     selectionChanged(number: int)
         Index of the selected pair, -1 for none.
-    removeRequested(number: int), clearRequested()
-    centerRequested()
+    removeRequested(number: int)
     poseEdited(pose: float64 (4, 4), gesture: int)
-    refineRequested(reach_m: float), cancelRequested()
+    refineRequested(reach_m: float)
     """
 
     selectionChanged = pyqtSignal(int)
     removeRequested = pyqtSignal(int)
-    clearRequested = pyqtSignal()
-    centerRequested = pyqtSignal()
     poseEdited = pyqtSignal(object, int)
     refineRequested = pyqtSignal(float)
-    cancelRequested = pyqtSignal()
 
     def __init__(
         self,
@@ -342,10 +335,7 @@ class AlignPanel(CollapsibleSection):
         delete = QShortcut(QKeySequence(QKeySequence.StandardKey.Delete), self.table)
         delete.setContext(Qt.ShortcutContext.WidgetShortcut)
         delete.activated.connect(self.remove.click)
-        self.clear.clicked.connect(self.clearRequested)
-        self.center.clicked.connect(self.centerRequested)
         self.refine.clicked.connect(lambda: self.refineRequested.emit(float(self.reach.value())))
-        self.cancel.clicked.connect(self.cancelRequested)
         for entry in (*self.places, *self.turns):
             entry.edited.connect(lambda _, gesture: self._edited(gesture))
         for entry in (*self.places, *self.turns, self.reach):
@@ -465,13 +455,10 @@ class ResultPanel(CollapsibleSection):
 
     Signals
     -------
-    saveRequested(), loadRequested()
     copied()
         The command line was put on the clipboard.
     """
 
-    saveRequested = pyqtSignal()
-    loadRequested = pyqtSignal()
     copied = pyqtSignal()
 
     def __init__(self) -> None:
@@ -487,8 +474,6 @@ class ResultPanel(CollapsibleSection):
         self.copy = push_button("Cop&y", "Copy the command line that repeats this result")
         self.note = QLabel()
         self._lay_out()
-        self.save.clicked.connect(self.saveRequested)
-        self.load.clicked.connect(self.loadRequested)
         self.copy.clicked.connect(self._copy)
         self.show_scores(None)
         self.show_command("", "")

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from PyQt6.QtCore import QEvent, Qt, pyqtSignal
+from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QSplitter, QWidget
 
@@ -100,20 +100,7 @@ _NO_PATCH = "No patch yet: show a frame with contact in the main window"
 
 
 class TruthViews(QSplitter):
-    """Draws what a `TruthFlow` holds.
-
-    Signals
-    -------
-    scanClicked(pixel: int, place: tuple), patchClicked(pixel: int, place: tuple)
-        In the scan frame and in the proximity frame.
-    presentRequested(), followRequested()
-        Align to the main window's current frame, or follow the main window again.
-    """
-
-    scanClicked = pyqtSignal(int, object)
-    patchClicked = pyqtSignal(int, object)
-    presentRequested = pyqtSignal()
-    followRequested = pyqtSignal()
+    """Draws what a `TruthFlow` holds."""
 
     def __init__(self, flow: TruthFlow, backend: BackendChoice) -> None:
         super().__init__(Qt.Orientation.Horizontal)
@@ -128,10 +115,6 @@ class TruthViews(QSplitter):
         self.present = push_button("Use current", "Align to the main window's current frame; pairs and pose stay")
         self.follow = push_button("Follow", "Follow the main window again, until the next edit of the alignment")
         self._lay_out()
-        self.scan.pointClicked.connect(self.scanClicked)
-        self.patch.pointClicked.connect(self.patchClicked)
-        self.present.clicked.connect(self.presentRequested)
-        self.follow.clicked.connect(self.followRequested)
         self.scan.set_message(_NO_SCAN)
         self.patch.set_message(_NO_PATCH)
         self.show_patch()

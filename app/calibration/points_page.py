@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtCore import QSignalBlocker, Qt
 from PyQt6.QtGui import QKeySequence, QShortcut
 from PyQt6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QSplitter, QToolButton, QWidget
 
@@ -26,15 +26,7 @@ _NO_SNAPSHOT = "No snapshot yet: take one on the page Snapshots"
 
 
 class PointsPage(QWidget):
-    """The search for points above two linked images and the table of pairs.
-
-    Signals
-    -------
-    importRequested(), exportRequested()
-    """
-
-    importRequested = pyqtSignal()
-    exportRequested = pyqtSignal()
+    """The search for points above two linked images and the table of pairs."""
 
     def __init__(self, session: Session, snapper: Snapper) -> None:
         super().__init__()
@@ -139,8 +131,6 @@ class PointsPage(QWidget):
         self.arrows.currentTextChanged.connect(self._show_arrows)
         self.whole.clicked.connect(view.show_all)
         self.drop.clicked.connect(lambda: session.remove(self._outcome.rejected))
-        self.load.clicked.connect(self.importRequested)
-        self.store.clicked.connect(self.exportRequested)
         self._show_arrows(self.arrows.currentText())
         accept = QShortcut(QKeySequence("Ctrl+Return"), self)
         accept.activated.connect(self.accept_ghost)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QCloseEvent
 from PyQt6.QtWidgets import QComboBox, QDialog, QGridLayout, QLabel, QWidget
 
@@ -59,17 +59,7 @@ def recheck_all(preset: Preset, preset_path: Path | None, rig: Rig, frame: Senso
 
 
 class RecheckWindow(QDialog):
-    """Checks a frame and shows the drift in pixels and millimetres, and whether to calibrate again.
-
-    Signals
-    -------
-    againRequested()
-        Check on the newest frame.
-    calibrateRequested()
-    """
-
-    againRequested = pyqtSignal()
-    calibrateRequested = pyqtSignal()
+    """Checks a frame and shows the drift in pixels and millimetres, and whether to calibrate again."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -103,8 +93,6 @@ class RecheckWindow(QDialog):
         self.resize(760, 720)
         self.factor.currentTextChanged.connect(lambda text: self.image.layer.set_arrow_factor(_FACTORS[text]))
         self.image.layer.set_arrow_factor(_FACTORS[self.factor.currentText()])
-        self.again.clicked.connect(self.againRequested)
-        self.calibrate.clicked.connect(self.calibrateRequested)
         self.leave.clicked.connect(self.close)
         self._job.done.connect(self._show)
         self._job.failed.connect(self._fail)

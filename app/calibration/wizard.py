@@ -177,8 +177,8 @@ class CalibrationWizard(QDialog):
         self.redo.clicked.connect(stack.redo)
         self.save.clicked.connect(self.save_preset)
         self.leave.clicked.connect(self.close)
-        self.points.importRequested.connect(self._import_dialog)
-        self.points.exportRequested.connect(self._export_dialog)
+        self.points.load.clicked.connect(self._import_dialog)
+        self.points.store.clicked.connect(self._export_dialog)
         self.check.export.clicked.connect(self._report_dialog)
         self._export.done.connect(self._report_written)
         self._export.failed.connect(self._report_failed)
@@ -558,8 +558,8 @@ class CalibrationLauncher(QObject):
             return
         if self.recheck is None:
             self.recheck = RecheckWindow(context.window)
-            self.recheck.againRequested.connect(self._check)
-            self.recheck.calibrateRequested.connect(self.open_wizard)
+            self.recheck.again.clicked.connect(self._check)
+            self.recheck.calibrate.clicked.connect(self.open_wizard)
         self.recheck.show()
         self.recheck.raise_()
         self._check()

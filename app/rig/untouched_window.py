@@ -6,7 +6,7 @@ import math
 from functools import partial
 from typing import Final
 
-from PyQt6.QtCore import QObject, Qt, QTimer, pyqtSignal
+from PyQt6.QtCore import QObject, Qt, QTimer
 from PyQt6.QtGui import QKeyEvent
 from PyQt6.QtWidgets import QDialog, QLabel, QWidget
 
@@ -40,15 +40,7 @@ _OTHER_SOURCE: Final = "Capturing was cancelled because another source was opene
 
 
 class CaptureWindow(QDialog):
-    """Shows the membrane now and in the untouched frame, and captures a new untouched frame as one undoable step.
-
-    Signals
-    -------
-    saveRequested()
-        Save the preset.
-    """
-
-    saveRequested = pyqtSignal()
+    """Shows the membrane now and in the untouched frame, and captures a new untouched frame as one undoable step."""
 
     def __init__(
         self,
@@ -130,7 +122,6 @@ class CaptureWindow(QDialog):
         self.use_taken.clicked.connect(self.capture.use_taken)
         self.cancel.clicked.connect(self.capture.cancel)
         self.undo.clicked.connect(self._document.undo_stack.undo)
-        self.save.clicked.connect(self.saveRequested)
         self.leave.clicked.connect(self.reject)
         self.capture.progress.connect(self.progress.show_share)
         self.capture.pausedChanged.connect(self._show_paused)
@@ -236,15 +227,7 @@ def _fit(pane: ImagePane) -> None:
 
 
 class UntouchedControls(QObject):
-    """Owns the store of untouched frames, and opens at most one window.
-
-    Signals
-    -------
-    saveRequested()
-        Save the preset, whose untouched frame was captured.
-    """
-
-    saveRequested = pyqtSignal()
+    """Owns the store of untouched frames, and opens at most one window."""
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -275,7 +258,7 @@ class UntouchedControls(QObject):
         if self.window is None:
             self._feed = FrameFeed(context.worker, context.result, context.playback, self)
             self.window = CaptureWindow(context.document, self._feed, self.store, self.keeper, context.window)
-            self.window.saveRequested.connect(self.saveRequested)
+            self.window.save.clicked.connect(context.saveRequested)
             self.window.finished.connect(self._closed)
         bring_up(self.window)
 

@@ -327,7 +327,6 @@ class MainWindow(QMainWindow):
         actions.recordings_folder.triggered.connect(
             lambda: flows.recordings_folder_dialog(self.recording.folder, self.recording.use_folder)
         )
-        self.untouched.saveRequested.connect(actions.save.trigger)
         self.context.sourceRequested.connect(self.open_source)
         actions.quit.triggered.connect(self.close)
         actions.show_strip.toggled.connect(self.strip.setVisible)
