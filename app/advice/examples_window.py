@@ -13,7 +13,6 @@ from PyQt6.QtWidgets import (
     QCheckBox,
     QComboBox,
     QDialog,
-    QLabel,
     QListWidget,
     QListWidgetItem,
     QSpinBox,
@@ -24,7 +23,7 @@ from ...core.model.arrays import BoolArray, Uint8Array
 from ...core.model.clouds import valid_depth
 from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import Preset
-from ...widgets.basics.controls import AccentButton, caption, push_button
+from ...widgets.basics.controls import AccentButton, caption, push_button, wrapped_label
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.images.paint_image import CONTACT, MAX_RADIUS, NO_CONTACT, UNKNOWN, PaintImage, tint_labels
 from ..calibration.pictures import pack_rgb, picture
@@ -111,8 +110,7 @@ class ExamplesWindow(QDialog):
         more = hbox(*brush, STRETCH, shown)
         right = vbox(tools, more, (self.image, 1))
         across = hbox(left, (right, 1))
-        intro = QLabel(_INTRO)
-        intro.setWordWrap(True)
+        intro = wrapped_label(_INTRO)
         row = hbox(STRETCH, self.leave)
         vbox(intro, (across, 1), row, within=self)
         self.list.setFixedWidth(270)

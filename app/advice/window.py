@@ -6,15 +6,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
-from PyQt6.QtCore import QObject, Qt, pyqtSignal
-from PyQt6.QtWidgets import QDialog, QFrame, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtCore import QObject, pyqtSignal
+from PyQt6.QtWidgets import QDialog, QFrame, QVBoxLayout, QWidget
 
 from ...core.errors import AdviceError, PresetError
 from ...core.preset import Preset
 from ...core.tuning.advice.examples import ErrorCurve, error_curve, known_examples
 from ...core.tuning.advice.proposal import Evidence, Proposal
 from ...core.tuning.advice.suggest import suggest, suggest_all
-from ...widgets.basics.controls import AccentButton, ProgressBar, push_button
+from ...widgets.basics.controls import AccentButton, ProgressBar, push_button, wrapped_label
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.layouts import STRETCH, hbox, scrolling, vbox
 from ...widgets.basics.messages import Severity
@@ -85,8 +85,7 @@ class SuggestWindow(QDialog):
         self._bases: Bases = {}
         self.cards: list[ProposalCard] = []
         self.progress = ProgressBar()
-        self.sentence = QLabel()
-        self.sentence.setWordWrap(True)
+        self.sentence = wrapped_label()
         self.sentence.hide()
         self.cancel = push_button("Cance&l", "Stop measuring; nothing is changed")
         self.again = push_button("&Measure again", "Make new suggestions from the present frame, preset and examples")
@@ -341,9 +340,7 @@ def _refusal(section: str, sentence: str) -> QWidget:
     frame = QFrame()
     frame.setFrameShape(QFrame.Shape.StyledPanel)
     why = sentence.removeprefix(f"{section}: ").rstrip(".")
-    label = QLabel(f"{section_title(section)}: no suggestion. {why[0].upper()}{why[1:]}.")
-    label.setWordWrap(True)
-    label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+    label = wrapped_label(f"{section_title(section)}: no suggestion. {why[0].upper()}{why[1:]}.", selectable=True)
     QVBoxLayout(frame).addWidget(label)
     return frame
 

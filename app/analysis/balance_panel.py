@@ -10,14 +10,14 @@ from typing import Final
 
 import pyqtgraph as pg
 from PyQt6.QtCore import Qt, QTimer
-from PyQt6.QtWidgets import QComboBox, QDoubleSpinBox, QHBoxLayout, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QComboBox, QDoubleSpinBox, QHBoxLayout, QVBoxLayout, QWidget
 
 from ...core.estimation.balance import LEVEL_DEG, BalanceLoop, BalanceMethod, BalanceStep, Gains, summarise
 from ...core.evaluation.sensor_table import measured_rig
 from ...core.sources.presets import load_preset
 from ...core.sources.simulator.source import SimulatorSource
 from ...core.sources.simulator.tray import BOOKS, DELAY_S, MAX_RATE_DEG_S, SECONDS
-from ...widgets.basics.controls import CollapsibleSection, caption, push_button
+from ...widgets.basics.controls import CollapsibleSection, caption, push_button, wrapped_label
 from ...widgets.basics.theme import ThemeColors
 from ...widgets.plots.plot import Plot
 from ..context import Context
@@ -94,9 +94,7 @@ class BalancePanel(CollapsibleSection):
         self.method.setToolTip("The angle that controls. The other one is measured and drawn as well")
         self.defaults = push_button("Defaul&ts", f"Set the gains to {usual.p_per_s:g} 1/s and {usual.d:g}")
         self.curves = BalancePlot()
-        self.status = QLabel(_WAITING)
-        self.status.setWordWrap(True)
-        self.status.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.status = wrapped_label(_WAITING, selectable=True)
         self._job = Job(self)
         self._timer = QTimer(self)
         self._timer.setInterval(_REDRAW_MS)

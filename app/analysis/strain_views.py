@@ -14,7 +14,7 @@ from PyQt6.QtWidgets import QGridLayout, QLabel, QSizePolicy, QWidget
 from ...core.evaluation.strain.series import spikes
 from ...core.evaluation.strain.strain import AxisStrain
 from ...core.model.arrays import BoolArray, Float64Array, IndexArray
-from ...widgets.basics.controls import make_verdict
+from ...widgets.basics.controls import wrapped_label
 from ...widgets.basics.layouts import vbox
 from ...widgets.basics.theme import ThemeColors
 from ...widgets.images.image_pane import ColorBar, ImagePane, Swatch
@@ -222,9 +222,8 @@ class StrainCurve(QWidget):
         legend.addItem(self._truths[0], "solver, dots seen")
         legend.addItem(self._unlikely, "unlikely")
         #: Shown instead of axes without a curve.
-        self.empty = QLabel(_NO_CURVE)
+        self.empty = wrapped_label(_NO_CURVE)
         self.empty.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        self.empty.setWordWrap(True)
         vbox((self.empty, 1), (self.plot, 1), within=self, margins=0)
         self.plot.follow_theme(self._recolor)
         self.redraw()
@@ -327,9 +326,7 @@ class StrainNumbers(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.verdict = QLabel("")
-        make_verdict(self.verdict)
-        self.verdict.setWordWrap(True)
+        self.verdict = wrapped_label(verdict=True)
         self.cells = [[QLabel(_NOTHING) for _ in _TITLES] for _ in range(2)]
         layout = QGridLayout(self)
         layout.setContentsMargins(8, 4, 4, 4)

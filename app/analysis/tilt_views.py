@@ -13,11 +13,12 @@ import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import QPointF, QRectF, QSize, Qt
 from PyQt6.QtGui import QColor, QFontMetrics, QPainter, QPaintEvent, QPen
-from PyQt6.QtWidgets import QLabel, QSizePolicy, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QSizePolicy, QVBoxLayout, QWidget
 
 from ...core.estimation.tilt import Tilt
 from ...core.model.arrays import Float32Array, Float64Array
 from ...widgets.basics.colormaps import CONTACT_ROW, Theme, patch_lut
+from ...widgets.basics.controls import wrapped_label
 from ...widgets.basics.theme import text_font, theme_colors
 from ...widgets.clouds.cloud_data import DepthCloud, free_cloud
 from ...widgets.plots.plot import Plot
@@ -212,9 +213,8 @@ class TiltCurve(QWidget):
                 self.plot.addItem(item)
             self._parts.append((name, self.plot.plot(name=name, pen=pg.mkPen(rgb, width=1.5), connect="finite"), ends))
         #: Shown instead of axes without a curve.
-        self.empty = QLabel("No curve yet: play, or step to the next frames with contact")
+        self.empty = wrapped_label("No curve yet: play, or step to the next frames with contact")
         self.empty.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        self.empty.setWordWrap(True)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.addWidget(self.empty, 1)

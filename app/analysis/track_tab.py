@@ -14,7 +14,6 @@ from PyQt6.QtGui import QDragEnterEvent, QDropEvent
 from PyQt6.QtWidgets import (
     QComboBox,
     QHBoxLayout,
-    QLabel,
     QSplitter,
     QVBoxLayout,
     QWidget,
@@ -32,8 +31,8 @@ from ...widgets.basics.controls import (
     CollapsibleSection,
     ProgressBar,
     caption,
-    make_verdict,
     push_button,
+    wrapped_label,
 )
 from ...widgets.basics.dialogs import local_files
 from ...widgets.basics.layouts import hbox, scrolling, vbox
@@ -74,7 +73,7 @@ class TrackTab(AnalysisTab):
         self._records: deque[dict[str, Any]] = deque(maxlen=_KEPT)
         self._loading, self._finding, self._tracking, self._writing = Job(self), Job(self), Job(self), Job(self)
         self.messages = Messages(self)
-        self.guide = QLabel()
+        self.guide = wrapped_label(verdict=True)
         self.open_button = push_button("&Open mesh…", "Open the object's mesh: OBJ, PLY or STL (or drop it here)")
         self.simulated = push_button("&Simulated object", "Use the mesh of the object that the simulator presses")
         self.unit = QComboBox()
@@ -121,8 +120,6 @@ class TrackTab(AnalysisTab):
     # Building
 
     def _lay_out(self) -> None:
-        make_verdict(self.guide)
-        self.guide.setWordWrap(True)
         self.simulated.hide()
         self.unit.addItems([_BY_SIZE, *UNITS_M])
         self.unit.setToolTip("Length unit of the mesh; by size: metres if the object is then 10 mm to 2 m, else mm")

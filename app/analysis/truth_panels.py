@@ -36,6 +36,7 @@ from ...widgets.basics.controls import (
     copy_text,
     push_button,
     read_only_table,
+    wrapped_label,
 )
 from ...widgets.basics.fields import FieldSpec, field_spec
 from ...widgets.basics.gestures import new_gesture
@@ -108,8 +109,7 @@ class PaintPanel(CollapsibleSection):
         self.highlight = QCheckBox("&Highlight contact")
         self.highlight.setChecked(True)
         self.highlight.setToolTip("Show contact in its own colour; off shows the paint")
-        self.readout = QLabel()
-        self.readout.setWordWrap(True)
+        self.readout = wrapped_label()
         self._lay_out()
         for row in self.rows.values():
             row.edited.connect(self._row_edited)
@@ -286,7 +286,7 @@ class AlignPanel(CollapsibleSection):
         )
         self.cancel = push_button("Cancel", "Cancel the refinement; the scan is not moved")
         self.progress = ProgressBar()
-        self.outcome = QLabel()
+        self.outcome = wrapped_label()
         self.refusal = MessageLabel()
         self._set_up_table()
         self._lay_out()
@@ -307,7 +307,6 @@ class AlignPanel(CollapsibleSection):
         table.setFixedHeight(columns.sizeHint().height() + _ROWS * rows.defaultSectionSize() + 4)
 
     def _lay_out(self) -> None:
-        self.outcome.setWordWrap(True)
         for entry in (*self.places, *self.turns):
             entry.setMinimumWidth(entry.minimumSizeHint().width())
         buttons = QHBoxLayout()
@@ -472,7 +471,7 @@ class ResultPanel(CollapsibleSection):
         )
         self.command = QLineEdit()
         self.copy = push_button("Cop&y", "Copy the command line that repeats this result")
-        self.note = QLabel()
+        self.note = wrapped_label()
         self._lay_out()
         self.copy.clicked.connect(self._copy)
         self.show_scores(None)
@@ -482,7 +481,6 @@ class ResultPanel(CollapsibleSection):
         self.command.setReadOnly(True)
         self.command.setAccessibleName("Command line")
         self.command.setPlaceholderText("the command line, once the scan is aligned")
-        self.note.setWordWrap(True)
         grid = QGridLayout()
         grid.setVerticalSpacing(4)
         grid.setColumnStretch(1, 1)

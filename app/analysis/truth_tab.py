@@ -10,7 +10,6 @@ from PyQt6.QtGui import QDragEnterEvent, QDropEvent, QKeyEvent
 from PyQt6.QtWidgets import (
     QComboBox,
     QHBoxLayout,
-    QLabel,
     QMenu,
     QSlider,
     QSplitter,
@@ -23,7 +22,7 @@ from ...core.model.units import UNITS_M
 from ...core.preset import Preset
 from ...core.preset.file import shipped_presets
 from ...core.sources.presets import load_preset
-from ...widgets.basics.controls import ProgressBar, caption, make_verdict, push_button
+from ...widgets.basics.controls import ProgressBar, caption, push_button, wrapped_label
 from ...widgets.basics.dialogs import local_files
 from ...widgets.basics.layouts import STRETCH, hbox, scrolling, vbox
 from ...widgets.basics.messages import Messages, Severity
@@ -66,7 +65,7 @@ class TruthTab(AnalysisTab):
         )
         self.recent, self.unit = push_button("Recent", "Recently opened scans"), QComboBox()
         self.progress, self.cancel = ProgressBar(), push_button("Cancel", "Cancel reading the scan")
-        self.guide = QLabel()
+        self.guide = wrapped_label(verdict=True)
         self._framed: object = None
         self._lay_out()
         self._connect()
@@ -85,8 +84,6 @@ class TruthTab(AnalysisTab):
     # Building
 
     def _lay_out(self) -> None:
-        make_verdict(self.guide)
-        self.guide.setWordWrap(True)
         panels = QWidget()
         vbox(self.paint, self.align, self.result, STRETCH, within=panels, margins=(0, 0, 4, 0))
         scroll = scrolling(panels)

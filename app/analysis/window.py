@@ -8,9 +8,10 @@ from functools import partial
 
 from PyQt6.QtCore import QObject, Qt
 from PyQt6.QtGui import QAction, QKeyEvent, QKeySequence, QShowEvent
-from PyQt6.QtWidgets import QDialog, QLabel, QTabWidget, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QDialog, QTabWidget, QVBoxLayout, QWidget
 
 from ...core.model.plugins import load_plugin, load_plugins
+from ...widgets.basics.controls import wrapped_label
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.layouts import vbox
 from ...widgets.basics.messages import Severity
@@ -161,8 +162,7 @@ class AnalysisWindow(QDialog):
         except Exception as error:  # another package's tab may raise anything
             sys.excepthook(type(error), error, error.__traceback__)
             broken = AnalysisTab()
-            label = QLabel(explain(error, f"the tab {name} cannot be opened"))
-            label.setWordWrap(True)
+            label = wrapped_label(explain(error, f"the tab {name} cannot be opened"))
             QVBoxLayout(broken).addWidget(label)
             return broken
 

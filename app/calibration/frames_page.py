@@ -19,7 +19,7 @@ from PyQt6.QtWidgets import (
 
 from ...core.model.clouds import valid_depth
 from ...core.model.frames import Rig, SensorFrame
-from ...widgets.basics.controls import ProgressBar, caption, frame_count, push_button
+from ...widgets.basics.controls import ProgressBar, caption, frame_count, push_button, wrapped_label
 from ...widgets.basics.gestures import GestureClock
 from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.images.image_pane import ImagePane
@@ -78,16 +78,14 @@ class FramesPage(QWidget):
         )
         self.cancel = push_button("Cancel", "Cancel the snapshot")
         self.progress = ProgressBar()
-        self.note = QLabel()
-        self.note.setWordWrap(True)
+        self.note = wrapped_label()
         self.list = QListWidget()
         self.list.setIconSize(_THUMBNAIL)
         self.list.setAccessibleName("Snapshots")
         self.list.setToolTip("The snapshots taken; points are clicked in the selected one")
         self.list.setSpacing(4)
         self.remove = push_button("Remove", "Remove the snapshot and the points clicked in it; undo restores both")
-        self.span = QLabel()
-        self.span.setWordWrap(True)
+        self.span = wrapped_label()
 
     def _lay_out(self) -> None:
         images = QGridLayout()

@@ -21,7 +21,7 @@ from PyQt6.QtWidgets import (
 from ...core.calibration import CalibrationReport
 from ...core.calibration.depth_advice import DEPTH_WORDS
 from ...core.calibration.report import ModelQuality
-from ...widgets.basics.controls import caption
+from ...widgets.basics.controls import caption, wrapped_label
 from ...widgets.basics.layouts import vbox
 from ...widgets.basics.theme import text_font
 from ...widgets.plots.calibration_plots import Residual, ResidualPlot, round_limit
@@ -86,12 +86,9 @@ class _ModelColumn(QGroupBox):
     def __init__(self, name: str) -> None:
         super().__init__(_TITLES[name])
         self._name = name
-        self.subtitle = QLabel(_SUBTITLES[name])
-        self.subtitle.setWordWrap(True)
+        self.subtitle = wrapped_label(_SUBTITLES[name])
         self.values: list[QLabel] = []
-        self.extra = QLabel()
-        self.extra.setWordWrap(True)
-        self.extra.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.extra = wrapped_label(selectable=True)
         self.plot = ResidualPlot()
         numbers = QGridLayout()
         numbers.setHorizontalSpacing(12)
@@ -143,8 +140,7 @@ class ModelPage(QWidget):
     def __init__(self, session: Session) -> None:
         super().__init__()
         self._session = session
-        self.reason = QLabel()
-        self.reason.setWordWrap(True)
+        self.reason = wrapped_label()
         self.reason.setFont(text_font("title"))
         self.choices = QButtonGroup(self)
         self.depth_fit = QComboBox()
@@ -157,10 +153,8 @@ class ModelPage(QWidget):
         self.depth_fit.addItem("Recommended", "auto")
         for kind, words in DEPTH_WORDS.items():
             self.depth_fit.addItem(words.capitalize(), kind)
-        self.depth_reason = QLabel()
-        self.depth_reason.setWordWrap(True)
-        self.warnings = QLabel()
-        self.warnings.setWordWrap(True)
+        self.depth_reason = wrapped_label()
+        self.warnings = wrapped_label()
         self.columns = {name: _ModelColumn(name) for name in _MODELS}
         row = QHBoxLayout()
         row.addWidget(QLabel("Take"))

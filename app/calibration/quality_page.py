@@ -20,7 +20,7 @@ from ...core.calibration.quality import millimetres_per_pixel
 from ...core.calibration.report import grade
 from ...core.model.arrays import BoolArray, Float64Array, Uint8Array
 from ...core.model.frames import Rig, SensorFrame
-from ...widgets.basics.controls import AccentButton, push_button
+from ...widgets.basics.controls import AccentButton, push_button, wrapped_label
 from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.basics.theme import TextSize, text_font
 from ...widgets.images.image_pane import ColorBar
@@ -336,7 +336,6 @@ class QualityPage(QWidget):
 
 
 def _words(size: TextSize = "body", bold: bool = False) -> QLabel:
-    label = QLabel()
-    label.setWordWrap(True)
+    label = wrapped_label()
     label.setFont(text_font(size, bold=bold))
     return label

@@ -15,7 +15,7 @@ from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import Preset
 from ...core.rig.drift import DepthChange, MembraneDrift, compare_with_untouched
 from ...core.rig.untouched import load_untouched
-from ...widgets.basics.controls import make_verdict, push_button
+from ...widgets.basics.controls import push_button, wrapped_label
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.images.marks import Mark, MarkKind
 from ...widgets.images.point_image import PointImage
@@ -67,12 +67,8 @@ class RecheckWindow(QDialog):
         self.drift: Drift | None = None
         self.membrane_drift: MembraneDrift | None = None
         self._job = Job(self)
-        self.sentence = QLabel(_CHECKING)
-        self.sentence.setWordWrap(True)
-        make_verdict(self.sentence)
-        self.membrane = QLabel()
-        self.membrane.setWordWrap(True)
-        make_verdict(self.membrane)
+        self.sentence = wrapped_label(_CHECKING, verdict=True)
+        self.membrane = wrapped_label(verdict=True)
         self.membrane.setToolTip(
             "Change of the membrane's tactile and proximity depth since the preset's untouched frame"
         )

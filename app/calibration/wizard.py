@@ -15,7 +15,6 @@ from PyQt6.QtWidgets import (
     QDialog,
     QFileDialog,
     QHBoxLayout,
-    QLabel,
     QStackedWidget,
     QWidget,
 )
@@ -24,7 +23,7 @@ from ...core.calibration import CalibrationReport, Correspondence, read_points, 
 from ...core.calibration.recheck import Replacement, replacement
 from ...core.calibration.report import grade
 from ...core.errors import TactuneError, counted
-from ...widgets.basics.controls import AccentButton, push_button
+from ...widgets.basics.controls import AccentButton, push_button, wrapped_label
 from ...widgets.basics.dialogs import Dialogs, bring_up
 from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.basics.messages import Messages, Severity
@@ -140,8 +139,7 @@ class CalibrationWizard(QDialog):
         self.stack = QStackedWidget()
         for page in self.pages:
             self.stack.addWidget(page)
-        self.verdict = QLabel()
-        self.verdict.setWordWrap(True)
+        self.verdict = wrapped_label()
         self.back = push_button("Back", "To the step before (Ctrl+Page Up)")
         self.next = push_button("Next", "To the next step (Ctrl+Page Down)")
         self.save = push_button(

@@ -23,7 +23,7 @@ from ...core.rig.noise import (
     object_moves,
 )
 from ...core.sources.registry import open_source
-from ...widgets.basics.controls import frame_count, make_verdict, push_button
+from ...widgets.basics.controls import frame_count, make_verdict, push_button, wrapped_label
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ..document.document import Document
 from ..worker.jobs import Progress
@@ -124,8 +124,7 @@ class NoiseTab(GatheringTab):
         self._job.start(lambda progress: _measure(frames, info, preset, home, progress))
 
     def _lay_out(self) -> None:
-        intro = QLabel(_INTRO)
-        intro.setWordWrap(True)
+        intro = wrapped_label(_INTRO)
         stored_title, new_title = QLabel("In the preset"), QLabel("New measurement")
         for title in (stored_title, new_title):
             make_verdict(title)

@@ -22,7 +22,7 @@ from ...core.model.frames import Rig, SensorFrame
 from ...core.rig.depth_quality import NOISE_FRAMES, DepthQuality, Rectangle, measure_quality
 from ...core.rig.quality_verdict import Reading, Verdict, judge_bias, judge_camera
 from ...core.sources.base import CameraRole
-from ...widgets.basics.controls import copy_text, push_button
+from ...widgets.basics.controls import copy_text, push_button, wrapped_label
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.theme import ACCENT, theme_colors
 from ...widgets.images.image_pane import ImagePane
@@ -88,8 +88,7 @@ class QualityTab(QWidget):
         self.true_distance = QDoubleSpinBox()
         self.copy = push_button("Copy numbers", "Copy all values as text (Ctrl+Shift+C)", "Ctrl+Shift+C")
         self.centre = push_button("Centre", "Move the region to the centre of the image")
-        self.status = QLabel(_WAITING)
-        self.status.setWordWrap(True)
+        self.status = wrapped_label(_WAITING)
         self._lay_out()
         self._connect()
 
@@ -137,8 +136,7 @@ class QualityTab(QWidget):
         return "\n".join([*parts, judge_bias(quality, self._document.preset).line])
 
     def _lay_out(self) -> None:
-        intro = QLabel(_INTRO)
-        intro.setWordWrap(True)
+        intro = wrapped_label(_INTRO)
         grid = QGridLayout()
         for column, (name, pane) in enumerate(self.panes.items()):
             grid.addWidget(pane, 0, column)
@@ -293,10 +291,8 @@ def _table(readings: tuple[Reading, ...]) -> str:
 
 
 def _text() -> QLabel:
-    label = QLabel()
-    label.setWordWrap(True)
+    label = wrapped_label(selectable=True)
     label.setTextFormat(Qt.TextFormat.RichText)
-    label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
     return label
 
 

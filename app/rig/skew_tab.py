@@ -13,7 +13,7 @@ from PyQt6.QtWidgets import QDoubleSpinBox, QLabel
 from ...core.errors import counted
 from ...core.model.arrays import Float64Array
 from ...core.rig.skew import MAX_GAP_S, MIN_TIME_S, MotionSeries, Sample, Skew, measure_skew
-from ...widgets.basics.controls import make_verdict, push_button
+from ...widgets.basics.controls import make_verdict, push_button, wrapped_label
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.theme import theme_colors
 from ...widgets.plots.plot import Plot
@@ -79,8 +79,7 @@ class SkewTab(GatheringTab):
         return count, share, f"Press in and pull out now: {counted(count, 'frame')}"
 
     def _lay_out(self) -> None:
-        intro = QLabel(_INTRO)
-        intro.setWordWrap(True)
+        intro = wrapped_label(_INTRO)
         self.seconds.setRange(MIN_TIME_S, _LONGEST_TIME_S)
         self.seconds.setValue(_START_TIME_S)
         self.seconds.setDecimals(0)

@@ -13,7 +13,7 @@ from PyQt6.QtWidgets import QDialog, QLabel, QWidget
 from ...core.errors import as_sentence
 from ...core.model.frames import Rig, SensorFrame
 from ...core.rig.untouched import MAX_FRAMES, UNTOUCHED_FRAMES
-from ...widgets.basics.controls import ProgressBar, caption, frame_count, make_verdict, push_button
+from ...widgets.basics.controls import ProgressBar, caption, frame_count, make_verdict, push_button, wrapped_label
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.messages import Severity
@@ -69,8 +69,7 @@ class CaptureWindow(QDialog):
         self.headline = QLabel("Nothing may touch the membrane")
         make_verdict(self.headline)
         simulated = _SIMULATED if self._feed.info.name.startswith("sim:") else ""
-        self.advice = QLabel(_ADVICE + simulated)
-        self.advice.setWordWrap(True)
+        self.advice = wrapped_label(_ADVICE + simulated)
         self.now = ImagePane("Now, tactile depth")
         self.untouched = ImagePane("Untouched frame, tactile depth")
         for pane in (self.now, self.untouched):
@@ -84,8 +83,7 @@ class CaptureWindow(QDialog):
         )
         self.progress = ProgressBar()
         self.progress.setAccessibleName("Progress of capturing")
-        self.sentence = QLabel()
-        self.sentence.setWordWrap(True)
+        self.sentence = wrapped_label()
         self.sentence.setMinimumHeight(3 * self.sentence.fontMetrics().lineSpacing())
         self.take = push_button(
             "&Capture", "Average the next frames into the untouched frame (Enter), as one undoable step"

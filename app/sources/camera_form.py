@@ -14,7 +14,7 @@ from ...core.calibration.lens import MODELS, LensFit, nominal_lens
 from ...core.errors import SourceError
 from ...core.model.intrinsics import Distortion, Intrinsics
 from ...core.sources.cameras.camera import StreamLens
-from ...widgets.basics.controls import push_button
+from ...widgets.basics.controls import push_button, wrapped_label
 from .chessboard_dialog import ChessboardDialog
 from .list_devices import PROGRAM
 from .search import CameraSearch, FoundCamera
@@ -83,8 +83,7 @@ class CameraForm(QGroupBox):
             self.distortion.addItem(kind.value.replace("_", " "), kind)
         self.coefficients = QLineEdit("0 0 0 0 0")
         self.coefficients.setToolTip("Distortion coefficients k1, k2, p1, p2, k3; unused without distortion")
-        self.origin = QLabel(_EMPTY)
-        self.origin.setWordWrap(True)
+        self.origin = wrapped_label(_EMPTY)
         self._lay_out()
         self._connect()
         self._show_model()

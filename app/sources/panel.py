@@ -17,7 +17,7 @@ from PyQt6.QtWidgets import (
 
 from ...core.preset import CamerasSection, Preset
 from ...core.sources.base import CameraHealth, CameraOption, CameraRole
-from ...widgets.basics.controls import CollapsibleSection, dialog_buttons
+from ...widgets.basics.controls import CollapsibleSection, dialog_buttons, wrapped_label
 from ...widgets.basics.fields import FieldSpec, field_spec
 from ...widgets.basics.layouts import scrolling, vbox
 from ...widgets.parameters.parameter_row import ParameterRow
@@ -236,7 +236,6 @@ def _fill(section: CollapsibleSection, body: QWidget) -> None:
 
 
 def _note(text: str) -> QLabel:
-    label = QLabel(text)
-    label.setWordWrap(True)
+    label = wrapped_label(text)
     label.setContentsMargins(8, 4, 8, 8)
     return label

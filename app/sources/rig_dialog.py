@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import Qt, pyqtSignal
-from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QFrame, QLabel, QScrollArea, QWidget
+from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QFrame, QScrollArea, QWidget
 
 from ...core.calibration.lens import make_rig
 from ...core.errors import TactuneError, counted
 from ...core.model.frames import Rig
 from ...core.sources.folder_rig import RIG_FILE, FolderImages, write_rig
-from ...widgets.basics.controls import NoteLabel, dialog_buttons
+from ...widgets.basics.controls import NoteLabel, dialog_buttons, wrapped_label
 from ...widgets.basics.layouts import hbox, vbox
 from .camera_form import CameraForm
 
@@ -35,9 +35,8 @@ class RigDialog(QDialog):
         super().__init__(parent)
         self.setWindowTitle("Create rig")
         self._images = images
-        self.found = QLabel(_in_words(images))
+        self.found = wrapped_label(_in_words(images))
         self.found.setTextFormat(Qt.TextFormat.PlainText)
-        self.found.setWordWrap(True)
         self.note = NoteLabel(lines=2)
         self.forms = self._make_forms(native_dialogs)
         self.buttons = dialog_buttons(QDialogButtonBox.StandardButton.Cancel)

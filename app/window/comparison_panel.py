@@ -22,7 +22,7 @@ from PyQt6.QtWidgets import (
 )
 
 from ...core.preset import Preset
-from ...widgets.basics.controls import AccentButton, caption, push_button, read_only_table
+from ...widgets.basics.controls import AccentButton, caption, push_button, read_only_table, wrapped_label
 from ...widgets.basics.fields import FieldSpec, field_spec, format_number
 from ...widgets.basics.layouts import vbox
 from ..document.comparison import Side, Sides, differing_fields
@@ -136,9 +136,8 @@ class ComparisonPanel(QWidget):
         self.numbers: dict[tuple[str, int], QLabel] = {}
         self.agreement = QLabel()
         self.heading = QLabel()
-        self.problem = QLabel()
+        self.problem = wrapped_label()
         self.problem.setTextFormat(Qt.TextFormat.PlainText)
-        self.problem.setWordWrap(True)
         self.problem.hide()
         self.table = self._make_table()
         vbox(

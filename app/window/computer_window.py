@@ -8,13 +8,12 @@ from PyQt6.QtWidgets import (
     QDialog,
     QDialogButtonBox,
     QHeaderView,
-    QLabel,
     QTableWidget,
     QTableWidgetItem,
     QWidget,
 )
 
-from ...widgets.basics.controls import copy_text, dialog_buttons, push_button, read_only_table
+from ...widgets.basics.controls import copy_text, dialog_buttons, push_button, read_only_table, wrapped_label
 from ...widgets.basics.layouts import vbox
 from ...widgets.basics.theme import theme_colors
 from ..doctor.checks import Check, State
@@ -36,8 +35,7 @@ class ComputerWindow(QDialog):
         self._job.done.connect(self._show)
         self._job.failed.connect(self._fail)
         self.finished.connect(self._job.stop)  # each check ends by itself within its time limit
-        self.status = QLabel()
-        self.status.setWordWrap(True)
+        self.status = wrapped_label()
         self.table = QTableWidget(0, 3)
         self.table.setHorizontalHeaderLabels(["Check", "Result", "Found, and what to do"])
         header, rows = read_only_table(

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import QObject, Qt
-from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QLabel, QTableWidget, QTableWidgetItem
+from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableWidget, QTableWidgetItem
 
 from ...core.model.patch import Contact
-from ...widgets.basics.controls import CollapsibleSection, read_only_table
+from ...widgets.basics.controls import CollapsibleSection, read_only_table, wrapped_label
 from ...widgets.basics.layouts import vbox
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.parameter_panel import ParameterPanel
@@ -35,8 +35,7 @@ class ContactList(QObject):
         self._contacts: tuple[Contact, ...] = ()
         self.section = CollapsibleSection("Contacts")
         self.table = QTableWidget(0, len(_COLUMNS))
-        self.note = QLabel()
-        self.note.setWordWrap(True)
+        self.note = wrapped_label()
         self._lay_out()
         panel.add_section("contacts", self.section)
         self.section.set_collapsed(True)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from PyQt6.QtCore import QSize
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QDialog, QLabel, QUndoView, QWidget
+from PyQt6.QtWidgets import QDialog, QUndoView, QWidget
 
+from ...widgets.basics.controls import wrapped_label
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.icons import icon
 from ...widgets.basics.layouts import vbox
@@ -25,8 +26,7 @@ class HistoryWindow(QDialog):
         self.view.setIconSize(QSize(12, 12))
         self.view.setAccessibleName("Steps of the undo history")
         self.view.setToolTip("Click a step to go back or forward to it; the mark shows what is saved")
-        note = QLabel("Click a step to go back or forward to it. The mark shows what is saved.")
-        note.setWordWrap(True)
+        note = wrapped_label("Click a step to go back or forward to it. The mark shows what is saved.")
         vbox(note, self.view, within=self)
         self.resize(320, 420)
 

@@ -130,6 +130,26 @@ def make_verdict(label: QLabel) -> None:
     label.setFont(text_font("title", bold=True))
 
 
+def wrapped_label(text: str = "", *, verdict: bool = False, selectable: bool = False) -> QLabel:
+    """Return a label for sentences, which may take several lines.
+
+    Parameters
+    ----------
+    text : str
+    verdict : bool
+        As by `make_verdict`.
+    selectable : bool
+        The text can be selected and copied.
+    """
+    label = QLabel(text)
+    label.setWordWrap(True)
+    if verdict:
+        make_verdict(label)
+    if selectable:
+        label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+    return label
+
+
 class TintedLabel(QLabel):
     """A label in one of the theme's colours."""
 
@@ -246,9 +266,8 @@ class ProgressCard(QFrame):
 
     def __init__(self, name: str, tip: str) -> None:
         super().__init__()
-        self._words = QLabel()
+        self._words = wrapped_label()
         self._words.setTextFormat(Qt.TextFormat.PlainText)
-        self._words.setWordWrap(True)
         self._bar = ProgressBar()
         self._bar.setAccessibleName(name)
         self.cancel = push_button("Cancel", tip)

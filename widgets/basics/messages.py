@@ -17,7 +17,6 @@ from PyQt6.QtWidgets import (
     QDialogButtonBox,
     QFrame,
     QHBoxLayout,
-    QLabel,
     QPlainTextEdit,
     QPushButton,
     QToolButton,
@@ -25,7 +24,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from .controls import close_button, copy_text, dialog_buttons, push_button, shortened
+from .controls import close_button, copy_text, dialog_buttons, push_button, shortened, wrapped_label
 from .layouts import STRETCH, hbox, vbox
 from .theme import theme_colors
 
@@ -129,11 +128,9 @@ class Message(Card):
         self._goes.timeout.connect(close)
         self.setAccessibleName(f"{said.severity}: {said.sentence}")
 
-        text = QLabel(f"<b>{said.severity}.</b> {escape(shortened(said.sentence))}")
+        text = wrapped_label(f"<b>{said.severity}.</b> {escape(shortened(said.sentence))}", selectable=True)
         text.setTextFormat(Qt.TextFormat.RichText)
-        text.setWordWrap(True)
         text.setMinimumWidth(1)  # a long word does not push the button aside
-        text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         dismiss = close_button("Dismiss", "Dismiss this message (Esc)")
         dismiss.clicked.connect(close)
         first = QHBoxLayout()

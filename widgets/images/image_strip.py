@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from PyQt6.QtCore import QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QKeyEvent, QPaintEvent, QPalette, QResizeEvent
-from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QSizePolicy, QWidget
+from PyQt6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QSizePolicy, QWidget
 
 from ..basics.colormaps import CONTACT_RGB, MASKED_RGB, depth_lut, difference_lut
-from ..basics.controls import ElidedLabel, paint_focus
+from ..basics.controls import ElidedLabel, paint_focus, wrapped_label
 from ..basics.fields import format_number
 from ..basics.layouts import hbox, vbox
 from ..basics.wipe import Wipe
@@ -31,8 +31,7 @@ class _Banner(QFrame):
 
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
-        self.text = QLabel()
-        self.text.setWordWrap(True)
+        self.text = wrapped_label()
         self.done = QPushButton("Done")
         self.done.setToolTip("End picking (Esc)")
         self.done.setAutoDefault(False)

@@ -25,7 +25,7 @@ from ...core.model.arrays import AnyArray
 from ...core.preset import CONTACT_TESTS, Preset
 from ...core.preset.alignment import CalibrationRecord
 from ..basics.colormaps import MASKED_RGB
-from ..basics.controls import CollapsibleSection, tool_button
+from ..basics.controls import CollapsibleSection, tool_button, wrapped_label
 from ..basics.fields import FieldSpec, field_spec, section_fields
 from ..basics.gestures import new_gesture
 from ..basics.layouts import hbox, vbox
@@ -501,8 +501,7 @@ def _bar(buttons: Iterable[QToolButton]) -> QWidget:
 
 def _note() -> QLabel:
     """Make an empty line of secondary text."""
-    label = QLabel()
-    label.setWordWrap(True)
+    label = wrapped_label()
     label.setForegroundRole(QPalette.ColorRole.PlaceholderText)
     label.hide()
     return label

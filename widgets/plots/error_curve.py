@@ -9,10 +9,10 @@ import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, QObject, QPointF, Qt, pyqtSignal
 from PyQt6.QtGui import QKeyEvent, QMouseEvent, QPaintEvent
-from PyQt6.QtWidgets import QLabel, QWidget
+from PyQt6.QtWidgets import QWidget
 
 from ...core.model.arrays import Float64Array
-from ..basics.controls import paint_focus
+from ..basics.controls import paint_focus, wrapped_label
 from ..basics.layouts import vbox
 from ..basics.theme import ThemeColors
 from .plot import Plot
@@ -47,8 +47,7 @@ class ErrorCurvePlot(QWidget):
         self._dot = pg.ScatterPlotItem(size=12)
         for curve in (self._line, self._ring, self._dot):
             item.addItem(curve)
-        self.readout = QLabel()
-        self.readout.setWordWrap(True)
+        self.readout = wrapped_label()
         vbox(self.plot, self.readout, within=self, margins=4, spacing=4)  # room for the frame of the keyboard's focus
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAccessibleName("Missed and false area")

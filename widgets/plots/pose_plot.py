@@ -7,8 +7,9 @@ from typing import Final
 
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtWidgets import QLabel, QWidget
+from PyQt6.QtWidgets import QWidget
 
+from ..basics.controls import wrapped_label
 from ..basics.layouts import vbox
 from ..basics.theme import ThemeColors, text_font
 from .plot import Plot
@@ -39,8 +40,7 @@ class PosePlot(QWidget):
         for plot, curve in ((self.lengths, self.residual), (self.lengths, self.position), (self.angles, self.angle)):
             plot.addItem(curve)
         self.angles.setXLink(self.lengths)
-        self.about = QLabel()
-        self.about.setWordWrap(True)
+        self.about = wrapped_label()
         self.about.setFont(text_font("caption"))
         vbox(self.lengths, self.angles, self.about, within=self, margins=0, spacing=4)
         self.angles.follow_theme()
