@@ -5,10 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from PyQt6.QtCore import Qt, QTimer, pyqtSignal
-from PyQt6.QtWidgets import QHBoxLayout, QSplitter
+from PyQt6.QtWidgets import QHBoxLayout
 
 from ...core.methods.registry import method_names, method_problems
 from ...widgets.basics.controls import ChoiceBox, caption, push_button
+from ...widgets.basics.layouts import splitter
 from ...widgets.basics.messages import Severity
 from ...widgets.basics.theme import theme_name
 from ..context import Context
@@ -92,11 +93,8 @@ class CompareTab(MeasuringTab):
         row.addWidget(self.status, 1)
         for part in (self.progress, self.give_up, label, self.color_by, self.export):
             row.addWidget(part)
-        self.sheet = QSplitter(Qt.Orientation.Vertical)
-        self.sheet.addWidget(self.grid)
-        self.sheet.addWidget(self.table)
-        self.sheet.setStretchFactor(0, 1)
-        self.sheet.setSizes([520, self.table.full_height()])
+        sizes = (520, self.table.full_height())
+        self.sheet = splitter(Qt.Orientation.Vertical, (self.grid, 1), self.table, sizes=sizes)
         self._lay_out_around(self.sheet, row)
 
     def _connect(self) -> None:

@@ -177,7 +177,6 @@ class MeasuringTab(AnalysisTab):
         self._writing.stop()
 
     def _lay_out_around(self, sheet: QSplitter, row: QLayout) -> None:
-        sheet.setChildrenCollapsible(False)
         vbox(row, (sheet, 1), within=self, margins=0)
 
     def _export_folder(self) -> Path:

@@ -12,7 +12,6 @@ from PyQt6.QtWidgets import (
     QDoubleSpinBox,
     QHBoxLayout,
     QLabel,
-    QSplitter,
     QWidget,
 )
 
@@ -20,7 +19,7 @@ from ...core.errors import counted
 from ...core.evaluation.strain.strain import SPACING_M, SPACING_RANGE_M
 from ...core.model.frames import SensorFrame
 from ...widgets.basics.controls import caption, frame_count, push_button
-from ...widgets.basics.layouts import STRETCH, hbox, vbox
+from ...widgets.basics.layouts import STRETCH, hbox, splitter, vbox
 from ...widgets.basics.messages import Severity
 from ..context import Context
 from ..worker.jobs import Job
@@ -131,12 +130,7 @@ class StrainTab(MeasuringTab):
         right.addLayout(buttons)
         left = QWidget()
         vbox((self.map, 1), self.pointed, within=left, margins=0)
-        self.sheet = QSplitter(Qt.Orientation.Horizontal)
-        self.sheet.addWidget(left)
-        self.sheet.addWidget(side)
-        self.sheet.setSizes([640, 480])
-        self.sheet.setStretchFactor(0, 3)
-        self.sheet.setStretchFactor(1, 2)
+        self.sheet = splitter(Qt.Orientation.Horizontal, (left, 3), (side, 2), sizes=(640, 480))
         self._lay_out_around(self.sheet, row)
 
     def _connect(self) -> None:

@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Final
 
 from PyQt6.QtCore import QEvent, Qt
-from PyQt6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QLabel, QSplitter, QWidget
+from PyQt6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QLabel, QWidget
 
 from ...core.errors import counted
 from ...core.estimation.tilt import MAX_SIGMA_RAD, Tilt, TiltEstimator, TiltMethod
 from ...core.estimation.tilt_filter import TiltFilter
 from ...widgets.basics.colormaps import CONTACT_COLOR, palette_theme
 from ...widgets.basics.controls import caption, copy_text, push_button
-from ...widgets.basics.layouts import hbox, vbox
+from ...widgets.basics.layouts import hbox, splitter, vbox
 from ...widgets.basics.messages import Severity
 from ...widgets.clouds.cloud_view import CloudView
 from ..context import Context
@@ -126,10 +126,7 @@ class TiltTab(MeasuringTab):
         side = QWidget()
         #: The column beside the cloud.
         self.column = vbox(dials, (self.curve, 1), buttons, within=side, margins=0)
-        sheet = QSplitter(Qt.Orientation.Horizontal)
-        sheet.addWidget(self.cloud)
-        sheet.addWidget(side)
-        sheet.setSizes([480, 480])
+        sheet = splitter(Qt.Orientation.Horizontal, self.cloud, side, sizes=(480, 480))
         self._lay_out_around(sheet, vbox(row, self.status))  # the hints need the whole width
         layout = self.layout()
         assert layout is not None

@@ -14,7 +14,6 @@ from PyQt6.QtGui import QDragEnterEvent, QDropEvent
 from PyQt6.QtWidgets import (
     QComboBox,
     QHBoxLayout,
-    QSplitter,
     QVBoxLayout,
     QWidget,
 )
@@ -35,7 +34,7 @@ from ...widgets.basics.controls import (
     wrapped_label,
 )
 from ...widgets.basics.dialogs import local_files
-from ...widgets.basics.layouts import hbox, scrolling, vbox
+from ...widgets.basics.layouts import hbox, scrolling, splitter, vbox
 from ...widgets.basics.messages import Messages, Severity
 from ...widgets.clouds.pick_view import PickView
 from ...widgets.plots.pose_plot import PosePlot
@@ -144,15 +143,7 @@ class TrackTab(AnalysisTab):
         for panel in (self.pose, self.errors, self.align):
             column.addWidget(panel)
         column.addStretch(1)
-        scroll = scrolling(panels)
-        bar = scroll.verticalScrollBar()
-        assert bar is not None
-        scroll.setMinimumWidth(max(_PANEL_WIDTH, panels.minimumSizeHint().width() + bar.sizeHint().width()))
-        across = QSplitter(Qt.Orientation.Horizontal)
-        across.setChildrenCollapsible(False)
-        across.addWidget(self.views)
-        across.addWidget(scroll)
-        across.setStretchFactor(0, 1)
+        across = splitter(Qt.Orientation.Horizontal, (self.views, 1), scrolling(panels, _PANEL_WIDTH))
         vbox(top, state, (across, 1), within=self, margins=0)
 
     def _connect(self) -> None:

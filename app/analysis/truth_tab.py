@@ -12,7 +12,6 @@ from PyQt6.QtWidgets import (
     QHBoxLayout,
     QMenu,
     QSlider,
-    QSplitter,
     QWidget,
 )
 
@@ -24,7 +23,7 @@ from ...core.preset.file import shipped_presets
 from ...core.sources.presets import load_preset
 from ...widgets.basics.controls import ProgressBar, caption, push_button, wrapped_label
 from ...widgets.basics.dialogs import local_files
-from ...widgets.basics.layouts import STRETCH, hbox, scrolling, vbox
+from ...widgets.basics.layouts import STRETCH, hbox, scrolling, splitter, vbox
 from ...widgets.basics.messages import Messages, Severity
 from ..context import Context
 from ..worker.results import Result
@@ -86,15 +85,7 @@ class TruthTab(AnalysisTab):
     def _lay_out(self) -> None:
         panels = QWidget()
         vbox(self.paint, self.align, self.result, STRETCH, within=panels, margins=(0, 0, 4, 0))
-        scroll = scrolling(panels)
-        bar = scroll.verticalScrollBar()
-        assert bar is not None
-        scroll.setMinimumWidth(max(_PANEL_WIDTH, panels.minimumSizeHint().width() + bar.sizeHint().width()))
-        across = QSplitter(Qt.Orientation.Horizontal)
-        across.setChildrenCollapsible(False)
-        across.addWidget(self.views)
-        across.addWidget(scroll)
-        across.setStretchFactor(0, 1)
+        across = splitter(Qt.Orientation.Horizontal, (self.views, 1), scrolling(panels, _PANEL_WIDTH))
         vbox(self._top(), self.guide, (across, 1), within=self, margins=0)
 
     def _top(self) -> QHBoxLayout:

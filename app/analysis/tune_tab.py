@@ -12,7 +12,6 @@ from PyQt6.QtWidgets import (
     QGroupBox,
     QLabel,
     QSpinBox,
-    QSplitter,
     QVBoxLayout,
     QWidget,
 )
@@ -23,7 +22,7 @@ from ...core.tuning.advice.proposal import Proposal
 from ...core.tuning.plan import OBJECTIVES, Axis, default_axes
 from ...widgets.basics.controls import ElidedLabel, ProgressBar, push_button
 from ...widgets.basics.fields import field_spec, format_number
-from ...widgets.basics.layouts import hbox, scrolling, vbox
+from ...widgets.basics.layouts import hbox, scrolling, splitter, vbox
 from ...widgets.basics.messages import Messages, Severity
 from ...widgets.plots.trade_off import Dot, TradeOffPlot
 from ..context import Context
@@ -127,15 +126,9 @@ class TuneTab(AnalysisTab):
         column.addWidget(self.chosen)
         column.addWidget(self.use)
         column.addStretch(1)
-        scroll = scrolling(panel)
-        scroll.setMinimumWidth(max(_PANEL_WIDTH, panel.minimumSizeHint().width() + 20))
         right = QWidget()
         vbox((self.plot, 1), self.pointed, within=right, margins=0)
-        across = QSplitter(Qt.Orientation.Horizontal)
-        across.setChildrenCollapsible(False)
-        across.addWidget(scroll)
-        across.addWidget(right)
-        across.setStretchFactor(1, 1)
+        across = splitter(Qt.Orientation.Horizontal, scrolling(panel, _PANEL_WIDTH), (right, 1))
         row = hbox((self.status, 1), self.progress)
         vbox(row, (across, 1), within=self, margins=0)
 

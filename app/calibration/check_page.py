@@ -12,7 +12,6 @@ from PyQt6.QtWidgets import (
     QHeaderView,
     QLabel,
     QSlider,
-    QSplitter,
     QTableWidget,
     QTableWidgetItem,
     QWidget,
@@ -22,7 +21,7 @@ from ...core.calibration.recheck import clearly_larger, replacement
 from ...core.preset import AlignmentSection, Preset
 from ...core.preset.checks import rig_in_use
 from ...widgets.basics.controls import AccentButton, push_button
-from ...widgets.basics.layouts import hbox, vbox
+from ...widgets.basics.layouts import hbox, splitter, vbox
 from ...widgets.basics.theme import theme_name
 from ...widgets.clouds.cloud_view import BackendChoice, CloudView, link_cameras
 from ...widgets.images.point_image import PointImage
@@ -119,17 +118,8 @@ class CheckPage(QWidget):
         column = vbox(tools, (self.image, 1), self.table, within=left, margins=0)
         last = hbox((self.set_tolerance, 1), self.export)
         column.addLayout(last)
-        right = QSplitter(Qt.Orientation.Vertical)
-        for name in ("new", "present"):
-            right.addWidget(self.clouds[name])
-        right.setChildrenCollapsible(False)
-        across = QSplitter(Qt.Orientation.Horizontal)
-        across.addWidget(left)
-        across.addWidget(right)
-        across.setStretchFactor(0, 3)
-        across.setStretchFactor(1, 2)
-        across.setSizes([720, 480])
-        across.setChildrenCollapsible(False)
+        right = splitter(Qt.Orientation.Vertical, self.clouds["new"], self.clouds["present"])
+        across = splitter(Qt.Orientation.Horizontal, (left, 3), (right, 2), sizes=(720, 480))
         vbox(across, within=self, margins=(8, 8, 8, 4))
 
     def _connect(self) -> None:

@@ -6,12 +6,12 @@ from functools import partial
 
 from PyQt6.QtCore import QSignalBlocker, Qt
 from PyQt6.QtGui import QKeySequence, QShortcut
-from PyQt6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QSplitter, QToolButton, QWidget
+from PyQt6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QToolButton, QWidget
 
 from ...core.errors import counted
 from ...widgets.basics.controls import ElidedLabel, caption
 from ...widgets.basics.gestures import GestureClock
-from ...widgets.basics.layouts import hbox, vbox
+from ...widgets.basics.layouts import hbox, splitter, vbox
 from ...widgets.basics.point_table import PointTable
 from .finder import Finder
 from .fitting import Outcome, image_marks, missing_depth, same_pixels, table_rows
@@ -94,13 +94,7 @@ class PointsPage(QWidget):
             tools.addWidget(widget)
         tools.addStretch(1)
         finding = hbox((self.finder, 1), self.load, self.store)
-        self.split = QSplitter(Qt.Orientation.Vertical)
-        self.split.addWidget(self.view)
-        self.split.addWidget(self.table)
-        self.split.setStretchFactor(0, 1)
-        self.split.setStretchFactor(1, 0)
-        self.split.setSizes([480, 170])
-        self.split.setChildrenCollapsible(False)
+        self.split = splitter(Qt.Orientation.Vertical, (self.view, 1), self.table, sizes=(480, 170))
         fit = hbox((self.fit_line, 1), self.drop)
         vbox(finding, tools, (self.split, 1), self.hint, fit, within=self, margins=(8, 4, 8, 4), spacing=4)
 

@@ -1,12 +1,13 @@
-"""Layouts of widgets side by side or one below the other, and areas that scroll, made in one call."""
+"""Layouts of widgets side by side or one below the other, and areas that scroll or can be resized, made in one call."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import Enum
 from typing import Final, TypeVar
 
 from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QBoxLayout, QFrame, QHBoxLayout, QLayout, QScrollArea, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QBoxLayout, QFrame, QHBoxLayout, QLayout, QScrollArea, QSplitter, QVBoxLayout, QWidget
 
 
 class Space(Enum):
@@ -49,13 +50,43 @@ def vbox(
     return _filled(QVBoxLayout(within), parts, margins, spacing)
 
 
-def scrolling(content: QWidget) -> QScrollArea:
-    """Return an area without a frame that is as wide as its content and scrolls it up and down."""
+def splitter(
+    orientation: Qt.Orientation, *parts: QWidget | tuple[QWidget, int], sizes: Sequence[int] = ()
+) -> QSplitter:
+    """Return widgets whose shares of the room a person can change; none can be hidden.
+
+    Parameters
+    ----------
+    orientation : Qt.Orientation
+    *parts : QWidget, or QWidget and stretch factor
+    sizes : sequence of int
+        Pixels of each part at first.
+    """
+    made = QSplitter(orientation)
+    for number, part in enumerate(parts):
+        widget, stretch = part if isinstance(part, tuple) else (part, 0)
+        made.addWidget(widget)
+        if stretch:
+            made.setStretchFactor(number, stretch)
+    if sizes:
+        made.setSizes(list(sizes))
+    made.setChildrenCollapsible(False)
+    return made
+
+
+def scrolling(content: QWidget, min_width: int = 0) -> QScrollArea:
+    """Return an area without a frame that is as wide as its content and scrolls it up and down.
+
+    With ``min_width``, pixels, it is at least so wide and shows the whole width of its content.
+    """
     scroll = QScrollArea()
     scroll.setWidget(content)
     scroll.setWidgetResizable(True)
     scroll.setFrameShape(QFrame.Shape.NoFrame)
     scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+    bar = scroll.verticalScrollBar()
+    if min_width and bar is not None:
+        scroll.setMinimumWidth(max(min_width, content.minimumSizeHint().width() + bar.sizeHint().width()))
     return scroll
 
 
