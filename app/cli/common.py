@@ -11,7 +11,7 @@ import select
 import signal
 import sys
 import threading
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
@@ -291,12 +291,28 @@ def warn_of_lost_frames(source: FrameSource, before: int) -> None:
         warn(f"{counted(lost, 'frame')} lost before they got here; end what else uses {where}")
 
 
-def warn_of_wrong_unit(frame: SensorFrame, rig: Rig) -> None:
-    """Warn where the depth unit of the rig puts the membrane where it cannot be."""
+def live_frames(
+    source: FrameSource, total: int | None, stopped: threading.Event, idle: Callable[[], object] = lambda: None
+) -> Iterator[SensorFrame]:
+    """Yield frames until there are ``total``, the source ends or ``stopped`` is set.
+
+    ``idle`` is called every `WAIT_S` seconds while none comes. A first frame in which the rig's depth unit puts the
+    membrane where it cannot be gives a warning.
+    """
     from ...core.tuning.advice.findings.no_depth import find_wrong_unit
 
-    if (finding := find_wrong_unit(frame, rig)) is not None:
-        warn(finding.sentence)
+    count = 0
+    while count != total and not stopped.is_set():
+        if not source.wait(WAIT_S):
+            idle()
+            continue
+        frame = source.next_frame()
+        if frame is None:
+            return
+        if not count and (finding := find_wrong_unit(frame, source.rig)) is not None:
+            warn(finding.sentence)
+        yield frame
+        count += 1
 
 
 def find_rig(name: str) -> Rig:

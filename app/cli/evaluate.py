@@ -11,12 +11,12 @@ import typer
 
 from ...core.errors import TactuneError, counted
 from ...core.model.files import finite_or_none, write_csv
-from .common import CliProgress, tell_notes, warn
+from .common import tell_notes, warn
 from .scan import evaluate_recording
-from .sensor_table import default_work, listed, plan_sensor_table, print_sensor_table
+from .sensor_table import default_work, listed, measured, plan_sensor_table, print_sensor_table
 
 if TYPE_CHECKING:
-    from ...core.evaluation.table import Table, TablePlan
+    from ...core.evaluation.table import TablePlan
 
 evaluate_commands = typer.Typer(
     help="Compare with ground truth: all methods on simulated scenes, a patch with another cloud, or "
@@ -119,13 +119,15 @@ def table(
         raise typer.Exit(print_sensor_table(plan_of_sensors, as_json=as_json, out=out, check=check))
     if membranes != "all" or rig != "measured" or check or out is not None:
         raise TactuneError("--membranes, --rig, --check and --out belong to --sensors; add --sensors all")
+    from ...core.evaluation.table import Table, measure_table
     from ...core.evaluation.table_report import check_plot, draw_patches, table_as_json, table_as_text
 
     plan = _plan(methods, objects, presses, seeds or _SEEDS, extra=extra, held_out=held_out, preset=preset, work=work)
     tell_notes(plan.preset)
     if plot is not None:
         check_plot(plot)
-    finished = _measure(plan)
+    words = "{0.row} {0.press}, {0.method}"
+    finished = Table(measured(measure_table(plan), plan, "cell", words))
     if csv_file is not None:
         write_csv(csv_file, [asdict(cell) for cell in finished.cells])
         typer.echo(f"wrote {csv_file}", err=True)
@@ -200,23 +202,3 @@ def _plan(
         load_preset(preset),
         work or default_work(),
     )  # fmt: skip
-
-
-def _measure(plan: TablePlan) -> Table:
-    """Measure one table cell after another with progress; after Ctrl+C, say how to continue."""
-    from ...core.evaluation.table import Table, measure_table
-
-    finished = Table()
-    with CliProgress() as progress:
-        progress.frames(0, plan.count, "cells")
-        try:
-            for cell in measure_table(plan):
-                finished.cells.append(cell)
-                progress.frames(len(finished.cells), plan.count, f"{cell.row} {cell.press}, {cell.method}")
-        except KeyboardInterrupt:
-            warn(
-                f"{len(finished.cells)} of {counted(plan.count, 'cell')} are kept in {plan.work}; "
-                "the same command continues from there"
-            )
-            raise
-    return finished

@@ -19,20 +19,19 @@ from ...core.model.files import finite_or_none
 from .common import (
     FUSION,
     SOURCE,
-    WAIT_S,
     CliProgress,
     FrameCount,
     LineOutput,
     PresetOption,
     SourceOption,
     default_preset,
+    live_frames,
     number_of_frames,
     open_with_progress,
     parse_settings,
     stop_on_signals,
     warn,
     warn_of_lost_frames,
-    warn_of_wrong_unit,
 )
 
 if TYPE_CHECKING:
@@ -259,16 +258,7 @@ def process_frames(
     done, scored = 0, False
     total = number_of_frames(source, frames)
     with CliProgress(quiet=lines is not None and sys.stdout.isatty()) as progress:
-        while done != total and not stopped.is_set():
-            if not source.wait(WAIT_S):
-                if lines is not None:
-                    lines.look()
-                continue
-            frame = source.next_frame()
-            if frame is None:
-                break
-            if not done:
-                warn_of_wrong_unit(frame, source.rig)
+        for frame in live_frames(source, total, stopped, idle=(lambda: None) if lines is None else lines.look):
             record, patch = step(frame)
             record["time_s"] = finite_or_none(frame.proximity_time_s)
             if truth:

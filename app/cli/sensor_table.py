@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import typer
 
@@ -14,6 +15,9 @@ from .common import CliProgress, tell_notes, warn
 if TYPE_CHECKING:
     from ...core.evaluation.sensor_cases import SensorTable
     from ...core.evaluation.sensor_table import RigKnowledge, SensorPlan
+    from ...core.evaluation.table import TablePlan
+
+Result = TypeVar("Result")
 
 
 def plan_sensor_table(
@@ -69,25 +73,40 @@ def print_sensor_table(plan: SensorPlan, *, as_json: bool, out: Path | None, che
 
 
 def measure_sensor_table(plan: SensorPlan) -> SensorTable:
-    """Measure one frame after another with progress; after Ctrl+C, say how to continue."""
+    """Measure one frame after another."""
     from ...core.evaluation.sensor_cases import sensor_table
     from ...core.evaluation.sensor_table import measure_sensors
 
-    cells, frames = [], 0
+    words = "{0[0].sensor}, {0[0].membrane}, {0[0].press}"
+    frames = measured(measure_sensors(plan), plan, "frame", words)
+    return sensor_table([cell for frame in frames for cell in frame])
+
+
+def measured(results: Iterator[Result], plan: TablePlan | SensorPlan, unit: str, words: str) -> list[Result]:
+    """Return all results of a plan with progress; after Ctrl+C, say how to continue.
+
+    Parameters
+    ----------
+    results : iterator
+        Measures one after the other, and keeps them in ``plan.work``.
+    plan : TablePlan or SensorPlan
+    unit : str
+        What a result is called.
+    words : str
+        Format of the progress line, with the result as its argument.
+    """
+    done: list[Result] = []
     with CliProgress() as progress:
-        progress.frames(0, plan.count)
+        progress.frames(0, plan.count, f"{unit}s")
         try:
-            for frame in measure_sensors(plan):
-                cells += frame
-                frames += 1
-                progress.frames(frames, plan.count, f"{frame[0].sensor}, {frame[0].membrane}, {frame[0].press}")
+            for result in results:
+                done.append(result)
+                progress.frames(len(done), plan.count, words.format(result))
         except KeyboardInterrupt:
-            warn(
-                f"{frames} of {counted(plan.count, 'frame')} are kept in {plan.work}; "
-                "the same command continues from there"
-            )
+            kept = f"{len(done)} of {counted(plan.count, unit)} are kept in {plan.work}"
+            warn(f"{kept}; the same command continues from there")
             raise
-    return sensor_table(cells)
+    return done
 
 
 def default_work() -> Path:

@@ -13,17 +13,16 @@ import typer
 from ...core.errors import CalibrationError, PresetError, counted
 from .common import (
     SOURCE,
-    WAIT_S,
     CliProgress,
     FrameCount,
     PresetOption,
     SourceOption,
     default_preset,
+    live_frames,
     open_with_progress,
     stop_on_signals,
     warn,
     warn_of_lost_frames,
-    warn_of_wrong_unit,
 )
 from .run import EstimateOption, make_tilt
 from .track import UnitOption, read_mesh
@@ -143,14 +142,7 @@ def _publish(
     compiler = BackgroundCompiler(lambda: None, views=False)
     count = 0
     try:
-        while count != frames and not stopped.is_set():
-            if not source.wait(WAIT_S):
-                continue
-            frame = source.next_frame()
-            if frame is None:
-                break
-            if not count:
-                warn_of_wrong_unit(frame, source.rig)
+        for frame in live_frames(source, frames, stopped):
             if (wanted := parameters.preset) is not pipeline.preset:
                 compiling = compiler.missing(wanted)
                 publisher.tell("compiling", f"{compiling}; until then the former values apply." if compiling else "")

@@ -17,18 +17,17 @@ from ...core.errors import ExportError, SourceError, counted
 from ...core.model.units import UNITS_M, MeshUnit
 from .common import (
     SOURCE,
-    WAIT_S,
     CliProgress,
     FrameCount,
     PresetOption,
     SourceOption,
     default_preset,
+    live_frames,
     number_of_frames,
     open_with_progress,
     stop_on_signals,
     warn,
     warn_of_lost_frames,
-    warn_of_wrong_unit,
 )
 from .run import MCAP_SUFFIX, tell_of_stop
 
@@ -198,14 +197,7 @@ def _track(
             if stopped.is_set():
                 raise _StoppedError
 
-        while summary.frames != total and not stopped.is_set():
-            if not source.wait(WAIT_S):
-                continue
-            frame = source.next_frame()
-            if frame is None:
-                break
-            if not summary.frames:
-                warn_of_wrong_unit(frame, source.rig)
+        for frame in live_frames(source, total, stopped):
             patch = pipeline.process(frame)
             begun = time.perf_counter()
             touches = tracker.is_enough(patch)
