@@ -59,7 +59,7 @@ class Message:
 
 
 class McapWriter:
-    """An MCAP file that is being written: schemas, channels, attachments and metadata, then chunks, then `finish`.
+    """An MCAP file that is being written: metadata, attachments and channels, then chunks, then `finish`.
 
     LZ4 takes 5 ms for a frame of four 640 x 480 images and leaves 75 % of its bytes.
 
@@ -67,42 +67,48 @@ class McapWriter:
     ----------
     file : FileIO
         New and unbuffered. The caller closes it.
-    library : str
-        Name of the writing program, for the header.
+    metadata : dict of str
+        Texts by name.
+    files : mapping of name to bytes
+        Files to keep inside.
+    topics : mapping of topic to message type
+        A channel of messages in CDR is made for each.
+
+    Attributes
+    ----------
+    channels : dict of topic to int
+        The number of each channel.
 
     Raises
     ------
     OSError
-        From every method: the disk is full, or the operating system refuses otherwise. The file then ends with the
-        last complete chunk and must not be written any more.
+        From the constructor and every method: the disk is full, or the operating system refuses otherwise. The file
+        then ends with the last complete chunk and must not be written any more.
     """
 
-    def __init__(self, file: FileIO, library: str) -> None:
+    def __init__(
+        self, file: FileIO, metadata: dict[str, str], files: Mapping[str, bytes], topics: Mapping[str, str]
+    ) -> None:
         self._output = _Output(file)
         output: Any = self._output
         self._writer: Any = Writer(output, chunk_size=_CHUNK_BYTES, compression=CompressionType.LZ4)
-        self._writer.start("ros2", library)
+        self._writer.start("ros2", f"tactune {version('tactune')}")
+        self._writer.add_metadata(METADATA_NAME, metadata)
+        for name, data in files.items():
+            media_type = "application/json" if name.endswith(".json") else "application/octet-stream"
+            self._writer.add_attachment(0, 0, name, media_type, data)
+        kinds = dict.fromkeys(topics.values())
+        schemas = {kind: self._writer.register_schema(kind, "ros2msg", definition(kind).encode()) for kind in kinds}
+        self.channels: dict[str, int] = {}
+        for topic, kind in topics.items():
+            qos = STATIC_QOS if topic in SAID_ONCE else ""
+            about = {"offered_qos_profiles": qos, "topic_type_hash": type_hash(kind)}
+            self.channels[topic] = self._writer.register_channel(topic, "cdr", schemas[kind], about)
 
     @property
     def size(self) -> int:
         """Bytes in the file."""
         return self._output.size
-
-    def add_schema(self, name: str, definition: str) -> int:
-        """Add a message type with its full ROS 2 definition; return its number."""
-        return int(self._writer.register_schema(name, "ros2msg", definition.encode()))
-
-    def add_channel(self, topic: str, schema: int, metadata: dict[str, str]) -> int:
-        """Add a topic of messages in CDR; return its number."""
-        return int(self._writer.register_channel(topic, "cdr", schema, metadata))
-
-    def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Write a file into the file."""
-        self._writer.add_attachment(0, 0, name, media_type, data)
-
-    def add_metadata(self, name: str, values: dict[str, str]) -> None:
-        """Write a named table of texts."""
-        self._writer.add_metadata(name, values)
 
     def write_chunk(self, messages: Sequence[Message]) -> None:
         """Write messages, compressed together, and their index."""
@@ -194,13 +200,8 @@ class Bag:
             self._file = self.path.open("xb", buffering=0)
         try:
             with self._refusals():
-                self._writer = McapWriter(self._file, f"tactune {version('tactune')}")
                 about = {"format_version": str(FORMAT_VERSION), "frame_rate_hz": repr(float(frame_rate_hz))}
-                self._writer.add_metadata(METADATA_NAME, about)
-                for name, data in files.items():
-                    media_type = "application/json" if name.endswith(".json") else "application/octet-stream"
-                    self._writer.attach(name, media_type, data)
-                self._channels = self._add_channels(topics)
+                self._writer = McapWriter(self._file, about, files, topics)
         except BaseException:
             self._discard()
             raise
@@ -212,7 +213,7 @@ class Bag:
 
     def channel(self, topic: str) -> int:
         """Return the channel number of a topic."""
-        return self._channels[topic]
+        return self._writer.channels[topic]
 
     def write(self, messages: list[Message]) -> None:
         """Write messages as one chunk; the operating system has it when this returns."""
@@ -243,15 +244,6 @@ class Bag:
             self.sync()
         finally:
             self._file.close()
-
-    def _add_channels(self, topics: Mapping[str, str]) -> dict[str, int]:
-        schemas = {kind: self._writer.add_schema(kind, definition(kind)) for kind in dict.fromkeys(topics.values())}
-        channels = {}
-        for topic, kind in topics.items():
-            qos = STATIC_QOS if topic in SAID_ONCE else ""
-            metadata = {"offered_qos_profiles": qos, "topic_type_hash": type_hash(kind)}
-            channels[topic] = self._writer.add_channel(topic, schemas[kind], metadata)
-        return channels
 
     def _discard(self) -> None:
         self._file.close()

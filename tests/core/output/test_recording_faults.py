@@ -160,9 +160,9 @@ def test_flipped_bytes_are_never_more_than_one_sentence(
 def test_a_rate_that_cannot_be_is_not_believed(
     tmp_path: Path, rig: Rig, make_frames: Frames, record: Record, monkeypatch: pytest.MonkeyPatch, rate: str
 ) -> None:
-    add_metadata = bag.McapWriter.add_metadata
+    add_metadata = bag.Writer.add_metadata
     monkeypatch.setattr(
-        bag.McapWriter,
+        bag.Writer,
         "add_metadata",
         lambda self, name, values: add_metadata(self, name, values | {"frame_rate_hz": rate}),
     )
