@@ -97,8 +97,6 @@ class Skew:
         The correlation curve; nan where both series overlap too little.
     proximity, tactile : MotionSeries
         The compared series.
-    stamped_s : float
-        Median of tactile minus proximity time stamp within the frames, seconds.
     """
 
     delay_s: float
@@ -108,7 +106,6 @@ class Skew:
     correlations: Float64Array
     proximity: MotionSeries
     tactile: MotionSeries
-    stamped_s: float
 
     @property
     def agrees(self) -> bool:
@@ -190,8 +187,7 @@ def find_delay(proximity: MotionSeries, tactile: MotionSeries) -> Skew:
             f"the delay is uncertain by {1e3 * uncertainty:.0f} ms; move longer, faster and irregularly, "
             "and measure again"
         )
-    stamped = float(np.median(tactile.time_s - proximity.time_s))
-    return Skew(delay, uncertainty, float(curve[best]), delays, curve, proximity, tactile, stamped)
+    return Skew(delay, uncertainty, float(curve[best]), delays, curve, proximity, tactile)
 
 
 def _check_motion(camera: str, series: MotionSeries) -> None:

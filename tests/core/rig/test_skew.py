@@ -62,7 +62,6 @@ def test_a_known_delay_is_found_to_a_fraction_of_a_frame_and_said(rig, record, d
     assert skew.uncertainty_s < 0.010
     assert abs(skew.delay_s - delay_s) <= skew.uncertainty_s
     assert skew.correlation > 0.95
-    assert skew.stamped_s == pytest.approx(0.011, abs=1e-9)
     assert words in skew.sentence
 
 
