@@ -43,7 +43,7 @@ from ..worker.jobs import Job
 from ..worker.results import Result
 from .tab import AnalysisTab, undo_buttons
 from .track_views import PosePanel, TrackViews
-from .track_work import FrameTracker, Model, Tracked, opening, simulated
+from .track_work import FrameTracker, Model, Tracked, read_model, simulated_model
 from .truth_panels import AlignPanel
 from .truth_state import MIN_PAIRS, FrozenPatch, Side, TruthSession, TruthState
 
@@ -185,7 +185,7 @@ class TrackTab(AnalysisTab):
         self._path = path
         self._settings.set(_FOLDER, str(path.parent))
         unit = self.unit.currentText()
-        self._open(opening(path, None if unit == _BY_SIZE else unit))
+        self._open(partial(read_model, path, None if unit == _BY_SIZE else unit))
 
     def _ask_mesh(self) -> None:
         folder = Path(self._settings.text(_FOLDER, str(Path.home())))
@@ -194,7 +194,7 @@ class TrackTab(AnalysisTab):
     def _open_simulated(self) -> None:
         if self._result is not None:
             self._path = None  # another unit would read that file again
-            self._open(simulated(self._result.source.name))
+            self._open(partial(simulated_model, self._result.source.name))
 
     def _read_again(self) -> None:
         if self._path is not None:

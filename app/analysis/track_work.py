@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -61,29 +60,21 @@ class Tracked:
     patch: FrozenPatch
 
 
-def opening(path: Path, unit: str | None) -> Callable[[Progress], Model]:
-    """Return work that reads a mesh; raises as `load_mesh` does."""
-
-    def read(progress: Progress) -> Model:
-        progress(0.1, f"Reading {path.name}")
-        mesh = load_mesh(path, unit)
-        progress(0.6, "Preparing the view")
-        return shown(mesh)
-
-    return read
+def read_model(path: Path, unit: str | None, progress: Progress) -> Model:
+    """Read a mesh; raises as `load_mesh` does."""
+    progress(0.1, f"Reading {path.name}")
+    mesh = load_mesh(path, unit)
+    progress(0.6, "Preparing the view")
+    return shown(mesh)
 
 
-def simulated(name: str) -> Callable[[Progress], Model]:
-    """Return work that makes the mesh of a simulated source's object, such as that of ``sim:cup?move=slide``."""
-
-    def make(progress: Progress) -> Model:
-        progress(0.1, "Meshing the simulated object")
-        rest = name.removeprefix("live:").removeprefix("sim:")
-        values = read_name(rest)
-        scene = resolve_scene(values["scene"], read_options(name, values)[0])
-        return shown(simulated_mesh(scene, values["scene"]))
-
-    return make
+def simulated_model(name: str, progress: Progress) -> Model:
+    """Make the mesh of a simulated source's object, such as that of ``sim:cup?move=slide``."""
+    progress(0.1, "Meshing the simulated object")
+    rest = name.removeprefix("live:").removeprefix("sim:")
+    values = read_name(rest)
+    scene = resolve_scene(values["scene"], read_options(name, values)[0])
+    return shown(simulated_mesh(scene, values["scene"]))
 
 
 def shown(mesh: ObjectMesh) -> Model:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,10 +27,10 @@ from .truth_work import (
     Scorer,
     Scores,
     centered_on,
-    loading,
+    find_contact,
+    load,
     pivot_of,
-    refining,
-    touching,
+    refine,
 )
 
 _SCORE_DELAY_MS = 250
@@ -136,7 +137,7 @@ class TruthFlow(QObject):
         """Read a scan whose numbers are in a unit of `UNITS_M`; the current scan stays until that has succeeded."""
         self.message.emit("scan", Severity.ERROR, "")
         self.loadProgress.emit(0.0, f"Reading {path.name}")
-        self._loading.start(loading(path, UNITS_M[unit]))
+        self._loading.start(partial(load, path, UNITS_M[unit]))
 
     def cancel_loading(self) -> None:
         """Keep the current scan."""
@@ -232,7 +233,7 @@ class TruthFlow(QObject):
         self.message.emit("refine", Severity.WARNING, "")
         self.refineProgress.emit(0.0, "Refining")
         self._refined_on = self.patch
-        self._refining.start(refining(contact, self.patch.points, state.pose, reach_m))
+        self._refining.start(partial(refine, contact, self.patch.points, state.pose, reach_m))
 
     def cancel_refining(self) -> None:
         """Cancel the refinement; the pose is unchanged."""
@@ -302,7 +303,7 @@ class TruthFlow(QObject):
         self._show_patch()
         if self.loaded is not None and state.paint != self._wanted_paint:
             self._wanted_paint = state.paint
-            self._finding.start(touching(self.loaded, state.paint))
+            self._finding.start(partial(find_contact, self.loaded, state.paint))
         if self.refinement is not None and state.pose != self.refinement.found.T_proximity_scan:
             self._forget_refinement()
         if self.scores is not None and state.pose != self.scores.pose:
@@ -317,7 +318,7 @@ class TruthFlow(QObject):
                 self.scores = None
                 self.scoresChanged.emit()
             return
-        self._scoring.start(self._scorer.scoring(contact, patch.points, patch.area_mm2, pose))
+        self._scoring.start(partial(self._scorer.score, contact, patch.points, patch.area_mm2, pose))
 
     def _scored(self, scores: Scores) -> None:
         self.message.emit("scores", Severity.WARNING, "")

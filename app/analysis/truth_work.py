@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -97,57 +96,43 @@ class Scores:
     values: dict[str, float]
 
 
-def loading(path: Path, unit_m: float) -> Callable[[Progress], LoadedScan]:
-    """Return work that reads a scan; raises as `load_scan` does."""
-
-    def load(progress: Progress) -> LoadedScan:
-        progress(0.05, f"Reading {path.name}")
-        scan = load_scan(path, unit_m)
-        progress(0.7, "Preparing the view")
-        count = len(scan.vertices_m)
-        shown = np.arange(count)
-        if count > _MAX_SHOWN:
-            shown = np.sort(np.random.default_rng(0).choice(count, _MAX_SHOWN, replace=False))
-        palette, rows = _palette(_shaded(scan)[shown])
-        progress(1.0, "Done")
-        return LoadedScan(path, unit_m, scan, _key(scan), shown, palette, rows)
-
-    return load
+def load(path: Path, unit_m: float, progress: Progress) -> LoadedScan:
+    """Read a scan; raises as `load_scan` does."""
+    progress(0.05, f"Reading {path.name}")
+    scan = load_scan(path, unit_m)
+    progress(0.7, "Preparing the view")
+    count = len(scan.vertices_m)
+    shown = np.arange(count)
+    if count > _MAX_SHOWN:
+        shown = np.sort(np.random.default_rng(0).choice(count, _MAX_SHOWN, replace=False))
+    palette, rows = _palette(_shaded(scan)[shown])
+    progress(1.0, "Done")
+    return LoadedScan(path, unit_m, scan, _key(scan), shown, palette, rows)
 
 
-def touching(loaded: LoadedScan, paint: PaintSettings) -> Callable[[Progress], ScanContact]:
-    """Return work that finds a scan's contact."""
-
-    def find(progress: Progress) -> ScanContact:
-        progress(0.1, "Finding the paint")
-        scan = loaded.scan
-        vertices = painted_contact(scan, paint)
-        shares = vertices[scan.triangles].mean(axis=1)
-        area_m2 = float((scan.areas_m2 * shares).sum())
-        fine = next((step for step in _SPACINGS_M if area_m2 <= _MAX_POINTS * step**2), _SPACINGS_M[-1])
-        progress(0.6, "Spreading points")
-        return ScanContact(loaded, paint, vertices, contact_points(scan, vertices, fine), 1e6 * area_m2)
-
-    return find
+def find_contact(loaded: LoadedScan, paint: PaintSettings, progress: Progress) -> ScanContact:
+    """Find a scan's contact."""
+    progress(0.1, "Finding the paint")
+    scan = loaded.scan
+    vertices = painted_contact(scan, paint)
+    shares = vertices[scan.triangles].mean(axis=1)
+    area_m2 = float((scan.areas_m2 * shares).sum())
+    fine = next((step for step in _SPACINGS_M if area_m2 <= _MAX_POINTS * step**2), _SPACINGS_M[-1])
+    progress(0.6, "Spreading points")
+    return ScanContact(loaded, paint, vertices, contact_points(scan, vertices, fine), 1e6 * area_m2)
 
 
-def refining(
-    contact: ScanContact, patch: Float32Array, start: Matrix4, reach_m: float
-) -> Callable[[Progress], Refinement]:
-    """Return work that refines a pose by ICP; raises as `refine_pose` does."""
+def refine(contact: ScanContact, patch: Float32Array, start: Matrix4, reach_m: float, progress: Progress) -> Refinement:
+    """Refine a pose by ICP; raises as `refine_pose` does."""
+    before: list[float] = []
 
-    def refine(progress: Progress) -> Refinement:
-        before: list[float] = []
+    def go_on(done: int, rmse_m: float) -> bool:
+        before.append(rmse_m)
+        progress(done / ICP_ROUNDS, f"Refining: {1e3 * rmse_m:.2f} mm")
+        return True
 
-        def go_on(done: int, rmse_m: float) -> bool:
-            before.append(rmse_m)
-            progress(done / ICP_ROUNDS, f"Refining: {1e3 * rmse_m:.2f} mm")
-            return True
-
-        found = refine_pose(contact.points, patch, start, farthest_m=reach_m, go_on=go_on)
-        return Refinement(start, before[0], found)
-
-    return refine
+    found = refine_pose(contact.points, patch, start, farthest_m=reach_m, go_on=go_on)
+    return Refinement(start, before[0], found)
 
 
 class Scorer:
@@ -156,18 +141,14 @@ class Scorer:
     def __init__(self) -> None:
         self._known: tuple[ScanContact, Matrix4, ScanTruth] | None = None
 
-    def scoring(
-        self, contact: ScanContact, patch: Float32Array, area_mm2: float, pose: Matrix4
-    ) -> Callable[[Progress], Scores]:
-        """Return work that scores a patch. Only one may run at a time."""
-
-        def score(progress: Progress) -> Scores:
-            progress(0.1, "Comparing")
-            truth = self._truth(contact, pose)
-            progress(0.5, "Comparing")
-            return Scores(pose, truth.area_mm2, area_mm2, score_against_scan(patch, area_mm2, truth))
-
-        return score
+    def score(
+        self, contact: ScanContact, patch: Float32Array, area_mm2: float, pose: Matrix4, progress: Progress
+    ) -> Scores:
+        """Score a patch. Only one call may run at a time."""
+        progress(0.1, "Comparing")
+        truth = self._truth(contact, pose)
+        progress(0.5, "Comparing")
+        return Scores(pose, truth.area_mm2, area_mm2, score_against_scan(patch, area_mm2, truth))
 
     def _truth(self, contact: ScanContact, pose: Matrix4) -> ScanTruth:
         """Return the scan's contact in a pose; the last one is cached."""

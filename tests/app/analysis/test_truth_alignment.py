@@ -137,7 +137,7 @@ def test_icp_can_be_given_up(qtbot, ready, monkeypatch):
     work = EndlessWork()
     click_three_pairs(ready)
     pose = pose_of(ready)
-    monkeypatch.setattr(truth_flow, "refining", lambda *_: work)
+    monkeypatch.setattr(truth_flow, "refine", lambda *rest: work(rest[-1]))
     QTest.mouseClick(ready.align.refine, LEFT)
     qtbot.waitUntil(work.began.is_set)
     QTest.mouseClick(ready.align.cancel, LEFT)

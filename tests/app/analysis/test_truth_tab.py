@@ -73,7 +73,7 @@ def test_what_is_no_scan_is_said_and_the_present_one_stays(qtbot, ready, tmp_pat
 def test_reading_can_be_given_up(qtbot, ready, plate, monkeypatch):
     work = EndlessWork()
     loaded = ready.flow.loaded
-    monkeypatch.setattr(truth_flow, "loading", lambda *_: work)
+    monkeypatch.setattr(truth_flow, "load", lambda *rest: work(rest[-1]))
     ready.open_scan(plate)
     assert ready.cancel.isVisible() and ready.progress.isVisible()
     qtbot.waitUntil(work.began.is_set)
