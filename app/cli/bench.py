@@ -10,7 +10,7 @@ import typer
 
 from ...core.errors import TactuneError, counted
 from .common import SOURCE, CliProgress, PresetOption, SourceOption, default_preset, open_with_progress
-from .sensor_table import measure_sensor_table, plan_sensor_table
+from .evaluate import measure_sensor_table, plan_sensor_table
 
 #: Frames over which ``tactune bench memory`` measures.
 MEASURED_FRAMES = 50

@@ -19,7 +19,6 @@ import typer
 from ...core.errors import MissingExtraError, TactuneError
 from .bench import bench_commands
 from .calibrate import calibrate, recheck
-from .check import check
 from .common import SOURCE, PresetOption, SourceOption, default_preset
 from .create_rig import create_rig
 from .demo import demo_commands
@@ -30,7 +29,7 @@ from .record import convert, record
 from .run import run
 from .serve import serve
 from .strain import strain
-from .suggest import suggest
+from .suggest import check, suggest
 from .track import track
 from .tune import tune
 

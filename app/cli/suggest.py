@@ -1,4 +1,4 @@
-"""The command ``tactune preset suggest``: proposals for a preset's sections, with their evidence."""
+"""The commands ``tactune preset suggest`` and ``check``: proposals for a preset, and what is wrong with it."""
 
 from __future__ import annotations
 
@@ -24,8 +24,11 @@ if TYPE_CHECKING:
     from ...core.model.frames import SensorFrame
     from ...core.preset import Preset
     from ...core.sources import FrameSource
+    from ...core.tuning.advice.proposal import Finding, Proposal
     from ...core.tuning.advice.suggest import AllProposals
 
+#: Exit status of ``check`` if there are findings.
+FOUND_STATUS = 1
 #: Number of frames up to the present one, and of those averaged to an untouched frame.
 _RECENT, _AVERAGED = 4, 15
 
@@ -99,6 +102,40 @@ def suggest(
         typer.echo(f"wrote {out}")
 
 
+def check(
+    *,
+    source: SourceOption,
+    preset: PresetOption = None,
+    frame: FrameOption = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the findings as a JSON list.")] = False,
+) -> None:
+    """Say what is wrong with a preset on a frame, and what mends it; the exit status is 1 if there are findings.
+
+    The same as Findings in the window. The stored untouched frame of the preset or the recording is used too.
+    """
+    from ...core.contact.pipeline import ContactPipeline
+    from ...core.rig.untouched import kept_untouched
+    from ...core.sources.presets import load_preset
+    from ...core.tuning.advice.findings.registry import Examiner
+
+    origin = preset or default_preset(source)
+    chosen = load_preset(origin)
+    with open_with_progress(source, chosen.cameras) as opened:
+        pipeline = ContactPipeline(chosen, opened.rig)
+        warn(*pipeline.warnings)
+        frames = recent_frames(opened, frame)
+        stored = kept_untouched(chosen, origin, opened)
+        warn(*stored.warnings)
+        patches = [pipeline.process(each) for each in frames]
+        findings = Examiner(opened.rig).findings(frames[-1], patches[-1], chosen, stored.frame)
+    if as_json:
+        typer.echo(json.dumps([_record(finding) for finding in findings], indent=2))
+    else:
+        _print_findings(findings)
+    if findings:
+        raise typer.Exit(FOUND_STATUS)
+
+
 def recent_frames(source: FrameSource, last: int | None) -> tuple[SensorFrame, ...]:
     """Return the frames up to the present one, which is the last.
 
@@ -137,6 +174,31 @@ def _print(proposals: AllProposals) -> None:
         typer.echo(f"{part.section}: {part.label}{' (weak)' if part.weak else ''}")
         typer.echo(f"  {part.evidence}")
         typer.echo(f"  {part.expected}")
-        for path, value in part.changes.items():
-            typer.echo(f"  --set {path}={json.dumps(value, separators=(',', ':'))}")
+        _print_changes(part)
     warn(*proposals.refusals.values())
+
+
+def _print_changes(proposal: Proposal) -> None:
+    for path, value in proposal.changes.items():
+        typer.echo(f"  --set {path}={json.dumps(value, separators=(',', ':'))}")
+
+
+def _print_findings(findings: tuple[Finding, ...]) -> None:
+    for finding in findings:
+        typer.echo(f"{finding.field}: {finding.sentence}")
+        if finding.proposal is not None:
+            typer.echo(f"  {finding.proposal.evidence}")
+            _print_changes(finding.proposal)
+        elif finding.action == "measure_noise":
+            typer.echo("  measure the rig: tactune preset measure-rig")
+    if not findings:
+        typer.echo("no findings")
+
+
+def _record(finding: Finding) -> dict[str, object]:
+    return {
+        "name": finding.name,
+        "field": finding.field,
+        "sentence": finding.sentence,
+        "changes": dict(finding.proposal.changes) if finding.proposal is not None else {},
+    }
