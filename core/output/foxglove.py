@@ -51,7 +51,8 @@ class FoxgloveSink:
         self._server: WebSocketServer | None = None
         self._context: Any = None  # channels live only as long as it
         self._channels: dict[str, Any] = {}
-        self._listener = _Listener(self)
+        self._lock = threading.Lock()
+        self._subscriptions: Counter[tuple[int, str]] = Counter()
 
     def start(self, topics: Mapping[str, str]) -> None:
         """Listen; see `Sink`."""
@@ -63,7 +64,7 @@ class FoxgloveSink:
                 "Foxglove needs foxglove-sdk: install it with pip install 'tactune[live]'"
             ) from error
         logging.getLogger("foxglove").addHandler(logging.NullHandler())  # a client that vanishes is no news on stderr
-        listener: Any = self._listener  # the protocol also asks for what servers without parameters call
+        listener: Any = self  # the protocol also asks for what servers without parameters call
         context = self._context = foxglove.Context()
         for topic, kind in topics.items():
             schema = foxglove.Schema(name=kind, encoding="ros2msg", data=definition(kind).encode())
@@ -85,7 +86,8 @@ class FoxgloveSink:
 
     def wanted(self) -> Collection[str]:
         """Return the topics with a subscriber."""
-        return self._listener.topics()
+        with self._lock:
+            return frozenset(topic for _, topic in self._subscriptions)
 
     def send(self, messages: Sequence[LiveMessage]) -> None:
         """Queue messages for the clients; one that is slow loses its oldest."""
@@ -115,16 +117,40 @@ class FoxgloveSink:
     def status(self) -> SinkStatus:
         """Return the state; a client counts once it listens to a topic."""
         host = f"[{self._host}]" if ":" in self._host else self._host
-        return SinkStatus("Foxglove", f"ws://{host}:{self._port}", self._listener.clients())
+        with self._lock:
+            clients = len({client for client, _ in self._subscriptions})
+        return SinkStatus("Foxglove", f"ws://{host}:{self._port}", clients)
 
-    def parameters(self, names: Collection[str]) -> list[Parameter]:
+    # What the server calls, on its own threads
+
+    def on_subscribe(self, client: Client, channel: ChannelView) -> None:
+        """Count a subscription."""
+        with self._lock:
+            self._subscriptions[client.id, channel.topic] += 1
+
+    def on_unsubscribe(self, client: Client, channel: ChannelView) -> None:
+        """Count a subscription that has ended."""
+        with self._lock:
+            self._subscriptions[client.id, channel.topic] -= 1
+            self._subscriptions = +self._subscriptions  # without those at 0
+
+    def on_parameters_subscribe(self, names: list[str]) -> None:
+        """Nothing to do: the server knows who subscribed."""
+
+    def on_parameters_unsubscribe(self, names: list[str]) -> None:
+        """Nothing to do."""
+
+    def on_get_parameters(self, client: Client, names: list[str], request: str | None = None) -> list[Parameter]:
         """Return present values, all of them where no name is given."""
+        return self._values(names)
+
+    def _values(self, names: Collection[str]) -> list[Parameter]:
         from foxglove.websocket import Parameter
 
         values = self._parameters.values()
         return [Parameter(name, value=value) for name, value in values.items() if not names or name in names]  # type: ignore[arg-type]
 
-    def set_parameters(self, wanted: Sequence[Parameter]) -> list[Parameter]:
+    def on_set_parameters(self, client: Client, wanted: list[Parameter], request: str | None = None) -> list[Parameter]:
         """Set values and return the present ones: the old where one was refused, with a message to the clients."""
         from foxglove import StatusLevel
 
@@ -134,52 +160,11 @@ class FoxgloveSink:
             except TactuneError as error:
                 if self._server is not None:
                     self._server.publish_status(str(error), StatusLevel.Warning)
-        names = {parameter.name for parameter in wanted}
-        return self.parameters(names)
+        return self._values({parameter.name for parameter in wanted})
 
     def _tell_parameters(self, values: Mapping[str, object]) -> None:
         if self._server is not None:
-            self._server.publish_parameter_values(self.parameters(values.keys()))
-
-
-class _Listener:
-    """What the server calls, on its own threads: subscriptions are counted, parameters passed on."""
-
-    def __init__(self, sink: FoxgloveSink) -> None:
-        self._sink = sink
-        self._lock = threading.Lock()
-        self._subscriptions: Counter[tuple[int, str]] = Counter()
-
-    def topics(self) -> frozenset[str]:
-        with self._lock:
-            return frozenset(topic for _, topic in self._subscriptions)
-
-    def clients(self) -> int:
-        with self._lock:
-            return len({client for client, _ in self._subscriptions})
-
-    def on_subscribe(self, client: Client, channel: ChannelView) -> None:
-        with self._lock:
-            self._subscriptions[client.id, channel.topic] += 1
-
-    def on_unsubscribe(self, client: Client, channel: ChannelView) -> None:
-        with self._lock:
-            self._subscriptions[client.id, channel.topic] -= 1
-            self._subscriptions = +self._subscriptions  # without those at 0
-
-    def on_get_parameters(self, client: Client, names: list[str], request: str | None = None) -> list[Parameter]:
-        return self._sink.parameters(names)
-
-    def on_set_parameters(
-        self, client: Client, parameters: list[Parameter], request: str | None = None
-    ) -> list[Parameter]:
-        return self._sink.set_parameters(parameters)
-
-    def on_parameters_subscribe(self, names: list[str]) -> None:
-        """Nothing to do: the server knows who subscribed."""
-
-    def on_parameters_unsubscribe(self, names: list[str]) -> None:
-        """Nothing to do."""
+            self._server.publish_parameter_values(self._values(values.keys()))
 
 
 def _explain(error: str, host: str, port: int) -> str:
