@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import nan
-from typing import TYPE_CHECKING
 
 import numpy as np
 from PyQt6.QtCore import QObject, pyqtSignal
@@ -23,9 +22,6 @@ from ..worker.jobs import Job
 from .pictures import membrane_grid, tactile_depth_at
 from .prediction import Alignment
 from .session import ImageChoice, PointPair, Session, SessionState, Side, Snapshot
-
-if TYPE_CHECKING:
-    from ...core.calibration import CalibrationReport
 
 #: A pair stands out if its residual exceeds this multiple of the median and half a pixel.
 _OUTLIER_FACTOR = 2.5

@@ -96,17 +96,8 @@ class Keeper(KeptState[SessionState]):
                 self._missing.append(entry["name"])
                 continue
             snapshots.append(
-                Snapshot(
-                    entry["digest"],
-                    entry["name"],
-                    frame,
-                    entry["averaged"],
-                    entry["moved_m"],
-                    entry.get("source", ""),  # older files do not have it
-                )
+                Snapshot(entry["digest"], entry["name"], frame, entry["averaged"], entry["moved_m"], entry["source"])
             )
-        if "fit_depth" in content["choices"]:  # of older files: scale and offset, or none
-            content["choices"]["depth_fit"] = "both" if content["choices"].pop("fit_depth") else "none"
         pairs = tuple(PointPair.model_validate_json(json.dumps(entry)) for entry in content["pairs"])
         state = SessionState(tuple(snapshots), pairs, Choices.model_validate_json(json.dumps(content["choices"])))
         if state.snapshot is None:

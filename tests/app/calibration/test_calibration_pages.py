@@ -507,22 +507,6 @@ def test_two_windows_on_one_rig_keep_apart(scene, tmp_path, qapp):
         keeper.close()
 
 
-def test_a_session_of_an_older_version_keeps_its_depth_correction(scene, frames, feed, tmp_path, qapp):
-    session = Session(scene.rig, lambda *_: None)
-    keeper = Keeper(session, tmp_path)
-    session.edit("all", with_pairs(scene, frames, feed))
-    keeper.close()
-    content = json.loads(keeper.file.read_text())
-    del content["choices"]["depth_fit"]
-    content["choices"]["fit_depth"] = True
-    keeper.file.write_text(json.dumps(content))
-    again = Session(scene.rig, lambda *_: None)
-    keeper = Keeper(again, tmp_path)
-    assert keeper.restore() is not None
-    assert again.state.choices.depth_fit == "both" and again.state.pairs == session.state.pairs
-    keeper.close()
-
-
 def test_a_damaged_file_is_set_aside_and_said(scene, frames, feed, tmp_path, qapp):
     session = Session(scene.rig, lambda *_: None)
     keeper = Keeper(session, tmp_path)
