@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from PyQt6.QtCore import QObject, pyqtSignal
+from PyQt6.QtGui import QKeySequence, QShortcut
 from PyQt6.QtWidgets import QDialog, QFrame, QVBoxLayout, QWidget
 
 from ...core.errors import AdviceError, PresetError
@@ -269,7 +270,7 @@ class SuggestWindow(QDialog):
         if self._document.apply(proposal):
             self._say(
                 f"Applied: {proposal.label}. The sentences below speak of the values before; Measure again judges the "
-                "new ones. Undo takes the step back (Ctrl+Z)."
+                "new ones. Ctrl+S saves the preset; Ctrl+Z takes the step back."
             )
 
     # Comparison in the views
@@ -379,6 +380,7 @@ class SuggestControl(QObject):
         if self.window is None:
             self.window = SuggestWindow(context, self.gather, self.open_examples)
             self.window.kept.connect(self.kept)
+            QShortcut(QKeySequence.StandardKey.Save, self.window).activated.connect(context.saveRequested)
             corner = context.window.mapToGlobal(context.window.rect().topLeft())
             self.window.move(corner.x() + 8, corner.y() + 110)  # the patch view and the panel stay visible
         bring_up(self.window)
