@@ -76,6 +76,8 @@ def main() -> int:
     0: done; 1: a check failed; 2: an error that the person can correct, in one sentence; 130: interrupted;
     141: the reader of standard output has gone (``tactune run --json``).
     """
+    # The matrices are small: more threads of NumPy's BLAS would only spin while they wait for each other.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # names of files need not be valid Unicode
     try:
