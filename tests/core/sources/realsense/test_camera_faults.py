@@ -77,8 +77,7 @@ def test_images_that_come_late_all_at_once_are_paired_all_the_same(session):
 )
 def test_a_camera_with_one_stream_only_is_told_and_goes_on(session, role, streams, words):
     session.order(Command("streams", role, text=streams))
-    health = session.until(lambda health: state(health, role) == "stalled")
-    assert words in health.message
+    session.until(lambda health: state(health, role) == "stalled" and words in health.message)
     session.order(Command("streams", role, text="depth color"))
     session.until(is_well)
     assert_right_pairs(session)
