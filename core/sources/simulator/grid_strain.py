@@ -11,7 +11,7 @@ import numpy as np
 from ...model.arrays import BoolArray, Float64Array, IndexArray, Int32Array
 from .membrane import Membrane
 from .mesh import Mesh
-from .objects import compiled
+from .objects import allocating
 from .render import Camera
 from .sheet import DOT_RADIUS_M, DOT_SPACING_M, dot_counts, dot_grid
 
@@ -100,7 +100,7 @@ def _shares(mesh: Mesh, triangles: IndexArray, flat: Float64Array) -> Float64Arr
     return np.stack([1.0 - of_b - of_c, of_b, of_c], axis=1)
 
 
-@compiled
+@allocating
 def _covered(
     nodes: Float64Array,
     triangles: Int32Array,

@@ -17,14 +17,14 @@ same input gives the same bits.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import cv2
 import numpy as np
 
 from ...model.arrays import BoolArray, Float64Array, Int32Array
 from .mesh import MembraneDesign, build_mesh
-from .objects import NO_OBJECT, compiled, distance, normal
+from .objects import NO_OBJECT, allocating, compiled, distance, normal
 
 ATMOSPHERE_PA: Final = 101_325.0
 #: Nodes closer than this to the object count as touching, metres.
@@ -67,17 +67,56 @@ class MembraneState:
     iterations: int
 
 
+class _Sheet(NamedTuple):
+    """Mesh and rubber, as in `Mesh` and `MembraneDesign`, and the air in the chamber."""
+
+    triangles: Int32Array
+    inverse: Float64Array
+    stiffness: Float64Array
+    free: BoolArray
+    stiffening: float
+    gas_joule: float  # p V
+    dead_volume_m3: float
+    nodal_area_m2: float  # mean over the nodes
+
+
+class _Object(NamedTuple):
+    """A rigid object, and the height of the sheet's folds over each node, at which the sheet meets it."""
+
+    kind: int
+    pose: Float64Array
+    relief_m: Float64Array
+
+
+class _Grips(NamedTuple):
+    """Where nodes stick to the object: point and normal there, (N, 3); NaN for nodes that slide."""
+
+    point: Float64Array
+    normal: Float64Array
+
+
+class _Clearance(NamedTuple):
+    """Node n was ``distance[n]`` from the object at ``place[n]``; while it stays within, no distance is needed."""
+
+    place: Float64Array
+    distance: Float64Array
+
+
 @compiled
-def _forces(
-    nodes: Float64Array,
-    triangles: Int32Array,
-    inverse: Float64Array,
-    stiffness: Float64Array,
-    stiffening: float,
-    elastic: Float64Array,
-    swept: Float64Array,
-) -> float:
+def _distance(thing: _Object, nodes: Float64Array, n: int) -> float:
+    x, y, z = nodes[n, 0], nodes[n, 1], nodes[n, 2] + thing.relief_m[n]
+    return float(distance(thing.kind, thing.pose, x, y, z))
+
+
+@compiled
+def _normal(thing: _Object, nodes: Float64Array, n: int) -> tuple[float, float, float]:
+    return normal(thing.kind, thing.pose, nodes[n, 0], nodes[n, 1], nodes[n, 2] + thing.relief_m[n])
+
+
+@compiled
+def _forces(nodes: Float64Array, sheet: _Sheet, elastic: Float64Array, swept: Float64Array) -> float:
     """Fill in the gradients of the elastic energy and of the volume over the rim's plane; return that volume."""
+    triangles, inverse, stiffness = sheet.triangles, sheet.inverse, sheet.stiffness
     elastic[:] = 0.0
     swept[:] = 0.0
     volume = 0.0
@@ -95,7 +134,7 @@ def _forces(
         # W = mu/2 (I + c I^2), I = tr C + 1/det C - 3.
         scale = 1.0 / (det * det)
         s00, s01, s11 = 1.0 - c11 * scale, c01 * scale, 1.0 - c00 * scale
-        weight = stiffness[t] * (1.0 + 2.0 * stiffening * (c00 + c11 + 1.0 / det - 3.0))
+        weight = stiffness[t] * (1.0 + 2.0 * sheet.stiffening * (c00 + c11 + 1.0 / det - 3.0))
         ax, ay, az = px * s00 + qx * s01, py * s00 + qy * s01, pz * s00 + qz * s01
         bx, by, bz = px * s01 + qx * s11, py * s01 + qy * s11, pz * s01 + qz * s11
         fbx, fby, fbz = weight * (ax * i00 + bx * i01), weight * (ay * i00 + by * i01), weight * (az * i00 + bz * i01)
@@ -119,83 +158,76 @@ def _forces(
 
 
 @compiled
-def _gradient(
-    nodes: Float64Array,
-    triangles: Int32Array,
-    inverse: Float64Array,
-    stiffness: Float64Array,
-    free: BoolArray,
-    stiffening: float,
-    air: Float64Array,
-    swept: Float64Array,
-    out: Float64Array,
-) -> float:
+def _gradient(nodes: Float64Array, sheet: _Sheet, swept: Float64Array, out: Float64Array) -> float:
     """Fill in the gradient of the total energy (minus the nodal forces); return the gauge pressure."""
-    volume = _forces(nodes, triangles, inverse, stiffness, stiffening, out, swept)
-    gas_joule, dead_volume, ambient = air[0], air[1], air[2]
-    gauge = gas_joule / (volume + dead_volume) - ambient
+    volume = _forces(nodes, sheet, out, swept)
+    gauge = sheet.gas_joule / (volume + sheet.dead_volume_m3) - ATMOSPHERE_PA
     for n in range(nodes.shape[0]):
         for k in range(3):
-            out[n, k] = out[n, k] - gauge * swept[n, k] if free[n] else 0.0
+            out[n, k] = out[n, k] - gauge * swept[n, k] if sheet.free[n] else 0.0
     return float(gauge)
 
 
 @compiled
+def _copy_node(source: Float64Array, n: int, target: Float64Array) -> None:
+    """Copy row ``n``; ``target[n] = source[n]`` would create an array."""
+    target[n, 0], target[n, 1], target[n, 2] = source[n, 0], source[n, 1], source[n, 2]
+
+
+@compiled
+def _stick(nodes: Float64Array, n: int, grips: _Grips) -> bool:
+    """Put a node back to where it sticks, unless it moves out of the object; return whether it sticks."""
+    if np.isnan(grips.point[n, 0]):
+        return False
+    away = 0.0
+    for k in range(3):
+        away += (nodes[n, k] - grips.point[n, k]) * grips.normal[n, k]
+    if away <= 0.0:
+        _copy_node(grips.point, n, nodes)
+    return away <= 0.0
+
+
+@compiled
 def _project(
-    kind: int,
-    pose: Float64Array,
-    nodes: Float64Array,
-    base: Float64Array,
-    relief: Float64Array,
-    free: BoolArray,
-    grips: Float64Array,
-    place: Float64Array,
-    clear: Float64Array,
+    nodes: Float64Array, base: Float64Array, free: BoolArray, thing: _Object, grips: _Grips, clear: _Clearance
 ) -> None:
     """Move penetrating nodes out to the surface, along the normals at ``base``, or back to where they stick.
-
-    A node sticks at ``grips[n, :3]``, where the normal is ``grips[n, 3:]``, while it does not move out of the object.
-    Node n was ``clear[n]`` from the object at ``place[n]``; as long as it stays within, no distance is needed.
 
     With the step's own start as base a node rests only where its force is along the true normal, even
     where the distance is a bound and its inner level sets are not parallel to the surface.
     """
+    place = clear.place
     for n in range(nodes.shape[0]):
         if not free[n]:
             continue
-        if not np.isnan(grips[n, 0]):
-            away = 0.0
-            for k in range(3):
-                away += (nodes[n, k] - grips[n, k]) * grips[n, 3 + k]
-            if away <= 0.0:
-                nodes[n], clear[n] = grips[n, :3], 0.0
-                continue
+        if _stick(nodes, n, grips):
+            clear.distance[n] = 0.0
+            continue
         x, y, z = nodes[n, 0] - place[n, 0], nodes[n, 1] - place[n, 1], nodes[n, 2] - place[n, 2]
-        if x * x + y * y + z * z < clear[n] * clear[n]:
+        if x * x + y * y + z * z < clear.distance[n] * clear.distance[n]:
             continue
-        depth = distance(kind, pose, nodes[n, 0], nodes[n, 1], nodes[n, 2] + relief[n])
+        depth = _distance(thing, nodes, n)
         if depth >= 0.0:
-            place[n], clear[n] = nodes[n], depth
+            _copy_node(nodes, n, place)
+            clear.distance[n] = depth
             continue
-        clear[n] = 0.0
-        nx, ny, nz = normal(kind, pose, base[n, 0], base[n, 1], base[n, 2] + relief[n])
+        clear.distance[n] = 0.0
+        nx, ny, nz = _normal(thing, base, n)
         for _ in range(8):
             nodes[n, 0] -= depth * nx
             nodes[n, 1] -= depth * ny
             nodes[n, 2] -= depth * nz
-            depth = distance(kind, pose, nodes[n, 0], nodes[n, 1], nodes[n, 2] + relief[n])
+            depth = _distance(thing, nodes, n)
             if depth > -1e-12:
                 break
 
 
 @compiled
 def _balance(
-    kind: int,
-    pose: Float64Array,
     nodes: Float64Array,
-    relief: Float64Array,
     gradient: Float64Array,
-    grips: Float64Array,
+    thing: _Object,
+    grips: _Grips,
     reaction: Float64Array,
     gap: Float64Array,
 ) -> float:
@@ -204,80 +236,78 @@ def _balance(
     for n in range(nodes.shape[0]):
         gx, gy, gz = gradient[n, 0], gradient[n, 1], gradient[n, 2]
         reaction[n] = 0.0
-        gap[n] = distance(kind, pose, nodes[n, 0], nodes[n, 1], nodes[n, 2] + relief[n])
+        gap[n] = _distance(thing, nodes, n)
         if gap[n] <= TOUCH_GAP_M:
-            nx, ny, nz = normal(kind, pose, nodes[n, 0], nodes[n, 1], nodes[n, 2] + relief[n])
+            nx, ny, nz = _normal(thing, nodes, n)
             push = gx * nx + gy * ny + gz * nz
             if push > 0.0:
                 reaction[n] = push
                 gx, gy, gz = gx - push * nx, gy - push * ny, gz - push * nz
-                if nodes[n, 0] == grips[n, 0] and nodes[n, 1] == grips[n, 1] and nodes[n, 2] == grips[n, 2]:
+                held = grips.point[n]
+                if nodes[n, 0] == held[0] and nodes[n, 1] == held[1] and nodes[n, 2] == held[2]:
                     gx, gy, gz = 0.0, 0.0, 0.0  # friction carries the rest
         worst = max(worst, gx * gx + gy * gy + gz * gz)
     return float(np.sqrt(worst))
 
 
 @compiled
+def _accelerate(nodes: Float64Array, fresh: Float64Array, ahead: Float64Array, momentum: float) -> float:
+    """Move ``nodes`` to ``fresh`` and ``ahead`` beyond it; return the next momentum m' = (1 + sqrt(1 + 4 m^2)) / 2.
+
+    ``ahead = fresh + (m - 1) / m' (fresh - nodes)``. Momentum that leads uphill is dropped: the restart by gradient of
+    O'Donoghue and Candes.
+    """
+    uphill = 0.0
+    for n in range(nodes.shape[0]):
+        for k in range(3):
+            uphill += (ahead[n, k] - fresh[n, k]) * (fresh[n, k] - nodes[n, k])
+    following = 0.5 * (1.0 + np.sqrt(1.0 + 4.0 * momentum * momentum))
+    beta = (momentum - 1.0) / following
+    if uphill > 0.0:
+        following, beta = 1.0, 0.0
+    for n in range(nodes.shape[0]):
+        for k in range(3):
+            ahead[n, k] = fresh[n, k] + beta * (fresh[n, k] - nodes[n, k])
+            nodes[n, k] = fresh[n, k]
+    return float(following)
+
+
+@allocating
 def _relax(
-    nodes: Float64Array,
-    triangles: Int32Array,
-    inverse: Float64Array,
-    stiffness: Float64Array,
-    free: BoolArray,
-    stiffening: float,
-    air: Float64Array,
-    relief: Float64Array,
-    kind: int,
-    pose: Float64Array,
-    grips: Float64Array,
-    nodal_area: float,
-    step: float,
-    tolerance: float,
-    limit: int,
-    reaction: Float64Array,
-    gap: Float64Array,
-) -> tuple[int, float]:
-    """Descend to equilibrium in place; return the iterations and the relative residual."""
+    nodes: Float64Array, sheet: _Sheet, thing: _Object, grips: _Grips, step: float, tolerance: float, limit: int
+) -> tuple[int, float, Float64Array, Float64Array]:
+    """Descend to equilibrium in place; return the iterations, the relative residual, the reactions and the gaps."""
+    count = nodes.shape[0]
+    reaction, gap = np.zeros(count), np.zeros(count)
     gradient, swept = np.empty_like(nodes), np.empty_like(nodes)
-    ahead, place, clear = nodes.copy(), nodes.copy(), np.zeros(nodes.shape[0])
-    _project(kind, pose, ahead, nodes, relief, free, grips, place, clear)
+    ahead, clear = nodes.copy(), _Clearance(nodes.copy(), np.zeros(count))
+    _project(ahead, nodes, sheet.free, thing, grips, clear)
     nodes[:] = ahead
     momentum = 1.0
     relative = np.inf
     least, kept = np.inf, nodes.copy()
     done = 0
     for iteration in range(limit):
-        gauge = _gradient(ahead, triangles, inverse, stiffness, free, stiffening, air, swept, gradient)
+        gauge = _gradient(ahead, sheet, swept, gradient)
         if iteration % 20 == 19:
-            worst = _balance(kind, pose, ahead, relief, gradient, grips, reaction, gap)
-            relative = worst / (abs(gauge) * nodal_area)
+            worst = _balance(ahead, gradient, thing, grips, reaction, gap)
+            relative = worst / (abs(gauge) * sheet.nodal_area_m2)
             done = iteration + 1
             if relative < tolerance:
                 nodes[:] = ahead
-                return done, relative
+                break
             if not relative < _OVERSHOT * least:
                 nodes[:] = kept
-                return done, np.inf
+                relative = np.inf
+                break
             if relative < least:
                 least = relative
                 kept[:] = nodes
         fresh = ahead - step * gradient
-        _project(kind, pose, fresh, ahead, relief, free, grips, place, clear)
-        uphill = 0.0
-        for n in range(nodes.shape[0]):
-            for k in range(3):
-                uphill += (ahead[n, k] - fresh[n, k]) * (fresh[n, k] - nodes[n, k])
-        following = 0.5 * (1.0 + np.sqrt(1.0 + 4.0 * momentum * momentum))
-        beta = (momentum - 1.0) / following
-        if uphill > 0.0:
-            following, beta = 1.0, 0.0
-        momentum = following
-        for n in range(nodes.shape[0]):
-            for k in range(3):
-                ahead[n, k] = fresh[n, k] + beta * (fresh[n, k] - nodes[n, k])
-                nodes[n, k] = fresh[n, k]
-        _project(kind, pose, ahead, nodes, relief, free, grips, place, clear)
-    return done, relative
+        _project(fresh, ahead, sheet.free, thing, grips, clear)
+        momentum = _accelerate(nodes, fresh, ahead, momentum)
+        _project(ahead, nodes, sheet.free, thing, grips, clear)
+    return done, relative, reaction, gap
 
 
 class Membrane:
@@ -288,7 +318,6 @@ class Membrane:
         self.mesh = build_mesh(self.design)
         self.tolerance = tolerance
         self._direction = np.random.default_rng(0).standard_normal(self.mesh.flat.shape) * self.mesh.free[:, None]
-        self._air = np.array([0.0, self.design.dead_volume_m3, ATMOSPHERE_PA])
         self.rest = self._inflate()
 
     def press(
@@ -315,48 +344,45 @@ class Membrane:
             Places on the object where nodes stick while they touch; NaN for nodes that slide, as all do by default.
         """
         nodes = self.rest.nodes if start is None else start
-        grips = np.full((len(nodes), 6), np.nan)
-        if held is not None:
-            sticks = ~np.isnan(held[:, 0])
-            grips[sticks, :3] = held[sticks]
-            _lay(kind, pose, grips, self.mesh.relief_m, sticks)
-            _turn(kind, pose, grips, self.mesh.relief_m)
-        return self._solve(kind, pose, nodes, grips, self.tolerance, limit)
+        thing = _Object(kind, pose, self.mesh.relief_m)
+        grips = _Grips(np.full_like(nodes, np.nan) if held is None else held.copy(), np.full_like(nodes, np.nan))
+        sticks = ~np.isnan(grips.point[:, 0])
+        _lay(thing, grips.point, sticks)
+        for n in np.flatnonzero(sticks).tolist():
+            grips.normal[n] = _normal(thing, grips.point, n)
+        return self._solve(thing, nodes, grips, self.tolerance, limit)
 
-    def _solve(
-        self, kind: int, pose: Float64Array, start: Float64Array, grips: Float64Array, tolerance: float, limit: int
-    ) -> MembraneState:
-        mesh, stiffening = self.mesh, self.design.stiffening
-        body = (mesh.triangles, mesh.inverse, mesh.stiffness, mesh.free, stiffening, self._air)
-        nodal_area = mesh.area.sum() / len(start)
-        reaction, gap = np.zeros(len(start)), np.zeros(len(start))
+    @property
+    def _sheet(self) -> _Sheet:
+        mesh, design, area = self.mesh, self.design, self.mesh.area.sum() / len(self.mesh.flat)
+        body = (mesh.triangles, mesh.inverse, mesh.stiffness, mesh.free, design.stiffening)
+        return _Sheet(*body, self._gas_joule, design.dead_volume_m3, area)
+
+    def _solve(self, thing: _Object, start: Float64Array, grips: _Grips, tolerance: float, limit: int) -> MembraneState:
+        sheet = self._sheet
         nodes, iterations, share = start.copy(), 0, 0.8
         while True:
             step = share / self._curvature(nodes)
-            done, residual = _relax(
-                nodes, *body, mesh.relief_m, kind, pose, grips, nodal_area, step, tolerance, limit, reaction, gap
-            )
+            done, residual, reaction, gap = _relax(nodes, sheet, thing, grips, step, tolerance, limit)
             iterations += done
             # Compressed triangles are stiffer than at the start: too long a step overshoots for good.
             if residual < tolerance or share < _SHORTEST_SHARE:
                 break
             share /= 2
-        scratch = np.empty_like(nodes)
-        volume = _forces(nodes, *body[:3], stiffening, scratch, np.empty_like(nodes)) + self.design.dead_volume_m3
+        volume = _forces(nodes, sheet, np.empty_like(nodes), np.empty_like(nodes)) + self.design.dead_volume_m3
         return MembraneState(
-            nodes, reaction, gap, float(self._air[0] / volume), float(volume), float(residual), int(iterations)
+            nodes, reaction, gap, float(self._gas_joule / volume), float(volume), float(residual), int(iterations)
         )
 
     def _curvature(self, nodes: Float64Array) -> float:
         """Estimate the largest eigenvalue of the energy's Hessian by power iteration, warm from call to call."""
-        mesh, step = self.mesh, 1e-6
-        body = (mesh.triangles, mesh.inverse, mesh.stiffness, mesh.free, self.design.stiffening, self._air)
+        sheet, step = self._sheet, 1e-6
         here, there, swept = np.empty_like(nodes), np.empty_like(nodes), np.empty_like(nodes)
-        _gradient(nodes, *body, swept, here)
+        _gradient(nodes, sheet, swept, here)
         eigenvalue = 0.0
         for _ in range(12):
             self._direction /= np.linalg.norm(self._direction)
-            _gradient(nodes + step * self._direction, *body, swept, there)
+            _gradient(nodes + step * self._direction, sheet, swept, there)
             self._direction = (there - here) / step
             eigenvalue = float(np.linalg.norm(self._direction))
         return eigenvalue
@@ -367,12 +393,13 @@ class Membrane:
         x, y = 2 * self.mesh.flat[:, 0] / design.width_m, 2 * self.mesh.flat[:, 1] / design.height_m
         nodes = self.mesh.flat.copy()
         nodes[:, 2] = design.apex_m * (1 - x * x) * (1 - y * y)
-        empty, no_grips = np.zeros((3, 4)), np.full((len(nodes), 6), np.nan)
+        nothing = _Object(NO_OBJECT, np.zeros((3, 4)), self.mesh.relief_m)
+        no_grips = _Grips(np.full_like(nodes, np.nan), np.full_like(nodes, np.nan))
         dome = 0.55 * design.apex_m * design.width_m * design.height_m + design.dead_volume_m3
         amounts, errors = [dome * (ATMOSPHERE_PA + 1500.0), dome * (ATMOSPHERE_PA + 2500.0)], list[float]()
         for _ in range(12):
-            self._air[0] = amounts[len(errors)]
-            state = self._solve(NO_OBJECT, empty, nodes, no_grips, self.tolerance / 10, 20_000)
+            self._gas_joule = amounts[len(errors)]
+            state = self._solve(nothing, nodes, no_grips, self.tolerance / 10, 20_000)
             nodes = state.nodes
             errors.append(float(nodes[:, 2].max()) - design.apex_m)
             if abs(errors[-1]) < 2e-7:
@@ -384,9 +411,8 @@ class Membrane:
 
     def gradient(self, nodes: Float64Array) -> Float64Array:
         """Return the gradient of the total energy at any nodes: float64, shape (N, 3), newtons."""
-        mesh, gradient = self.mesh, np.empty_like(nodes)
-        body = (mesh.triangles, mesh.inverse, mesh.stiffness, mesh.free, self.design.stiffening, self._air)
-        _gradient(nodes, *body, np.empty_like(nodes), gradient)
+        gradient = np.empty_like(nodes)
+        _gradient(nodes, self._sheet, np.empty_like(nodes), gradient)
         return gradient
 
     def surface(self, nodes: Float64Array) -> Float64Array:
@@ -462,13 +488,14 @@ def contact_share(membrane: Membrane, state: MembraneState, kind: int, pose: Flo
     beside = _beside(touching, membrane.design.cells) & mesh.free
     if not beside.any():
         return share
-    laid = state.nodes.copy()
-    _lay(kind, pose, laid, mesh.relief_m, beside)
+    thing, laid = _Object(kind, pose, mesh.relief_m), state.nodes.copy()
+    _lay(thing, laid, beside)
     gradient = membrane.gradient(laid)
     edge = touching & _beside(~touching, membrane.design.cells)
-    whole = np.zeros(len(laid))
-    _loads(kind, pose, laid, mesh.relief_m, gradient, edge, whole)
-    share[edge] = np.where(whole[edge] > state.reaction_n[edge], state.reaction_n[edge] / whole[edge], 1.0)
+    for n in np.flatnonzero(edge).tolist():
+        nx, ny, nz = _normal(thing, laid, n)
+        whole = gradient[n, 0] * nx + gradient[n, 1] * ny + gradient[n, 2] * nz
+        share[n] = state.reaction_n[n] / whole if whole > state.reaction_n[n] else 1.0
     return share
 
 
@@ -479,42 +506,16 @@ def _beside(nodes: BoolArray, cells: tuple[int, int]) -> BoolArray:
 
 
 @compiled
-def _lay(kind: int, pose: Float64Array, nodes: Float64Array, relief: Float64Array, chosen: BoolArray) -> None:
+def _lay(thing: _Object, nodes: Float64Array, chosen: BoolArray) -> None:
     """Move the chosen nodes onto the object."""
     for n in range(nodes.shape[0]):
         if not chosen[n]:
             continue
         for _ in range(20):
-            gap = distance(kind, pose, nodes[n, 0], nodes[n, 1], nodes[n, 2] + relief[n])
+            gap = _distance(thing, nodes, n)
             if abs(gap) < _ON_SURFACE_M:
                 break
-            nx, ny, nz = normal(kind, pose, nodes[n, 0], nodes[n, 1], nodes[n, 2] + relief[n])
+            nx, ny, nz = _normal(thing, nodes, n)
             nodes[n, 0] -= gap * nx
             nodes[n, 1] -= gap * ny
             nodes[n, 2] -= gap * nz
-
-
-@compiled
-def _turn(kind: int, pose: Float64Array, grips: Float64Array, relief: Float64Array) -> None:
-    """Write the object's normal beside the places where nodes stick."""
-    for n in range(grips.shape[0]):
-        if not np.isnan(grips[n, 0]):
-            turned = normal(kind, pose, grips[n, 0], grips[n, 1], grips[n, 2] + relief[n])
-            grips[n, 3], grips[n, 4], grips[n, 5] = turned
-
-
-@compiled
-def _loads(
-    kind: int,
-    pose: Float64Array,
-    nodes: Float64Array,
-    relief: Float64Array,
-    gradient: Float64Array,
-    chosen: BoolArray,
-    load: Float64Array,
-) -> None:
-    """Write the part of the chosen nodes' unbalanced force that the object carries."""
-    for n in range(nodes.shape[0]):
-        if chosen[n]:
-            nx, ny, nz = normal(kind, pose, nodes[n, 0], nodes[n, 1], nodes[n, 2] + relief[n])
-            load[n] = gradient[n, 0] * nx + gradient[n, 1] * ny + gradient[n, 2] * nz

@@ -7,7 +7,7 @@ costs a few milliseconds.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 import cv2
 import numpy as np
@@ -15,7 +15,7 @@ import numpy.typing as npt
 from numpy import int64
 
 from ...model.arrays import Float32Array, Uint8Array, Uint16Array
-from ...model.frames import Rig
+from ...model.frames import DepthCamera, Rig
 from .objects import compiled
 from .render import CLEAN_UNIT_M, EDGE_FLAG, REFLECTIVE_FLAG
 from .sensors import DEFAULT_SENSOR, SENSORS, SensorModel
@@ -30,15 +30,72 @@ _GRAZING_COSINE: Final = 0.35
 _BANK: Final = 1 << 20
 _FIELD: Final = 1024
 
+#: What a random number is for, a part of its hash. `int64`, because numba compiles a kernel again for each literal.
+_TOF_WHITE, _TOF_UNIFORM, _STEREO_MOVING, _STEREO_HOLES = int64(0), int64(1), int64(2), int64(3)
+_COLOUR, _TOF_MOVING, _STEREO_WHITE = int64(4), int64(6), int64(7)  # 5 is the second colour camera
+
+
+class _Random(NamedTuple):
+    """Random numbers of one frame: banks, and what says where each image row begins to read in them."""
+
+    seed: int
+    frame: int
+    gaussian: Float32Array
+    uniform: Float32Array
+
+
+class _SharedNoise(NamedTuple):
+    """Noise that neighbouring pixels share. The fields have variance 1, wrap around, and are 2^n pixels wide."""
+
+    fixed_sigma: float
+    moving_sigma: float
+    fixed: Float32Array  # stays from frame to frame
+    moving: Float32Array  # is displaced in each frame
+
+
+class _TofImages(NamedTuple):
+    """Clean images of a time-of-flight camera, as in `CleanState`."""
+
+    behind: Uint16Array
+    membrane: Uint16Array
+    cosine: Uint8Array
+    flags: Uint8Array
+
+
+class _TofErrors(NamedTuple):
+    """Errors of a time-of-flight camera. The tables are indexed by 255 * cosine of incidence and contain ``level``."""
+
+    level: float  # factor on all errors
+    unit_m: float
+    scale: float
+    flying_share: float  # of the pixels at a depth step: they mix both sides
+    near_share: float  # of the noise: it does not grow with the distance
+    bias_m: Float32Array  # (H, W)
+    white_sigma_m: Float32Array  # table
+    shared_sigma_m: Float32Array  # table
+    dropout: Float32Array  # table: share of pixels without depth
+    shared: _SharedNoise
+
+
+class _StereoErrors(NamedTuple):
+    """Errors of a stereo camera, which are those of its disparity."""
+
+    level: float  # factor on all errors
+    unit_m: float
+    focal_baseline: float  # disparity * depth, pixels * metres
+    subpixel_steps: float  # disparities that the matcher tells apart, per pixel; 0: all
+    white_sigma_px: float
+    shared: _SharedNoise
+    holes: Float32Array  # a smooth field, as in `_SharedNoise`
+    hole_from: float  # no match where the field exceeds this
+    saturated_from: float  # 65535 instead of 0 where it exceeds this
+
 
 @compiled
-def _hash(seed: int, frame: int, stream: int | int64, row: int | int64) -> int:
-    """Mix four numbers into 62 random bits (splitmix64's finaliser, after each number).
-
-    Callers wrap literals in ``int64``: numba would compile this function again for each literal.
-    """
+def _hash(random: _Random, stream: int64, row: int | int64) -> int:
+    """Mix four numbers into 62 random bits (splitmix64's finaliser, after each number)."""
     state = np.uint64(0x9E3779B97F4A7C15)
-    for value in (seed, frame, stream, row):
+    for value in (random.seed, random.frame, stream, row):
         state = (state ^ np.uint64(value)) + np.uint64(0x9E3779B97F4A7C15)
         state = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
         state = (state ^ (state >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -47,124 +104,104 @@ def _hash(seed: int, frame: int, stream: int | int64, row: int | int64) -> int:
 
 
 @compiled
-def _time_of_flight(
-    seed: int,
-    frame: int,
-    level: float,
-    unit_m: float,
-    scale: float,
-    drift_m: float,
-    flying: float,
-    near: float,
-    behind: Uint16Array,
-    membrane: Uint16Array,
-    cosine: Uint8Array,
-    flags: Uint8Array,
-    bias_m: Float32Array,
-    sigma_m: Float32Array,
-    shared_m: Float32Array,
-    fixed_share: float,
-    moving_share: float,
-    fixed: Float32Array,
-    moving: Float32Array,
-    dropout: Float32Array,
-    gaussian: Float32Array,
-    uniform: Float32Array,
-    out: Uint16Array,
-) -> None:
+def _row_start(random: _Random, stream: int64, v: int, length: int) -> int:
+    """Return where in a bank the ``length`` random numbers of image row ``v`` begin."""
+    return _hash(random, stream, v) % (_BANK - length)
+
+
+@compiled
+def _displacement(field: Float32Array, random: _Random, stream: int64) -> tuple[int, int]:
+    """Return by how many rows and columns a frame displaces a field."""
+    wrap = field.shape[0] - 1
+    return _hash(random, stream, int64(0)) & wrap, _hash(random, stream, int64(1)) & wrap
+
+
+@compiled
+def _shared_at(noise: _SharedNoise, v: int, u: int, moved: tuple[int, int]) -> float:
+    """Return the shared noise of a pixel."""
+    wrap = noise.moving.shape[0] - 1
+    shared = noise.fixed_sigma * noise.fixed[v & wrap, u & wrap]
+    return float(shared + noise.moving_sigma * noise.moving[(v + moved[0]) & wrap, (u + moved[1]) & wrap])
+
+
+@compiled
+def _across_edge(depth: Uint16Array, v: int, u: int, z: float) -> float:
+    """Return the depth around a pixel that differs most from its own ``z``, metres: the other side of a step."""
+    height, width = depth.shape
+    other = z
+    for dv in range(-1, 2):
+        for du in range(-1, 2):
+            j, i = min(max(v + dv, 0), height - 1), min(max(u + du, 0), width - 1)
+            beside = depth[j, i] * CLEAN_UNIT_M
+            if beside > 0.0 and abs(beside - z) > abs(other - z):
+                other = beside
+    return float(other)
+
+
+@compiled
+def _measure_tof(random: _Random, images: _TofImages, errors: _TofErrors, drift_m: float, out: Uint16Array) -> None:
+    """Fill in the counts of a time-of-flight camera.
+
+    It measures ``scale z + level (bias + drift) + growth(z) (white_sigma white + shared_sigma shared)``.
+    """
+    behind, level = images.behind, errors.level
     height, width = behind.shape
-    room = gaussian.size - 2 * width
-    wrap = moving.shape[0] - 1
-    mv, mu = _hash(seed, frame, int64(6), int64(0)) & wrap, _hash(seed, frame, int64(6), int64(1)) & wrap
+    moved = _displacement(errors.shared.moving, random, _TOF_MOVING)
     for v in range(height):
-        g = gaussian[_hash(seed, frame, int64(0), v) % room :]
-        r = uniform[_hash(seed, frame, int64(1), v) % room :]
+        # Twice the width: a second uniform number per pixel says how a flying pixel mixes both sides.
+        white = random.gaussian[_row_start(random, _TOF_WHITE, v, 2 * width) :]
+        uniform = random.uniform[_row_start(random, _TOF_UNIFORM, v, 2 * width) :]
         for u in range(width):
-            count = behind[v, u]
-            if count == 0 or (level > 0.0 and r[u] < dropout[cosine[v, u]]):
+            cosine = images.cosine[v, u]
+            if behind[v, u] == 0 or (level > 0.0 and uniform[u] < errors.dropout[cosine]):
                 out[v, u] = 0
                 continue
-            z = count * CLEAN_UNIT_M
-            facing, growth = cosine[v, u], near + (1.0 - near) * z / _NAMED_AT_M
-            if level > 0.0 and flags[v, u] & REFLECTIVE_FLAG:
-                z = membrane[v, u] * CLEAN_UNIT_M
-                facing, growth = np.uint8(255), 1.0
-            elif level > 0.0 and flags[v, u] & EDGE_FLAG and r[u] > 1.0 - flying:
-                other = z
-                for dv in range(-1, 2):
-                    for du in range(-1, 2):
-                        j, i = min(max(v + dv, 0), height - 1), min(max(u + du, 0), width - 1)
-                        beside = behind[j, i] * CLEAN_UNIT_M
-                        if beside > 0.0 and abs(beside - z) > abs(other - z):
-                            other = beside
-                z += r[u + width] * (other - z)
-            shared = fixed_share * fixed[v & wrap, u & wrap]
-            shared += moving_share * moving[(v + mv) & wrap, (u + mu) & wrap]
-            noise = sigma_m[facing] * growth * g[u] + shared_m[facing] * growth * shared
-            z = z * scale + level * (bias_m[v, u] + drift_m) + noise
-            out[v, u] = min(max(int(z / unit_m + 0.5), 1), 65534)
+            z = behind[v, u] * CLEAN_UNIT_M
+            growth = errors.near_share + (1.0 - errors.near_share) * z / _NAMED_AT_M
+            if level > 0.0 and images.flags[v, u] & REFLECTIVE_FLAG:
+                # The membrane's prints hide what is behind them.
+                z = images.membrane[v, u] * CLEAN_UNIT_M
+                cosine, growth = np.uint8(255), 1.0
+            elif level > 0.0 and images.flags[v, u] & EDGE_FLAG and uniform[u] > 1.0 - errors.flying_share:
+                z += uniform[u + width] * (_across_edge(behind, v, u, z) - z)
+            shared = _shared_at(errors.shared, v, u, moved)
+            noise = errors.white_sigma_m[cosine] * growth * white[u] + errors.shared_sigma_m[cosine] * growth * shared
+            z = z * errors.scale + level * (errors.bias_m[v, u] + drift_m) + noise
+            out[v, u] = min(max(int(z / errors.unit_m + 0.5), 1), 65534)
 
 
 @compiled
-def _stereo(
-    seed: int,
-    frame: int,
-    level: float,
-    unit_m: float,
-    focal_baseline: float,
-    clean: Uint16Array,
-    steps: float,
-    white_px: float,
-    fixed_px: float,
-    moving_px: float,
-    fixed: Float32Array,
-    moving: Float32Array,
-    holes: Float32Array,
-    hole_from: float,
-    saturated_from: float,
-    gaussian: Float32Array,
-    out: Uint16Array,
-) -> None:
+def _measure_stereo(random: _Random, clean: Uint16Array, errors: _StereoErrors, out: Uint16Array) -> None:
+    """Fill in the counts of a stereo camera, whose errors are those of the disparity ``focal_baseline / z``."""
     height, width = clean.shape
-    room = gaussian.size - width
-    wrap = moving.shape[0] - 1
-    mv, mu = _hash(seed, frame, int64(2), int64(0)) & wrap, _hash(seed, frame, int64(2), int64(1)) & wrap
-    hv, hu = _hash(seed, frame, int64(3), int64(0)) & wrap, _hash(seed, frame, int64(3), int64(1)) & wrap
+    wrap = errors.holes.shape[0] - 1
+    moved = _displacement(errors.shared.moving, random, _STEREO_MOVING)
+    down, right = _displacement(errors.holes, random, _STEREO_HOLES)
     for v in range(height):
-        g = gaussian[_hash(seed, frame, int64(7), v) % room :]
+        white = random.gaussian[_row_start(random, _STEREO_WHITE, v, width) :]
         for u in range(width):
-            count = clean[v, u]
             out[v, u] = 0
-            if count == 0:
+            if clean[v, u] == 0:
                 continue
-            disparity = focal_baseline / (count * CLEAN_UNIT_M)
-            if level > 0.0:
+            disparity = errors.focal_baseline / (clean[v, u] * CLEAN_UNIT_M)
+            if errors.level > 0.0:
                 # What lies left of the right imager's view has no match.
-                hole = holes[(v + hv) & wrap, (u + hu) & wrap]
-                if u < disparity or hole > hole_from:
-                    out[v, u] = 65535 if u >= disparity and hole > saturated_from else 0
+                hole = errors.holes[(v + down) & wrap, (u + right) & wrap]
+                if u < disparity or hole > errors.hole_from:
+                    out[v, u] = 65535 if u >= disparity and hole > errors.saturated_from else 0
                     continue
-                noise = fixed_px * fixed[v & wrap, u & wrap]
-                noise += moving_px * moving[(v + mv) & wrap, (u + mu) & wrap]
-                disparity += level * (noise + white_px * g[u])
-                if steps > 0.0:
-                    disparity = int(disparity * steps + 0.5) / steps
-            out[v, u] = min(int(focal_baseline / (disparity * unit_m) + 0.5), 65534)
+                disparity += errors.level * (_shared_at(errors.shared, v, u, moved) + errors.white_sigma_px * white[u])
+                if errors.subpixel_steps > 0.0:
+                    disparity = int(disparity * errors.subpixel_steps + 0.5) / errors.subpixel_steps
+            out[v, u] = min(int(errors.focal_baseline / (disparity * errors.unit_m) + 0.5), 65534)
 
 
 @compiled
-def _grain(
-    seed: int,
-    frame: int,
-    stream: int,
-    clean: Uint8Array,
-    bank: npt.NDArray[np.int8],
-    out: Uint8Array,
-) -> None:
+def _add_grain(random: _Random, stream: int64, clean: Uint8Array, bank: npt.NDArray[np.int8], out: Uint8Array) -> None:
+    """Add the noise of a colour camera to the bytes of an image (H, 3 W)."""
     height, width = clean.shape
-    room = bank.size - width
     for v in range(height):
-        grain = bank[_hash(seed, frame, stream, v) % room :]
+        grain = bank[_row_start(random, stream, v, width) :]
         for u in range(width):  # 16 bits hold every sum; wider numbers would take twice as long
             level = np.int16(clean[v, u]) + np.int16(grain[u])
             out[v, u] = np.uint8(min(max(level, np.int16(0)), np.int16(255)))
@@ -187,30 +224,16 @@ class NoiseModel:
     def __init__(self, rig: Rig, seed: int, level: float, sensor: SensorModel | None = None) -> None:
         sensor = sensor or SENSORS[DEFAULT_SENSOR]
         level = 0.0 if sensor.exact else level
-        self._rig, self._seed, self._level, self.sensor = rig, seed, level, sensor
+        self._seed, self.sensor = seed, sensor
+        # The order in which the generator is asked is part of what a seed means.
         rng = np.random.default_rng([seed, 2])
         self._gaussian = rng.standard_normal(_BANK, dtype=np.float32)
         self._uniform = rng.random(_BANK, dtype=np.float32)
-        self._grain_bank = np.clip(np.round(sensor.colour_levels * level * self._gaussian), -127, 127).astype(np.int8)
-        length_px = sensor.stereo_length_px * rig.tactile.intrinsics.width / _NAMED_WIDTH_PX
-        self._fixed, self._moving = _smooth_field(rng, length_px), _smooth_field(rng, length_px)
-        self._holes = _smooth_field(rng, sensor.stereo_hole_px * rig.tactile.intrinsics.width / _NAMED_WIDTH_PX)
-        self._bias = _bias(rng, sensor, rig.proximity.intrinsics.shape)
-        self._phase = rng.uniform(0.0, 2 * np.pi)
-        self._tof_fixed = self._tof_moving = np.zeros((1, 1), dtype=np.float32)
-        if sensor.tof_correlated_m > 0.0:
-            length_px = sensor.tof_correlated_px * rig.proximity.intrinsics.width / _NAMED_WIDTH_PX
-            self._tof_fixed, self._tof_moving = _smooth_field(rng, length_px), _smooth_field(rng, length_px)
-        cosine = np.linspace(0.0, 1.0, 256)
-        growth = np.minimum(1.0 / np.maximum(cosine, 0.05), 6.0)
-        growth = 1.0 - sensor.tof_incidence_share + sensor.tof_incidence_share * growth
-        self._sigma = (level * sensor.tof_white_m * growth).astype(np.float32)
-        self._shared = (level * sensor.tof_correlated_m * growth).astype(np.float32)
-        grazing = np.clip((_GRAZING_COSINE - cosine) / _GRAZING_COSINE, 0.0, 1.0)
-        dropout = sensor.tof_dropout_share + sensor.tof_grazing_dropout_share * grazing
-        self._dropout = (level * dropout).astype(np.float32)
-        self._hole_from = float(np.quantile(self._holes, 1 - min(sensor.stereo_hole_share * level, 0.5)))
-        self._saturated_from = float(np.quantile(self._holes, 1 - min(sensor.stereo_saturated_share * level, 0.5)))
+        self._grain = np.clip(np.round(sensor.colour_levels * level * self._gaussian), -127, 127).astype(np.int8)
+        self._stereo = _stereo_errors(rng, rig.tactile, level, sensor)
+        bias_m = _bias(rng, sensor, rig.proximity.intrinsics.shape)
+        self._drift_phase = rng.uniform(0.0, 2 * np.pi)
+        self._tof = _tof_errors(rng, rig.proximity, level, sensor, bias_m)
 
     def proximity_depth(
         self,
@@ -223,35 +246,80 @@ class NoiseModel:
         """Return the time-of-flight measurement behind the membrane in raw counts."""
         out = np.empty_like(behind)
         sensor = self.sensor
-        drift = sensor.tof_drift_m * np.sin(2 * np.pi * frame / sensor.tof_drift_frames + self._phase)
-        scale, flying = 1.0 + self._level * (sensor.tof_scale - 1.0), min(sensor.tof_flying_share * self._level, 1.0)
-        _time_of_flight(
-            self._seed, frame, self._level, self._rig.proximity.depth_unit_m, scale, drift, flying,
-            1.0 - sensor.tof_distance_share, behind, membrane, cosine, flags, self._bias, self._sigma, self._shared,
-            *_parts(sensor.tof_correlated_fixed_share), self._tof_fixed, self._tof_moving, self._dropout,
-            self._gaussian, self._uniform, out,
-        )  # fmt: skip
+        drift_m = sensor.tof_drift_m * np.sin(2 * np.pi * frame / sensor.tof_drift_frames + self._drift_phase)
+        images = _TofImages(behind, membrane, cosine, flags)
+        _measure_tof(self._random(frame), images, self._tof, drift_m, out)
         return out
 
     def tactile_depth(self, frame: int, clean: Uint16Array) -> Uint16Array:
         """Return the stereo measurement of the membrane in raw counts; 0 and 65535 where there is no match."""
         out = np.empty_like(clean)
-        tactile, sensor = self._rig.tactile, self.sensor
-        fixed, moving = _parts(sensor.stereo_fixed_share)
-        _stereo(
-            self._seed, frame, self._level, tactile.depth_unit_m, tactile.intrinsics.fx * sensor.stereo_baseline_m,
-            clean, sensor.stereo_subpixel_steps, sensor.stereo_white_px, sensor.stereo_correlated_px * fixed,
-            sensor.stereo_correlated_px * moving, self._fixed, self._moving, self._holes, self._hole_from,
-            self._saturated_from, self._gaussian, out,
-        )  # fmt: skip
+        _measure_stereo(self._random(frame), clean, self._stereo, out)
         return out
 
     def colour(self, frame: int, stream: int, clean: Uint8Array) -> Uint8Array:
-        """Add the grain of a colour camera; ``stream`` tells the cameras apart."""
+        """Add the grain of a colour camera; ``stream``, 0 or 1, tells the cameras apart."""
         out = np.empty_like(clean)
         rows = (clean.shape[0], -1)
-        _grain(self._seed, frame, 4 + stream, clean.reshape(rows), self._grain_bank, out.reshape(rows))
+        random = self._random(frame)
+        _add_grain(random, _COLOUR + stream, clean.reshape(rows), self._grain, out.reshape(rows))
         return out
+
+    def _random(self, frame: int) -> _Random:
+        return _Random(self._seed, frame, self._gaussian, self._uniform)
+
+
+def _stereo_errors(rng: np.random.Generator, camera: DepthCamera, level: float, sensor: SensorModel) -> _StereoErrors:
+    pixels = camera.intrinsics.width / _NAMED_WIDTH_PX
+    fixed, moving = _parts(sensor.stereo_fixed_share)
+    shared = _SharedNoise(
+        sensor.stereo_correlated_px * fixed,
+        sensor.stereo_correlated_px * moving,
+        _smooth_field(rng, sensor.stereo_length_px * pixels),
+        _smooth_field(rng, sensor.stereo_length_px * pixels),
+    )
+    holes = _smooth_field(rng, sensor.stereo_hole_px * pixels)
+    hole_from, saturated_from = (
+        float(np.quantile(holes, 1 - min(share * level, 0.5)))
+        for share in (sensor.stereo_hole_share, sensor.stereo_saturated_share)
+    )
+    return _StereoErrors(
+        level,
+        camera.depth_unit_m,
+        camera.intrinsics.fx * sensor.stereo_baseline_m,
+        sensor.stereo_subpixel_steps,
+        sensor.stereo_white_px,
+        shared,
+        holes,
+        hole_from,
+        saturated_from,
+    )
+
+
+def _tof_errors(
+    rng: np.random.Generator, camera: DepthCamera, level: float, sensor: SensorModel, bias_m: Float32Array
+) -> _TofErrors:
+    fixed = moving = np.zeros((1, 1), dtype=np.float32)
+    if sensor.tof_correlated_m > 0.0:
+        length_px = sensor.tof_correlated_px * camera.intrinsics.width / _NAMED_WIDTH_PX
+        fixed, moving = _smooth_field(rng, length_px), _smooth_field(rng, length_px)
+    cosine = np.linspace(0.0, 1.0, 256)
+    growth = np.minimum(1.0 / np.maximum(cosine, 0.05), 6.0)
+    growth = 1.0 - sensor.tof_incidence_share + sensor.tof_incidence_share * growth
+    grazing = np.clip((_GRAZING_COSINE - cosine) / _GRAZING_COSINE, 0.0, 1.0)
+    dropout = sensor.tof_dropout_share + sensor.tof_grazing_dropout_share * grazing
+    return _TofErrors(
+        level,
+        camera.depth_unit_m,
+        1.0 + level * (sensor.tof_scale - 1.0),
+        min(sensor.tof_flying_share * level, 1.0),
+        1.0 - sensor.tof_distance_share,
+        bias_m,
+        (level * sensor.tof_white_m * growth).astype(np.float32),
+        (level * sensor.tof_correlated_m * growth).astype(np.float32),
+        (level * dropout).astype(np.float32),
+        _SharedNoise(*_parts(sensor.tof_correlated_fixed_share), fixed, moving),
+    )
 
 
 def _smooth_field(rng: np.random.Generator, sigma_px: float) -> Float32Array:

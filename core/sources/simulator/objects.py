@@ -49,7 +49,12 @@ _NORMAL_STEP: Final = 2e-6
 
 
 def compiled(function: _Kernel) -> _Kernel:
-    """Compile a kernel: cached on disk, without the interpreter lock, bit-reproducible."""
+    """Compile a kernel that creates no arrays: cached on disk, without the interpreter lock, bit-reproducible."""
+    return cast(_Kernel, kernel(function, error_model="numpy"))
+
+
+def allocating(function: _Kernel) -> _Kernel:
+    """Compile a kernel that creates arrays, otherwise as `compiled`; it counts references, which is slower."""
     return cast(_Kernel, kernel(function, allocates=True, error_model="numpy"))
 
 

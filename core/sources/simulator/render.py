@@ -14,7 +14,7 @@ import numpy as np
 
 from ...model.arrays import Float32Array, Float64Array, Int32Array, Uint8Array
 from ...model.intrinsics import Intrinsics
-from .objects import compiled, distance, normal
+from .objects import allocating, compiled, distance, normal
 
 #: One count of the clean depth images, metres.
 CLEAN_UNIT_M: Final = 2e-5
@@ -125,7 +125,7 @@ def _rasterise(
                     attributes[v, u, k] = ka * values[a, k] + kb * values[b, k] + kc * values[c, k]
 
 
-@compiled
+@allocating
 def node_normals(nodes: Float64Array, triangles: Int32Array) -> Float64Array:
     """Return the membrane's outward unit normals at its nodes, weighted by triangle area."""
     normals = np.zeros_like(nodes)
