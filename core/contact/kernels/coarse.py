@@ -298,6 +298,40 @@ def _any_reaches(corners: Any, lane: Any, lowest: Any, highest: Any, tactile: An
 
 
 @inline
+def _proximity_range(ranges: Any, start: Any, alignment: Any, limits: Any) -> Any:
+    """Return the proximity depths of tiles within the limits, from near to far, metres, and whether there are any."""
+    low, high = load(ranges[0], start), load(ranges[1], start)
+    near = greater(to_floats(low) * floats(alignment.proximity_unit_m), floats(limits.nearest_m))
+    far = lesser(to_floats(high) * floats(alignment.proximity_unit_m), floats(limits.farthest_m))
+    return near, far, (low <= high) & (near <= far)
+
+
+@inline
+def _seen_at(near: Any, far: Any, tables: Any, start: Any, plane: Any, alignment: Any) -> Any:
+    """Return left, right, top, bottom (tactile pixels) and the range of expected depths of tiles from near to far."""
+    if alignment.rigid:
+        left, right, top, bottom, low, high = _rectangle_at(near, tables, start, alignment)
+        far_left, far_right, far_top, far_bottom, far_low, far_high = _rectangle_at(far, tables, start, alignment)
+        left, right = lesser(left, far_left), greater(right, far_right)
+        top, bottom = lesser(top, far_top), greater(bottom, far_bottom)
+        low, high = lesser(low, far_low), greater(high, far_high)
+    else:
+        left, right = load(tables, start), load(tables, plane + start)
+        top, bottom = load(tables, 2 * plane + start), load(tables, 3 * plane + start)
+        low, high = near, far
+    return left, right, top, bottom, low, high
+
+
+@inline
+def _square_reaches(spread: Any, place: Any, lowest: Any, highest: Any, alignment: Any) -> Any:
+    """Tell whether the squares of `_SPAN` tiles at ``place`` have a depth from ``lowest`` to ``highest``."""
+    low, high = gather(spread[2], place), gather(spread[3], place)
+    a = to_floats(low) * floats(alignment.tactile_unit_m) + floats(alignment.tactile_offset_m)
+    b = to_floats(high) * floats(alignment.tactile_unit_m) + floats(alignment.tactile_offset_m)
+    return (lesser(a, b) <= highest) & (greater(a, b) >= lowest) & (low <= high)
+
+
+@inline
 def _measure_ranges(images: Any, size: Any, tiles: Any, buffers: Any) -> None:
     """Fill the buffers with the ranges of counts of all tiles of both images."""
     lows, highs = buffers.proximity[0], buffers.proximity[1]
@@ -338,48 +372,34 @@ def _mark_tiles(images: Any, alignment: Any, tables: Any, limits: Any, margin: A
     for start in range(0, plane, LANES):
         for i in range(start, min(start + LANES, flat_tiles.shape[0])):
             flat_tiles[i] = False
-        low, high = load(buffers.proximity[0], start), load(buffers.proximity[1], start)
-        near = greater(to_floats(low) * floats(alignment.proximity_unit_m), floats(limits.nearest_m))
-        far = lesser(to_floats(high) * floats(alignment.proximity_unit_m), floats(limits.farthest_m))
-        has_depth = (low <= high) & (near <= far)
+        near, far, has_depth = _proximity_range(buffers.proximity, start, alignment, limits)
         if bits(has_depth) == 0:
             continue
-        too_near = flags(0)
-        if alignment.rigid:
-            left, right, top, bottom, z_low, z_high = _rectangle_at(near, tables, start, alignment)
-            far_left, far_right, far_top, far_bottom, far_low, far_high = _rectangle_at(far, tables, start, alignment)
-            left, right = lesser(left, far_left), greater(right, far_right)
-            top, bottom = lesser(top, far_top), greater(bottom, far_bottom)
-            expected_low, expected_high = lesser(z_low, far_low), greater(z_high, far_high)
-            too_near = has_depth & (expected_low < floats(_MIN_Z))
-        else:
-            left, right = load(tables, start), load(tables, plane + start)
-            top, bottom = load(tables, 2 * plane + start), load(tables, 3 * plane + start)
-            expected_low, expected_high = near, far
+        left, right, top, bottom, expected_low, expected_high = _seen_at(near, far, tables, start, plane, alignment)
+        too_near = has_depth & (expected_low < floats(_MIN_Z)) if alignment.rigid else flags(0)
         sees = (right >= floats(-_HALF)) & (left < floats(np.float32(size.tactile_width) - _HALF)) & (left <= right)
         sees = sees & (bottom >= floats(-_HALF)) & (top < floats(np.float32(size.tactile_height) - _HALF))
+        lowest, highest = _accepted_range(expected_low, expected_high, limits.tolerance, margin)
 
+        # First all lanes at once, by the range of depths over a square of tiles that holds the rectangle.
         first_column, last_column = _tile_of(left, LANES, tactile_columns), _tile_of(right, LANES, tactile_columns)
         first_row, last_row = _tile_of(top, TILE_ROWS, tactile_rows), _tile_of(bottom, TILE_ROWS, tactile_rows)
         fits = (last_column - first_column < ints(np.int32(_SPAN))) & (last_row - first_row < ints(np.int32(_SPAN)))
-        lowest, highest = _accepted_range(expected_low, expected_high, limits.tolerance, margin)
         place = first_row * ints(np.int32(tactile_columns)) + first_column
         place = where(has_depth & ~too_near, place, ints(_NOTHING))
-        low_count, high_count = gather(buffers.spread[2], place), gather(buffers.spread[3], place)
-        one_end = to_floats(low_count) * floats(alignment.tactile_unit_m) + floats(alignment.tactile_offset_m)
-        other_end = to_floats(high_count) * floats(alignment.tactile_unit_m) + floats(alignment.tactile_offset_m)
-        reaches = (lesser(one_end, other_end) <= highest) & (greater(one_end, other_end) >= lowest)
-        reaches = reaches & (low_count <= high_count)
+        reaches = _square_reaches(buffers.spread, place, lowest, highest, alignment)
         remaining = bits(has_depth & (too_near | (sees & (reaches | ~fits))))
-        certain = bits(too_near)
         if remaining == 0:
             continue
+
+        # Then each remaining lane, by the ranges of the rectangle's own tiles.
         store(corners, 0, first_column)
         store(corners, LANES, last_column)
         store(corners, 2 * LANES, first_row)
         store(corners, 3 * LANES, last_row)
         store(lowest_of, 0, lowest)
         store(highest_of, 0, highest)
+        certain = bits(too_near)
         while remaining != 0:
             lane = count_trailing_zeros(remaining)
             remaining &= remaining - 1

@@ -115,6 +115,19 @@ def _median(values: Any, count: int) -> float:
     return float(values[count // 2])
 
 
+@inline
+def _fit_disc(inverse: Any, u: float, v: float, radius: int, equations: Any, nearest: Any) -> float:
+    """Solve the equations of a disc; return the inverse depth that tells its surface, nan if it has too few depths."""
+    known = _find_nearest(inverse, u, v, radius, nearest)
+    if known * _stride(radius) ** 2 < _MIN_SHARE * math.pi * radius**2 or known < _MIN_COUNT:
+        return math.nan
+    middle = _median(nearest[1], min(known, NEAREST))
+    same = _gather(inverse, u, v, radius, middle, equations)
+    if same < max(_MIN_SHARE * known, _MIN_COUNT) or not _solve(equations):
+        return math.nan
+    return middle
+
+
 @kernel
 def fit_inverse_depths(
     inverse: Float64Array,
@@ -128,7 +141,9 @@ def fit_inverse_depths(
 ) -> None:
     """Fit quadratics to inverse depth in growing discs around dots, while the fits agree (Lepski 1991).
 
-    Discs with too few pixels with depth are skipped.
+    A larger disc averages more noise, until the surface in it is no quadratic any more. So the largest disc is taken up
+    to which the intervals ``fit +- _AGREES_WITHIN * sigma`` of all discs have a point in common. Discs with too few
+    depths are skipped.
 
     Parameters
     ----------
@@ -151,23 +166,21 @@ def fit_inverse_depths(
     for dot in range(len(pixels)):
         u, v = pixels[dot, 0], pixels[dot, 1]
         out[dot] = math.nan
-        low, high = -math.inf, math.inf
+        low, high = -math.inf, math.inf  # what the intervals have in common
         for radius in radii:
-            if radius > _MAX_HOLE_PX and math.isnan(out[dot, 0]):
+            found = not math.isnan(out[dot, 0])
+            if radius > _MAX_HOLE_PX and not found:
                 break
-            stride = _stride(radius)
-            known, same, middle = _find_nearest(inverse, u, v, radius, nearest), 0, math.nan
-            if known * stride**2 >= _MIN_SHARE * math.pi * radius**2 and known >= _MIN_COUNT:
-                middle = _median(nearest[1], min(known, NEAREST))
-                same = _gather(inverse, u, v, radius, middle, scratch)
-            if same < max(_MIN_SHARE * known, _MIN_COUNT) or not _solve(scratch):
-                if math.isnan(out[dot, 0]):
-                    continue
-                break
-            fit, share = scratch[0, _TERMS], scratch[0, _TERMS + 1]
-            if share > 1.0:  # noisier than one pixel: the dot lies in a hole and the fit extrapolates
+            middle = _fit_disc(inverse, u, v, radius, scratch, nearest)
+            if math.isnan(middle):
+                if found:
+                    break
                 continue
-            sigma = noise * min(math.sqrt(share * max(pixels_a_sample / stride**2, 1.0)), 1.0)
+            fit, variance_share = scratch[0, _TERMS], scratch[0, _TERMS + 1]
+            if variance_share > 1.0:  # noisier than one pixel: the dot lies in a hole and the fit extrapolates
+                continue
+            shared_by = max(pixels_a_sample / _stride(radius) ** 2, 1.0)
+            sigma = noise * min(math.sqrt(variance_share * shared_by), 1.0)
             low, high = max(low, fit - _AGREES_WITHIN * sigma), min(high, fit + _AGREES_WITHIN * sigma)
             if low > high:
                 break
