@@ -75,13 +75,13 @@ class Collector(QObject):
         super().__init__(parent)
         self._feed = feed
         self._frames: list[SensorFrame] = []
-        self._number = 0
-        self._index = -1
+        self._number = 0  # of the first frame, from 1
+        self._index = -1  # of the last frame taken
         self._wanted = 0
         self.asked = 0
         self.moved_on = False
-        self._return_to: int | None = None
-        self._goes_on = False
+        self._return_to: int | None = None  # index of the paused frame from which it started
+        self._goes_on = False  # whether the recording played before, and will again
         self._job = Job(self)
         self._job.progress.connect(
             lambda share, words: self.progress.emit(_WAITING_SHARE + (1 - _WAITING_SHARE) * share, words)
@@ -129,10 +129,11 @@ class Collector(QObject):
         if not self._wanted or any(frame is old for old in self._frames):
             return
         playback = self._feed.playback
-        if playback.seekable and self._frames and playback.index != self._index + 1:  # it played before it was paused
+        is_next = not self._frames or playback.index == self._index + 1
+        if playback.seekable and not is_next:  # it played before it was paused
             self._feed.seek(self._index + 1)
             return
-        if self._return_to is not None and self._frames:
+        if self._return_to is not None and self._frames:  # from a paused frame on
             unit_m = self._feed.info.rig.tactile.depth_unit_m
             self.moved_on = moved_m((self._frames[0], frame), unit_m) > MOVED_LIMIT_M
             if self.moved_on:

@@ -70,15 +70,15 @@ class Capture(QObject):
         super().__init__(parent)
         self._feed, self._store = feed, store
         self._queue: SimpleQueue[SensorFrame | None] = SimpleQueue()
-        self._wanted = 0
+        self._wanted = 0  # frames that are still to come
         #: Number of frames taken so far.
         self.taken = 0
         self._last: SensorFrame | None = None
-        self._played = False
-        self._running = False
-        self._taken_before = 0
-        self._paused = False
-        self._return_to: int | None = None
+        self._has_played = False  # since the start
+        self._was_running = False  # at the last change of playback
+        self._taken_when_resumed = 0
+        self._paused = False  # as last signalled
+        self._return_to: int | None = None  # index of the paused frame from which it started
         self._job = Job(self)
         self._job.progress.connect(self.progress)
         self._job.done.connect(self._done)
@@ -108,8 +108,8 @@ class Capture(QObject):
         self._queue, self._wanted, self.taken, self._last = SimpleQueue(), different, 0, None
         queue, still = self._queue, not playback.running
         self._return_to = playback.index if still and playback.seekable else None
-        self._played = self._running = not still
-        self._taken_before = 0
+        self._has_played = self._was_running = not still
+        self._taken_when_resumed = 0
         shift = playback.index + 1 - frame.sequence
         self._job.start(lambda progress: self._average(_arriving(queue, different, progress), count, shift))
         self._take(frame)
@@ -154,14 +154,15 @@ class Capture(QObject):
         A truncated recording, shorter than it states, pauses like any other but gives no frame when it continues.
         """
         playback = self._feed.playback
-        if playback.running and not self._running:
-            self._taken_before = self.taken
-        halted = self._running and not playback.running
-        self._running = playback.running
-        self._played = self._played or playback.running
-        stopped = self._played and not playback.running
-        nothing_came = halted and playback.seekable and self.taken == self._taken_before
-        if nothing_came or (stopped and playback.at_end and not playback.loop):
+        if playback.running and not self._was_running:
+            self._taken_when_resumed = self.taken
+        halted = self._was_running and not playback.running
+        self._was_running = playback.running
+        self._has_played = self._has_played or playback.running
+        stopped = self._has_played and not playback.running
+        ended = stopped and playback.at_end and not playback.loop
+        truncated = halted and playback.seekable and self.taken == self._taken_when_resumed
+        if ended or truncated:
             self.use_taken()
         self._set_paused(stopped and self._wanted > 0)
 

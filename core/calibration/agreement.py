@@ -300,33 +300,50 @@ def _weigh(
     shape: tuple[int, ...],
     degrees: int,
 ) -> list[_Kind]:
-    """Return each kind of error with its posterior probability and its most likely size."""
-    total = float(rest @ rest)
-    kinds, evidence, priors = [], [], []
+    """Return each kind of error with its posterior probability and its most likely size.
+
+    The rest is what the fit, with its design ``rows`` and their orthonormal ``basis`` Q, leaves of the residuals.
+    """
+    made = []
     for name, of_pairs in shapes.items():
         error = np.zeros((*shape, of_pairs.shape[2]))
         error[:, :2] = of_pairs
         scale = 1.0 / float(np.sqrt((error[:, :2] ** 2).sum() / (2 * len(error))))
         error = scale * error.reshape(len(rest), -1)
         visible = error - basis @ (basis.T @ error)
-        values, vectors = np.linalg.eigh(visible.T @ visible)
-        kept = values > _ABSORBED * values[-1]
-        values = values[kept]
-        along = ((visible.T @ rest) @ vectors[:, kept]) ** 2 / values
-        growth = 1.0 + _VARIANCES[:, None] * values
-        noise = np.maximum(total - along.sum() + (along / growth).sum(axis=1), 1e-12 * total + 1e-300) / degrees
-        gain = -0.5 * (degrees * np.log(noise * degrees / max(total, 1e-300)) + np.log(growth).sum(axis=1))
-        best = int(gain.argmax())
-        evidence.append(np.exp(np.minimum(gain, 600.0)).mean())
-        priors.append(1.0 / (len(_LENGTHS) + 1 if name.startswith(("field", "noise")) else 1))
-        size = float(np.sqrt(_VARIANCES[best] * noise[best]))
-        kinds.append((name, float(noise[best]), size, scale, rows.T @ error))
-    odds = _PRIOR_ODDS * np.array(evidence) * priors / sum(priors)
+        log_likelihoods, noises = _variance_component(visible, rest, degrees)
+        best = int(log_likelihoods.argmax())
+        made.append((name, log_likelihoods, float(noises[best]), _VARIANCES[best], scale, rows.T @ error))
+    evidence = np.array([np.exp(np.minimum(log_likelihoods, 600.0)).mean() for _, log_likelihoods, *_ in made])
+    # Fields of several lengths and noise are variants of one kind of error: they share one prior.
+    priors = [1.0 / (len(_LENGTHS) + 1 if name.startswith(("field", "noise")) else 1) for name, *_ in made]
+    odds = _PRIOR_ODDS * evidence * priors / sum(priors)
     weights = odds / (1.0 + odds.sum())
     return [
-        _Kind(name, float(weight), noise, size * float(np.sqrt(weight)), scale, absorbed)
-        for (name, noise, size, scale, absorbed), weight in zip(kinds, weights, strict=True)
+        _Kind(name, float(weight), noise, float(np.sqrt(variance * noise)) * float(np.sqrt(weight)), scale, absorbed)
+        for (name, _, noise, variance, scale, absorbed), weight in zip(made, weights, strict=True)
     ]
+
+
+def _variance_component(visible: Float64Array, rest: Float64Array, degrees: int) -> tuple[Float64Array, Float64Array]:
+    """Return the log likelihood against independent noise, and the variance of the noise, for each of `_VARIANCES`.
+
+    With an error F z, z of variance g s^2 beside noise of variance s^2, the rest r has the covariance s^2 (I + g F F').
+    Along the eigenvectors e of F F' with the eigenvalues w, the squares (e'r)^2 are divided by 1 + g w:
+
+        s^2(g) = (r'r - sum (e'r)^2 g w / (1 + g w)) / n
+        log L(g) = -n / 2 log(n s^2 / r'r) - sum log(1 + g w) / 2
+
+    ``visible`` is F without what the fit absorbs, shape (M, K).
+    """
+    total = float(rest @ rest)
+    values, vectors = np.linalg.eigh(visible.T @ visible)
+    kept = values > _ABSORBED * values[-1]
+    values = values[kept]
+    along = ((visible.T @ rest) @ vectors[:, kept]) ** 2 / values
+    growth = 1.0 + _VARIANCES[:, None] * values
+    noise = np.maximum(total - along.sum() + (along / growth).sum(axis=1), 1e-12 * total + 1e-300) / degrees
+    return -0.5 * (degrees * np.log(noise * degrees / max(total, 1e-300)) + np.log(growth).sum(axis=1)), noise
 
 
 def _halves(pairs: Float64Array) -> dict[tuple[str, str], BoolArray]:

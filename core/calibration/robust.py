@@ -104,17 +104,20 @@ def fit_robustly(problem: Problem, use: BoolArray | None = None) -> Fit:
 
 
 def _search(problem: Problem, among: BoolArray) -> list[_Subset]:
-    """Return the best subset of some pairs and its rivals, the best first."""
+    """Return the best subset of some pairs and its rivals, the best first.
+
+    All pairs together are tried first. Minimal samples propose other subsets, unless the pairs are many and all fit.
+    """
     found: dict[bytes, _Subset] = {}
     _refine(problem, among, among, found)
-    first = max(found.values(), key=lambda subset: subset.evidence, default=None)
-    few = among.sum() <= _FEW
-    if few or first is None or first.solution.noise_factor > _USUAL_NOISE or first.used.sum() < 0.8 * among.sum():
+    few, all_ = among.sum() <= _FEW, _best(found)
+    usual = all_ is not None and all_.solution.noise_factor <= _USUAL_NOISE and all_.used.sum() >= 0.8 * among.sum()
+    if few or not usual:
         for used in _proposals(problem, among):
             _refine(problem, used, among, found)
-    if not found:
+    best = _best(found)
+    if best is None:
         return []
-    best = max(found.values(), key=lambda subset: subset.evidence)
     if few:
         for pair in np.flatnonzero(best.used):
             fewer = best.used.copy()
@@ -122,6 +125,10 @@ def _search(problem: Problem, among: BoolArray) -> list[_Subset]:
             _add(problem, fewer, among, found, best.solution.theta)
     ranked = sorted(found.values(), key=lambda subset: -subset.evidence)
     return [subset for subset in ranked if subset.evidence > ranked[0].evidence - _RIVAL]
+
+
+def _best(found: dict[bytes, _Subset]) -> _Subset | None:
+    return max(found.values(), key=lambda subset: subset.evidence, default=None)
 
 
 def _proposals(problem: Problem, among: BoolArray) -> list[BoolArray]:

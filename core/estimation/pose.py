@@ -285,21 +285,23 @@ class PoseTracker:
         self, tiles: PatchPoints, film: Membrane, patch_px: int, time_s: float, progress: Callable[[float], None]
     ) -> Searched | None:
         """Return the fit of the next frame; None if there is none yet, or if the object is lost and not found."""
-        mesh = self.mesh
+        mesh, pose = self.mesh, self._pose
         found: Searched | None = None
-        if self._pose is not None:
+        # 1. From where the last motion leads. If that fits badly, a search near the last fit must be clearly better.
+        if pose is not None:
             near = fit(mesh, tiles, self._predicted(time_s))
             found = Searched(near, two_way_m(mesh, near, film, patch_px))
             good = near.overlap > _GOOD_OVERLAP and found.cost_m < _GOOD_M
             if not good and self._may_search(time_s, everywhere=False):
                 around = self._last or near
-                other = search_near(mesh, tiles, film, patch_px, around, self._pose, progress)
+                other = search_near(mesh, tiles, film, patch_px, around, pose, progress)
                 if other.cost_m < _BETTER * found.cost_m:
-                    found, self._time_s = self._nearest_equal(other, self._pose), math.nan  # a jump is no velocity
+                    found, self._time_s = self._nearest_equal(other, pose), math.nan  # a jump is no velocity
+        # 2. In any orientation.
         if (found is None or _is_lost(found)) and self._may_search(time_s, everywhere=True):
             found, self._time_s = search(mesh, tiles, film, patch_px, progress), math.nan
-            if self._pose is not None:
-                found = self._nearest_equal(found, self._pose)
+            if pose is not None:
+                found = self._nearest_equal(found, pose)
         return None if found is None or _is_lost(found) else found
 
     def _nearest_equal(self, found: Searched, pose: Float64Array) -> Searched:

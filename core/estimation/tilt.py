@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -235,40 +235,66 @@ class TiltEstimator:
         """Return the plane (a, b, c), its covariance, and the part of it that changes from frame to frame.
 
         With a gain G the estimate is the plane of the points less G times the modes of the difference. Its error is
-        linear in the errors of both cameras.
+        linear in the errors of both cameras. It is averaged over the amplitudes of the slow error by their chances.
         """
         plane = fit.matrix[:3] @ cells.inverse_m
-        near, near_fixed = fit.covariance(self._proximity, averaged_frames)
-        far, far_fixed = fit.covariance(self._tactile, averaged_frames)
-        slow_m, prior = np.array([_USUAL_SLOW_M if self._slow_m is None else self._slow_m]), np.ones(1)
-        if self._slow_m is None and cells.difference_m is not None:
-            slow_m, prior = SLOW_M, SLOW_CHANCE
-        slow = (slow_m**2)[:, None, None] * fit.covariance(self._slow, 1)[0]
-        far_all = far + _OWN_SLOW**2 * slow
-        own_slow = 1 - tactile_weight * (1 - _SHARED_SLOW)  # of the points' depth
-        chance = np.ones(len(slow_m))
-        gains, shifts = np.zeros((len(slow_m), 3, len(near) - 3)), np.zeros((len(slow_m), 3))
+        errors = self._errors(fit, averaged_frames)
+        modes, chance, gains = np.zeros(len(errors.near) - 3), errors.prior, np.zeros((1, 3, len(errors.near) - 3))
         if cells.difference_m is not None:
             modes = fit.matrix[3:] @ (-cells.difference_m * cells.inverse_m**2)
-            both = (near + far_all + (1 - _SHARED_SLOW) ** 2 * slow)[:, 3:, 3:]
-            inverse = np.linalg.inv(both)
-            log_chance = -0.5 * (np.einsum("i,sij,j->s", modes, inverse, modes) + np.linalg.slogdet(both)[1])
-            chance = prior * np.exp(log_chance - log_chance.max())
-            if self.method == "noise":
-                cross = (1 - tactile_weight) * near - tactile_weight * far_all + own_slow * (1 - _SHARED_SLOW) * slow
-                gains = cross[:, :3, 3:] @ inverse
-                shifts = gains @ modes
-        chance /= chance.sum()
+            chance, gains = errors.explain(modes, tactile_weight)
+            if self.method == "pca":
+                gains = np.zeros_like(gains)
+        shifts = gains @ modes
         shift = chance @ shifts
+
         from_near, from_far = _operators(tactile_weight, gains)
         from_slow = from_near + _SHARED_SLOW * from_far
-        parts = ((from_near, near), (from_far, far_all), (from_slow, slow))
-        each = sum(np.asarray(to @ errors @ to.swapaxes(1, 2)) for to, errors in parts)
+        parts = ((from_near, errors.near), (from_far, errors.far), (from_slow, errors.slow))
+        each = sum(np.asarray(to @ error @ to.swapaxes(1, 2)) for to, error in parts)
         away = shifts - shift
         covariance = np.tensordot(chance, each, 1) + (away.T * chance) @ away + fit.unknown
         from_near, from_far = _operators(tactile_weight, np.tensordot(chance, gains, 1))
-        changing = from_near @ (near - near_fixed) @ from_near.T + from_far @ (far - far_fixed) @ from_far.T
+        changing = from_near @ errors.near_changing @ from_near.T + from_far @ errors.far_changing @ from_far.T
         return plane - shift, covariance, changing
+
+    def _errors(self, fit: Functionals, averaged_frames: int) -> _Errors:
+        near, near_fixed = fit.covariance(self._proximity, averaged_frames)
+        far, far_fixed = fit.covariance(self._tactile, averaged_frames)
+        slow_m, prior = np.array([_USUAL_SLOW_M if self._slow_m is None else self._slow_m]), np.ones(1)
+        if self._slow_m is None and fit.cells.difference_m is not None:
+            slow_m, prior = SLOW_M, SLOW_CHANCE
+        slow = (slow_m**2)[:, None, None] * fit.covariance(self._slow, 1)[0]
+        return _Errors(near, near - near_fixed, far + _OWN_SLOW**2 * slow, far - far_fixed, slow, prior)
+
+
+class _Errors(NamedTuple):
+    """Covariances of the errors of the eight functionals, (8, 8), or (S, 8, 8) for S amplitudes of the slow error.
+
+    The proximity depth has the errors ``near`` and ``slow``, the tactile depth ``far`` and `_SHARED_SLOW` of ``slow``.
+    ``prior`` are the chances of the amplitudes, (S,).
+    """
+
+    near: Float64Array
+    near_changing: Float64Array
+    far: Float64Array
+    far_changing: Float64Array
+    slow: Float64Array
+    prior: Float64Array
+
+    def explain(self, modes: Float64Array, tactile_weight: float) -> tuple[Float64Array, Float64Array]:
+        """Return the chance of each amplitude, (S,), and its gain, (S, 3, 5), by the modes m of the difference.
+
+        m is normal with the covariance V, so the chance is proportional to ``prior exp(-m' V^-1 m / 2) / |V|^(1/2)``.
+        The best linear prediction of the plane's error is ``G m`` with ``G = cov(plane, m) V^-1``.
+        """
+        of_difference = (self.near + self.far + (1 - _SHARED_SLOW) ** 2 * self.slow)[:, 3:, 3:]
+        inverse = np.linalg.inv(of_difference)
+        log_chance = -0.5 * (np.einsum("i,sij,j->s", modes, inverse, modes) + np.linalg.slogdet(of_difference)[1])
+        chance = self.prior * np.exp(log_chance - log_chance.max())
+        own_slow = 1 - tactile_weight * (1 - _SHARED_SLOW)  # of the points' depth
+        both = (1 - tactile_weight) * self.near - tactile_weight * self.far
+        return chance / chance.sum(), (both + own_slow * (1 - _SHARED_SLOW) * self.slow)[:, :3, 3:] @ inverse
 
 
 def _operators(tactile_weight: float, gains: Float64Array) -> tuple[Float64Array, Float64Array]:

@@ -202,12 +202,9 @@ class _Surface:
 
     def __init__(self, counts: Uint16Array, camera: DepthCamera) -> None:
         self._unit_m = camera.depth_unit_m
-        self._before = _tile_means(counts) * self._unit_m
         self._grid = (counts.shape[0] // _TILE_PX, counts.shape[1] // _TILE_PX)
+        self._before = _tile_means(counts) * self._unit_m
         depth = self._before.reshape(self._grid)
-        row, column = np.mgrid[: self._grid[0], : self._grid[1]]
-        centres = np.column_stack([column.ravel(), row.ravel()]) * _TILE_PX + (_TILE_PX - 1) / 2
-        rays = ray_seen(camera.intrinsics, centres)
         spacing = _TILE_PX / np.array([camera.intrinsics.fy, camera.intrinsics.fx])
         slope_y, slope_x = (np.asarray(slope).ravel() for slope in np.gradient(depth, *spacing))
         whole = cv2.erode(np.isfinite(depth).astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0)
@@ -217,16 +214,19 @@ class _Surface:
                 f"the untouched frame shows the membrane in only {self._inner.sum()} image tiles; check that the "
                 "tactile camera sees the membrane, and capture the untouched frame again"
             )
-        z, x, y = self._before[self._inner], rays[self._inner, 0], rays[self._inner, 1]
+        row, column = np.mgrid[: self._grid[0], : self._grid[1]]
+        centres = np.column_stack([column.ravel(), row.ravel()]) * _TILE_PX + (_TILE_PX - 1) / 2
+        rays = ray_seen(camera.intrinsics, centres)[self._inner]
+        z, x, y = self._before[self._inner], rays[:, 0], rays[:, 1]
+        moves = _moves(np.column_stack([x * z, y * z, z]))
+        # A point moves by (dX, dY, dZ), and its ray by dx = (dX - x dZ) / z. The tile then shows another point of the
+        # surface, so its depth changes by dZ less the slope times the ray's motion.
+        ray_dx = (moves[:, 0] - x[:, None] * moves[:, 2]) / z[:, None]
+        ray_dy = (moves[:, 1] - y[:, None] * moves[:, 2]) / z[:, None]
+        slope_x, slope_y = slope_x[self._inner, None], slope_y[self._inner, None]
+        self.columns: Float64Array = moves[:, 2] - slope_x * ray_dx - slope_y * ray_dy
         rim_m, apex_m = (float(depth) for depth in np.quantile(z, [0.02, 0.98]))
         self.bulge_m = apex_m - rim_m
-        moves = _moves(np.column_stack([x * z, y * z, z]))
-        # Another point of the surface is seen at the tile then, by as much as the motion shifts points in the image.
-        shift_x = (moves[:, 0] - x[:, None] * moves[:, 2]) / z[:, None]
-        shift_y = (moves[:, 1] - y[:, None] * moves[:, 2]) / z[:, None]
-        self.columns: Float64Array = (
-            moves[:, 2] - slope_x[self._inner, None] * shift_x - slope_y[self._inner, None] * shift_y
-        )
         bulge = (z - rim_m) / self.bulge_m if self.bulge_m >= MIN_BULGE_M else np.zeros_like(z)
         self._shapes = np.column_stack([np.ones_like(z), x, y, bulge])
 

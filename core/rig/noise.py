@@ -262,7 +262,11 @@ def _camera_noise(
     membrane_m: float | None = None,
     report: Callable[[float], None] = lambda share: None,
 ) -> CameraNoise:
-    """Measure one camera; ``membrane_m`` is the membrane's distance for a time-of-flight camera, None for stereo."""
+    """Measure one camera; ``membrane_m`` is the membrane's distance for a time-of-flight camera, None for stereo.
+
+    All noise is that at one distance: it is divided by its growth with the depth. For stereo that is z^2, and the mean
+    frame becomes ``d - d^2 / z``, a depth with the same noise everywhere (the noise of disparity).
+    """
     depths = _metres(images, camera)
     mean, count = _mean_over_frames(depths)
     seen = count >= _MIN_SEEN * len(depths)
@@ -276,12 +280,14 @@ def _camera_noise(
         growth = np.asarray((mean / distance_m) ** 2, np.float32)
     else:
         distance_m, growth = _growth_with_depth(mean, deviation, seen, membrane_m)
-    share = deviation / growth
-    good = seen & (share <= _FLYING * max(float(np.median(share[seen])), camera.depth_unit_m / 4))
+    at_distance = deviation / growth
+    good = seen & (at_distance <= _FLYING * max(float(np.median(at_distance[seen])), camera.depth_unit_m / 4))
     growth[~good] = np.nan
+
+    # What changes tells the length first: the windows over which surfaces are fitted must be larger.
     changing = _changing_autocovariances(depths, growth, report)
-    parts, length_px = _fit_noise(changing)
-    if parts[1] <= _MIN_CORRELATED * parts.sum():
+    (white_changing, shared_changing, *_), length_px = _fit_noise(changing)
+    if shared_changing <= _MIN_CORRELATED * (white_changing + shared_changing):
         length_px = 0.0
     surface = distance_m - distance_m**2 / mean if membrane_m is None else mean
     divisor = np.ones_like(growth) if membrane_m is None else growth
@@ -497,25 +503,28 @@ def _fit_noise(
 def _seen_covariances(length_px: float, tile_px: int) -> Float64Array:
     """Return the autocovariances at `_LAGS` of noise of variance 1 after a quadratic surface is fitted and subtracted.
 
-    With the covariance C and the projector Q Q' onto the surfaces the residual has the covariance
-    (I - Q Q') C (I - Q Q'). C is that of rows times that of columns. Length 0 is white noise.
+    With the noise's covariance C and the projector Q Q' onto the surfaces the residual has the covariance
+
+        (I - Q Q') C (I - Q Q') = C - (Q (CQ)' + CQ Q' - Q (Q'CQ) Q')
+
+    C is that of rows times that of columns, so CQ needs no matrix of all pairs of pixels. A lag is a shift along a row:
+    the mean of the bracket over all pixels is what the fit takes away. Length 0 is white noise.
     """
-    basis = _quadratics(tile_px)
+    basis = _quadratics(tile_px)  # Q as six images
     places = np.arange(tile_px)
-    along = np.eye(tile_px)
+    of_line = np.eye(tile_px)
     if length_px > 0:
-        along = np.exp(-((places[:, None] - places) ** 2) / (4 * length_px**2))
-    turned = np.einsum("ia,abk,bj->ijk", along, basis, along, optimize=True)
-    inner = np.einsum("ijk,ijl->kl", basis, turned)
-    both = basis @ inner - turned
+        of_line = np.exp(-((places[:, None] - places) ** 2) / (4 * length_px**2))
+    c_q = np.einsum("ia,abk,bj->ijk", of_line, basis, of_line, optimize=True)
+    second_terms = basis @ np.einsum("ijk,ijl->kl", basis, c_q) - c_q
     values = []
     for lag in _LAGS:
         if lag >= tile_px:
             values.append(0.0)
             continue
-        first, second = np.s_[:, : tile_px - lag], np.s_[:, lag:]
-        lost = np.sum(basis[first] * turned[second] - both[first] * basis[second]) / turned[first][..., 0].size
-        values.append(along[0, lag] - lost)
+        left, right = np.s_[:, : tile_px - lag], np.s_[:, lag:]
+        lost = np.sum(basis[left] * c_q[right] - second_terms[left] * basis[right]) / c_q[left][..., 0].size
+        values.append(of_line[0, lag] - lost)
     return np.array(values)
 
 

@@ -248,22 +248,28 @@ def _spline(series: MotionSeries, stretch: slice) -> CubicSpline | None:
 
 
 def _correlate(regressors: Float64Array, shifted: Float64Array) -> Float64Array:
-    """Return the multiple correlation at each delay; nan where the overlap is too small."""
+    """Return the multiple correlation R at each delay; nan where the overlap is too small or nothing moves.
+
+    At each delay y = X b + error by least squares over the n times where both are known, with the normal equations
+    (X'X) b = X'y, and R^2 = (y'X b / n - mean(y)^2) / var(y).
+    """
     both = np.isfinite(shifted) & np.isfinite(regressors[:, 0])
     number = both.sum(axis=1)
+    n = np.maximum(number, 1)
     x = np.nan_to_num(regressors)
     y = np.where(both, shifted, 0.0)
-    rows, columns = np.triu_indices(x.shape[1])
-    moments = np.empty((len(shifted), x.shape[1], x.shape[1]))
-    moments[:, rows, columns] = moments[:, columns, rows] = both.astype(np.float64) @ (x[:, rows] * x[:, columns])
-    n = np.maximum(number, 1)
     mean = y.sum(axis=1) / n
     variance = (y * y).sum(axis=1) / n - mean**2
     known = (number >= _MIN_OVERLAP * number.max()) & (variance > _MIN_VARIANCE * variance.max())
-    targets = (y @ x)[known]
+
+    # X'X of all delays is one product: rows of `both` choose the times, columns are the products of two regressors.
+    rows, columns = np.triu_indices(x.shape[1])
+    squares = np.empty((len(shifted), x.shape[1], x.shape[1]))
+    squares[:, rows, columns] = squares[:, columns, rows] = both.astype(np.float64) @ (x[:, rows] * x[:, columns])
     ridge = 1e-9 * n[known, None, None] * np.eye(x.shape[1])
-    fitted = np.linalg.solve(moments[known] + ridge, targets[:, :, None])[:, :, 0]
-    explained = (targets * fitted).sum(axis=1) / n[known] - mean[known] ** 2
+    products = (y @ x)[known]
+    fitted = np.linalg.solve(squares[known] + ridge, products[:, :, None])[:, :, 0]
+    explained = (products * fitted).sum(axis=1) / n[known] - mean[known] ** 2
     curve: Float64Array = np.full(len(shifted), np.nan)
     curve[known] = np.sqrt(np.clip(explained / variance[known], 0.0, 1.0))
     return curve

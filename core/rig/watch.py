@@ -33,8 +33,7 @@ SUBJECTS: Final[tuple[Subject, ...]] = (
     "depth",
     "alignment",
 )
-#: Harmless change, and its least standard deviation in one look; metres, for a lens the share of lost texture. Noise of
-#: the depth that changes slowly doubles the harmless change of pressure over less than the third of `_SPANS`.
+#: Harmless change, and its least standard deviation in one look; metres, for a lens the share of lost texture.
 _HARMLESS: Final[dict[Subject, float]] = {
     "tactile": 0.00025,
     "proximity": 0.00025,
@@ -206,25 +205,36 @@ class Watchdog:
         values = self._values[subject]
         if subject not in self.readings or len(values) < _SPANS[0]:
             return None
-        harmless = self._harmless(subject)
         if subject in self._told:
-            latest = list(values)[-_SPANS[0] :]
-            if max(map(abs, latest)) > harmless:
-                return None
-            median = float(np.median(latest))
-            self._told.discard(subject)
-            while len(values) > _SPANS[0]:  # those of the time before must not tell it again
-                values.popleft()
-            return WatchReport(subject, "withdrawn", time_s, median, _withdrawn(subject, median))
-        if self._explained(subject):
+            return self._withdraw(subject, time_s)
+        return None if self._explained(subject) else self._tell(subject, time_s)
+
+    def _withdraw(self, subject: Subject, time_s: float) -> WatchReport | None:
+        """Report that a subject is as before, if its latest values are all harmless."""
+        values = self._values[subject]
+        latest = list(values)[-_SPANS[0] :]
+        if max(map(abs, latest)) > self._harmless(subject):
             return None
+        median = float(np.median(latest))
+        self._told.discard(subject)
+        while len(values) > _SPANS[0]:  # those of the time before must not tell it again
+            values.popleft()
+        return WatchReport(subject, "withdrawn", time_s, median, _withdrawn(subject, median))
+
+    def _tell(self, subject: Subject, time_s: float) -> WatchReport | None:
+        """Report a change, if a median over the latest values exceeds what is harmless by more than its noise.
+
+        A large change shows in few values, a small one takes more: the standard error falls with 1 / sqrt(span).
+        """
+        values = self._values[subject]
+        sigma = max(_SIGMA[subject], self._pressure_sigma_m if subject == "pressure" else 0.0)
         for span in _SPANS:
             if len(values) < span:
                 break
             median = float(np.median(list(values)[-span:]))
-            sigma = max(_SIGMA[subject], self._pressure_sigma_m if subject == "pressure" else 0.0)
-            slow = subject == "pressure" and span < _SPANS[2]
-            if abs(median) > (1 + slow) * harmless + _CERTAIN * _MEDIAN * sigma / np.sqrt(span):
+            # Depth noise that changes slowly looks like pressure, so over a short time twice as much is harmless.
+            factor = 2 if subject == "pressure" and span < _SPANS[2] else 1
+            if abs(median) > factor * self._harmless(subject) + _CERTAIN * _MEDIAN * sigma / np.sqrt(span):
                 self._told.add(subject)
                 return WatchReport(subject, "told", time_s, median, self._sentence(subject, median))
         return None

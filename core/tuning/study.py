@@ -190,13 +190,12 @@ class Study:
     def _begin(self, workers: int, running: Collection[int], take_over: bool) -> list[optuna.Trial]:
         """Begin the trials of one batch; none if all have begun. What others have begun may be taken over then."""
         begun = self._study.get_trials(deepcopy=False)
-        left, others = self.plan.trials - len(begun), []
-        if left <= 0 and take_over:
+        left = max(self.plan.trials - len(begun), 0)
+        others: list[int] = []
+        if not left and take_over:
             unfinished = (trial for trial in begun[: self.plan.trials] if not trial.state.is_finished())
             others = [trial._trial_id for trial in unfinished if trial.number not in running]
-        share = -(-max(left, len(others)) // (_BATCHES_A_WORKER * max(1, workers)))
-        frames = sum(len(clip.frames) for clip in self.plan.clips)
-        size = max(1, min(_FRAMES_A_BATCH // frames, _TRIALS_A_BATCH[self.plan.sampler], share))
+        size = self._batch_size(max(left, len(others)), workers)
         trials = [self._study.ask() for _ in range(min(size, left))]
         trials += [optuna.Trial(self._study, trial_id) for trial_id in others[:size]]
         chosen = []
@@ -205,6 +204,12 @@ class Study:
                 if trial.number < self.plan.trials:  # not so where another search began the last ones meanwhile
                     chosen.append(self._choose(trial))
         return chosen
+
+    def _batch_size(self, trials: int, workers: int) -> int:
+        """Return how many trials a worker measures at once: few enough that none is idle towards the end."""
+        share = -(-trials // (_BATCHES_A_WORKER * max(1, workers)))
+        frames = sum(len(clip.frames) for clip in self.plan.clips)
+        return max(1, min(_FRAMES_A_BATCH // frames, _TRIALS_A_BATCH[self.plan.sampler], share))
 
     def _choose(self, trial: optuna.Trial) -> optuna.Trial:
         """Choose a trial's parameters by its number, so that searches that share a file never draw the same."""

@@ -421,23 +421,9 @@ class ParameterPanel(QScrollArea):
 
     def _refresh(self) -> None:
         """Bring everything that depends on other values up to date."""
-        for name, reset in self.section_resets.items():
-            rows = [row for path, row in self.rows.items() if _section_of(path) == name]
-            enabled = self.rows.get(f"{name}.enabled")
-            on = enabled is None or bool(enabled.editor.value())
-            for row in rows:
-                if row is not enabled:
-                    row.set_editable(on)
-            reset.setVisible(any(row.editor.value() != row.reset_target for row in rows))
-            if name == "mask":
-                self._enable_eyedroppers(on)
-        model = self.rows["alignment.model"].editor.value()
-        for path, row in self.rows.items():
-            if path.startswith(("alignment.rigid.", "alignment.homography.")):
-                row.set_shown(path.split(".")[1] == model)
-        self.rows["alignment.homography.plane_distance_m"].set_editable(
-            self.rows["alignment.homography.H_p_t"].editor.value() is None
-        )
+        for name in self.section_resets:
+            self._refresh_section(name)
+        self._show_alignment_model()
         self._show_contact_test(str(self.rows["contact_test"].editor.value()))
         for path, histogram in self.histograms.items():
             histogram.set_limit(float(self.rows[path].editor.value()))
@@ -445,6 +431,27 @@ class ParameterPanel(QScrollArea):
             fold.open_if_changed()
         self._show_tolerance_mm()
         self._paint_mask_colors()
+
+    def _refresh_section(self, name: str) -> None:
+        """Disable a section that is off, and show its reset button where a value differs."""
+        rows = [row for path, row in self.rows.items() if _section_of(path) == name]
+        enabled = self.rows.get(f"{name}.enabled")
+        on = enabled is None or bool(enabled.editor.value())
+        for row in rows:
+            if row is not enabled:
+                row.set_editable(on)
+        self.section_resets[name].setVisible(any(row.editor.value() != row.reset_target for row in rows))
+        if name == "mask":
+            self._enable_eyedroppers(on)
+
+    def _show_alignment_model(self) -> None:
+        """Show the rows of the chosen model; a homography has its own distance."""
+        model = self.rows["alignment.model"].editor.value()
+        for path, row in self.rows.items():
+            if path.startswith(("alignment.rigid.", "alignment.homography.")):
+                row.set_shown(path.split(".")[1] == model)
+        matrix = self.rows["alignment.homography.H_p_t"].editor.value()
+        self.rows["alignment.homography.plane_distance_m"].set_editable(matrix is None)
 
     def _show_contact_test(self, chosen: str) -> None:
         for name, test in CONTACT_TESTS.items():

@@ -125,7 +125,7 @@ def _fit_disc(inverse: Any, u: float, v: float, radius: int, equations: Any, nea
     same = _gather(inverse, u, v, radius, middle, equations)
     if same < max(_MIN_SHARE * known, _MIN_COUNT) or not _solve(equations):
         return math.nan
-    return middle
+    return float(middle)
 
 
 @kernel

@@ -49,7 +49,7 @@ class StreamClock:
         self._shift_s = 0.0
         self._settling = 0
         self._last: tuple[int, float, float] | None = None
-        self._usual_s = 0.0
+        self._usual_delay_s = 0.0
         self.is_shared = True
         self.jumped_by_s = 0.0
 
@@ -61,7 +61,7 @@ class StreamClock:
     @property
     def usual_delay_s(self) -> float:
         """The smallest delay from stamp to arrival before a jump; 0 where only arrivals are known."""
-        return self._usual_s
+        return self._usual_delay_s
 
     def place(self, number: int, stamp_s: float, arrival_s: float, *, on_host_clock: bool) -> float:
         """Return when an image was taken, in seconds on the computer's clock.
@@ -79,12 +79,12 @@ class StreamClock:
         if self._last is None:
             self._start(delay_s, on_host_clock)
         elif self._has_jumped(number - self._last[0], stamp_s - self._last[1], arrival_s - self._last[2]):
-            self.jumped_by_s = self._usual_s - (delay_s - self._shift_s)
+            self.jumped_by_s = self._usual_delay_s - (delay_s - self._shift_s)
             self._delays_s.clear()
             self._settling = SETTLING
         self._last = number, stamp_s, arrival_s
         self._delays_s.append(delay_s)
-        self._follow()
+        self._update_shift()
         return stamp_s + self._shift_s
 
     def restart(self) -> None:
@@ -96,25 +96,25 @@ class StreamClock:
         self._delays_s.clear()
         self._settling = 0
         self._shift_s = 0.0
-        self._usual_s = delay_s if self.is_shared else 0.0
+        self._usual_delay_s = delay_s if self.is_shared else 0.0
 
     def _has_jumped(self, images: int, step_s: float, arrival_step_s: float) -> bool:
         half_s = 0.5 * self._period_s
         too_far_s = step_s - max(images, 1) * self._period_s
         return too_far_s < -half_s or (too_far_s > half_s and step_s - arrival_step_s > half_s)
 
-    def _follow(self) -> None:
+    def _update_shift(self) -> None:
         least_s = min(self._delays_s)
         if not self.is_shared:  # two quartz clocks drift apart, so the shift is updated with every image
             self._shift_s = least_s
         elif self._settling:
             self._settling -= 1
-            self._shift_s = least_s - self._usual_s
+            self._shift_s = least_s - self._usual_delay_s
             if not self._settling and abs(self._shift_s) < 0.25 * self._period_s:
                 self._shift_s = 0.0  # the clock has jumped back to its former offset
         else:
             # Falls at once but rises slowly, because a series of late images gives no information on the clock.
-            self._usual_s = min(self._delays_s[-1] - self._shift_s, self._usual_s + _RISE_S)
+            self._usual_delay_s = min(self._delays_s[-1] - self._shift_s, self._usual_delay_s + _RISE_S)
 
 
 @dataclass(frozen=True)
@@ -163,6 +163,7 @@ class Pairer(Generic[First, Second]):
     def take(self, now_s: float) -> list[tuple[Timed[First], Timed[Second] | None]]:
         """Return the pairs that no later image can change, in time order."""
         half_s = 0.5 * self.period_s * (1 + 1e-6)  # stamps are sums of decimal fractions
+        # A stream's oldest image goes if the other's oldest is much later, or nearer to this stream's next one.
         while self._first and self._second:
             apart_s = self._second[0].time_s - self._first[0].time_s
             if apart_s > half_s or self._has_nearer_next(self._first, self._second[0].time_s, apart_s):

@@ -236,12 +236,7 @@ class NoiseModel:
         self._tof = _tof_errors(rng, rig.proximity, level, sensor, bias_m)
 
     def proximity_depth(
-        self,
-        frame: int,
-        behind: Uint16Array,
-        membrane: Uint16Array,
-        cosine: Uint8Array,
-        flags: Uint8Array,
+        self, frame: int, behind: Uint16Array, membrane: Uint16Array, cosine: Uint8Array, flags: Uint8Array
     ) -> Uint16Array:
         """Return the time-of-flight measurement behind the membrane in raw counts."""
         out = np.empty_like(behind)

@@ -210,50 +210,53 @@ def resolve_scene(name: str, variant: Variant | None = None, cells: tuple[int, i
     """
     variant = variant or Variant()
     _check(name, variant)
-    special = name in SPECIAL_SCENES
-    shape = variant.object if special else name
-    membrane = MEMBRANES[variant.membrane]
-    folds_m = _FOLD_M if name == "wrinkled" or variant.move else 0.0
-    design = replace(membrane.design, stiff_regions=name == "stiff", fold_m=folds_m)
+    shape = variant.object if name in SPECIAL_SCENES else name
     press = variant.press or ("medium" if name in ("stiff", "wrinkled") else "")
-    if press not in ("", "none") or name == "wrinkled":
-        design = replace(design, cells=_FINE_CELLS)
-    elif variant.move:
-        design = replace(design, cells=_MOVE_CELLS)
-    if cells:
-        design = replace(design, cells=cells)
+    design = _design(name, variant, press, cells)
     pressed = OBJECTS[shape]
     if press == "none":
-        way, drawn, frames = _still(-_AWAY_M)
+        way = _still(-_AWAY_M)
     elif press:
         pressed, depth = still_press(shape, press, variant.side)
-        way, drawn, frames = _still(depth)
+        way = _still(depth)
     elif variant.move:
         about_x, about_y, heading = pressed.rotation_deg
         pressed = replace(pressed, rotation_deg=(about_x, about_y, 0.0))
-        way, drawn, frames = _move(variant.move, heading, _HANDLE_M if pressed.kind == CUP else (0.0, 0.0))
+        way = _move(variant.move, heading, _HANDLE_M if pressed.kind == CUP else (0.0, 0.0))
     elif name == "hover":
-        way, drawn, frames = _still(-variant.gap_mm / 1e3)
-    elif name == "slide":
-        way, drawn, frames = _slide()
-    elif name == "tray":
-        way, drawn, frames = _roll()
+        way = _still(-variant.gap_mm / 1e3)
     else:
-        way, drawn, frames = _approach()
-    words = [
+        way = {"slide": _slide, "tray": _roll}.get(name, _approach)()
+    title = _title(name, variant, press, design)
+    held_out = pressed.held_out or MEMBRANES[variant.membrane].held_out
+    return Scene(title, pressed, design, variant.grid, *way, held_out, loaded=name == "tray" and not press)
+
+
+def _design(name: str, variant: Variant, press: Press, cells: tuple[int, int] | None) -> MembraneDesign:
+    """Return the membrane of a scene, with fine cells for still presses, which serve as ground truth."""
+    design = MEMBRANES[variant.membrane].design
+    folds_m = _FOLD_M if name == "wrinkled" or variant.move else 0.0
+    if press not in ("", "none") or name == "wrinkled":
+        cells = cells or _FINE_CELLS
+    elif variant.move:
+        cells = cells or _MOVE_CELLS
+    return replace(design, stiff_regions=name == "stiff", fold_m=folds_m, cells=cells or design.cells)
+
+
+def _title(name: str, variant: Variant, press: Press, design: MembraneDesign) -> str:
+    """Return scene and variant as one word; what is as usual is left out."""
+    words = (
         name,
-        shape if special else "",
+        variant.object if name in SPECIAL_SCENES else "",
         variant.membrane if variant.membrane != STANDARD else "",
         variant.move,
         press,
-        variant.side * (press == "high"),
+        variant.side if press == "high" else "",
         f"{variant.gap_mm:g}mm" if name == "hover" else "",
-    ]
-    words += ["dots" if variant.grid == "dots" else "", "{}x{}".format(*design.cells)]
-    held_out = pressed.held_out or membrane.held_out
-    title = "-".join(word for word in words if word)
-    loaded = name == "tray" and not press
-    return Scene(title, pressed, design, variant.grid, way, drawn, frames, held_out, loaded)
+        "dots" if variant.grid == "dots" else "",
+        "{}x{}".format(*design.cells),
+    )
+    return "-".join(word for word in words if word)
 
 
 def still_press(shape: str, press: Press, side: Side = "right") -> tuple[PressedObject, float]:
