@@ -153,7 +153,7 @@ def _measure_tof(random: _Random, images: _TofImages, errors: _TofErrors, drift_
         uniform = random.uniform[_row_start(random, _TOF_UNIFORM, v, 2 * width) :]
         for u in range(width):
             cosine = images.cosine[v, u]
-            if behind[v, u] == 0 or (level > 0.0 and uniform[u] < errors.dropout[cosine]):
+            if behind[v, u] == 0 or uniform[u] < errors.dropout[cosine]:
                 out[v, u] = 0
                 continue
             z = behind[v, u] * CLEAN_UNIT_M
@@ -162,7 +162,7 @@ def _measure_tof(random: _Random, images: _TofImages, errors: _TofErrors, drift_
                 # The membrane's prints hide what is behind them.
                 z = images.membrane[v, u] * CLEAN_UNIT_M
                 cosine, growth = np.uint8(255), 1.0
-            elif level > 0.0 and images.flags[v, u] & EDGE_FLAG and uniform[u] > 1.0 - errors.flying_share:
+            elif images.flags[v, u] & EDGE_FLAG and uniform[u] > 1.0 - errors.flying_share:
                 z += uniform[u + width] * (_across_edge(behind, v, u, z) - z)
             shared = _shared_at(errors.shared, v, u, moved)
             noise = errors.white_sigma_m[cosine] * growth * white[u] + errors.shared_sigma_m[cosine] * growth * shared
