@@ -8,14 +8,14 @@ from typing import Final
 
 from PyQt6.QtCore import QObject, pyqtSignal
 from PyQt6.QtGui import QKeySequence, QShortcut
-from PyQt6.QtWidgets import QDialog, QFrame, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QCheckBox, QDialog, QFrame, QVBoxLayout, QWidget
 
 from ...core.errors import AdviceError, PresetError
 from ...core.preset import Preset
 from ...core.tuning.advice.examples import ErrorCurve, error_curve, known_examples
 from ...core.tuning.advice.proposal import Evidence, Proposal
 from ...core.tuning.advice.suggest import suggest, suggest_all
-from ...widgets.basics.controls import AccentButton, ProgressBar, push_button, wrapped_label
+from ...widgets.basics.controls import ProgressBar, push_button, wrapped_label
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.layouts import STRETCH, hbox, scrolling, vbox
 from ...widgets.basics.messages import Severity
@@ -91,9 +91,11 @@ class SuggestWindow(QDialog):
         self.cancel = push_button("Cance&l", "Stop measuring; nothing is changed")
         self.again = push_button("&Measure again", "Make new suggestions from the present frame, preset and examples")
         self.examples = push_button("&Examples…", "Mark untouched frames and paint contact, for better suggestions")
-        self.compare = AccentButton("&Compare", "Compare the present preset with the suggested one in the views")
+        self.compare = QCheckBox("&Compare")
+        self.compare.setToolTip("Compare the present preset with the suggested one in the views")
         self.apply = push_button("&Apply", "Put the ticked suggestions into the preset, as one undo step (Ctrl+Return)")
         self.apply.setShortcut("Ctrl+Return")
+        self.apply.setDefault(True)
         self.undo = push_button("&Undo", "Undo the last change of the preset (Ctrl+Z)")
         self.undo.setShortcut("Ctrl+Z")
         self.leave = push_button("Close", "Close this window; the preset stays as it is (Esc)")

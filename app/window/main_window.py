@@ -64,7 +64,9 @@ from .toolbar import ToolBar, Transport
 from .view_area import StripSplitter, ViewArea
 from .view_parts import ViewParts
 
-DEFAULT_SIZE = (1280, 800)
+#: Size of the first window, pixels: at least, and at most on a large screen.
+DEFAULT_SIZE = QSize(1280, 800)
+_LARGEST_FIRST = QSize(2200, 1400)
 
 _OPENING = "Preparing the first frame…"
 _NO_SOURCE = "No source is open: open one (Ctrl+O), or drop a recording here"
@@ -537,9 +539,12 @@ class MainWindow(QMainWindow):
         """Restore the layout of the last start; missing or unusable values take their defaults."""
         settings = self.settings
         if not self.restoreGeometry(settings.blob("window/geometry")):
-            self.resize_to(*DEFAULT_SIZE)
+            screen = self.screen()  # on a large one the first window takes five sixths of each side
+            room = screen.availableSize() * 5 / 6 if screen is not None else QSize()
+            size = room.expandedTo(DEFAULT_SIZE).boundedTo(_LARGEST_FIRST)
+            self.resize_to(size.width(), size.height())
         if not self.across.restoreState(settings.blob("window/across")):
-            self.across.setSizes([DEFAULT_SIZE[0] - 380, 380])
+            self.across.setSizes([self.width() - 380, 380])
         self.left.restoreState(settings.blob("window/left"))
         self.views.splitter.restoreState(settings.blob("window/views"))
         self.panel.set_collapsed_sections(settings.text("window/collapsed", _COLLAPSED_AT_FIRST).split(","))

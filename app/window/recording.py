@@ -103,7 +103,9 @@ def clock(seconds: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Return a rounded duration such as 45 s, 12 min or 3 h 20 min."""
+    """Return a rounded duration such as 0.9 s, 45 s, 12 min or 3 h 20 min."""
+    if seconds < 10:
+        return f"{seconds:.1f} s"
     if seconds < 120:
         return f"{int(seconds)} s"
     minutes = int(seconds // 60)

@@ -263,9 +263,10 @@ class ParameterPanel(QScrollArea):
             fold.set_open(fold.is_open or name in names)
 
     def enable_measuring(self, enabled: bool) -> None:
-        """Enable what looks at a frame: the suggestions and *Pick*."""
+        """Enable what looks at a frame: the suggestions and the eyedroppers."""
         for button in (*self.suggests.values(), self.eyedroppers["set"]):
             button.setEnabled(enabled)
+        self._enable_eyedroppers()
 
     def set_eyedropper(self, mode: str) -> None:
         """Show which eyedropper is in use ("off" for none); never emits."""
@@ -424,6 +425,7 @@ class ParameterPanel(QScrollArea):
         for name in self.section_resets:
             self._refresh_section(name)
         self._show_alignment_model()
+        self._enable_eyedroppers()
         self._show_contact_test(str(self.rows["contact_test"].editor.value()))
         for path, histogram in self.histograms.items():
             histogram.set_limit(float(self.rows[path].editor.value()))
@@ -441,8 +443,6 @@ class ParameterPanel(QScrollArea):
             if row is not enabled:
                 row.set_editable(on)
         self.section_resets[name].setVisible(any(row.editor.value() != row.reset_target for row in rows))
-        if name == "mask":
-            self._enable_eyedroppers(on)
 
     def _show_alignment_model(self) -> None:
         """Show the rows of the chosen model; a homography has its own distance."""
@@ -460,14 +460,15 @@ class ParameterPanel(QScrollArea):
         self._test_note.setText(CONTACT_TESTS[chosen].note)
         self._test_note.show()
 
-    def _enable_eyedroppers(self, enabled: bool) -> None:
-        """While the mask is off, enable only *Pick*."""
+    def _enable_eyedroppers(self) -> None:
+        """While the mask is off, enable only *Pick*; without a frame, none."""
+        mask_on, pick = bool(self.rows["mask.enabled"].editor.value()), self.eyedroppers["set"]
         for button in self.mask_views.values():
-            button.setEnabled(enabled)
+            button.setEnabled(mask_on)
         for mode in ("expand", "shrink"):
             button = self.eyedroppers[mode]
-            button.setEnabled(enabled)
-            if not enabled and button.isChecked():
+            button.setEnabled(mask_on and pick.isEnabled())
+            if not mask_on and button.isChecked():
                 self._choose_eyedropper("off")
 
     def _show_tolerance_mm(self) -> None:
