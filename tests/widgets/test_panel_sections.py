@@ -41,6 +41,13 @@ def test_a_section_that_is_off_is_grey(panel: ParameterPanel, seen: Recorder) ->
     assert panel.eyedroppers["set"].isEnabled(), "Pick turns the mask on"
 
 
+def test_without_a_frame_no_eyedropper_can_be_used(panel: ParameterPanel) -> None:
+    panel.set_preset(Preset(mask=MaskSection(enabled=True)))
+    for frame in (False, True):
+        panel.enable_measuring(frame)
+        assert [button.isEnabled() for button in panel.eyedroppers.values()] == [frame] * 3
+
+
 def test_only_the_chosen_alignment_is_shown(panel: ParameterPanel, seen: Recorder) -> None:
     pose, plane = (
         panel.rows[f"alignment.{name}"].widget for name in ("rigid.T_proximity_tactile", "homography.plane_distance_m")
