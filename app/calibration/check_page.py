@@ -317,7 +317,7 @@ _ROWS = (
     ("Expected alignment error (mm)", "The same error across the line of sight, millimetres"),
     ("Patch boundary off by (mm)", "Expected error of the contact patch's boundary, millimetres"),
     (
-        "Smallest t that holds (%)",
+        "Smallest t (tolerance test)",
         "With a smaller tolerance t, per cent of the distance, the tolerance test loses pixels in true contact",
     ),
     ("Patch in the present frame (cm²)", "Found by the preset's contact test in the frame that the main window shows"),

@@ -307,5 +307,5 @@ def _in_words(path: str, spec: FieldSpec | None, value: Any) -> str:
         return "none" if value is None else _RECORDS[path](value)
     if spec is not None and spec.kind in ("number", "range"):
         numbers = value if isinstance(value, tuple) else (value,)
-        return " - ".join(format_number(number * spec.factor) for number in numbers)
+        return " to ".join(format_number(number * spec.factor) for number in numbers)
     return format_value(value)

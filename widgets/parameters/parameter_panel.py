@@ -281,7 +281,7 @@ class ParameterPanel(QScrollArea):
             self.alignment_info.setText(
                 f"Calibrated {record.date:%Y-%m-%d}: {record.model}, {points} point{'' if points == 1 else 's'}, "
                 f"expected error {record.quality.alignment_px:.2f} px, good for t from "
-                f"{self.rows['tolerance.t'].spec.describe(record.quality.supported_tolerance)}"
+                f"{100 * record.quality.supported_tolerance:.2f} %"
             )
         self.alignment_info.setVisible(record is not None)
 

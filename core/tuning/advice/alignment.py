@@ -131,4 +131,5 @@ def _keep(sentence: str, expected: str) -> Proposal:
 
 
 def _mm(metres: float) -> str:
-    return f"{1e3 * metres:+.1f} mm"
+    rounded = round(1e3 * metres, 1)
+    return f"{rounded:+.1f} mm" if rounded else "0 mm"

@@ -53,21 +53,21 @@ def find(situation: Situation) -> Finding | None:
         if len(prints) < (_MIN_ALONE if alone else _MIN_BESIDE) or _fill(np.isin(labels, prints)) > _MAX_FILL:
             continue
         if (alone or colored[others].mean() <= _MAX_SHARED) and _agrees_everywhere(situation, mask):
-            return _finding(mask, len(prints), alone=alone)
+            return _finding(mask, len(prints))
     return None
 
 
-def _finding(mask: MaskSection, prints: int, *, alone: bool) -> Finding:
-    what = f"All contact is {prints} groups of" if alone else f"{prints} groups of contact have"
+def _finding(mask: MaskSection, prints: int) -> Finding:
+    found = f"{prints} groups of contact have one colour"
     return Finding(
         name="prints",
         field="mask.enabled",
-        sentence=f"{what} one colour (hue {mask.hue[0]} to {mask.hue[1]}) all over the membrane: probably prints.",
+        sentence=f"{found} (hue {mask.hue[0]} to {mask.hue[1]}) all over the membrane: probably prints.",
         proposal=Proposal(
             section="mask",
             changes={f"mask.{name}": getattr(mask, name) for name in ("enabled", "hue", "saturation", "value")},
             label="Mask this colour",
-            evidence=f"{prints} groups of contact have one colour, and both cameras agree wherever it is.",
+            evidence=f"{found}, and both cameras agree wherever it is.",
             expected="Pixels of this colour no longer count as contact.",
         ),
     )
