@@ -62,7 +62,7 @@ class OpenControl(QObject):
     def offers(self, name: str) -> list[tuple[str, Callable[[], None]]]:
         """Return the buttons of the message that a source was not opened."""
         folder = folder_without_rig(name)
-        return [] if folder is None else [("Create rig…", partial(self.create_rig, folder))]
+        return [("Open…", self.open)] if folder is None else [("Create rig…", partial(self.create_rig, folder))]
 
     def create_rig(self, folder: Path) -> None:
         """Ask for the cameras of a folder of images that lacks a rig, and open it."""

@@ -6,7 +6,7 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
-from hands import show_source
+from hands import press, show_source
 from tactune.app.worker.reading import SourceRequest
 from tactune.core.errors import SourceError
 from tactune.widgets.basics.messages import Severity
@@ -35,6 +35,12 @@ def test_a_refused_source_is_told_until_the_next_task_such_as_a_recording(window
     assert window.messages.message("source") is None
     QTest.keyClick(window, Qt.Key.Key_F9)
     qtbot.waitUntil(lambda: not window.recording.running)
+
+
+def test_a_refused_source_offers_to_open_another(window, qtbot):
+    fail_to_open(window, qtbot)
+    press(window.messages.message("source"), "Open…")
+    qtbot.waitUntil(lambda: window.sources.dialog is not None and window.sources.dialog.isVisible())
 
 
 def test_the_red_sentence_of_a_field_goes_with_another_source(window, qtbot):
