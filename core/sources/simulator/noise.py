@@ -45,7 +45,7 @@ class _Random(NamedTuple):
 
 
 class _SharedNoise(NamedTuple):
-    """Noise that neighbouring pixels share. The fields have variance 1, wrap around, and are 2^n pixels wide."""
+    """Noise that neighbouring pixels share, in fields as of `_smooth_field`."""
 
     fixed_sigma: float
     moving_sigma: float
@@ -86,7 +86,7 @@ class _StereoErrors(NamedTuple):
     subpixel_steps: float  # disparities that the matcher tells apart, per pixel; 0: all
     white_sigma_px: float
     shared: _SharedNoise
-    holes: Float32Array  # a smooth field, as in `_SharedNoise`
+    holes: Float32Array  # as of `_smooth_field`
     hole_from: float  # no match where the field exceeds this
     saturated_from: float  # 65535 instead of 0 where it exceeds this
 
@@ -117,11 +117,10 @@ def _displacement(field: Float32Array, random: _Random, stream: int64) -> tuple[
 
 
 @compiled
-def _shared_at(noise: _SharedNoise, v: int, u: int, moved: tuple[int, int]) -> float:
-    """Return the shared noise of a pixel."""
+def _shared_rows(noise: _SharedNoise, v: int, moved: tuple[int, int]) -> tuple[Float32Array, Float32Array]:
+    """Return the fixed and the moving field along an image row."""
     wrap = noise.moving.shape[0] - 1
-    shared = noise.fixed_sigma * noise.fixed[v & wrap, u & wrap]
-    return float(shared + noise.moving_sigma * noise.moving[(v + moved[0]) & wrap, (u + moved[1]) & wrap])
+    return noise.fixed[v & wrap], noise.moving[(v + moved[0]) & wrap, moved[1] :]
 
 
 @compiled
@@ -151,6 +150,7 @@ def _measure_tof(random: _Random, images: _TofImages, errors: _TofErrors, drift_
         # Twice the width: a second uniform number per pixel says how a flying pixel mixes both sides.
         white = random.gaussian[_row_start(random, _TOF_WHITE, v, 2 * width) :]
         uniform = random.uniform[_row_start(random, _TOF_UNIFORM, v, 2 * width) :]
+        fixed, moving = _shared_rows(errors.shared, v, moved)
         for u in range(width):
             cosine = images.cosine[v, u]
             if behind[v, u] == 0 or uniform[u] < errors.dropout[cosine]:
@@ -164,7 +164,7 @@ def _measure_tof(random: _Random, images: _TofImages, errors: _TofErrors, drift_
                 cosine, growth = np.uint8(255), 1.0
             elif images.flags[v, u] & EDGE_FLAG and uniform[u] > 1.0 - errors.flying_share:
                 z += uniform[u + width] * (_across_edge(behind, v, u, z) - z)
-            shared = _shared_at(errors.shared, v, u, moved)
+            shared = errors.shared.fixed_sigma * fixed[u] + errors.shared.moving_sigma * moving[u]
             noise = errors.white_sigma_m[cosine] * growth * white[u] + errors.shared_sigma_m[cosine] * growth * shared
             z = z * errors.scale + level * (errors.bias_m[v, u] + drift_m) + noise
             out[v, u] = min(max(int(z / errors.unit_m + 0.5), 1), 65534)
@@ -177,23 +177,24 @@ def _measure_stereo(random: _Random, clean: Uint16Array, errors: _StereoErrors, 
     wrap = errors.holes.shape[0] - 1
     moved = _displacement(errors.shared.moving, random, _STEREO_MOVING)
     down, right = _displacement(errors.holes, random, _STEREO_HOLES)
+    noise, noisy = errors.shared, errors.level > 0.0
     for v in range(height):
         white = random.gaussian[_row_start(random, _STEREO_WHITE, v, width) :]
-        for u in range(width):
-            out[v, u] = 0
-            if clean[v, u] == 0:
-                continue
+        fixed, moving = _shared_rows(noise, v, moved)
+        holes = errors.holes[(v + down) & wrap, right:]
+        for u in range(width):  # without branches, which the compiler vectorises
             disparity = errors.focal_baseline / (clean[v, u] * CLEAN_UNIT_M)
-            if errors.level > 0.0:
-                # What lies left of the right imager's view has no match.
-                hole = errors.holes[(v + down) & wrap, (u + right) & wrap]
-                if u < disparity or hole > errors.hole_from:
-                    out[v, u] = 65535 if u >= disparity and hole > errors.saturated_from else 0
-                    continue
-                disparity += errors.level * (_shared_at(errors.shared, v, u, moved) + errors.white_sigma_px * white[u])
+            # What lies left of the right imager's view has no match.
+            hidden = u < disparity
+            shared = noise.fixed_sigma * fixed[u] + noise.moving_sigma * moving[u]
+            if noisy:
+                disparity += errors.level * (shared + errors.white_sigma_px * white[u])
                 if errors.subpixel_steps > 0.0:
-                    disparity = int(disparity * errors.subpixel_steps + 0.5) / errors.subpixel_steps
-            out[v, u] = min(int(errors.focal_baseline / (disparity * errors.unit_m) + 0.5), 65534)
+                    disparity = np.int32(disparity * errors.subpixel_steps + 0.5) / errors.subpixel_steps
+            counts = min(np.int32(errors.focal_baseline / (disparity * errors.unit_m) + 0.5), np.int32(65534))
+            lost = 65535 if (not hidden) & (holes[u] > errors.saturated_from) else 0
+            unmatched = noisy & (hidden | (holes[u] > errors.hole_from))
+            out[v, u] = 0 if clean[v, u] == 0 else lost if unmatched else counts
 
 
 @compiled
@@ -202,8 +203,8 @@ def _add_grain(random: _Random, stream: int64, clean: Uint8Array, bank: npt.NDAr
     height, width = clean.shape
     for v in range(height):
         grain = bank[_row_start(random, stream, v, width) :]
-        for u in range(width):  # 16 bits hold every sum; wider numbers would take twice as long
-            level = np.int16(clean[v, u]) + np.int16(grain[u])
+        for u in range(width):  # 16 bits hold every sum, and numba would compute it with 64
+            level = np.int16(np.int16(clean[v, u]) + np.int16(grain[u]))
             out[v, u] = np.uint8(min(max(level, np.int16(0)), np.int16(255)))
 
 
@@ -270,12 +271,12 @@ def _stereo_errors(rng: np.random.Generator, camera: DepthCamera, level: float, 
     shared = _SharedNoise(
         sensor.stereo_correlated_px * fixed,
         sensor.stereo_correlated_px * moving,
-        _smooth_field(rng, sensor.stereo_length_px * pixels),
-        _smooth_field(rng, sensor.stereo_length_px * pixels),
+        _smooth_field(rng, sensor.stereo_length_px * pixels, camera.intrinsics.width),
+        _smooth_field(rng, sensor.stereo_length_px * pixels, camera.intrinsics.width),
     )
-    holes = _smooth_field(rng, sensor.stereo_hole_px * pixels)
+    holes = _smooth_field(rng, sensor.stereo_hole_px * pixels, camera.intrinsics.width)
     hole_from, saturated_from = (
-        float(np.quantile(holes, 1 - min(share * level, 0.5)))
+        float(np.quantile(holes[:, :_FIELD], 1 - min(share * level, 0.5)))
         for share in (sensor.stereo_hole_share, sensor.stereo_saturated_share)
     )
     return _StereoErrors(
@@ -294,10 +295,11 @@ def _stereo_errors(rng: np.random.Generator, camera: DepthCamera, level: float, 
 def _tof_errors(
     rng: np.random.Generator, camera: DepthCamera, level: float, sensor: SensorModel, bias_m: Float32Array
 ) -> _TofErrors:
-    fixed = moving = np.zeros((1, 1), dtype=np.float32)
+    fixed = moving = np.zeros((1, camera.intrinsics.width), dtype=np.float32)
     if sensor.tof_correlated_m > 0.0:
-        length_px = sensor.tof_correlated_px * camera.intrinsics.width / _NAMED_WIDTH_PX
-        fixed, moving = _smooth_field(rng, length_px), _smooth_field(rng, length_px)
+        width = camera.intrinsics.width
+        length_px = sensor.tof_correlated_px * width / _NAMED_WIDTH_PX
+        fixed, moving = _smooth_field(rng, length_px, width), _smooth_field(rng, length_px, width)
     cosine = np.linspace(0.0, 1.0, 256)
     growth = np.minimum(1.0 / np.maximum(cosine, 0.05), 6.0)
     growth = 1.0 - sensor.tof_incidence_share + sensor.tof_incidence_share * growth
@@ -317,12 +319,16 @@ def _tof_errors(
     )
 
 
-def _smooth_field(rng: np.random.Generator, sigma_px: float) -> Float32Array:
-    """White noise through a Gaussian window, wrapped at its ends, of variance 1."""
+def _smooth_field(rng: np.random.Generator, sigma_px: float, width: int) -> Float32Array:
+    """Return white noise through a Gaussian window, of variance 1, float32 (2^n, 2^n + width).
+
+    It wraps around after 2^n rows and columns; the further columns repeat the first ones, so that a row of an image
+    ``width`` pixels wide never does.
+    """
     margin = int(4 * sigma_px) + 1
     white = np.pad(rng.standard_normal((_FIELD, _FIELD), dtype=np.float32), margin, mode="wrap")
     field = cv2.GaussianBlur(white, (0, 0), sigma_px)[margin:-margin, margin:-margin]
-    return np.ascontiguousarray((field - field.mean()) / field.std(), dtype=np.float32)
+    return np.pad((field - field.mean()) / field.std(), ((0, 0), (0, width)), mode="wrap")
 
 
 def _parts(fixed_share: float) -> tuple[float, float]:

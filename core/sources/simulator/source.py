@@ -183,9 +183,7 @@ class SimulatorSource(SeekableSource):
             tactile_color=noise.colour(index, 1, self._lit(state.tactile_color)),
             proximity_time_s=index / self.frame_rate_hz,
             tactile_time_s=index / self.frame_rate_hz + _SKEW_S,
-            truth=GroundTruth(
-                (state.flags & CONTACT_FLAG) != 0, depth, _true_strain(facts), rigid_transform(facts.T_proximity_object)
-            ),
+            truth=GroundTruth((state.flags & CONTACT_FLAG) != 0, depth, _true_strain(facts), facts.T_proximity_object),
         )
 
     def _lit(self, image: Uint8Array) -> Uint8Array:
