@@ -6,7 +6,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from ...model.arrays import BoolArray, Float32Array, Int32Array
+from ...model.arrays import BoolArray, Float32Array, Int32Array, Uint16Array
 from .compiling import inline, kernel
 from .membrane import derivatives
 
@@ -19,22 +19,28 @@ _MIN_FACING, _MIN_TURN = np.float32(0.25), 0.25
 
 
 class DifferenceWindow(NamedTuple):
-    """What `average_cells` averages, images (H, W), and which pixels take part.
+    """What `average_cells` averages, and which pixels take part.
 
     Attributes
     ----------
-    differences, depth : float32
-        Proximity minus tactile depth, and proximity depth, metres.
-    usable, excluded : bool
+    differences : float32, shape (H, W)
+        Proximity minus tactile depth, metres.
+    usable, excluded : bool, shape (H, W)
         Where both count; where neither may be contact.
+    counts : uint16, shape (H, W)
+        Raw proximity depth.
+    unit_m, bias_m : float32
+        Metres of a count; subtracted from the proximity depth.
     centre_m, limit_m : float32
         Only differences nearer than the limit to the centre are averaged.
     """
 
     differences: Float32Array
-    depth: Float32Array
     usable: BoolArray
     excluded: BoolArray
+    counts: Uint16Array
+    unit_m: np.float32
+    bias_m: np.float32
     centre_m: np.float32
     limit_m: np.float32
 
@@ -94,28 +100,27 @@ def average_cells(window: Any, side: Any, rays: Any, first: Any, last: Any, out:
         Mean difference; share of the pixels that take part; that share times their mean x, y and z; and the excluded
         share.
     """
-    differences, depth, usable, excluded, centre_m, limit_m = window
+    differences, usable, excluded, counts, unit_m, bias_m, centre_m, limit_m = window
     table, top, left = rays
     pixels = np.float32(side * side)
+    out[:, first:last] = _ZERO
     for row in range(first, last):
+        for v in range(side * row, min(side * row + side, usable.shape[0])):
+            for u in range(usable.shape[1]):
+                if excluded[v, u]:
+                    out[5, row, u // side] += _ONE
+                if usable[v, u] and abs(differences[v, u] - centre_m) < limit_m:
+                    column = u // side
+                    z = np.float32(counts[v, u]) * unit_m - bias_m
+                    out[0, row, column] += differences[v, u]
+                    out[1, row, column] += _ONE
+                    out[2, row, column] += table[top + v, left + u, 0] * z
+                    out[3, row, column] += table[top + v, left + u, 1] * z
+                    out[4, row, column] += z
         for column in range(out.shape[2]):
-            count, difference, x, y, z, barred = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
-            for v in range(side * row, min(side * row + side, usable.shape[0])):
-                for u in range(side * column, min(side * column + side, usable.shape[1])):
-                    if excluded[v, u]:
-                        barred += _ONE
-                    if usable[v, u] and abs(differences[v, u] - centre_m) < limit_m:
-                        count += _ONE
-                        difference += differences[v, u]
-                        x += table[top + v, left + u, 0] * depth[v, u]
-                        y += table[top + v, left + u, 1] * depth[v, u]
-                        z += depth[v, u]
-            out[0, row, column] = difference / max(count, _ONE)
-            out[1, row, column] = count / pixels
-            out[2, row, column] = x / pixels
-            out[3, row, column] = y / pixels
-            out[4, row, column] = z / pixels
-            out[5, row, column] = barred / pixels
+            out[0, row, column] /= max(out[1, row, column], _ONE)
+            for part in range(1, out.shape[0]):
+                out[part, row, column] /= pixels
 
 
 @inline
@@ -163,6 +168,23 @@ def measure_cells(points: Any, shares: Any, min_share: Any, flat_m: Any, sides: 
             nx, ny, nz = y_u * z_v - z_u * y_v, z_u * x_v - x_u * z_v, x_u * y_v - y_u * x_v
             along = abs(nx * ray_x + ny * ray_y + nz) / np.sqrt(nx * nx + ny * ny + nz * nz)
             facing[v, u] = min(max(np.float32(along), _MIN_FACING), _ONE)
+
+
+@kernel
+def mark_inside(guess: Any, known: Any, largest_m: Any, largest_at_border_m: Any, inside: Any) -> Any:
+    """Write which cells are solved for, and return their number; images are (H, W), with unknown cells at the border.
+
+    They are the known cells whose guess of the gap (metres) is smaller than the first limit and, where one of the eight
+    cells around them is unknown, than the second.
+    """
+    inside[:] = False
+    count = 0
+    for v in range(1, known.shape[0] - 1):
+        for u in range(1, known.shape[1] - 1):
+            if known[v, u] and guess[v, u] < largest_m:
+                inside[v, u] = guess[v, u] < largest_at_border_m or known[v - 1 : v + 2, u - 1 : u + 2].all()
+                count += inside[v, u]
+    return count
 
 
 @kernel

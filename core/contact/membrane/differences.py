@@ -6,7 +6,6 @@ Images are cropped to where anything may touch.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -60,10 +59,9 @@ class Differences:
     bias_m: float
     on_prints_m: Float32Array
 
-    @cached_property
-    def depth_m(self) -> Float32Array:
-        """Proximity depth less ``bias_m``."""
-        depth = self.counts * self.unit_m
+    def depth_m(self, counts: Uint16Array) -> Float32Array:
+        """Return raw proximity depth in metres, less ``bias_m``."""
+        depth = counts * self.unit_m
         depth -= np.float32(self.bias_m)
         return depth
 
@@ -79,10 +77,10 @@ class Differences:
         return replace(
             self,
             place=(slice(top + first, top + last), slice(left + begin, left + end)),
-            difference_m=np.ascontiguousarray(self.difference_m[part]),
-            counts=self.counts[part],
-            usable=np.ascontiguousarray(self.usable[part]),
-            excluded=np.ascontiguousarray(self.excluded[part]),
+            difference_m=self.difference_m[part].copy(),
+            counts=self.counts[part].copy(),
+            usable=self.usable[part].copy(),
+            excluded=self.excluded[part].copy(),
         )
 
 
@@ -91,7 +89,7 @@ def large_contacts(contact: BoolArray, differences: Differences, section: Membra
     camera, (top, left) = rig.proximity.intrinsics, differences.corner
     found, width = np.flatnonzero(contact), contact.shape[1]
     pixels = found + (found // width) * (camera.width - width) + (top * camera.width + left)
-    depth = differences.depth_m.reshape(-1)[found] * differences.usable.reshape(-1)[found]
+    depth = differences.depth_m(differences.counts.reshape(-1)[found]) * differences.usable.reshape(-1)[found]
     large = in_large_cluster(depth, pixels, camera, section.min_area_mm2)
     if large.all():
         return contact
@@ -124,7 +122,7 @@ def surface_points(
         return buffers.collect({0: 0})
     size = (2 * _POINT_REACH_PX + 1,) * 2
     weight = (contact[part] & differences.usable[part]).view(np.uint8).astype(np.float32)
-    depth = differences.depth_m[part] - np.float32(tactile_weight) * differences.difference_m[part]
+    depth = differences.depth_m(differences.counts[part]) - np.float32(tactile_weight) * differences.difference_m[part]
     depth -= np.float32((1 - tactile_weight) * bias_m)
     share = np.asarray(cv2.GaussianBlur(weight, size, POINT_WINDOW_PX))
     depth = cv2.GaussianBlur(depth * weight, size, POINT_WINDOW_PX) / np.maximum(share, np.float32(1e-6))

@@ -17,7 +17,6 @@ Assumed: the same tension in all directions, no friction, small slopes between m
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -86,15 +85,6 @@ class Cells:
         """Usable area of each cell, (H, W)."""
         return np.asarray(self.share * self.sides_m[0] * self.sides_m[1])
 
-    @cached_property
-    def largest_guess_m(self) -> Float32Array:
-        """Cells are solved for where the first guess of the gap is smaller, (H, W); never where nothing is known."""
-        import cv2
-
-        inner = cv2.erode(self.known.view(np.uint8), np.ones((3, 3), np.uint8)).view(bool)
-        limits = np.where(inner, _MAX_GAP_M, _MAX_GAP_AT_BORDER_M)
-        return np.where(self.known, limits, np.float32(-np.inf))
-
 
 @dataclass(frozen=True, eq=False)
 class Equilibrium:
@@ -140,25 +130,28 @@ def cells_of(
         return None
     means = np.zeros((6, -(-height // size_px) + 2, -(-width // size_px) + 2), np.float32)
     window = kernels.DifferenceWindow(
-        differences.difference_m, differences.depth_m, differences.usable, differences.excluded,
-        np.float32(near_m[0]), np.float32(near_m[1]),
+        differences.difference_m, differences.usable, differences.excluded, differences.counts, differences.unit_m,
+        np.float32(differences.bias_m), np.float32(near_m[0]), np.float32(near_m[1]),
     )  # fmt: skip
     rays, inner = RayWindow(ray_table(camera), *differences.corner), means[:, 1:-1, 1:-1]
     by_rows(lambda first, last: kernels.average_cells(window, size_px, rays, first, last, inner), inner.shape[1])
     difference, share, *_, excluded = means
     sigma = max(shape_px / size_px, 0.3)
-    weight, x, y, z = (cv2.GaussianBlur(part, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT) for part in means[1:5])
-    points = np.stack([x, y, z]) / np.maximum(weight, np.float32(1e-6))
+    smooth = np.empty((4, *share.shape), np.float32)
+    for part, out in zip(means[1:5], smooth, strict=True):
+        cv2.GaussianBlur(part, (0, 0), sigma, out, borderType=cv2.BORDER_CONSTANT)
+    weight, points = smooth[0], smooth[1:]
+    points /= np.maximum(weight, np.float32(1e-6))
     bulge, sides, facing = np.empty_like(share), np.empty((2, *share.shape), np.float32), np.empty_like(share)
     bulges(points, weight, _MIN_SHARE_OF_SHAPE, bulge)
     kernels.measure_cells(
         points, weight, _MIN_SHARE_OF_SLOPE, (size_px / camera.fx, size_px / camera.fy), sides, facing
     )
-    push = np.float32(free_per_m) - np.nan_to_num(_with_nearest(bulge, _REACH_PX / size_px))
+    push = np.maximum(np.float32(free_per_m) - _extrapolated(bulge, _REACH_PX / size_px), _MIN_PUSH_PER_M)
     near = over_window(share, size_px)
-    known = (near > _MIN_SHARE) & (excluded < _MAX_EXCLUDED)
-    known[[0, -1]] = known[:, [0, -1]] = False
-    return Cells(difference, share, near, known, np.maximum(push, _MIN_PUSH_PER_M), sides, facing, size_px)
+    known = np.zeros(share.shape, np.bool_)
+    known[1:-1, 1:-1] = ((near > _MIN_SHARE) & (excluded < _MAX_EXCLUDED))[1:-1, 1:-1]
+    return Cells(difference, share, near, known, push, sides, facing, size_px)
 
 
 def over_window(image: Float32Array, size_px: int) -> Float32Array:
@@ -183,8 +176,8 @@ def settle(cells: Cells, bias_m: float, trust_m: float, start: Equilibrium | Non
     measured = (cells.difference_m - np.float32(bias_m)) * cells.facing
     total = over_window(cells.share * measured, cells.size_px)
     guess = np.asarray(total / np.maximum(cells.near_share, np.float32(1e-6)), np.float32)
-    inside = guess < cells.largest_guess_m
-    size = int(np.count_nonzero(inside))
+    inside = np.empty(guess.shape, np.bool_)
+    size = kernels.mark_inside(guess, cells.known, _MAX_GAP_M, _MAX_GAP_AT_BORDER_M, inside)
     places, links = np.empty(size, np.int32), np.empty((7, size), np.float32)
     even = kernels.link_cells(inside, cells.known, cells.sides_m, cells.share, np.float32(trust_m), places, links)
     loads = links[4] * measured.reshape(-1)[places] - links[5] * cells.push_per_m.reshape(-1)[places]
@@ -220,16 +213,13 @@ def to_pixels(
     return np.asarray(pixels, np.float32), np.asarray(inside & (share < 1))
 
 
-def _with_nearest(image: Float32Array, reach_cells: float) -> Float32Array:
-    """Return an image whose nan cells have the value of the nearest known cell within reach."""
+def _extrapolated(image: Float32Array, reach_cells: float) -> Float32Array:
+    """Return an image whose nan cells have the value of the nearest other cell within reach, and 0 beyond."""
     import cv2
 
     unknown = np.isnan(image)
-    if not unknown.any() or unknown.all():
-        return image
     way, labels = cv2.distanceTransformWithLabels(
         unknown.view(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
-    of_label = np.full(int(labels.max()) + 1, np.nan, np.float32)
-    of_label[labels[~unknown]] = image[~unknown]
-    return np.where(way <= reach_cells, of_label[labels], np.float32(np.nan))
+    of_label = np.append(np.float32(0), image[~unknown])  # known cells are labelled in their order, from 1
+    return np.where(way <= reach_cells, np.take(of_label, np.asarray(labels, np.int32)), np.float32(0))

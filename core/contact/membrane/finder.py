@@ -178,7 +178,7 @@ class MembraneFinder(ContactFinder):
         found = Differences(
             (slice(top, bottom), slice(left, right)),
             difference,
-            frame.proximity_depth[top:bottom, left:right],
+            frame.proximity_depth[top:bottom, left:right].copy(),
             self._depth_unit_m,
             usable,
             state == kernels.EXCLUDED,
@@ -193,7 +193,8 @@ class MembraneFinder(ContactFinder):
         pixels = 1e-6 * min_area_mm2 * camera.fx * camera.fy  # at a depth of 1 m
         if count * _NEAREST_M**2 > pixels:
             return False
-        return count == 0 or count * float(differences.depth_m[differences.usable].max()) ** 2 < pixels
+        farthest = differences.counts[differences.usable].max(initial=0)
+        return count == 0 or count * float(differences.depth_m(farthest)) ** 2 < pixels
 
     def _look(
         self,

@@ -247,16 +247,17 @@ def test_another_start_leads_to_the_same_gaps():
 
 def test_a_cell_is_the_mean_of_the_pixels_that_take_part():
     rng = np.random.default_rng(1)
-    differences, depth = (rng.uniform(0.1, 0.3, (7, 10)).astype(np.float32) for _ in range(2))
+    differences, counts = rng.uniform(0.1, 0.3, (7, 10)).astype(np.float32), rng.integers(1, 65535, (7, 10), np.uint16)
     usable, excluded = rng.random((7, 10)) > 0.4, rng.random((7, 10)) > 0.7
     rays = rng.uniform(-0.5, 0.5, (12, 16, 2)).astype(np.float32)
     out = np.empty((6, 3, 4), np.float32)
-    window = kernels.DifferenceWindow(differences, depth, usable, excluded, np.float32(0.2), np.float32(0.08))
+    unit_m, bias_m, centre_m, limit_m = np.float32([1e-5, 0.003, 0.2, 0.08])
+    window = kernels.DifferenceWindow(differences, usable, excluded, counts, unit_m, bias_m, centre_m, limit_m)
     kernels.average_cells(window, 3, RayWindow(rays, 3, 4), 0, 3, out)
     for row, column in np.ndindex(3, 4):
         box = np.s_[3 * row : 3 * row + 3, 3 * column : 3 * column + 3]
         part = usable[box] & (np.abs(differences[box] - 0.2) < 0.08)
-        ray, z = rays[3:10, 4:14][box], depth[box]
+        ray, z = rays[3:10, 4:14][box], counts[box] * unit_m - bias_m
         expected = [
             differences[box][part].mean() if part.any() else 0,
             part.sum() / 9,  # also of the last cells, which reach beyond the image
