@@ -20,7 +20,7 @@ from PyQt6.QtCore import QRectF, Qt
 from PyQt6.QtGui import QImage, QPainter, QPaintEvent
 from PyQt6.QtWidgets import QWidget
 
-from ...core.model.arrays import Float32Array, Uint8Array, Uint16Array
+from ...core.model.arrays import Float32Array, Uint8Array
 from ..basics.colormaps import over_background
 from .cloud_data import HIGHEST_COUNT, DepthCloud
 from .cloud_scene import CloudScene, paint_overlay
@@ -44,6 +44,7 @@ _SCATTER: Any = types.void(
     _read_only(types.float32, 1),
     _read_only(types.float32, 1),
     types.int64,
+    types.int64,
     types.Array(types.uint32, 2, "C"),
 )
 _SQUARES: Any = types.void(
@@ -57,14 +58,17 @@ _SQUARES: Any = types.void(
 
 @njit(_SCATTER, nogil=True, cache=True, error_model="numpy")
 def scatter(
-    depth: Any, rays: Any, index: Any, colors: Any, matrix: Any, depths: Any, limits: Any, size: Any, pixels: Any
+    depth: Any, rays: Any, index: Any, colors: Any, matrix: Any, depths: Any, limits: Any, step: Any, size: Any,
+    pixels: Any
 ) -> None:  # fmt: skip
     """Clear ``pixels`` and put every point into them, at the lower right pixel of its square.
 
     Parameters
     ----------
-    depth, rays, index
+    depth, index
         As in `DepthCloud`; an empty ``index`` means that depth chooses the colour.
+    rays : float32, shape (2, rows, columns)
+        x / z and y / z of every ``step``-th row and column; last axis contiguous, so that the compiler vectorises.
     colors : uint32, shape (256,)
         ARGB; 0 hides.
     matrix : float32, shape (3, 4)
@@ -73,6 +77,9 @@ def scatter(
         Metres per count, offset; slope and intercept of the colour scale.
     limits : float32, shape (2,)
         Smallest and largest distance drawn, metres.
+    step : int
+        Only every ``step``-th row and column is drawn. A pixel without depth takes that of its diagonal neighbour,
+        which would cover its place if all were drawn.
     size : int
         Edge length of the squares.
     pixels : uint32, shape (height + 2 size, width + 2 size)
@@ -85,12 +92,14 @@ def scatter(
     near, far = limits
     nearest = limits.view(np.int32)[0]
     stride = np.int32(pixels.shape[1])
-    width, height = np.float32(pixels.shape[1] - 2 * size), np.float32(pixels.shape[0] - 2 * size)
+    right, bottom = np.float32(pixels.shape[1] - 2 * size), np.float32(pixels.shape[0] - 2 * size)
     # A square covers the pixels whose centres lie inside it, as OpenGL's points do.
     last = np.float32(size) + np.float32(0.5) * np.float32(size) - np.float32(0.5)
     flat = pixels.reshape(-1)
     flat[:] = _EMPTY
-    rows, columns = depth.shape
+    height, width = depth.shape
+    rows, columns = rays.shape[1:]
+    count = np.empty(columns, np.uint16)
     place = np.empty(columns, np.int32)
     distance = np.empty(columns, np.float32)
     bits = distance.view(np.int32)
@@ -98,28 +107,36 @@ def scatter(
     indexed = index.shape[0] > 0
     zero, one = np.float32(0), np.float32(1)
     for row in range(rows):
-        # First the arithmetic of a whole row without branches, which the compiler vectorises …
+        # First what is drawn of a row …
         for column in range(columns):
-            counts = np.float32(depth[row, column])
+            i, j = row * step, column * step
+            if step > 1 and (depth[i, j] == 0 or depth[i, j] > HIGHEST_COUNT) and i + 1 < height and j + 1 < width:
+                i, j = i + 1, j + 1
+            count[column] = depth[i, j]
+            if indexed:
+                shade[column] = index[i, j]
+        # … then the arithmetic without branches, which the compiler vectorises …
+        for column in range(columns):
+            counts = np.float32(count[column])
             z = counts * metres_per_count + offset
-            x, y = rays[row, column, 0], rays[row, column, 1]
+            x, y = rays[0, row, column], rays[1, row, column]
             w = z * (m20 * x + m21 * y + m22) + m23
             inverse = one / w
             u = (z * (m00 * x + m01 * y + m02) + m03) * inverse
             v = (z * (m10 * x + m11 * y + m12) + m13) * inverse
             has_depth = (counts > zero) & (counts < np.float32(65535)) & (z > zero)
-            inside = (w >= near) & (w <= far) & (u >= zero) & (u < width) & (v >= zero) & (v < height)
+            inside = (w >= near) & (w <= far) & (u >= zero) & (u < right) & (v >= zero) & (v < bottom)
             shown = has_depth & inside
             j = np.int32(u + last) if shown else np.int32(0)
             i = np.int32(v + last) if shown else np.int32(0)
             place[column] = i * stride + j if shown else np.int32(-1)
             distance[column] = w
             share = min(max(z * slope + intercept, zero), one)
-            shade[column] = np.uint8(share * np.float32(255) + np.float32(0.5))
-        # … then the writes, which depend on each other.
+            if not indexed:
+                shade[column] = np.uint8(share * np.float32(255) + np.float32(0.5))
+        # … and at last the writes, which depend on each other.
         for column in range(columns):
-            where = place[column]
-            color = index[row, column] if indexed else shade[column]
+            where, color = place[column], shade[column]
             if where < 0 or colors[color] == 0:
                 continue
             pixel = np.uint32(np.uint32((bits[column] - nearest) >> np.int32(3)) << np.uint32(8)) | np.uint32(color)
@@ -169,8 +186,8 @@ class SoftwareRenderer:
         self._pixels = np.empty((0, 0), np.uint32)
         self._lut: Uint8Array | None = None
         self._background, self._colors = (0, 0, 0), np.empty(0, np.uint32)
-        self._whole_rays: Float32Array | None = None
-        self._rays = np.empty((0, 0, 2), np.float32)
+        self._rays_of: Float32Array | None = None
+        self._step, self._rays = 0, np.empty((2, 0, 0), np.float32)
 
     def render(
         self,
@@ -203,42 +220,28 @@ class SoftwareRenderer:
         if cloud is None:
             self._image.fill(argb)
             return self._image
-        depth, index, rays = self._thinned(cloud) if thinned else (cloud.depth, cloud.index, cloud.rays)
+        step = 2 if thinned else 1
+        if self._rays_of is not cloud.rays or self._step != step:
+            self._rays_of, self._step = cloud.rays, step
+            self._rays = np.ascontiguousarray(np.moveaxis(cloud.rays[::step, ::step], 2, 0))
         if self._lut is not cloud.lut or self._background != background:
             self._lut, self._background = cloud.lut, background
             self._colors = _packed(over_background(cloud.lut, background))
         colors = self._colors
         scatter(
-            depth,
-            rays,
-            _NO_INDEX if index is None else index,
+            cloud.depth,
+            self._rays,
+            _NO_INDEX if cloud.index is None else cloud.index,
             colors,
             (camera.pixel_matrix(width, height) @ cloud.pose).astype(np.float32),
             np.array([cloud.metres_per_count, cloud.depth_offset_m, *cloud.index_from_depth], np.float32),
             np.array([NEAR * camera.distance, FAR * camera.distance], np.float32),
+            step,
             point_size,
             self._pixels,
         )
         squares(self._pixels, point_size, colors, argb, self._image)
         return self._image
-
-    def _thinned(self, cloud: DepthCloud) -> tuple[Uint16Array, Uint8Array | None, Float32Array]:
-        """Return depth, index and rays of every other row and column.
-
-        A pixel without depth takes that of its neighbour, which would cover its place if all were drawn.
-        """
-        first, beside = np.s_[::2, ::2], np.s_[1::2, 1::2]
-        depth, other = cloud.depth[first].copy(), cloud.depth[beside]
-        near = np.s_[: other.shape[0], : other.shape[1]]
-        missing = depth[near] - np.uint16(1) >= np.uint16(HIGHEST_COUNT)
-        np.copyto(depth[near], other, where=missing)
-        index = None
-        if cloud.index is not None:
-            index = cloud.index[first].copy()
-            np.copyto(index[near], cloud.index[beside], where=missing)
-        if self._whole_rays is not cloud.rays:
-            self._whole_rays, self._rays = cloud.rays, np.ascontiguousarray(cloud.rays[first])
-        return depth, index, self._rays
 
 
 #: Largest distance between drawn points while frames follow each other, as a share of their size: they overlap.
