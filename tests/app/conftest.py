@@ -59,7 +59,7 @@ def make_window(qtbot, preset, tmp_path, settings_file, monkeypatch) -> Iterator
     monkeypatch.setattr(opening, "default_folder", lambda: tmp_path / "thumbnails")
     windows = []
 
-    def make(start: Preset = preset, size: tuple[int, int] = (1280, 800)) -> MainWindow:
+    def make(start: Preset = preset, size: tuple[int, int] | None = (1280, 800)) -> MainWindow:
         window = MainWindow(
             start, Settings(settings_file), tmp_path / "unsaved", native_dialogs=False, backend="software"
         )
@@ -67,7 +67,8 @@ def make_window(qtbot, preset, tmp_path, settings_file, monkeypatch) -> Iterator
         window.set_theme("light", remember=False)
         window.settings.set("folder/preset", str(tmp_path))
         window.settings.set("folder/export", str(tmp_path))
-        window.resize(*size)
+        if size is not None:
+            window.resize_to(*size)
         window.show()
         qtbot.waitExposed(window)
         window.activateWindow()

@@ -80,6 +80,7 @@ def test_eyedropper_takes_the_membrane_s_colour_as_one_step(window, qtbot):
     QTest.mouseClick(enable, LEFT, pos=QPoint(8, enable.height() // 2))
     assert window.document.preset.mask.enabled
     pick = window.panel.eyedroppers["set"]
+    assert "prints" in pick.toolTip()
     QTest.mouseClick(pick, LEFT)
     assert window.eyedropper.mode == "set"
     pane = window.strip.panes["color"]

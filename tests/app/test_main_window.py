@@ -204,11 +204,12 @@ def test_a_given_size_wins_over_a_maximised_window(make_window):
     window = make_window(size=(900, 650))
     window.showMaximized()
     window.close_without_asking()
-    again = make_window()
+    again = make_window(size=None)
     assert again.isMaximized()
-    again.resize_to(1000, 700)
-    assert not again.isMaximized()
-    assert (again.width(), again.height()) == (1000, 700)
+    again.close_without_asking()
+    asked = make_window(size=(1000, 700))
+    assert not asked.isMaximized()
+    assert (asked.width(), asked.height()) == (1000, 700)
 
 
 @pytest.mark.parametrize("asked", [(9000, 9000), (1200, 700)])

@@ -27,7 +27,7 @@ def other_source(window, qtbot, name):
     show_source(qtbot, window, source)
 
 
-def test_a_refused_source_is_told_until_the_next_task_such_as_a_recording(window, qtbot, tmp_path):
+def test_a_refused_source_is_told_until_the_next_task_such_as_a_recording_or_a_calibration(window, qtbot, tmp_path):
     fail_to_open(window, qtbot)
     window.settings.set("folder/recordings", str(tmp_path / "recordings"))
     QTest.keyClick(window, Qt.Key.Key_F9)
@@ -35,6 +35,9 @@ def test_a_refused_source_is_told_until_the_next_task_such_as_a_recording(window
     assert window.messages.message("source") is None
     QTest.keyClick(window, Qt.Key.Key_F9)
     qtbot.waitUntil(lambda: not window.recording.running)
+    fail_to_open(window, qtbot)
+    QTest.keyClick(window, Qt.Key.Key_K, Qt.KeyboardModifier.ControlModifier)
+    assert window.calibration.wizard.isVisible() and window.messages.message("source") is None
 
 
 def test_a_refused_source_offers_to_open_another(window, qtbot):

@@ -253,4 +253,9 @@ def test_degenerate_points_are_refused_in_words(open_wizard, scene, qtbot):
     qtbot.waitUntil(lambda: "line" in wizard.outcome.sentence)
     assert wizard.outcome.report is None
     assert "line" in wizard.verdict.text()
+    wizard.resize(wizard.minimumSizeHint())
+    QApplication.processEvents()
+    words = wizard.verdict
+    needed = words.fontMetrics().boundingRect(words.rect(), Qt.TextFlag.TextWordWrap, words.text())
+    assert words.rect().contains(needed), "the footer is not cut"
     assert "line" in wizard.model.reason.text()

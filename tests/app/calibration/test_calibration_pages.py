@@ -289,6 +289,7 @@ def test_a_chessboard_is_found_and_undone(open_wizard, feed, frames, qtbot):
     assert not finder.columns.isVisible()
     look_for(finder, 1)
     assert finder.columns.isVisible() and "inner corners" in finder.columns.toolTip()
+    assert wizard.undo.toolTip() == "Undo: Look for: Chessboard (Ctrl+Z)"
     finder.columns.setValue(10)
     finder.rows.setValue(7)
     QTest.mouseClick(finder.search, LEFT)
