@@ -140,11 +140,9 @@ class OpenDialog(QDialog):
             self._show_choice()
 
     def _show_choice(self) -> None:
-        """Show the name and the note of the page, unless it has neither."""
-        page = self.page
-        if page.name or page.note:
-            self.name.setText(page.name)
-            self._say(page.note)
+        """Show the name and the note of the page."""
+        self.name.setText(self.page.name)
+        self._say(self.page.note)
 
     def _typed(self, text: str) -> bool:
         """Move the page to a typed name; return whether one knows it."""

@@ -6,10 +6,11 @@ from functools import partial
 
 from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtGui import QColor, QIcon, QImage, QKeyEvent, QPainter, QPalette, QPixmap
-from PyQt6.QtWidgets import QListWidget, QListWidgetItem
+from PyQt6.QtWidgets import QListWidget, QListWidgetItem, QWidget
 
 from ...core.sources.registry import is_recording, missing_path
-from ...widgets.basics.layouts import vbox
+from ...widgets.basics.controls import push_button, wrapped_label
+from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ..settings import Settings
 from ..worker.jobs import Job
 from .page import SourcePage
@@ -17,7 +18,8 @@ from .thumbnails import SIZE, Thumbnails
 
 RECENT = "sources"
 _MISSING = "There is nothing at {} any more: it was moved or deleted. Delete removes it from this list."
-_NONE = "Nothing was open yet."
+_NONE = "Sources that you open will be listed here, each with a picture."
+_SIMULATOR = "sim:cup"
 
 
 class RecentPage(SourcePage):
@@ -35,12 +37,17 @@ class RecentPage(SourcePage):
         self.list.setWordWrap(True)
         self.list.setSpacing(4)
         self.list.setTextElideMode(Qt.TextElideMode.ElideMiddle)
-        vbox(self.list, within=self, margins=0)
+        self.none = wrapped_label(_NONE)
+        self.simulator = push_button("Open simulator", f"Open {_SIMULATOR}, a sensor that needs no cameras")
+        self._empty = QWidget()
+        vbox(self.none, hbox(self.simulator, STRETCH), STRETCH, within=self._empty, margins=0)
+        vbox(self.list, self._empty, within=self, margins=0)
         self._job = Job(self)
         self._job.progress.connect(self._picture_made)
         self._fill()
         self.list.currentItemChanged.connect(lambda item, _: self._selected(item))
         self.list.itemActivated.connect(lambda _: self.activated.emit())
+        self.simulator.clicked.connect(self._open_simulator)
 
     def show_name(self, name: str) -> bool:
         """Select a name if it is in the list."""
@@ -81,8 +88,18 @@ class RecentPage(SourcePage):
                 lacking.append(name)
             self._show_picture(item, gray=missing is not None)
             self.list.addItem(item)
+        self._show_list()
         if lacking:
             self._job.start(partial(self._thumbnails.make, lacking))
+
+    def _show_list(self) -> None:
+        """Show the list; while it is empty, what it is for."""
+        self.list.setVisible(self.list.count() > 0)
+        self._empty.setVisible(self.list.count() == 0)
+
+    def _open_simulator(self) -> None:
+        self._choose(_SIMULATOR)
+        self.activated.emit()
 
     def _picture_made(self, _share: float, name: str) -> None:
         for item in self._items():
@@ -107,7 +124,7 @@ class RecentPage(SourcePage):
 
     def _selected(self, item: QListWidgetItem | None) -> None:
         if item is None:
-            self._choose("", _NONE)
+            self._choose("")
             return
         name = item.data(Qt.ItemDataRole.UserRole)
         missing = missing_path(name)
@@ -118,6 +135,7 @@ class RecentPage(SourcePage):
         if item is not None:
             self._settings.remove_recent(RECENT, item.data(Qt.ItemDataRole.UserRole))
             self.list.takeItem(self.list.row(item))
+            self._show_list()
 
 
 def _padded(picture: QPixmap) -> QIcon:

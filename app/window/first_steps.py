@@ -48,11 +48,11 @@ class FirstStepsCard(Card):
         grid = QGridLayout(self)
         grid.setContentsMargins(8, 4, 4, 8)
         grid.setVerticalSpacing(4)
-        grid.setColumnStretch(2, 1)
-        grid.addWidget(QLabel("<b>Getting started</b>: from a source to a preset"), 0, 0, 1, 3)
+        grid.setSizeConstraint(QGridLayout.SizeConstraint.SetFixedSize)  # it covers no more of the views than it must
+        grid.addWidget(QLabel("<b>Getting started</b>"), 0, 0, 1, 2)
         self.cross = close_button("Close getting started", "Close for good; Help > Getting started shows it again")
         self.cross.clicked.connect(self.closed)
-        grid.addWidget(self.cross, 0, 3)
+        grid.addWidget(self.cross, 0, 2)
         for row, (name, text, what) in enumerate(_STEPS, start=1):
             tick = self.ticks[name] = QLabel()
             tick.setFixedWidth(16)
@@ -62,8 +62,7 @@ class FirstStepsCard(Card):
             button.setToolTip(what)
             button.clicked.connect(partial(self._press, name))
             grid.addWidget(tick, row, 0)
-            grid.addWidget(button, row, 1)
-            grid.addWidget(QLabel(what), row, 2, 1, 2)
+            grid.addWidget(button, row, 1, 1, 2)
         self.hide()
 
     def show_done(self, done: set[str]) -> None:

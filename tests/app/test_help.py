@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from PyQt6.QtCore import Qt
+from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtGui import QDesktopServices
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
@@ -138,13 +138,14 @@ def test_the_card_is_closed_for_good_and_comes_back_from_help_with_its_ticks(fir
     assert not card(again).isVisible()
 
 
-def test_the_card_leaves_the_patch_view_free(first_start):
+def test_the_card_covers_one_view_only_and_the_mouse_reaches_the_others(first_start):
     first_start.resize(1024, 700)
     QApplication.processEvents()
     from tactune.app.worker.results import CloudName
 
-    views = first_start.views
-    patch = views.views[CloudName.PATCH]
-    left = patch.mapTo(views, patch.rect().topLeft()).x()
+    views, shown = first_start.views, card(first_start)
+    tactile = views.views[CloudName.TACTILE]
+    beside = QPoint(tactile.mapTo(views, tactile.rect().topLeft()).x() + 5, shown.mapTo(views, QPoint(0, 50)).y())
     assert views.rect().contains(first_start.messages.geometry())
-    assert first_start.messages.geometry().right() < left
+    assert shown.mapTo(views, shown.rect().topRight()).x() < beside.x() < first_start.messages.geometry().right()
+    assert tactile.isAncestorOf(views.childAt(beside))

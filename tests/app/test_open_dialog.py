@@ -201,6 +201,15 @@ def test_a_recording_that_is_gone_is_grey_and_can_be_removed(window, qtbot, tmp_
     assert all(not dialog.page.list.item(row).text().startswith(gone) for row in range(dialog.page.list.count()))
 
 
+def test_an_empty_list_says_what_it_is_for_and_opens_the_simulator(window, qtbot):
+    for name in window.settings.recent("sources"):
+        window.settings.remove_recent("sources", name)
+    dialog = open_dialog(window, qtbot, RECENT)
+    assert not dialog.page.list.isVisible() and "will be listed here" in dialog.page.none.text()
+    QTest.mouseClick(dialog.page.simulator, LEFT)
+    qtbot.waitUntil(lambda: shows(window, "sim:cup"))
+
+
 def test_strange_names_are_listed(window, qtbot):
     names = ["x" * 5000, "folder:/tmp/\udcff"]
     for name in reversed(names):
@@ -214,6 +223,8 @@ def test_strange_names_are_listed(window, qtbot):
 
 def test_each_kind_begins_a_name(window, qtbot):
     dialog = open_dialog(window, qtbot, FILES)
+    assert dialog.name.text() == "", "sim:cup belongs to the page before"
+    assert "a path" in dialog.name.placeholderText()
     kinds = dialog.page.kinds
     forms = [kinds.item(row, 0).text() for row in range(kinds.rowCount())]
     row = forms.index("mcap:PATH")

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PyQt6.QtCore import QEvent, QPoint, QPointF, Qt
@@ -39,7 +41,7 @@ def rendered(height: int = HEIGHT, width: int = WIDTH, hint: int = 0) -> Rendere
 def strip(qtbot, qapp: QApplication) -> ImageStrip:
     widget = ImageStrip()
     qtbot.addWidget(widget)
-    widget.resize(1280, 260)
+    widget.resize(1600, 260)
     widget.show()
     qtbot.waitExposed(widget)
     widget.set_images(rendered(hint=widget.width_hint()))
@@ -320,9 +322,14 @@ def test_legends_say_range_and_band(strip: ImageStrip) -> None:
 
 def test_a_narrow_strip_puts_all_legends_on_a_second_line(strip: ImageStrip, qapp: QApplication) -> None:
     line = strip.panes["tactile"].header.height()
-    strip.resize(800, 260)
-    qapp.processEvents()
-    assert {pane.header.height() for pane in strip.panes.values()} == {2 * line}
-    strip.resize(1280, 260)
-    qapp.processEvents()
-    assert {pane.header.height() for pane in strip.panes.values()} == {line}
+    seen = []
+    for width in range(1200, 1640, 8):
+        strip.resize(width, 260)
+        heights = set()
+        for far_m in (0.31, 1.04):
+            strip.set_images(replace(rendered(), depth_range_m=(0.09, far_m)))
+            qapp.processEvents()
+            heights |= {pane.header.height() for pane in strip.panes.values()}
+        [height] = heights  # another number moves nothing
+        seen.append(height // line)
+    assert (seen[0], seen[-1]) == (2, 1) and sorted(seen, reverse=True) == seen

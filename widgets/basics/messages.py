@@ -349,6 +349,7 @@ class Messages(QWidget):
                 frame.setGeometry(0, y, width, heights[frame] - _GAP_PX)
                 y += heights[frame]
         self.setGeometry(_MARGIN_PX, room + _MARGIN_PX - y, width, y)
+        self.setMask(self.childrenRegion())  # beside a narrow frame the mouse reaches what is below
         self.setVisible(y > 0)
         self.raise_()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -73,13 +74,12 @@ class PaneHeader(QWidget):
         self.update()
 
     def full_width(self) -> int:
-        """Return the width in pixels of title and bar (or swatches) on one line."""
-        metrics = self.fontMetrics()
-        title = metrics.horizontalAdvance(self._title) + 2 + 2 * _GAP
-        if self._bar is None:
-            return title + sum(metrics.horizontalAdvance(s.text) + _SWATCH + 3 * _GAP for s in self._swatches)
-        ends = metrics.horizontalAdvance(self._bar.low) + metrics.horizontalAdvance(self._bar.high)
-        return title + ends + _SHORTEST_BAR + 2 * _GAP + 4
+        """Return the width in pixels of title and legend on one line, whatever the numbers in the legend."""
+        bar = () if self._bar is None else (self._bar.low, self._bar.high)
+        texts = (self._title, *bar, *(swatch.text for swatch in self._swatches))
+        widest = (re.sub(r"[\d.]+", "0.000", text) for text in texts)
+        around = len(self._swatches) * (_SWATCH + 3 * _GAP) + (_SHORTEST_BAR + 4 * _GAP if bar else 0)
+        return sum(map(self.fontMetrics().horizontalAdvance, widest)) + around + 2 * _GAP + 4
 
     def set_lines(self, lines: int) -> None:
         """Put the legend beside the title (1) or below it (2)."""
