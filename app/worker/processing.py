@@ -17,7 +17,8 @@ from .playback import PlaybackState
 from .rendering import Renderer
 from .results import ComparedFrame, ComparedSide, RateMeter, Rendered, Result, SourceInfo, Wanted
 
-#: Shortest time between two histograms or lists of contacts while frames play, seconds: nobody reads them faster.
+#: Shortest time between two histograms, lists of contacts, numbers of points or reasons of an empty patch while frames
+#: play, seconds: nobody reads them faster.
 COUNTING_INTERVAL_S = 0.2
 #: Shortest time between two drawings of the images while frames play, seconds. The views show every frame.
 STRIP_INTERVAL_S = 0.06
@@ -159,7 +160,7 @@ class FrameProcessor:
     def _due(self, wanted: Wanted, now_s: float) -> Wanted:
         """Leave out what was drawn a short time ago."""
         if now_s - self._counted_s < COUNTING_INTERVAL_S:
-            wanted = replace(wanted, histograms=frozenset(), contacts=False)
+            wanted = replace(wanted, histograms=frozenset(), contacts=False, words=False)
         else:
             self._counted_s = now_s
         if now_s - self._strip_s < STRIP_INTERVAL_S:
@@ -191,6 +192,7 @@ class FrameProcessor:
     def _render_compared(
         self, sides: Sides, finders: list[PatchFinder], frame: SensorFrame, rig: Rig, wanted: Wanted
     ) -> ComparedFrame:
+        wanted = replace(wanted, words=True)
         uncounted = replace(wanted, histograms=frozenset(), contacts=False)
         for finder in finders:
             self._renderer.widen_depth_range(frame, finder.preset, rig)

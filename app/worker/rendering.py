@@ -213,6 +213,8 @@ class Renderer:
         self._ranges_m: dict[CameraRole, tuple[float, float]] = {}
         self._palettes = _new_palettes()
         self._last_clouds: dict[CloudName, DepthCloud | None] = {}
+        self._counts: dict[CloudName, int] = {}
+        self._no_contact = "", ""
 
     def render(
         self, frame: SensorFrame, patch: ContactPatch | None, preset: Preset, rig: Rig, wanted: Wanted
@@ -221,10 +223,11 @@ class Renderer:
         sample_m = membrane_sample_m(frame, preset, rig)
         scene = self._scene(frame, patch, preset, rig, wanted, sample_m)
         depth_range_m, tactile_range_m = scene.depth_range_m, scene.tactile_range_m or scene.depth_range_m
-        clouds = {name: self._shared(name, _VIEWS[name](scene)) for name in CloudName if name in wanted.clouds}
-        for cloud in clouds.values():
-            if cloud is not None:
-                _ = cloud.point_count  # counted on this thread, so the window does not have to
+        clouds = {
+            name: self._shared(name, self._with_count(name, _VIEWS[name](scene), wanted.words))
+            for name in CloudName
+            if name in wanted.clouds
+        }
         strip = None
         if wanted.strip:
             strip = draw_strip(
@@ -237,9 +240,11 @@ class Renderer:
                 width_hint=wanted.strip_width,
                 mask_view=wanted.mask_view,
             )
-        no_contact, no_contact_action = "", ""
-        if patch and not len(patch.points) and CloudName.PATCH in wanted.clouds:
-            no_contact, no_contact_action = why_no_contact(frame, patch, preset, rig)
+        if not patch or len(patch.points) or CloudName.PATCH not in wanted.clouds:
+            self._no_contact = "", ""
+        elif wanted.words or not self._no_contact[0]:
+            self._no_contact = why_no_contact(frame, patch, preset, rig)
+        no_contact, no_contact_action = self._no_contact
         return Rendered(
             clouds=clouds,
             color_by=wanted.color_by,
@@ -254,6 +259,15 @@ class Renderer:
             no_contact_action=no_contact_action,
             contacts=(patch.contacts if patch else ()) if wanted.contacts else None,
         )
+
+    def _with_count(self, name: CloudName, cloud: DepthCloud | None, anew: bool) -> DepthCloud | None:
+        """Return a cloud with its number of points, counted here so that the window does not have to, or the last."""
+        if cloud is None or cloud.count is not None:
+            return cloud
+        if not anew and name in self._counts:
+            return replace(cloud, count=self._counts[name])
+        self._counts[name] = cloud.point_count
+        return cloud
 
     def _shared(self, name: CloudName, cloud: DepthCloud | None) -> DepthCloud | None:
         """Return the last cloud of a view instead of one that looks like it: two presets then share one picture."""

@@ -115,6 +115,7 @@ class Wanted:
     ``strip_width`` is the width of one image of the strip on the screen in pixels; 0 draws all pixels.
     ``histograms`` are the fields whose histograms are open; that of the contact test's own field is counted.
     ``patch_difference`` draws the difference of two compared patches, ``contacts`` lists the patch's connected parts.
+    ``words`` counts the points of both cameras and says why a patch is empty; else the last numbers and reason stay.
     """
 
     clouds: frozenset[CloudName] = frozenset(CloudName)
@@ -126,6 +127,7 @@ class Wanted:
     dark: bool = False
     patch_difference: bool = False
     contacts: bool = False
+    words: bool = True
 
     def while_running(self) -> Wanted:
         """Return what is drawn while frames play: the strip a little coarser."""

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
 
-from PyQt6.QtCore import QPointF, QRectF, Qt
-from PyQt6.QtGui import QColor, QFontMetricsF, QImage, QPainter, QPalette, QPen
+from PyQt6.QtCore import QPointF, QRectF, QSizeF, Qt
+from PyQt6.QtGui import QColor, QFontMetricsF, QImage, QPainter, QPalette, QPen, QStaticText
 from PyQt6.QtWidgets import QWidget
 
 from ..basics.colormaps import Theme, palette_theme
@@ -138,8 +138,17 @@ def _paint_note(painter: QPainter, widget: QWidget, note: str) -> None:
     painter.setFont(font)
     painter.setPen(widget.palette().color(QPalette.ColorRole.PlaceholderText))
     room = QRectF(widget.rect()).adjusted(2 * _AXIS_MARGIN, 0.0, -6.0, -4.0)
+    text, size = _fitting_note(note, room.width(), font.key())
+    painter.drawStaticText(room.bottomRight() - QPointF(size.width(), size.height()), text)
+
+
+@lru_cache(maxsize=8)
+def _fitting_note(note: str, width: float, _font: str) -> tuple[QStaticText, QSizeF]:
+    """Return a note laid out on one line, and its size; the tooltip has the whole reason."""
+    font = text_font("caption")
     metrics = QFontMetricsF(font)
-    # The tooltip has the whole reason.
-    fitting = note if metrics.horizontalAdvance(note) <= room.width() else note.partition(":")[0]
-    text = metrics.elidedText(fitting, Qt.TextElideMode.ElideRight, room.width())
-    painter.drawText(room, int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignBottom), text)
+    fitting = note if metrics.horizontalAdvance(note) <= width else note.partition(":")[0]
+    text = QStaticText(metrics.elidedText(fitting, Qt.TextElideMode.ElideRight, width))
+    text.setTextFormat(Qt.TextFormat.PlainText)
+    text.prepare(font=font)
+    return text, text.size()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import cos, pi, radians, sin, tan
 from typing import Literal, Self
 
@@ -70,6 +71,7 @@ class ViewCamera:
         eye: Float64Array = np.array(self.target) + self.distance * self.axes()[2]
         return eye
 
+    @lru_cache(maxsize=8)  # noqa: B019  # of cameras that no longer exist, 8 are kept
     def pixel_matrix(self, width: int, height: int) -> Float64Array:
         """Return the projection to the pixels of a view: float64 (3, 4).
 
@@ -82,6 +84,7 @@ class ViewCamera:
         matrix = np.empty((3, 4))
         matrix[:, :3] = focal * right - width / 2 * back, -focal * up - height / 2 * back, -back
         matrix[:, 3] = -matrix[:, :3] @ self.eye()
+        matrix.flags.writeable = False
         return matrix
 
     def clip_matrix(self, width: int, height: int) -> Float64Array:
