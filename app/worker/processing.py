@@ -17,8 +17,8 @@ from .playback import PlaybackState
 from .rendering import Renderer
 from .results import ComparedFrame, ComparedSide, RateMeter, Rendered, Result, SourceInfo, Wanted
 
-#: Shortest time between two histograms, lists of contacts, numbers of points or reasons of an empty patch while frames
-#: play, seconds: nobody reads them faster.
+#: Shortest time between two histograms, lists of contacts, numbers of points, reasons of an empty patch or ranges of
+#: the depth colours while frames play, seconds: nobody reads them faster.
 COUNTING_INTERVAL_S = 0.2
 #: Shortest time between two drawings of the images while frames play, seconds. The views show every frame.
 STRIP_INTERVAL_S = 0.06
@@ -195,7 +195,7 @@ class FrameProcessor:
         wanted = replace(wanted, words=True)
         uncounted = replace(wanted, histograms=frozenset(), contacts=False)
         for finder in finders:
-            self._renderer.widen_depth_range(frame, finder.preset, rig)
+            self._renderer.measure(frame, finder.preset, rig)
         a, b = (
             ComparedSide(
                 replace(side, preset=finder.preset), finder.patch, finder.problem,

@@ -210,7 +210,8 @@ class Renderer:
 
     def __init__(self) -> None:
         self._rig: Rig | None = None
-        self._ranges_m: dict[CameraRole, tuple[float, float]] = {}
+        self._ranges_m: dict[str, tuple[float, float]] = {}
+        self._median_m = float("nan")
         self._palettes = _new_palettes()
         self._last_clouds: dict[CloudName, DepthCloud | None] = {}
         self._counts: dict[CloudName, int] = {}
@@ -220,8 +221,9 @@ class Renderer:
         self, frame: SensorFrame, patch: ContactPatch | None, preset: Preset, rig: Rig, wanted: Wanted
     ) -> Rendered:
         """Return the wanted images; without a patch, only those that need none."""
-        sample_m = membrane_sample_m(frame, preset, rig)
-        scene = self._scene(frame, patch, preset, rig, wanted, sample_m)
+        if wanted.words or rig is not self._rig:
+            self.measure(frame, preset, rig)
+        scene = self._scene(frame, patch, preset, rig, wanted)
         depth_range_m, tactile_range_m = scene.depth_range_m, scene.tactile_range_m or scene.depth_range_m
         clouds = {
             name: self._shared(name, self._with_count(name, _VIEWS[name](scene), wanted.words))
@@ -250,7 +252,7 @@ class Renderer:
             color_by=wanted.color_by,
             strip=strip,
             histogram=histogram_of(patch, preset, wanted.histograms) if patch else None,
-            median_distance_m=_quantiles(sample_m, 0.5)[0] if len(sample_m) else float("nan"),
+            median_distance_m=self._median_m,
             depth_range_m=depth_range_m,
             tactile_range_m=tactile_range_m,
             verdicts=verdicts_of(patch) if patch and wanted.color_by is ColorBy.PROVENANCE else frozenset(),
@@ -277,9 +279,22 @@ class Renderer:
         self._last_clouds[name] = cloud
         return cloud
 
-    def widen_depth_range(self, frame: SensorFrame, preset: Preset, rig: Rig) -> None:
-        """Take a preset's depths into the range of the colours, so that another preset's are drawn alike."""
-        self._stable_ranges(frame, preset, rig, membrane_sample_m(frame, preset, rig))
+    def measure(self, frame: SensorFrame, preset: Preset, rig: Rig) -> None:
+        """Take a frame's depths into the ranges of the colours, and keep the membrane's median distance."""
+        if rig is not self._rig:
+            self._rig, self._ranges_m, self._palettes = rig, {}, _new_palettes()
+        sample_m = membrane_sample_m(frame, preset, rig)
+        self._median_m = float("nan")
+        if not len(sample_m):
+            return
+        # Along the tactile axis the membrane is not tilted, so its own depth decides on the reserve of both ranges.
+        low, self._median_m, high = _quantiles(sample_m, _ENDS[0], 0.5, _ENDS[1])
+        seen_by_proximity_m = _quantiles(membrane_along_proximity_m(frame, preset, rig, sample_m), *_ENDS)
+        span_m = max(high - low, _SMALLEST_SPAN_M)
+        for camera, ends_m in (("proximity", seen_by_proximity_m), ("tactile", (low, high))):
+            near, far = max(ends_m[0] - _NEARER * span_m, 0.0), ends_m[1] + _FARTHER * span_m
+            before = self._ranges_m.get(camera, (near, far))
+            self._ranges_m[camera] = min(near, before[0]), max(far, before[1])
 
     def render_difference(
         self,
@@ -290,10 +305,7 @@ class Renderer:
         wanted: Wanted,
     ) -> DepthCloud:
         """Return two patches of a frame in one cloud, coloured by which of them a point belongs to."""
-        a, b = (
-            self._scene(frame, patch, preset, rig, wanted, membrane_sample_m(frame, preset, rig))
-            for patch, preset in zip(patches, presets, strict=True)
-        )
+        a, b = (self._scene(frame, patch, preset, rig, wanted) for patch, preset in zip(patches, presets, strict=True))
         cloud = patch_difference_view(a, b)
         _ = cloud.point_count
         return cloud
@@ -305,35 +317,12 @@ class Renderer:
         preset: Preset,
         rig: Rig,
         wanted: Wanted,
-        sample_m: Float32Array,
     ) -> Scene:
         theme: Theme = "dark" if wanted.dark else "light"
-        ranges = self._stable_ranges(frame, preset, rig, sample_m)
-        return Scene(frame, patch, preset, rig, wanted.color_by, theme, *ranges, palettes=self._palettes)
-
-    def _stable_ranges(
-        self, frame: SensorFrame, preset: Preset, rig: Rig, sample_m: Float32Array
-    ) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Return the ends of the depth colours along the axes of both cameras."""
-        if rig is not self._rig:
-            self._rig, self._ranges_m, self._palettes = rig, {}, _new_palettes()
-        seen_by_proximity_m = membrane_along_proximity_m(frame, preset, rig, sample_m)
-        # Along the tactile axis the membrane is not tilted, so its own depth decides on the reserve of both ranges.
-        low, high = _quantiles(sample_m, *_ENDS) if len(sample_m) else (0.0, 0.0)
-        span_m = max(high - low, _SMALLEST_SPAN_M)
-        return self._widened("proximity", seen_by_proximity_m, span_m), self._widened("tactile", sample_m, span_m)
-
-    def _widened(self, camera: CameraRole, sample_m: Float32Array, span: float) -> tuple[float, float]:
-        """Return a depth range that only widens while the source stays the same."""
-        before = self._ranges_m.get(camera)
-        if len(sample_m) == 0:
-            return before or (0.0, 1.0)
-        near, far = _quantiles(sample_m, *_ENDS)
-        near, far = max(near - _NEARER * span, 0.0), far + _FARTHER * span
-        if before is not None:
-            near, far = min(near, before[0]), max(far, before[1])
-        self._ranges_m[camera] = near, far
-        return near, far
+        along_proximity, along_tactile = (self._ranges_m.get(role, (0.0, 1.0)) for role in ("proximity", "tactile"))
+        return Scene(
+            frame, patch, preset, rig, wanted.color_by, theme, along_proximity, along_tactile, palettes=self._palettes
+        )
 
 
 def _quantiles(sample: Float32Array, *shares: float) -> tuple[float, ...]:

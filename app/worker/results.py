@@ -115,7 +115,8 @@ class Wanted:
     ``strip_width`` is the width of one image of the strip on the screen in pixels; 0 draws all pixels.
     ``histograms`` are the fields whose histograms are open; that of the contact test's own field is counted.
     ``patch_difference`` draws the difference of two compared patches, ``contacts`` lists the patch's connected parts.
-    ``words`` counts the points of both cameras and says why a patch is empty; else the last numbers and reason stay.
+    ``words`` counts the points of both cameras, says why a patch is empty and measures the range of the depth colours;
+    else those of an earlier frame stay.
     """
 
     clouds: frozenset[CloudName] = frozenset(CloudName)

@@ -43,8 +43,7 @@ def choose(window, qtbot, color_by):
     for _ in range(list(ColorBy).index(color_by)):
         QTest.keyClick(box, Qt.Key.Key_Down)
     assert window.views.chosen_colors() is color_by
-    legend = window.views.views[TACTILE].legend
-    qtbot.waitUntil(lambda: not legend()[0][0].endswith("mm"))
+    qtbot.waitUntil(lambda: window.result.rendered.color_by is color_by)
 
 
 def test_a_letter_in_the_box_chooses_and_is_no_shortcut(window):
