@@ -56,3 +56,8 @@ def as_sentence(clause: str) -> str:
 def counted(number: int, thing: str) -> str:
     """Return a number with its noun, such as ``"1 frame"`` or ``"2,000 frames"``."""
     return f"{number:,} {thing}" + ("s" if number != 1 else "")
+
+
+def minus(number: str) -> str:
+    """Return the text of a number with a minus sign, as people read it; files and entries keep the hyphen."""
+    return number.replace("-", "−")

@@ -12,6 +12,7 @@ import pyqtgraph as pg
 from PyQt6.QtCore import Qt, QTimer
 from PyQt6.QtWidgets import QComboBox, QDoubleSpinBox, QHBoxLayout, QVBoxLayout, QWidget
 
+from ...core.errors import minus
 from ...core.estimation.balance import LEVEL_DEG, BalanceLoop, BalanceMethod, BalanceStep, Gains, summarise
 from ...core.evaluation.sensor_table import measured_rig
 from ...core.sources.presets import load_preset
@@ -242,7 +243,7 @@ class BalancePlot(QWidget):
 
 
 def _degrees(radians: float) -> str:
-    return f"{round(math.degrees(radians), 1) + 0.0:+.1f}°"  # 0.0 is added to have no -0.0
+    return minus(f"{math.degrees(radians):+z.1f}°")
 
 
 def _gain(name: str, tip: str, limits: tuple[float, float, float], suffix: str, value: float) -> QDoubleSpinBox:

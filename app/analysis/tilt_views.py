@@ -15,6 +15,7 @@ from PyQt6.QtCore import QPointF, QRectF, QSize, Qt
 from PyQt6.QtGui import QColor, QFontMetrics, QPainter, QPaintEvent, QPen
 from PyQt6.QtWidgets import QSizePolicy, QVBoxLayout, QWidget
 
+from ...core.errors import minus
 from ...core.estimation.tilt import Tilt
 from ...core.model.arrays import Float32Array, Float64Array
 from ...widgets.basics.colormaps import CONTACT_ROW, Theme, patch_lut
@@ -67,7 +68,7 @@ def degrees_text(angle_rad: float | None, sigma_rad: float | None) -> str:
     """Return an angle with its standard deviation in degrees, or that it is not determined."""
     if angle_rad is None or sigma_rad is None:
         return "not determined"
-    return f"{math.degrees(angle_rad):.2f}° ± {math.degrees(sigma_rad):.2f}°"
+    return minus(f"{math.degrees(angle_rad):z.2f}° ± {math.degrees(sigma_rad):.2f}°")
 
 
 class AngleDial(QWidget):
@@ -112,7 +113,7 @@ class AngleDial(QWidget):
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         metrics = QFontMetrics(text_font("body", bold=True))
         below, numbers = metrics.height() + 6, QFontMetrics(text_font("caption"))
-        above, beside = numbers.height() + 4, numbers.horizontalAdvance(f"-{_SCALES[-1]}°") + 8
+        above, beside = numbers.height() + 4, numbers.horizontalAdvance(f"−{_SCALES[-1]}°") + 8
         radius = min(self.height() - below - above - 4.0, self.width() / 2 - beside)
         centre = QPointF(self.width() / 2, above + radius)
         angle = None if self._angle_rad is None else math.degrees(self._angle_rad)
@@ -143,7 +144,7 @@ class AngleDial(QWidget):
             painter.setPen(QPen(QColor(colors.muted), 1.5 if long else 1.0))
             painter.drawLine(_on_circle(centre, radius, at), _on_circle(centre, radius - (9 if long else 5), at))
             if abs(part) == 10 or part == 0:
-                text = f"{part * scale // 10}°"
+                text = minus(f"{part * scale // 10}°")
                 wide, high = metrics.horizontalAdvance(text), metrics.height()
                 place = _on_circle(centre, radius + 4, at)  # outside the scale, away from the needle
                 left = place.x() - wide * (1 - part / 10) / 2

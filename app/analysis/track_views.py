@@ -11,6 +11,7 @@ from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QGridLayout, QLabel, QSplitter, QWidget
 from scipy.spatial.transform import Rotation
 
+from ...core.errors import minus
 from ...core.estimation.pose import PoseEstimate
 from ...widgets.basics.colormaps import CONTACT_COLOR, Legend, palette_theme, patch_lut
 from ...widgets.basics.controls import CollapsibleSection, ElidedLabel, push_button
@@ -75,7 +76,7 @@ class PosePanel(CollapsibleSection):
             free = spread[row] > (_FREE_M if length else _FREE_RAD)
             shown = 1e3 * spread[row] if length else math.degrees(spread[row])
             unit = " mm" if length else "°"
-            self.values[row].setText(f"{value:.1f}{unit}")
+            self.values[row].setText(minus(f"{value:z.1f}{unit}"))
             self.sigmas[row].setText("free" if free else f"± {shown:.2f}{unit}")
             color = f"color: {theme_colors().error}" if free else ""
             for label in (self.values[row], self.sigmas[row]):

@@ -24,6 +24,7 @@ from PyQt6.QtWidgets import (
 )
 from scipy.spatial.transform import Rotation
 
+from ...core.errors import minus
 from ...core.evaluation.scan.paint import PaintSettings
 from ...core.model.arrays import Float64Array, Uint8Array
 from ...core.model.frames import Matrix4
@@ -511,7 +512,7 @@ class ResultPanel(CollapsibleSection):
         self.values["patch_area"].setText(f"{scores.patch_area_mm2:,.0f} mm²")
         error = scores.values["area_error_mm2"]
         share = f" ({error / scores.scan_area_mm2:+.0%})" if scores.scan_area_mm2 > 0 else ""
-        self.values["area_error_mm2"].setText(f"{error:+,.0f} mm²{share}")
+        self.values["area_error_mm2"].setText(minus(f"{error:+,.0f} mm²{share}"))
 
     def show_command(self, command: str, note: str) -> None:
         """Show the command line, and what prevents repeating it."""

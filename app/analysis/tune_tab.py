@@ -16,7 +16,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from ...core.errors import PresetError, TactuneError
+from ...core.errors import PresetError, TactuneError, minus
 from ...core.preset import Preset
 from ...core.tuning.advice.proposal import Proposal
 from ...core.tuning.plan import OBJECTIVES, Axis, default_axes
@@ -162,7 +162,7 @@ class TuneTab(AnalysisTab):
             box = self.fields[axis.path]
             box.setChecked(axis.path not in off)
             spec = field_spec(Preset, axis.path)
-            ends = " to ".join(format_number(end * spec.factor) for end in (axis.low, axis.high))
+            ends = " to ".join(minus(format_number(end * spec.factor)) for end in (axis.low, axis.high))
             box.setText(f"{spec.title}: {ends}{spec.suffix}")
             box.setToolTip(f"{spec.description} Without the tick it keeps its value.")
         self._update()

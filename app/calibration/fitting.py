@@ -12,6 +12,7 @@ from PyQt6.QtCore import QObject, pyqtSignal
 from ...core.calibration import CalibrationReport, Correspondence, calibrate
 from ...core.calibration.correspondences import enabled_pairs
 from ...core.calibration.distortion import DistortionAdvice, advise_distortion
+from ...core.calibration.report import standing_out
 from ...core.errors import CalibrationError, counted
 from ...core.model.arrays import Float64Array
 from ...core.model.clouds import valid_depth
@@ -23,9 +24,6 @@ from .pictures import membrane_grid, tactile_depth_at
 from .prediction import Alignment
 from .session import ImageChoice, PointPair, Session, SessionState, Side, Snapshot
 
-#: A pair stands out if its residual exceeds this multiple of the median and half a pixel.
-_OUTLIER_FACTOR = 2.5
-_MIN_OUTLIER_PX = 0.5
 #: With more pairs, only those that stand out or are selected have their numbers drawn.
 _MAX_LABELS = 120
 _NAN_PAIR = (nan, nan)
@@ -76,11 +74,7 @@ class Outcome:
     @property
     def worst(self) -> frozenset[int]:
         """Keys of the pairs that stand out."""
-        lengths = {key: fit.residual_px for key, fit in self.fits.items() if np.isfinite(fit.residual_px)}
-        if len(lengths) < 5:
-            return self.rejected
-        limit = max(_OUTLIER_FACTOR * float(np.median(list(lengths.values()))), _MIN_OUTLIER_PX)
-        return frozenset(self.rejected | {key for key, length in lengths.items() if length > limit})
+        return frozenset() if self.report is None else frozenset(map(int, standing_out(self.report.chosen)))
 
 
 def at_least(value: float, unit: str) -> str:
@@ -180,7 +174,7 @@ def _hint(pair: PointPair, fit: PairFit, outcome: Outcome) -> str:
     if not fit.used:
         return "This pair is rejected, because the others contradict it; check both points."
     if pair.key in outcome.worst:
-        return "This pair has a large residual; check both points, or disable it."
+        return "This pair may be wrong, or its residual is large; check both points, or disable it."
     return ""
 
 

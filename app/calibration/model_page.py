@@ -21,6 +21,7 @@ from PyQt6.QtWidgets import (
 from ...core.calibration import CalibrationReport
 from ...core.calibration.depth_advice import DEPTH_WORDS
 from ...core.calibration.report import ModelQuality
+from ...core.errors import minus
 from ...widgets.basics.controls import caption, wrapped_label
 from ...widgets.basics.layouts import vbox
 from ...widgets.basics.theme import text_font
@@ -122,10 +123,7 @@ class _ModelColumn(QGroupBox):
             )
             return
         self.extra.setText(_extra_words(report, quality))
-        residuals = [
-            Residual(pair.residual_u, pair.residual_v, pair.id, pair.id == quality.worst_id or not pair.used)
-            for pair in quality.pairs
-        ]
+        residuals = [Residual(pair.residual_u, pair.residual_v, pair.id, not pair.used) for pair in quality.pairs]
         message = (
             ""
             if quality.rms_px is not None
@@ -224,7 +222,7 @@ def _extra_words(report: CalibrationReport, quality: ModelQuality) -> str:
         if sigma["scale"] is not None:
             words.append(f"Tactile depth × {pose.scale:.4f} ± {sigma['scale']:.4f}.")
         if sigma["offset_mm"] is not None:
-            words.append(f"Tactile depth {1e3 * pose.offset_m:+.2f} ± {sigma['offset_mm']:.2f} mm.")
+            words.append(f"Tactile depth {minus(f'{1e3 * pose.offset_m:+.2f}')} ± {sigma['offset_mm']:.2f} mm.")
     if quality.excluded:
         words.append(f"Rejected, because the others contradict them: {', '.join(quality.excluded[:12])}.")
     return " ".join(words)

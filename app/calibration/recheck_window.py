@@ -10,7 +10,7 @@ from PyQt6.QtGui import QCloseEvent
 from PyQt6.QtWidgets import QComboBox, QDialog, QGridLayout, QLabel, QWidget
 
 from ...core.calibration.recheck import Drift, recheck
-from ...core.errors import TactuneError
+from ...core.errors import TactuneError, minus
 from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import Preset
 from ...core.rig.drift import DepthChange, MembraneDrift, compare_with_untouched
@@ -157,7 +157,7 @@ def _membrane_rows(drift: MembraneDrift | None) -> list[tuple[str, str]]:
 def _change(change: DepthChange | None) -> str:
     if change is None:
         return "not seen"
-    return f"{1e3 * change.median_m:+.2f} mm, spread {1e3 * change.spread_m:.2f} mm"
+    return minus(f"{1e3 * change.median_m:+.2f} mm, spread {1e3 * change.spread_m:.2f} mm")
 
 
 def _marks(drift: Drift) -> list[Mark]:

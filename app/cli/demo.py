@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from ...core.errors import minus
 from ...core.model.files import finite_or_none
 from .common import CliProgress
 
@@ -97,7 +98,7 @@ def _report(name: str, method: str, gains: Gains, found: BalanceSummary) -> str:
 def _line(errors: AngleErrors) -> str:
     missing = f"; {errors.missing} frames without an angle" if errors.missing else ""
     return (
-        f"{errors.rms_deg:.2f} degrees RMS: offset {errors.bias_deg:+.2f}, noise from frame to frame "
+        f"{errors.rms_deg:.2f} degrees RMS: offset {minus(f'{errors.bias_deg:+.2f}')}, noise from frame to frame "
         f"{errors.noise_deg:.2f}; {100 * errors.within_1:.0f} % within one standard deviation, "
         f"{100 * errors.within_2:.0f} % within two{missing}"
     )

@@ -101,11 +101,13 @@ def convert(
     if to_mcap:
         _refuse_existing(target, force)
     kept = None if preset is None else load_preset(preset)
-    with open_with_progress(source) as opened, CliProgress() as progress:
+    with open_with_progress(source) as opened, CliProgress() as progress, stop_on_signals() as stopped:
         if kept is None and isinstance(opened, McapSource):
             kept = opened.preset()
 
         def show(share: float, _: str) -> None:
+            if stopped.is_set():
+                raise KeyboardInterrupt  # also for SIGTERM: the writers remove what is not complete
             progress.frames(round(share * 100), 100)
 
         if to_mcap:

@@ -21,6 +21,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
+from ...core.errors import minus
 from ...core.preset import Preset
 from ...widgets.basics.controls import AccentButton, caption, push_button, read_only_table, wrapped_label
 from ...widgets.basics.fields import FieldSpec, field_spec, format_number
@@ -307,5 +308,5 @@ def _in_words(path: str, spec: FieldSpec | None, value: Any) -> str:
         return "none" if value is None else _RECORDS[path](value)
     if spec is not None and spec.kind in ("number", "range"):
         numbers = value if isinstance(value, tuple) else (value,)
-        return " to ".join(format_number(number * spec.factor) for number in numbers)
+        return " to ".join(minus(format_number(number * spec.factor)) for number in numbers)
     return format_value(value)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from PyQt6.QtCore import QObject, Qt
 from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableWidget, QTableWidgetItem
 
+from ...core.errors import minus
 from ...core.model.patch import Contact
 from ...widgets.basics.controls import CollapsibleSection, read_only_table, wrapped_label
 from ...widgets.basics.layouts import vbox
@@ -72,7 +73,7 @@ class ContactList(QObject):
         shown = self._contacts[:LIMIT]
         self.table.setRowCount(len(shown))
         for row, contact in enumerate(shown):
-            texts = (f"{contact.area_mm2 / 100:.2f}", *(f"{1e3 * value:.1f}" for value in contact.centroid_m))
+            texts = (f"{contact.area_mm2 / 100:.2f}", *(minus(f"{1e3 * value:z.1f}") for value in contact.centroid_m))
             for column, text in enumerate(texts):
                 item = QTableWidgetItem(text)
                 item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)

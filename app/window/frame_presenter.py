@@ -8,6 +8,7 @@ import time
 from PyQt6.QtCore import QObject, QTimer
 
 from ...core.contact.pipeline import ContactPatch
+from ...core.errors import minus
 from ...core.model.provenance import Provenance
 from ...core.sources.base import CameraHealth, CameraRole
 from ...widgets.basics.messages import Severity
@@ -99,7 +100,8 @@ def readout(patch: ContactPatch | None, u: int, v: int, color: str = "") -> str:
     # What a narrow window cuts off comes last.
     parts = [f"({u}, {v})", f"dp {_metres(expected)}", f"dt {_metres(measured)}", why, gap, color]
     if math.isfinite(relative):
-        parts.insert(4, f"(dp − dt) / dp = {relative:+.1%} ({1e3 * (expected - measured):+.1f} mm)")
+        difference = minus(f"{relative:+.1%} ({1e3 * (expected - measured):+.1f} mm)")
+        parts.insert(4, f"(dp − dt) / dp = {difference}")
     return "   ".join(filter(None, parts))
 
 

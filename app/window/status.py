@@ -13,7 +13,7 @@ from PyQt6.QtWidgets import (
     QStatusBar,
 )
 
-from ...core.errors import counted
+from ...core.errors import counted, minus
 from ...widgets.basics.controls import ElidedLabel, number_label
 from ...widgets.basics.icons import icon
 from ...widgets.basics.messages import Card
@@ -89,7 +89,7 @@ class FrameDetails(Card):
             "Computed": f"{result.processed_fps:.0f} fps" if runs else "paused",
             "Dropped": str(result.dropped),
             "Unmatched": str(result.unmatched),
-            "Skew": f"{1e3 * result.frame.skew_s:.1f} ms",
+            "Skew": minus(f"{1e3 * result.frame.skew_s:z.1f} ms"),
             "Patch": points,
             "Stages": f"{' + '.join(computed)} = {sum(stages.values()):.1f} ms" if computed else "unchanged",
             "Reading": f"{result.read_ms:.1f} ms",

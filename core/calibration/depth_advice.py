@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import CalibrationError
+from ..errors import CalibrationError, minus
 from ..model.frames import Rig
 from .rigid import DEPTH_FITS, DepthFit, RigidFit, RigidPoints, fit_rigid
 
@@ -83,5 +83,5 @@ def _values(fit: RigidFit) -> str:
     if 0 in fit.problem.free:
         words.append(f"× {fit.pose.scale:.4f}")
     if 1 in fit.problem.free:
-        words.append(f"{1e3 * fit.pose.offset_m:+.1f} mm")
+        words.append(minus(f"{1e3 * fit.pose.offset_m:+.1f} mm"))
     return f"{', '.join(words)} ({_certainty(fit):.0f} times its standard error)"

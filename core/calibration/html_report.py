@@ -13,7 +13,7 @@ from string import Template
 import cv2
 import numpy as np
 
-from ..errors import CalibrationError
+from ..errors import CalibrationError, minus
 from ..model.arrays import Uint8Array
 from ..model.files import atomic_path
 from ..model.frames import Rig, SensorFrame
@@ -185,7 +185,7 @@ def _made_with(report: CalibrationReport, preset_name: str) -> list[list[str]]:
     if pose is not None:
         numbers = "; ".join(" ".join(f"{value:.6f}" for value in row) for row in pose.T_proximity_tactile[:3])
         rows.append(["T_proximity_tactile (rows; metres)", numbers])
-        rows.append(["Tactile depth", f"{pose.pose.scale:.5f} x raw {1e3 * pose.pose.offset_m:+.2f} mm"])
+        rows.append(["Tactile depth", minus(f"{pose.pose.scale:.5f} x raw {1e3 * pose.pose.offset_m:+.2f} mm")])
     if report.homography is not None:
         numbers = "; ".join(" ".join(f"{value:.6g}" for value in row) for row in report.homography.H_p_t)
         rows.append(["H_p_t (rows)", numbers])

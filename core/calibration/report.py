@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import ValidationError
 
-from ..errors import CalibrationError
+from ..errors import CalibrationError, minus
 from ..model.arrays import Float64Array
 from ..model.files import json_fields
 from ..model.frames import Rig
@@ -358,7 +358,7 @@ def _pose_words(rigid: RigidFit) -> str:
     if sigma["scale"] is not None:
         text += f"; tactile depth x {rigid.pose.scale:.4f} ± {sigma['scale']:.4f}"
     if sigma["offset_mm"] is not None:
-        text += f"; tactile depth {1e3 * rigid.pose.offset_m:+.2f} mm ± {sigma['offset_mm']:.2f} mm"
+        text += f"; tactile depth {minus(f'{1e3 * rigid.pose.offset_m:+.2f}')} mm ± {sigma['offset_mm']:.2f} mm"
     return text
 
 
@@ -452,18 +452,28 @@ def _or_doubtful(quality: ModelQuality) -> str:
 
 def _large_residuals(quality: ModelQuality) -> str:
     """Return advice on pairs whose residual is much larger than the median: their clicks, not their places, are bad."""
-    if quality.degrees <= 0:
-        return ""
-    kept = sorted((pair for pair in quality.pairs if pair.used), key=lambda pair: -pair.residual_px)
-    usual = float(np.median([pair.residual_px for pair in kept]))
-    bad = [pair for pair in kept if pair.residual_px > max(_SUSPICIOUS * usual, _CLICK_AGAIN_PX)][:3]
+    bad, usual = _far_from_fit(quality)
     if not bad:
         return ""
-    errors = " and ".join(f"{pair.residual_px:.1f}" for pair in bad)
+    errors = " and ".join(f"{pair.residual_px:.1f}" for pair in bad[:3])
     return (
-        f"Click {listed([pair.id for pair in bad])} again: {errors} px from the fit, half of all pairs are within "
+        f"Click {listed([pair.id for pair in bad[:3]])} again: {errors} px from the fit, half of all pairs are within "
         f"{usual:.1f} px."
     )
+
+
+def _far_from_fit(quality: ModelQuality) -> tuple[list[PairQuality], float]:
+    """Return the pairs to click again, the worst first, and the median residual, pixels."""
+    kept = sorted((pair for pair in quality.pairs if pair.used), key=lambda pair: -pair.residual_px)
+    if quality.degrees <= 0:
+        return [], 0.0
+    usual = float(np.median([pair.residual_px for pair in kept]))
+    return [pair for pair in kept if pair.residual_px > max(_SUSPICIOUS * usual, _CLICK_AGAIN_PX)], usual
+
+
+def standing_out(quality: ModelQuality) -> frozenset[str]:
+    """Return the ids of the pairs to look at: rejected, doubtful, or far from the fit, not merely the worst."""
+    return frozenset({*quality.excluded, *quality.doubtful, *(pair.id for pair in _far_from_fit(quality)[0])})
 
 
 def _weakest_place(quality: ModelQuality, proximity: Float64Array, rig: Rig) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 from ..contact.alignment import AlignmentModel, make_alignment
 from ..contact.kernels.chain import Region
 from ..contact.masking import colors_at, in_hsv_range
+from ..errors import minus
 from ..model.clouds import deproject, pixel_areas_m2, valid_depth
 from ..model.frames import Rig, SensorFrame
 from ..model.robust import spread
@@ -171,4 +172,4 @@ def describe_bias(bias: MeasuredBias) -> str:
 
 
 def _numbers(bias: MeasuredBias) -> str:
-    return f"{1e3 * bias.bias_m:+.1f} ± {1e3 * bias.sigma_m:.1f} mm"
+    return minus(f"{1e3 * bias.bias_m:+.1f}") + f" ± {1e3 * bias.sigma_m:.1f} mm"

@@ -8,7 +8,7 @@ from typing import Final, Literal
 import numpy as np
 
 from ..contact.pipeline import ContactPipeline
-from ..errors import CalibrationError, FrameError, RigMismatchError
+from ..errors import CalibrationError, FrameError, RigMismatchError, minus
 from ..methods.membrane_view import MembraneView
 from ..model.arrays import Float64Array, Uint16Array
 from ..model.clouds import ray_table, valid_depth
@@ -195,7 +195,7 @@ def _judge(
             f"{'farther out' if inflation_m > 0 else 'farther in'} than in the untouched frame; inflate it as before, "
             "or capture the untouched frame again."
         )
-    numbers = ", ".join(f"{name} {1e3 * change.median_m:+.2f} mm" for name, change in known.items())
+    numbers = ", ".join(f"{name} {minus(f'{1e3 * change.median_m:+.2f}')} mm" for name, change in known.items())
     unseen = "" if proximity else "; not checked: the proximity camera, which sees too little of the membrane itself"
     return "fine", f"The membrane is as in the untouched frame (median change: {numbers}){unseen}."
 

@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
-from ..errors import as_sentence
+from ..errors import as_sentence, minus
 from ..preset import Preset
 from .depth_quality import NOISE_FRAMES, CameraQuality, DepthQuality
 
@@ -107,7 +107,9 @@ def judge_bias(quality: DepthQuality, preset: Preset) -> Reading:
     if abs(bias.bias_m) <= limits.good_m:
         return Reading(title, value, Verdict.GOOD, limits.reason)
     verdict = Verdict.FAIR if abs(bias.bias_m) <= limits.fair_m else Verdict.POOR
-    step = f"If both see the same flat target, add {1e3 * bias.bias_m:+.1f} mm to the preset's depth offset."
+    step = (
+        f"If both see the same flat target, add {minus(f'{1e3 * bias.bias_m:+.1f}')} mm to the preset's depth offset."
+    )
     return Reading(title, value, verdict, limits.reason, step)
 
 

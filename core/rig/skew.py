@@ -28,7 +28,7 @@ from scipy.interpolate import CubicSpline
 
 from ..contact.alignment import make_alignment, tactile_homography
 from ..contact.kernels.chain import Region
-from ..errors import FrameError, TactuneError, counted
+from ..errors import FrameError, TactuneError, counted, minus
 from ..model.arrays import AnyArray, Float32Array, Float64Array, Uint16Array
 from ..model.clouds import valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
@@ -122,7 +122,8 @@ class Skew:
         """The result in words."""
         about = f"± {max(1e3 * self.uncertainty_s, 0.1):.1f} ms"
         if self.agrees:
-            return f"Both cameras' time stamps agree within the uncertainty: {1e3 * self.delay_s:+.1f} {about}."
+            delay = minus(f"{1e3 * self.delay_s:+.1f}")
+            return f"Both cameras' time stamps agree within the uncertainty: {delay} {about}."
         later = "later" if self.delay_s > 0 else "earlier"
         doubt = "" if self.significant else " This is too uncertain to compensate: measure again for longer."
         return (

@@ -17,6 +17,7 @@ membrane. A frame is::
 
 from __future__ import annotations
 
+import errno
 import io
 import itertools
 import math
@@ -168,6 +169,8 @@ def export_folder(
             target.rmdir()
         temporary.rename(target)
     except OSError as error:
+        if error.errno in (errno.ENOTEMPTY, errno.EEXIST):  # it was not there, or empty, before
+            raise ExportError(f"{target} was written by another program meanwhile; choose another name") from error
         raise ExportError(f"cannot write {target}: {error.strerror or error}; choose another place") from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)

@@ -37,7 +37,7 @@ def go_to(qtbot, window, tab, index):
 def test_shows_the_angles_of_the_frame_and_its_plane(qtbot, window):
     tab = opened(qtbot, window)
     angle, sigma = tab.roll.value()
-    assert tab.roll.text() == f"Roll {math.degrees(angle):.2f}° ± {math.degrees(sigma):.2f}°"
+    assert tab.roll.text() == f"Roll {math.degrees(angle):.2f}° ± {math.degrees(sigma):.2f}°".replace("-", "−")
     assert tab.roll.accessibleDescription() == tab.roll.text()
     assert abs(angle) < 0.2 and 0 < sigma < 0.05
     assert [name for name, _ in tab.cloud.legend()] == ["patch", "fitted plane"]

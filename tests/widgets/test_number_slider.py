@@ -115,7 +115,7 @@ def test_escape_brings_back_the_text(qtbot) -> None:
         ("tolerance.t", "much", "“much” is not a number"),
         ("outliers.ratio", "0", "allowed is above 0 σ to 100 σ"),
         ("outliers.k", "3.5", "not a whole number"),
-        ("alignment.depth_offset_m", "101", "allowed is -100 mm to 100 mm"),
+        ("alignment.depth_offset_m", "101", "allowed is −100 mm to 100 mm"),
     ],
 )
 def test_what_is_not_allowed_is_refused_in_words(qtbot, path: str, text: str, reason: str) -> None:

@@ -9,6 +9,8 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from ...core.errors import minus
+
 Kind = Literal["flag", "choice", "number", "range", "rectangle", "matrix"]
 
 #: Model unit -> (factor, suffix) of the displayed number.
@@ -75,7 +77,7 @@ class FieldSpec:
         if self.unit in _UNIT_WORDS and self.kind != "matrix":
             parts.append(f"In {_UNIT_WORDS[self.unit]}.")
         if self.kind in ("number", "range"):
-            low, high = (format_number(bound * self.factor) for bound in (self.minimum, self.maximum))
+            low, high = (minus(format_number(bound * self.factor)) for bound in (self.minimum, self.maximum))
             parts.append(f"Allowed: {'above ' if self.open_minimum else ''}{low} to {high}{self.suffix}.")
         return " ".join(parts)
 
@@ -91,7 +93,7 @@ class FieldSpec:
 
     def shown(self, value: float) -> str:
         """Format a number for display, with its unit; rounded, but never to zero."""
-        return self.bare(value) + self.suffix
+        return minus(self.bare(value)) + self.suffix
 
     def bare(self, value: float) -> str:
         """Format a number like `shown`, without its unit."""
@@ -106,7 +108,7 @@ class FieldSpec:
         if self.kind == "number":
             return self.shown(value)
         if self.kind == "range":
-            return " to ".join(format_number(end * self.factor) for end in value) + self.suffix
+            return " to ".join(minus(format_number(end * self.factor)) for end in value) + self.suffix
         if self.kind == "rectangle":
             return " x ".join(format_number(end) for end in value) + self.suffix
         if self.kind == "flag":

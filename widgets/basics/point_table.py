@@ -20,6 +20,7 @@ from PyQt6.QtCore import (
 from PyQt6.QtGui import QBrush, QColor, QKeyEvent
 from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableView
 
+from ...core.errors import minus
 from .controls import read_only_table
 from .theme import theme_name
 
@@ -166,7 +167,7 @@ class _Model(QAbstractTableModel):
 def _shown(value: float | str, decimals: int, missing: str) -> str:
     if isinstance(value, str):
         return value
-    return f"{value:.{decimals}f}" if isfinite(value) else missing
+    return minus(f"{value:z.{decimals}f}") if isfinite(value) else missing
 
 
 class PointTable(QTableView):

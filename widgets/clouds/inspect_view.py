@@ -8,6 +8,7 @@ from PyQt6.QtCore import QEvent, QPointF, QRectF, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QColor, QContextMenuEvent, QMouseEvent, QPainter, QPen
 from PyQt6.QtWidgets import QWidget
 
+from ...core.errors import minus
 from ..basics.theme import CASING
 from .cloud_view import CLICK_PX, BackendChoice, CloudView, Place
 
@@ -173,4 +174,4 @@ class InspectView(CloudView):
 
 def distance_text(start: Place, end: Place) -> str:
     """Return the distance between two places, and its part along the proximity camera's axis."""
-    return f"{1e3 * dist(start, end):.1f} mm (dz {1e3 * (end[2] - start[2]):+.1f} mm)".replace("-", "−")
+    return minus(f"{1e3 * dist(start, end):.1f} mm (dz {1e3 * (end[2] - start[2]):+.1f} mm)")

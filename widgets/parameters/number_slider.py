@@ -10,6 +10,7 @@ from PyQt6.QtCore import QEvent, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QFocusEvent, QKeyEvent, QKeySequence, QMouseEvent, QValidator, QWheelEvent
 from PyQt6.QtWidgets import QAbstractSpinBox, QLineEdit, QSlider, QStyle, QStyleOptionSlider, QWidget
 
+from ...core.errors import minus
 from ..basics.fields import FieldSpec, format_number
 from ..basics.gestures import GestureClock
 from ..basics.layouts import hbox
@@ -195,7 +196,7 @@ class NumberEntry(QAbstractSpinBox):
         self._edit.setText(self._spec.bare(self._value) + self._suffix)
         self._edit.setCursorPosition(0)
         exact = format_number(self._value * self._spec.factor, 15)
-        rounded = "" if exact == self._spec.bare(self._value) else f"Exactly {exact}{self._spec.suffix}. "
+        rounded = "" if exact == self._spec.bare(self._value) else f"Exactly {minus(exact)}{self._spec.suffix}. "
         self.setToolTip(rounded + self._spec.tooltip)
 
     def _commit(self) -> None:
@@ -210,7 +211,9 @@ class NumberEntry(QAbstractSpinBox):
         elif spec.integer and number != int(number):
             self._refuse(f"{self._title}: {text.strip()} is not a whole number; allowed is {allowed}.")
         elif not spec.allows(spec.from_shown(number)):
-            self._refuse(f"{self._title}: {format_number(number)}{spec.suffix} is out of bounds; allowed is {allowed}.")
+            self._refuse(
+                f"{self._title}: {minus(format_number(number))}{spec.suffix} is out of bounds; allowed is {allowed}."
+            )
         else:
             self._clock.release()
             self._take(spec.from_shown(number))

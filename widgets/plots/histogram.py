@@ -12,6 +12,7 @@ from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QWidget
 
+from ...core.errors import minus
 from ...core.model.arrays import AnyArray, Float64Array
 from ..basics.fields import format_number
 from ..basics.gestures import GestureClock
@@ -68,7 +69,7 @@ class _Axis(pg.AxisItem):  # type: ignore[misc]  # pyqtgraph has no types
         self._unit = unit
 
     def tickStrings(self, values: list[float], scale: float, spacing: float) -> list[str]:
-        return [f"{format_number(value, 3)} {self._unit}" for value in values]
+        return [f"{minus(format_number(value, 3))} {self._unit}" for value in values]
 
 
 class LimitHistogram(QWidget):

@@ -8,7 +8,13 @@ from typing import Any
 import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, Qt
 
+from ...core.errors import minus
 from ..basics.theme import ThemeColors, theme_colors
+
+
+class _Axis(pg.AxisItem):  # type: ignore[misc]
+    def tickStrings(self, values: list[float], scale: float, spacing: float) -> list[str]:
+        return [minus(text) for text in super().tickStrings(values, scale, spacing)]
 
 
 class Plot(pg.PlotWidget):  # type: ignore[misc]  # pyqtgraph has no types
@@ -28,7 +34,7 @@ class Plot(pg.PlotWidget):  # type: ignore[misc]  # pyqtgraph has no types
         self, bottom: str = "", left: str = "", *, movable: bool = False, axes: dict[str, pg.AxisItem] | None = None
     ) -> None:
         self._recolor: Callable[[ThemeColors], object] | None = None
-        super().__init__(axisItems=axes)
+        super().__init__(axisItems={side: _Axis(side) for side in ("left", "bottom")} | (axes or {}))
         item = self.getPlotItem()
         item.setMenuEnabled(False)
         item.hideButtons()

@@ -13,6 +13,7 @@ from PyQt6.QtCore import QEvent, QPointF, Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QColor, QMouseEvent
 from PyQt6.QtWidgets import QGridLayout, QWidget
 
+from ...core.errors import minus
 from ...core.model.arrays import BoolArray, Float64Array
 from ..basics.controls import ChoiceBox, action_button
 from ..basics.fields import format_number
@@ -377,7 +378,9 @@ class TimeStrip(QWidget):
             return
         index, curve = self._frame_at(time_s), self.curve
         value = self._values[curve.key][index] * curve.factor
-        known = f"{format_number(float(value), 3)} {curve.unit}".rstrip() if math.isfinite(value) else "not known"
+        known = (
+            f"{minus(format_number(float(value), 3))} {curve.unit}".rstrip() if math.isfinite(value) else "not known"
+        )
         names = [name for frame, name in self._markers if frame == index]
         place = f"{self._seconds[index]:.1f} s" + ("" if self._live else f", frame {index + 1}")
         self._write("  ".join([*names, f"{place}: {known}"]))

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from threading import Condition
 from typing import Final, Generic, TypeVar
 
+from ...errors import minus
 from ...model.arrays import AnyArray
 from ..base import CameraRole
 from .camera import Image, Kind
@@ -284,7 +285,7 @@ class Assembler:
                 (self._sets[role].add_first if image.kind == "depth" else self._sets[role].add_second)(timed)
             self._advance(arrival_s)
             if had_settled and clock.settling and image.kind == "depth":
-                return f"clock jumped by {clock.jumped_by_s:+.1f} s; its images are timed by their arrival."
+                return f"clock jumped by {minus(f'{clock.jumped_by_s:+.1f}')} s; its images are timed by their arrival."
             return ""
 
     def restart(self, role: CameraRole) -> None:

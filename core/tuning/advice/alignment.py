@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import PresetError
+from ...errors import PresetError, minus
 from ...model.clouds import valid_depth
 from ...preset.membrane import LARGEST_BIAS_M
 from ...rig.bias import MeasuredBias
@@ -132,4 +132,4 @@ def _keep(sentence: str, expected: str) -> Proposal:
 
 def _mm(metres: float) -> str:
     rounded = round(1e3 * metres, 1)
-    return f"{rounded:+.1f} mm" if rounded else "0 mm"
+    return minus(f"{rounded:+.1f} mm") if rounded else "0 mm"

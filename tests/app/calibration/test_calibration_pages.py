@@ -226,10 +226,22 @@ def test_pairs_with_large_residuals_are_named_before_points_elsewhere(scene, fra
     for key, (u, v) in ((7, (2.2, -2.0)), (18, (-2.1, 2.0))):
         pair = state.pairs[key - 1]
         state = state.with_pair(pair.model_copy(update={"proximity": (pair.proximity[0] + u, pair.proximity[1] + v)}))
-    report = fit(state, scene.rig).report
+    outcome = fit(state, scene.rig)
+    report = outcome.report
     assert not report.chosen.excluded
+    assert outcome.worst == {7, 18}
     assert "Click pairs" in report.verdict
     assert {"7", "18"} == set(report.verdict.split("Click pairs ")[1].split(" again")[0].split(" and "))
+
+
+def test_the_largest_residual_of_good_pairs_is_not_red(scene, frames, feed):
+    state = with_pairs(scene, frames, feed)
+    for pair in state.pairs:
+        off_px = 0.7 if pair.key == 9 else 0.1
+        state = state.with_pair(pair.model_copy(update={"proximity": (pair.proximity[0] + off_px, pair.proximity[1])}))
+    outcome = fit(state, scene.rig)
+    assert max(outcome.fits, key=lambda key: outcome.fits[key].residual_px) == 9
+    assert not outcome.worst
 
 
 def test_the_page_says_what_a_click_snapped_to(open_wizard, hand, scene, frames, feed):

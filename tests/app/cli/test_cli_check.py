@@ -18,7 +18,7 @@ def test_findings_are_printed_with_what_mends_them(tactune, tmp_path):
     assert tactune(*words).status == 0
     finished = tactune("preset", "check", "--source", SOURCE, "--preset", spoiled, "--frame", 0)
     assert finished.status == 1
-    assert finished.out.startswith("alignment.depth_offset_m: Peak of the differences at -")
+    assert finished.out.startswith("alignment.depth_offset_m: Peak of the differences at −")
     assert "--set alignment.depth_offset_m=0.0" in finished.out
     [finding] = json.loads(tactune("preset", "check", "--source", SOURCE, "--preset", spoiled, "--json").out)
     assert finding["name"] == "peak"

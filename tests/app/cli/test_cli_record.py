@@ -354,6 +354,20 @@ def test_the_command_itself_ends_on_a_signal_with_a_whole_file(
         assert f"recorded {source.length} frames" in printed
 
 
+def test_a_signal_ends_a_conversion_and_leaves_nothing_behind(tmp_path: Path, recording: Path) -> None:
+    folder = tmp_path / "converted"
+    source = f"live:folder:{recording}"
+    command = [sys.executable, "-m", "tactune.app", "convert", source, folder / "images", "--frames", "100000"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
+        end = time.monotonic() + 300
+        while not list(folder.glob(".images-*.partial/000001")) and time.monotonic() < end:
+            time.sleep(0.05)
+        child.terminate()
+        _, said = child.communicate(timeout=300)
+    assert child.returncode == 130 and "Traceback" not in said
+    assert list(folder.iterdir()) == []
+
+
 def test_patches_of_a_live_source_say_which_frames_are_lost(tmp_path: Path, live: LiveSource, tactune: Run) -> None:
     live.lost_each = 2
     live.given = 4

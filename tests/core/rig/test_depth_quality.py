@@ -208,7 +208,7 @@ def test_a_bias_is_judged_by_the_tolerance(rig, make_frame, bias_m, verdict):
     assert reading.verdict is verdict
     assert ("proximity" if bias_m > 0 else "tactile") in reading.value
     if verdict is not Verdict.GOOD:
-        assert f"{1e3 * bias_m:+.1f} mm" in reading.step
+        assert f"{1e3 * bias_m:+.1f} mm".replace("-", "−") in reading.step
 
 
 @pytest.mark.parametrize(

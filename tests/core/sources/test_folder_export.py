@@ -41,6 +41,15 @@ def test_the_folder_has_its_name_only_when_it_is_complete(tmp_path: Path) -> Non
     assert os.listdir(target.parent) == ["out"]  # noqa: PTH208  # names only
 
 
+def test_of_two_exports_into_one_folder_the_second_says_so(tmp_path: Path) -> None:
+    def another(*_: object) -> None:
+        export_folder(ListSource([make_frame(1)]), tmp_path / "out")
+
+    with pytest.raises(ExportError, match="out was written by another program meanwhile; choose another name"):
+        export_folder(ListSource([make_frame(0)]), tmp_path / "out", progress=another)
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
 @pytest.mark.parametrize("error", [SourceError("the camera is gone"), KeyboardInterrupt(), OSError(28, "disk full")])
 def test_a_broken_export_leaves_nothing(tmp_path: Path, error: BaseException) -> None:
     class Breaking(ListSource):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from ....errors import minus
 from ....preset import Preset
 from ....rig.bias import UNKNOWN_BIAS_M
 from ..alignment import propose_alignment
@@ -40,7 +41,7 @@ def find(situation: Situation) -> Finding | None:
     evidence = Evidence(preset, situation.rig, (situation.frame,), situation.untouched)
     proposal = propose_alignment(evidence, found)
     bias_m = found.bias.bias_m
-    place = f"{100 * bias_m / distance_m:+.1f} %, {1e3 * bias_m:+.1f} mm"
+    place = minus(f"{100 * bias_m / distance_m:+.1f} %, {1e3 * bias_m:+.1f} mm")
     return Finding(
         name="peak",
         field="alignment.depth_offset_m",

@@ -76,7 +76,7 @@ class TestPeak:
         spoiled = preset.with_values({"alignment.depth_offset_m": offset_m})
         found = findings(spoiled, rig, frame)["peak"]
         assert found.proposal.apply(spoiled).alignment.depth_offset_m == pytest.approx(0, abs=0.0012)
-        assert f"{-1e3 * offset_m:+.0f}"[:2] in found.sentence
+        assert f"{-1e3 * offset_m:+.0f}"[:2].replace("-", "−") in found.sentence
         assert mended(found, spoiled, rig, frame)
 
     @pytest.mark.parametrize("test", ["membrane", "tolerance"])
