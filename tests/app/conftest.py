@@ -25,12 +25,14 @@ from watched_worker import Watched
 
 
 @pytest.fixture(scope="session", autouse=True)
-def compiled() -> None:
-    """Compile the kernels before anything waits for a first frame."""
+def compiled() -> Iterator[None]:
+    """Compile the kernels before anything waits for a first frame; at the end wait for threads, or Python aborts."""
     warm_up_if_needed(lambda share, words: None)
     rig = tiny_rig()
     info = SourceInfo("tiny", rig, 1, 30.0)
     FrameProcessor().process(info, tiny_frame(0, rig), Preset(), Wanted(), PlaybackState())
+    yield
+    wait_for_abandoned(60.0)
 
 
 @pytest.fixture
