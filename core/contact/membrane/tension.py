@@ -18,9 +18,9 @@ from ...model.frames import Rig, SensorFrame
 from ...model.intrinsics import Intrinsics
 from ...preset import AlignmentSection
 from ..kernels import membrane as kernels
+from ..kernels.membrane import BLOCK_PX
 
-#: Side of the blocks of tactile pixels over which depth is averaged first, and sigma of the window over blocks.
-_BLOCK_PX: Final = 8
+#: Sigma of the window over blocks of tactile pixels.
 _WINDOW_BLOCKS: Final = 2.5
 #: Share of a window that must have depth.
 _MIN_SHARE: Final = np.float32(0.7)
@@ -49,11 +49,11 @@ def measured_curvature_per_m(frame: SensorFrame, alignment: AlignmentSection, ri
     import cv2
 
     camera = rig.tactile.intrinsics
-    shape = camera.height // _BLOCK_PX, camera.width // _BLOCK_PX
+    shape = camera.height // BLOCK_PX, camera.width // BLOCK_PX
     if min(shape) < 3:
         return math.nan
     counts, shares = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    kernels.block_means(frame.tactile_depth, _BLOCK_PX, counts, shares)
+    kernels.block_means(frame.tactile_depth, counts, shares)
     unit_m, offset_m = rig.tactile.depth_unit_m * alignment.depth_scale, alignment.depth_offset_m
     depth = counts * np.float32(unit_m) + np.float32(offset_m)
     # Points are averaged, not depths: at the image's border their mean is shifted, but lies on the surface.
@@ -73,6 +73,6 @@ def measured_curvature_per_m(frame: SensorFrame, alignment: AlignmentSection, ri
 @lru_cache(maxsize=8)
 def _rays_of_blocks(camera: Intrinsics) -> Float32Array:
     """Return ``(x / z, y / z)`` at the centre of each block, shape (2, h, w)."""
-    rays = ray_table(camera)[: camera.height // _BLOCK_PX * _BLOCK_PX, : camera.width // _BLOCK_PX * _BLOCK_PX]
-    squares = rays.reshape(camera.height // _BLOCK_PX, _BLOCK_PX, camera.width // _BLOCK_PX, _BLOCK_PX, 2)
+    rays = ray_table(camera)[: camera.height // BLOCK_PX * BLOCK_PX, : camera.width // BLOCK_PX * BLOCK_PX]
+    squares = rays.reshape(camera.height // BLOCK_PX, BLOCK_PX, camera.width // BLOCK_PX, BLOCK_PX, 2)
     return np.ascontiguousarray(squares.mean(axis=(1, 3)).transpose(2, 0, 1), np.float32)
