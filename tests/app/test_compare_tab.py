@@ -170,7 +170,7 @@ def test_another_source_is_framed_and_compared_anew(qtbot, window, tab):
 
 def moved(frame: SensorFrame) -> SensorFrame:
     """The same scene twice as far away."""
-    truth = GroundTruth(frame.truth.contact, 2 * frame.truth.depth_m)
+    truth = replace(frame.truth, depth_m=2 * frame.truth.depth_m)
     return replace(frame, proximity_depth=2 * frame.proximity_depth, tactile_depth=2 * frame.tactile_depth, truth=truth)
 
 

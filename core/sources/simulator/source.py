@@ -18,7 +18,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, get_args
 from weakref import WeakValueDictionary
@@ -29,7 +28,7 @@ from platformdirs import user_cache_dir
 from pydantic import TypeAdapter
 
 from ...errors import ExportError, SourceError
-from ...model.arrays import BoolArray, Float32Array, Uint8Array
+from ...model.arrays import Uint8Array
 from ...model.files import atomic_path
 from ...model.frames import GroundTruth, SensorFrame, TrueStrain, rigid_transform
 from ...model.loading import decode_image, open_regular, parse_json
@@ -173,6 +172,9 @@ class SimulatorSource(SeekableSource):
         """Return frame ``index``, from 0, of a state of ``scene.drawn``, or between two of them."""
         state = state_between(self._solved.states, place)
         noise = self._noise
+        depth = state.membrane * np.float32(CLEAN_UNIT_M)
+        depth[state.membrane == 0] = np.nan
+        facts = facts_between(self._solved.facts, place)
         return SensorFrame(
             sequence=index,
             proximity_depth=noise.proximity_depth(index, state.behind, state.membrane, state.cosine, state.flags),
@@ -181,7 +183,7 @@ class SimulatorSource(SeekableSource):
             tactile_color=noise.colour(index, 1, self._lit(state.tactile_color)),
             proximity_time_s=index / self.frame_rate_hz,
             tactile_time_s=index / self.frame_rate_hz + _SKEW_S,
-            truth=_StateTruth(state, facts_between(self._solved.facts, place)),
+            truth=GroundTruth((state.flags & CONTACT_FLAG) != 0, depth, _true_strain(facts), facts.T_proximity_object),
         )
 
     def _lit(self, image: Uint8Array) -> Uint8Array:
@@ -228,25 +230,6 @@ class SimulatorSource(SeekableSource):
             return SolvedScene([future.result() for future in drawn], facts)
         finally:
             pool.shutdown(cancel_futures=True)
-
-
-class _StateTruth(GroundTruth):
-    """Ground truth of a state; its images are computed when first read, because windows rarely ask for them."""
-
-    _state: CleanState
-
-    def __init__(self, state: CleanState, facts: PressFacts) -> None:
-        vars(self).update(_state=state, strain=_true_strain(facts), T_proximity_object=facts.T_proximity_object)
-
-    @cached_property
-    def contact(self) -> BoolArray:
-        return np.asarray((self._state.flags & CONTACT_FLAG) != 0)
-
-    @cached_property
-    def depth_m(self) -> Float32Array:
-        depth = self._state.membrane * np.float32(CLEAN_UNIT_M)
-        depth[self._state.membrane == 0] = np.nan
-        return np.asarray(depth, np.float32)
 
 
 def _true_strain(facts: PressFacts) -> TrueStrain:
