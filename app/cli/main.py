@@ -76,6 +76,7 @@ def main() -> int:
     0: done; 1: a check failed; 2: an error that the person can correct, in one sentence; 130: interrupted;
     141: the reader of standard output has gone (``tactune run --json``).
     """
+    _replace_closed_streams()
     # The matrices are small: more threads of NumPy's BLAS would only spin while they wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if isinstance(sys.stdout, TextIOWrapper):
@@ -92,6 +93,20 @@ def main() -> int:
     except SystemExit as end:
         return int(end.code or 0)
     return 0
+
+
+def _replace_closed_streams() -> None:
+    """Open the null device in place of standard streams that the caller closed.
+
+    A file that is opened later would get the stream's number, and what a library prints would end up in that file.
+    """
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:
+            # The lowest free number is that of the closed stream.
+            mode = "r" if name == "stdin" else "w"
+            null = Path(os.devnull).open(mode, encoding="utf-8", errors="backslashreplace")  # noqa: SIM115
+            os.set_inheritable(null.fileno(), True)
+            setattr(sys, name, null)
 
 
 @commands.callback(invoke_without_command=True)

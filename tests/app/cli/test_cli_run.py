@@ -264,6 +264,13 @@ def test_a_full_disk_behind_standard_output_is_told_in_one_sentence(recording: P
     assert done.stderr.count("\n") == 1
 
 
+def test_closed_standard_streams_take_no_part_in_a_command(recording: Path, tmp_path: Path) -> None:
+    words = ["run", "--source", str(recording), "--json", "--out", str(tmp_path / "out")]
+    closed = ["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh"]
+    assert subprocess.run([*closed, *COMMAND, *words], check=False).returncode == 0
+    assert names(tmp_path / "out")
+
+
 def test_a_name_that_is_no_unicode_can_be_printed(recording: Path, tmp_path: Path) -> None:
     odd = recording.rename(recording.with_name(os.fsdecode(b"scene\xff")))
     command = [*COMMAND, "run", "--source", str(odd), "--out", str(tmp_path / "out")]
