@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ...core.errors import SourceError, counted
-from ...core.model.files import write_csv
+from ...core.model.files import check_writable, write_csv
 from .common import (
     CliProgress,
     FrameCount,
@@ -95,6 +95,8 @@ def strain(
 
     if plot is not None and plot.suffix.lower() != ".png":
         raise typer.BadParameter(f"--plot is {plot}; give a file that ends in .png")
+    for target in filter(None, (csv_file, plot)):
+        check_writable(target)
     check_spacing(spacing_mm / 1e3)
     origin = preset or default_preset(source)
     chosen = load_preset(origin)

@@ -38,7 +38,7 @@ def preset_text(path_or_name: Path | str) -> tuple[str, str]:
         resource = importlib.resources.files("tactune.presets") / f"{path_or_name}.json"
         return resource.read_text("utf-8"), f"shipped preset {path_or_name}"
     try:
-        text = read_file(path, MAX_JSON_BYTES).decode("utf-8")
+        text = read_file(path, MAX_JSON_BYTES).decode("utf-8-sig")  # Windows editors write a mark in front
     except OSError as error:
         raise PresetError(
             f"cannot read preset {path}: {error.strerror or error}; "

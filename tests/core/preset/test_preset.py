@@ -147,6 +147,11 @@ def test_missing_and_binary_files_are_refused_in_words(tmp_path):
         load_preset(tmp_path / "photo.json")
 
 
+def test_a_mark_of_the_encoding_before_a_preset_is_skipped(tmp_path):
+    (tmp_path / "windows.json").write_text(preset_json(load_preset("simulator")), "utf-8-sig")
+    assert load_preset(tmp_path / "windows.json") == load_preset("simulator")
+
+
 def test_older_files_are_migrated_in_order_and_kept_on_save(tmp_path, monkeypatch):
     def rename_t(document):
         tolerance = dict(document["tolerance"])

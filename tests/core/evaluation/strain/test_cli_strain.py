@@ -71,6 +71,16 @@ def test_what_cannot_be_measured_ends_with_a_sentence(tactune, words, sentence, 
     assert not table.exists()
 
 
+@pytest.mark.parametrize("option", ["--csv", "--plot"])
+def test_a_place_that_cannot_be_written_is_told_before_frames_are_measured(tactune, tmp_path, option):
+    (tmp_path / "file").touch()
+    target = tmp_path / "file" / "strain.png"
+    status, out, err = tactune("strain", "--source", SOURCE, "--frames", 1, option, target)
+    assert (status, out) == (2, "")
+    assert f"cannot write {target}" in err
+    assert "measuring" not in err
+
+
 def test_a_figure_must_be_a_png(tactune, tmp_path):
     status, _, err = tactune("strain", "--plot", tmp_path / "strain.jpg")
     assert status == 2
