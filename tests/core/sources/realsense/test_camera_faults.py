@@ -93,7 +93,7 @@ def test_the_tactile_camera_may_do_without_colour(session):
 
 @pytest.mark.parametrize(("role", "jump_s"), [("tactile", 1.0), ("proximity", -1.0)])
 def test_a_clock_that_jumps_is_told_and_made_up_for(session, role, jump_s):
-    sign, opposite = ("+", "-") if jump_s > 0 else ("-", "+")
+    sign, opposite = ("+", "−") if jump_s > 0 else ("−", "+")
     session.read(20)
     session.order(Command("jump", role, jump_s))
     session.until(lambda health: f"clock jumped by {sign}" in health.message)
