@@ -104,7 +104,7 @@ def _replace_closed_streams() -> None:
         if getattr(sys, name) is None:
             # The lowest free number is that of the closed stream.
             mode = "r" if name == "stdin" else "w"
-            null = Path(os.devnull).open(mode, encoding="utf-8", errors="backslashreplace")  # noqa: SIM115
+            null = Path(os.devnull).open(mode, encoding="utf-8", errors="backslashreplace")  # noqa: SIM115  # it stays open
             os.set_inheritable(null.fileno(), True)
             setattr(sys, name, null)
 
