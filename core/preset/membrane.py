@@ -43,15 +43,16 @@ class MembraneSection(Section):
         float,
         described(
             "Equilibrium length",
-            "Length over which the equilibrium of tension and pressure is trusted more than the measured gap. Longer "
-            "averages more noise; shorter follows the measured gap more closely.",
+            "Length over which the equilibrium of tension and pressure is trusted more than the measured gap, at usual "
+            "noise; it grows with the fourth root of the measured noise power. Longer averages more noise; shorter "
+            "follows the measured gap more closely.",
             unit="m",
             slider=(0.004, 0.04),
             step=0.001,
             advanced=True,
         ),
         Field(ge=0.001, le=0.2),
-    ] = 0.016
+    ] = 0.02
     shape_px: Annotated[
         float,
         described(
@@ -64,7 +65,7 @@ class MembraneSection(Section):
             advanced=True,
         ),
         Field(ge=0.5, le=30.0),
-    ] = 4.0
+    ] = 5.0
     bias: Annotated[
         bool,
         described(
@@ -84,7 +85,7 @@ class MembraneSection(Section):
             step=1.0,
         ),
         Field(ge=0.0, le=1e6),
-    ] = 20.0
+    ] = 15.0
     frames: Annotated[
         int,
         described(

@@ -21,7 +21,7 @@ from .chain import (
 from .compiling import inline, kernel
 from .simd import LANES, absolute, bits, flags, float_scratch, floats, int_scratch, ints, load, to_floats, where
 
-#: Side of the square blocks of `block_means`, pixels.
+#: Side of the square blocks of `block_points`, pixels.
 BLOCK_PX: Final = 8
 
 #: States of pixels, as `find_differences` writes them.
@@ -32,6 +32,7 @@ EXCLUDED: Final = 3
 
 _NO_PART, _USABLE, _MASKED, _EXCLUDED = (np.int32(state) for state in (TAKES_NO_PART, USABLE, MASKED, EXCLUDED))
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+_MIN_DIVISOR = np.float32(1e-6)
 _float_vector, _int_vector = float_scratch(LANES), int_scratch(LANES)
 
 
@@ -153,13 +154,23 @@ def find_differences(
 
 
 @kernel
-def block_means(counts: Any, means: Any, shares: Any) -> None:
-    """Write the mean count of the pixels with a depth, and the share of such pixels, by block of `BLOCK_PX` pixels.
+def block_points(counts: Any, rays: Any, unit_m: Any, offset_m: Any, out: Any) -> None:
+    """Write the point of the mean depth of each block of `BLOCK_PX` pixels, times the share of pixels with a depth.
 
     Only every fourth row is read. There are no branches, and the blocks' size is known to the compiler: it vectorises.
+
+    Parameters
+    ----------
+    counts : uint16, shape (H, W)
+    rays : float32, shape (h, w, 2)
+        x / z and y / z at the centre of each block.
+    unit_m, offset_m : float32
+        Metres of a count, and the offset added to it.
+    out : float32, shape (h, w, 4)
+        x, y and z times the share, metres, and the share.
     """
-    for row in range(means.shape[0]):
-        for column in range(means.shape[1]):
+    for row in range(out.shape[0]):
+        for column in range(out.shape[1]):
             total, known = np.int32(0), np.int32(0)
             for v in range(row * BLOCK_PX, (row + 1) * BLOCK_PX, 4):
                 for i in range(BLOCK_PX):
@@ -167,46 +178,68 @@ def block_means(counts: Any, means: Any, shares: Any) -> None:
                     has_depth = (count > 0) & (count < 65535)
                     total += count if has_depth else np.int32(0)
                     known += np.int32(has_depth)
-            means[row, column] = np.float32(total / (known if known > 0 else 1))
-            shares[row, column] = np.float32(known / (BLOCK_PX * BLOCK_PX // 4))
+            share = np.float32(known / (BLOCK_PX * BLOCK_PX // 4))
+            z = share * (np.float32(total / (known if known > 0 else 1)) * unit_m + offset_m)
+            out[row, column, 0], out[row, column, 1] = rays[row, column, 0] * z, rays[row, column, 1] * z
+            out[row, column, 2], out[row, column, 3] = z, share
 
 
 @inline
-def derivatives(image: Any, v: Any, u: Any) -> Any:
-    """Return the first differences along u and v at a pixel, and the second along u, both, and v."""
-    centre = np.float64(image[v, u])
-    left, right = np.float64(image[v, u - 1]), np.float64(image[v, u + 1])
-    above, below = np.float64(image[v - 1, u]), np.float64(image[v + 1, u])
-    across = np.float64(image[v + 1, u + 1]) - image[v + 1, u - 1] - image[v - 1, u + 1] + image[v - 1, u - 1]
+def divide_by_shares(points: Any) -> None:
+    """Divide points (H, W, 4), which are multiplied by their shares, by these."""
+    for v in range(points.shape[0]):
+        for u in range(points.shape[1]):
+            factor = _ONE / max(points[v, u, 3], _MIN_DIVISOR)
+            for axis in range(3):
+                points[v, u, axis] *= factor
+
+
+@inline
+def derivatives(points: Any, axis: Any, v: Any, u: Any) -> Any:
+    """Return the first differences of a coordinate along u and v, and the second along u, both, and v."""
+    centre = np.float64(points[v, u, axis])
+    left, right = np.float64(points[v, u - 1, axis]), np.float64(points[v, u + 1, axis])
+    above, below = np.float64(points[v - 1, u, axis]), np.float64(points[v + 1, u, axis])
+    across = np.float64(points[v + 1, u + 1, axis]) - points[v + 1, u - 1, axis]
+    across += points[v - 1, u - 1, axis] - points[v - 1, u + 1, axis]
     return (right - left) / 2, (below - above) / 2, right - 2 * centre + left, across / 4, below - 2 * centre + above
 
 
-@kernel
-def bulges(points: Any, known: Any, min_share: Any, out: Any) -> None:
-    """Write twice the mean curvature of a surface from its fundamental forms, (E N - 2 F M + G L) / (E G - F^2).
+@inline
+def bulge_at(points: Any, v: Any, u: Any) -> Any:
+    """Return twice the mean curvature of a surface, (E N - 2 F M + G L) / (E G - F^2), 1/m; nan where it has no area.
 
-    ``points`` (3, H, W) run to the right and down; derivatives are central differences. The curvature (1/m) is positive
-    where the surface bulges away from the camera, and nan at the border and where ``known`` is below ``min_share``.
+    ``points`` (H, W, 4) run to the right and down; derivatives are central differences. The curvature is positive where
+    the surface bulges away from the camera.
     """
-    height, width = known.shape
+    x_u, x_v, x_uu, x_uv, x_vv = derivatives(points, 0, v, u)
+    y_u, y_v, y_uu, y_uv, y_vv = derivatives(points, 1, v, u)
+    z_u, z_v, z_uu, z_uv, z_vv = derivatives(points, 2, v, u)
+    ee, gg = x_u * x_u + y_u * y_u + z_u * z_u, x_v * x_v + y_v * y_v + z_v * z_v
+    ff = x_u * x_v + y_u * y_v + z_u * z_v
+    area = ee * gg - ff * ff
+    bulge = np.float32(np.nan)
+    if area > 0.0:
+        nx, ny, nz = y_u * z_v - z_u * y_v, z_u * x_v - x_u * z_v, x_u * y_v - y_u * x_v
+        ll = x_uu * nx + y_uu * ny + z_uu * nz
+        mm = x_uv * nx + y_uv * ny + z_uv * nz
+        nn = x_vv * nx + y_vv * ny + z_vv * nz
+        bulge = np.float32(-(ee * nn - 2 * ff * mm + gg * ll) / (area * np.sqrt(area)))
+    return bulge
+
+
+@kernel
+def bulges(points: Any, min_share: Any, out: Any) -> None:
+    """Write twice the mean curvature of a surface, 1/m; nan at the border and where the share is below ``min_share``.
+
+    ``points`` (H, W, 4) are multiplied by their shares, the last column; they are divided by them in place.
+    """
+    divide_by_shares(points)
     out[:] = np.float32(np.nan)
-    for v in range(1, height - 1):
-        for u in range(1, width - 1):
-            if known[v, u] < min_share:
-                continue
-            x_u, x_v, x_uu, x_uv, x_vv = derivatives(points[0], v, u)
-            y_u, y_v, y_uu, y_uv, y_vv = derivatives(points[1], v, u)
-            z_u, z_v, z_uu, z_uv, z_vv = derivatives(points[2], v, u)
-            ee, gg = x_u * x_u + y_u * y_u + z_u * z_u, x_v * x_v + y_v * y_v + z_v * z_v
-            ff = x_u * x_v + y_u * y_v + z_u * z_v
-            area = ee * gg - ff * ff
-            if area <= 0.0:
-                continue
-            nx, ny, nz = y_u * z_v - z_u * y_v, z_u * x_v - x_u * z_v, x_u * y_v - y_u * x_v
-            ll = x_uu * nx + y_uu * ny + z_uu * nz
-            mm = x_uv * nx + y_uv * ny + z_uv * nz
-            nn = x_vv * nx + y_vv * ny + z_vv * nz
-            out[v, u] = np.float32(-(ee * nn - 2 * ff * mm + gg * ll) / (area * np.sqrt(area)))
+    for v in range(1, points.shape[0] - 1):
+        for u in range(1, points.shape[1] - 1):
+            if points[v, u, 3] >= min_share:
+                out[v, u] = bulge_at(points, v, u)
 
 
 @kernel

@@ -1,12 +1,12 @@
 """The bias between both cameras in one frame: from the rig, and from the frame where contact is firm.
 
-In contact both cameras measure the same surface, so the bias is the mean difference there. But where contact is
-depends on the bias. Both are unknowns of one least squares problem, which is solved by alternation: solve the obstacle
-problem for a bias, then correct the bias by the mean residual in contact. The first bias is too large on purpose: then
-too much touches, and contact shrinks. With a bias that is too small nothing may touch, and there is no residual.
+In contact both cameras measure the same surface, so the bias is the median difference there. But where contact is
+depends on the bias. Both are unknowns of one problem, which is solved by alternation: solve the obstacle problem for a
+bias, then correct the bias by the median residual in contact. The first bias is too large on purpose: then too much
+touches, and contact shrinks. With a bias that is too small nothing may touch, and there is no residual.
 
 Where nothing presses, a bias can't be told from a gap: the free membrane above an object looks the same for any bias.
-So the bias of a small contact follows from the rig's measured bias.
+So the bias of a small contact is the rig's measured bias. Where that is not certain, a larger bias is taken.
 """
 
 from __future__ import annotations
@@ -21,8 +21,10 @@ from ...model.arrays import Float32Array
 from ...model.frames import Rig
 from ...preset import CameraNoise, Preset
 from ...preset.membrane import LARGEST_BIAS_M
+from ..kernels.cells import MembraneImage
+from .cells import CELL_PX, GUESS_PX, Cells, cells_of
 from .differences import Differences, surroundings
-from .equilibrium import CELL_PX, GUESS_PX, Cells, Equilibrium, cells_of, settle
+from .equilibrium import Equilibrium, settle
 
 #: For the search for the bias: side of a grid cell, pixels; sigma of the window over the object's shape, pixels; length
 #: over which equilibrium is trusted, metres.
@@ -33,6 +35,8 @@ _TRUST_M: Final = 0.03
 #: take part. Metres.
 _START_ABOVE_M: Final = 0.002
 _NEAR_M: Final = 0.012
+#: The part of the image near a bias serves for another one within this distance, metres.
+_SAME_M: Final = 0.004
 #: Step between the rows and columns that are read where every pixel is not needed, such as for the most frequent
 #: difference.
 _STRIDE_PX: Final = 4
@@ -57,6 +61,10 @@ _MIN_NOISE_M4: Final = 1e-11
 #: Systematic error of a bias measured on prints, metres, and fewest pixels on prints that tell it.
 _PRINT_SIGMA_M: Final = 0.0003
 _MIN_PRINT_PIXELS: Final = 200
+#: A bias without firm contact is raised by this share of its standard deviation, which is limited, metres: to miss a
+#: contact is a larger error than to show it too wide.
+_LEAN: Final = 0.4
+_MAX_LEAN_SIGMA_M: Final = 0.001
 
 
 @dataclass(frozen=True)
@@ -87,6 +95,14 @@ class RigBias:
     tactile_weight: float = 0.5
     gap_sigma_m: float = 0.0011
     pixel_sigma_m: float = 0.0013
+
+    def length_m(self, usual_m: float) -> float:
+        """Return the length over which equilibrium is trusted, from that at the usual noise.
+
+        A measured gap of noise power S (m^4) against a curvature of error power E (dimensionless): both count the same
+        at wavelengths of about (S / E)^(1/4).
+        """
+        return float(usual_m * (self.noise_m4 / _USUAL_NOISE_M4) ** 0.25)
 
 
 @dataclass(frozen=True)
@@ -131,22 +147,29 @@ def _after_window_m(noise: CameraNoise) -> float:
     return math.sqrt(noise.white_m**2 / (4 * math.pi * window) + noise.correlated_m**2 * shared)
 
 
-def frame_bias(differences: Differences, known: RigBias, free_per_m: float, rig: Rig) -> tuple[FrameBias, Differences]:
-    """Return the bias in a frame, and the part of the differences with all pixels near it.
+def frame_bias(
+    differences: Differences, membrane: MembraneImage, known: RigBias, free_per_m: float, rig: Rig
+) -> tuple[FrameBias, Differences | None]:
+    """Return the bias in a frame, and the part of the differences with all pixels near it; None if there is none.
 
     Parameters
     ----------
     differences : Differences
         With a wide limit, as the bias may be large.
+    membrane : MembraneImage
     known : RigBias
     free_per_m : float
         Twice the mean curvature of the free membrane.
     """
+
+    def cells_near(part: Differences | None, centre_m: float) -> Cells | None:
+        limits_m = centre_m, _NEAR_M
+        return None if part is None else cells_of(part, membrane, COARSE_CELL_PX, _SHAPE_PX, free_per_m, limits_m, rig)
+
     prior = _with_prints(known, differences, rig)
-    some = slice(None, None, _STRIDE_PX), slice(None, None, _STRIDE_PX)
-    start_m = most_frequent_m(differences.difference_m[some][differences.usable[some]]) + _START_ABOVE_M
-    near, cells = _cells_near(differences, start_m, free_per_m, rig)
-    if cells is not None:
+    start_m = most_frequent_m(differences.difference_m[_SOME][differences.usable[_SOME]]) + _START_ABOVE_M
+    near = _near(differences, start_m)
+    if (cells := cells_near(near, start_m)) is not None:
         bias_m, area_m2 = _joint(cells, start_m, None)
         agrees = abs(bias_m - prior.mean_m) < _DISAGREE * math.sqrt(prior.sigma_m**2 + _variance_m2(known, FIRM_M2))
         proved = area_m2 >= (FIRM_M2 if agrees else _REPLACING * FIRM_M2)
@@ -155,8 +178,12 @@ def frame_bias(differences: Differences, known: RigBias, free_per_m: float, rig:
                 variance = _variance_m2(known, area_m2)
                 bias_m = (bias_m / variance + prior.mean_m / prior.sigma_m**2) / (1 / variance + 1 / prior.sigma_m**2)
             return FrameBias(bias_m, area_m2), near
-    near, cells = _cells_near(differences, prior.mean_m, free_per_m, rig)
-    bias_m = prior.mean_m if cells is None else _joint(cells, prior.mean_m, prior)[0]
+    bias_m = prior.mean_m
+    if near is None or abs(bias_m - start_m) > _SAME_M:
+        near = _near(differences, bias_m)
+    if not prior.measured and (cells := cells_near(near, bias_m)) is not None:
+        bias_m, _ = _joint(cells, bias_m, prior)  # a measured bias is not told better by small contact
+    bias_m += _LEAN * min(prior.sigma_m, _MAX_LEAN_SIGMA_M)
     return FrameBias(bias_m, known=prior.measured), near
 
 
@@ -186,18 +213,14 @@ def most_frequent_m(differences_m: Float32Array) -> float:
     return low + (int(np.argmax(smooth)) + 0.5) * _BIN_M
 
 
-def _cells_near(
-    differences: Differences, centre_m: float, free_per_m: float, rig: Rig
-) -> tuple[Differences, Cells | None]:
-    """Return the part of the differences with all pixels near a difference, and its cells."""
+def _near(differences: Differences, centre_m: float) -> Differences | None:
+    """Return the part of the differences with all pixels near a difference; None without any."""
     near = differences.usable[_SOME] & (np.abs(differences.difference_m[_SOME] - np.float32(centre_m)) < _NEAR_M)
-    box = surroundings(near, 2)
-    if box is None:
-        return differences.cut((slice(0), slice(0))), None
+    if (box := surroundings(near, 2)) is None:
+        return None
     grid = math.lcm(COARSE_CELL_PX, CELL_PX)  # so that the cells are the same wherever the part begins
     rows, columns = (slice(side.start * _STRIDE_PX // grid * grid, side.stop * _STRIDE_PX) for side in box)
-    near_part = differences.cut((rows, columns))
-    return near_part, cells_of(near_part, COARSE_CELL_PX, _SHAPE_PX, free_per_m, (centre_m, _NEAR_M), rig)
+    return differences.cut((rows, columns))
 
 
 def _variance_m2(known: RigBias, area_m2: float) -> float:
@@ -218,16 +241,16 @@ def _joint(cells: Cells, bias_m: float, prior: RigBias | None) -> tuple[float, f
     area_m2 = 0.0
     for _ in range(_MAX_ROUNDS):
         solution = settle(cells, bias_m, _TRUST_M, solution)
-        areas = cells.area_m2[solution.touching]
         along_ray = (solution.residual_m / cells.facing)[solution.touching]
-        area_m2, moment = float(areas.sum()), float((areas * along_ray).sum())
+        area_m2 = float(cells.area_m2[solution.touching].sum())
         if prior is None and area_m2 < FIRM_M2:
             break
-        if prior is None:
-            shift = moment / area_m2
-        else:
+        # the median: cells at the edge of contact are partly open
+        middle = len(along_ray) // 2
+        shift = float(np.partition(along_ray, middle)[middle]) if len(along_ray) else 0.0
+        if prior is not None:
             weight = area_m2 * _variance_m2(prior, area_m2) / prior.sigma_m**2 if area_m2 > 0 else 1.0
-            shift = (moment + weight * (prior.mean_m - bias_m)) / (area_m2 + weight)
+            shift = (area_m2 * shift + weight * (prior.mean_m - bias_m)) / (area_m2 + weight)
         bias_m += shift
         if abs(shift) < _EXACT_M:
             break

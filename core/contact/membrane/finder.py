@@ -17,12 +17,14 @@ from ...preset.membrane import LARGEST_BIAS_M, NEAR_GAP_M
 from ..alignment import AlignmentModel, make_alignment
 from ..finder import MAX_TILES_ALONE, ContactFinder, Steps, Workspace, depth_images
 from ..kernels import membrane as kernels
-from ..kernels.chain import TILE_ROWS
+from ..kernels.cells import MembraneImage
+from ..kernels.chain import TILE_ROWS, flat
 from ..kernels.simd import LANES
 from ..kernels.threads import by_rows
 from .bias import COARSE_CELL_PX, FrameBias, frame_bias, rig_bias
+from .cells import CELL_PX, FAR_M, INNER, Cells, cells_of, to_pixels
 from .differences import Differences, large_contacts, surface_points, surroundings
-from .equilibrium import CELL_PX, FAR_M, Cells, Equilibrium, cells_of, settle, to_pixels
+from .equilibrium import Equilibrium, settle
 from .tension import measured_curvature_per_m, usable_curvature_per_m
 
 #: Largest difference that takes part in the search for the bias, and in the equilibrium, metres.
@@ -74,9 +76,10 @@ class MembraneFinder(ContactFinder):
             return Found(NO_CANDIDATES, lambda: self.classify(frame), ("no candidates",))
         if due("equilibrium"):
             near_m = self.bias.bias_m, _NEAR_M
-            self._cells = cells_of(differences, CELL_PX, section.shape_px, self._free_per_m, near_m, rig)
+            membrane = self.membrane_image(frame)
+            self._cells = cells_of(differences, membrane, CELL_PX, section.shape_px, self._free_per_m, near_m, rig)
             if self._cells is not None:
-                self._solution = settle(self._cells, self.bias.bias_m, section.trust_m)
+                self._solution = settle(self._cells, self.bias.bias_m, self._known.length_m(section.trust_m))
         if (cells := self._cells) is None:
             return Found(NO_CANDIDATES, lambda: self.classify(frame), ("no candidates",))
         if due("edge"):
@@ -104,7 +107,8 @@ class MembraneFinder(ContactFinder):
         self._free_per_m = usable_curvature_per_m(self._measured_per_m)
         if not section.bias:
             return found
-        self.bias, near = frame_bias(found, self._known, self._free_per_m, self._rig)
+        membrane = self.membrane_image(frame)
+        self.bias, near = frame_bias(found, membrane, self._known, self._free_per_m, self._rig)
         if abs(self.bias.bias_m) <= _ALIGN_ANEW_M:
             return near
         found = self._differences_at(frame, bias_m + self.bias.bias_m, _WIDE_M, section)
@@ -112,11 +116,15 @@ class MembraneFinder(ContactFinder):
         if found is None:
             return None
         if firm:
-            refined, near = frame_bias(found, self._known, self._free_per_m, self._rig)
+            refined, near = frame_bias(found, membrane, self._known, self._free_per_m, self._rig)
             if refined.firm_m2 > 0:
                 self.bias = refined
                 return near
         return found
+
+    def membrane_image(self, frame: SensorFrame) -> MembraneImage:
+        """Return the tactile depth image with its alignment, for the kernels."""
+        return MembraneImage(flat(frame.tactile_depth), self.alignment.tables)
 
     def _facts(self, differences: Differences, cells: Cells) -> MembraneFacts:
         """Return what was measured besides contact, for messages."""
@@ -141,7 +149,7 @@ class MembraneFinder(ContactFinder):
         touching = np.zeros_like(differences.usable)
         certain_m = gap_m + max(_CERTAIN * self._known.gap_sigma_m, _MODEL_ERROR_M)
         gap = np.where(self._solution.guess_m > np.float32(certain_m), FAR_M, self._solution.gap_m)
-        box = surroundings((gap <= np.float32(gap_m))[1:-1, 1:-1], 2)
+        box = surroundings((gap <= np.float32(gap_m))[INNER], 2)
         if box is None:
             return touching
         # between cells that are not near no pixel is: interpolate only around the near ones

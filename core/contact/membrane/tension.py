@@ -52,27 +52,24 @@ def measured_curvature_per_m(frame: SensorFrame, alignment: AlignmentSection, ri
     shape = camera.height // BLOCK_PX, camera.width // BLOCK_PX
     if min(shape) < 3:
         return math.nan
-    counts, shares = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    kernels.block_means(frame.tactile_depth, counts, shares)
     unit_m, offset_m = rig.tactile.depth_unit_m * alignment.depth_scale, alignment.depth_offset_m
-    depth = counts * np.float32(unit_m) + np.float32(offset_m)
     # Points are averaged, not depths: at the image's border their mean is shifted, but lies on the surface.
-    parts = (shares, *(depth * shares * ray for ray in _rays_of_blocks(camera)), depth * shares)
-    smooth = np.empty((4, *shape), np.float32)
-    for part, out in zip(parts, smooth, strict=True):
-        cv2.GaussianBlur(part, (0, 0), _WINDOW_BLOCKS, out, borderType=cv2.BORDER_CONSTANT)
-    known, points = smooth[0], smooth[1:]
-    points /= np.maximum(known, np.float32(1e-6))
-    bulge = np.empty(shape, np.float32)
-    kernels.bulges(points, known, _MIN_SHARE, bulge)
-    bulge = np.sort(bulge[~np.isnan(bulge)])  # faster than numpy's median
+    points, bulge = np.empty((2, *shape, 4), np.float32), np.empty(shape, np.float32)
+    kernels.block_points(
+        frame.tactile_depth, _rays_of_blocks(camera), np.float32(unit_m), np.float32(offset_m), points[0]
+    )
+    cv2.GaussianBlur(points[0], (0, 0), _WINDOW_BLOCKS, points[1], borderType=cv2.BORDER_CONSTANT)
+    kernels.bulges(points[1], _MIN_SHARE, bulge)
+    bulge = bulge[~np.isnan(bulge)]
+    if len(bulge) < _MIN_BLOCKS:
+        return math.nan
     middle = len(bulge) // 2
-    return float(bulge[middle] + bulge[~middle]) / 2 if len(bulge) >= _MIN_BLOCKS else math.nan
+    return float(np.partition(bulge, middle)[middle])
 
 
 @lru_cache(maxsize=8)
 def _rays_of_blocks(camera: Intrinsics) -> Float32Array:
-    """Return ``(x / z, y / z)`` at the centre of each block, shape (2, h, w)."""
+    """Return ``(x / z, y / z)`` at the centre of each block, shape (h, w, 2)."""
     rays = ray_table(camera)[: camera.height // BLOCK_PX * BLOCK_PX, : camera.width // BLOCK_PX * BLOCK_PX]
     squares = rays.reshape(camera.height // BLOCK_PX, BLOCK_PX, camera.width // BLOCK_PX, BLOCK_PX, 2)
-    return np.ascontiguousarray(squares.mean(axis=(1, 3)).transpose(2, 0, 1), np.float32)
+    return np.ascontiguousarray(squares.mean(axis=(1, 3)), np.float32)

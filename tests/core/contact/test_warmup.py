@@ -77,8 +77,9 @@ def test_the_command_says_what_it_did():
 
 
 MEMBRANE = {
-    "mark_tiles", "ranges_of_tiles", "spread", "find_differences", "block_means", "bulges", "average_cells",
-    "measure_cells", "mark_inside", "link_cells", "settle", "mark_large", "root", "collect_points",
+    "mark_tiles", "ranges_of_tiles", "spread", "find_differences", "block_points", "bulges", "average_cells",
+    "measure_cells", "extrapolate", "continue_beside", "guess_gaps", "mark_inside", "link_cells", "settle",
+    "mark_large", "root", "collect_points",
 }  # fmt: skip
 AVERAGE = {"forget_moved", "add_to_means"}
 TOLERANCE = {

@@ -10,9 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq, lsq_linear
 
+from tactune.core.contact.alignment import make_alignment
+from tactune.core.contact.kernels import cells as cell_kernels
 from tactune.core.contact.kernels import equilibrium as kernels
 from tactune.core.contact.kernels.membrane import RayWindow
-from tactune.core.contact.membrane.equilibrium import Cells, Equilibrium, over_window, settle
+from tactune.core.contact.membrane.cells import Cells, cells_of, over_window
+from tactune.core.contact.membrane.equilibrium import Equilibrium, settle
+from tactune.core.contact.membrane.finder import MembraneFinder
 from tactune.core.contact.membrane.tension import free_curvature_per_m
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
@@ -25,17 +29,19 @@ MEMBRANE = Preset().with_values({"contact_test": "membrane", "membrane.bias": Fa
 PLANE_M, BEHIND_M, UNIT_M = 0.3, 0.6, 1e-5
 
 
-def cells_of_gap(gap_m: np.ndarray, push_per_m: float | np.ndarray, known: np.ndarray | None = None) -> Cells:
-    """Return cells of 1 mm that face the camera, with an unknown frame."""
+def cells_of_gap(gap_m: np.ndarray, push_per_m: float | np.ndarray) -> Cells:
+    """Return cells of 1 mm that face the camera, with an unknown frame and nothing beside the object."""
     gap_m = np.asarray(gap_m, np.float32)
-    everywhere = np.zeros(gap_m.shape, bool)
-    everywhere[1:-1, 1:-1] = True
-    share = everywhere.astype(np.float32)
+    known = np.zeros(gap_m.shape, bool)
+    known[1:-1, 1:-1] = True
+    share = known.astype(np.float32)
     return Cells(
         difference_m=gap_m,
         share=share,
+        weight=share,
         near_share=over_window(share, 3),
-        known=everywhere if known is None else everywhere & known,
+        known=known,
+        linked=known,
         push_per_m=np.full_like(gap_m, 1.0) * np.asarray(push_per_m, np.float32),
         sides_m=np.full((2, *gap_m.shape), SIDE_M, np.float32),
         facing=np.ones_like(gap_m),
@@ -81,7 +87,7 @@ def test_a_paraboloid_pressed_through_a_flat_membrane_touches_within_its_radius(
     noise = np.random.default_rng(0).normal(0, noise_m, gap.shape) if noise_m else 0.0
     clamped = r > rim_m
     cells = cells_of_gap(np.where(clamped, 0.006 + 0 * gap, gap + noise), push)
-    inner = replace(cells, share=np.where(clamped, 0, cells.share).astype(np.float32))
+    inner = replace(cells, weight=np.where(clamped, 0, cells.share).astype(np.float32))
     trust_m = 0.2 if noise_m == 0 else 0.05
     # the rim's own gaps are held: the solver keeps the gap of cells that it does not solve for
     solution = settled_with_rim(inner, gap, clamped, trust_m)
@@ -93,14 +99,9 @@ def test_a_paraboloid_pressed_through_a_flat_membrane_touches_within_its_radius(
 
 def settled_with_rim(cells: Cells, gap_m: np.ndarray, held: np.ndarray, trust_m: float) -> np.ndarray:
     """Solve with the kernels for the cells that are not held; the held ones keep ``gap_m``."""
-    inside = cells.known & ~held
-    size = int(inside.sum())
-    places, links = np.empty(size, np.int32), np.empty((7, size), np.float32)
-    even = kernels.link_cells(inside, cells.known, cells.sides_m, cells.share, np.float32(trust_m), places, links)
-    loads = links[4] * cells.difference_m.reshape(-1)[places] - links[5] * cells.push_per_m.reshape(-1)[places]
     gaps = np.where(held, gap_m, np.maximum(cells.difference_m, 0)).astype(np.float32)
     relaxation = kernels.Relaxation(np.float32(1.8), np.float32(1e-8), 5000)
-    kernels.settle(gaps.reshape(-1), gaps.shape[1], kernels.Equations(places, links, even), loads, relaxation)
+    kernels.settle(gaps.reshape(-1), gaps.shape[1], *equations(cells, cells.known & ~held, trust_m), relaxation)
     return gaps
 
 
@@ -110,10 +111,36 @@ def settled_with_rim(cells: Cells, gap_m: np.ndarray, held: np.ndarray, trust_m:
 def test_the_shipped_iteration_finds_the_disc(push_per_m, contact_m, trust_m):
     v, u = np.indices((COUNT, COUNT)) - COUNT // 2
     gap = gap_at(np.hypot(u, v) * SIDE_M, contact_m, push_per_m)
-    solution = settle(cells_of_gap(gap, push_per_m), 0.0, trust_m)
+    cells = cells_of_gap(gap, push_per_m)
+    beside = np.zeros_like(cells.known)
+    beside[1:-1, 1:-1] = True
+    beside[2:-2, 2:-2] = False  # where the membrane goes on, its measured gap holds the border
+    solution = settle(replace(cells, known=cells.known & ~beside), 0.0, trust_m)
     near_m = MEMBRANE.membrane.gap_m
     reach_m = np.sqrt(2 * near_m / push_per_m)  # as far beyond contact the gap is the largest one that counts
     assert radius_m(solution.gap_m <= near_m) == pytest.approx(contact_m + reach_m, abs=SIDE_M)
+
+
+def test_the_membrane_beside_an_object_decides_at_its_border():
+    """A flat object with an edge: the membrane passes in front of it (gap > 0), or behind it, bent around the edge."""
+    gap = np.full((COUNT, COUNT), 0.0006, np.float32)
+    known = np.zeros(gap.shape, bool)
+    known[10:-10, 10:30] = True
+    linked = known.copy()
+    linked[10:-10, 30:33] = True
+    cells = cells_of_gap(gap, 20.0)
+    share = known.astype(np.float32)
+    cells = replace(
+        cells, known=known, linked=linked, share=share, weight=linked.astype(np.float32),
+        near_share=over_window(share, 3),
+    )  # fmt: skip
+    touching = {}
+    for name, beside_m in (("in front", 0.004), ("behind", -0.004)):
+        measured = np.where(linked & ~known, np.float32(beside_m), gap)
+        touching[name] = settle(replace(cells, difference_m=measured), 0.0, 0.016).touching
+    assert touching["behind"][10:-10, 26:30].all()
+    assert not touching["in front"][10:-10, 26:30].any()
+    assert not any((found & ~known).any() for found in touching.values())
 
 
 def random_cells(seed: int, size: int = 16) -> tuple[Cells, np.ndarray]:
@@ -125,14 +152,20 @@ def random_cells(seed: int, size: int = 16) -> tuple[Cells, np.ndarray]:
     sides = rng.uniform(0.0008, 0.0015, (2, size, size)).astype(np.float32)
     push = rng.uniform(5, 300, (size, size)).astype(np.float32)
     facing = rng.uniform(0.6, 1.0, (size, size)).astype(np.float32)
-    return Cells(measured, share, over_window(share, 3), known, push, sides, facing, 3), rng
+    return Cells(measured, share, share, over_window(share, 3), known, known, push, sides, facing, 3), rng
 
 
-def equations(cells: Cells, inside: np.ndarray, trust_m: float) -> tuple[np.ndarray, np.ndarray, int]:
+def equations(
+    cells: Cells, inside: np.ndarray, trust_m: float, bias_m: float = 0.0
+) -> tuple[kernels.Equations, np.ndarray]:
+    """Return the equations of some cells, and their loads."""
     size = int(inside.sum())
     places, links = np.empty(size, np.int32), np.empty((7, size), np.float32)
-    even = kernels.link_cells(inside, cells.known, cells.sides_m, cells.share, np.float32(trust_m), places, links)
-    return places, links, even
+    floors, loads = np.empty((2, size), np.float32)
+    measured = (cells.difference_m - np.float32(bias_m)) * cells.facing
+    images = kernels.CellImages(measured, cells.known, cells.linked, cells.push_per_m, cells.sides_m, cells.weight)
+    even = kernels.link_cells(inside, images, np.float32(trust_m), places, links, floors, loads)
+    return kernels.Equations(places, links, floors, even), loads
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -140,12 +173,16 @@ def test_the_gap_is_that_of_a_bounded_least_squares_solver(seed):
     cells, rng = random_cells(seed)
     size = len(cells.known)
     inside = cells.known & (rng.random((size, size)) > 0.1)
-    places, links, even = equations(cells, inside, 0.004)
+    cells = replace(cells, facing=np.ones_like(cells.facing))
+    found, loads = equations(cells, inside, 0.004)
+    places, links, floors, even = found
+    assert (floors == 0).all()
     assert sorted(places) == sorted(np.flatnonzero(inside))
     assert ((places[:even] // size + places[:even] % size) % 2).max() == 0
     gaps = rng.uniform(0, 0.003, (size, size)).astype(np.float32)
     measured = cells.difference_m.reshape(-1)[places]
-    loads = (links[4] * measured - links[5] * cells.push_per_m.reshape(-1)[places]).astype(np.float32)
+    expected_loads = links[4] * measured - links[5] * cells.push_per_m.reshape(-1)[places]
+    np.testing.assert_allclose(loads, expected_loads, rtol=1e-4, atol=1e-9)
     index = {int(place): i for i, place in enumerate(places)}
     matrix, right = np.diag(links[:5].sum(axis=0)).astype(np.float64), loads.astype(np.float64)
     for i, place in enumerate(places):
@@ -158,7 +195,7 @@ def test_the_gap_is_that_of_a_bounded_least_squares_solver(seed):
     root = np.linalg.cholesky(matrix).T
     expected = lsq_linear(root, np.linalg.solve(root.T, right), (0, np.inf), tol=1e-14).x
     relaxation = kernels.Relaxation(np.float32(1.5), np.float32(1e-8), 5000)
-    kernels.settle(gaps.reshape(-1), size, kernels.Equations(places, links, even), loads, relaxation)
+    kernels.settle(gaps.reshape(-1), size, found, loads, relaxation)
     assert 0 < (expected > 1e-6).sum() < len(expected)
     np.testing.assert_allclose(gaps.reshape(-1)[places], expected, atol=2e-6)
 
@@ -168,12 +205,11 @@ def test_the_gap_is_that_of_a_bounded_least_squares_solver(seed):
 def test_no_gap_is_negative_and_open_cells_are_in_equilibrium(seed, bias_m, trust_m):
     cells, _ = random_cells(seed)
     measured = (cells.difference_m - np.float32(bias_m)) * cells.facing
-    inside = cells.known
-    places, links, even = equations(cells, inside, trust_m)
-    loads = links[4] * measured.reshape(-1)[places] - links[5] * cells.push_per_m.reshape(-1)[places]
+    found, loads = equations(cells, cells.known, trust_m, bias_m)
+    places, links, _, _ = found
     gaps = np.maximum(measured, 0).astype(np.float32)
     relaxation = kernels.Relaxation(np.float32(1.7), np.float32(1e-9), 20_000)
-    kernels.settle(gaps.reshape(-1), gaps.shape[1], kernels.Equations(places, links, even), loads, relaxation)
+    kernels.settle(gaps.reshape(-1), gaps.shape[1], found, loads, relaxation)
     assert (gaps >= 0).all()
     flat, width = gaps.reshape(-1).astype(float), gaps.shape[1]
     steps = (-1, 1, -width, width)
@@ -250,42 +286,95 @@ def test_a_cell_is_the_mean_of_the_pixels_that_take_part():
     differences, counts = rng.uniform(0.1, 0.3, (7, 10)).astype(np.float32), rng.integers(1, 65535, (7, 10), np.uint16)
     usable, excluded = rng.random((7, 10)) > 0.4, rng.random((7, 10)) > 0.7
     rays = rng.uniform(-0.5, 0.5, (12, 16, 2)).astype(np.float32)
-    out = np.empty((6, 3, 4), np.float32)
+    frame = 2
+    shape = 3 + 2 * frame, 4 + 2 * frame
+    sums = cell_kernels.CellSums(
+        np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros((*shape, 4), np.float32)
+    )
     unit_m, bias_m, centre_m, limit_m = np.float32([1e-5, 0.003, 0.2, 0.08])
-    window = kernels.DifferenceWindow(differences, usable, excluded, counts, unit_m, bias_m, centre_m, limit_m)
-    kernels.average_cells(window, 3, RayWindow(rays, 3, 4), 0, 3, out)
+    window = cell_kernels.DifferenceWindow(differences, usable, excluded, counts, unit_m, bias_m, centre_m, limit_m)
+    cell_kernels.average_cells(window, 3, 1, RayWindow(rays, 3, 4), 0, 3, frame, sums)
     for row, column in np.ndindex(3, 4):
         box = np.s_[3 * row : 3 * row + 3, 3 * column : 3 * column + 3]
         part = usable[box] & (np.abs(differences[box] - 0.2) < 0.08)
         ray, z = rays[3:10, 4:14][box], counts[box] * unit_m - bias_m
-        expected = [
-            differences[box][part].mean() if part.any() else 0,
-            part.sum() / 9,  # also of the last cells, which reach beyond the image
-            (ray[..., 0] * z * part).sum() / 9,
-            (ray[..., 1] * z * part).sum() / 9,
-            (z * part).sum() / 9,
-            excluded[box].sum() / 9,
-        ]
-        np.testing.assert_allclose(out[:, row, column], expected, rtol=1e-5)
+        place = row + frame, column + frame
+        assert sums.differences[place] == pytest.approx(differences[box][part].mean() if part.any() else 0, rel=1e-5)
+        assert sums.excluded[place] == pytest.approx(excluded[box].sum() / 9, rel=1e-5)
+        points = [(ray[..., 0] * z * part).sum(), (ray[..., 1] * z * part).sum(), (z * part).sum(), part.sum()]
+        # shares of nine pixels, also of the last cells, which reach beyond the image
+        np.testing.assert_allclose(sums.points[place], np.array(points) / 9, rtol=1e-5)
+    assert not sums.points[:frame].any()
+    assert not sums.points[:, :frame].any()
+    every_second = cell_kernels.CellSums(*(np.zeros_like(part) for part in sums))
+    cell_kernels.average_cells(window, 4, 2, RayWindow(rays, 3, 4), 0, 1, frame, every_second)
+    part = usable[:4:2, :4:2] & (np.abs(differences[:4:2, :4:2] - 0.2) < 0.08)
+    assert every_second.points[frame, frame, 3] == part.sum() / 4
 
 
 @pytest.mark.parametrize("normal", [(0.0, 0.0, 1.0), (0.4, -0.2, 1.0), (-0.5, 0.5, 1.0)])
 def test_cells_of_a_tilted_plane_are_as_long_as_its_points_are_apart(normal):
     rays = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 101), np.linspace(-0.4, 0.4, 81)))
     z = 0.3 / (normal[0] * rays[0] + normal[1] * rays[1] + normal[2])
-    points = np.stack([rays[0] * z, rays[1] * z, z]).astype(np.float32)
-    sides, facing = np.empty((2, 81, 101), np.float32), np.empty((81, 101), np.float32)
-    shares = np.ones((81, 101), np.float32)
-    kernels.measure_cells(points, shares, np.float32(0.5), (0.01, 0.01), sides, facing)
+    points = np.stack([rays[0] * z, rays[1] * z, z, np.ones_like(z)], axis=-1).astype(np.float32)
+    surface = cell_kernels.Surface(
+        *(np.empty(shape, np.float32) for shape in (z.shape, (2, *z.shape), z.shape)),
+    )
+    shares = np.float32(0.5), np.float32(0.5)
+    cell_kernels.measure_cells(points.copy(), shares, (0.01, 0.01), surface)
     inner = np.s_[..., 1:-1, 1:-1]
-    right, down = points[:, 1:-1, 2:] - points[:, 1:-1, :-2], points[:, 2:, 1:-1] - points[:, :-2, 1:-1]
+    places = points[..., :3].transpose(2, 0, 1)
+    right, down = places[:, 1:-1, 2:] - places[:, 1:-1, :-2], places[:, 2:, 1:-1] - places[:, :-2, 1:-1]
     lengths = np.stack([np.linalg.norm(steps, axis=0) / 2 for steps in (right, down)])
-    np.testing.assert_allclose(sides[inner], lengths, rtol=0.01)
-    along = np.abs(np.tensordot(normal, points / points[2], 1)) / np.linalg.norm(normal)
-    np.testing.assert_allclose(facing[inner], np.minimum(along, 1)[inner], rtol=0.01)
-    kernels.measure_cells(points, 0 * shares, np.float32(0.5), (0.01, 0.01), sides, facing)
-    assert (sides == np.float32(0.001)).all()
-    assert (facing == 1).all()
+    np.testing.assert_allclose(surface.sides[inner], lengths, rtol=0.01)
+    along = np.abs(np.tensordot(normal, places / places[2], 1)) / np.linalg.norm(normal)
+    np.testing.assert_allclose(surface.facing[inner], np.minimum(along, 1)[inner], rtol=0.01)
+    np.testing.assert_allclose(surface.bulges[inner], 0, atol=0.2)
+    points[..., 3] = 0
+    cell_kernels.measure_cells(points, shares, (0.01, 0.01), surface)
+    assert (surface.sides == np.float32(0.001)).all()
+    assert (surface.facing == 1).all()
+    assert np.isnan(surface.bulges).all()
+
+
+def test_curvature_is_continued_from_the_nearest_cells():
+    known = np.ones((9, 30), bool)
+    known[:, 20:] = False
+    values = np.full((9, 30), np.nan, np.float32)
+    values[1:-1, 3], values[1:-1, 16] = 5, 10
+    cell_kernels.extrapolate(values, known, 2, np.empty(values.size, np.int32))
+    assert (values[2:-2, 1:6] == 5).all()
+    assert (values[2:-2, 14:19] == 10).all()
+    assert not values[:, 6:14].any(), "out of reach"
+    assert not values[:, 20:].any(), "not known"
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.4])
+@pytest.mark.parametrize("model", ["rigid", "homography"])
+def test_beside_an_object_the_gap_is_that_of_its_tangent_plane_to_the_membrane(rig, slope, model):
+    """A tilted plate in the left half of the image; to the right of it the membrane is 4 mm nearer, or hidden."""
+    tangent = rig.proximity.intrinsics.rays()[..., 0].astype(float)
+    plate = PLANE_M / (1 - slope * tangent)
+    frame_depth = np.where(tangent < 0, plate, BEHIND_M)
+    membrane = np.where(tangent < 0, plate, plate - 0.004)
+    membrane[:60] = 0
+    values = {"alignment.model": model} | (
+        {"alignment.homography.H_p_t": np.eye(3).tolist()} if model != "rigid" else {}
+    )
+    preset = MEMBRANE.with_values(values)
+    frame = SensorFrame(0, counts(frame_depth), counts(membrane), np.zeros((*tangent.shape, 3), np.uint8))
+    finder = MembraneFinder(preset, rig, make_alignment(preset.alignment, rig))
+    cells = cells_of(finder.differences(frame, preset), finder.membrane_image(frame), 3, 5.0, 10.0, (0.0, 0.008), rig)
+    beside = cells.linked & ~cells.known
+    seen = beside & (cells.weight > 0)
+    rows = np.flatnonzero((cells.known & (cells.share > 0)).any(axis=1))
+    middle = np.zeros_like(beside)
+    middle[rows[6] : rows[-6]] = True
+    right = middle & seen & (np.arange(beside.shape[1]) > np.flatnonzero(cells.known.any(axis=0))[-1])
+    assert right.sum() > 50
+    np.testing.assert_allclose(cells.difference_m[right], 0.004, atol=0.0003)
+    assert (cells.weight[beside] <= 1).all()
+    assert (cells.push_per_m[beside] == 10).all()
 
 
 # Images of a bubble with an exact shape

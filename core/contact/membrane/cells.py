@@ -1,0 +1,177 @@
+"""Square cells of pixels: the measured gap, the object's surface, and the membrane beside the object."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from ...model.arrays import BoolArray, Float32Array
+from ...model.clouds import ray_table
+from ...model.frames import Rig
+from ..kernels import cells as kernels
+from ..kernels.cells import MembraneImage
+from ..kernels.membrane import RayWindow
+from ..kernels.threads import by_rows
+from .differences import Differences
+
+#: Side of the cells, pixels.
+CELL_PX: Final = 3
+#: Share of a cell's window that must be usable for a gap; for the object's curvature, and for its slope.
+_MIN_SHARE: Final = np.float32(0.4)
+_MIN_SHARES_OF_SURFACE: Final = (np.float32(0.5), np.float32(0.05))
+#: Excluded share from which a cell takes no part.
+_MAX_EXCLUDED: Final = np.float32(0.5)
+#: Sigma of the window over which the first guess of the gap is averaged, pixels.
+GUESS_PX: Final = 2.5
+#: How far the object's curvature is extrapolated, pixels.
+_REACH_PX: Final = 16.0
+#: Lower limit of p / T - k, 1/m; it holds where the object is hollow and curves more strongly than the free membrane.
+_MIN_PUSH_PER_M: Final = np.float32(2.0)
+#: A gap far above all others, for cells without a known gap, metres.
+FAR_M: Final = np.float32(0.01)
+#: How far the gap is solved for beside the object, pixels, and the resulting frame of the images, cells.
+_BESIDE_PX: Final = 9
+FRAME: Final = 1 + -(-_BESIDE_PX // CELL_PX)
+INNER: Final = (slice(FRAME, -FRAME),) * 2
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Square cells of pixels with what the obstacle problem needs; images are (H, W), with a `FRAME` of unknown cells.
+
+    Attributes
+    ----------
+    difference_m : float32
+        Mean difference of both depths along the ray. Beside the object: that of its tangent plane and the membrane.
+    share : float32
+        Share of pixels that take part.
+    weight : float32
+        Of the difference in the obstacle problem: that share; beside the object 1 where the membrane is seen.
+    near_share : float32
+        That share averaged over the window of the first guess, from `over_window`.
+    known : bool
+        Whether enough pixels near it take part.
+    linked : bool
+        Known, or beside known cells.
+    push_per_m : float32
+        p / T - k: twice the mean curvature of the free membrane less that of the object.
+    sides_m : float32, shape (2, H, W)
+        Length along the surface to the right and down.
+    facing : float32
+        Ratio of a gap along the normal to the difference along the ray.
+    size_px : int
+    """
+
+    difference_m: Float32Array
+    share: Float32Array
+    weight: Float32Array
+    near_share: Float32Array
+    known: BoolArray
+    linked: BoolArray
+    push_per_m: Float32Array
+    sides_m: Float32Array
+    facing: Float32Array
+    size_px: int
+
+    @property
+    def area_m2(self) -> Float32Array:
+        """Usable area of each cell, (H, W)."""
+        return np.asarray(self.share * self.sides_m[0] * self.sides_m[1])
+
+
+def cells_of(
+    differences: Differences,
+    membrane: MembraneImage,
+    size_px: int,
+    shape_px: float,
+    free_per_m: float,
+    near_m: tuple[float, float],
+    rig: Rig,
+) -> Cells | None:
+    """Average differences and the object's shape over cells; None if the image is smaller than three cells.
+
+    Parameters
+    ----------
+    membrane : MembraneImage
+        Tells the membrane's depth beside the object.
+    size_px : int
+        Side of a cell.
+    shape_px : float
+        Sigma of the window over which the object's shape is averaged, pixels.
+    free_per_m : float
+        Twice the mean curvature of the free membrane.
+    near_m : tuple of float
+        Centre and limit: only differences nearer than the limit to the centre take part.
+    """
+    import cv2
+
+    camera, (height, width) = rig.proximity.intrinsics, differences.usable.shape
+    if min(height, width) < 3 * size_px:
+        return None
+    shape = -(-height // size_px) + 2 * FRAME, -(-width // size_px) + 2 * FRAME
+    sums = kernels.CellSums(np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros((*shape, 4), np.float32))
+    window = kernels.DifferenceWindow(
+        differences.difference_m, differences.usable, differences.excluded, differences.counts, differences.unit_m,
+        np.float32(differences.bias_m), np.float32(near_m[0]), np.float32(near_m[1]),
+    )  # fmt: skip
+    rays, step = RayWindow(ray_table(camera), *differences.corner), 1 if size_px % 2 else 2
+    by_rows(
+        lambda first, last: kernels.average_cells(window, size_px, step, rays, first, last, FRAME, sums),
+        shape[0] - 2 * FRAME,
+    )
+    difference, excluded, points = sums
+    share, known = points[..., 3].copy(), np.zeros(shape, np.bool_)
+    known[INNER] = ((over_window(share, size_px) > _MIN_SHARE) & (excluded < _MAX_EXCLUDED))[INNER]
+    share *= known
+
+    smooth = cv2.GaussianBlur(points, (0, 0), max(shape_px / size_px, 0.3), borderType=cv2.BORDER_CONSTANT)
+    surface = kernels.Surface(
+        np.empty(shape, np.float32), np.empty((2, *shape), np.float32), np.empty(shape, np.float32)
+    )
+    kernels.measure_cells(smooth, _MIN_SHARES_OF_SURFACE, (size_px / camera.fx, size_px / camera.fy), surface)
+    queue, sources = np.empty((2, share.size), np.int32)
+    kernels.extrapolate(surface.bulges, known, round(_REACH_PX / size_px), queue)
+    push = np.maximum(np.float32(free_per_m) - surface.bulges, _MIN_PUSH_PER_M)
+
+    top, left = (start - FRAME * size_px for start in differences.corner)
+    grid = kernels.CellGrid(rays.rays, top, left, size_px)
+    linked, weight, planes = known.copy(), share.copy(), np.empty((3, share.size), np.float32)
+    beside = kernels.BesideCells(linked, difference, weight, sources, queue, planes)
+    reach = -(-_BESIDE_PX // size_px)
+    kernels.continue_beside(known, excluded, points, surface, grid, membrane, reach, beside)
+    push[linked & ~known] = free_per_m
+    near = over_window(share, size_px)
+    return Cells(difference, share, weight, near, known, linked, push, surface.sides, surface.facing, size_px)
+
+
+def over_window(image: Float32Array, size_px: int) -> Float32Array:
+    """Average an image of cells of ``size_px`` over the Gaussian window of `GUESS_PX`."""
+    import cv2
+
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), GUESS_PX / size_px, borderType=cv2.BORDER_CONSTANT))
+
+
+def to_pixels(
+    cells: Cells, image: Float32Array, shape: tuple[int, int], box: tuple[slice, slice] = (slice(None), slice(None))
+) -> tuple[Float32Array, BoolArray]:
+    """Interpolate an image of the cells, or of a part of them, to pixels; ``box`` does not count the frame.
+
+    Returns
+    -------
+    pixels : float32, shape (H, W)
+        Interpolated between known cells; far in the others.
+    border : bool, shape (H, W)
+        Whether a cell near the pixel is unknown.
+    """
+    import cv2
+
+    known, (height, width) = cells.known[INNER][box], shape
+    size = known.shape[1] * cells.size_px, known.shape[0] * cells.size_px
+    weight = known.view(np.uint8).astype(np.float32)
+    inside = cv2.resize(weight, size, interpolation=cv2.INTER_NEAREST)[:height, :width] > 0
+    total = cv2.resize(weight * image[INNER][box], size, interpolation=cv2.INTER_LINEAR)[:height, :width]
+    share = cv2.resize(weight, size, interpolation=cv2.INTER_LINEAR)[:height, :width]
+    pixels = np.where(inside, total / np.maximum(share, np.float32(1e-6)), FAR_M)
+    return np.asarray(pixels, np.float32), np.asarray(inside & (share < 1))
