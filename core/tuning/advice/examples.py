@@ -28,7 +28,7 @@ CURVES: Final[dict[str, dict[str, tuple[float, ...]]]] = {
     "membrane": {
         "membrane.gap_m": (0.0, 1e-5, 2e-5, 5e-5, 1e-4, 1.5e-4, 2e-4, 3e-4, 5e-4),
         "membrane.trust_m": (0.006, 0.008, 0.012, 0.016, 0.02, 0.028, 0.04),
-        "membrane.min_area_mm2": (0, 5, 10, 20, 30, 50, 75, 100, 150, 200),
+        "membrane.min_area_mm2": (0, 5, 10, 15, 20, 30, 50, 75, 100, 150, 200),
     },
 }
 #: Values whose error exceeds the smallest by at most this are equally good, and so are distances by this share.

@@ -145,6 +145,6 @@ def test_noise_needs_two_frames_at_rest(evidence):
 def test_too_small_groups_are_dropped_and_larger_ones_left_alone(evidence, field):
     section = field.partition(".")[0]
     raised = suggest(section, evidence(TOLERANCE.with_value(field, 0.0)))
-    assert raised.changes[field] >= 20
+    assert raised.changes[field] >= 15  # the membrane test's default
     assert raised.weak
     assert not suggest(section, evidence(TOLERANCE.with_value(field, 200.0))).changes
