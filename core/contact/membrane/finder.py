@@ -47,6 +47,8 @@ class MembraneFinder(ContactFinder):
     ----------
     bias : FrameBias
         That of the last frame, beyond the bias of its differences.
+    rig_bias : RigBias
+        What is known of the rig.
     """
 
     bias: FrameBias
@@ -65,7 +67,7 @@ class MembraneFinder(ContactFinder):
         # with an infinite tolerance, CONTACT in the base class's `classify` means that there are both depths
         self.test = self.test._replace(limits=self._exact._replace(tolerance=np.float32(np.inf)))
         self._depth_unit_m = np.float32(rig.proximity.depth_unit_m)
-        self._known = rig_bias(preset, rig)
+        self.rig_bias = rig_bias(preset, rig)
 
     def find(self, frame: SensorFrame, preset: Preset, due: Steps) -> Found:
         """Return the contact in a frame."""
@@ -79,7 +81,7 @@ class MembraneFinder(ContactFinder):
             membrane = self.membrane_image(frame)
             self._cells = cells_of(differences, membrane, CELL_PX, section.shape_px, self._free_per_m, near_m, rig)
             if self._cells is not None:
-                self._solution = settle(self._cells, self.bias.bias_m, self._known.length_m(section.trust_m))
+                self._solution = settle(self._cells, self.bias.bias_m, self.rig_bias.length_m(section.trust_m))
         if (cells := self._cells) is None:
             return Found(NO_CANDIDATES, lambda: self.classify(frame), ("no candidates",))
         if due("edge"):
@@ -87,7 +89,7 @@ class MembraneFinder(ContactFinder):
         if due("clusters"):
             self._large = large_contacts(self._touching, differences, section, rig)
         if due("points"):
-            weight = self._known.tactile_weight
+            weight = self.rig_bias.tactile_weight
             self._contact = surface_points(
                 self._large, differences, self.bias.bias_m, weight, rig, self._workspace.buffers
             )
@@ -98,7 +100,7 @@ class MembraneFinder(ContactFinder):
     def differences(self, frame: SensorFrame, preset: Preset) -> Differences | None:
         """Return the differences of both depths, and find the bias; None if too few pixels are usable for contact."""
         section = preset.membrane
-        bias_m = self._known.mean_m if section.bias else 0.0
+        bias_m = self.rig_bias.mean_m if section.bias else 0.0
         self.bias = FrameBias()
         found = self._differences_at(frame, bias_m, _WIDE_M if section.bias else np.float32(_NEAR_M), section)
         if found is None:
@@ -108,7 +110,7 @@ class MembraneFinder(ContactFinder):
         if not section.bias:
             return found
         membrane = self.membrane_image(frame)
-        self.bias, near = frame_bias(found, membrane, self._known, self._free_per_m, self._rig)
+        self.bias, near = frame_bias(found, membrane, self.rig_bias, self._free_per_m, self._rig)
         if abs(self.bias.bias_m) <= _ALIGN_ANEW_M:
             return near
         found = self._differences_at(frame, bias_m + self.bias.bias_m, _WIDE_M, section)
@@ -116,7 +118,7 @@ class MembraneFinder(ContactFinder):
         if found is None:
             return None
         if firm:
-            refined, near = frame_bias(found, membrane, self._known, self._free_per_m, self._rig)
+            refined, near = frame_bias(found, membrane, self.rig_bias, self._free_per_m, self._rig)
             if refined.firm_m2 > 0:
                 self.bias = refined
                 return near
@@ -138,7 +140,7 @@ class MembraneFinder(ContactFinder):
             used_curvature_per_m=self._free_per_m,
             gap_m=Lazy(lambda: gap_image(differences, cells, solution, shape)),
             difference_m=Lazy(lambda: differences_at(contact, differences, bias.bias_m, shape[1])),
-            tactile_weight=self._known.tactile_weight,
+            tactile_weight=self.rig_bias.tactile_weight,
         )
 
     def _within_edge(self, cells: Cells, gap_m: float, differences: Differences) -> BoolArray:
@@ -147,7 +149,7 @@ class MembraneFinder(ContactFinder):
         Where the object ends, cells are cut by their pixels: those that do not measure a small gap do not count.
         """
         touching = np.zeros_like(differences.usable)
-        certain_m = gap_m + max(_CERTAIN * self._known.gap_sigma_m, _MODEL_ERROR_M)
+        certain_m = gap_m + max(_CERTAIN * self.rig_bias.gap_sigma_m, _MODEL_ERROR_M)
         gap = np.where(self._solution.guess_m > np.float32(certain_m), FAR_M, self._solution.gap_m)
         box = surroundings((gap <= np.float32(gap_m))[INNER], 2)
         if box is None:
@@ -156,7 +158,7 @@ class MembraneFinder(ContactFinder):
         rows, columns = (slice(CELL_PX * side.start, CELL_PX * side.stop) for side in box)
         usable, difference = differences.usable[rows, columns], differences.difference_m[rows, columns]
         gap, border = to_pixels(cells, gap, usable.shape, box)
-        largest = np.float32(gap_m + max(_CERTAIN * self._known.pixel_sigma_m, _MODEL_ERROR_M))
+        largest = np.float32(gap_m + max(_CERTAIN * self.rig_bias.pixel_sigma_m, _MODEL_ERROR_M))
         near = usable & (np.abs(difference - np.float32(self.bias.bias_m)) < largest)
         touching[rows, columns] = (gap <= np.float32(gap_m)) & (near | ~border)
         return touching & ~differences.excluded
@@ -166,7 +168,7 @@ class MembraneFinder(ContactFinder):
         verdicts = super().classify(frame)
         height, width = verdicts.shape
         every_tile = np.ones(self.coarse.shape, np.bool_)  # not the pipeline's own, which other threads may be using
-        _, state = self._look(frame, every_tile, (0, 0, width, height), self._known.mean_m, _WIDE_M, in_parallel=True)
+        _, state = self._look(frame, every_tile, (0, 0, width, height), self.rig_bias.mean_m, _WIDE_M, in_parallel=True)
         verdicts[verdicts == Provenance.CONTACT] = Provenance.OUTSIDE_TOLERANCE
         verdicts[state == kernels.MASKED] = Provenance.MASKED
         return verdicts
@@ -191,7 +193,7 @@ class MembraneFinder(ContactFinder):
             usable,
             state == kernels.EXCLUDED,
             bias_m,
-            _NOTHING if self._known.measured else difference[state == kernels.MASKED],
+            _NOTHING if self.rig_bias.measured else difference[state == kernels.MASKED],
         )
         return None if self._too_few(found, section.min_area_mm2) else found
 
