@@ -52,7 +52,7 @@ class MembraneSection(Section):
             advanced=True,
         ),
         Field(ge=0.001, le=0.2),
-    ] = 0.02
+    ] = 0.016
     shape_px: Annotated[
         float,
         described(

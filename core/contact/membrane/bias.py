@@ -54,14 +54,14 @@ _DISAGREE: Final = 3.0
 _REPLACING: Final = 2.0
 #: Assumed for a rig that was not measured: noise power of a D405 and an L515 at 0.3 m, m^4, and standard deviation of
 #: the bias, metres.
-_USUAL_NOISE_M4: Final = 3e-10
+_USUAL_NOISE_M4: Final = 1.23e-10
 _USUAL_SIGMA_M: Final = 0.005
 #: Lower limit of the noise power, for errors of the model, m^4.
 _MIN_NOISE_M4: Final = 1e-11
 #: Systematic error of a bias measured on prints, metres, and fewest pixels on prints that tell it.
 _PRINT_SIGMA_M: Final = 0.0003
 _MIN_PRINT_PIXELS: Final = 200
-#: A bias without firm contact is raised by this share of its standard deviation, which is limited, metres: to miss a
+#: A measured bias without firm contact is raised by this share of its standard deviation, which is limited, metres: to miss a
 #: contact is a larger error than to show it too wide.
 _LEAN: Final = 0.4
 _MAX_LEAN_SIGMA_M: Final = 0.001
@@ -181,9 +181,10 @@ def frame_bias(
     bias_m = prior.mean_m
     if near is None or abs(bias_m - start_m) > _SAME_M:
         near = _near(differences, bias_m)
-    if not prior.measured and (cells := cells_near(near, bias_m)) is not None:
-        bias_m, _ = _joint(cells, bias_m, prior)  # a measured bias is not told better by small contact
-    bias_m += _LEAN * min(prior.sigma_m, _MAX_LEAN_SIGMA_M)
+    if prior.measured:  # small contact does not tell it better
+        bias_m += _LEAN * min(prior.sigma_m, _MAX_LEAN_SIGMA_M)
+    elif (cells := cells_near(near, bias_m)) is not None:
+        bias_m, _ = _joint(cells, bias_m, prior)
     return FrameBias(bias_m, known=prior.measured), near
 
 
