@@ -19,7 +19,8 @@ _MAX_SLOPE: Final = 2.0
 _MIN_RUN_M: Final = 1e-5
 #: Points whose spread along one direction is a smaller share of that along the other tell no plane.
 _MIN_AREA: Final = 1e-3
-#: The membrane's depth along a ray is found in at most this number of steps; the last is smaller than this, metres.
+#: The search for the membrane's depth along a ray ends after this number of steps without a result, or when a step is
+#: smaller than this, metres.
 _MAX_STEPS, _LAST_STEP_M = 5, np.float32(0.0005)
 _SATURATED: Final = 65535
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
@@ -34,7 +35,7 @@ class DifferenceWindow(NamedTuple):
     differences : float32, shape (H, W)
         Proximity minus tactile depth, metres.
     usable, excluded : bool, shape (H, W)
-        Where both count; where neither may be contact.
+        Where both depths count; outside the region or range.
     counts : uint16, shape (H, W)
         Raw proximity depth.
     unit_m, bias_m : float32
@@ -279,7 +280,7 @@ def _membrane_depth(pixel: Any, z: Any, membrane: Any) -> Any:
 
 @kernel
 def extrapolate(values: Any, known: Any, reach: Any, queue: Any) -> None:
-    """Give known nan cells within ``reach`` cells of others the value from which they are reached first; others get 0.
+    """Fill nan: a known cell within ``reach`` cells of a value takes the first that reaches it; all other nan become 0.
 
     Parameters
     ----------
@@ -326,7 +327,7 @@ def _mean_point(points: Any, v: Any, u: Any) -> Any:
 
 @inline
 def _tangent_plane(points: Any, v: Any, u: Any, reach: Any) -> Any:
-    """Fit z = a x + b y + c to every second cell up to ``reach`` cells around one; return a, b and c.
+    """Fit z = a x + b y + c to a cell and those around it, from -reach to reach in steps of 2; return a, b and c.
 
     ``points`` (H, W, 4) are those of `CellSums`. Near cells count more, by Epanechnikov's parabola.
     """
@@ -337,7 +338,7 @@ def _tangent_plane(points: Any, v: Any, u: Any, reach: Any) -> Any:
         for column in range(u - reach, u + reach + 1, 2):
             near = 1.0 - ((row - v) ** 2 + (column - u) ** 2) * outside
             weight = points[row, column, 3] * near
-            if weight <= 0.0:
+            if weight <= 0.0 or (row == v and column == u):  # the cell itself counts already
                 continue
             x, y, z = _mean_point(points, row, column)
             x, y, z = x - x0, y - y0, z - z0
@@ -348,7 +349,7 @@ def _tangent_plane(points: Any, v: Any, u: Any, reach: Any) -> Any:
     xx, xy, yy, xz, yz = xx - wx * x, xy - wx * y, yy - wy * y, xz - wx * z, yz - wy * z
     area = xx * yy - xy * xy
     a = b = 0.0
-    if area > _MIN_AREA * xx * yy:
+    if area > _MIN_AREA * (xx + yy) ** 2:
         a, b = (xz * yy - yz * xy) / area, (yz * xx - xz * xy) / area
         steep = max(np.sqrt(a * a + b * b) / _MAX_SLOPE, 1.0)
         a, b = a / steep, b / steep
@@ -367,7 +368,7 @@ def continue_beside(
     Parameters
     ----------
     known : bool, shape (H, W)
-        Cells of the object; none within ``reach`` cells of the border.
+        Cells of the object; there must be none within ``reach`` cells of the border.
     excluded : float32, shape (H, W)
         Cells of which half or more is excluded are left out.
     points : float32, shape (H, W, 4)
@@ -416,9 +417,11 @@ def continue_beside(
         source = sources[queue[i]]
         from_v, from_u = source // width, source % width
         ray_x, ray_y = grid.rays[pixel_v, pixel_u, 0], grid.rays[pixel_v, pixel_u, 1]
-        plane = planes[2, source] / max(1 - planes[0, source] * ray_x - planes[1, source] * ray_y, _MIN_TURN)
+        turn = 1 - planes[0, source] * ray_x - planes[1, source] * ray_y
+        plane = planes[2, source] / max(turn, _MIN_TURN)
         _, _, depth = _mean_point(points, from_v, from_u)
         found, seen = _membrane_depth(pixel_v * image_width + pixel_u, np.float32(depth), membrane)
+        seen = seen and turn > _MIN_TURN  # a plane along the ray is no surface
         linked[v, u], weights[v, u] = True, np.float32(seen)
         differences[v, u] = np.float32(plane - found) if seen else _ZERO
         sides[0, v, u], sides[1, v, u] = sides[0, from_v, from_u], sides[1, from_v, from_u]

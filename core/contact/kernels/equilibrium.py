@@ -18,8 +18,8 @@ _NO_FLOOR: Final = np.float32(-1.0)
 class Equations(NamedTuple):
     """The equations of the N cells that are solved for, cells of even row plus column first.
 
-    A cell's sum of ``link`` times the difference to its neighbour, minus ``weight`` times its area over the square of
-    ``trust_m`` times the difference to the measured gap, is its push times its area. Other cells are no neighbours.
+    For a cell with the gap g: the sum of link * (neighbour - g), minus weight * area / trust_m^2 * (g - measured), is
+    push * area. Only linked cells are neighbours.
 
     Attributes
     ----------
@@ -102,8 +102,9 @@ def guess_gaps(measured: Any, total: Any, near_share: Any, known: Any, guess: An
 def mark_inside(guess: Any, known: Any, linked: Any, weights: Any, largest_m: Any, inside: Any) -> Any:
     """Write which cells are solved for, and return their number; images are (H, W), and no cell at the border is.
 
-    Known cells are solved for where the guess of the gap (metres) is smaller than the limit. In linked cells beside
-    them its magnitude counts, and those at the outer end that see the membrane (by their weight) keep their gap.
+    Known cells are solved for where the guess of the gap (metres) is smaller than the limit. A linked cell beside them
+    that does not see the membrane (its weight is 0) is solved for. One that sees it is solved for if the magnitude of
+    its gap is smaller than the limit and all 8 neighbours are linked; otherwise it keeps its gap.
     """
     inside[:] = False
     count = 0

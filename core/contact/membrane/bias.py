@@ -61,8 +61,8 @@ _MIN_NOISE_M4: Final = 1e-11
 #: Systematic error of a bias measured on prints, metres, and fewest pixels on prints that tell it.
 _PRINT_SIGMA_M: Final = 0.0003
 _MIN_PRINT_PIXELS: Final = 200
-#: A measured bias without firm contact is raised by this share of its standard deviation, which is limited, metres: to miss a
-#: contact is a larger error than to show it too wide.
+#: A measured bias without firm contact is raised by this share of its standard deviation, which is limited, metres: to
+#: miss a contact is a larger error than to show it too wide.
 _LEAN: Final = 0.4
 _MAX_LEAN_SIGMA_M: Final = 0.001
 
@@ -150,7 +150,9 @@ def _after_window_m(noise: CameraNoise) -> float:
 def frame_bias(
     differences: Differences, membrane: MembraneImage, known: RigBias, free_per_m: float, rig: Rig
 ) -> tuple[FrameBias, Differences | None]:
-    """Return the bias in a frame, and the part of the differences with all pixels near it; None if there is none.
+    """Return the bias in a frame, and the part of the differences with all pixels near it or near the search's start.
+
+    The part is None if there are no such pixels.
 
     Parameters
     ----------
