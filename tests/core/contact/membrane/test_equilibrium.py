@@ -12,6 +12,7 @@ from scipy.optimize import brentq, lsq_linear
 
 from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.kernels import cells as cell_kernels
+from tactune.core.contact.kernels import chain
 from tactune.core.contact.kernels import equilibrium as kernels
 from tactune.core.contact.kernels.membrane import RayWindow
 from tactune.core.contact.membrane.cells import Cells, cells_of, over_window
@@ -375,6 +376,39 @@ def test_beside_an_object_the_gap_is_that_of_its_tangent_plane_to_the_membrane(r
     np.testing.assert_allclose(cells.difference_m[right], 0.004, atol=0.0003)
     assert (cells.weight[beside] <= 1).all()
     assert (cells.push_per_m[beside] == 10).all()
+
+
+@pytest.mark.parametrize("rows", [1, 2, 5])
+@pytest.mark.parametrize(("side", "reach"), [(8, 2), (3, 3)])
+def test_a_narrow_bar_away_from_the_axis_is_continued_along_its_own_plane(side, reach, rows):
+    """The membrane is 1 mm in front of a bar of few rows of cells, which noise must not tilt into the rays."""
+    size, count = 22 * side, (22 * side) ** 2
+    v, u = np.mgrid[:size, :size]
+    rays = np.dstack([(u - size / 2) / 380, 0.25 + (v - size / 2) / 380]).astype(np.float32)
+    alignment = chain.Alignment(
+        False, chain.ImageSizes(size, size, size, size), np.float32(1e-4), np.float32(1e-4), np.float32(0),
+        np.zeros(3, np.float32), np.empty(0, np.float32), np.arange(count, dtype=np.int32), 0, np.zeros(9, np.float32),
+    )  # fmt: skip
+    shape = 22, 22
+    known, points = np.zeros(shape, bool), np.zeros((*shape, 4), np.float32)
+    known[10 : 10 + rows, 5:17] = True
+    rng = np.random.default_rng(0)
+    for row, column in np.argwhere(known):
+        z = 0.3 + rng.normal(0, 1e-4)
+        pixels = np.s_[row * side : (row + 1) * side, column * side : (column + 1) * side]
+        points[row, column] = *rays[pixels].mean(axis=(0, 1)) * z, z, 1
+    ones = np.ones(shape, np.float32)
+    surface = cell_kernels.Surface(ones, np.stack([ones, ones]), ones.copy())
+    differences, linked, weights = np.zeros(shape, np.float32), known.copy(), known.astype(np.float32)
+    sources, queue = np.empty((2, known.size), np.int32)
+    out = cell_kernels.BesideCells(linked, differences, weights, sources, queue, np.empty((3, known.size), np.float32))
+    membrane = cell_kernels.MembraneImage(np.full(count, 2990, np.uint16), alignment)
+    grid = cell_kernels.CellGrid(rays, 0, 0, side)
+    cell_kernels.continue_beside(known, 0 * ones, points, surface, grid, membrane, reach, out)
+    beside = linked & ~known
+    assert beside.sum() > 30
+    assert weights[beside].all()
+    np.testing.assert_allclose(differences[beside], 0.001, atol=0.001)
 
 
 # Images of a bubble with an exact shape
