@@ -370,7 +370,7 @@ def continue_beside(
     known : bool, shape (H, W)
         Cells of the object; there must be none within ``reach`` cells of the border.
     excluded : float32, shape (H, W)
-        Cells of which half or more is excluded are left out.
+        Excluded share. Cells with a half or more are left out.
     points : float32, shape (H, W, 4)
         Those of `CellSums`.
     surface : Surface

@@ -116,7 +116,8 @@ def cells_of(
         differences.difference_m, differences.usable, differences.excluded, differences.counts, differences.unit_m,
         np.float32(differences.bias_m), np.float32(near_m[0]), np.float32(near_m[1]),
     )  # fmt: skip
-    rays, step = RayWindow(ray_table(camera), *differences.corner), 1 if size_px % 2 else 2
+    rays = RayWindow(ray_table(camera), *differences.corner)
+    step = 2 if size_px % 2 == 0 else 1  # noise that neighbours share: every second pixel tells as much, where it fits
     by_rows(
         lambda first, last: kernels.average_cells(window, size_px, step, rays, first, last, FRAME, sums),
         shape[0] - 2 * FRAME,

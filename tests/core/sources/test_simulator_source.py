@@ -166,8 +166,13 @@ def test_reflective_rubber_returns_the_membrane_and_only_the_mask_removes_it(cup
     error = np.abs(frame.proximity_depth * 0.00025 - frame.truth.depth_m)[patch & (frame.proximity_depth > 0)]
     assert np.quantile(error, 0.95) < 0.004
     preset = load_preset("simulator")
-    assert ContactPipeline(preset.with_value("mask.enabled", False), cup.rig).process(frame).mask.sum() > 300
-    assert ContactPipeline(preset, cup.rig).process(frame).mask.sum() == 0
+    published = preset.with_values({"contact_test": "tolerance", "alignment.model": "rigid"})
+    unmasked = {"mask.enabled": False}
+    assert ContactPipeline(published.with_values(unmasked), cup.rig).process(frame).mask.sum() > 1000
+    # the membrane test drops some of them: beside a print, the membrane is bent away from the print's plane
+    assert ContactPipeline(preset.with_values(unmasked), cup.rig).process(frame).mask.sum() > 0
+    for test in (published, preset):
+        assert ContactPipeline(test, cup.rig).process(frame).mask.sum() == 0
 
 
 def test_frames_without_touch_leave_no_patch(any_scene):

@@ -160,15 +160,12 @@ def test_a_mask_that_covers_the_image():
     assert mended(found, covered, rig, frame)
 
 
-@pytest.mark.parametrize(
-    ("sensor", "preset"),
-    [
-        *((sensor, TOLERANCE.with_values({"mask.enabled": False})) for sensor in ("white", "l515-d405", "datasheet")),
-        # on datasheet the slow error of the proximity camera opens a gap over all prints but two
-        *((sensor, NO_MASK) for sensor in ("white", "l515-d405")),
-    ],
-)
-def test_contact_of_nothing_but_prints(sensor, preset):
+@pytest.mark.parametrize("sensor", ["white", "l515-d405", "datasheet"])
+@pytest.mark.parametrize("preset", [NO_MASK, TOLERANCE.with_values({"mask.enabled": False})])
+def test_contact_of_nothing_but_prints(request, sensor, preset):
+    if sensor == "datasheet" and preset is NO_MASK:
+        reason = "the membrane test finds contact on two of the five prints; the finding needs three"
+        request.applymarker(pytest.mark.xfail(strict=True, reason=reason))
     rig, frame = scene(f"{UNTOUCHED}&sensor={sensor}")
     found = findings(preset, rig, frame)["prints"]
     after = found.proposal.apply(preset)
