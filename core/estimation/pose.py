@@ -9,7 +9,6 @@ from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from ..errors import CalibrationError
 from ..model.arrays import Float64Array
@@ -18,7 +17,7 @@ from ..model.patch import ContactPatch
 from ..preset import Preset
 from ..preset.checks import rig_in_use
 from .object_mesh import Axis, ObjectMesh, import_open3d
-from .pose_fit import ON_MESH_M, Fit, PatchPoints, fit, moved, noise_density_m4, patch_points
+from .pose_fit import ON_MESH_M, Fit, PatchPoints, fit, motion_between, moved, noise_density_m4, patch_points
 from .pose_search import Membrane, Searched, search, search_near, two_way_m
 
 Vector3 = tuple[float, float, float]
@@ -135,7 +134,7 @@ def pose_error(estimate: PoseEstimate, truth: npt.ArrayLike, mesh: ObjectMesh) -
         if direction.kind == "turn":
             centre = np.array(direction.point_m)
             break
-    equal = (_motion(true @ other, estimate.T_proximity_object, centre, radius_m) for other in mesh.symmetries)
+    equal = (motion_between(true @ other, estimate.T_proximity_object, centre, radius_m) for other in mesh.symmetries)
     full = min(equal, key=lambda motion: float(np.linalg.norm(motion)))
     free = np.zeros((6, len(estimate.free)))
     for column, direction in zip(free.T, estimate.free, strict=True):
@@ -306,9 +305,12 @@ class PoseTracker:
 
     def _nearest_equal(self, found: Searched, pose: Float64Array) -> Searched:
         """Return, of the poses that look equal because the mesh is symmetric, the one nearest to a pose."""
-        fitted, radius_m = found.fit, self.mesh.radius_m
-        equal = (fitted.pose @ other for other in self.mesh.symmetries)
-        nearest = min(equal, key=lambda other: float(np.linalg.norm(_motion(pose, other, fitted.centre_m, radius_m))))
+        fitted = found.fit
+
+        def away_m(other: Float64Array) -> float:
+            return float(np.linalg.norm(motion_between(pose, other, fitted.centre_m, self.mesh.radius_m)))
+
+        nearest = min((fitted.pose @ other for other in self.mesh.symmetries), key=away_m)
         return replace(found, fit=replace(fitted, pose=nearest))
 
     def _may_search(self, time_s: float, *, everywhere: bool) -> bool:
@@ -330,7 +332,7 @@ class PoseTracker:
         """Remember a pose and its velocity, which decays along free directions."""
         passed = time_s - self._time_s
         if self._pose is not None and 0 < passed <= _MAX_GAP_S:
-            way = _motion(self._pose, found.pose, found.centre_m, self.mesh.radius_m) / passed
+            way = motion_between(self._pose, found.pose, found.centre_m, self.mesh.radius_m) / passed
             gain = 1 - math.exp(-passed / _VELOCITY_S)
             self._velocity = (1 - gain) * self._velocity + gain * way
             free = found.directions[:, found.free]
@@ -356,13 +358,6 @@ class PoseTracker:
 
 def _is_lost(found: Searched) -> bool:
     return not (found.fit.overlap >= _LOST_OVERLAP and found.cost_m <= _LOST_M)
-
-
-def _motion(before: Float64Array, after: Float64Array, centre_m: Float64Array, radius_m: float) -> Float64Array:
-    """Return the motion of six lengths that takes one pose to another, as `moved` takes it."""
-    turn = after[:3, :3] @ before[:3, :3].T
-    shift = after[:3, 3] - turn @ (before[:3, 3] - centre_m) - centre_m
-    return np.concatenate([shift, Rotation.from_matrix(turn).as_rotvec() * radius_m])
 
 
 def _covariance(found: Fit, radius_m: float) -> Float64Array:

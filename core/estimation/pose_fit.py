@@ -145,6 +145,13 @@ def moved(pose: Float64Array, motion: Float64Array, centre_m: Float64Array, radi
     return result
 
 
+def motion_between(before: Float64Array, after: Float64Array, centre_m: Float64Array, radius_m: float) -> Float64Array:
+    """Return the motion of six lengths that takes one pose to another, as `moved` takes it."""
+    turn = after[:3, :3] @ before[:3, :3].T
+    shift = after[:3, 3] - turn @ (before[:3, 3] - centre_m) - centre_m
+    return np.concatenate([shift, Rotation.from_matrix(turn).as_rotvec() * radius_m])
+
+
 def fit(mesh: ObjectMesh, patch: PatchPoints, start: Float64Array, rounds: int = ROUNDS) -> Fit:
     """Fit a mesh to a patch by point-to-plane ICP (Chen and Medioni 1992), held at the start in free directions.
 

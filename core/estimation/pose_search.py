@@ -17,7 +17,7 @@ from ..model.clouds import ray_table
 from ..model.patch import ContactPatch
 from ..preset import Preset
 from .object_mesh import ObjectMesh
-from .pose_fit import ROUNDS, Fit, PatchPoints, fit, moved
+from .pose_fit import ROUNDS, Fit, PatchPoints, fit, motion_between, moved
 
 #: Orientations from which the whole search starts, the points and iterations of a first fit, and how many are fitted
 #: to the end.
@@ -29,6 +29,8 @@ _NEAR_SHARES, _FREE_ANGLES = (0.0, 0.15, 0.35), 24
 _NEAR_STARTS: Final = 16
 #: Pixels between two rays that look for mesh in front of the membrane, of an image 640 wide.
 _RAY_PX: Final = 8
+#: Fits whose two-way residuals differ by less than this fit equally well, metres.
+_EQUAL_M: Final = 0.0001
 #: A mesh in front of the membrane by less than this may be noise, by more than that counts no more, metres.
 _NOISE_M, _WORST_M = 0.002, 0.010
 
@@ -91,7 +93,10 @@ def search(
     patch_px: int,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Searched:
-    """Search all orientations; ``progress`` gets the share done, 0 to 1, and ends the search by raising."""
+    """Search all orientations; ``progress`` gets the share done, 0 to 1, and ends the search by raising.
+
+    Of poses that fit equally well, such as those along a free slide, the one touched nearest its middle is taken.
+    """
     toward = patch.centre_m / np.linalg.norm(patch.centre_m)
     corners = mesh.vertices_m[mesh.triangles]
     places, normals = corners.mean(axis=1), np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -104,7 +109,11 @@ def search(
         pose[:3, :3] = rotation
         pose[:3, 3] = patch.centre_m - rotation @ ((places * seen[:, None]).sum(axis=0) / seen.sum())
         starts.append(pose)
-    return _best(mesh, patch, film, patch_px, starts, progress)
+
+    def off_middle_m(found: Fit) -> float:
+        return float(np.linalg.norm(found.pose[:3, :3] @ mesh.centre_m + found.pose[:3, 3] - patch.centre_m))
+
+    return _best(mesh, patch, film, patch_px, starts, off_middle_m, progress)
 
 
 def search_near(
@@ -116,7 +125,10 @@ def search_near(
     pose: Float64Array,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Searched:
-    """Search around a pose, and all the way along the turns that were free there; ``progress`` as for `search`."""
+    """Search around a pose, and all the way along the turns that were free there; ``progress`` as for `search`.
+
+    Of poses that fit equally well, the one nearest to that pose is taken.
+    """
     random = np.random.default_rng(0)
     starts = [pose]
     for direction in last.directions[:, last.free].T:
@@ -131,7 +143,11 @@ def search_near(
     for share in _NEAR_SHARES[1:]:
         for motion in random.normal(size=(_NEAR_STARTS, 6)):
             starts.append(moved(pose, share * mesh.radius_m * motion / math.sqrt(2), patch.centre_m, mesh.radius_m))
-    return _best(mesh, patch, film, patch_px, starts, progress)
+
+    def away_m(found: Fit) -> float:
+        return float(np.linalg.norm(motion_between(pose, found.pose, patch.centre_m, mesh.radius_m)))
+
+    return _best(mesh, patch, film, patch_px, starts, away_m, progress)
 
 
 def _best(
@@ -140,9 +156,10 @@ def _best(
     film: Membrane | None,
     patch_px: int,
     starts: list[Float64Array],
-    progress: Callable[[float], None] = lambda share: None,
+    distance_m: Callable[[Fit], float],
+    progress: Callable[[float], None],
 ) -> Searched:
-    """Fit from all starts with few points, then from the best ones with all."""
+    """Fit from all starts with few points, then from the best ones with all; of equally good fits take the nearest."""
     few = patch.every(max(len(patch.points) // _QUICK_POINTS, 1))
     quick, final = list[Searched](), list[Searched]()
     cost = attrgetter("cost_m")
@@ -152,7 +169,8 @@ def _best(
     for number, found in enumerate(sorted(quick, key=cost)[:_FINALISTS]):
         progress(_QUICK_SHARE + (1 - _QUICK_SHARE) * number / _FINALISTS)
         final.append(_scored(mesh, patch, film, patch_px, found.fit.pose, ROUNDS))
-    return min(final, key=cost)
+    least = min(map(cost, final))
+    return min((found for found in final if found.cost_m <= least + _EQUAL_M), key=lambda found: distance_m(found.fit))
 
 
 def _scored(
