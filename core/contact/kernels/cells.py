@@ -358,7 +358,7 @@ def _tangent_plane(points: Any, v: Any, u: Any, reach: Any) -> Any:
 
 @kernel
 def continue_beside(
-    known: Any, excluded: Any, points: Any, surface: Any, grid: Any, membrane: Any, reach: Any, out: Any
+    known: Any, excluded: Any, points: Any, surface: Any, grid: Any, membrane: Any, near_m: Any, reach: Any, out: Any
 ) -> None:
     """Continue the object along its tangent planes, up to ``reach`` cells beyond its border, and measure its gap there.
 
@@ -377,6 +377,8 @@ def continue_beside(
         Its sides and facing are continued.
     grid : CellGrid
     membrane : MembraneImage
+    near_m : tuple of float
+        Centre and limit: a difference farther than the limit from the centre is no membrane, but a wrong depth.
     reach : int
         Also of the window over which tangent planes are fitted.
     out : BesideCells
@@ -421,8 +423,9 @@ def continue_beside(
         plane = planes[2, source] / max(turn, _MIN_TURN)
         _, _, depth = _mean_point(points, from_v, from_u)
         found, seen = _membrane_depth(pixel_v * image_width + pixel_u, np.float32(depth), membrane)
-        seen = seen and turn > _MIN_TURN  # a plane along the ray is no surface
+        difference = np.float32(plane - found)
+        seen = seen and turn > _MIN_TURN and abs(difference - near_m[0]) < near_m[1]  # a plane along the ray is none
         linked[v, u], weights[v, u] = True, np.float32(seen)
-        differences[v, u] = np.float32(plane - found) if seen else _ZERO
+        differences[v, u] = difference if seen else _ZERO
         sides[0, v, u], sides[1, v, u] = sides[0, from_v, from_u], sides[1, from_v, from_u]
         facing[v, u] = facing[from_v, from_u]

@@ -25,9 +25,8 @@ class Equations(NamedTuple):
     ----------
     places : int32, shape (N,)
         Flat places of the cells in their image.
-    links : float32, shape (7, N)
-        To the left, right, upper and lower neighbour; to the measured gap; the area, m^2; and the reciprocal of the sum
-        of the first five.
+    links : float32, shape (6, N)
+        To the left, right, upper and lower neighbour; to the measured gap; and the reciprocal of the sum of these.
     floors : float32, shape (N,)
         Smallest gap: 0 where there is an object.
     even : int
@@ -152,11 +151,10 @@ def link_cells(inside: Any, images: Any, trust_m: Any, places: Any, links: Any, 
                 links[2, count] = (here + sides[0, v - 1, u] / sides[1, v - 1, u]) / 2 if linked[v - 1, u] else _ZERO
                 links[3, count] = (here + sides[0, v + 1, u] / sides[1, v + 1, u]) / 2 if linked[v + 1, u] else _ZERO
                 links[4, count] = weight[v, u] * area / (trust_m * trust_m)
-                links[5, count] = area
                 total = _ZERO
                 for link in range(5):
                     total += links[link, count]
-                links[6, count] = _ONE / max(total, np.float32(1e-9))
+                links[5, count] = _ONE / max(total, np.float32(1e-9))
                 places[count] = v * width + u
                 loads[count] = links[4, count] * measured[v, u] - area * push[v, u]
                 floors[count] = _ZERO if known[v, u] else _NO_FLOOR
@@ -199,7 +197,7 @@ def settle(gaps: Any, width: Any, equations: Any, loads: Any, relaxation: Any) -
                     + links[3, i] * gaps[place + width]
                     + loads[i]
                 )
-                gap = max(before + relax * (pull * links[6, i] - before), floors[i])
+                gap = max(before + relax * (pull * links[5, i] - before), floors[i])
                 change = max(change, abs(gap - before))
                 gaps[place] = gap
         if change < tolerance_m:

@@ -29,8 +29,10 @@ GUESS_PX: Final = 2.5
 _REACH_PX: Final = 16.0
 #: Lower limit of p / T - k, 1/m; it holds where the object is hollow and curves more strongly than the free membrane.
 _MIN_PUSH_PER_M: Final = np.float32(2.0)
-#: A gap far above all others, for cells without a known gap, metres.
+#: For cells without a known gap: larger than any that counts, metres.
 FAR_M: Final = np.float32(0.01)
+#: Beside the object, a difference this far from the others is a wrong depth, metres.
+_WRONG_M: Final = np.float32(0.012)
 #: How far the gap is solved for beside the object, pixels, and the resulting frame of the images, cells.
 _BESIDE_PX: Final = 9
 FRAME: Final = 1 + -(-_BESIDE_PX // CELL_PX)
@@ -141,7 +143,8 @@ def cells_of(
     linked, weight, planes = known.copy(), share.copy(), np.empty((3, share.size), np.float32)
     beside = kernels.BesideCells(linked, difference, weight, sources, queue, planes)
     reach = -(-_BESIDE_PX // size_px)
-    kernels.continue_beside(known, excluded, points, surface, grid, membrane, reach, beside)
+    limits = near_m[0], _WRONG_M
+    kernels.continue_beside(known, excluded, points, surface, grid, membrane, limits, reach, beside)
     push[linked & ~known] = free_per_m
     near = over_window(share, size_px)
     return Cells(difference, share, weight, near, known, linked, push, surface.sides, surface.facing, size_px)

@@ -72,7 +72,7 @@ def settle(cells: Cells, bias_m: float, trust_m: float, start: Equilibrium | Non
     guess, gap, inside = np.empty_like(total), np.empty_like(total), np.empty(total.shape, np.bool_)
     kernels.guess_gaps(measured, total, cells.near_share, cells.known, guess, gap)
     size = kernels.mark_inside(guess, cells.known, cells.linked, cells.weight, _MAX_GAP_M, inside)
-    places, links = np.empty(size, np.int32), np.empty((7, size), np.float32)
+    places, links = np.empty(size, np.int32), np.empty((6, size), np.float32)
     floors, loads = np.empty((2, size), np.float32)
     images = kernels.CellImages(measured, cells.known, cells.linked, cells.push_per_m, cells.sides_m, cells.weight)
     even = kernels.link_cells(inside, images, np.float32(trust_m), places, links, floors, loads)

@@ -161,7 +161,7 @@ def equations(
 ) -> tuple[kernels.Equations, np.ndarray]:
     """Return the equations of some cells, and their loads."""
     size = int(inside.sum())
-    places, links = np.empty(size, np.int32), np.empty((7, size), np.float32)
+    places, links = np.empty(size, np.int32), np.empty((6, size), np.float32)
     floors, loads = np.empty((2, size), np.float32)
     measured = (cells.difference_m - np.float32(bias_m)) * cells.facing
     images = kernels.CellImages(measured, cells.known, cells.linked, cells.push_per_m, cells.sides_m, cells.weight)
@@ -182,7 +182,8 @@ def test_the_gap_is_that_of_a_bounded_least_squares_solver(seed):
     assert ((places[:even] // size + places[:even] % size) % 2).max() == 0
     gaps = rng.uniform(0, 0.003, (size, size)).astype(np.float32)
     measured = cells.difference_m.reshape(-1)[places]
-    expected_loads = links[4] * measured - links[5] * cells.push_per_m.reshape(-1)[places]
+    area = cells.sides_m.prod(axis=0).reshape(-1)[places]
+    expected_loads = links[4] * measured - area * cells.push_per_m.reshape(-1)[places]
     np.testing.assert_allclose(loads, expected_loads, rtol=1e-4, atol=1e-9)
     index = {int(place): i for i, place in enumerate(places)}
     matrix, right = np.diag(links[:5].sum(axis=0)).astype(np.float64), loads.astype(np.float64)
@@ -404,7 +405,7 @@ def test_a_narrow_bar_away_from_the_axis_is_continued_along_its_own_plane(side, 
     out = cell_kernels.BesideCells(linked, differences, weights, sources, queue, np.empty((3, known.size), np.float32))
     membrane = cell_kernels.MembraneImage(np.full(count, 2990, np.uint16), alignment)
     grid = cell_kernels.CellGrid(rays, 0, 0, side)
-    cell_kernels.continue_beside(known, 0 * ones, points, surface, grid, membrane, reach, out)
+    cell_kernels.continue_beside(known, 0 * ones, points, surface, grid, membrane, (0.0, np.float32(0.012)), reach, out)
     beside = linked & ~known
     assert beside.sum() > 30
     assert weights[beside].all()
