@@ -63,6 +63,8 @@ POSE_TOPICS: Final[dict[str, str]] = {Topic.OBJECT_POSE: POSE, Topic.TRANSFORMS:
 _GLOBAL_TOPICS: Final = (Topic.TRANSFORMS, Topic.STATIC_TRANSFORMS)
 
 _LAST_STAMP_NS = (2**31) * 10**9 - 1
+#: The last log time, nanoseconds.
+_LAST_LOG_NS = 2**63 - 1
 _DTYPES: dict[str, np.dtype[Any]] = {
     "16UC1": np.dtype("<u2"),
     "rgb8": np.dtype("u1"),
@@ -87,7 +89,8 @@ def nanoseconds(time_s: float) -> int:
 class LogClock:
     """Log times that follow the time stamps and always increase, even where the stamps do not.
 
-    Players sort by log time, so a camera's clock that jumps back must not reorder the frames.
+    Players sort by log time, so a camera's clock that jumps back must not reorder the frames; and they hold log times in
+    64 bits with a sign, so one that jumps back and forth by decades must not add them up beyond that.
     """
 
     def __init__(self, period_s: float) -> None:
@@ -98,7 +101,7 @@ class LogClock:
     def tick(self, stamp_ns: int) -> int:
         """Return the log time of a frame with this stamp, nanoseconds from 0."""
         earliest_ns = 0 if self._last_ns is None else self._last_ns + 1
-        if stamp_ns + self._shift_ns < earliest_ns:
+        if not earliest_ns <= stamp_ns + self._shift_ns <= _LAST_LOG_NS:
             resume_ns = 0 if self._last_ns is None else self._last_ns + self._period_ns
             self._shift_ns = resume_ns - stamp_ns
         self._last_ns = stamp_ns + self._shift_ns
