@@ -75,7 +75,6 @@ def test_evo_reads_the_poses_and_finds_them_near_the_truth(tactune, cup, truths,
     )
     error = metrics.APE(metrics.PoseRelation.translation_part)
     error.process_data((same, found))
-    # contact begins: a small patch does not determine all directions
     assert error.get_statistic(metrics.StatisticsType.rmse) < 0.003
 
 
