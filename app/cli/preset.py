@@ -295,7 +295,10 @@ def _measure_noise(source: FrameSource, preset: Preset, origin: str, count: int)
         with frames_at_rest(source, count, progress.preparing) as shown:
             frames = list(counted_out(shown, count, progress))
         warn(*found.warnings)
-        return measure_noise(frames, source.rig, preset, found.frame, progress.preparing, warn=warn)
+        noise = measure_noise(frames, source.rig, preset, found.frame, progress.preparing, warn=warn)
+    if len(frames) < count:
+        warn(f"{source.name} has {len(frames)} frames at rest, not {count}: these were measured")
+    return noise
 
 
 def _noise_words(captured: UntouchedAverage, unit_m: float) -> str:

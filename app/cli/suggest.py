@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -131,7 +132,9 @@ def check(
     if as_json:
         typer.echo(json.dumps([_record(finding) for finding in findings], indent=2))
     else:
-        _print_findings(findings)
+        target = [] if origin.endswith(".json") else ["--out", "measured.json"]
+        rig = ["tactune", "preset", "measure-rig", "--source", source, "--preset", origin, *target]
+        _print_findings(findings, shlex.join(rig))
     if findings:
         raise typer.Exit(FOUND_STATUS)
 
@@ -183,14 +186,14 @@ def _print_changes(proposal: Proposal) -> None:
         typer.echo(f"  --set {path}={json.dumps(value, separators=(',', ':'))}")
 
 
-def _print_findings(findings: tuple[Finding, ...]) -> None:
+def _print_findings(findings: tuple[Finding, ...], measure_rig: str) -> None:
     for finding in findings:
         typer.echo(f"{finding.field}: {finding.sentence}")
         if finding.proposal is not None:
             typer.echo(f"  {finding.proposal.evidence}")
             _print_changes(finding.proposal)
         elif finding.action == "measure_noise":
-            typer.echo("  measure the rig: tactune preset measure-rig")
+            typer.echo(f"  measure the rig: {measure_rig}")
     if not findings:
         typer.echo("no findings")
 

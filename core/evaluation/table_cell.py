@@ -167,8 +167,8 @@ class TableCell:
         Number of points of the patch; without contact, all of them are false.
     max_strain, strain_length, strain_width : float or None
         Largest in-plane strain of the scene (see `TrueStrain`); None if unknown.
-    contacts, true_contacts : int
-        Number of separate contacts in the patch, and in the truth.
+    contacts, true_contacts : int or None
+        Number of separate contacts in the patch, and in the truth; None if not counted.
     true_mm2 : float or None
         Area of the true contact.
     ms : float or None
@@ -195,8 +195,8 @@ class TableCell:
     area_error_mm2: float | None = None
     boundary_px: float | None = None
     points: int = 0
-    contacts: int = 0
-    true_contacts: int = 0
+    contacts: int | None = None
+    true_contacts: int | None = None
     ms: float | None = None
     max_strain: float | None = None
     strain_length: float | None = None

@@ -38,10 +38,10 @@ _EXPLANATIONS = {
     Provenance.OUTSIDE_REGION: "Dropped: outside the region of interest.",
     Provenance.OUTSIDE_RANGE: "Dropped: the proximity depth is outside the working range.",
     Provenance.NO_TACTILE_DEPTH: "Dropped: the tactile camera has no depth where this point would be.",
-    Provenance.OUTSIDE_TOLERANCE: "Dropped: the two distances differ by more than the contact test allows.",
+    Provenance.OUTSIDE_TOLERANCE: "Dropped: membrane and object are too far apart here.",
     Provenance.MASKED: "Dropped: the colour is that of the membrane's prints, which reflect infrared.",
     Provenance.OUTLIER: "Dropped: the point lies unusually far from its neighbours, or has too few.",
     Provenance.SMALL_CLUSTER: "Dropped: its connected group is smaller than the smallest cluster kept.",
-    Provenance.CONTACT: "Kept: both distances agree, so the membrane touches the object here.",
+    Provenance.CONTACT: "Kept: the membrane touches the object here.",
     Provenance.RIM: "Dropped: near the object, but a membrane in equilibrium has left it; contact ends further in.",
 }

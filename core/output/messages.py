@@ -63,8 +63,8 @@ POSE_TOPICS: Final[dict[str, str]] = {Topic.OBJECT_POSE: POSE, Topic.TRANSFORMS:
 _GLOBAL_TOPICS: Final = (Topic.TRANSFORMS, Topic.STATIC_TRANSFORMS)
 
 _LAST_STAMP_NS = (2**31) * 10**9 - 1
-#: The last log time, nanoseconds.
-_LAST_LOG_NS = 2**63 - 1
+#: Log times do not jump beyond this, nanoseconds; readers can hold twice as much, so 146 years are left to record.
+_LAST_LOG_NS = 2**62
 _DTYPES: dict[str, np.dtype[Any]] = {
     "16UC1": np.dtype("<u2"),
     "rgb8": np.dtype("u1"),
@@ -89,8 +89,8 @@ def nanoseconds(time_s: float) -> int:
 class LogClock:
     """Log times that follow the time stamps and always increase, even where the stamps do not.
 
-    Players sort by log time, so a camera's clock that jumps back must not reorder the frames; and they hold log times in
-    64 bits with a sign, so one that jumps back and forth by decades must not add them up beyond that.
+    Players sort by log time, so a camera's clock that jumps back must not reorder the frames. They hold log times in 64
+    bits with a sign, so one that jumps back and forth by decades must not add them up beyond that.
     """
 
     def __init__(self, period_s: float) -> None:

@@ -54,7 +54,7 @@ class CameraNoise(Section):
         Field(ge=0.0, le=1.0),
     ]
     distance_m: Annotated[
-        float, described("Distance", "Depth at which the noise holds.", unit="m", hidden=True), Field(gt=0.0, le=10.0)
+        float, described("Distance", "Depth at which the noise holds.", unit="m", hidden=True), Field(ge=0.01, le=10.0)
     ]
 
     @property

@@ -137,6 +137,8 @@ def measure_noise(
     ]
     report(1.0, "The noise is measured")
     bias = choose_bias([bias for bias in found if bias is not None], warn or (lambda sentence: None))
+    if warn is not None and bias.origin == "unknown" and not preset.mask.enabled:
+        warn("the mask is off, so prints on the membrane can't tell the bias; switch it on if there are any")
     some = _metres([frame.proximity_depth for frame in _spread_out(different)], rig.proximity)
     return RigNoise(
         proximity=proximity,

@@ -158,7 +158,8 @@ def average_cells(window: Any, side: Any, step: Any, rays: Any, first: Any, last
     window : DifferenceWindow
     side : int
     step : int
-        Every pixel of a cell is read for 1, every second row and column for 2, and so on; divides ``side``.
+        Every pixel of a cell is read for 1; for 2 every second row, and there every second column in turn, and so on;
+        divides ``side``.
     rays : membrane.RayWindow
         Of the images.
     first, last : int
@@ -177,7 +178,7 @@ def average_cells(window: Any, side: Any, step: Any, rays: Any, first: Any, last
         points[to, frame : means.shape[1] - frame] = _ZERO
         for v in range(side * row, min(side * row + side, usable.shape[0]), step):
             column, in_cell = frame, 0
-            for u in range(0, width, step):
+            for u in range(v // step % step, width, step):
                 if excluded[v, u]:
                     left_out[to, column] += _ONE
                 if usable[v, u] and abs(differences[v, u] - centre_m) < limit_m:

@@ -86,7 +86,7 @@ def _largest_change(noise: CameraNoise, focal_px: float) -> np.float32:
     """Return the largest change of a block's mean depth that noise explains, as a share of the depth."""
     side_m = _SIDE_PX * noise.distance_m / focal_px
     sigma_m = math.sqrt(noise.changing_share * noise.density_m4(focal_px)) / side_m
-    return np.float32(_NOISE_SIGMAS * sigma_m / noise.distance_m)
+    return np.float32(min(_NOISE_SIGMAS * sigma_m / noise.distance_m, 1.0))
 
 
 class _Means:

@@ -38,8 +38,8 @@ _NEAR_M: Final = 0.012
 #: The part of the image near a bias serves for another one within this distance, metres.
 _SAME_M: Final = 0.004
 #: Step between the rows and columns that are read where every pixel is not needed, such as for the most frequent
-#: difference.
-_STRIDE_PX: Final = 4
+#: difference. Odd: a camera without depth in every second or fourth column must not hide all of it.
+_STRIDE_PX: Final = 5
 _SOME: Final = (slice(None, None, _STRIDE_PX),) * 2
 #: Bin width of the histogram of differences, metres, and sigma of its smoothing, bins.
 _BIN_M, _SMOOTH_BINS = 0.0005, 1.5
@@ -195,11 +195,11 @@ def _with_prints(known: RigBias, differences: Differences, rig: Rig) -> RigBias:
 
     Then it counts as measured too.
     """
-    prints = differences.on_prints_m
-    if known.measured or len(prints) < _MIN_PRINT_PIXELS:
+    prints, some = differences.on_prints_m, differences.counts[_SOME]
+    some = some[some > 0]
+    if known.measured or len(prints) < _MIN_PRINT_PIXELS or len(some) == 0:
         return replace(known, mean_m=known.mean_m - differences.bias_m)
-    some = differences.counts[_SOME] * differences.unit_m - np.float32(differences.bias_m)
-    pixel_m = float(np.median(some[some > 0])) / rig.proximity.intrinsics.fx
+    pixel_m = float(np.median(differences.depth_m(some))) / rig.proximity.intrinsics.fx
     sigma_m = math.sqrt(known.noise_m4 / (len(prints) * pixel_m**2)) + _PRINT_SIGMA_M
     return replace(known, mean_m=float(np.median(prints)), sigma_m=sigma_m, measured=True)
 

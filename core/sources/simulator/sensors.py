@@ -205,7 +205,7 @@ _ALL: Final = (
     replace(
         _USUAL,
         name="far-offset",
-        about="the proximity camera reads 17 mm and 1 % too far, as on a real pair before calibration",
+        about="the proximity camera reads 17 mm and 1 % too far, as a real one did",
         tof_white_m=0.0005,
         tof_correlated_m=0.0003,
         tof_offset_m=0.017,

@@ -125,9 +125,11 @@ def _smallest_group(section: str, path: str, evidence: Evidence, progress: Progr
         clean = curve.values[curve.false_mm2 <= curve.false_mm2.min() + 1e-9]
         enough_mm2 = max(enough_mm2, float(clean.min()))
         false_mm2, left_mm2 = curve.at(present)[1], curve.at(enough_mm2)[1]
+        left = (
+            f", and {left_mm2:.0f} mm² if groups below {enough_mm2:.0f} mm² are dropped" if present < enough_mm2 else ""
+        )
         reasons.append(
-            f"In the untouched frames {false_mm2:.0f} mm² per frame count as contact with the present value, and "
-            f"{left_mm2:.0f} mm² if groups below {enough_mm2:.0f} mm² are dropped."
+            f"In the untouched frames {false_mm2:.0f} mm² per frame count as contact with the present value{left}."
         )
     if enough_mm2 == shipped:
         reasons.append(f"{shipped:g} mm² is the shipped value.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from pathlib import Path
 
@@ -98,6 +99,8 @@ def test_a_table_of_sensors_goes_on_after_an_interrupt_and_checks(tmp_path, tact
     assert [case["sensor"] for case in document["cases"]] == ["clean", "datasheet"]
     assert all(0 < case["oracle_mm"] <= case["best_fixed_mm"] < case["straight_mm"] for case in document["cases"])
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"sensors.md", "sensors.csv", "cells.csv"}
+    with (tmp_path / "out" / "cells.csv").open(encoding="utf-8", newline="") as file:
+        assert {(row["contacts"], row["iou"]) for row in csv.DictReader(file)} == {("", "")}, "not computed"
 
     for largest, status in ((100.0, 0), (0.001, 1)):
         monkeypatch.setattr(sensor_cases, "MAX_OVER_ORACLE", largest)

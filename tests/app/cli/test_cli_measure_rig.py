@@ -42,6 +42,7 @@ def mine(tmp_path: Path) -> Path:
 def test_noise_and_bias_are_said_and_stored(tactune: Tactune, wall: Path, mine: Path) -> None:
     finished = tactune("preset", "measure-rig", "--source", wall, "--preset", mine)
     assert finished.status == 0
+    assert "has 14 frames at rest, not 60: these were measured" in finished.err
     tactile, proximity, bias, written = finished.out.splitlines()
     assert tactile.startswith("Tactile noise 0.30 mm")
     assert proximity.startswith("Proximity noise 0.60 mm")
@@ -64,7 +65,8 @@ def test_a_shipped_preset_is_measured_into_another_file(tactune: Tactune, rig: R
     words = ("preset", "measure-rig", "--source", wall, "--out", out, "--frames", 12)
     finished = tactune(*words)
     assert finished.status == 0
-    assert "press an object firmly (10 cm2 or more)" in finished.out  # the default preset has no mask
+    assert "press an object firmly (10 cm2 or more)" in finished.out
+    assert "the mask is off" in finished.err
     preset = load_preset(out)
     assert (preset.name, preset.noise.bias_from, preset.noise.frames) == ("measured", "unknown", 12)
     assert "is already there; choose another name or add --force" in tactune(*words).sentence

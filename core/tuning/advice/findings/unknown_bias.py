@@ -11,9 +11,12 @@ def find(situation: Situation) -> Finding | None:
     facts, preset = situation.patch.membrane, situation.preset
     if facts is None or not preset.membrane.bias or facts.bias_known or not len(situation.patch.points):
         return None
+    sentence = "This contact is too small to tell a bias from a gap, and the bias of this rig is not measured."
+    if not preset.mask.enabled:
+        sentence += " The mask is off: if the membrane has prints, this may be them; switch the mask on first."
     return Finding(
         name="unknown_bias",
         field="membrane.bias",
-        sentence="This contact is too small to tell a bias from a gap, and the bias of this rig is not measured.",
+        sentence=sentence,
         action="measure_noise",
     )

@@ -61,6 +61,19 @@ def test_wrong_tactile_depth_in_places_less_than_doubles_the_error():
     assert spoilt < 2 * clean
 
 
+@pytest.mark.parametrize(
+    "hidden",
+    [lambda v, u: u % 4 == 0, lambda v, u: v % 4 == 0, lambda v, u: (u + v) % 2 == 0, lambda v, u: (u + v) % 2 == 1],
+    ids=["columns", "rows", "even fields", "odd fields"],
+)
+def test_depth_that_is_missing_in_a_pattern_does_not_hide_firm_contact(hidden):
+    source = SimulatorSource("cup", variant=Variant(press="high"))
+    frame, pipeline = source.read(0), ContactPipeline(MEMBRANE, source.rig)
+    whole = len(pipeline.process(frame).points)
+    depth = np.where(hidden(*np.indices(frame.proximity_depth.shape)), 0, frame.proximity_depth).astype(np.uint16)
+    assert len(pipeline.process(replace(frame, proximity_depth=depth)).points) > 0.75 * whole
+
+
 def flat_rig(width: int, height: int) -> Rig:
     lens = Intrinsics(width=width, height=height, fx=300.0, fy=300.0, cx=width / 2, cy=height / 2)
     camera = DepthCamera(intrinsics=lens, depth_unit_m=UNIT_M)

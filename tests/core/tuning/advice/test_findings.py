@@ -219,6 +219,7 @@ def test_small_contact_while_the_bias_is_not_known():
     no_prints = NO_MASK.with_values({"region.enabled": True, "region.rectangle": box})
     found = findings(no_prints, rig, frame)["unknown_bias"]
     assert found.action == "measure_noise"
+    assert found.sentence.endswith("switch the mask on first.")
     measured = no_prints.model_copy(update={"noise": noise(0.001)})
     assert "unknown_bias" not in findings(measured, rig, frame)
     assert "unknown_bias" not in findings(SHIPPED, rig, frame)  # prints tell the bias
