@@ -122,7 +122,8 @@ class ParameterPanel(QScrollArea):
         for name, title in SECTIONS:
             section = self._make_section(name, title)
             if name in suggestible:
-                tip = f"Measure {title.lower()} from the newest frames, the untouched frame and the examples, and propose values"
+                evidence = "the newest frames, the untouched frame and the examples"
+                tip = f"Measure {title.lower()} from {evidence}, and propose values"
                 section.add_header_widget(self._make_suggest(name, "Suggest", tip), before=self.section_resets[name])
             self.sections[name] = section
             column.addWidget(section)
