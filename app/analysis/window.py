@@ -12,7 +12,7 @@ from PyQt6.QtWidgets import QDialog, QTabWidget, QVBoxLayout, QWidget
 
 from ...core.model.plugins import load_plugin, load_plugins
 from ...widgets.basics.controls import wrapped_label
-from ...widgets.basics.dialogs import bring_up
+from ...widgets.basics.dialogs import FRAME, bring_up
 from ...widgets.basics.layouts import vbox
 from ...widgets.basics.messages import Severity
 from ..context import Context
@@ -119,7 +119,7 @@ class AnalysisWindow(QDialog):
         screen = main.screen()
         if screen is not None:
             corner = screen.availableGeometry().bottomRight()
-            self.move(corner.x() - self.width(), corner.y() - self.height())
+            self.move(corner.x() - self.width() - FRAME.width(), corner.y() - self.height() - FRAME.height())
 
     def open_on(self, name: str) -> None:
         """Come to the front with one of the tabs."""

@@ -23,6 +23,7 @@ from tactune.core.model.provenance import Provenance
 from tactune.core.preset import ContactTest
 from tactune.core.preset.tolerance import TOLERANCE
 from tactune.widgets.basics.colormaps import patch_lut
+from tactune.widgets.basics.dialogs import FRAME
 from tactune.widgets.basics.theme import theme_name
 from tactune.widgets.clouds.cloud_labels import LegendLine
 from tiny_sensor import TinySource, at_rest, tiny_frame, tiny_rig
@@ -219,8 +220,8 @@ def test_a_window_is_never_larger_than_the_screen_nor_partly_beside_it(make_wind
     monkeypatch.setattr(window, "screen", lambda: SimpleNamespace(availableGeometry=lambda: room))
     window.move(1500, 900)
     window.resize_to(*asked)
-    assert room.contains(QRect(window.pos(), window.size()))
-    assert window.size() == QSize(*asked).boundedTo(room.size())
+    assert room.contains(QRect(window.pos(), window.size() + FRAME)), "with its title bar"
+    assert window.size() == QSize(*asked).boundedTo(room.size() - FRAME)
 
 
 def test_a_damaged_settings_file_means_defaults(make_window, settings_file):

@@ -27,7 +27,7 @@ from PyQt6.QtWidgets import (
 from .controls import dialog_buttons
 
 #: What a window manager may draw around a window.
-_FRAME = QSize(16, 40)
+FRAME = QSize(16, 40)
 
 
 class Dialogs:
@@ -163,7 +163,7 @@ def bring_up(window: QWidget) -> None:
     """Show a window no larger than the screen, or bring it to the front."""
     screen = window.screen()
     if screen is not None and not window.isVisible() and QApplication.platformName() != "offscreen":
-        window.resize(window.size().boundedTo(screen.availableSize() - _FRAME))
+        window.resize(window.size().boundedTo(screen.availableSize() - FRAME))
     window.show()
     window.raise_()
     window.activateWindow()
