@@ -5,7 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from PyQt6.QtCore import QPoint, QPointF, Qt
+from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication
 
 from tactune.widgets.plots.histogram import GAP, RELATIVE_DIFFERENCE, LimitHistogram, split_at
 
@@ -126,3 +128,15 @@ def test_splitting_keeps_the_outline(counts: list[int], cut: float) -> None:
     middles = (split_edges[:-1] + split_edges[1:]) / 2
     index = np.clip(np.searchsorted(edges, middles) - 1, 0, len(counts) - 1)
     np.testing.assert_array_equal(split_counts, np.array(counts, float)[index])
+
+
+@pytest.mark.parametrize("place", [0.3, 0.95])
+def test_the_wheel_is_left_to_the_page_over_bars_and_numbers(histogram, place):
+    viewport = histogram.plot_widget.viewport()
+    at = QPointF(viewport.width() / 2, place * viewport.height())
+    event = QWheelEvent(
+        at, QPointF(viewport.mapToGlobal(at.toPoint())), QPoint(), QPoint(0, -120), Qt.MouseButton.NoButton,
+        Qt.KeyboardModifier.NoModifier, Qt.ScrollPhase.NoScrollPhase, False,
+    )  # fmt: skip
+    QApplication.sendEvent(viewport, event)
+    assert not event.isAccepted()

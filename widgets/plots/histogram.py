@@ -71,6 +71,10 @@ class _Axis(pg.AxisItem):  # type: ignore[misc]  # pyqtgraph has no types
     def tickStrings(self, values: list[float], scale: float, spacing: float) -> list[str]:
         return [f"{minus(format_number(value, 3))} {self._unit}" for value in values]
 
+    def wheelEvent(self, event: Any) -> None:
+        """Leave the wheel to the page that the histogram lies on."""
+        event.ignore()
+
 
 class LimitHistogram(QWidget):
     """Counts of a quantity; what lies within the limit is in the accent colour.
