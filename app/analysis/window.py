@@ -118,8 +118,8 @@ class AnalysisWindow(QDialog):
         """Move to the lower right corner of the screen, where most of the main window's views stay visible."""
         screen = main.screen()
         if screen is not None:
-            corner = screen.availableGeometry().bottomRight()
-            self.move(corner.x() - self.width() - FRAME.width(), corner.y() - self.height() - FRAME.height())
+            room = screen.availableGeometry().adjusted(0, 0, -FRAME.width(), -FRAME.height())
+            self.move(max(room.right() - self.width(), room.left()), max(room.bottom() - self.height(), room.top()))
 
     def open_on(self, name: str) -> None:
         """Come to the front with one of the tabs."""

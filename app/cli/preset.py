@@ -297,7 +297,7 @@ def _measure_noise(source: FrameSource, preset: Preset, origin: str, count: int)
         warn(*found.warnings)
         noise = measure_noise(frames, source.rig, preset, found.frame, progress.preparing, warn=warn)
     if len(frames) < count:
-        warn(f"{source.name} has {len(frames)} frames at rest, not {count}: these were measured")
+        warn(f"{source.name} has only {len(frames)} frames, fewer than {count}; all of them were measured")
     return noise
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Final
 
 import numpy as np
 from scipy.special import erf
@@ -22,6 +23,10 @@ _MAX_CELLS, _MIN_CELL_PX = 24, 4.0
 _ANY_PER_M, _ANY_SLOPE = 100.0, 3.0
 #: Number of coefficients of a plane, and of the quadratic surface that contains it.
 _PLANE, _QUADRATIC = 3, 6
+
+
+#: Lower limit of the white noise of a camera: none is exact, metres.
+_MIN_WHITE_M: Final = 1e-6
 
 
 @dataclass(frozen=True)
@@ -56,7 +61,12 @@ class DepthNoise:
         changing = noise.changing_share * noise.total_m**2 - noise.white_m**2  # white noise changes
         fixed_share = 1.0 - min(max(changing / shared, 0.0), 1.0) if shared > 0 else 0.0
         return cls(
-            noise.white_m * pixels, noise.correlated_m, noise.length_px * pixels, fixed_share, noise.distance_m, power
+            max(noise.white_m, _MIN_WHITE_M) * pixels,
+            noise.correlated_m,
+            noise.length_px * pixels,
+            fixed_share,
+            noise.distance_m,
+            power,
         )
 
     def power_m2(self, depth_m: Float64Array) -> Float64Array:

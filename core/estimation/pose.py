@@ -217,8 +217,8 @@ class PoseTracker:
     ) -> Float64Array:
         """Find the object in any orientation and begin there; takes some seconds.
 
-        Of many starts the pose with the smallest two-way residual is taken: the patch lies on the mesh, and no part of
-        the mesh lies in front of the membrane. A symmetric object has equally good poses.
+        Of many starts a pose with the smallest two-way residual is taken, within 0.1 mm: the patch lies on the mesh,
+        and no part of the mesh lies in front of the membrane. A symmetric object has equally good poses.
 
         Parameters
         ----------

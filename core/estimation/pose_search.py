@@ -95,7 +95,7 @@ def search(
 ) -> Searched:
     """Search all orientations; ``progress`` gets the share done, 0 to 1, and ends the search by raising.
 
-    Of poses that fit equally well, such as those along a free slide, the one touched nearest its middle is taken.
+    Of poses that fit equally well, such as those along a free slide, the one touched nearest its centre is taken.
     """
     toward = patch.centre_m / np.linalg.norm(patch.centre_m)
     corners = mesh.vertices_m[mesh.triangles]
@@ -110,10 +110,11 @@ def search(
         pose[:3, 3] = patch.centre_m - rotation @ ((places * seen[:, None]).sum(axis=0) / seen.sum())
         starts.append(pose)
 
-    def off_middle_m(found: Fit) -> float:
-        return float(np.linalg.norm(found.pose[:3, :3] @ mesh.centre_m + found.pose[:3, 3] - patch.centre_m))
+    def off_centre_m(found: Searched) -> float:
+        pose = found.fit.pose
+        return float(np.linalg.norm(pose[:3, :3] @ mesh.centre_m + pose[:3, 3] - patch.centre_m))
 
-    return _best(mesh, patch, film, patch_px, starts, off_middle_m, progress)
+    return _best(mesh, patch, film, patch_px, starts, off_centre_m, progress)
 
 
 def search_near(
@@ -144,8 +145,10 @@ def search_near(
         for motion in random.normal(size=(_NEAR_STARTS, 6)):
             starts.append(moved(pose, share * mesh.radius_m * motion / math.sqrt(2), patch.centre_m, mesh.radius_m))
 
-    def away_m(found: Fit) -> float:
-        return float(np.linalg.norm(motion_between(pose, found.pose, patch.centre_m, mesh.radius_m)))
+    def away_m(found: Searched) -> float:
+        equal = (found.fit.pose @ other for other in mesh.symmetries)
+        motions = (motion_between(pose, other, patch.centre_m, mesh.radius_m) for other in equal)
+        return min(float(np.linalg.norm(motion)) for motion in motions)
 
     return _best(mesh, patch, film, patch_px, starts, away_m, progress)
 
@@ -156,7 +159,7 @@ def _best(
     film: Membrane | None,
     patch_px: int,
     starts: list[Float64Array],
-    distance_m: Callable[[Fit], float],
+    distance_m: Callable[[Searched], float],
     progress: Callable[[float], None],
 ) -> Searched:
     """Fit from all starts with few points, then from the best ones with all; of equally good fits take the nearest."""
@@ -166,11 +169,19 @@ def _best(
     for number, start in enumerate(starts):
         progress(_QUICK_SHARE * number / len(starts))
         quick.append(_scored(mesh, few, film, patch_px, start, _QUICK_ROUNDS))
-    for number, found in enumerate(sorted(quick, key=cost)[:_FINALISTS]):
+    quick.sort(key=cost)
+    nearest = sorted(_equal(quick), key=distance_m)[: _FINALISTS // 2]
+    others = [found for found in quick if found not in nearest]
+    for number, found in enumerate((nearest + others)[:_FINALISTS]):
         progress(_QUICK_SHARE + (1 - _QUICK_SHARE) * number / _FINALISTS)
         final.append(_scored(mesh, patch, film, patch_px, found.fit.pose, ROUNDS))
-    least = min(map(cost, final))
-    return min((found for found in final if found.cost_m <= least + _EQUAL_M), key=lambda found: distance_m(found.fit))
+    return min(_equal(final), key=distance_m)
+
+
+def _equal(found: list[Searched]) -> list[Searched]:
+    """Return the fits that are about as good as the best one."""
+    least_m = min(each.cost_m for each in found)
+    return [each for each in found if each.cost_m <= least_m + _EQUAL_M]
 
 
 def _scored(

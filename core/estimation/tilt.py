@@ -54,8 +54,6 @@ MAX_AXIS_SIGMA_RAD: Final = math.radians(15.0)
 #: Random displacement of the patch's edge: standard deviation, and the length over which it is shared, metres.
 _EDGE_M, _EDGE_LENGTH_M = 0.0015, 0.010
 _MIN_POINTS: Final = 12
-#: Lower limit of the noise variance of a point: no camera is exact, m^2.
-_LEAST_M2: Final = 1e-12
 
 
 @dataclass(frozen=True)
@@ -204,7 +202,7 @@ class TiltEstimator:
             return found
         power = (1 - tactile_weight) ** 2 * self._proximity.power_m2(cells.depth_m)
         power += tactile_weight**2 * self._tactile.power_m2(cells.depth_m)
-        variance = np.maximum(power, _LEAST_M2) * cells.inverse_m**4  # of the inverse depth of a point
+        variance = power * cells.inverse_m**4  # of the inverse depth of a point
         weights = cells.count / (variance if self.method == "noise" else variance.mean())
         fit = Functionals(cells, weights, self._lens.fx)
         plane, covariance, changing = self._fit(cells, fit, tactile_weight, averaged_frames)

@@ -234,6 +234,7 @@ def seeds_from(first: int, count: int) -> tuple[int, ...]:
 
 
 def contacts_right(cells: Sequence[TableCell]) -> float:
-    """Return the share of cells whose patch has the true number of separate contacts; nan without cells."""
-    judged = [cell.contacts == cell.true_contacts and not cell.failure for cell in cells]
+    """Return the share of cells whose patch has the true number of separate contacts; nan without counts."""
+    counted = [cell for cell in cells if cell.true_contacts is not None]
+    judged = [cell.contacts == cell.true_contacts and not cell.failure for cell in counted]
     return sum(judged) / len(judged) if judged else math.nan

@@ -158,8 +158,8 @@ def average_cells(window: Any, side: Any, step: Any, rays: Any, first: Any, last
     window : DifferenceWindow
     side : int
     step : int
-        Every pixel of a cell is read for 1; for 2 every second row, and there every second column in turn, and so on;
-        divides ``side``.
+        One pixel of step x step is read. Those that are read lie in all rows and columns, so a pattern without depth
+        does not hide a cell. step x step divides ``side``, or step is 1.
     rays : membrane.RayWindow
         Of the images.
     first, last : int
@@ -171,14 +171,14 @@ def average_cells(window: Any, side: Any, step: Any, rays: Any, first: Any, last
     means, left_out, points = out
     differences, usable, excluded, counts, unit_m, bias_m, centre_m, limit_m = window
     table, top, left = rays
-    width, pixels = usable.shape[1], np.float32((side // step) ** 2)
+    width, pixels, stride = usable.shape[1], np.float32((side // step) ** 2), step * step
     for row in range(first, last):
         to = row + frame
         means[to, frame : means.shape[1] - frame], left_out[to, frame : means.shape[1] - frame] = _ZERO, _ZERO
         points[to, frame : means.shape[1] - frame] = _ZERO
-        for v in range(side * row, min(side * row + side, usable.shape[0]), step):
+        for v in range(side * row, min(side * row + side, usable.shape[0])):
             column, in_cell = frame, 0
-            for u in range(v // step % step, width, step):
+            for u in range((v * step + v // step) % stride, width, stride):
                 if excluded[v, u]:
                     left_out[to, column] += _ONE
                 if usable[v, u] and abs(differences[v, u] - centre_m) < limit_m:
@@ -188,7 +188,7 @@ def average_cells(window: Any, side: Any, step: Any, rays: Any, first: Any, last
                     points[to, column, 1] += table[top + v, left + u, 1] * z
                     points[to, column, 2] += z
                     points[to, column, 3] += _ONE
-                in_cell += step
+                in_cell += stride
                 if in_cell == side:
                     column += 1
                     in_cell = 0
@@ -425,7 +425,9 @@ def continue_beside(
         _, _, depth = _mean_point(points, from_v, from_u)
         found, seen = _membrane_depth(pixel_v * image_width + pixel_u, np.float32(depth), membrane)
         difference = np.float32(plane - found)
-        seen = seen and turn > _MIN_TURN and abs(difference - near_m[0]) < near_m[1]  # a plane along the ray is none
+        seen = (
+            seen and turn > _MIN_TURN and abs(difference - near_m[0]) < near_m[1]
+        )  # a plane along the ray is no surface
         linked[v, u], weights[v, u] = True, np.float32(seen)
         differences[v, u] = difference if seen else _ZERO
         sides[0, v, u], sides[1, v, u] = sides[0, from_v, from_u], sides[1, from_v, from_u]

@@ -38,7 +38,7 @@ _NEAR_M: Final = 0.012
 #: The part of the image near a bias serves for another one within this distance, metres.
 _SAME_M: Final = 0.004
 #: Step between the rows and columns that are read where every pixel is not needed, such as for the most frequent
-#: difference. Odd: a camera without depth in every second or fourth column must not hide all of it.
+#: difference. It is odd, so depth that is missing in every second or fourth row or column does not hide the rest.
 _STRIDE_PX: Final = 5
 _SOME: Final = (slice(None, None, _STRIDE_PX),) * 2
 #: Bin width of the histogram of differences, metres, and sigma of its smoothing, bins.

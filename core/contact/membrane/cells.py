@@ -31,7 +31,7 @@ _REACH_PX: Final = 16.0
 _MIN_PUSH_PER_M: Final = np.float32(2.0)
 #: For cells without a known gap: larger than any that counts, metres.
 FAR_M: Final = np.float32(0.01)
-#: Beside the object, a difference this far from the others is a wrong depth, metres.
+#: Beside the object, a difference this far from the bias, in either direction, is a wrong depth, metres.
 _WRONG_M: Final = np.float32(0.012)
 #: How far the gap is solved for beside the object, pixels, and the resulting frame of the images, cells.
 _BESIDE_PX: Final = 9
@@ -119,7 +119,7 @@ def cells_of(
         np.float32(differences.bias_m), np.float32(near_m[0]), np.float32(near_m[1]),
     )  # fmt: skip
     rays = RayWindow(ray_table(camera), *differences.corner)
-    step = 2 if size_px % 2 == 0 else 1  # noise that neighbours share: every second pixel tells as much, where it fits
+    step = 2 if size_px % 4 == 0 else 1  # neighbours share noise, so every fourth pixel is enough for large cells
     by_rows(
         lambda first, last: kernels.average_cells(window, size_px, step, rays, first, last, FRAME, sums),
         shape[0] - 2 * FRAME,

@@ -142,6 +142,19 @@ def noise_of(proximity, tactile, slow_m=None):
     return RigNoise(proximity=next(make), tactile=next(make), measured=now(), frames=30, slow_m=slow_m)
 
 
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("slow_m", [None, 0.0])
+@pytest.mark.parametrize("test", ["membrane", "tolerance"])
+def test_a_rig_without_any_noise_has_a_tilt(cube, method, slow_m, test):
+    source, measured = cube
+    exact = PRESET.model_copy(update={"noise": noise_of((0, 0, 0), (0, 0, 0), slow_m)}).with_value("contact_test", test)
+    patch = ContactPipeline(exact, source.rig).process(source.read(0))
+    tilt = TiltEstimator(exact, source.rig, method).estimate(patch)
+    usual = TiltEstimator(PRESET, source.rig, method).estimate(measured)
+    assert tilt.roll_rad == pytest.approx(usual.roll_rad, abs=0.01)
+    assert tilt.roll_sigma_rad > 0
+
+
 def smooth_noise(rng, length_px):
     """Noise that neighbours share, made small and enlarged."""
     by = max(int(length_px / 6), 1)

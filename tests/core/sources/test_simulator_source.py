@@ -169,8 +169,7 @@ def test_reflective_rubber_returns_the_membrane_and_only_the_mask_removes_it(cup
     published = preset.with_values({"contact_test": "tolerance", "alignment.model": "rigid"})
     unmasked = {"mask.enabled": False}
     assert ContactPipeline(published.with_values(unmasked), cup.rig).process(frame).mask.sum() > 1000
-    # the membrane test drops some of them: beside a print, the membrane is bent away from the print's plane
-    assert ContactPipeline(preset.with_values(unmasked), cup.rig).process(frame).mask.sum() > 0
+    assert ContactPipeline(preset.with_values(unmasked), cup.rig).process(frame).mask.sum() > 500
     for test in (published, preset):
         assert ContactPipeline(test, cup.rig).process(frame).mask.sum() == 0
 

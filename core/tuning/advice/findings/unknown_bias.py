@@ -13,7 +13,7 @@ def find(situation: Situation) -> Finding | None:
         return None
     sentence = "This contact is too small to tell a bias from a gap, and the bias of this rig is not measured."
     if not preset.mask.enabled:
-        sentence += " The mask is off: if the membrane has prints, this may be them; switch the mask on first."
+        sentence += " The mask is off, so the contact may be prints; switch the mask on first."
     return Finding(
         name="unknown_bias",
         field="membrane.bias",

@@ -310,7 +310,7 @@ def test_a_cell_is_the_mean_of_the_pixels_that_take_part():
     assert not sums.points[:, :frame].any()
     every_second = cell_kernels.CellSums(*(np.zeros_like(part) for part in sums))
     cell_kernels.average_cells(window, 4, 2, RayWindow(rays, 3, 4), 0, 1, frame, every_second)
-    in_turn = (0, 0, 2, 2), (0, 2, 1, 3)
+    in_turn = (0, 1, 2, 3), (0, 2, 1, 3)
     part = usable[in_turn] & (np.abs(differences[in_turn] - 0.2) < 0.08)
     assert every_second.points[frame, frame, 3] == part.sum() / 4
 

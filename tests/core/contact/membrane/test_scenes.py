@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tactune.core.contact.kernels.threads import set_threads
+from tactune.core.contact.membrane.bias import FIRM_M2
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.evaluation.metrics import symmetric_rmse_m, truth_cloud
 from tactune.core.evaluation.sensor_cases import MAX_OVER_ORACLE
@@ -63,15 +64,20 @@ def test_wrong_tactile_depth_in_places_less_than_doubles_the_error():
 
 @pytest.mark.parametrize(
     "hidden",
-    [lambda v, u: u % 4 == 0, lambda v, u: v % 4 == 0, lambda v, u: (u + v) % 2 == 0, lambda v, u: (u + v) % 2 == 1],
-    ids=["columns", "rows", "even fields", "odd fields"],
-)
+    [
+        lambda v, u: u % 4 == 0, lambda v, u: v % 4 == 0, lambda v, u: u % 2 == 0, lambda v, u: u % 2 == 1,
+        lambda v, u: v % 2 == 0, lambda v, u: v % 2 == 1, lambda v, u: (u + v) % 2 == 0, lambda v, u: (u + v) % 2 == 1,
+    ],
+    ids=["u4", "v4", "even u", "odd u", "even v", "odd v", "even fields", "odd fields"],
+)  # fmt: skip
 def test_depth_that_is_missing_in_a_pattern_does_not_hide_firm_contact(hidden):
     source = SimulatorSource("cup", variant=Variant(press="high"))
     frame, pipeline = source.read(0), ContactPipeline(MEMBRANE, source.rig)
     whole = len(pipeline.process(frame).points)
     depth = np.where(hidden(*np.indices(frame.proximity_depth.shape)), 0, frame.proximity_depth).astype(np.uint16)
-    assert len(pipeline.process(replace(frame, proximity_depth=depth)).points) > 0.75 * whole
+    patch = pipeline.process(replace(frame, proximity_depth=depth))
+    assert len(patch.points) > 0.75 * whole
+    assert patch.membrane.firm_m2 > 2 * FIRM_M2, "half of its area has depth, and tells the bias"
 
 
 def flat_rig(width: int, height: int) -> Rig:

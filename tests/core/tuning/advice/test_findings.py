@@ -165,7 +165,7 @@ def test_a_mask_that_covers_the_image():
 def test_contact_of_nothing_but_prints(request, sensor, preset):
     if sensor == "datasheet" and preset is NO_MASK:
         reason = "the membrane test finds contact on two of the five prints; the finding needs three"
-        request.applymarker(pytest.mark.xfail(strict=True, reason=reason))
+        request.applymarker(pytest.mark.xfail(strict=True, raises=KeyError, reason=reason))
     rig, frame = scene(f"{UNTOUCHED}&sensor={sensor}")
     found = findings(preset, rig, frame)["prints"]
     after = found.proposal.apply(preset)
