@@ -127,7 +127,7 @@ class Study:
                         break
                     with workers.told():
                         values = [self._values(trial.params) for trial in trials]
-                        running[workers.executor.submit(measure, self.plan, values)] = trials
+                        running[workers.submit(measure, self.plan, values)] = trials
                 for future in wait(running, _LOOK_S, FIRST_COMPLETED).done:
                     with workers.told():
                         measured = future.result()

@@ -8,7 +8,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -28,6 +28,20 @@ class Workers:
 
     executor: Executor
     count: Callable[[], int]
+
+    def submit(self, work: Callable[..., Any], *arguments: object) -> Future[Any]:
+        """Submit a batch.
+
+        The executor may start a process for it, which inherits that Ctrl+C is held back. Otherwise a Ctrl+C would end
+        it with a traceback while it still imports.
+        """
+        if not hasattr(signal, "pthread_sigmask"):  # Windows
+            return self.executor.submit(work, *arguments)
+        usual = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+        try:
+            return self.executor.submit(work, *arguments)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, usual)
 
     @contextmanager
     def told(self) -> Iterator[None]:

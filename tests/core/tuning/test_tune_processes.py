@@ -103,6 +103,22 @@ def test_ctrl_c_in_a_terminal_keeps_what_is_done_and_the_same_command_goes_on(lo
     long_search.finish("--jobs", "1")
 
 
+def test_ctrl_c_while_the_processes_start_ends_without_a_traceback(long_search):
+    process = subprocess.Popen(
+        [*long_search.command, "--jobs", "2"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        start_new_session=True,
+    )  # fmt: skip
+    listed = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    while not any(b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes() for child in listed.read_text().split()):
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGINT)
+    _, err = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 130
+    assert "Traceback" not in err
+    assert "the same command continues" in err
+
+
 def test_a_line_that_a_crash_cut_off_is_dropped(tune, recording, tmp_path):
     journal = tmp_path / "cut.log"
     words = ("-s", recording, "--set", "tolerance.t=0.004:0.02:4", "--study", journal, "--json")
