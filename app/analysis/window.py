@@ -12,7 +12,7 @@ from PyQt6.QtWidgets import QDialog, QTabWidget, QVBoxLayout, QWidget
 
 from ...core.model.plugins import load_plugin, load_plugins
 from ...widgets.basics.controls import wrapped_label
-from ...widgets.basics.dialogs import FRAME, bring_up
+from ...widgets.basics.dialogs import bring_up, room_on
 from ...widgets.basics.layouts import vbox
 from ...widgets.basics.messages import Severity
 from ..context import Context
@@ -118,7 +118,7 @@ class AnalysisWindow(QDialog):
         """Move to the lower right corner of the screen, where most of the main window's views stay visible."""
         screen = main.screen()
         if screen is not None:
-            room = screen.availableGeometry().adjusted(0, 0, -FRAME.width(), -FRAME.height())
+            room = room_on(screen)
             self.move(max(room.right() - self.width(), room.left()), max(room.bottom() - self.height(), room.top()))
 
     def open_on(self, name: str) -> None:

@@ -15,7 +15,7 @@ from ...core.preset.file import shipped_presets
 from ...core.sources.registry import open_source
 from ...core.tuning.advice.suggest import SECTIONS
 from ...widgets.basics.controls import ProgressCard
-from ...widgets.basics.dialogs import FRAME, Dialogs, bring_up, local_files
+from ...widgets.basics.dialogs import Dialogs, bring_up, local_files, room_on
 from ...widgets.basics.layouts import vbox
 from ...widgets.basics.messages import MessageHistory, Messages, Severity
 from ...widgets.basics.style import apply_theme
@@ -184,7 +184,7 @@ class MainWindow(QMainWindow):
         self.setWindowState(self.windowState() & ~(Qt.WindowState.WindowMaximized | Qt.WindowState.WindowFullScreen))
         size, screen = QSize(width, height), self.screen()
         if screen is not None and QApplication.platformName() != "offscreen":  # a picture may have any size
-            room = screen.availableGeometry().adjusted(0, 0, -FRAME.width(), -FRAME.height())
+            room = room_on(screen)
             size = size.boundedTo(room.size())
             free = room.adjusted(0, 0, -size.width(), -size.height())  # of the upper left corner
             self.move(

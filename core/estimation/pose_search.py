@@ -165,11 +165,10 @@ def _best(
     """Fit from all starts with few points, then from the best ones with all; of equally good fits take the nearest."""
     few = patch.every(max(len(patch.points) // _QUICK_POINTS, 1))
     quick, final = list[Searched](), list[Searched]()
-    cost = attrgetter("cost_m")
     for number, start in enumerate(starts):
         progress(_QUICK_SHARE * number / len(starts))
         quick.append(_scored(mesh, few, film, patch_px, start, _QUICK_ROUNDS))
-    quick.sort(key=cost)
+    quick.sort(key=attrgetter("cost_m"))
     nearest = sorted(_equal(quick), key=distance_m)[: _FINALISTS // 2]
     others = [found for found in quick if found not in nearest]
     for number, found in enumerate((nearest + others)[:_FINALISTS]):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
-from PyQt6.QtCore import Qt
+from PyQt6.QtCore import QRect, QSize, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QLabel
 
@@ -59,6 +61,16 @@ def test_a_key_opens_the_window_on_its_tab_with_the_present_frame(qtbot, window)
     assert analysis.isVisible() and not analysis.isModal()
     assert list(analysis.made) == ["compare"]
     assert analysis.made["compare"].sequences[-1] == 3
+
+
+@pytest.mark.parametrize("height", [620, 660, 1040])
+def test_the_title_bar_and_where_there_is_room_all_of_it_lie_on_the_screen(qtbot, window, monkeypatch, height):
+    room = QRect(0, 0, 1280, height)
+    monkeypatch.setattr(window, "screen", lambda: SimpleNamespace(availableGeometry=lambda: room))
+    analysis = opened(qtbot, window)
+    assert room.contains(analysis.pos())
+    with_title_bar = QRect(analysis.pos(), analysis.size() + QSize(0, 30))
+    assert room.contains(with_title_bar) or height < with_title_bar.height()
 
 
 def test_each_key_goes_to_its_tab_also_from_the_analysis_window(qtbot, window):

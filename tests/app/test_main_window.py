@@ -23,7 +23,7 @@ from tactune.core.model.provenance import Provenance
 from tactune.core.preset import ContactTest
 from tactune.core.preset.tolerance import TOLERANCE
 from tactune.widgets.basics.colormaps import patch_lut
-from tactune.widgets.basics.dialogs import FRAME
+from tactune.widgets.basics.dialogs import room_on
 from tactune.widgets.basics.theme import theme_name
 from tactune.widgets.clouds.cloud_labels import LegendLine
 from tiny_sensor import TinySource, at_rest, tiny_frame, tiny_rig
@@ -220,8 +220,10 @@ def test_a_window_is_never_larger_than_the_screen_nor_partly_beside_it(make_wind
     monkeypatch.setattr(window, "screen", lambda: SimpleNamespace(availableGeometry=lambda: room))
     window.move(1500, 900)
     window.resize_to(*asked)
-    assert room.contains(QRect(window.pos(), window.size() + FRAME)), "with its title bar"
-    assert window.size() == QSize(*asked).boundedTo(room.size() - FRAME)
+    with_title_bar = room.size() - room_on(window.screen()).size()
+    assert with_title_bar.height() >= 30
+    assert room.contains(QRect(window.pos(), window.size() + with_title_bar))
+    assert window.size() == QSize(*asked).boundedTo(room_on(window.screen()).size())
 
 
 def test_a_damaged_settings_file_means_defaults(make_window, settings_file):

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from PyQt6.QtCore import QMimeData, QSize, Qt
+from PyQt6.QtCore import QMimeData, QRect, QSize, Qt
+from PyQt6.QtGui import QScreen
 from PyQt6.QtWidgets import (
     QAbstractButton,
     QApplication,
@@ -27,7 +28,7 @@ from PyQt6.QtWidgets import (
 from .controls import dialog_buttons
 
 #: What a window manager may draw around a window.
-FRAME = QSize(16, 40)
+_FRAME = QSize(16, 40)
 
 
 class Dialogs:
@@ -159,11 +160,16 @@ def local_files(data: QMimeData | None) -> list[Path]:
     return [] if data is None else [Path(url.toLocalFile()) for url in data.urls() if url.isLocalFile()]
 
 
+def room_on(screen: QScreen) -> QRect:
+    """Return the part of a screen that a window may fill, without what a window manager draws around it."""
+    return screen.availableGeometry().adjusted(0, 0, -_FRAME.width(), -_FRAME.height())
+
+
 def bring_up(window: QWidget) -> None:
     """Show a window no larger than the screen, or bring it to the front."""
     screen = window.screen()
     if screen is not None and not window.isVisible() and QApplication.platformName() != "offscreen":
-        window.resize(window.size().boundedTo(screen.availableSize() - FRAME))
+        window.resize(window.size().boundedTo(room_on(screen).size()))
     window.show()
     window.raise_()
     window.activateWindow()

@@ -425,9 +425,8 @@ def continue_beside(
         _, _, depth = _mean_point(points, from_v, from_u)
         found, seen = _membrane_depth(pixel_v * image_width + pixel_u, np.float32(depth), membrane)
         difference = np.float32(plane - found)
-        seen = (
-            seen and turn > _MIN_TURN and abs(difference - near_m[0]) < near_m[1]
-        )  # a plane along the ray is no surface
+        # a plane along the ray is no surface
+        seen = seen and turn > _MIN_TURN and abs(difference - near_m[0]) < near_m[1]
         linked[v, u], weights[v, u] = True, np.float32(seen)
         differences[v, u] = difference if seen else _ZERO
         sides[0, v, u], sides[1, v, u] = sides[0, from_v, from_u], sides[1, from_v, from_u]

@@ -195,11 +195,10 @@ def _with_prints(known: RigBias, differences: Differences, rig: Rig) -> RigBias:
 
     Then it counts as measured too.
     """
-    prints, some = differences.on_prints_m, differences.counts[_SOME]
-    some = some[some > 0]
-    if known.measured or len(prints) < _MIN_PRINT_PIXELS or len(some) == 0:
+    prints, depth = differences.on_prints_m, differences.counts[_SOME]
+    if known.measured or len(prints) < _MIN_PRINT_PIXELS or not depth.any():
         return replace(known, mean_m=known.mean_m - differences.bias_m)
-    pixel_m = float(np.median(differences.depth_m(some))) / rig.proximity.intrinsics.fx
+    pixel_m = float(np.median(differences.depth_m(depth[depth > 0]))) / rig.proximity.intrinsics.fx
     sigma_m = math.sqrt(known.noise_m4 / (len(prints) * pixel_m**2)) + _PRINT_SIGMA_M
     return replace(known, mean_m=float(np.median(prints)), sigma_m=sigma_m, measured=True)
 

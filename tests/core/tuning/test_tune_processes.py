@@ -39,7 +39,7 @@ def test_a_worker_imports_nothing_from_the_working_folder(tmp_path, monkeypatch)
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
     with local_workers(2) as workers:
-        assert workers.executor.submit(os.path.basename, "a/b").result(LIMIT_S) == "b"
+        assert workers.submit(os.path.basename, "a/b").result(LIMIT_S) == "b"
     assert not (tmp_path / "harm").exists()
 
 
