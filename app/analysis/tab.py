@@ -91,12 +91,6 @@ COMPARE: Final = TabKind(
     shortcut="F7",
     make=_later("compare_tab:CompareTab"),
 )
-TRUTH: Final = TabKind(
-    title="&Ground truth from a scan",
-    tip="Contact from a painted scan, aligned with the patch",
-    shortcut="F8",
-    make=_later("truth_tab:TruthTab"),
-)
 TUNE: Final = TabKind(
     title="Tun&e",
     tip="Search for preset values with less error and less time on the open recording",

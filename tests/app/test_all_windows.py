@@ -53,7 +53,7 @@ ACTIONS = (
     "check_computer",
     "publish",
 )
-NAMES = ("main", *ACTIONS, "compare", "strain", "tilt", "truth", "tune")
+NAMES = ("main", *ACTIONS, "compare", "strain", "tilt", "tune")
 #: What needs a tooltip, too; over a view or an image one would be in the way.
 CONTROLS = (QAbstractButton, QComboBox, QLineEdit, QAbstractSpinBox, QAbstractSlider, QAbstractItemView)
 #: Buttons whose words say all.
