@@ -136,6 +136,11 @@ class Recorder:
         """
         self._watcher = _Watcher(see, failed)
 
+    @property
+    def watched(self) -> bool:
+        """Whether somebody watches the frames."""
+        return self._watcher is not None
+
     def unwatch(self) -> None:
         """Stop passing frames to `watch`'s listener."""
         self._watcher = None

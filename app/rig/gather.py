@@ -1,0 +1,268 @@
+"""A panel that takes frames of the main window, works on them on another thread, and applies what it finds."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any, Final
+
+from PyQt6.QtCore import Qt, QTimer, pyqtSignal
+from PyQt6.QtWidgets import QHBoxLayout, QPushButton, QWidget
+
+from ...core.errors import TactuneError, as_sentence, counted
+from ...core.model.frames import SensorFrame
+from ...widgets.basics.controls import ProgressBar, push_button, wrapped_label
+from ...widgets.basics.layouts import STRETCH, hbox
+from ..context import Context
+from ..worker.jobs import Job, Work
+from ..worker.results import SourceInfo
+
+#: Seconds without a frame after which a source counts as stopped.
+PATIENCE_S: Final = 5.0
+_TICK_MS: Final = 100
+#: Share of the progress at which all frames have arrived.
+_GATHERED: Final = 0.5
+NO_FRAME: Final = "There is no frame yet: open a source in the main window first."
+NO_MORE_FRAMES: Final = "No more frames arrive: play the source, in a loop if it is a recording, and start again."
+OTHER_SOURCE: Final = "Another source was opened meanwhile: start again."
+OTHER_TASK: Final = "Another window takes frames at present: cancel that first, or wait."
+
+
+class Gather(QWidget):
+    """Base of panels that take frames, work on them, tell the result, and put it into the preset as one undo step.
+
+    A paused recording plays meanwhile and then stands at its frame again. A loop gives each frame once. Where a source
+    has or gives fewer frames than wanted, `min_frames` are enough.
+
+    Parameters
+    ----------
+    context : Context
+    start : QPushButton
+    entry : QWidget
+        How much is gathered.
+    apply : QPushButton
+        Puts the result into the preset.
+    """
+
+    #: Smallest number of different frames.
+    min_frames = 1
+    #: What to do while frames are taken.
+    prompt = "Hold everything still"
+
+    _takingFailed = pyqtSignal(str)
+
+    def __init__(self, context: Context, start: QPushButton, entry: QWidget, apply: QPushButton) -> None:
+        super().__init__()
+        self._context, self._document = context, context.document
+        self.start, self.entry, self.apply = start, entry, apply
+        self.cancel = push_button("Cance&l", "Cancel; the preset is unchanged")
+        self.undo = push_button("&Undo", "Undo the last change of the preset (Ctrl+Z)", "Ctrl+Z")
+        self.sentence = wrapped_label(selectable=True)
+        self.progress = ProgressBar()
+        policy = self.progress.sizePolicy()
+        policy.setRetainSizeWhenHidden(True)  # so that the layout does not jump
+        self.progress.setSizePolicy(policy)
+        #: The newest result; None before the first, and once it is void.
+        self.found: Any = None
+        self.info: SourceInfo | None = None
+        self._kept: dict[int, Any] = {}
+        self._taking = self._played = False
+        self._return_to: int | None = None
+        self._counted, self._last_s = 0, 0.0
+        self._timer = QTimer(self)
+        self._timer.setInterval(_TICK_MS)
+        self._timer.timeout.connect(self._look)
+        self._job = Job(self)
+        self._job.progress.connect(
+            lambda share, words: self.progress.show_share(_GATHERED + (1 - _GATHERED) * share, words)
+        )
+        self._job.done.connect(self._done)
+        self._job.failed.connect(self._fail)
+        self._takingFailed.connect(self._give_up)
+        start.clicked.connect(self.begin)
+        self.cancel.clicked.connect(self.stop)
+        apply.clicked.connect(self.use)
+        self.undo.clicked.connect(self._document.undo_stack.undo)
+        context.worker.playbackChanged.connect(self._playback_changed)
+        context.worker.opened.connect(self._source_opened)
+
+    # What a panel says of itself
+
+    def takes_frames(self, info: SourceInfo) -> bool:
+        """Return whether frames of this source are taken; else the work makes its own, as with the simulator."""
+        return True
+
+    def keep(self, frame: SensorFrame) -> Any:
+        """Return what is kept of a frame; called on the thread that reads it."""
+        return frame
+
+    def share(self, kept: Sequence[Any]) -> float:
+        """Return which share of what is wanted has been kept; 1 or more: enough."""
+        raise NotImplementedError
+
+    def work(self, kept: list[Any], info: SourceInfo) -> Work:
+        """Return the work on what was kept; it runs on another thread and its result is passed to `show_found`."""
+        raise NotImplementedError
+
+    def show_found(self, found: Any) -> None:
+        """Show a result; None: none any more."""
+        raise NotImplementedError
+
+    def change(self) -> tuple[str, Any]:
+        """Return the preset field that the result changes, and its new value."""
+        raise NotImplementedError
+
+    # Taking frames
+
+    @property
+    def busy(self) -> bool:
+        """Whether frames are taken or worked on."""
+        return self._taking or self._job.busy
+
+    def begin(self) -> None:
+        """Take frames from the shown one on."""
+        result, recorder = self._context.result, self._context.worker.recorder
+        if self.busy:
+            return
+        self._set_found(None)
+        if result is None or recorder.watched:
+            self._fail(NO_FRAME if result is None else OTHER_TASK)
+            return
+        info = self.info = result.source
+        if info.length is not None and info.length < self.min_frames:
+            self._fail(f"This source has {counted(info.length, 'frame')}; at least {self.min_frames} are needed.")
+            return
+        self.sentence.clear()
+        self.progress.show_share(0.0, "")
+        self._taking = self.takes_frames(info)
+        self._show_busy()
+        if not self._taking:
+            self._job.start(self.work([], info))
+            self._show_busy()
+            return
+        kept: dict[int, Any] = {}
+
+        def take(frame: SensorFrame) -> None:
+            if frame.sequence not in kept:
+                kept[frame.sequence] = self.keep(frame)
+
+        self._kept, self._counted, self._last_s = kept, 0, time.monotonic()
+        playback = result.playback
+        self._played = playback.running
+        self._return_to = playback.index if playback.seekable and not playback.running else None
+        try:
+            take(result.frame)
+        except TactuneError as error:
+            self._give_up(str(error))
+            return
+        recorder.watch(take, self._takingFailed.emit)
+        self._timer.start()
+        if not playback.running:
+            self._context.worker.play()
+
+    def stop(self) -> None:
+        """Cancel."""
+        was_busy = self.busy
+        self._stop_taking()
+        self._job.cancel()
+        if was_busy:
+            self.sentence.setText("Cancelled; nothing was changed.")
+        self._show_busy()
+
+    def close_down(self) -> None:
+        """Cancel for good."""
+        self._stop_taking()
+        self._job.stop()
+        self._show_busy()
+
+    def _stop_taking(self) -> None:
+        if not self._taking:
+            return
+        self._taking = False
+        self._timer.stop()
+        worker = self._context.worker
+        worker.recorder.unwatch()
+        if self._return_to is not None:
+            worker.pause()
+            worker.seek(self._return_to)
+
+    def _look(self) -> None:
+        """Work on the frames once there are enough, or once no more come."""
+        assert self.info is not None
+        now, count, playback = time.monotonic(), len(self._kept), self._context.playback
+        if count > self._counted:
+            self._counted, self._last_s = count, now
+        share = self.share(list(self._kept.values()))
+        self.progress.show_share(_GATHERED * min(share, 1.0), f"{self.prompt}: {counted(count, 'frame')}")
+        ended = self._played and playback is not None and not playback.running and playback.at_end
+        if share >= 1.0 or count == self.info.length:
+            self._end_taking()
+        elif ended or now - self._last_s > PATIENCE_S:
+            if count >= self.min_frames:
+                self._end_taking()
+            else:
+                self._give_up(NO_MORE_FRAMES)
+
+    def _end_taking(self) -> None:
+        assert self.info is not None
+        self._stop_taking()
+        kept, self._kept = list(self._kept.values()), {}
+        self._job.start(self.work(kept, self.info))
+        self._show_busy()
+
+    def _give_up(self, sentence: str) -> None:
+        if self._taking:
+            self._stop_taking()
+            self._fail(sentence)
+
+    def _playback_changed(self) -> None:
+        playback = self._context.playback
+        self._played = self._played or (playback is not None and playback.running)
+
+    def _source_opened(self, info: SourceInfo) -> None:
+        if self.info is not None and info is not self.info and (self.busy or self.found is not None):
+            self._return_to = None  # a place in the other source
+            self._stop_taking()
+            self._job.cancel()
+            self._set_found(None)
+            self._fail(OTHER_SOURCE)
+
+    # The result
+
+    def use(self) -> None:
+        """Put the result into the preset."""
+        if self.found is not None and self._document.edit(*self.change()):
+            self._set_found(None)
+            self.sentence.setText("The result is in the preset now; Undo (Ctrl+Z) takes it out again.")
+
+    def _done(self, found: Any) -> None:
+        self._set_found(found)
+        self._show_busy()
+        self.apply.setFocus(Qt.FocusReason.OtherFocusReason)  # a focused number entry would handle Ctrl+Z itself
+
+    def _fail(self, sentence: str) -> None:
+        self._show_busy()
+        if sentence:  # empty: it was cancelled
+            self.sentence.setText(as_sentence(sentence))
+
+    def _set_found(self, found: Any) -> None:
+        self.found = found
+        self.apply.setEnabled(found is not None)
+        self.show_found(found)
+
+    def _show_busy(self) -> None:
+        self.start.setEnabled(not self.busy)
+        self.entry.setEnabled(not self.busy)
+        self.cancel.setEnabled(self.busy)
+        self.progress.setVisible(self.busy)
+        self.apply.setEnabled(self.found is not None and not self.busy)
+
+    # Rows for the layout
+
+    def taking_row(self, *before: QWidget) -> QHBoxLayout:
+        """Return the row of entry, buttons and progress."""
+        return hbox(*before, self.entry, self.start, self.cancel, (self.progress, 1))
+
+    def applying_row(self, *before: QWidget) -> QHBoxLayout:
+        """Return the row of the buttons that change the preset."""
+        return hbox(*before, self.apply, self.undo, STRETCH)
