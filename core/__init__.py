@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .contact.pipeline import ContactPatch, ContactPipeline
     from .errors import TactuneError
+    from .estimation.pose import PoseTracker
+    from .estimation.tilt import TiltEstimator
     from .model.frames import Rig, SensorFrame
     from .model.provenance import Provenance
     from .preset import Preset
@@ -22,11 +24,13 @@ if TYPE_CHECKING:
 _HOME = {
     "ContactPatch": ".model.patch",
     "ContactPipeline": ".contact.pipeline",
+    "PoseTracker": ".estimation.pose",
     "Preset": ".preset",
     "Provenance": ".model.provenance",
     "Rig": ".model.frames",
     "SensorFrame": ".model.frames",
     "TactuneError": ".errors",
+    "TiltEstimator": ".estimation.tilt",
     "load_preset": ".sources.presets",
     "open_source": ".sources.registry",
     "save_preset": ".preset.file",
@@ -35,11 +39,13 @@ _HOME = {
 __all__ = [
     "ContactPatch",
     "ContactPipeline",
+    "PoseTracker",
     "Preset",
     "Provenance",
     "Rig",
     "SensorFrame",
     "TactuneError",
+    "TiltEstimator",
     "load_preset",
     "open_source",
     "save_preset",

@@ -20,7 +20,6 @@ from ...widgets.basics.messages import Severity
 from ...widgets.clouds.cloud_view import CloudView
 from ..context import Context
 from ..worker.results import Result, SourceInfo
-from .balance_panel import BalancePanel
 from .measuring_tab import MeasuringTab
 from .tilt_views import (
     MAX_ROWS,
@@ -70,7 +69,6 @@ class TiltTab(MeasuringTab):
         self.axis = QLabel("Long axis –")
         self.curve = TiltCurve()
         self.method, self.filtered = QComboBox(), QCheckBox("&Filtered")
-        self.balance = BalancePanel(context)
         self.copy = push_button("C&opy", "Copy the angles of this frame with their standard deviations as text")
         self.reset = push_button("&Reset curve", "Start a new curve; the old one can be restored")
         self._set_up_entries()
@@ -86,11 +84,6 @@ class TiltTab(MeasuringTab):
             self._begin(result.source)
         self._result = result
         self._estimate()
-
-    def shut_down(self) -> None:
-        """Stop all threads, for good."""
-        super().shut_down()
-        self.balance.shut_down()
 
     # Building
 
@@ -128,9 +121,6 @@ class TiltTab(MeasuringTab):
         self.column = vbox(dials, (self.curve, 1), buttons, within=side, margins=0)
         sheet = splitter(Qt.Orientation.Horizontal, self.cloud, side, sizes=(480, 480))
         self._lay_out_around(sheet, vbox(row, self.status))  # the hints need the whole width
-        layout = self.layout()
-        assert layout is not None
-        layout.addWidget(self.balance)
 
     def _connect(self) -> None:
         self.method.currentTextChanged.connect(self._method_changed)

@@ -21,7 +21,6 @@ from .bench import bench_commands
 from .calibrate import calibrate, recheck
 from .common import SOURCE, PresetOption, SourceOption, default_preset
 from .create_rig import create_rig
-from .demo import demo_commands
 from .doctor import devices, doctor, warmup
 from .evaluate import evaluate_commands
 from .preset import preset_commands
@@ -54,7 +53,6 @@ preset_commands.command()(check)
 commands.add_typer(preset_commands, name="preset")
 commands.add_typer(bench_commands, name="bench")
 commands.add_typer(evaluate_commands, name="evaluate")
-commands.add_typer(demo_commands, name="demo")
 commands.command()(run)
 commands.command()(calibrate)
 commands.command("create-rig")(create_rig)

@@ -1,0 +1,98 @@
+"""Level a simulated tray on the membrane by the angle of its contact patch, while books are put on it.
+
+A frame gives the roll of the tray relative to the sensor; the sensor's encoder gives its own roll. Their sum is the
+roll over the ground, which a PD controller brings to zero by turning the sensor:
+
+    rate = -(P roll + D d(roll)/dt)
+
+On a robot, replace `SimulatorSource` by `open_source("cameras:")` and `Tray` by your wrist.
+
+    python examples/balance_tray.py [--seconds 12] [--p-gain 5] [--d-gain 0.1]
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from dataclasses import dataclass
+
+from tactune.core import ContactPipeline, TiltEstimator, load_preset
+from tactune.core.sources.simulator.source import SimulatorSource
+from tactune.core.sources.simulator.tray import BOOKS, Tray
+
+#: The tray is level while its roll is within this angle, degrees.
+LEVEL_DEG = 1.0
+
+
+@dataclass(frozen=True)
+class Step:
+    """One turn of the loop: time, roll over the ground (true, measured), roll of the sensor, time to the angle."""
+
+    time_s: float
+    roll_rad: float
+    measured_rad: float | None
+    sensor_rad: float
+    latency_s: float
+
+
+def balance(seconds: float, p_per_s: float = 5.0, d: float = 0.1) -> list[Step]:
+    """Run the loop for a time, seconds; ``p_per_s`` and ``d`` are the gains of the controller."""
+    preset = load_preset("simulator")
+    with SimulatorSource("tray") as source:
+        pipeline, estimator = ContactPipeline(preset, source.rig), TiltEstimator(preset, source.rig)
+        tray, period_s = Tray(source.solved_facts()), 1 / source.frame_rate_hz
+        steps: list[Step] = []
+        before: float | None = None
+        for number in range(round(seconds / period_s)):
+            tray.advance(number * period_s)
+            frame = source.draw(number, tray.place)
+            started = time.perf_counter()
+            tilt = estimator.estimate(pipeline.process(frame), frame.sequence, frame.proximity_time_s)
+            latency_s = time.perf_counter() - started
+            measured = None if tilt.roll_rad is None else tilt.roll_rad + tray.sensor_rad
+            if measured is None:
+                tray.command(0.0)  # no contact: stand still
+            else:
+                change = 0.0 if before is None else (measured - before) / period_s
+                tray.command(-(p_per_s * measured + d * change))
+            before = measured
+            steps.append(Step(tray.time_s, tray.roll_rad, measured, tray.sensor_rad, latency_s))
+    return steps
+
+
+def settle_times(steps: list[Step]) -> list[float | None]:
+    """Return for each book how long the tray took to stay level until the next one, seconds; None if it did not."""
+    settled: list[float | None] = []
+    put_on = [book.time_s for book in BOOKS if book.time_s < steps[-1].time_s]
+    for begin, end in zip(put_on, [*put_on[1:], math.inf], strict=False):
+        during = [step for step in steps if begin <= step.time_s < end]
+        tilted = [n for n, step in enumerate(during) if abs(math.degrees(step.roll_rad)) > LEVEL_DEG]
+        if not tilted:
+            settled.append(0.0)
+        else:
+            level_from = tilted[-1] + 1
+            settled.append(during[level_from].time_s - begin if level_from < len(during) else None)
+    return settled
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=12.0, help="simulated time; books come at 3, 6 and 9 s")
+    parser.add_argument("--p-gain", type=float, default=5.0, help="rate of the sensor per roll of the tray, 1/s")
+    parser.add_argument("--d-gain", type=float, default=0.1, help="rate of the sensor per rate of the tray")
+    options = parser.parse_args()
+    steps = balance(options.seconds, options.p_gain, options.d_gain)
+    errors = [step.measured_rad - step.roll_rad for step in steps if step.measured_rad is not None]
+    rms_deg = math.degrees(math.sqrt(sum(error**2 for error in errors) / len(errors))) if errors else math.nan
+    latency_ms = sorted(1e3 * step.latency_s for step in steps)
+    print(f"{len(steps)} frames, {len(steps) - len(errors)} of them without an angle")
+    print(f"error of the angle: {rms_deg:.2f} degrees RMS")
+    print(f"from frame to angle: {latency_ms[len(steps) // 2]:.1f} ms, {latency_ms[int(0.95 * len(steps))]:.1f} (95 %)")
+    for book, settled in zip(BOOKS, settle_times(steps), strict=False):
+        level = "never" if settled is None else f"after {settled:.2f} s"
+        print(f"book of {1e3 * book.mass_kg:.0f} g at {book.time_s:g} s: level {level}")
+
+
+if __name__ == "__main__":
+    main()
