@@ -14,7 +14,7 @@ export PYTHONNOUSERSITE = 1
 run: setup guide  ## start the application on the simulator; without a display do the same job headless, into out/
 	@scripts/run.sh "$(SOURCE)" "$(PRESET)" "$(OUT)"
 
-test: setup  ## run the tests: OpenGL under Xvfb, then all others offscreen in three processes
+test: setup  ## run the tests offscreen in three processes
 	@scripts/test.sh
 
 test-long: setup  ## run the soaks and the long random tests
@@ -38,7 +38,7 @@ app/guide/index.html: docs/mkdocs.yml $(wildcard docs/guide/*.md docs/guide/imag
 	@NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --quiet --config-file docs/mkdocs.yml
 
 pictures: setup  ## make the pictures of README and guide from the program itself
-	@xvfb-run --auto-servernum --server-args '-screen 0 1920x1080x24' .venv/bin/python scripts/make_pictures.py
+	@QT_QPA_PLATFORM=offscreen .venv/bin/python scripts/make_pictures.py
 
 benchmarks: setup  ## measure anew what docs/benchmarks.md says, on an idle machine
 	@scripts/benchmarks.sh

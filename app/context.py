@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 from PyQt6.QtCore import QObject, pyqtSignal
@@ -10,7 +9,6 @@ from PyQt6.QtWidgets import QWidget
 
 from ..widgets.basics.dialogs import Dialogs
 from ..widgets.basics.messages import Messages
-from ..widgets.clouds.cloud_view import BackendChoice
 from .document.comparison import Comparison
 from .document.document import Document
 from .settings import Settings
@@ -81,22 +79,15 @@ class Context(QObject):
         settings: Settings,
         data_folder: Path,
         window: QWidget,
-        cloud_backend: Callable[[], BackendChoice],
     ) -> None:
         super().__init__(window)
         self.document, self.worker, self.messages, self.dialogs = document, worker, messages, dialogs
         self.settings, self.data_folder, self.window = settings, data_folder, window
-        self._cloud_backend = cloud_backend
         self.comparison = Comparison(document, self)
         self.result: Result | None = None
         self.playback: PlaybackState | None = None
         self.trim: tuple[int, int] | None = None
         worker.playbackChanged.connect(self._note_playback)
-
-    @property
-    def cloud_backend(self) -> BackendChoice:
-        """How the main window draws its 3D views: "opengl" or "software"."""
-        return self._cloud_backend()
 
     def _note_playback(self, state: PlaybackState) -> None:
         self.playback = state

@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import cast
 
-from PyQt6.QtCore import QCoreApplication, QObject, Qt, QTimer
+from PyQt6.QtCore import QObject, QTimer
 from PyQt6.QtWidgets import QApplication
 
 from ..core.errors import ExportError, TactuneError
@@ -132,11 +132,10 @@ def _prepare(window: MainWindow, preset_path: Path | None, size: tuple[int, int]
 
 
 def make_application() -> QApplication:
-    """Return the application, set up for shared OpenGL contexts."""
+    """Return the application with Tactune's name, icon and style."""
     existing = QApplication.instance()
     if isinstance(existing, QApplication):
         return existing
-    QCoreApplication.setAttribute(Qt.ApplicationAttribute.AA_ShareOpenGLContexts)
     application = QApplication(sys.argv[:1])
     application.setApplicationName("tactune")
     application.setApplicationDisplayName("Tactune")

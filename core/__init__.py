@@ -1,4 +1,4 @@
-"""The headless core: presets, the contact pipeline, sources. Never imports Qt or OpenGL.
+"""The headless core: presets, the contact pipeline, sources. Never imports Qt.
 
 What a robot program needs is here: ``from tactune.core import ContactPipeline, load_preset, open_source``.
 Names are imported when first used, so that reading a preset does not load the compiled kernels.

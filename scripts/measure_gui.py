@@ -5,7 +5,6 @@ Processor time hardly depends on other load; times by the clock do.
 Run it on an idle machine::
 
     QT_QPA_PLATFORM=offscreen python scripts/measure_gui.py --seconds 15
-    xvfb-run -a -s "-screen 0 1920x1080x24" python scripts/measure_gui.py --theme dark
 """
 
 from __future__ import annotations
@@ -113,9 +112,8 @@ class Meter(QObject):
         points = [len(result.patch.points) for _, result in self.results if result.patch is not None]
         shown = len(self.results) - 1
         size = self._window.size()
-        view = self._window.views.views["patch"]
         lines = [
-            f"window            {size.width()} x {size.height()}, {view.backend_name} views {view.backend_reason}",
+            f"window            {size.width()} x {size.height()}",
             f"frames shown      {shown / seconds:.1f} per second",
             f"patch painted     {self.paints / seconds:.1f} per second",
             f"frames processed  {processed / seconds:.1f} per second",
@@ -158,7 +156,6 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=15.0)
     parser.add_argument("--size", default="1280x800")
     parser.add_argument("--theme", choices=("light", "dark"), default="light")
-    parser.add_argument("--backend", choices=("auto", "opengl", "software"), default="auto")
     parser.add_argument("--no-strip", action="store_true", help="hide the time strip; nothing is computed for it")
     options = parser.parse_args()
     preset, _ = start_with(options.preset or default_preset(options.source))
@@ -166,7 +163,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="tactune-") as folder:
         settings = Settings(Path(folder) / "window.json")
         settings.set("window/hidden", "show_time" if options.no_strip else "")
-        window = MainWindow(preset, settings, Path(folder), backend=options.backend)
+        window = MainWindow(preset, settings, Path(folder))
         window.set_theme(cast(ThemeChoice, options.theme), remember=False)
         width, height = (int(part) for part in options.size.split("x"))
         window.resize(width, height)

@@ -87,12 +87,6 @@ def tactune(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch)
     return run
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    astray = [item.nodeid for item in items if item.get_closest_marker("gl") and "tests/widgets" not in item.nodeid]
-    if astray:
-        raise pytest.UsageError(f"OpenGL tests are run from tests/widgets only: {astray}")
-
-
 @pytest.hookimpl(trylast=True)
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     skipped = terminalreporter.stats.get("skipped", [])

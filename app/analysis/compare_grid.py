@@ -10,7 +10,7 @@ from PyQt6.QtWidgets import QGridLayout, QLabel, QWidget
 
 from ...widgets.basics.colormaps import Theme
 from ...widgets.basics.layouts import vbox
-from ...widgets.clouds.cloud_view import BackendChoice, CloudView, link_cameras
+from ...widgets.clouds.cloud_view import CloudView, link_cameras
 from .compare_table import caption
 from .comparer import Outcome
 from .method_looks import agreement_legend, method_color, method_tip
@@ -27,10 +27,10 @@ _CHOOSE = "Tick a method in the table to see its patch here."
 class Tile(QWidget):
     """One method's patch."""
 
-    def __init__(self, name: str, backend: BackendChoice) -> None:
+    def __init__(self, name: str) -> None:
         super().__init__()
         self.name = name
-        self.view = CloudView(name, backend)
+        self.view = CloudView(name)
         self.caption = QLabel("\n")
         self.caption.setTextFormat(Qt.TextFormat.PlainText)
         self.caption.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
@@ -63,9 +63,8 @@ class TileGrid(QWidget):
 
     stepChanged = pyqtSignal()
 
-    def __init__(self, backend: BackendChoice) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self._backend: BackendChoice = backend
         self._columns = 0
         #: Every ``step``-th row and column is drawn.
         self.step = 1
@@ -89,7 +88,7 @@ class TileGrid(QWidget):
         stay = [tile for tile in self._shown if tile.name in names]
         for name in names:
             if name not in self.tiles:
-                self.tiles[name] = Tile(name, self._backend)
+                self.tiles[name] = Tile(name)
         for tile in self._shown:
             tile.hide()
             link_cameras([tile.view])

@@ -45,7 +45,7 @@ class CompareTab(MeasuringTab):
         for name, problem in method_problems().items():
             context.messages.show_message(f"method {name}", Severity.WARNING, f"A method is missing: {problem}.")
         remembered = self._settings.text(_CHOSEN, ",".join(_AT_FIRST)).split(",")
-        self.grid = TileGrid(context.cloud_backend)
+        self.grid = TileGrid()
         self.table = CompareTable(methods, remembered)
         self.thread_ = CompareThread(self)
         self._late = QTimer(self)

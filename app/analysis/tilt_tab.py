@@ -53,7 +53,7 @@ class TiltTab(MeasuringTab):
         #: The tilts of the source's frames, by frame number, the oldest first.
         self.rows: dict[int, TiltRow] = {}
         self.tilt: Tilt | None = None
-        self.cloud = CloudView("Patch and plane", context.cloud_backend)
+        self.cloud = CloudView("Patch and plane")
         self.roll = AngleDial(
             "Roll",
             "Angle about the proximity camera's x axis (right), degrees: positive where the lower edge of the image is "

@@ -82,9 +82,7 @@ class TrackTab(AnalysisTab):
         )
         self.export = push_button("E&xport…", "Write the tracked poses: a table (CSV), or a TUM trajectory for evo")
         self.progress, self.cancel = ProgressBar(), push_button("Cancel", "Stop reading or searching")
-        self.views = TrackViews(
-            PickView("Model", context.cloud_backend), PickView("Patch and model", context.cloud_backend)
-        )
+        self.views = TrackViews(PickView("Model"), PickView("Patch and model"))
         self.pose, self.plot = PosePanel(), PosePlot()
         self.align = AlignPanel("Start pose", "model", "model", refines=False)
         self._lay_out()

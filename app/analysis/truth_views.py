@@ -16,7 +16,7 @@ from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_RGB, CONTACT_ROW,
 from ...widgets.basics.controls import ElidedLabel, push_button
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.clouds.cloud_data import DepthCloud, free_cloud
-from ...widgets.clouds.cloud_view import BackendChoice, as_place
+from ...widgets.clouds.cloud_view import as_place
 from ...widgets.clouds.pick_view import PickView, Spot
 from ...widgets.clouds.pose_handles import PoseHandles
 from ...widgets.images.marks import MarkKind
@@ -102,14 +102,14 @@ _NO_PATCH = "No patch yet: show a frame with contact in the main window"
 class TruthViews(QSplitter):
     """Draws what a `TruthFlow` holds."""
 
-    def __init__(self, flow: TruthFlow, backend: BackendChoice) -> None:
+    def __init__(self, flow: TruthFlow) -> None:
         super().__init__(Qt.Orientation.Horizontal)
         self._flow = flow
         self._highlight = True
         self._selected = -1
         self._drawn: tuple[object, ...] = ()
-        self.scan = PickView("Scan", backend)
-        self.patch = PickView("Patch", backend)
+        self.scan = PickView("Scan")
+        self.patch = PickView("Patch")
         self.scan_name = ElidedLabel("no scan")
         self.patch_name = ElidedLabel("no frame")
         self.present = push_button("Use current", "Align to the main window's current frame; pairs and pose stay")

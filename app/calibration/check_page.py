@@ -23,7 +23,7 @@ from ...core.preset.checks import rig_in_use
 from ...widgets.basics.controls import AccentButton, push_button
 from ...widgets.basics.layouts import hbox, splitter, vbox
 from ...widgets.basics.theme import theme_name
-from ...widgets.clouds.cloud_view import BackendChoice, CloudView, link_cameras
+from ...widgets.clouds.cloud_view import CloudView, link_cameras
 from ...widgets.images.point_image import PointImage
 from ..document.document import Document
 from ..worker.feed import FrameFeed
@@ -47,7 +47,7 @@ _WHICH = (("new", "New"), ("present", "Present"))
 class CheckPage(QWidget):
     """The tactile image over the proximity image, and the contact patch with each alignment."""
 
-    def __init__(self, session: Session, document: Document, feed: FrameFeed, backend: BackendChoice = "auto") -> None:
+    def __init__(self, session: Session, document: Document, feed: FrameFeed) -> None:
         super().__init__()
         self._session, self._document, self._feed = session, document, feed
         self._outcome = Outcome()
@@ -63,8 +63,8 @@ class CheckPage(QWidget):
         self.image = PointImage("Tactile image over proximity image")
         self.image.set_loupe_wanted(False)
         self.clouds = {
-            "present": CloudView("Present alignment", backend),
-            "new": CloudView("New alignment", backend),
+            "present": CloudView("Present alignment"),
+            "new": CloudView("New alignment"),
         }
         link_cameras(list(self.clouds.values()))
         self.table = _comparison_table()

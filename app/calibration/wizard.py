@@ -27,7 +27,6 @@ from ...widgets.basics.controls import AccentButton, push_button, wrapped_label
 from ...widgets.basics.dialogs import Dialogs, bring_up
 from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.basics.messages import Messages, Severity
-from ...widgets.clouds.cloud_view import BackendChoice
 from ..context import SOURCE, TASK, Context
 from ..document.document import Document
 from ..worker.feed import FrameFeed
@@ -69,8 +68,6 @@ class CalibrationWizard(QDialog):
         Where the state is saved when the wizard is closed.
     native_dialogs : bool
         Use the operating system's file dialogs.
-    backend : "auto", "opengl" or "software"
-        Of the 3D views.
 
     Signals
     -------
@@ -86,7 +83,6 @@ class CalibrationWizard(QDialog):
         document: Document,
         folder: Path,
         native_dialogs: bool = True,
-        backend: BackendChoice = "auto",
         parent: QWidget | None = None,
     ) -> None:
         super().__init__(parent)
@@ -106,7 +102,7 @@ class CalibrationWizard(QDialog):
         self.points = PointsPage(self.session, snap)
         self.model = ModelPage(self.session)
         self.quality = QualityPage(self.session)
-        self.check = CheckPage(self.session, document, feed, backend)
+        self.check = CheckPage(self.session, document, feed)
         self.pages: tuple[QWidget, ...] = (self.frames, self.points, self.model, self.quality, self.check)
         #: What a page offers to do before *Next*; both stand at the same place on every page.
         self.page_actions = {0: self.frames.take, 1: self.points.finder.search}
@@ -541,7 +537,6 @@ class CalibrationLauncher(QObject):
                 context.document,
                 context.data_folder / "calibration",
                 context.dialogs.native,
-                context.cloud_backend,
                 context.window,
             )
             self.wizard.fileSaveRequested.connect(context.saveRequested)

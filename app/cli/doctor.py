@@ -104,7 +104,7 @@ def doctor(
     *,
     as_json: Annotated[bool, typer.Option("--json", help="Print the checks as JSON.")] = False,
 ) -> None:
-    """Check Python, packages, camera driver, USB, permissions, Qt and OpenGL, and name a remedy for each problem.
+    """Check Python, packages, camera driver, USB, permissions, Qt and display, and name a remedy for each problem.
 
     Exit status 0 if no check fails (warnings concern only some uses), 1 if one does.
     """

@@ -156,7 +156,7 @@ def _check_x_display() -> None:
     if refused:
         raise TactuneError(
             f"the display {display} does not answer; set DISPLAY to one that does, use tactune run, "
-            "or put xvfb-run before the command for a picture"
+            "or QT_QPA_PLATFORM=offscreen for a picture"
         )
 
 
@@ -171,7 +171,7 @@ def _open_window(
 ) -> int:
     if sys.platform == "linux" and not any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"))):
         raise TactuneError(
-            "there is no display to open a window on; use tactune run, or put xvfb-run before the command for a picture"
+            "there is no display to open a window on; use tactune run, or QT_QPA_PLATFORM=offscreen for a picture"
         )
     _check_x_display()
     try:

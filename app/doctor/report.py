@@ -35,5 +35,5 @@ def all_checks() -> Sequence[Callable[[], Sequence[Check]]]:
         cameras.check_cameras,
         system.check_qt,
         system.check_qt_libraries,
-        system.check_opengl,
+        system.check_display,
     )

@@ -1,4 +1,4 @@
-"""Checks of Python, packages, compiled code, folders and memory, and of what the window needs: Qt, display, OpenGL."""
+"""Checks of Python, packages, compiled code, folders and memory, and of what the window needs: Qt, display."""
 
 from __future__ import annotations
 
@@ -148,24 +148,6 @@ _PACKAGES = {
     "libxcb-xkb.so.1": "libxcb-xkb1",
 }
 
-_OPENGL = """
-import json, sys
-from PyQt6.QtGui import QGuiApplication, QOffscreenSurface, QOpenGLContext
-application = QGuiApplication(["tactune-doctor"])
-surface, context = QOffscreenSurface(), QOpenGLContext()
-surface.create()
-if not context.create() or not context.makeCurrent(surface):
-    print(json.dumps({"problem": "this display gives no OpenGL context"}))
-    sys.exit(0)
-from tactune.widgets.clouds.gl_functions import RENDERER, VERSION, GLError, GLFunctions
-try:
-    gl = GLFunctions(context)
-    print(json.dumps({"renderer": gl.glGetString(RENDERER).decode(errors="replace"),
-                      "version": gl.glGetString(VERSION).decode(errors="replace")}))
-except GLError as error:
-    print(json.dumps({"problem": str(error)}))
-"""
-
 
 def check_qt() -> list[Check]:
     """Check that the packages of the window are installed."""
@@ -203,26 +185,15 @@ def check_qt_libraries(run: RunChild = run_child, files: tuple[Path, ...] | None
     return [Check(name, State.OK, "all found")]
 
 
-def check_opengl(run: RunChild = run_child, environment: Mapping[str, str] = os.environ) -> list[Check]:
-    """Create an OpenGL context on this display, as the 3D views do."""
-    name = "OpenGL"
+def check_display(environment: Mapping[str, str] = os.environ) -> list[Check]:
+    """Check that there is a display for the window."""
     if find_spec("PyQt6") is None:
         return []
-    if not any(environment.get(variable) for variable in ("DISPLAY", "WAYLAND_DISPLAY")):
-        remedy = f"The window needs a display: log in at the machine, or use ssh -X; {_HEADLESS}"
-        return [Check(name, State.WARN, "there is no display (DISPLAY and WAYLAND_DISPLAY are empty)", remedy)]
-    child = run(python_child(_OPENGL))
-    painter = "The 3D views are drawn in software; install the graphics driver for more speed."
-    if child.problem:
-        remedy = f"Check that the display answers and the Qt libraries are there. {_HEADLESS.capitalize()}"
-        return [Check(name, State.FAIL, f"making a context: {child.problem}", remedy)]
-    answer = child.answer()
-    if "renderer" not in answer:
-        return [Check(name, State.WARN, str(answer.get("problem", "no answer")), painter)]
-    found = f"{answer['version']}, {answer['renderer']}"
-    if "llvmpipe" in found.lower() or "softpipe" in found.lower():
-        return [Check(name, State.WARN, f"{found}: no graphics processor", painter)]
-    return [Check(name, State.OK, found)]
+    named = [name for name in ("DISPLAY", "WAYLAND_DISPLAY") if environment.get(name)]
+    if named:
+        return [Check("Display", State.OK, ", ".join(f"{name}={environment[name]}" for name in named))]
+    remedy = f"The window needs a display: log in at the machine, or use ssh -X; {_HEADLESS}"
+    return [Check("Display", State.WARN, "there is no display (DISPLAY and WAYLAND_DISPLAY are empty)", remedy)]
 
 
 def _qt_files() -> tuple[Path, ...]:

@@ -20,7 +20,6 @@ from ...widgets.basics.layouts import vbox
 from ...widgets.basics.messages import MessageHistory, Messages, Severity
 from ...widgets.basics.style import apply_theme
 from ...widgets.basics.theme import ThemeChoice, theme_name
-from ...widgets.clouds.cloud_view import BackendChoice
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ...widgets.plots.time_strip import TimeStrip
@@ -91,8 +90,6 @@ class MainWindow(QMainWindow):
         Folder for unsaved work.
     native_dialogs : bool
         Use the operating system's file dialogs.
-    backend : "auto", "opengl" or "software"
-        How the 3D views are drawn.
     """
 
     def __init__(
@@ -101,7 +98,6 @@ class MainWindow(QMainWindow):
         settings: Settings,
         data_folder: Path,
         native_dialogs: bool = True,
-        backend: BackendChoice = "auto",
     ) -> None:
         super().__init__()
         self.settings = settings
@@ -113,7 +109,7 @@ class MainWindow(QMainWindow):
         self.opening = ProgressCard("Progress of opening", "Cancel opening; the present source stays")
         self.recording_bar = RecordingBar()
         self.export_bar = ProgressCard("Progress of the export", "Cancel the export")
-        self.views = ViewArea(self.actions_, backend)
+        self.views = ViewArea(self.actions_)
         self.messages = Messages(self.views)
         self.worker.opened.connect(self._forget_source)  # before the parts below speak of the new one
         self.strip = ImageStrip()
@@ -130,7 +126,6 @@ class MainWindow(QMainWindow):
             settings,
             data_folder,
             self,
-            lambda: self.views.backend,
         )
         self.file_flows = FileFlows(self.context, self.autosave)
         self.presenter = FramePresenter(

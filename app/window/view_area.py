@@ -38,7 +38,7 @@ from ...widgets.basics.controls import ChoiceBox, caption
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.wipe import Wipe
 from ...widgets.clouds.cloud_data import DepthCloud
-from ...widgets.clouds.cloud_view import BackendChoice, link_cameras
+from ...widgets.clouds.cloud_view import link_cameras
 from ...widgets.clouds.inspect_view import InspectView
 from ..worker.rendering import VALUE_ROWS, patch_difference_limit, patch_difference_lut
 from ..worker.results import CloudName, ColorBy, ComparedFrame, ComparedSide, Rendered, Result, SourceInfo
@@ -131,9 +131,9 @@ class ViewArea(QWidget):
     wantedChanged = pyqtSignal()
     wipeDragged = pyqtSignal(float)
 
-    def __init__(self, actions: Actions, backend: BackendChoice = "auto") -> None:
+    def __init__(self, actions: Actions) -> None:
         super().__init__()
-        self.views = {name: InspectView(title, backend) for name, title in TITLES.items()}
+        self.views = {name: InspectView(title) for name, title in TITLES.items()}
         self.toggles = {
             CloudName.PROXIMITY: actions.show_proximity,
             CloudName.TACTILE: actions.show_tactile,
@@ -181,11 +181,6 @@ class ViewArea(QWidget):
         actions.zoom_to_patch.triggered.connect(self._zoom_to_patch)
         actions.zoom_to_patch.setEnabled(False)
         self._resize_points(self.point_size.value())
-
-    @property
-    def backend(self) -> BackendChoice:
-        """How the views are drawn now: "opengl" or "software"."""
-        return "opengl" if self.views[CloudName.PATCH].backend_name == "opengl" else "software"
 
     def chosen_colors(self) -> ColorBy:
         """Return the chosen meaning of the colours."""

@@ -62,9 +62,7 @@ def make_window(qtbot, preset, tmp_path, settings_file, monkeypatch) -> Iterator
     windows = []
 
     def make(start: Preset = preset, size: tuple[int, int] | None = (1280, 800)) -> MainWindow:
-        window = MainWindow(
-            start, Settings(settings_file), tmp_path / "unsaved", native_dialogs=False, backend="software"
-        )
+        window = MainWindow(start, Settings(settings_file), tmp_path / "unsaved", native_dialogs=False)
         windows.append(window)
         window.set_theme("light", remember=False)
         window.settings.set("folder/preset", str(tmp_path))

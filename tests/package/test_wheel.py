@@ -23,7 +23,7 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = ("core", "widgets", "app", "presets", "pyproject.toml", "README.md", "LICENSE")
-FORBIDDEN = ("PyQt6", "pyqtgraph", "OpenGL", "open3d", "pyrealsense2")
+FORBIDDEN = ("PyQt6", "pyqtgraph", "open3d", "pyrealsense2")
 
 
 def needed_by(requirements: list[str]) -> dict[str, Distribution]:

@@ -13,7 +13,7 @@ from pytestqt.qtbot import QtBot
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.widgets.basics.colormaps import depth_lut
 from tactune.widgets.clouds.cloud_data import DepthCloud
-from tactune.widgets.clouds.cloud_view import BackendChoice, CloudView, link_cameras
+from tactune.widgets.clouds.cloud_view import CloudView, link_cameras
 from tactune.widgets.clouds.view_camera import ViewCamera
 
 LENS = Intrinsics(width=64, height=48, fx=46.0, fy=46.0, cx=31.5, cy=23.5)
@@ -88,11 +88,11 @@ def drag(view: CloudView, start: tuple[int, int], end: tuple[int, int], button: 
     QTest.mouseRelease(handle, button, modifier, b)  # type: ignore[arg-type]
 
 
-def three_linked(qtbot: QtBot, backend: BackendChoice) -> QWidget:
+def three_linked(qtbot: QtBot) -> QWidget:
     """A window with three cloud views that share a camera."""
     window = QWidget()
     layout = QHBoxLayout(window)
-    views = [CloudView(title, backend) for title in ("Proximity", "Tactile", "Contact patch")]
+    views = [CloudView(title) for title in ("Proximity", "Tactile", "Contact patch")]
     for view in views:
         layout.addWidget(view)
     link_cameras(views)

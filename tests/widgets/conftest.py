@@ -1,4 +1,4 @@
-"""Cloud views of both back ends, software anywhere, OpenGL where there is a display; and a parameter panel."""
+"""A cloud view and a parameter panel."""
 
 from __future__ import annotations
 
@@ -6,13 +6,11 @@ from collections.abc import Iterator
 
 import pyqtgraph as pg
 import pytest
-from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
 from panel_steering import Recorder
 from seen_clouds import shown
-from tactune.widgets.clouds import gl_backend
-from tactune.widgets.clouds.cloud_view import BackendChoice, CloudView
+from tactune.widgets.clouds.cloud_view import CloudView
 from tactune.widgets.parameters.parameter_panel import ParameterPanel
 
 
@@ -25,25 +23,8 @@ def every_mouse_move_counts() -> Iterator[None]:
 
 
 @pytest.fixture
-def opengl(qapp: QApplication) -> BackendChoice:
-    """The OpenGL back end, emulated or not, where there is one."""
-    probe = gl_backend.probe_opengl()
-    if not probe.usable:
-        pytest.skip(f"no OpenGL context: {probe.reason}")
-    return "opengl"
-
-
-@pytest.fixture(params=["software", pytest.param("opengl", marks=pytest.mark.gl)])
-def backend(request: pytest.FixtureRequest) -> BackendChoice:
-    if request.param == "opengl":
-        request.getfixturevalue("opengl")
-    choice: BackendChoice = request.param
-    return choice
-
-
-@pytest.fixture
-def view(backend: BackendChoice, qtbot: QtBot) -> CloudView:
-    return shown(qtbot, CloudView("Proximity", backend))
+def view(qtbot: QtBot) -> CloudView:
+    return shown(qtbot, CloudView("Proximity"))
 
 
 @pytest.fixture

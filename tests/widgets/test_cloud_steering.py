@@ -1,4 +1,4 @@
-"""A cloud view follows mouse and keys and frames its content, equally with both back ends."""
+"""A cloud view follows mouse and keys and frames its content."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
 from seen_clouds import FRONT, RED, canvas_of, cloud_of, colored, drag, picture, pixels_of, shown, three_linked, wall
-from tactune.widgets.clouds.cloud_view import BackendChoice, CloudView
+from tactune.widgets.clouds.cloud_view import CloudView
 from tactune.widgets.clouds.view_camera import ViewCamera
 
 
-def test_orbiting_one_view_turns_all_and_each_says_so_once(qtbot: QtBot, backend: BackendChoice) -> None:
-    window = three_linked(qtbot, backend)
+def test_orbiting_one_view_turns_all_and_each_says_so_once(qtbot: QtBot) -> None:
+    window = three_linked(qtbot)
     views = window.findChildren(CloudView)
     for view in views:
         view.set_cloud(cloud_of(wall()))
@@ -108,7 +108,7 @@ def test_keys_orbit_zoom_and_choose_viewpoints(view: CloudView) -> None:
 
 
 def test_focused_keys_win_over_shortcuts_of_the_application(qtbot: QtBot) -> None:
-    view = shown(qtbot, CloudView("Keys", "software"))
+    view = shown(qtbot, CloudView("Keys"))
     pressed: list[str] = []
     for key in ("T", "Ctrl+T"):
         shortcut = QShortcut(key, view)
@@ -134,7 +134,7 @@ def test_a_double_click_resets(view: CloudView) -> None:
 
 
 def test_the_focus_ring_is_seen(qtbot: QtBot) -> None:
-    view = shown(qtbot, CloudView("Focus", "software"))
+    view = shown(qtbot, CloudView("Focus"))
     view.clearFocus()
     plain = view.grab().toImage()
     drag(view, (60, 60), (60, 60), Qt.MouseButton.LeftButton)
@@ -185,7 +185,7 @@ def test_a_new_frame_does_not_move_the_camera(view: CloudView) -> None:
 
 
 def test_linked_views_frame_all_their_clouds(qtbot: QtBot) -> None:
-    window = three_linked(qtbot, "software")
+    window = three_linked(qtbot)
     views = window.findChildren(CloudView)
     left, right = wall(), wall()
     left[:, 40:] = 0
@@ -199,4 +199,4 @@ def test_linked_views_frame_all_their_clouds(qtbot: QtBot) -> None:
 
 def test_an_unknown_viewpoint_is_refused(qtbot: QtBot) -> None:
     with pytest.raises(ValueError, match="choose one of reset, front, top, side"):
-        shown(qtbot, CloudView("V", "software")).look_from("bottom")  # type: ignore[arg-type]
+        shown(qtbot, CloudView("V")).look_from("bottom")  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Picking, measuring and enlarging in a 3D view, equally with both back ends."""
+"""Picking, measuring and enlarging in a 3D view."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from PyQt6.QtTest import QTest
 from pytestqt.qtbot import QtBot
 
 from seen_clouds import FRONT, canvas_of, cloud_of, picture, shown, wall
-from tactune.widgets.clouds.cloud_view import BackendChoice
 from tactune.widgets.clouds.inspect_view import InspectView
 
 LEFT = Qt.MouseButton.LeftButton
@@ -17,8 +16,8 @@ SHIFT = Qt.KeyboardModifier.ShiftModifier
 
 
 @pytest.fixture
-def view(backend: BackendChoice, qtbot: QtBot) -> InspectView:
-    made = InspectView("Patch", backend)
+def view(qtbot: QtBot) -> InspectView:
+    made = InspectView("Patch")
     shown(qtbot, made)
     made.set_cloud(cloud_of(wall()))
     made.set_camera(FRONT)

@@ -10,7 +10,6 @@ from pytestqt.qtbot import QtBot
 from scipy.spatial.transform import Rotation
 
 from seen_clouds import canvas_of
-from tactune.widgets.clouds import gl_backend
 from tactune.widgets.clouds.cloud_data import free_cloud
 from tactune.widgets.clouds.pick_view import STEP_M, STEP_RAD, PickView, Spot
 from tactune.widgets.clouds.pose_handles import Handle, PoseHandles
@@ -32,11 +31,11 @@ CENTRE = (0.0, 0.0, 0.3)
 
 @pytest.fixture
 def view(qtbot: QtBot) -> PickView:
-    return shown(qtbot, "software")
+    return shown(qtbot)
 
 
-def shown(qtbot: QtBot, backend: str) -> PickView:
-    made = PickView("Scan", backend)  # type: ignore[arg-type]
+def shown(qtbot: QtBot) -> PickView:
+    made = PickView("Scan")
     made.resize(420, 420)
     qtbot.addWidget(made)
     with qtbot.waitExposed(made):
@@ -76,11 +75,8 @@ def total(changes: list[np.ndarray]) -> np.ndarray:
     return product
 
 
-@pytest.mark.parametrize("backend", ["software", pytest.param("opengl", marks=pytest.mark.gl)])
-def test_a_click_takes_the_point_that_is_seen_there(qtbot: QtBot, backend: str) -> None:
-    if backend == "opengl" and not gl_backend.probe_opengl().usable:
-        pytest.skip("no OpenGL context")
-    view = shown(qtbot, backend)
+def test_a_click_takes_the_point_that_is_seen_there(qtbot: QtBot) -> None:
+    view = shown(qtbot)
     clicks: list[tuple[int, tuple[float, float, float]]] = []
     view.pointClicked.connect(lambda pixel, place: clicks.append((pixel, place)))
     for index in (100, len(NEAR) + 300):
@@ -206,11 +202,8 @@ def test_ctrl_and_keys_move_by_steps(view: PickView, key: Qt.Key, moved: tuple[f
     assert view.camera() == CAMERA
 
 
-@pytest.mark.parametrize("backend", ["software", pytest.param("opengl", marks=pytest.mark.gl)])
-def test_marks_stand_where_they_were_set(qtbot: QtBot, backend: str) -> None:
-    if backend == "opengl" and not gl_backend.probe_opengl().usable:
-        pytest.skip("no OpenGL context")
-    view = shown(qtbot, backend)
+def test_marks_stand_where_they_were_set(qtbot: QtBot) -> None:
+    view = shown(qtbot)
     before = canvas_of(view).grab().toImage()
     view.set_spots([Spot((0.04, 0.0, 0.35), "7")])
     at = on_screen(view, (0.04, 0.0, 0.35)) - canvas_of(view).pos()

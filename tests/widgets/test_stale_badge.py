@@ -13,7 +13,6 @@ from contrast import contrast_ratio
 from tactune.widgets.basics.stale_badge import BADGE_COLORS
 from tactune.widgets.basics.style import apply_theme
 from tactune.widgets.basics.theme import ThemeName, theme_colors
-from tactune.widgets.clouds import gl_backend
 from tactune.widgets.clouds.cloud_view import CloudView
 from tactune.widgets.images.image_pane import ImagePane
 
@@ -39,13 +38,9 @@ def theme(request: pytest.FixtureRequest, qapp: QApplication) -> ThemeName:
     return name
 
 
-@pytest.mark.parametrize("backend", ["software", pytest.param("opengl", marks=pytest.mark.gl)])
-def test_a_cloud_view_shows_and_drops_the_mark(qtbot: QtBot, theme: ThemeName, backend: str) -> None:
-    if backend == "opengl" and not gl_backend.probe_opengl().usable:
-        pytest.skip("no OpenGL context")
-    view = CloudView("Tactile", backend)  # type: ignore[arg-type]
+def test_a_cloud_view_shows_and_drops_the_mark(qtbot: QtBot, theme: ThemeName) -> None:
+    view = CloudView("Tactile")
     shown(qtbot, view)
-    assert view.backend_name == backend
     plate, _, ink = BADGE_COLORS[theme]
     view.set_badge(TEXT)
     assert view.badge() == view.accessibleDescription() == TEXT

@@ -12,7 +12,7 @@ from pytestqt.qtbot import QtBot
 from seen_clouds import FRONT, GREEN, RED, canvas_of, cloud_of, colored, drag, picture, red_wall, shown, wall
 from tactune.widgets.basics.wipe import Wipe
 from tactune.widgets.clouds.cloud_data import DepthCloud
-from tactune.widgets.clouds.cloud_view import BackendChoice, CloudView
+from tactune.widgets.clouds.cloud_view import CloudView
 from tactune.widgets.images.image_strip import ImageStrip, RenderedStrip
 
 LEFT = Qt.MouseButton.LeftButton
@@ -25,8 +25,8 @@ def green_wall() -> DepthCloud:
 
 
 @pytest.fixture
-def view(backend: BackendChoice, qtbot: QtBot) -> CloudView:
-    made = shown(qtbot, CloudView("Patch", backend))
+def view(qtbot: QtBot) -> CloudView:
+    made = shown(qtbot, CloudView("Patch"))
     made.set_camera(FRONT)
     made.set_cloud(red_wall())
     return made

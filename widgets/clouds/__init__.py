@@ -1,1 +1,1 @@
-"""3D views of point clouds, drawn with OpenGL or by the processor."""
+"""3D views of point clouds, drawn by the processor."""

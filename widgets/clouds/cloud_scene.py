@@ -1,4 +1,4 @@
-"""What a cloud view shows, and the overlays that both back ends paint over it."""
+"""What a cloud view shows, and the overlays that are painted over it."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
 
-from PyQt6.QtCore import QPointF, QRectF, QSizeF, Qt
-from PyQt6.QtGui import QColor, QFontMetricsF, QImage, QPainter, QPalette, QPen, QStaticText
+from PyQt6.QtCore import QPointF, QRectF, Qt
+from PyQt6.QtGui import QColor, QFontMetricsF, QImage, QPainter, QPalette, QPen
 from PyQt6.QtWidgets import QWidget
 
 from ..basics.colormaps import Theme, palette_theme
@@ -32,10 +32,9 @@ class CloudScene:
     """The state that a view shares with the canvas that draws it.
 
     ``point_size`` is in device-independent pixels; while ``running``, frames follow each other and points that would
-    lie closer than the screen can show may be left out; ``message`` is painted when not empty, ``note``
-    is painted small in the lower right corner; ``badge`` says why the cloud is old, and dims it;
-    ``ornament`` paints what a view adds, such as marks, on the canvas. While there is a ``wipe``, ``right`` is
-    drawn right of it instead of ``cloud``.
+    lie closer than the screen can show may be left out; ``message`` is painted when not empty; ``badge`` says why the
+    cloud is old, and dims it; ``ornament`` paints what a view adds, such as marks, on the canvas. While there is a
+    ``wipe``, ``right`` is drawn right of it instead of ``cloud``.
     """
 
     cloud: DepthCloud | None = None
@@ -45,7 +44,6 @@ class CloudScene:
     point_size: float = 2.0
     running: bool = False
     message: str = ""
-    note: str = ""
     badge: str = ""
     ornament: Callable[[QPainter, QWidget], None] | None = None
 
@@ -65,7 +63,7 @@ class CloudScene:
 
 
 def paint_overlay(painter: QPainter, widget: QWidget, scene: CloudScene) -> None:
-    """Paint the axes, the wipe, the message, the note and the badge over a drawn cloud."""
+    """Paint the axes, the wipe, the message and the badge over a drawn cloud."""
     if scene.badge:
         paint_badge(painter, QRectF(widget.rect()), widget.palette(), widget.font(), scene.badge)
     painter.setRenderHint(QPainter.RenderHint.Antialiasing)
@@ -74,8 +72,6 @@ def paint_overlay(painter: QPainter, widget: QWidget, scene: CloudScene) -> None
         scene.ornament(painter, widget)
     if scene.wipe is not None:
         paint_wipe(painter, QRectF(widget.rect()), scene.wipe, text_font("caption"))
-    if scene.note:
-        _paint_note(painter, widget, scene.note)
     if scene.message:
         _paint_message(painter, widget, scene.message)
 
@@ -131,24 +127,3 @@ def _paint_message(painter: QPainter, widget: QWidget, message: str) -> None:
     painter.drawRoundedRect(text.adjusted(-12.0, -8.0, 12.0, 8.0), 6.0, 6.0)
     painter.setPen(widget.palette().color(QPalette.ColorRole.Text))
     painter.drawText(room, _MESSAGE_FLAGS, message)
-
-
-def _paint_note(painter: QPainter, widget: QWidget, note: str) -> None:
-    font = text_font("caption")
-    painter.setFont(font)
-    painter.setPen(widget.palette().color(QPalette.ColorRole.PlaceholderText))
-    room = QRectF(widget.rect()).adjusted(2 * _AXIS_MARGIN, 0.0, -6.0, -4.0)
-    text, size = _fitting_note(note, room.width(), font.key())
-    painter.drawStaticText(room.bottomRight() - QPointF(size.width(), size.height()), text)
-
-
-@lru_cache(maxsize=8)
-def _fitting_note(note: str, width: float, _font: str) -> tuple[QStaticText, QSizeF]:
-    """Return a note laid out on one line, and its size; the tooltip has the whole reason."""
-    font = text_font("caption")
-    metrics = QFontMetricsF(font)
-    fitting = note if metrics.horizontalAdvance(note) <= width else note.partition(":")[0]
-    text = QStaticText(metrics.elidedText(fitting, Qt.TextElideMode.ElideRight, width))
-    text.setTextFormat(Qt.TextFormat.PlainText)
-    text.prepare(font=font)
-    return text, text.size()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import pi, radians
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -27,9 +26,8 @@ from ..basics.wipe import Wipe
 from .cloud_data import DepthCloud
 from .cloud_labels import CloudHeader, LegendLine
 from .cloud_scene import CloudScene, message_rect
+from .software_backend import CloudCanvas
 from .view_camera import VIEWPOINTS, ViewCamera, Viewpoint
-
-BackendChoice = Literal["auto", "opengl", "software"]
 
 Place = tuple[float, float, float]
 
@@ -69,16 +67,7 @@ _VIEWPOINT_KEYS: dict[int, Viewpoint] = {
 class CloudView(QWidget):
     """Title, number of points, the cloud itself and a legend.
 
-    The cloud is drawn by OpenGL, or by the software painter where OpenGL is missing, merely emulated,
-    or fails while running; `backend_name` and `backend_reason` tell. Until somebody steers it, the
-    camera frames the cloud by itself, and again whenever the view is resized.
-
-    Parameters
-    ----------
-    title : str
-        Shown above the cloud and read by screen readers.
-    backend : "auto", "opengl" or "software"
-        "opengl" insists even on emulated OpenGL, yet falls back where there is none.
+    Until somebody steers it, the camera frames the cloud by itself, and again whenever the view is resized.
     """
 
     #: Help on mouse and keys, shown as the tooltip.
@@ -96,7 +85,7 @@ class CloudView(QWidget):
     #: The button below the message was pressed.
     offerPressed = pyqtSignal()
 
-    def __init__(self, title: str, backend: BackendChoice = "auto", parent: QWidget | None = None) -> None:
+    def __init__(self, title: str, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._scene = CloudScene()
         self._message, self._right_message = "", ""
@@ -110,12 +99,10 @@ class CloudView(QWidget):
         self._drag_from: QPointF | None = None
         self._drag_pans = False
         self._drags_wipe = False
-        self.backend_name = ""
-        self.backend_reason = ""
 
         self._header = CloudHeader(title)
         self._legend = LegendLine()
-        self._canvas = self._choose_canvas(backend)
+        self._canvas = CloudCanvas(self._scene, self)
         self._offer = QPushButton(self)
         self._offer.setObjectName("offer")
         self._offer.hide()
@@ -125,6 +112,7 @@ class CloudView(QWidget):
             widget.setMouseTracking(self.FOLLOWS_MOUSE)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAccessibleName(f"3D view: {title}")
+        self.setToolTip(self.HELP)
         self._show_count()
 
     def _lay_out(self) -> None:
@@ -351,48 +339,6 @@ class CloudView(QWidget):
         under = np.flatnonzero(off <= max(float(off.min()), _UNDER_PX))
         chosen = under[np.argmin(seen[under, 2])]
         return int(found[chosen]), as_place(points[chosen])
-
-    # Back ends
-
-    def _choose_canvas(self, backend: BackendChoice) -> QWidget:
-        if backend != "software":
-            try:
-                from .gl_backend import GLCanvas, probe_opengl
-            except ImportError as error:
-                return self._software_canvas(f"Software view: OpenGL cannot be loaded ({error})")
-            probe = probe_opengl()
-            if probe.usable and (backend == "opengl" or not probe.emulated):
-                canvas = GLCanvas(self._scene, self)
-                canvas.failed.connect(self._fall_back, Qt.ConnectionType.QueuedConnection)  # type: ignore[call-arg]
-                self._note_backend("opengl", "")
-                return canvas
-            return self._software_canvas(f"Software view: {probe.reason}")
-        return self._software_canvas("")
-
-    def _software_canvas(self, reason: str) -> QWidget:
-        from .software_backend import SoftwareCanvas
-
-        self._note_backend("software", reason)
-        return SoftwareCanvas(self._scene, self)
-
-    def _note_backend(self, name: str, reason: str) -> None:
-        self.backend_name, self.backend_reason = name, reason
-        self._scene.note = reason
-        self.setToolTip(self.HELP + (f"<p>{reason}.</p>" if reason else ""))
-
-    def _fall_back(self, reason: str) -> None:
-        """Switch to the software back end after an OpenGL failure."""
-        if self.backend_name == "software":
-            return
-        broken = self._canvas
-        self._canvas = self._software_canvas(f"Software view: {reason}")
-        self._canvas.setObjectName("canvas")
-        self._canvas.setMouseTracking(self.hasMouseTracking())
-        self._body.replaceWidget(broken, self._canvas)
-        broken.setObjectName("")
-        broken.hide()
-        QTimer.singleShot(0, broken.deleteLater)
-        self._canvas.show()
 
     # Events
 

@@ -10,7 +10,7 @@ from PyQt6.QtWidgets import QWidget
 
 from ...core.errors import minus
 from ..basics.theme import CASING
-from .cloud_view import CLICK_PX, BackendChoice, CloudView, Place
+from .cloud_view import CLICK_PX, CloudView, Place
 
 #: Milliseconds between searches for the point under the moving mouse.
 _HOVER_MS = 30
@@ -45,8 +45,8 @@ class InspectView(CloudView):
     enlargeRequested = pyqtSignal()
     menuRequested = pyqtSignal(object, object)
 
-    def __init__(self, title: str, backend: BackendChoice = "auto", parent: QWidget | None = None) -> None:
-        super().__init__(title, backend, parent)
+    def __init__(self, title: str, parent: QWidget | None = None) -> None:
+        super().__init__(title, parent)
         self._mark: Place | None = None
         self._ends: tuple[Place, ...] = ()
         self._pressed: QPointF | None = None

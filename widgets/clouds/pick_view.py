@@ -16,7 +16,7 @@ from ..basics.gestures import GestureClock
 from ..basics.theme import CASING
 from ..images.marks import COLORS, MarkKind
 from .cloud_scene import AXIS_COLORS
-from .cloud_view import CLICK_PX, BackendChoice, CloudView
+from .cloud_view import CLICK_PX, CloudView
 from .pose_handles import Handle, PoseHandles, moving, turning
 
 #: Step of one key press: metres and radians.
@@ -72,8 +72,8 @@ class PickView(CloudView):
     pointClicked = pyqtSignal(int, object)
     nudged = pyqtSignal(object, int)
 
-    def __init__(self, title: str, backend: BackendChoice = "auto", parent: QWidget | None = None) -> None:
-        super().__init__(title, backend, parent)
+    def __init__(self, title: str, parent: QWidget | None = None) -> None:
+        super().__init__(title, parent)
         self._spots: tuple[Spot, ...] = ()
         self._handles: PoseHandles | None = None
         self._held: Handle | None = None

@@ -203,9 +203,9 @@ class SoftwareRenderer:
         Parameters
         ----------
         size : tuple of int
-            Width and height in physical pixels.
+            Width and height of the picture in pixels.
         point_size : int
-            Edge length of a point in physical pixels.
+            Edge length of a point in pixels of the picture.
         thinned : bool
             Draw only every other row and column of the cloud.
         """
@@ -308,7 +308,11 @@ class _Picture:
         return self._thinned
 
 
-class SoftwareCanvas(QWidget):
+#: Largest view in physical pixels that is drawn sharp; a larger one, as on a 4K screen, is drawn at logical pixels.
+_MAX_SHARP = 1_200_000
+
+
+class CloudCanvas(QWidget):
     """Shows a scene with `SoftwareRenderer`, redrawing only what changed."""
 
     def __init__(self, scene: CloudScene, parent: QWidget | None = None) -> None:
@@ -320,6 +324,8 @@ class SoftwareCanvas(QWidget):
     def paintEvent(self, _event: QPaintEvent | None) -> None:
         """Draw the cloud and the overlays."""
         ratio = self.devicePixelRatioF()
+        if self.width() * self.height() * ratio**2 > _MAX_SHARP:
+            ratio = 1.0
         size = max(1, round(self.width() * ratio)), max(1, round(self.height() * ratio))
         background = self._scene.background(self)
         camera, points = self._scene.camera, max(1, round(self._scene.point_size * ratio))

@@ -87,13 +87,6 @@ class ViewCamera:
         matrix.flags.writeable = False
         return matrix
 
-    def clip_matrix(self, width: int, height: int) -> Float64Array:
-        """Return the same projection to OpenGL's clip coordinates: float64 (4, 4)."""
-        u, v, w = self.pixel_matrix(width, height)
-        near, far = NEAR * self.distance, FAR * self.distance
-        depth = (far + near) / (far - near) * w - np.array([0, 0, 0, 2 * far * near / (far - near)])
-        return np.stack([2 / width * u - w, w - 2 / height * v, depth, w])
-
     def project(self, points: npt.ArrayLike, width: int, height: int) -> Float64Array:
         """Project points to ``(u, v, w)``: float64 (N, 3); see `pixel_matrix`."""
         points = np.asarray(points, dtype=np.float64)

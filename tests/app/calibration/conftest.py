@@ -165,7 +165,7 @@ def open_wizard(qtbot: QtBot, feed: FrameFeed, document: Document, tmp_path: Pat
     opened: list[CalibrationWizard] = []
 
     def open_it() -> CalibrationWizard:
-        wizard = CalibrationWizard(feed, document, tmp_path / "kept", native_dialogs=False, backend="software")
+        wizard = CalibrationWizard(feed, document, tmp_path / "kept", native_dialogs=False)
         opened.append(wizard)
         wizard.resize(1240, 760)
         wizard.show()

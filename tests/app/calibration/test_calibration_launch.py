@@ -42,9 +42,7 @@ class TinySource(SeekableSource):
 
 @pytest.fixture
 def window(qtbot, tmp_path, scene, frames):
-    made = MainWindow(
-        Preset(name="tiny"), Settings(tmp_path / "w.json"), tmp_path / "data", native_dialogs=False, backend="software"
-    )
+    made = MainWindow(Preset(name="tiny"), Settings(tmp_path / "w.json"), tmp_path / "data", native_dialogs=False)
     made.resize(1100, 700)
     made.show()
     made.activateWindow()

@@ -15,7 +15,7 @@ import pytest
 from tactune.app.cli.common import default_preset
 
 Tactune = Callable[..., Any]
-HEAVY = ("numpy", "scipy", "cv2", "numba", "pydantic", "open3d", "PyQt6", "pyqtgraph", "OpenGL")
+HEAVY = ("numpy", "scipy", "cv2", "numba", "pydantic", "open3d", "PyQt6", "pyqtgraph")
 
 
 def test_version(tactune: Tactune) -> None:

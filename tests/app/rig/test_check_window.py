@@ -69,9 +69,7 @@ def open_checks(qtbot, tmp_path) -> Iterator[Open]:
 
     def make(source: FrameSource) -> MainWindow:
         preset = Preset(name="tiny", contact_test="tolerance").with_value("outliers.enabled", False)
-        main = MainWindow(
-            preset, Settings(tmp_path / "window.json"), tmp_path, native_dialogs=False, backend="software"
-        )
+        main = MainWindow(preset, Settings(tmp_path / "window.json"), tmp_path, native_dialogs=False)
         windows.append(main)
         main.show()
         show_source(qtbot, main, source)

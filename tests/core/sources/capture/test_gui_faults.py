@@ -101,7 +101,7 @@ Watch = Callable[[Callable[[Path, Progress], FrameSource]], Watched]
 def watch(qtbot, tmp_path: Path) -> Iterator[Watch]:
     """Open a window on a source, wait for its first frame, and close it in the end."""
     preset = Preset.model_validate({"name": "tiny", "outliers": {"enabled": False}})
-    window = MainWindow(preset, Settings(tmp_path / "window.json"), tmp_path, native_dialogs=False, backend="software")
+    window = MainWindow(preset, Settings(tmp_path / "window.json"), tmp_path, native_dialogs=False)
 
     def make(opener: Callable[[Path, Progress], FrameSource]) -> Watched:
         window.show()
