@@ -206,8 +206,7 @@ class CompareTab(MeasuringTab):
         if self.comparison is None:
             return
         name = f"comparison_{self.comparison.task.result.frame.sequence:06d}.png"
-        place = self._export_folder() / name
-        self._dialogs.save_file("Save comparison", place, ["PNG picture, CSV beside it (*.png)"], self.save_to)
+        self._dialogs.save_file("export", "Save comparison", name, ["PNG picture, CSV beside it (*.png)"], self.save_to)
 
     def save_to(self, path: Path) -> None:
         """Write views and table as a picture, and the numbers as CSV beside it."""

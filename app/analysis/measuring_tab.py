@@ -139,9 +139,6 @@ def write_picture(picture: QImage | None, numbers: str, path: Path, what: str) -
     return f"{what} written to {path} and {beside.name}."
 
 
-_FOLDER = "folder/export"
-
-
 class MeasuringTab(AnalysisTab):
     """A row of controls with a status, messages, and a sheet that is exported as PNG and CSV.
 
@@ -179,12 +176,8 @@ class MeasuringTab(AnalysisTab):
     def _lay_out_around(self, sheet: QSplitter, row: QLayout) -> None:
         vbox(row, (sheet, 1), within=self, margins=0)
 
-    def _export_folder(self) -> Path:
-        return Path(self._settings.text(_FOLDER) or Path.home())
-
     def _write(self, picture: QImage | None, numbers: str, path: Path, what: str) -> None:
-        """Call `write_picture` on another thread and remember the folder."""
-        self._settings.set(_FOLDER, str(path.parent))
+        """Call `write_picture` on another thread."""
         self._writing.start(lambda _: write_picture(picture, numbers, path, what))
 
     def _say(self, sentence: str) -> None:

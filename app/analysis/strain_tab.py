@@ -265,7 +265,7 @@ class StrainTab(MeasuringTab):
         if not text and not self.curve.points:
             return
         name, filters = ("strain.csv", _FILTERS[1:]) if text else ("strain.png", _FILTERS)
-        self._dialogs.save_file("Save strain", self._export_folder() / name, filters, partial(self.save_to, text=text))
+        self._dialogs.save_file("export", "Save strain", name, filters, partial(self.save_to, text=text))
 
     def save_to(self, path: Path, text: str = "") -> None:
         """Write map and curve as a picture with the points as CSV; into a .csv file, only the points."""

@@ -233,7 +233,7 @@ class TiltTab(MeasuringTab):
     def _ask_where(self, text: str, _checked: bool = False) -> None:
         """Ask for a file for the present tilts, or for the CSV text of a former source's."""
         use = partial(self.save_to, text=text)
-        self._dialogs.save_file("Save tilt", self._export_folder() / "tilt.csv", ["CSV file (*.csv)"], use)
+        self._dialogs.save_file("export", "Save tilt", "tilt.csv", ["CSV file (*.csv)"], use)
 
     def save_to(self, path: Path, text: str = "") -> None:
         """Write the angles of all frames as CSV."""

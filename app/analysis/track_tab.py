@@ -49,7 +49,6 @@ from .truth_state import MIN_PAIRS, FrozenPatch, Side, TruthSession, TruthState
 
 _FILTER: Final = f"Meshes ({' '.join(f'*{suffix}' for suffix in SUFFIXES)})"
 _EXPORTS: Final = ["Table (*.csv)", "TUM trajectory (*.tum)"]
-_FOLDER, _EXPORT_FOLDER = "folder/mesh", "folder/export"
 _BY_SIZE: Final = "by size"
 _PANEL_WIDTH: Final = 340
 #: Poses that are kept for the export: the newest hour at 30 frames/s.
@@ -181,13 +180,11 @@ class TrackTab(AnalysisTab):
     def open_mesh(self, path: Path) -> None:
         """Read a mesh in the chosen unit; the present one stays until that has succeeded."""
         self._path = path
-        self._settings.set(_FOLDER, str(path.parent))
         unit = self.unit.currentText()
         self._open(partial(read_model, path, None if unit == _BY_SIZE else unit))
 
     def _ask_mesh(self) -> None:
-        folder = Path(self._settings.text(_FOLDER, str(Path.home())))
-        self._dialogs.over(self.window() or self).open_file("Open a mesh", folder, _FILTER, self.open_mesh)
+        self._dialogs.over(self.window() or self).open_file("mesh", "Open a mesh", _FILTER, self.open_mesh)
 
     def _open_simulated(self) -> None:
         if self._result is not None:
@@ -332,15 +329,11 @@ class TrackTab(AnalysisTab):
     # Files
 
     def _ask_export(self, records: list[dict[str, Any]]) -> None:
-        folder = Path(self._settings.text(_EXPORT_FOLDER) or Path.home())
-        suggestion = folder / "poses.csv"
         self._dialogs.over(self.window() or self).save_file(
-            "Export the poses", suggestion, _EXPORTS, partial(self._write, records)
+            "export", "Export the poses", "poses.csv", _EXPORTS, partial(self._write, records)
         )
 
     def _write(self, records: list[dict[str, Any]], path: Path) -> None:
-        self._settings.set(_EXPORT_FOLDER, str(path.parent))
-
         def write(_progress: object) -> str:
             save_poses(path, records)
             return f"{len(records)} poses were written to {path}."

@@ -13,7 +13,6 @@ from PyQt6.QtGui import QCloseEvent, QKeyEvent, QKeySequence, QShortcut
 from PyQt6.QtWidgets import (
     QButtonGroup,
     QDialog,
-    QFileDialog,
     QHBoxLayout,
     QStackedWidget,
     QWidget,
@@ -52,7 +51,7 @@ _TIPS = (
     "Compare the new alignment with the present one, and save it",
 )
 _SAVE = STEPS.index("Save")
-_FILTERS = "Points (*.csv *.points);;All files (*)"
+_POINTS = "Points (*.csv *.points)"
 
 
 class CalibrationWizard(QDialog):
@@ -66,8 +65,14 @@ class CalibrationWizard(QDialog):
         The preset that the alignment is saved into, as one undoable step.
     folder : Path
         Where the state is saved when the wizard is closed.
+<<<<<<< HEAD
     native_dialogs : bool
         Use the operating system's file dialogs.
+=======
+    dialogs : Dialogs
+    backend : "auto", "opengl" or "software"
+        Of the 3D views.
+>>>>>>> 7298a8a4 (Dialogs remember the folder of each kind of file; the dialog Create rig is gone)
 
     Signals
     -------
@@ -82,14 +87,14 @@ class CalibrationWizard(QDialog):
         feed: FrameFeed,
         document: Document,
         folder: Path,
-        native_dialogs: bool = True,
+        dialogs: Dialogs,
         parent: QWidget | None = None,
     ) -> None:
         super().__init__(parent)
         self.setWindowTitle("Calibrate – Tactune")
         self.setWindowFlag(Qt.WindowType.WindowMaximizeButtonHint)
-        self._feed, self._document, self._native = feed, document, native_dialogs
-        self._dialogs = Dialogs(self, native_dialogs)
+        self._feed, self._document = feed, document
+        self._dialogs = dialogs.over(self)
         self.outcome = Outcome()
         self._saved = False
         rig = feed.rig
@@ -399,20 +404,13 @@ class CalibrationWizard(QDialog):
 
     def _report_dialog(self) -> None:
         suggested = (self._document.path or Path()).parent / "quality.html"
-        self._dialogs.save_file("Export quality report", suggested, ["HTML (*.html)"], self.export_report)
+        self._dialogs.save_file("export", "Export quality report", suggested, ["HTML (*.html)"], self.export_report)
 
     def _import_dialog(self) -> None:
-        path, _ = QFileDialog.getOpenFileName(self, "Import points", "", _FILTERS, options=self._options())
-        if path:
-            self.import_points(Path(path))
+        self._dialogs.open_file("points", "Import points", _POINTS, self.import_points)
 
     def _export_dialog(self) -> None:
-        path, _ = QFileDialog.getSaveFileName(self, "Export points", "points.csv", _FILTERS, options=self._options())
-        if path:
-            self.export_points(Path(path))
-
-    def _options(self) -> QFileDialog.Option:
-        return QFileDialog.Option(0) if self._native else QFileDialog.Option.DontUseNativeDialog
+        self._dialogs.save_file("points", "Export points", "points.csv", [_POINTS], self.export_points)
 
     def save_preset(self) -> None:
         """Put the alignment into the preset and save its file; ask first if it is worse than the present one."""
@@ -536,7 +534,7 @@ class CalibrationLauncher(QObject):
                 self._feed,
                 context.document,
                 context.data_folder / "calibration",
-                context.dialogs.native,
+                context.dialogs,
                 context.window,
             )
             self.wizard.fileSaveRequested.connect(context.saveRequested)

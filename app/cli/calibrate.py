@@ -10,7 +10,14 @@ from typing import Annotated, Any, Literal
 import typer
 
 from ...core.errors import CalibrationError, FrameError
-from .common import AveragedFrames, UntouchedSource, average_frames, find_rig, open_with_progress, warn
+from .common import (
+    AveragedFrames,
+    UntouchedSource,
+    average_frames,
+    find_rig,
+    open_with_progress,
+    warn,
+)
 
 #: Exit status of ``recheck`` after a drift.
 DRIFTED_STATUS = 1

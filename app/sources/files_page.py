@@ -12,7 +12,6 @@ from ...core.sources.registry import source_kinds
 from ...widgets.basics.controls import push_button, read_only_table
 from ...widgets.basics.dialogs import Dialogs
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
-from ..settings import Settings
 from .page import SourcePage
 from .paths import recording_filters, recording_name
 
@@ -22,9 +21,9 @@ class FilesPage(SourcePage):
 
     title = "Files and others"
 
-    def __init__(self, settings: Settings, native_dialogs: bool) -> None:
+    def __init__(self, dialogs: Dialogs) -> None:
         super().__init__()
-        self._settings, self._dialogs = settings, Dialogs(self, native_dialogs)
+        self._dialogs = dialogs.over(self)
         self.file = push_button("Choose fi&le…", "Choose a recording, or the two .bag files of two cameras")
         self.folder = push_button("Choose fol&der…", "Choose a recording stored as a folder of images")
         self.kinds = QTableWidget(0, 2)
@@ -54,17 +53,12 @@ class FilesPage(SourcePage):
         self._choose(name.data(Qt.ItemDataRole.UserRole))
 
     def _ask_file(self) -> None:
-        self._dialogs.open_files("Open a recording", self._start(), recording_filters(), self._chosen)
+        self._dialogs.open_files("source", "Open a recording", recording_filters(), self._chosen)
 
     def _ask_folder(self) -> None:
-        self._dialogs.open_folder("Open a recorded folder", self._start(), lambda path: self._chosen([path]))
-
-    def _start(self) -> Path:
-        remembered = Path(self._settings.text("folder/source", str(Path.home())))
-        return remembered if remembered.is_dir() else Path.home()
+        self._dialogs.open_folder("source", "Open a recorded folder", lambda path: self._chosen([path]))
 
     def _chosen(self, paths: list[Path]) -> None:
-        self._settings.set("folder/source", str(paths[0].parent))
         try:
             self._choose(recording_name(paths))
         except SourceError as error:

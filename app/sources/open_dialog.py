@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtCore import QSignalBlocker, pyqtSignal
 from PyQt6.QtWidgets import (
     QDialog,
     QDialogButtonBox,
-    QHBoxLayout,
     QLineEdit,
     QListWidget,
     QStackedWidget,
@@ -16,7 +15,7 @@ from PyQt6.QtWidgets import (
 )
 
 from ...core.errors import SourceError
-from ...widgets.basics.controls import NoteLabel, ProgressBar, caption, dialog_buttons, push_button
+from ...widgets.basics.controls import NoteLabel, ProgressBar, caption, dialog_buttons
 from ...widgets.basics.layouts import hbox, vbox
 from .page import SourcePage
 
@@ -37,12 +36,9 @@ class OpenDialog(QDialog):
     -------
     requested(name: str)
         Open this source; then call `show_progress`, `show_failure` or `accept`.
-    rigRequested()
-        The button *Create rig…*.
     """
 
     requested = pyqtSignal(str)
-    rigRequested = pyqtSignal()
 
     def __init__(self, pages: Sequence[SourcePage], parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -65,7 +61,6 @@ class OpenDialog(QDialog):
         self.name.setPlaceholderText("sim:cup?press=low, or a path")
         self.name.setClearButtonEnabled(True)
         self.note = NoteLabel(lines=2)
-        self.create_rig = push_button("Create ri&g…", "Describe the two cameras that took these images")
         self.progress = ProgressBar("Opening…")
         self.progress.setAccessibleName("Progress of opening")
         self.buttons = dialog_buttons(QDialogButtonBox.StandardButton.Open | QDialogButtonBox.StandardButton.Cancel)
@@ -73,7 +68,6 @@ class OpenDialog(QDialog):
         self.list.currentRowChanged.connect(self._page_chosen)
         self.name.textEdited.connect(self._typed)
         self.name.textChanged.connect(lambda text: self._allow(bool(text.strip())))
-        self.create_rig.clicked.connect(self.rigRequested)
         self.buttons.accepted.connect(self._open)
         self.buttons.rejected.connect(self.reject)
         for page in pages:
@@ -108,22 +102,17 @@ class OpenDialog(QDialog):
         self.progress.setRange(0, 100 if share > 0 else 0)
         self.progress.show_share(share, words or "Opening…")
 
-    def show_failure(self, sentence: str, lacks_rig: bool = False) -> None:
-        """Say why the source was not opened; ``lacks_rig`` offers *Create rig…*."""
+    def show_failure(self, sentence: str) -> None:
+        """Say why the source was not opened."""
         self._set_busy(False)
         self._say(sentence, error=True)
-        self.create_rig.setVisible(lacks_rig)
-        (self.create_rig if lacks_rig else self.name).setFocus()
+        self.name.setFocus()
 
     def _lay_out(self) -> None:
         above = hbox(self.list, (self._stack, 1))
         below = hbox(caption("&Name", self.name), (self.name, 1))
-        said = QHBoxLayout()
-        said.addWidget(self.note, 1)
-        said.addWidget(self.create_rig, 0, Qt.AlignmentFlag.AlignTop)
-        vbox((above, 1), below, said, self.progress, self.buttons, within=self)
+        vbox((above, 1), below, self.note, self.progress, self.buttons, within=self)
         self.progress.hide()
-        self.create_rig.hide()
         self._allow(False)
         button = self.buttons.button(QDialogButtonBox.StandardButton.Open)
         if button is not None:
@@ -183,7 +172,6 @@ class OpenDialog(QDialog):
 
     def _say(self, sentence: str, error: bool = False) -> None:
         self.note.say(sentence, error)
-        self.create_rig.hide()
 
     def _allow(self, allowed: bool) -> None:
         button = self.buttons.button(QDialogButtonBox.StandardButton.Open)

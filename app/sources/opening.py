@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-from pathlib import Path
-
 from PyQt6.QtCore import QObject
 
-from ...core.errors import SourceError
-from ...core.sources.folder_rig import find_images, folder_without_rig
-from ...widgets.basics.messages import Severity
-from ..context import TASK, Context
+from ..context import Context
 from ..worker.results import SourceInfo
 from .cameras_page import CamerasPage
 from .files_page import FilesPage
 from .open_dialog import OpenDialog
 from .recent_page import RecentPage
-from .rig_dialog import RigDialog
 from .search import CameraSearch
 from .simulator_page import SimulatorPage
 from .thumbnails import Thumbnails, default_folder
@@ -32,8 +24,6 @@ class OpenControl(QObject):
         self._thumbnails = Thumbnails(default_folder())
         self._pictured: SourceInfo | None = None
         self.dialog: OpenDialog | None = None
-        self.rig_dialog: RigDialog | None = None
-        self._lacking: Path | None = None
         self._opening = ""
         context.frameShown.connect(self._frame_shown)
         context.worker.opening.connect(self._show_progress)
@@ -55,48 +45,11 @@ class OpenControl(QObject):
         if self.dialog is None or name != self._opening:
             return False
         self._opening = ""
-        self._lacking = folder_without_rig(name)
-        self.dialog.show_failure(sentence, lacks_rig=self._lacking is not None)
+        self.dialog.show_failure(sentence)
         return True
-
-    def offers(self, name: str) -> list[tuple[str, Callable[[], None]]]:
-        """Return the buttons of the message that a source was not opened."""
-        folder = folder_without_rig(name)
-        return [("Open…", self.open)] if folder is None else [("Create rig…", partial(self.create_rig, folder))]
-
-    def create_rig(self, folder: Path) -> None:
-        """Ask for the cameras of a folder of images that lacks a rig, and open it."""
-        parent = self._context.window if self.dialog is None else self.dialog
-        try:
-            images = find_images(folder)
-        except SourceError as error:
-            self._context.messages.show_message("source", Severity.ERROR, str(error), subject=TASK)
-            return
-        self.rig_dialog = RigDialog(images, self._context.dialogs.native, parent)
-        self.rig_dialog.created.connect(self._rig_created)
-        self.rig_dialog.finished.connect(self._rig_closed)
-        self.rig_dialog.open()
-
-    def _rig_closed(self) -> None:
-        if self.rig_dialog is not None:
-            self.rig_dialog.deleteLater()
-            self.rig_dialog = None
-
-    def _create_lacking(self) -> None:
-        if self._lacking is not None:
-            self.create_rig(self._lacking)
-
-    def _rig_created(self, name: str) -> None:
-        """Open the folder, from the dialog if it still asks for it."""
-        if self.dialog is not None:
-            self.dialog.open_name(name)
-        else:
-            self._context.sourceRequested.emit(name)
 
     def close(self) -> None:
         """Close the dialog, and keep a picture of the present source."""
-        if self.rig_dialog is not None:
-            self.rig_dialog.reject()
         if self.dialog is not None:
             self.dialog.reject()
         self._keep_picture()
@@ -105,10 +58,9 @@ class OpenControl(QObject):
         context = self._context
         self._cameras = CamerasPage(context.document.preset.cameras, CameraSearch(self))
         recent = RecentPage(context.settings, self._thumbnails)
-        files = FilesPage(context.settings, context.dialogs.native)
+        files = FilesPage(context.dialogs)
         self.dialog = OpenDialog([self._cameras, recent, SimulatorPage(), files], context.window)
         self.dialog.requested.connect(self._request)
-        self.dialog.rigRequested.connect(self._create_lacking)
         self.dialog.finished.connect(self._closed)
         self.dialog.open()
         return self.dialog

@@ -43,37 +43,30 @@ class FrameExport(QObject):
     def ask_recording(self) -> None:
         """Ask for a file, and export the frames as a recording with the present preset."""
         preset, untouched = self._context.document.preset, self._context.worker.recorder.untouched
-        folder = self._folder()
 
         def write(path: Path, source: FrameSource, frames: range, progress: Progress) -> str:
             count = export_mcap(source, path, len(frames), preset=preset, untouched=untouched, progress=progress)
             return f"{_counted(count, frames)} written to {path}."
 
         def chosen(path: Path) -> None:
-            self._context.settings.set("folder/export", str(path.parent))
             self._start(partial(write, path))
 
         if self._frames() is not None:
-            self._context.dialogs.save_file("Export recording", folder / "part.mcap", ["Recording (*.mcap)"], chosen)
+            self._context.dialogs.save_file("export", "Export recording", "part.mcap", ["Recording (*.mcap)"], chosen)
 
     def ask_patches(self) -> None:
         """Ask for a folder, and export the patch of each frame as a PLY file."""
         preset = self._context.document.preset
 
         def chosen(folder: Path) -> None:
-            self._context.settings.set("folder/export", str(folder))
             self._start(lambda source, frames, progress: _write_patches(source, frames, preset, folder, progress))
 
         if self._frames() is not None:
-            self._context.dialogs.open_folder("Export patches into a folder", self._folder(), chosen)
+            self._context.dialogs.open_folder("export", "Export patches into a folder", chosen)
 
     def close(self) -> None:
         """Cancel; a file that is not complete goes."""
         self._job.stop()
-
-    def _folder(self) -> Path:
-        remembered = Path(self._context.settings.text("folder/export", str(Path.home())))
-        return remembered if remembered.is_dir() else Path.home()
 
     def _frames(self) -> range | None:
         """Return the frames between the marks, or all; None if there is nothing to export or an export runs."""

@@ -203,8 +203,7 @@ class ComparisonControl(QObject):
             self._choose(index, side)
 
     def _ask_file(self, index: int) -> None:
-        folder = Path(self._context.settings.text("folder/preset", str(Path.home())))
         self._offer(index)
         self._context.dialogs.open_file(
-            "Compare with a preset", folder, PRESET_FILTER, lambda path: self._load(index, path.name, path)
+            "preset", "Compare with a preset", PRESET_FILTER, lambda path: self._load(index, path.name, path)
         )

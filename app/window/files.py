@@ -23,7 +23,7 @@ from ..worker.results import Result
 from .actions import Actions
 
 PRESET_FILTER = "Presets (*.json)"
-EXPORT_FILTERS = ["PLY, binary (*.ply)", "PCD, binary (*.pcd)", "NumPy (*.npz)", "Table (*.csv)"]
+EXPORT_FILTERS = ["PLY, binary (*.ply)", "NumPy (*.npz)", "Table (*.csv)"]
 
 
 class FileFlows(QObject):
@@ -91,9 +91,7 @@ class FileFlows(QObject):
 
     def open_preset_dialog(self) -> None:
         """Ask for a preset file and open it."""
-        self.guarded(
-            lambda: self._dialogs.open_file("Open preset", self._folder("preset"), PRESET_FILTER, self._read_preset)
-        )
+        self.guarded(lambda: self._dialogs.open_file("preset", "Open preset", PRESET_FILTER, self._read_preset))
 
     def open_preset(self, path: Path) -> None:
         """Open a preset file, after asking about unsaved changes."""
@@ -108,8 +106,10 @@ class FileFlows(QObject):
 
     def save_as(self, then: Callable[[], object] | None = None) -> None:
         """Ask where to save."""
-        suggestion = self._document.path or self._folder("preset") / f"{file_name(self._document.preset.name)}.json"
-        self._dialogs.save_file("Save preset", suggestion, [PRESET_FILTER], lambda path: self._write_preset(path, then))
+        suggestion = self._document.path or f"{file_name(self._document.preset.name)}.json"
+        self._dialogs.save_file(
+            "preset", "Save preset", suggestion, [PRESET_FILTER], lambda path: self._write_preset(path, then)
+        )
 
     def details(self) -> None:
         """Ask for the preset's name and notes."""
@@ -135,10 +135,6 @@ class FileFlows(QObject):
             return
         self._context.sourceRequested.emit(name)
 
-    def recordings_folder_dialog(self, present: Path, use: Callable[[Path], None]) -> None:
-        """Ask for the folder for recordings."""
-        self._dialogs.open_folder("Folder for recordings", present if present.is_dir() else Path.home(), use)
-
     # Export
 
     def export_dialog(self) -> None:
@@ -146,10 +142,9 @@ class FileFlows(QObject):
         result = self._context.result
         if result is None or result.patch is None:
             return
-        suggestion = self._folder("export") / f"patch_{result.patch.sequence:06d}.ply"
+        suggestion = f"patch_{result.patch.sequence:06d}.ply"
 
         def chosen(path: Path) -> None:
-            self._settings.set("folder/export", str(path.parent))
             self._messages.clear_subject(TASK)
             job = Job(self)  # each export has its own: one job would forget the one before the last
             report = partial(self._messages.show_message, "export", subject=TASK)
@@ -158,7 +153,7 @@ class FileFlows(QObject):
                 signal.connect(job.deleteLater)
             job.start(lambda _: _export_patch(result, path))
 
-        self._dialogs.save_file("Export this patch", suggestion, EXPORT_FILTERS, chosen)
+        self._dialogs.save_file("export", "Export this patch", suggestion, EXPORT_FILTERS, chosen)
 
     # Unsaved work of a window that crashed
 
@@ -190,7 +185,7 @@ class FileFlows(QObject):
     def _read_preset(self, path: Path) -> None:
         if self._told(lambda: self._document.open(path)):
             self._messages.clear("file")
-            self._settings.set("folder/preset", str(path.parent))
+            self._dialogs.remember("preset", path.parent)
             self._settings.add_recent("presets", str(path))
         elif not path.exists():
             self._settings.remove_recent("presets", str(path))
@@ -204,7 +199,7 @@ class FileFlows(QObject):
             sentence = f"The preset was saved in {path}."
             self._messages.show_message("saved", Severity.INFO, sentence, subject=TASK)
         self._messages.clear("file")
-        self._settings.set("folder/preset", str(path.parent))
+        self._dialogs.remember("preset", path.parent)
         self._settings.add_recent("presets", str(path))
         if then is not None:
             then()
@@ -229,10 +224,6 @@ class FileFlows(QObject):
             self._messages.show_message("file", Severity.ERROR, str(error), subject=TASK)
             return False
         return True
-
-    def _folder(self, kind: str) -> Path:
-        remembered = Path(self._settings.text(f"folder/{kind}", str(Path.home())))
-        return remembered if remembered.is_dir() else Path.home()
 
 
 def file_name(name: str) -> str:

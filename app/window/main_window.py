@@ -117,7 +117,7 @@ class MainWindow(QMainWindow):
         self.panel = ParameterPanel(suggestible=SECTIONS)
         self.transport = Transport(self.actions_)
         self.status = FrameStatus()
-        self.dialogs = Dialogs(self, native_dialogs)
+        self.dialogs = Dialogs(self, settings, native_dialogs)
         self.context = Context(
             self.document,
             self.worker,
@@ -322,7 +322,7 @@ class MainWindow(QMainWindow):
         actions.suggest_all.triggered.connect(lambda: self.suggest.open(ALL))
         actions.examples.triggered.connect(self.suggest.open_examples)
         actions.recordings_folder.triggered.connect(
-            lambda: flows.recordings_folder_dialog(self.recording.folder, self.recording.use_folder)
+            lambda: self.dialogs.open_folder("recordings", "Folder for recordings", self.recording.use_folder)
         )
         self.context.sourceRequested.connect(self.open_source)
         actions.quit.triggered.connect(self.close)
@@ -447,7 +447,7 @@ class MainWindow(QMainWindow):
     def _open_failed(self, name: str, sentence: str) -> None:
         self.opening.hide()
         if sentence and not self.sources.take_failure(name, sentence):
-            self.messages.show_message("source", Severity.ERROR, sentence, self.sources.offers(name), subject=TASK)
+            self.messages.show_message("source", Severity.ERROR, sentence, [("Open…", self.sources.open)], subject=TASK)
         if self.result is None:
             self.views.show_message(_NO_SOURCE)
 

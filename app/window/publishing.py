@@ -314,9 +314,8 @@ class PublishControl(QObject):
             settings.set(f"publish/{name}", getattr(connections, name))
 
     def _ask_layout(self) -> None:
-        folder = Path(self._context.settings.text("folder/export", str(Path.home())))
         self._context.dialogs.over(self.window).save_file(
-            "Save Foxglove layout", folder / "tactune-foxglove.json", ["Foxglove layouts (*.json)"], self._save_layout
+            "export", "Save Foxglove layout", "tactune-foxglove.json", ["Foxglove layouts (*.json)"], self._save_layout
         )
 
     def _save_layout(self, path: Path) -> None:

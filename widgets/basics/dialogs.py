@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Protocol
 
 from PyQt6.QtCore import QMimeData, QRect, QSize, Qt
 from PyQt6.QtGui import QScreen
@@ -31,16 +32,28 @@ from .controls import dialog_buttons
 _FRAME = QSize(16, 40)
 
 
-class Dialogs:
-    """Opens dialogs over a window; ``native`` uses the operating system's file dialogs."""
+class Memory(Protocol):
+    """Texts by name that outlive the program, as `tactune.app.settings.Settings` keeps them."""
 
-    def __init__(self, parent: QWidget, native: bool = True) -> None:
-        self._parent = parent
-        self.native = native
+    def text(self, key: str, default: str = "") -> str:
+        """Return a remembered text."""
+
+    def set(self, key: str, value: str) -> None:
+        """Remember a text."""
+
+
+class Dialogs:
+    """Opens dialogs over a window; ``native`` uses the operating system's file dialogs.
+
+    File dialogs start in the folder that was last used for their ``kind``, such as ``"preset"``.
+    """
+
+    def __init__(self, parent: QWidget | None, memory: Memory, native: bool = True) -> None:
+        self._parent, self._memory, self._native = parent, memory, native
 
     def over(self, parent: QWidget) -> Dialogs:
         """Return dialogs over another window."""
-        return Dialogs(parent, self.native)
+        return Dialogs(parent, self._memory, self._native)
 
     def ask_unsaved(self, name: str, save: Callable[[], object], discard: Callable[[], object]) -> None:
         """Ask whether to save or discard changes; Cancel calls nothing."""
@@ -85,36 +98,45 @@ class Dialogs:
         dialog.resize(420, 260)
         dialog.open()
 
-    def open_file(self, title: str, folder: Path, name_filter: str, use: Callable[[Path], None]) -> None:
+    def folder(self, kind: str) -> Path:
+        """Return the folder that was last used for a kind of file; the user's own at first."""
+        remembered = Path(self._memory.text(f"folder/{kind}", str(Path.home())))
+        return remembered if remembered.is_dir() else Path.home()
+
+    def remember(self, kind: str, folder: Path) -> None:
+        """Start the next dialog of a kind in this folder."""
+        self._memory.set(f"folder/{kind}", str(folder))
+
+    def open_file(self, kind: str, title: str, name_filter: str, use: Callable[[Path], object]) -> None:
         """Ask for an existing file."""
-        dialog = self._dialog(title, folder)
-        dialog.setFileMode(QFileDialog.FileMode.ExistingFile)
+        dialog = self._dialog(title, self.folder(kind), QFileDialog.FileMode.ExistingFile)
         dialog.setNameFilters([name_filter, "All files (*)"])
-        self._run(dialog, use)
+        self._run(kind, dialog, lambda paths: use(paths[0]))
 
-    def open_files(self, title: str, folder: Path, name_filters: list[str], use: Callable[[list[Path]], None]) -> None:
+    def open_files(self, kind: str, title: str, name_filters: list[str], use: Callable[[list[Path]], object]) -> None:
         """Ask for one or more existing files."""
-        dialog = self._dialog(title, folder)
-        dialog.setFileMode(QFileDialog.FileMode.ExistingFiles)
+        dialog = self._dialog(title, self.folder(kind), QFileDialog.FileMode.ExistingFiles)
         dialog.setNameFilters([*name_filters, "All files (*)"])
-        self._run(dialog, lambda _: use([Path(chosen) for chosen in dialog.selectedFiles()]))
+        self._run(kind, dialog, use)
 
-    def open_folder(self, title: str, folder: Path, use: Callable[[Path], None]) -> None:
+    def open_folder(self, kind: str, title: str, use: Callable[[Path], object]) -> None:
         """Ask for an existing folder."""
-        dialog = self._dialog(title, folder)
-        dialog.setFileMode(QFileDialog.FileMode.Directory)
+        dialog = self._dialog(title, self.folder(kind), QFileDialog.FileMode.Directory)
         dialog.setOption(QFileDialog.Option.ShowDirsOnly)
-        self._run(dialog, use)
+        self._run(kind, dialog, lambda paths: use(paths[0]))
 
-    def save_file(self, title: str, suggestion: Path, name_filters: list[str], use: Callable[[Path], None]) -> None:
-        """Ask where to save; a name without suffix gets the suffix of the chosen filter."""
-        dialog = self._dialog(title, suggestion.parent)
+    def save_file(
+        self, kind: str, title: str, suggestion: str | Path, name_filters: list[str], use: Callable[[Path], object]
+    ) -> None:
+        """Ask where to save, starting with a name or a path; a name without suffix gets that of the chosen filter."""
+        path = self.folder(kind) / suggestion
+        dialog = self._dialog(title, path.parent, QFileDialog.FileMode.AnyFile)
         dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
         dialog.setNameFilters(name_filters)
-        dialog.setDefaultSuffix(suggestion.suffix.removeprefix("."))
+        dialog.setDefaultSuffix(path.suffix.removeprefix("."))
         dialog.filterSelected.connect(lambda chosen: dialog.setDefaultSuffix(chosen.split("*.")[1].split(")")[0]))
-        dialog.selectFile(suggestion.name)
-        self._run(dialog, use)
+        dialog.selectFile(path.name)
+        self._run(kind, dialog, lambda paths: use(paths[0]))
 
     def _box(self, title: str, question: str, details: str) -> QMessageBox:
         """Return a warning with the button Cancel, which Esc presses."""
@@ -126,17 +148,20 @@ class Dialogs:
         box.setEscapeButton(QMessageBox.StandardButton.Cancel)
         return box
 
-    def _dialog(self, title: str, folder: Path) -> QFileDialog:
+    def _dialog(self, title: str, folder: Path, mode: QFileDialog.FileMode) -> QFileDialog:
         dialog = QFileDialog(self._parent, title, str(folder))
-        dialog.setOption(QFileDialog.Option.DontUseNativeDialog, not self.native)
+        dialog.setOption(QFileDialog.Option.DontUseNativeDialog, not self._native)
+        dialog.setFileMode(mode)
         return dialog
 
-    def _run(self, dialog: QFileDialog, use: Callable[[Path], None]) -> None:
+    def _run(self, kind: str, dialog: QFileDialog, use: Callable[[list[Path]], object]) -> None:
         def answered(result: int) -> None:
-            chosen = dialog.selectedFiles()
+            chosen = [Path(name) for name in dialog.selectedFiles()]
+            is_folder = dialog.fileMode() == QFileDialog.FileMode.Directory
             dialog.deleteLater()
             if result and chosen:
-                use(Path(chosen[0]))
+                self.remember(kind, chosen[0] if is_folder else chosen[0].parent)
+                use(chosen)
 
         dialog.finished.connect(answered)
         dialog.open()

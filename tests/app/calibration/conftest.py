@@ -18,6 +18,7 @@ from pytestqt.qtbot import QtBot
 
 from tactune.app.calibration.wizard import CalibrationWizard
 from tactune.app.document.document import Document
+from tactune.app.settings import Settings
 from tactune.app.worker.feed import FrameFeed
 from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.results import SourceInfo
@@ -25,6 +26,7 @@ from tactune.app.worker.worker import Worker
 from tactune.core.model.frames import ColorCamera, DepthCamera, Rig, SensorFrame, rigid_transform
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.preset import Preset
+from tactune.widgets.basics.dialogs import Dialogs
 from tactune.widgets.images.point_image import PointImage
 
 WIDTH, HEIGHT = 320, 240
@@ -165,7 +167,8 @@ def open_wizard(qtbot: QtBot, feed: FrameFeed, document: Document, tmp_path: Pat
     opened: list[CalibrationWizard] = []
 
     def open_it() -> CalibrationWizard:
-        wizard = CalibrationWizard(feed, document, tmp_path / "kept", native_dialogs=False)
+        dialogs = Dialogs(None, Settings(tmp_path / "window.json"), native=False)
+        wizard = CalibrationWizard(feed, document, tmp_path / "kept", dialogs)
         opened.append(wizard)
         wizard.resize(1240, 760)
         wizard.show()
