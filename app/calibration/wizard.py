@@ -65,14 +65,7 @@ class CalibrationWizard(QDialog):
         The preset that the alignment is saved into, as one undoable step.
     folder : Path
         Where the state is saved when the wizard is closed.
-<<<<<<< HEAD
-    native_dialogs : bool
-        Use the operating system's file dialogs.
-=======
     dialogs : Dialogs
-    backend : "auto", "opengl" or "software"
-        Of the 3D views.
->>>>>>> 7298a8a4 (Dialogs remember the folder of each kind of file; the dialog Create rig is gone)
 
     Signals
     -------
