@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -46,7 +45,7 @@ def calibrate(
             help="Estimate radial lens distortion from the pairs and save it with the rig, if they show it.",
         ),
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+    as_json: JsonOption = False,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", metavar="PRESET", help="Write the alignment into this preset, new or existing."),
@@ -81,12 +80,8 @@ def calibrate(
         write_html(html, report, points.stem if base is None else base.name)
     if out is not None and base is not None:
         save_preset(report.apply_to(base), out)
-    if as_json:
-        typer.echo(json.dumps(report.to_json(), indent=2, allow_nan=False))
-    else:
-        typer.echo(report.words())
-        for path in filter(None, (out, html)):
-            typer.echo(f"wrote {path}")
+    written = [f"wrote {path}" for path in (out, html) if path is not None]
+    emit(report.to_json(), "\n".join([report.words(), *written]), as_json)
 
 
 def recheck(
@@ -94,7 +89,7 @@ def recheck(
     source: UntouchedSource,
     preset: Annotated[str, typer.Option("--preset", "-p", metavar="FILE|NAME", help="The preset to check.")],
     frames: AveragedFrames = 15,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the measurements as JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Check whether the cameras have moved or the membrane's inflation has changed since the preset was made.
 
@@ -130,9 +125,6 @@ def recheck(
             warn(f"the membrane was not checked: {error}")
     if not found:
         raise CalibrationError(f"nothing of {preset} could be checked on {opened.name}; see the warnings above")
-    if as_json:
-        typer.echo(json.dumps(found, indent=2, allow_nan=False))
-    else:
-        typer.echo("\n".join(check["sentence"] for check in found.values()))
+    emit(found, "\n".join(check["sentence"] for check in found.values()), as_json)
     if not all(check["ok"] for check in found.values()):
         raise typer.Exit(DRIFTED_STATUS)

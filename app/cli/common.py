@@ -6,6 +6,7 @@ Everything heavy is imported inside the functions, since ``tactune --help`` impo
 from __future__ import annotations
 
 import io
+import json
 import os
 import select
 import signal
@@ -59,6 +60,7 @@ PresetOption = Annotated[
         help="A preset file or shipped name; default: the recording's own, simulator for sim, else default.",
     ),
 ]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 FrameCount = Annotated[
     int | None, typer.Option("--frames", "-n", min=1, metavar="N", help="Stop after N frames; default: all.")
 ]
@@ -84,6 +86,11 @@ def default_preset(source: str) -> str:
 
 
 # Words and numbers
+
+
+def emit(record: object, text: str, as_json: bool) -> None:
+    """Print the result of a command on standard output: as JSON, or as text for people."""
+    typer.echo(json.dumps(record, indent=2, allow_nan=False) if as_json else text)
 
 
 def warn(*sentences: str) -> None:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Sequence
 from itertools import groupby
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
 from ...core.errors import SourceError, as_sentence
 from ..doctor.checks import State
-from .common import CliProgress
+from .common import CliProgress, JsonOption, emit
 
 #: Exit status of ``devices`` if no camera is connected.
 NONE_STATUS = 1
@@ -26,7 +25,7 @@ _NEEDED = (640, 480, 30)
 
 def devices(
     *,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, with every mode of each stream.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """List the connected cameras: model, serial number, firmware, USB version and streams.
 
@@ -34,10 +33,8 @@ def devices(
     """
     found, problems = _ask_driver()
     notes = [*_notes(found), *map(as_sentence, problems)]
-    if as_json:
-        typer.echo(json.dumps({"devices": found, "notes": notes}, indent=2))
-    else:
-        typer.echo("\n".join([*(line for device in found for line in _words(device)), *notes]))
+    words = "\n".join([*(line for device in found for line in _words(device)), *notes])
+    emit({"devices": found, "notes": notes}, words, as_json)
     if not found:
         raise typer.Exit(NONE_STATUS)
 
@@ -102,7 +99,7 @@ def _words(device: dict[str, Any]) -> list[str]:
 
 def doctor(
     *,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the checks as JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Check Python, packages, camera driver, USB, permissions, Qt and display, and name a remedy for each problem.
 
@@ -112,10 +109,7 @@ def doctor(
 
     lines = check_computer()
     failed = [line for line in lines if line.state is State.FAIL]
-    if as_json:
-        typer.echo(json.dumps({"ok": not failed, "checks": [line.to_json() for line in lines]}, indent=2))
-    else:
-        typer.echo(report(lines))
+    emit({"ok": not failed, "checks": [line.to_json() for line in lines]}, report(lines), as_json)
     if failed:
         raise typer.Exit(FAILED_STATUS)
 

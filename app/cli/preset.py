@@ -13,11 +13,13 @@ from ...core.errors import CalibrationError, PresetError, TactuneError, counted
 from .common import (
     AveragedFrames,
     CliProgress,
+    JsonOption,
     PresetOption,
     UntouchedSource,
     average_frames,
     counted_out,
     default_preset,
+    emit,
     find_rig,
     open_with_progress,
     parse_settings,
@@ -173,7 +175,7 @@ def measure_rig(
         typer.Option("--out", "-o", metavar="FILE", help="The preset file to write; default: the file of --preset."),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a file of --out that is already there.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the measurement as JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Measure the noise of both cameras and the bias between them, and store them in a preset.
 
@@ -193,10 +195,7 @@ def measure_rig(
     with open_with_progress(source, chosen.cameras) as opened:
         warn(*check_rig(chosen, opened.rig))
         noise = _measure_noise(opened, chosen, origin, frames)
-    if as_json:
-        typer.echo(noise.model_dump_json(indent=2))
-    else:
-        typer.echo("\n".join(describe(noise)))
+    emit(noise.model_dump(mode="json"), "\n".join(describe(noise)), as_json)
     if target is None:
         warn("nothing was written; add --out FILE, or --preset with a preset file, to keep the measurement")
         return

@@ -12,10 +12,12 @@ import typer
 from ...core.errors import AdviceError
 from .common import (
     CliProgress,
+    JsonOption,
     PresetOption,
     SourceOption,
     average_frames,
     default_preset,
+    emit,
     open_with_progress,
     warn,
 )
@@ -108,7 +110,7 @@ def check(
     source: SourceOption,
     preset: PresetOption = None,
     frame: FrameOption = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the findings as a JSON list.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Say what is wrong with a preset on a frame, and what mends it; the exit status is 1 if there are findings.
 
@@ -129,12 +131,9 @@ def check(
         warn(*stored.warnings)
         patches = [pipeline.process(each) for each in frames]
         findings = Examiner(opened.rig).findings(frames[-1], patches[-1], chosen, stored.frame)
-    if as_json:
-        typer.echo(json.dumps([_record(finding) for finding in findings], indent=2))
-    else:
-        target = [] if origin.endswith(".json") else ["--out", "measured.json"]
-        rig = ["tactune", "preset", "measure-rig", "--source", source, "--preset", origin, *target]
-        _print_findings(findings, shlex.join(rig))
+    target = [] if origin.endswith(".json") else ["--out", "measured.json"]
+    rig = ["tactune", "preset", "measure-rig", "--source", source, "--preset", origin, *target]
+    emit([_record(finding) for finding in findings], _in_words(findings, shlex.join(rig)), as_json)
     if findings:
         raise typer.Exit(FOUND_STATUS)
 
@@ -175,27 +174,24 @@ def _untouched(source: FrameSource, preset: Preset, origin: str, name: str | Non
 def _print(proposals: AllProposals) -> None:
     for part in proposals.parts:
         typer.echo(f"{part.section}: {part.label}{' (weak)' if part.weak else ''}")
-        typer.echo(f"  {part.evidence}")
-        typer.echo(f"  {part.expected}")
-        _print_changes(part)
+        typer.echo("\n".join([f"  {part.evidence}", f"  {part.expected}", *_changes(part)]))
     warn(*proposals.refusals.values())
 
 
-def _print_changes(proposal: Proposal) -> None:
-    for path, value in proposal.changes.items():
-        typer.echo(f"  --set {path}={json.dumps(value, separators=(',', ':'))}")
+def _changes(proposal: Proposal) -> list[str]:
+    """Return the changes of a proposal as options, a line each."""
+    return [f"  --set {path}={json.dumps(value, separators=(',', ':'))}" for path, value in proposal.changes.items()]
 
 
-def _print_findings(findings: tuple[Finding, ...], measure_rig: str) -> None:
+def _in_words(findings: tuple[Finding, ...], measure_rig: str) -> str:
+    lines = []
     for finding in findings:
-        typer.echo(f"{finding.field}: {finding.sentence}")
+        lines.append(f"{finding.field}: {finding.sentence}")
         if finding.proposal is not None:
-            typer.echo(f"  {finding.proposal.evidence}")
-            _print_changes(finding.proposal)
+            lines += [f"  {finding.proposal.evidence}", *_changes(finding.proposal)]
         elif finding.action == "measure_noise":
-            typer.echo(f"  measure the rig: {measure_rig}")
-    if not findings:
-        typer.echo("no findings")
+            lines.append(f"  measure the rig: {measure_rig}")
+    return "\n".join(lines) or "no findings"
 
 
 def _record(finding: Finding) -> dict[str, object]:
