@@ -11,8 +11,10 @@ import typer
 from ...core.errors import CalibrationError, FrameError
 from .common import (
     AveragedFrames,
+    JsonOption,
     UntouchedSource,
     average_frames,
+    emit,
     find_rig,
     open_with_progress,
     warn,
