@@ -73,7 +73,6 @@ def run_gui(
         _prepare(window, preset_path, size, theme)
         window.open_source(source)
         window.offer_unsaved_work()
-        window.offer_first_steps()
         _stop_on_interrupt(window, application)
         return _ended(application.exec())
     # A screenshot neither depends on remembered settings nor changes them.

@@ -101,15 +101,6 @@ def window() -> None:
         save(made.window, "window")
 
 
-def first_steps() -> None:
-    """The card of the first start."""
-    with stage(load_preset("simulator"), "sim:cup") as made:
-        made.window.resize(1280, 800)
-        made.window.actions_.getting_started.trigger()
-        made.wait(lambda: not made.window.time_strip.words, "time strip")
-        save(made.window, "first-steps")
-
-
 def mask() -> None:
     """The images while the eyedropper is in use."""
     with stage(load_preset("simulator"), "sim:cup") as made:
@@ -192,7 +183,6 @@ def compare() -> None:
 
 PICTURES: dict[str, Callable[[], None]] = {
     "window": window,
-    "first-steps": first_steps,
     "mask": mask,
     "panel-membrane": panel_membrane,
     "panel-tolerance": panel_tolerance,

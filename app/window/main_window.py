@@ -51,10 +51,8 @@ from .contact_list import ContactList
 from .eyedropper import Eyedropper
 from .files import FileFlows
 from .findings import FindingsControl
-from .first_steps import FirstSteps, FirstStepsCard
 from .frame_presenter import FramePresenter
 from .help import open_guide, show_about, show_shortcuts
-from .history_window import HistoryWindow
 from .pointing import Pointing
 from .publishing import PublishControl
 from .recording import RecordingBar, RecordingControl
@@ -138,7 +136,6 @@ class MainWindow(QMainWindow):
         )
         self.comparison_panel = ComparisonPanel()
         self.comparison = ComparisonControl(self.context, self.actions_, self.comparison_panel, self.presenter)
-        self.history = HistoryWindow(self.document, [self.actions_.undo, self.actions_.redo], self)
         self.findings = FindingsControl(
             self.context, self.actions_, panel=self.panel, views=self.views, status=self.status
         )
@@ -220,22 +217,7 @@ class MainWindow(QMainWindow):
         centre = QWidget()
         vbox(self.time_strip, (self.across, 1), within=centre, margins=(4, 4, 4, 0), spacing=4)
         self.setCentralWidget(centre)
-        card = FirstStepsCard()
-        self.first_steps = FirstSteps(
-            self.context,
-            card,
-            {
-                "source": self.actions_.open_source.trigger,
-                "calibrate": self.actions_.calibrate.trigger,
-                "mask": partial(self._go_to_section, "mask"),
-                "contact": self.actions_.suggest_all.trigger,
-                "save": self.actions_.save.trigger,
-            },
-        )
-        for name, action in (("calibrate", self.actions_.calibrate), ("contact", self.actions_.suggest_all)):
-            action.enabledChanged.connect(card.buttons[name].setEnabled)
-        self.suggest.kept.connect(self.first_steps.take_kept)
-        for part in (self.opening, self.recording_bar, self.export_bar, card, self.status.details):
+        for part in (self.opening, self.recording_bar, self.export_bar, self.status.details):
             self.messages.pin(part)
         self.setStatusBar(self.status)
         self.message_history = MessageHistory(self)
@@ -330,14 +312,12 @@ class MainWindow(QMainWindow):
         actions.show_strip.toggled.connect(self._send_wanted)
         actions.show_panel.toggled.connect(self.panel.setVisible)
         actions.show_panel.toggled.connect(self._show_beside)
-        actions.history.triggered.connect(self.history.show_steps)
         actions.measure.triggered.connect(self.pointing.add_marked)
         actions.show_panel.toggled.connect(self._send_wanted)
         actions.messages.triggered.connect(self._show_messages)
         actions.shortcuts.triggered.connect(
             lambda: show_shortcuts(self, [*actions.all(), *self.analysis.actions.values()])
         )
-        actions.getting_started.triggered.connect(self.first_steps.show)
         actions.documentation.triggered.connect(lambda: open_guide(self.messages))
         actions.check_computer.triggered.connect(self._check_computer)
         actions.about.triggered.connect(lambda: show_about(self))
@@ -355,7 +335,7 @@ class MainWindow(QMainWindow):
 
     def _connect_timeline(self) -> None:
         actions, timeline = self.actions_, self.timeline
-        marking = (actions.mark_in, actions.mark_out, actions.clear_marks, actions.add_marker, actions.markers)
+        marking = (actions.mark_in, actions.mark_out, actions.clear_marks, actions.add_marker)
         self.time_strip.add_buttons(marking)
         for action, act in (
             (actions.mark_in, timeline.mark_in),
@@ -364,7 +344,6 @@ class MainWindow(QMainWindow):
             (actions.add_marker, timeline.add_marker),
             (actions.next_marker, partial(timeline.go_to_marker, True)),
             (actions.previous_marker, partial(timeline.go_to_marker, False)),
-            (actions.markers, timeline.open_list),
             (actions.export_recording, self.export.ask_recording),
             (actions.export_patches, self.export.ask_patches),
         ):
@@ -372,11 +351,6 @@ class MainWindow(QMainWindow):
             timeline.availableChanged.connect(action.setEnabled)
             action.setEnabled(False)
         actions.show_time.toggled.connect(timeline.set_shown)
-        timeline.timesChanged.connect(self.transport.position.set_times)
-
-    def offer_first_steps(self) -> None:
-        """Show the card of the first start, unless it was closed for good."""
-        self.first_steps.offer()
 
     def offer_unsaved_work(self) -> None:
         """Offer the unsaved work of a window that crashed."""
@@ -386,11 +360,6 @@ class MainWindow(QMainWindow):
         if not self.messages.focus_newest():
             self.message_history.refresh()
             bring_up(self.message_history)
-
-    def _go_to_section(self, name: str) -> None:
-        """Show a section of the parameter panel, with the focus on its first control."""
-        self.actions_.show_panel.setChecked(True)
-        self.panel.go_to(name)
 
     def _check_computer(self) -> None:
         bring_up(self.computer)

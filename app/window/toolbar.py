@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtWidgets import QMenu, QPushButton, QSizePolicy, QToolBar, QToolButton, QWidget
+from PyQt6.QtWidgets import QMenu, QPushButton, QSizePolicy, QSpinBox, QToolBar, QToolButton, QWidget
 
 from ...widgets.basics.controls import action_button
 from ...widgets.basics.icons import icon
@@ -16,7 +16,6 @@ from ...widgets.basics.layouts import hbox
 from ...widgets.parameters.number_slider import JumpSlider
 from ..worker.playback import PlaybackState
 from .actions import Actions, Menus
-from .position import PositionEntry
 
 
 class Transport(QWidget):
@@ -43,9 +42,14 @@ class Transport(QWidget):
         self.slider.valueChanged.connect(self.seekRequested)
         self.slider.sliderPressed.connect(lambda: self.held.emit(True))
         self.slider.sliderReleased.connect(lambda: self.held.emit(False))
-        self.position = PositionEntry()
-        self.position.sought.connect(self.seekRequested)
-        actions.go_to.triggered.connect(lambda: self.position.setFocus(Qt.FocusReason.ShortcutFocusReason))
+        self.position = QSpinBox()
+        self.position.setAccessibleName("Frame number")
+        self.position.setToolTip("Frame, from 1 (files and commands count from 0). Type a number to go to it")
+        self.position.setPrefix("frame ")
+        self.position.setKeyboardTracking(False)  # a number counts once it is finished
+        self.position.valueChanged.connect(lambda number: self.seekRequested.emit(number - 1))
+        self.position.editingFinished.connect(self.position.clearFocus)  # and follow the frames again
+        actions.go_to.triggered.connect(self._go_to)
         buttons = map(action_button, (actions.previous, actions.play, actions.next, actions.loop, actions.freeze))
         hbox(*buttons, 4, (self.slider, 1), 4, self.position, within=self, margins=0, spacing=4)
         self._show_mode()
@@ -61,7 +65,11 @@ class Transport(QWidget):
         self._state = state
         if changed:
             self._show_mode()
-        self.position.show_position(state.index, state.length)
+        if not self.position.hasFocus() or state.length is None:  # what a person types stays until it is finished
+            with QSignalBlocker(self.position):
+                self.position.setRange(1, state.length or 99_999_999)
+                self.position.setSuffix(f" of {state.length}" if state.length is not None else "")
+                self.position.setValue(state.index + 1)
         if state.length is None:
             return
         last = max(0, state.length - 1)
@@ -89,7 +97,12 @@ class Transport(QWidget):
         actions.freeze.setEnabled(several)
         actions.freeze.setChecked(state.frozen)
         actions.loop.setChecked(state.loop)
-        self.slider.setEnabled(state.seekable and several)
+        for part in (self.slider, self.position):
+            part.setEnabled(state.seekable and several)
+
+    def _go_to(self) -> None:
+        self.position.setFocus(Qt.FocusReason.ShortcutFocusReason)
+        self.position.selectAll()
 
 
 _MAX_NAME_LENGTH = 28

@@ -298,27 +298,6 @@ def test_after_saving_nothing_has_changed(compared, qtbot, tmp_path):
     assert compared.comparison_panel.boxes[0].currentText() == "Saved"
 
 
-def test_a_click_in_the_history_goes_back_to_a_step(edited, qtbot):
-    document = edited.document
-    document.edit("outliers.enabled", True)
-    choose_in_menu(edited, "&Edit", edited.actions_.history)
-    history = edited.history
-    qtbot.waitUntil(history.isVisible)
-    view = history.view
-    assert [view.model().index(row, 0).data() for row in range(3)] == [
-        "As opened", "Tolerance t 10 %", document.undo_stack.text(1),
-    ]  # fmt: skip
-    QTest.mouseClick(view.viewport(), LEFT, pos=view.visualRect(view.model().index(1, 0)).center())
-    assert document.preset.tolerance.t == 0.1
-    assert not document.preset.outliers.enabled
-    QTest.mouseClick(view.viewport(), LEFT, pos=view.visualRect(view.model().index(0, 0)).center())
-    assert not document.dirty
-    QTest.mouseClick(view.viewport(), LEFT, pos=view.visualRect(view.model().index(2, 0)).center())
-    assert document.preset.outliers.enabled
-    QTest.keyClick(history, Qt.Key.Key_Z, CONTROL)
-    assert not document.preset.outliers.enabled, "undo works in the list too"
-
-
 def test_it_goes_on_with_another_source(compared, qtbot):
     before = compared.result.source
     show_source(qtbot, compared, TinySource(rig=tiny_rig(width=80, serial="2")), 2)

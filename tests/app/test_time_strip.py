@@ -290,23 +290,15 @@ def test_letters_typed_into_a_field_set_no_marks(plain_window):
     assert window.timeline.keeper.marks.markers == ()
 
 
-def test_a_frame_or_a_time_can_be_typed(plain_window, qtbot):
+def test_a_frame_can_be_typed(plain_window, qtbot):
     window, entry = plain_window, plain_window.transport.position
-    for text, index in (("12", 11), ("frame 5", 4), ("0.5 s", 15), ("0:00.3", 9), ("99", 23), ("1", 0), ("99 s", 23)):
+    for text, index in (("12", 11), ("5", 4), ("99", 8), ("1", 0)):
         QTest.keyClick(window, Qt.Key.Key_G, CONTROL)
         qtbot.waitUntil(entry.hasFocus)
-        type_into(entry, text)
+        QTest.keyClicks(entry, text)
+        QTest.keyClick(entry, Qt.Key.Key_Return)
         qtbot.waitUntil(lambda index=index: at_rest(window, index))
-        assert entry.text() == f"{index / 30:.1f} s, frame {index + 1} of {LENGTH}"
-        assert not entry.hasFocus()
-
-
-def test_what_means_no_frame_changes_nothing(plain_window):
-    entry = plain_window.transport.position
-    type_into(entry, "soon")
-    assert entry.hasFocus()
-    QTest.keyClick(entry, Qt.Key.Key_Escape)
-    assert entry.text() == f"0.1 s, frame 4 of {LENGTH}"
+        assert entry.value() == index + 1 and not entry.hasFocus()
 
 
 def test_hiding_the_strip_is_remembered(strip_window, make_window, qtbot, scene):

@@ -12,7 +12,6 @@ from PyQt6.QtWidgets import QApplication
 from hands import CONTROL, LEFT, drag_over, drag_slider, show_source, text_of, tolerance_slider
 from printed_source import PrintedSource
 from tactune.app.advice import window as suggest_window
-from tactune.app.window.first_steps import FirstStepsCard
 from tactune.core.errors import AdviceError
 
 
@@ -101,19 +100,6 @@ def test_closing_ends_the_comparison_and_changes_nothing(main, qtbot):
     assert not window.isVisible()
     assert main.context.comparison.sides is None
     assert main.document.preset is before
-
-
-def test_suggestions_that_keep_the_contact_test_tick_the_step_of_the_first_start(main, qtbot):
-    main.actions_.getting_started.trigger()
-    tick = main.findChild(FirstStepsCard).ticks["contact"]
-    window = ask(qtbot, main, "mask")
-    assert window.cards[0].changes and not tick.text()
-    QTest.mouseClick(window.apply, LEFT)
-    ask(qtbot, main, "mask")
-    assert not tick.text(), "a mask that is kept finds no contact"
-    window = ask(qtbot, main, "contact_test")
-    assert not window.cards[0].changes
-    assert tick.text()
 
 
 def test_an_edit_after_closing_does_not_start_the_comparison_again(main, qtbot):

@@ -11,7 +11,6 @@ from hands import type_path
 from pairs import with_pairs
 from tactune.app.calibration import snapshots
 from tactune.app.settings import Settings
-from tactune.app.window.first_steps import FirstStepsCard
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.contact.alignment import tactile_pose
@@ -57,8 +56,6 @@ def test_what_needs_a_source_is_disabled_without_one(window, scene, frames, qtbo
     actions = window.actions_
     needing = [actions.calibrate, actions.recheck, actions.record, actions.suggest_all]
     needing += [window.panel.eyedroppers["set"], *window.panel.suggests.values()]
-    actions.getting_started.trigger()
-    needing += [window.findChild(FirstStepsCard).buttons[name] for name in ("calibrate", "contact")]
     assert not any(needs.isEnabled() for needs in needing)
     window.open_request(SourceRequest("tiny", lambda progress: TinySource(scene, frames)))
     qtbot.waitUntil(lambda: window.result is not None, timeout=15000)
