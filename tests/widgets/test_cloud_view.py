@@ -365,7 +365,7 @@ def test_a_cloud_that_did_not_change_is_not_drawn_again(qtbot: QtBot, monkeypatc
     assert len(drawn) == 1
 
 
-def test_a_large_view_is_drawn_at_logical_pixels(qtbot: QtBot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_large_view_is_drawn_at_half_its_resolution(qtbot: QtBot, monkeypatch: pytest.MonkeyPatch) -> None:
     sizes: list[tuple[int, int]] = []
     render = SoftwareRenderer.render
 

@@ -308,7 +308,7 @@ class _Picture:
         return self._thinned
 
 
-#: Largest view in physical pixels that is drawn sharp; a larger one, as on a 4K screen, is drawn at logical pixels.
+#: Largest view in physical pixels that is drawn sharp; a larger one, as on 4K screens, at half its resolution.
 _MAX_SHARP = 1_200_000
 
 
@@ -325,7 +325,7 @@ class CloudCanvas(QWidget):
         """Draw the cloud and the overlays."""
         ratio = self.devicePixelRatioF()
         if self.width() * self.height() * ratio**2 > _MAX_SHARP:
-            ratio = 1.0
+            ratio /= 2
         size = max(1, round(self.width() * ratio)), max(1, round(self.height() * ratio))
         background = self._scene.background(self)
         camera, points = self._scene.camera, max(1, round(self._scene.point_size * ratio))
