@@ -3,245 +3,222 @@
 from __future__ import annotations
 
 import math
-from functools import partial
-from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+import numpy as np
+import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, Qt
-from PyQt6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QLabel, QWidget
+from PyQt6.QtGui import QColor
+from PyQt6.QtWidgets import QCheckBox, QComboBox, QLabel, QWidget
 
-from ...core.errors import counted
+from ...core.errors import minus
 from ...core.estimation.tilt import MAX_SIGMA_RAD, Tilt, TiltEstimator, TiltMethod
 from ...core.estimation.tilt_filter import TiltFilter
-from ...widgets.basics.colormaps import CONTACT_COLOR, palette_theme
+from ...core.model.arrays import Float32Array, Float64Array
+from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_ROW, palette_theme, patch_lut
 from ...widgets.basics.controls import caption, copy_text, push_button
-from ...widgets.basics.layouts import hbox, splitter, vbox
+from ...widgets.basics.layouts import STRETCH, hbox, splitter, vbox
 from ...widgets.basics.messages import Severity
+from ...widgets.clouds.cloud_data import free_cloud
 from ...widgets.clouds.cloud_view import CloudView
+from ...widgets.plots.plot import Plot
 from ..context import Context
-from ..worker.results import Result, SourceInfo
-from .measuring_tab import MeasuringTab
-from .tilt_views import (
-    MAX_ROWS,
-    PITCH_RGB,
-    PLANE_COLOR,
-    PLOTTED,
-    ROLL_RGB,
-    AngleDial,
-    TiltCurve,
-    TiltRow,
-    degrees_text,
-    patch_with_plane,
-    rows_as_csv,
-)
+from ..worker.jobs import Work
+from ..worker.results import Result
+from .live_tab import LiveTab, Row
 
-_METHOD, _FILTERED = "tilt/method", "tilt/filtered"
 _METHODS: Final[dict[str, TiltMethod]] = {"Rig's noise": "noise", "Principal components": "pca"}
-_WAITING = "Waiting for a frame: open a source in the main window, such as sim:tray."
-_NO_CONTACT = "No contact yet: press the object into the membrane, or play to a frame with contact"
-_ASSUMED = "usual noise assumed: see Calibration > Measure noise and bias"
 _NOT_DETERMINED = f"no tilt, as of a line or a dot (standard deviation above {math.degrees(MAX_SIGMA_RAD):.0f}°)"
+_ROLL_RGB, _PITCH_RGB = (235, 60, 40), (40, 150, 255)
+_PLANE_ROW: Final = CONTACT_ROW - 1
+#: Lines of the plane in each direction, and points on each; length of the normal, metres.
+_LINES, _ON_LINE, _NORMAL_M = 9, 160, 0.03
+#: The newest frames that the plot shows.
+_PLOTTED: Final = 1800
+_ANGLES: Final = [f"{angle}{sigma}_rad" for angle in ("roll", "pitch", "axis") for sigma in ("", "_sigma")]
+_RATES: Final = [f"{angle}_rate{sigma}_rad_s" for angle in ("roll", "pitch") for sigma in ("", "_sigma")]
 
 
-class TiltTab(MeasuringTab):
-    """Estimates the tilt of each frame that the main window shows."""
+class TiltTab(LiveTab):
+    """Estimates the tilt of each frame that the main window shows, alone and filtered over time."""
+
+    COLUMNS = (
+        *("frame", "time_s", "method", "points"),
+        *(name.replace("rad", "deg") for name in _ANGLES),
+        *(f"filtered_{name.replace('rad', 'deg')}" for name in (*_ANGLES[:4], *_RATES)),
+    )
+    EXPORT = "tilt"
 
     def __init__(self, context: Context) -> None:
-        super().__init__(context, _WAITING)
-        self._source: SourceInfo | None = None
+        super().__init__(context)
         self._filter = TiltFilter()
-        #: The tilts of the source's frames, by frame number, the oldest first.
-        self.rows: dict[int, TiltRow] = {}
+        #: The tilt on the screen; None before the first frame with a patch.
         self.tilt: Tilt | None = None
+        self._newest: tuple[Result, Tilt, Tilt] | None = None
         self.cloud = CloudView("Patch and plane")
-        self.roll = AngleDial(
-            "Roll",
-            "Angle about the proximity camera's x axis (right), degrees: positive where the lower edge of the image is "
-            "farther. The wedge is one standard deviation",
-            ROLL_RGB,
-        )
-        self.pitch = AngleDial(
-            "Pitch",
-            "Angle about the proximity camera's y axis (down), degrees: positive where the right edge of the image is "
-            "nearer. The wedge is one standard deviation",
-            PITCH_RGB,
-        )
-        self.axis = QLabel("Long axis –")
-        self.curve = TiltCurve()
+        self.roll, self.pitch, self.axis = QLabel(), QLabel(), QLabel()
         self.method, self.filtered = QComboBox(), QCheckBox("&Filtered")
         self.copy = push_button("C&opy", "Copy the angles of this frame with their standard deviations as text")
-        self.reset = push_button("&Reset curve", "Start a new curve; the old one can be restored")
-        self._set_up_entries()
+        self.plot = Plot("Time, s", "Angle, degrees", movable=True)
+        self.plot.setToolTip(
+            "Roll and pitch over the time stamps of the frames, with a band of one standard deviation. "
+            "Drag to move, wheel to zoom; press A to show all again"
+        )
+        self.plot.setAccessibleName("Roll and pitch over time")
+        self.plot.getPlotItem().showGrid(x=True, y=True, alpha=0.2)
+        self.plot.add_legend(2)
+        self._curves = [self._curve("roll", _ROLL_RGB), self._curve("pitch", _PITCH_RGB)]
+        self.plot.follow_theme()
         self._lay_out()
-        self._connect()
-        self.cloud.set_message(_WAITING)
+        self.cloud.set_message(self.status.text())
+        self.method.activated.connect(self._method_changed)
+        self.filtered.toggled.connect(self._filtered_changed)
+        self.copy.clicked.connect(self._copy)
 
-    # What the window calls
+    def _curve(self, name: str, rgb: tuple[int, int, int]) -> tuple[pg.PlotDataItem, list[pg.PlotCurveItem]]:
+        """Return a curve of the plot and the lower and upper end of its band."""
+        ends = [pg.PlotCurveItem(connect="finite", pen=None) for _ in range(2)]
+        for item in (*ends, pg.FillBetweenItem(*ends, brush=pg.mkBrush(*rgb, 60))):
+            self.plot.addItem(item)
+        return self.plot.plot(name=name, pen=pg.mkPen(rgb, width=1.5), connect="finite"), ends
 
-    def show_result(self, result: Result) -> None:
-        """Estimate the tilt of this frame."""
-        if result.source is not self._source:
-            self._begin(result.source)
-        self._result = result
-        self._estimate()
-
-    # Building
-
-    def _set_up_entries(self) -> None:
+    def _lay_out(self) -> None:
         self.method.addItems(list(_METHODS))
-        self.method.setCurrentText(self._settings.text(_METHOD, next(iter(_METHODS))))
+        self.method.setAccessibleName("Method")
+        self.method.setCurrentText(self.settings.text("tilt/method", next(iter(_METHODS))))
         self.method.setToolTip(
-            "Rig's noise: plane by least squares, corrected by the difference of both depths. "
+            "Rig's noise: plane by least squares, each point weighted by its noise. "
             "Principal components: as published, each point alike"
         )
-        self.filtered.setChecked(self._settings.number(_FILTERED, 0) > 0)
+        self.filtered.setChecked(self.settings.number("tilt/filtered", 0) > 0)
         self.filtered.setToolTip(
             "Angles after a Kalman filter with a constant rate: less noise, a little later. Off: each frame alone"
         )
-        self.export.setToolTip("Save the angles of all frames as CSV, in degrees (Ctrl+E); frames count from 0")
-        self.axis.setToolTip(
-            "Direction of the patch's long axis in the image, degrees: 0 to the right, 90 down; none for a round patch"
-        )
-        self.axis.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.copy.setEnabled(False)
-        self.reset.setEnabled(False)
-
-    def _lay_out(self) -> None:
-        row = QHBoxLayout()
-        self.method.setAccessibleName("Method")
-        row.addWidget(caption("&Method", self.method))
-        row.addWidget(self.method)
-        row.addSpacing(8)
-        row.addWidget(self.filtered)
-        row.addStretch(1)
-        dials = hbox(self.roll, self.pitch)
-        buttons = hbox((self.axis, 1), self.copy, self.reset, self.export)
+        self.roll.setToolTip("Angle about the camera's x axis: positive where the image's lower edge is farther")
+        self.pitch.setToolTip("Angle about the camera's y axis: positive where the image's right edge is nearer")
+        self.axis.setToolTip("Direction of the long axis in the image: 0° right, 90° down; none for a round patch")
+        for label in (self.roll, self.pitch, self.axis):
+            label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.top.addLayout(hbox(caption("&Method", self.method), self.method, self.filtered, STRETCH, self.copy))
         side = QWidget()
-        #: The column beside the cloud.
-        self.column = vbox(dials, (self.curve, 1), buttons, within=side, margins=0)
-        sheet = splitter(Qt.Orientation.Horizontal, self.cloud, side, sizes=(480, 480))
-        self._lay_out_around(sheet, vbox(row, self.status))  # the hints need the whole width
+        vbox(self.roll, self.pitch, self.axis, (self.plot, 1), within=side, margins=0)
+        self.column.addWidget(splitter(Qt.Orientation.Horizontal, self.cloud, side, sizes=(480, 480)))
+        self.copy.setEnabled(False)
 
-    def _connect(self) -> None:
-        self.method.currentTextChanged.connect(self._method_changed)
-        self.filtered.toggled.connect(self._filtered_changed)
-        self.copy.clicked.connect(self._copy)
-        self.reset.clicked.connect(self._reset)
-        self.export.clicked.connect(partial(self._ask_where, ""))
+    def _method_changed(self, _: int) -> None:
+        self.settings.set("tilt/method", self.method.currentText())
+        self._filter.restart()
+        self.again()
+
+    def _filtered_changed(self, on: bool) -> None:
+        self.settings.set("tilt/filtered", int(on))
+        self._show()
+        self.rows_changed()
 
     # Frames
 
-    def _begin(self, source: SourceInfo) -> None:
-        """Discard the former source; its curve can still be saved."""
-        former, rows = self._source, self.rows
-        self._source, self.rows, self.tilt = source, {}, None
+    def begin(self, result: Result) -> None:
+        """Start the filter anew."""
         self._filter.restart()
-        self.messages.clear("reset")  # its rows belong to the former source
-        if former is not None and rows:
-            sentence = (
-                f"The tilts of {former.name} ({counted(len(rows), 'frame')}) ended because {source.name} was opened."
-            )
-            ask = partial(self._ask_where, rows_as_csv(rows.values()))
-            self.messages.show_message("former", Severity.INFO, sentence, [("Save them…", ask)])
 
-    def _estimate(self) -> None:
-        result = self._result
-        if result is None:
-            return
-        if result.patch is None:
+    def work(self, result: Result) -> Work:
+        """Return the estimate of the tilt of a frame."""
+        method = _METHODS[self.method.currentText()]
+
+        def estimate(_: object) -> Tilt | None:
+            if result.patch is None:
+                return None
+            estimator = TiltEstimator(result.preset, result.source.rig, method)
+            return estimator.estimate(result.patch, result.frame.sequence, result.frame.proximity_time_s)
+
+        return estimate
+
+    def show_found(self, result: Result, found: Any) -> Row | None:
+        """Show the plane and the angles."""
+        if found is None or result.patch is None:
+            self.tilt = self._newest = None
             self.cloud.set_cloud(None)
             self.cloud.set_message(result.problem)
             self.status.setText(result.problem)
-            for dial in (self.roll, self.pitch):
-                dial.setValue(None, None)
-            self._show_curve()
-            return
-        frame = result.frame
-        estimator = TiltEstimator(result.preset, result.source.rig, _METHODS[self.method.currentText()])
-        raw = estimator.estimate(result.patch, frame.sequence, frame.proximity_time_s)
-        self.rows.pop(frame.sequence, None)  # as in a loop, the newest is the last
-        self.rows[frame.sequence] = TiltRow(raw, self._filter.update(raw))
-        if len(self.rows) > MAX_ROWS:
-            del self.rows[next(iter(self.rows))]
+            return None
+        filtered = self._filter.update(found)
+        self._newest = result, found, filtered
         self._show()
+        angles = [getattr(found, name) for name in _ANGLES]
+        angles += [getattr(filtered, name) for name in (*_ANGLES[:4], *_RATES)]
+        degrees = [None if angle is None else round(math.degrees(angle), 4) for angle in angles]
+        return (found.sequence, round(found.time_s, 6), found.method, found.points, *degrees)
 
     def _show(self) -> None:
-        """Draw the newest frame and the curve."""
-        result = self._result
-        if result is None or result.patch is None or result.frame.sequence not in self.rows:
+        """Draw the newest frame's plane and angles, alone or filtered."""
+        if self._newest is None:
             return
-        row, filtered = self.rows[result.frame.sequence], self.filtered.isChecked()
-        tilt = self.tilt = row.filtered if filtered else row.raw
-        points = result.patch.points
-        theme = palette_theme(self.palette())
-        self.cloud.set_message(_NO_CONTACT)
-        self.cloud.set_cloud(patch_with_plane(points, tilt, theme) if len(points) else None)
-        plane = tilt.roll_rad is not None and tilt.pitch_rad is not None
-        self.cloud.set_legend([("patch", CONTACT_COLOR), *([("fitted plane", PLANE_COLOR)] if plane else [])])
-        self.roll.setValue(tilt.roll_rad, tilt.roll_sigma_rad)
-        self.pitch.setValue(tilt.pitch_rad, tilt.pitch_sigma_rad)
+        result, alone, filtered = self._newest
+        tilt = self.tilt = filtered if self.filtered.isChecked() else alone
+        assert result.patch is not None
+        points, lines = result.patch.points, plane_lines(result.patch.points, tilt)
+        colors = np.concatenate([np.full(len(points), CONTACT_ROW), np.full(len(lines), _PLANE_ROW)]).astype(np.uint8)
+        lut = patch_lut(palette_theme(self.palette())).copy()
+        lut[_PLANE_ROW] = (*_PITCH_RGB, 255)
+        cloud = free_cloud(np.concatenate([points, lines]), colors, lut, count=len(points))
+        self.cloud.set_message("No contact yet: press the object into the membrane, or play to a frame with contact")
+        self.cloud.set_cloud(cloud if len(points) else None)
+        plane = [("fitted plane", QColor(*_PITCH_RGB))] if len(lines) else []
+        self.cloud.set_legend([("patch", CONTACT_COLOR), *plane])
+        self.roll.setText(f"Roll {degrees_text(tilt.roll_rad, tilt.roll_sigma_rad)}")
+        self.pitch.setText(f"Pitch {degrees_text(tilt.pitch_rad, tilt.pitch_sigma_rad)}")
         self.axis.setText(f"Long axis {degrees_text(tilt.axis_rad, tilt.axis_sigma_rad)}")
-        self._show_curve()
-        parts = [f"Frame {result.frame_number} of {result.source.name}"]
-        if len(points) and not plane:
-            parts.append(_NOT_DETERMINED)
+        hints = [f"Frame {result.frame_number} of {result.source.name}"]
+        hints += [_NOT_DETERMINED] if len(points) and not len(lines) else []
         if result.preset.noise is None:
-            parts.append(_ASSUMED)
-        self.status.setText(" · ".join(parts))
+            hints.append("usual noise assumed: see Calibration > Measure noise and bias")
+        self.status.setText(" · ".join(hints))
         self.copy.setEnabled(True)
 
-    def _show_curve(self) -> None:
-        filtered = self.filtered.isChecked()
-        rows = sorted(list(self.rows.values())[-PLOTTED:], key=lambda row: row.raw.time_s)
-        self.curve.show_tilts([row.filtered if filtered else row.raw for row in rows])
-        self.reset.setEnabled(bool(rows))
-        self.export.setEnabled(bool(rows))
-
-    # Entries and buttons
-
-    def _method_changed(self, name: str) -> None:
-        self._settings.set(_METHOD, name)
-        self._filter.restart()
-        self._estimate()
-
-    def _filtered_changed(self, on: bool) -> None:
-        self._settings.set(_FILTERED, int(on))
-        self._show()
+    def rows_changed(self) -> None:
+        """Draw roll and pitch over time; gaps where they are not determined."""
+        rows = sorted(list(self.rows.values())[-_PLOTTED:], key=lambda row: float(row[1]))
+        times = np.array([row[1] for row in rows])
+        first = self.COLUMNS.index("filtered_roll_deg" if self.filtered.isChecked() else "roll_deg")
+        for place, (curve, ends) in enumerate(self._curves):
+            at = first + 2 * place
+            angle, sigma = np.array([row[at : at + 2] for row in rows], np.float64).reshape(-1, 2).T  # None: nan
+            curve.setData(times, angle)
+            for end, sign in zip(ends, (-1, 1), strict=True):
+                end.setData(times, angle + sign * sigma)
 
     def _copy(self) -> None:
-        if self.tilt is None:
-            return
-        words = f"{self.roll.text()}, {self.pitch.text()}, {self.axis.text()}"
-        copy_text(f"{words} (frame {self.tilt.sequence}, {self.tilt.method})")
-        self._say("The angles were copied.")
-
-    def _reset(self) -> None:
-        rows = self.rows
-        if not rows:
-            return
-        self.rows = {}
-        self._filter.restart()
-        self._show_curve()
-
-        def bring_back() -> None:
-            self.rows = rows | self.rows
-            self._show_curve()
-
-        sentence = f"The curve of {counted(len(rows), 'frame')} was removed."
-        self.messages.show_message("reset", Severity.INFO, sentence, [("Bring it back", bring_back)])
-
-    def _ask_where(self, text: str, _checked: bool = False) -> None:
-        """Ask for a file for the present tilts, or for the CSV text of a former source's."""
-        use = partial(self.save_to, text=text)
-        self._dialogs.save_file("export", "Save tilt", "tilt.csv", ["CSV file (*.csv)"], use)
-
-    def save_to(self, path: Path, text: str = "") -> None:
-        """Write the angles of all frames as CSV."""
-        rows = sorted(self.rows.values(), key=lambda row: row.raw.time_s)
-        self._write(None, text or rows_as_csv(rows), path, "The tilts were")
+        if self.tilt is not None:
+            words = f"{self.roll.text()}, {self.pitch.text()}, {self.axis.text()}"
+            copy_text(f"{words} (frame {self.tilt.sequence}, {self.tilt.method})")
+            self.messages.show_message("copied", Severity.INFO, "The angles were copied.")
 
     def changeEvent(self, event: QEvent | None) -> None:
         """Follow the theme."""
         super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.PaletteChange and hasattr(self, "column"):
+        if event is not None and event.type() == QEvent.Type.PaletteChange and hasattr(self, "copy"):
             self._show()
+
+
+def plane_lines(points: Float32Array, tilt: Tilt) -> Float64Array:
+    """Return points on a grid in the plane around the patch and on its normal towards the camera, shape (N, 3)."""
+    if tilt.roll_rad is None or tilt.pitch_rad is None or tilt.centroid_m is None:
+        return np.empty((0, 3))
+    roll, pitch, centre = tilt.roll_rad, tilt.pitch_rad, np.array(tilt.centroid_m)
+    normal = np.array([math.sin(pitch) * math.cos(roll), -math.sin(roll), math.cos(pitch) * math.cos(roll)])
+    away = points - centre
+    across = np.array([math.cos(pitch), 0.0, -math.sin(pitch)])
+    down = np.cross(normal, across)
+    (u0, u1), (v0, v1) = ((float(part.min()), float(part.max())) for part in (away @ across, away @ down))
+    step, fine = np.linspace(0, 1, _LINES), np.linspace(0, 1, _ON_LINE)
+    along = [(s, t) for s in step for t in fine] + [(t, s) for s in step for t in fine]
+    s, t = np.array(along).T
+    grid = centre + np.outer(u0 + s * (u1 - u0), across) + np.outer(v0 + t * (v1 - v0), down)
+    return np.concatenate([grid, centre - np.outer(fine * _NORMAL_M, normal)])
+
+
+def degrees_text(angle_rad: float | None, sigma_rad: float | None) -> str:
+    """Return an angle with its standard deviation in degrees, or that it is not determined."""
+    if angle_rad is None or sigma_rad is None:
+        return "not determined"
+    return minus(f"{math.degrees(angle_rad):z.2f}° ± {math.degrees(sigma_rad):.2f}°")

@@ -21,7 +21,7 @@ from PyQt6.QtWidgets import QApplication, QWidget
 
 from bag_maker import D405, L515, make_bag
 from folder_scenes import RIG, ListSource, make_frame
-from tactune.app.analysis.measuring_tab import write_picture
+from tactune.app.analysis.live_tab import write_picture
 from tactune.app.analysis.truth_state import FrozenPatch, PickedPair, TruthKeeper, TruthSession, TruthState
 from tactune.app.calibration.keeping import Keeper
 from tactune.app.calibration.session import PointPair, Session, SessionState, Snapshot
