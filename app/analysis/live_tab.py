@@ -30,7 +30,6 @@ NO_UNTOUCHED: Final = (
     "Needs an untouched frame, which this source does not have. "
     "Capture it while nothing touches the membrane: Ctrl+Shift+R"
 )
-_FOLDER: Final = "folder/export"
 #: Rows of the newest frames that are kept: an hour at 30 frames/s.
 _MAX_ROWS: Final = 108_000
 
@@ -195,14 +194,12 @@ class LiveTab(AnalysisTab):
         """Ask for a file for the present rows, or for those of a former source."""
         pictured = rows is None and self.picture() is not None
         filters = [*(["PNG picture, CSV beside it (*.png)"] if pictured else []), "Table (*.csv)"]
-        folder = Path(self.settings.text(_FOLDER) or Path.home())
         name = f"{self.EXPORT}{'.png' if pictured else '.csv'}"
         dialogs = self.context.dialogs.over(self.window() or self)
-        dialogs.save_file("Export", folder / name, filters, lambda path: self.save_to(path, rows))
+        dialogs.save_file("export", "Export", name, filters, lambda path: self.save_to(path, rows))
 
     def save_to(self, path: Path, rows: list[Row] | None = None) -> None:
         """Write rows as CSV, on another thread; the present ones into a .png with the picture, the CSV beside it."""
-        self.settings.set(_FOLDER, str(path.parent))
         widget = self.picture() if rows is None and path.suffix.lower() != ".csv" else None
         picture = None if widget is None else widget.grab().toImage()
         text = rows_as_csv(self.COLUMNS, self.rows.values() if rows is None else rows)
