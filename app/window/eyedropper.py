@@ -79,11 +79,9 @@ class Eyedropper(QObject):
 
     @property
     def mode(self) -> str:
-        """The active mode: "set", "expand", "shrink" or "off"."""
         return self._mode
 
     def use(self, mode: str) -> None:
-        """Switch to a mode; "off" switches the eyedropper off."""
         if mode != "off" and self._mode == "off":
             self.started.emit()
         self._mode = mode

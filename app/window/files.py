@@ -44,7 +44,6 @@ class FileFlows(QObject):
         self._settings, self._messages = context.settings, context.messages
 
     def connect_actions(self, actions: Actions) -> None:
-        """Connect the file actions."""
         actions.new_preset.triggered.connect(lambda _: self.new())
         actions.open_preset.triggered.connect(self.open_preset_dialog)
         actions.save.triggered.connect(lambda _: self.save())
@@ -67,7 +66,6 @@ class FileFlows(QObject):
         self._dialogs.ask_unsaved(self._document.preset.name, save=lambda: self.save(then), discard=then)
 
     def new(self, shipped: str = "default") -> None:
-        """Start a new preset from a shipped one."""
 
         def begin() -> None:
             created = now()
@@ -90,11 +88,9 @@ class FileFlows(QObject):
         )
 
     def open_preset_dialog(self) -> None:
-        """Ask for a preset file and open it."""
         self.guarded(lambda: self._dialogs.open_file("preset", "Open preset", PRESET_FILTER, self._read_preset))
 
     def open_preset(self, path: Path) -> None:
-        """Open a preset file, after asking about unsaved changes."""
         self.guarded(lambda: self._read_preset(path))
 
     def save(self, then: Callable[[], object] | None = None) -> None:
@@ -105,14 +101,12 @@ class FileFlows(QObject):
             self._write_preset(self._document.path, then)
 
     def save_as(self, then: Callable[[], object] | None = None) -> None:
-        """Ask where to save."""
         suggestion = self._document.path or f"{file_name(self._document.preset.name)}.json"
         self._dialogs.save_file(
             "preset", "Save preset", suggestion, [PRESET_FILTER], lambda path: self._write_preset(path, then)
         )
 
     def details(self) -> None:
-        """Ask for the preset's name and notes."""
         preset = self._document.preset
         self._dialogs.ask_details(
             preset.name,
@@ -138,7 +132,6 @@ class FileFlows(QObject):
     # Export
 
     def export_dialog(self) -> None:
-        """Ask where to save the patch of the present frame."""
         result = self._context.result
         if result is None or result.patch is None:
             return
@@ -227,12 +220,10 @@ class FileFlows(QObject):
 
 
 def file_name(name: str) -> str:
-    """Turn a preset's name into a file name."""
     return "".join(letter if letter.isalnum() or letter in "-_ ." else "_" for letter in name).strip(" .") or "preset"
 
 
 def _export_patch(result: Result, path: Path) -> str:
-    """Write the patch of a result; return a sentence that says so."""
     patch = result.patch
     assert patch is not None
     write_cloud(path, patch_cloud(patch, result.frame, result.source.rig))

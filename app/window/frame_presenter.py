@@ -39,7 +39,6 @@ def camera_sentence(camera: CameraHealth) -> str:
 
 
 def age(seconds: float) -> str:
-    """Return an age such as ``12 s`` or ``3 min``."""
     whole = max(0, int(seconds))
     return f"{whole} s" if whole < 60 else f"{whole // 60} min"
 
@@ -152,7 +151,6 @@ class FramePresenter(QObject):
         strip.hovered.connect(self._hovered)
 
     def forget(self) -> None:
-        """Discard the frame before another source."""
         self._context.result = None
         self._shown_warnings = ()
         self.show_state(SourceState())

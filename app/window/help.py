@@ -32,7 +32,6 @@ def guide_file() -> Path:
 
 
 def open_guide(messages: Messages) -> None:
-    """Open the guide in the browser; a message says why that is not possible."""
     page = guide_file()
     if not page.is_file():
         sentence = f"The guide is not built: {page} is missing. Run make guide in the repository, or read docs/guide."
@@ -57,7 +56,6 @@ _MOUSE = (
 
 
 def show_shortcuts(parent: QWidget, actions: Iterable[QAction]) -> None:
-    """Show every shortcut and mouse gesture."""
     rows = [(_keys(action), plain_text(action)) for action in actions]
     keys = "".join(_row(key, text) for key, text in rows if key)
     mouse = "".join(_row(gesture, meaning) for gesture, meaning in _MOUSE)

@@ -44,8 +44,7 @@ from ..worker.reading import SourceRequest
 from ..worker.results import Result, SourceInfo, Wanted
 from ..worker.worker import Worker
 from .actions import THEMES, Actions, make_menus
-from .comparison_control import ComparisonControl
-from .comparison_panel import ComparisonPanel
+from .comparison import ComparisonControl, ComparisonPanel
 from .computer_window import ComputerWindow
 from .contact_list import ContactList
 from .eyedropper import Eyedropper
@@ -353,7 +352,6 @@ class MainWindow(QMainWindow):
         actions.show_time.toggled.connect(timeline.set_shown)
 
     def offer_unsaved_work(self) -> None:
-        """Offer the unsaved work of a window that crashed."""
         self.file_flows.offer_unsaved_work()
 
     def _show_messages(self) -> None:
@@ -377,7 +375,6 @@ class MainWindow(QMainWindow):
         )
 
     def open_request(self, request: SourceRequest) -> None:
-        """Open a source that the request makes."""
         self.messages.clear_subject(TASK)
         if self.result is None:
             self.views.show_message(_OPENING)
@@ -396,7 +393,6 @@ class MainWindow(QMainWindow):
         self.opening.show_share(share, f"Opening {name}{': ' + words if words else '…'}")
 
     def _enable_measuring(self, enabled: bool) -> None:
-        """Enable what needs a source."""
         actions = self.actions_
         for action in (actions.record, actions.calibrate, actions.recheck, actions.suggest_all):
             action.setEnabled(enabled)
@@ -448,7 +444,6 @@ class MainWindow(QMainWindow):
         )
 
     def _show_color_image(self) -> None:
-        """Bring up the colour image, which a click is wanted in."""
         if self.parts.shown is not self.strip.panes["color"]:
             self.parts.back()
         self.actions_.show_strip.setChecked(True)
@@ -482,7 +477,6 @@ class MainWindow(QMainWindow):
     # Theme and layout
 
     def set_theme(self, choice: ThemeChoice, remember: bool = True) -> None:
-        """Apply a theme to the application and, if asked, remember it."""
         application = QApplication.instance()
         assert isinstance(application, QApplication)
         apply_theme(application, choice)
@@ -549,12 +543,10 @@ class MainWindow(QMainWindow):
         super().keyPressEvent(event)
 
     def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:
-        """Accept local files; `dropEvent` decides what they are."""
         if event is not None and local_files(event.mimeData()):
             event.acceptProposedAction()
 
     def dropEvent(self, event: QDropEvent | None) -> None:
-        """Open a preset or a recording."""
         paths = local_files(event.mimeData() if event is not None else None)
         if event is not None and paths:
             event.acceptProposedAction()
@@ -580,7 +572,6 @@ class MainWindow(QMainWindow):
         event.accept()
 
     def shut_down(self) -> None:
-        """Close the other windows and stop the worker."""
         self.computer.close()
         for part in (
             self.watch,
@@ -600,6 +591,5 @@ class MainWindow(QMainWindow):
         self.worker.shut_down()
 
     def close_without_asking(self) -> None:
-        """Close, whatever is unsaved."""
         self._closing = True
         self.close()

@@ -86,7 +86,6 @@ class Pointing(QObject):
         self._mark(self._places(result) | {name: place})
 
     def _lead(self, pixel: Pixel) -> None:
-        """Put the crosshair of the images on a pixel."""
         self._pixel = pixel
         self._leads = True
         self._strip.point_at(*pixel)
@@ -137,7 +136,6 @@ def _pixel_of(flat: int, rig: Rig) -> Pixel:
 
 
 def _seen_by_proximity(place: Place, rig: Rig) -> Pixel:
-    """Return the proximity pixel that sees a place, or `_NOWHERE`."""
     height, width = rig.proximity.intrinsics.shape
     if place[2] <= 0:
         return _NOWHERE

@@ -70,7 +70,6 @@ class FrameDetails(Card):
             self._fill()
 
     def showEvent(self, event: QShowEvent | None) -> None:
-        """Show the newest numbers."""
         super().showEvent(event)
         self._fill()
 
@@ -149,35 +148,29 @@ class FrameStatus(QStatusBar):
 
     @property
     def shown_fps(self) -> float:
-        """Frames drawn per second, over the last two seconds."""
         return self._shown_rate.rate()
 
     def show_source(self, info: SourceInfo) -> None:
-        """Show length, name and cameras of the source."""
         rig = info.rig
         cameras = " + ".join(f"{camera.model} {camera.serial}".strip() for camera in (rig.proximity, rig.tactile))
         length = "" if info.length is None else f", {info.length} frame{'' if info.length == 1 else 's'}"
         self._source.setText(f"{info.name}{length}, {cameras}")
 
     def show_findings(self, count: int) -> None:
-        """Show the number of findings; the button is hidden while there is none."""
         self.findings.setText(counted(count, "finding"))
         self.findings.setVisible(count > 0)
 
     def show_state(self, state: SourceState) -> None:
-        """Show whether frames come."""
         self._stale = state.stale
         self._show_words()
 
     def show_playback(self, state: PlaybackState) -> None:
-        """Show whether the source plays."""
         self._playback = state
         if not state.running:
             self._rate.setText("")
         self._show_words()
 
     def show_recording(self, running: bool) -> None:
-        """Show whether a recording is being made."""
         self._recording = running
         self._show_words()
 
@@ -194,7 +187,6 @@ class FrameStatus(QStatusBar):
         self.details.show_result(result, self.shown_fps)
 
     def _show_words(self) -> None:
-        """Show the state in one or two words."""
         playback = self._playback
         if self._stale:
             words = "No frames"

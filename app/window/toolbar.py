@@ -56,7 +56,6 @@ class Transport(QWidget):
 
     @property
     def state(self) -> PlaybackState:
-        """The state that is shown now."""
         return self._state
 
     def show_state(self, state: PlaybackState) -> None:
@@ -144,12 +143,10 @@ class ToolBar(QToolBar):
         extension.setAccessibleName("More actions")
 
     def show_source(self, name: str) -> None:
-        """Show the source's name on its button."""
         self.source.setText(f"Source: {_literal(_shortened(name))}")
         self.source.setToolTip(f"Source of the frames; click to open another one (Ctrl+O)\n{name}")
 
     def show_preset(self, title: str, path: Path | None) -> None:
-        """Show the preset's name on its button, with the mark of unsaved changes."""
         self.preset.setText(f"Preset: {_literal(_shortened(title))}")
         self.preset.setToolTip(f"The preset being tuned\n{path or 'not saved to a file yet'}")
 

@@ -66,7 +66,6 @@ class StripSplitter(QSplitter):
         self.splitterMoved.connect(self._moved)
 
     def restoreState(self, state: QByteArray | bytes | bytearray | memoryview) -> bool:
-        """Restore a division that the user chose."""
         self._chosen = super().restoreState(state)
         return self._chosen
 
@@ -75,12 +74,10 @@ class StripSplitter(QSplitter):
         return self.saveState() if self._chosen else QByteArray()
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:
-        """Give the strip the height that its images need at this width."""
         super().resizeEvent(event)
         self._divide()
 
     def set_aspect(self, height_per_width: float) -> None:
-        """Set the height of the images over their width."""
         self._aspect = height_per_width
         self._divide()
 
@@ -183,15 +180,12 @@ class ViewArea(QWidget):
         self._resize_points(self.point_size.value())
 
     def chosen_colors(self) -> ColorBy:
-        """Return the chosen meaning of the colours."""
         return ColorBy(self.color_by.currentData())
 
     def choose_colors(self, choice: ColorBy) -> None:
-        """Set the meaning of the colours."""
         self.color_by.setCurrentIndex(self.color_by.findData(choice))
 
     def visible_clouds(self) -> frozenset[CloudName]:
-        """Return the views that are not hidden."""
         if self.isHidden():
             return frozenset()
         return frozenset(name for name, view in self.views.items() if not view.isHidden())
@@ -245,12 +239,10 @@ class ViewArea(QWidget):
             self.views[name].set_right(right, why_right)
 
     def show_badges(self, badges: Mapping[CloudName, str]) -> None:
-        """Write a text over each view whose frame is old."""
         for name, view in self.views.items():
             view.set_badge(badges.get(name, ""))
 
     def show_message(self, message: str) -> None:
-        """Empty all views and show a message in them."""
         self.set_wipe(None)
         for view in self.views.values():
             view.set_cloud(None)
@@ -310,7 +302,6 @@ class ViewArea(QWidget):
         return row
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:
-        """Fit the legends to the new width."""
         super().resizeEvent(event)
         self._fit_legends()
 
@@ -327,7 +318,6 @@ class ViewArea(QWidget):
         return next((view for view in self.views.values() if not view.isHidden()), self.views[CloudName.PATCH])
 
     def restore(self, point_size: float, color_by: str) -> None:
-        """Restore the choices of an earlier start; unknown values are ignored."""
         with QSignalBlocker(self.color_by):
             if color_by in list(ColorBy):
                 self.choose_colors(ColorBy(color_by))

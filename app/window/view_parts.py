@@ -61,7 +61,6 @@ class ViewParts(QObject):
         return self._shown
 
     def toggle(self, widget: QWidget) -> None:
-        """Enlarge a view or image, or go back if one is enlarged."""
         if self._shown is not None:
             self.back()
             return
@@ -133,7 +132,6 @@ class ViewParts(QObject):
         menu.popup(at)
 
     def _menu(self, part: QWidget) -> QMenu:
-        """Return a context menu with the entries of every view and image."""
         menu = QMenu(part)
         menu.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         enlarge = _entry(menu, "Enlarge" if self._shown is None else "Back to all views", "double click")
@@ -143,7 +141,6 @@ class ViewParts(QObject):
 
 
 def _entry(menu: QMenu, text: str, keys: str) -> QAction:
-    """Add an entry that names its keys or mouse gesture."""
     entry = menu.addAction(f"{text}\t{keys}")
     assert entry is not None
     return entry

@@ -1,0 +1,457 @@
+"""Comparing two presets: the panel beside the views, what it offers, what the keys do, and where the wipe stands."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from enum import StrEnum
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from PyQt6.QtCore import QObject, Qt, pyqtSignal
+from PyQt6.QtWidgets import (
+    QAbstractItemView,
+    QButtonGroup,
+    QComboBox,
+    QGridLayout,
+    QHeaderView,
+    QLabel,
+    QSizePolicy,
+    QTableWidget,
+    QTableWidgetItem,
+    QWidget,
+)
+
+from ...core.errors import TactuneError, minus
+from ...core.preset import Preset
+from ...core.preset.file import shipped_presets
+from ...core.sources.presets import load_preset
+from ...widgets.basics.controls import AccentButton, caption, push_button, read_only_table, wrapped_label
+from ...widgets.basics.fields import FieldSpec, field_spec, format_number
+from ...widgets.basics.layouts import hbox, vbox
+from ...widgets.basics.messages import Severity
+from ..context import TASK, Context
+from ..document.comparison import PRESENT, Side, Sides, differing_fields, take_over
+from ..document.document import field_title, format_value
+from ..worker.results import ComparedFrame, ComparedSide
+from .actions import Actions
+from .files import PRESET_FILTER
+from .frame_presenter import FramePresenter
+
+#: A side on offer: its name, and what makes it the chosen one.
+Offer = tuple[str, Callable[[], None]]
+
+#: Share of the width by which a key moves the wipe.
+STEP: Final = 0.05
+#: Interval between updates of the numbers while frames play, in seconds.
+INTERVAL_S: Final = 0.2
+#: Number of newest steps of the history that are offered.
+_MAX_STEPS: Final = 40
+#: Width of a column of values, in pixels.
+_VALUE_WIDTH: Final = 84
+
+
+class Shown(StrEnum):
+    """What the views show of a comparison."""
+
+    WIPE = "wipe"
+    A = "A"
+    B = "B"
+    DIFFERENCE = "difference"
+
+
+_NEXT: Final = {Shown.A: Shown.B, Shown.B: Shown.WIPE}
+_MODE_TIPS: Final = {
+    Shown.WIPE: "A left and B right of a line that you drag (Alt + Left and Alt + Right move it)",
+    Shown.A: "Show only A (C changes between A, B and the wipe)",
+    Shown.B: "Show only B (C changes between A, B and the wipe)",
+    Shown.DIFFERENCE: "Colour the patch view by which preset finds contact: both, only A, or only B (D)",
+}
+_NUMBERS: Final = {
+    "Area": "Area of the patch, projected along the optical axis",
+    "Points": "Points of the patch",
+    "Time": "Time of the contact test on this frame; a cached step counts as when it was last computed",
+    "Not in the other": "Area that only this preset finds",
+}
+#: How records are called in the table.
+_RECORDS: Final[dict[str, Callable[[Any], str]]] = {
+    "rig": lambda rig: f"{rig.proximity.model} + {rig.tactile.model}",
+    "untouched": lambda record: str(record.sha256[:8]),
+    "noise": lambda noise: f"bias {1e3 * noise.bias_m:.1f} mm",
+}
+
+
+class SideBox(QComboBox):
+    """Chooses one side. Its entries are made when it opens: answer the signal ``opening()`` with `offer`."""
+
+    opening = pyqtSignal()
+
+    def __init__(self, letter: str) -> None:
+        super().__init__()
+        self._offers: list[Offer] = []
+        self.setAccessibleName(f"Preset {letter}")
+        self.setToolTip(f"Preset {letter}: the present one, the saved one, a step of the history, or another preset")
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self.setMaxVisibleItems(25)
+        self.activated.connect(lambda index: self._offers[index][1]())
+
+    def offer(self, groups: Sequence[Sequence[Offer]], chosen: Side) -> None:
+        """Set the entries, group by group. A chosen side that is not among them comes first."""
+        known = {name for group in groups for name, _ in group}
+        if chosen.name not in known:
+            groups = [[(chosen.name, lambda: None)], *groups]
+        self.clear()
+        self._offers = []
+        for group in groups:
+            if self._offers and group:
+                self.insertSeparator(self.count())
+                self._offers.append(("", lambda: None))
+            for name, choose in group:
+                self.addItem(name)
+                self._offers.append((name, choose))
+        self.setCurrentIndex(self.findText(chosen.name))
+
+    def showPopup(self) -> None:
+        self.opening.emit()
+        super().showPopup()
+
+
+class ComparisonPanel(QWidget):
+    """Shows which presets are compared, how they are shown, their numbers, and the fields in which they differ.
+
+    Signals
+    -------
+    modeChosen(Shown)
+    swapRequested()
+    useRequested(index: int)
+        Take over side A (0) or B (1).
+    closeRequested()
+    """
+
+    modeChosen = pyqtSignal(object)
+    swapRequested = pyqtSignal()
+    useRequested = pyqtSignal(int)
+    closeRequested = pyqtSignal()
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.boxes = SideBox("A"), SideBox("B")
+        self.use = push_button("Use A", ""), push_button("Use B", "")
+        self.modes = {mode: AccentButton(mode.value.capitalize(), _MODE_TIPS[mode]) for mode in Shown}
+        self.numbers: dict[tuple[str, int], QLabel] = {}
+        self.agreement = QLabel()
+        self.heading = QLabel()
+        self.problem = wrapped_label()
+        self.problem.setTextFormat(Qt.TextFormat.PlainText)
+        self.problem.hide()
+        self.table = _make_table()
+        self.swap = push_button("Swap", "Exchange A and B")
+        self.close_button = push_button("Close", "End the comparison (Esc)")
+        self.swap.clicked.connect(self.swapRequested)
+        self.close_button.clicked.connect(self.closeRequested)
+        group = QButtonGroup(self)
+        for mode, button in self.modes.items():
+            button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+            button.clicked.connect(partial(self._choose_mode, mode))
+            group.addButton(button)
+        vbox(
+            hbox((QLabel("<b>Compare presets</b>"), 1), self.swap, self.close_button),
+            self._side_rows(),
+            hbox(*self.modes.values(), spacing=4),
+            self._number_rows(),
+            self.problem,
+            self.heading,
+            (self.table, 1),
+            within=self,
+            margins=4,
+            spacing=4,
+        )
+        self.setAccessibleName("Comparison of two presets")
+        self.setMinimumWidth(340)
+
+    def _choose_mode(self, mode: Shown, _checked: bool) -> None:
+        self.modeChosen.emit(mode)
+
+    def _side_rows(self) -> QGridLayout:
+        grid = QGridLayout()
+        grid.setColumnStretch(1, 1)
+        for index, (box, use, letter) in enumerate(zip(self.boxes, self.use, "AB", strict=True)):
+            grid.addWidget(caption(letter, box), index, 0)
+            grid.addWidget(box, index, 1)
+            grid.addWidget(use, index, 2)
+            use.clicked.connect(lambda _, index=index: self.useRequested.emit(index))
+        return grid
+
+    def _number_rows(self) -> QGridLayout:
+        grid = QGridLayout()
+        grid.setVerticalSpacing(0)
+        for column in (1, 2):
+            grid.setColumnStretch(column, 1)
+            grid.addWidget(_right_aligned(QLabel("AB"[column - 1])), 0, column)
+        for row, (name, tip) in enumerate(_NUMBERS.items(), start=1):
+            title = QLabel(name)
+            title.setToolTip(tip)
+            grid.addWidget(title, row, 0)
+            for column in (0, 1):
+                label = self.numbers[name, column] = _right_aligned(QLabel("–"))
+                label.setAccessibleName(f"{name} of {'AB'[column]}")
+                grid.addWidget(label, row, 1 + column)
+        last = len(_NUMBERS) + 1
+        title = QLabel("IoU of the patches")
+        for label in (title, self.agreement):
+            label.setToolTip("Intersection over union of both patches: 1 if they cover the same pixels")
+        grid.addWidget(title, last, 0)
+        grid.addWidget(_right_aligned(self.agreement), last, 2)
+        return grid
+
+    def show_sides(self, sides: Sides) -> None:
+        for button, side, letter in zip(self.use, sides, "AB", strict=True):
+            button.setEnabled(not side.follows)
+            button.setToolTip(
+                f"{letter} is the present preset already"
+                if side.follows
+                else f"Take over the values of {letter} ({side.name}) as one step that can be undone. "
+                "Name, notes, rig and untouched frame stay."
+            )
+        presets = sides[0].preset, sides[1].preset
+        paths = differing_fields(*presets)
+        many = "" if len(paths) == 1 else "s"
+        self.heading.setText(f"{len(paths)} field{many} differ{'' if many else 's'}" if paths else "No field differs")
+        self.table.setRowCount(len(paths))
+        for row, path in enumerate(paths):
+            spec = _spec_of(path)
+            unit = spec.suffix.strip() if spec is not None else ""
+            title = field_title(path) + (f" ({unit})" if unit else "")
+            values = [preset.value(path) for preset in presets]
+            for column, text in enumerate((title, *(_in_words(path, spec, value) for value in values))):
+                item = QTableWidgetItem(text)
+                whole = text if path in _RECORDS else str(values[column - 1])
+                item.setToolTip(whole if column else f"{path}\n{spec.description if spec else ''}".strip())
+                self.table.setItem(row, column, item)
+
+    def show_frame(self, compared: ComparedFrame) -> None:
+        """Show the numbers of a frame."""
+        overlap = compared.overlap
+        alone = (None, None) if overlap is None else (overlap.only_a_mm2, overlap.only_b_mm2)
+        for column, (side, area_mm2) in enumerate(zip((compared.a, compared.b), alone, strict=True)):
+            for name, text in zip(_NUMBERS, (*_numbers_of(side), _square_cm(area_mm2)), strict=True):
+                self.numbers[name, column].setText(text)
+                self.numbers[name, column].setToolTip(side.problem or _NUMBERS[name])
+        self.agreement.setText("–" if overlap is None else f"{overlap.iou:.3f}")
+        sides = (("A", compared.a), ("B", compared.b))
+        problems = [f"{letter}: {side.problem}" for letter, side in sides if side.problem]
+        self.problem.setText("\n".join(problems))
+        self.problem.setVisible(bool(problems))
+
+
+def _make_table() -> QTableWidget:
+    table = QTableWidget(0, 3)
+    table.setHorizontalHeaderLabels(["Field", "A", "B"])
+    columns, _ = read_only_table(
+        table, "Fields in which the presets differ", "Fields in which the presets differ, with the value of each"
+    )
+    table.setSizeAdjustPolicy(QAbstractItemView.SizeAdjustPolicy.AdjustToContents)
+    table.setMinimumHeight(80)
+    columns.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
+    for column in (1, 2):
+        table.setColumnWidth(column, _VALUE_WIDTH)
+    return table
+
+
+def _numbers_of(side: ComparedSide) -> tuple[str, str, str]:
+    """Return area, points and time of a side."""
+    if side.patch is None:
+        return "–", "–", "–"
+    return _square_cm(side.area_mm2), f"{len(side.patch.points):,}", f"{side.ms:.1f} ms"
+
+
+def _square_cm(area_mm2: float | None) -> str:
+    return "–" if area_mm2 is None else f"{area_mm2 / 100:.2f} cm²"
+
+
+def _right_aligned(label: QLabel) -> QLabel:
+    label.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+    return label
+
+
+def _spec_of(path: str) -> FieldSpec | None:
+    """Return how widgets show a field; None for one that no widget shows, such as the notes."""
+    try:
+        return field_spec(Preset, path)
+    except TypeError:
+        return None
+
+
+def _in_words(path: str, spec: FieldSpec | None, value: Any) -> str:
+    """Return a value as the panel of parameters shows it, without its unit."""
+    if path in _RECORDS:
+        return "none" if value is None else _RECORDS[path](value)
+    if spec is not None and spec.kind in ("number", "range"):
+        numbers = value if isinstance(value, tuple) else (value,)
+        return " to ".join(minus(format_number(number * spec.factor)) for number in numbers)
+    return format_value(value)
+
+
+class ComparisonControl(QObject):
+    """Connects `Context.comparison` with the worker, the views, the panel and the actions.
+
+    Signals
+    -------
+    wantedChanged()
+        `shows_difference` has changed.
+    runningChanged(bool)
+        A comparison was started or ended.
+    """
+
+    wantedChanged = pyqtSignal()
+    runningChanged = pyqtSignal(bool)
+
+    def __init__(self, context: Context, actions: Actions, panel: ComparisonPanel, presenter: FramePresenter) -> None:
+        super().__init__(context)
+        self._context, self._document, self._comparison = context, context.document, context.comparison
+        self._actions, self._panel, self._presenter = actions, panel, presenter
+        self._mode = Shown.WIPE
+        self._share = 0.5
+        self._running = False
+        self._last: Sides | None = None
+        self._numbers_s = 0.0
+        self._comparison.changed.connect(self._changed)
+        context.frameShown.connect(self._show_numbers)
+        panel.modeChosen.connect(self.show_mode)
+        panel.swapRequested.connect(self._swap)
+        panel.useRequested.connect(self._use)
+        panel.closeRequested.connect(self._comparison.end)
+        for index, box in enumerate(panel.boxes):
+            box.opening.connect(partial(self._offer, index))
+        actions.changes_since_save.triggered.connect(self.show_changes)
+        actions.compare.triggered.connect(lambda wanted: self._start() if wanted else self._comparison.end())
+        actions.next_side.triggered.connect(lambda: self.show_mode(_NEXT.get(self._mode, Shown.A)))
+        actions.patch_difference.triggered.connect(
+            lambda: self.show_mode(Shown.WIPE if self._mode is Shown.DIFFERENCE else Shown.DIFFERENCE)
+        )
+        actions.wipe_left.triggered.connect(lambda: self.move_wipe(self.share - STEP))
+        actions.wipe_right.triggered.connect(lambda: self.move_wipe(self.share + STEP))
+        self._enable(False)
+
+    @property
+    def shows_difference(self) -> bool:
+        """Whether the patch view shows the difference of both patches."""
+        return self._running and self._mode is Shown.DIFFERENCE
+
+    @property
+    def share(self) -> float:
+        """Share of the width that shows A."""
+        return {Shown.A: 1.0, Shown.B: 0.0}.get(self._mode, self._share)
+
+    def show_changes(self) -> None:
+        """Compare the preset as it was saved with the present one."""
+        self._comparison.show(self._comparison.saved, self._comparison.present)
+
+    def move_wipe(self, share: float) -> None:
+        """Put the wipe at a share of the width, 0 to 1."""
+        self._share = min(max(share, 0.0), 1.0)
+        self.show_mode(Shown.DIFFERENCE if self._mode is Shown.DIFFERENCE else Shown.WIPE)
+
+    def show_mode(self, mode: Shown) -> None:
+        """Show the wipe, one side, or the difference of both patches."""
+        difference = self.shows_difference
+        self._mode = mode
+        self._panel.modes[mode].setChecked(True)
+        self._presenter.set_wipe_share(self.share)
+        if self.shows_difference != difference:
+            self.wantedChanged.emit()
+
+    def _enable(self, running: bool) -> None:
+        actions = self._actions
+        for action in (actions.next_side, actions.patch_difference, actions.wipe_left, actions.wipe_right):
+            action.setEnabled(running)
+        actions.compare.setChecked(running)
+
+    def _start(self) -> None:
+        """Compare the same sides as last time; at first the saved preset with the present one."""
+        if self._last is None:
+            self.show_changes()
+        else:
+            a, b = map(self._comparison.up_to_date, self._last)
+            self._comparison.show(a, b)
+
+    def _changed(self, sides: Sides | None) -> None:
+        self._context.worker.set_compared(sides)
+        if sides is not None:
+            self._last = sides
+            self._panel.show_sides(sides)
+            for index in (0, 1):
+                if self._panel.boxes[index].currentText() != sides[index].name:
+                    self._offer(index)
+        if (sides is not None) == self._running:
+            return
+        self._running = sides is not None
+        self._enable(self._running)
+        if self._running:
+            self._share = 0.5
+            self.show_mode(Shown.WIPE)
+        self.wantedChanged.emit()
+        self.runningChanged.emit(self._running)
+
+    def _show_numbers(self) -> None:
+        result = self._context.result
+        if result is None or result.compared is None:
+            return
+        now = time.perf_counter()
+        if not result.playback.running or now - self._numbers_s >= INTERVAL_S:
+            self._numbers_s = now
+            self._panel.show_frame(result.compared)
+
+    def _swap(self) -> None:
+        if self._comparison.sides is not None:
+            a, b = self._comparison.sides
+            self._comparison.show(b, a)
+
+    def _use(self, index: int) -> None:
+        sides = self._comparison.sides
+        if sides is not None and take_over(self._document, sides[index]):
+            self._comparison.end()
+
+    def _offer(self, index: int) -> None:
+        """Fill the list of one side."""
+        sides, comparison = self._comparison.sides, self._comparison
+        if sides is None:
+            return
+        own: list[Offer] = [
+            (PRESENT, lambda: self._choose(index, comparison.present)),
+            (comparison.saved.name, lambda: self._choose(index, comparison.saved)),
+        ]
+        history = [
+            Side(f"Step {number}: {text}" if number else "Step 0: as opened", preset)
+            for number, (text, preset) in enumerate(self._document.history())
+        ]
+        steps: list[Offer] = [
+            (side.name, partial(self._choose, index, side)) for side in reversed(history[-_MAX_STEPS:])
+        ]
+        others: list[Offer] = [
+            (f"Shipped: {name}", partial(self._load, index, f"Shipped: {name}", name)) for name in shipped_presets()
+        ]
+        others.append(("File…", partial(self._ask_file, index)))
+        self._panel.boxes[index].offer([own, steps if len(history) > 1 else [], others], sides[index])
+
+    def _choose(self, index: int, side: Side) -> None:
+        if self._comparison.sides is not None:
+            a, b = (side if place == index else other for place, other in enumerate(self._comparison.sides))
+            self._comparison.show(a, b)
+            self._offer(index)
+
+    def _load(self, index: int, name: str, place: Path | str) -> None:
+        try:
+            side = Side(name, load_preset(place))
+        except TactuneError as error:
+            self._context.messages.show_message("comparison", Severity.ERROR, str(error), subject=TASK)
+            self._offer(index)
+        else:
+            self._choose(index, side)
+
+    def _ask_file(self, index: int) -> None:
+        self._offer(index)
+        self._context.dialogs.open_file(
+            "preset", "Compare with a preset", PRESET_FILTER, lambda path: self._load(index, path.name, path)
+        )
