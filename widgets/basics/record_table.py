@@ -1,0 +1,305 @@
+"""A table of records: a person reads, sorts, ticks, selects and copies rows; the records change elsewhere."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any, Final
+
+from PyQt6.QtCore import (
+    QAbstractTableModel,
+    QItemSelection,
+    QItemSelectionModel,
+    QModelIndex,
+    QSortFilterProxyModel,
+    Qt,
+    pyqtSignal,
+)
+from PyQt6.QtGui import QColor, QKeyEvent, QKeySequence
+from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableView
+
+from ...core.errors import minus
+from .controls import copy_text
+from .theme import theme_colors, theme_name
+
+_Role = Qt.ItemDataRole
+#: Background of a row that needs a look.
+_MARKED: Final = {"light": QColor(255, 214, 209), "dark": QColor(104, 38, 34)}
+_MISSING = "–"
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column: how a record's cell reads and looks. ``tip`` of the heading names the unit.
+
+    ``value`` gives the text of a record, or its number where ``decimals`` is given; nan is shown as a dash. ``ticked``
+    tells whether its check box is ticked, None for no box. ``hint`` is the tooltip of a cell, ``color`` its text colour
+    as a field of `ThemeColors`, ``swatch`` a square of colour before the text. The column is as wide as ``sample``, or
+    as its content, or takes the room that is left.
+    """
+
+    title: str
+    value: Callable[[Any], float | str]
+    tip: str = ""
+    decimals: int | None = None
+    ticked: Callable[[Any], bool | None] | None = None
+    hint: Callable[[Any], str] | None = None
+    color: Callable[[Any], str] | None = None
+    swatch: Callable[[Any], QColor] | None = None
+    sample: str = ""
+    stretch: bool = False
+
+    def text(self, record: Any) -> str:
+        """Return the cell of a record as it is shown."""
+        value = self.value(record)
+        if isinstance(value, str):
+            return value
+        return minus(f"{value:z,.{self.decimals}f}") if isfinite(value) else _MISSING
+
+
+class _Model(QAbstractTableModel):
+    """Gives Qt the cells of the records."""
+
+    ticked = pyqtSignal(object, bool)
+
+    def __init__(self, columns: Sequence[Column], marked: Callable[[Any], bool] | None, wraps: bool) -> None:
+        super().__init__()
+        self.columns, self.records = tuple(columns), ()  # type: tuple[Column, ...], tuple[Any, ...]
+        self._marked = marked
+        self._vertical = Qt.AlignmentFlag.AlignTop if wraps else Qt.AlignmentFlag.AlignVCenter
+
+    def rowCount(self, parent: QModelIndex | None = None) -> int:
+        return 0 if parent is not None and parent.isValid() else len(self.records)
+
+    def columnCount(self, parent: QModelIndex | None = None) -> int:
+        return 0 if parent is not None and parent.isValid() else len(self.columns)
+
+    def headerData(self, section: int, orientation: Qt.Orientation, role: int = _Role.DisplayRole) -> Any:
+        column = self.columns[section] if orientation == Qt.Orientation.Horizontal else None
+        shown = {_Role.DisplayRole: "title", _Role.ToolTipRole: "tip"}.get(_Role(role))
+        return None if column is None or shown is None else getattr(column, shown)
+
+    def flags(self, index: QModelIndex) -> Qt.ItemFlag:
+        flags = Qt.ItemFlag.ItemIsEnabled | Qt.ItemFlag.ItemIsSelectable
+        column = self.columns[index.column()]
+        has_box = column.ticked is not None and column.ticked(self.records[index.row()]) is not None
+        return flags | Qt.ItemFlag.ItemIsUserCheckable if has_box else flags
+
+    def data(self, index: QModelIndex, role: int = _Role.DisplayRole) -> Any:
+        record, column = self.records[index.row()], self.columns[index.column()]
+        answer: Any = None
+        if role == _Role.DisplayRole:
+            answer = column.text(record)
+        elif role == _Role.UserRole:  # the order
+            value = column.value(record)
+            ticked = column.ticked(record) if column.ticked is not None else None
+            number = column.decimals is not None
+            answer = ticked if value == "" and ticked is not None else value
+            answer = -1e300 if number and (isinstance(value, str) or not isfinite(value)) else answer
+        elif role == _Role.CheckStateRole and column.ticked is not None:
+            on = column.ticked(record)
+            answer = None if on is None else Qt.CheckState.Checked if on else Qt.CheckState.Unchecked
+        elif role == _Role.TextAlignmentRole:
+            side = Qt.AlignmentFlag.AlignLeft if column.decimals is None else Qt.AlignmentFlag.AlignRight
+            answer = side | self._vertical
+        elif role == _Role.ToolTipRole:
+            answer = (column.hint(record) if column.hint is not None else "") or column.tip
+        elif role == _Role.ForegroundRole and column.color is not None and column.color(record):
+            answer = QColor(getattr(theme_colors(), column.color(record)))
+        elif role == _Role.DecorationRole and column.swatch is not None:
+            answer = column.swatch(record)
+        elif role == _Role.BackgroundRole and self._marked is not None and self._marked(record):
+            answer = _MARKED[theme_name()]
+        return answer
+
+    def setData(self, index: QModelIndex, value: Any, role: int = _Role.EditRole) -> bool:
+        if role != _Role.CheckStateRole:
+            return False
+        self.ticked.emit(self.records[index.row()], Qt.CheckState(value) == Qt.CheckState.Checked)
+        return True
+
+
+class RecordTable(QTableView):
+    """Shows records in columns. Whoever listens to its signals changes the records and calls `set_records`.
+
+    Ctrl+C copies the selected rows, or all, as tab-separated text; space ticks the selected rows.
+
+    Parameters
+    ----------
+    key : callable
+        What stays the same of a record while it changes, so that it stays selected.
+    marked : callable
+        Whether a record's row is highlighted.
+    wraps : bool
+        Long texts take several lines.
+
+    Signals
+    -------
+    ticked(record: object, on: bool)
+    selectionEdited(keys: tuple)
+        A person selected other rows.
+    deleteRequested()
+    copied(rows: int)
+    """
+
+    ticked = pyqtSignal(object, bool)
+    selectionEdited = pyqtSignal(object)
+    deleteRequested = pyqtSignal()
+    copied = pyqtSignal(int)
+
+    def __init__(
+        self,
+        columns: Sequence[Column],
+        name: str,
+        tip: str = "",
+        *,
+        key: Callable[[Any], Any] = lambda record: record,
+        marked: Callable[[Any], bool] | None = None,
+        sortable: bool = False,
+        wraps: bool = False,
+    ) -> None:
+        super().__init__()
+        self._key = key
+        self._showing = False
+        self._model = _Model(columns, marked, wraps)
+        self._sorted = QSortFilterProxyModel(self)
+        self._sorted.setSourceModel(self._model)
+        self._sorted.setSortRole(_Role.UserRole)
+        self.setModel(self._sorted)
+        self.setAccessibleName(name)
+        self.setToolTip(tip)
+        self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        self.setSelectionMode(QAbstractItemView.SelectionMode.ExtendedSelection)
+        self.setTabKeyNavigation(False)
+        self.setAlternatingRowColors(True)
+        self.setShowGrid(False)
+        self.setWordWrap(wraps)
+        across, down = self.horizontalHeader(), self.verticalHeader()
+        assert across is not None and down is not None
+        across.setHighlightSections(False)
+        across.setStretchLastSection(True)
+        across.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
+        down.hide()
+        down.setDefaultSectionSize(self.fontMetrics().height() + 6)
+        if wraps:
+            down.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        for number, column in enumerate(columns):
+            if column.stretch:
+                across.setSectionResizeMode(number, QHeaderView.ResizeMode.Stretch)
+            elif column.sample:
+                width = max(map(self.fontMetrics().horizontalAdvance, (column.sample, column.title)))
+                self.setColumnWidth(number, width + 18)
+            else:
+                across.setSectionResizeMode(number, QHeaderView.ResizeMode.ResizeToContents)
+        if sortable:
+            self.setSortingEnabled(True)
+            self.sortByColumn(0, Qt.SortOrder.AscendingOrder)
+        self._model.ticked.connect(self.ticked)
+        self._selection.selectionChanged.connect(self._selection_changed)
+
+    def records(self) -> tuple[Any, ...]:
+        """Return the records, unsorted."""
+        return self._model.records
+
+    def set_records(self, records: Sequence[Any]) -> None:
+        """Show these records; the selection stays with their keys."""
+        records = tuple(records)
+        if list(map(self._key, records)) == list(map(self._key, self._model.records)):
+            self._model.records = records
+            if records:
+                last = self._model.index(len(records) - 1, len(self._model.columns) - 1)
+                self._model.dataChanged.emit(self._model.index(0, 0), last)
+            return
+        selected = self.selected_keys()
+        self._showing = True
+        self._model.beginResetModel()
+        self._model.records = records
+        self._model.endResetModel()
+        self._showing = False
+        self.select(selected)
+
+    def selected_keys(self) -> tuple[Any, ...]:
+        """Return the keys of the selected rows, in the order shown."""
+        return tuple(self._key(record) for record in self._in_order(selected=True))
+
+    def select(self, keys: Sequence[Any]) -> None:
+        """Select the rows with these keys and scroll to the first; never emits."""
+        wanted = list(keys)
+        chosen, shown = QItemSelection(), []
+        for number, record in enumerate(self._model.records):
+            if self._key(record) in wanted:
+                index = self._sorted.mapFromSource(self._model.index(number, 0))
+                chosen.select(index, index.siblingAtColumn(len(self._model.columns) - 1))
+                shown.append(index)
+        if {index.row() for index in self._selection.selectedRows()} == {index.row() for index in shown}:
+            return
+        self._showing = True
+        self._selection.select(chosen, QItemSelectionModel.SelectionFlag.ClearAndSelect)
+        if shown:
+            self._selection.setCurrentIndex(shown[0], QItemSelectionModel.SelectionFlag.NoUpdate)
+            self.scrollTo(shown[0])
+        self._showing = False
+
+    def csv(self) -> str:
+        """Return all rows as CSV under their titles; numbers have six digits, missing ones are empty."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(column.title for column in self._model.columns)
+        for record in self._model.records:
+            values = [column.value(record) for column in self._model.columns]
+            writer.writerow(
+                value if isinstance(value, str) else f"{value:.6g}" if isfinite(value) else "" for value in values
+            )
+        return text.getvalue()
+
+    def copy(self) -> None:
+        """Copy the selected rows, or all, with their titles to the clipboard."""
+        records = self._in_order(selected=True) or self._in_order(selected=False)
+        lines = [[column.title for column in self._model.columns]]
+        lines += [[column.text(record) for column in self._model.columns] for record in records]
+        copy_text("\n".join("\t".join(line) for line in lines))
+        self.copied.emit(len(records))
+
+    def full_height(self) -> int:
+        """Return the height at which all rows are visible."""
+        across, down = self.horizontalHeader(), self.verticalHeader()
+        assert across is not None and down is not None
+        return across.sizeHint().height() + down.length() + 2 * self.frameWidth()
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:
+        """Copy, tick or delete the selected rows."""
+        if event is None:
+            return
+        if event.matches(QKeySequence.StandardKey.Copy):
+            self.copy()
+        elif event.key() in {Qt.Key.Key_Delete, Qt.Key.Key_Backspace}:
+            self.deleteRequested.emit()
+        elif event.key() == Qt.Key.Key_Space and any(column.ticked for column in self._model.columns):
+            box = next(column.ticked for column in self._model.columns if column.ticked is not None)
+            states = [(record, on) for record in self._in_order(selected=True) if (on := box(record)) is not None]
+            turn_on = not all(on for _, on in states)
+            for record, on in states:
+                if on != turn_on:
+                    self.ticked.emit(record, turn_on)
+        else:
+            super().keyPressEvent(event)
+
+    @property
+    def _selection(self) -> QItemSelectionModel:
+        selection = self.selectionModel()
+        assert selection is not None
+        return selection
+
+    def _in_order(self, selected: bool) -> list[Any]:
+        """Return all or the selected records in the order shown."""
+        rows = range(self._sorted.rowCount())
+        if selected:
+            rows = sorted(index.row() for index in self._selection.selectedRows())  # type: ignore[assignment]
+        return [self._model.records[self._sorted.mapToSource(self._sorted.index(row, 0)).row()] for row in rows]
+
+    def _selection_changed(self, *_: object) -> None:
+        if not self._showing:
+            self.selectionEdited.emit(self.selected_keys())
