@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 
-from hands import CONTROL, LEFT, drag_slider, show_source, shows_preset_of_document, tolerance_slider, type_path
+from hands import CONTROL, LEFT, drag_slider, shows_preset_of_document, tolerance_slider, type_path
 from tactune.app.document.comparison import Side
 from tactune.app.worker import processing
 from tactune.app.worker.playback import PlaybackState
@@ -20,7 +18,7 @@ from tactune.core.model.clouds import pixel_areas_m2
 from tactune.core.preset import Preset
 from tactune.core.preset.file import save_preset
 from tactune.widgets.basics.colormaps import BOTH_ROW, ONLY_A_ROW, ONLY_B_ROW
-from tiny_sensor import TinySource, tiny_frame, tiny_rig
+from tiny_sensor import tiny_frame, tiny_rig
 
 ALT = Qt.KeyboardModifier.AltModifier
 RIG = tiny_rig()
@@ -99,14 +97,6 @@ def test_the_first_picture_of_a_cold_start_waits_for_no_images(preset):
         result = processor.process(INFO, tiny_frame(index, RIG), preset, Wanted(), PlaybackState(playing=False))
         drawn.append((len(result.rendered.clouds) > 0, result.rendered.strip is not None))
     assert drawn == [(True, False), (True, True)]
-
-
-def test_no_colour_stands_for_a_negative_distance(preset):
-    frame = tiny_frame(0, RIG)
-    counts = np.linspace(5, 400, frame.tactile_depth.size).reshape(frame.tactile_depth.shape).astype(np.uint16)
-    near = replace(frame, tactile_depth=counts)
-    shown = FrameProcessor().process(INFO, near, preset, Wanted(), PlaybackState(playing=False)).rendered
-    assert shown.depth_range_m[0] >= 0 and shown.tactile_range_m[0] == 0
 
 
 # The window
@@ -289,33 +279,6 @@ def test_a_file_that_is_no_preset_is_refused_in_one_sentence(compared, qtbot, tm
     qtbot.waitUntil(lambda: any("broken.json" in sentence for sentence in compared.messages.sentences()))
     assert compared.context.comparison.sides == before
     assert box.currentText() == "As opened"
-
-
-def test_after_saving_nothing_has_changed(compared, qtbot, tmp_path):
-    compared.document.save(tmp_path / "kept.json")
-    assert [side.name for side in compared.context.comparison.sides] == ["Saved", "Present"]
-    assert compared.comparison_panel.heading.text() == "No field differs"
-    assert compared.comparison_panel.boxes[0].currentText() == "Saved"
-
-
-def test_it_goes_on_with_another_source(compared, qtbot):
-    before = compared.result.source
-    show_source(qtbot, compared, TinySource(rig=tiny_rig(width=80, serial="2")), 2)
-    qtbot.waitUntil(lambda: compared.result.source is not before and compared.result.compared is not None)
-    shown = compared.result.compared
-    for side in (shown.a, shown.b):
-        assert_same(
-            side.patch, ContactPipeline(side.side.preset, compared.result.source.rig).process(compared.result.frame)
-        )
-    assert compared.views.views["patch"].right_cloud() is shown.b.rendered.clouds["patch"]
-
-
-def test_the_panel_stays_when_the_parameters_are_hidden(compared):
-    QTest.keyClick(compared, Qt.Key.Key_P, CONTROL)
-    assert not compared.panel.isVisible()
-    assert compared.comparison_panel.isVisible()
-    QTest.keyClick(compared, Qt.Key.Key_Escape)
-    assert not compared.beside.isVisible()
 
 
 def test_pointing_at_an_image_reads_the_side_under_the_mouse(compared, qtbot):

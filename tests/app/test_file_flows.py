@@ -26,7 +26,6 @@ from hands import (
 )
 from tactune.app.cli.common import default_preset
 from tactune.app.document.recovery import Autosave
-from tactune.app.sources.paths import recording_filters, recording_scheme
 from tactune.app.window import files
 from tactune.app.worker.results import SourceInfo
 from tactune.core.bench.scenes import synthetic_scene
@@ -94,12 +93,6 @@ def test_each_of_several_exports_is_written(window, qtbot, tmp_path, monkeypatch
     qtbot.waitUntil(lambda: all(path.exists() for path in paths))
 
 
-def test_export_to_an_unknown_format_is_said(window, qtbot, tmp_path):
-    QTest.keyClick(window, Qt.Key.Key_E, CONTROL)
-    type_path(qtbot, tmp_path / "patch.doc")
-    qtbot.waitUntil(lambda: any(".doc" in sentence for sentence in window.messages.sentences()))
-
-
 def test_drop_a_preset(window, qtbot, preset, tmp_path):
     path = tmp_path / "dropped.json"
     save_preset(preset.with_values({"name": "dropped", "tolerance.t": 0.011}), path)
@@ -139,22 +132,6 @@ def test_drop_a_wrong_file_changes_nothing(window, qtbot, tmp_path):
     assert window.result.source is source
 
 
-def test_drop_a_folder_that_is_no_recording(window, qtbot, tmp_path):
-    (tmp_path / "holiday").mkdir()
-    drop(window, tmp_path / "holiday")
-    qtbot.waitUntil(lambda: any("holiday" in sentence for sentence in window.messages.sentences()))
-    assert window.result.source.name == "tiny"
-
-
-def test_closing_asks_and_cancel_keeps_the_window(window, qtbot):
-    window.document.edit("tolerance.t", 0.02)
-    window.close()
-    answer_question(qtbot, "escape")
-    assert window.isVisible()
-    assert window.worker.isRunning()
-    assert window.document.dirty
-
-
 def test_closing_and_discarding(window, qtbot):
     window.document.edit("tolerance.t", 0.02)
     window.close()
@@ -173,17 +150,6 @@ def test_closing_and_saving(window, qtbot, tmp_path):
     qtbot.waitUntil(lambda: not window.isVisible())
     assert load_preset(path).tolerance.t == 0.02
     assert load_preset(path).name == "tiny"
-
-
-def test_cancelling_the_save_of_a_close_keeps_the_window(window, qtbot):
-    window.document.edit("tolerance.t", 0.02)
-    window.close()
-    answer_question(qtbot, "save")
-    qtbot.waitUntil(lambda: isinstance(QApplication.activeModalWidget(), QFileDialog))
-    QTest.keyClick(QApplication.activeModalWidget(), Qt.Key.Key_Escape)
-    qtbot.waitUntil(lambda: QApplication.activeModalWidget() is None)
-    assert window.isVisible()
-    assert window.document.dirty
 
 
 def test_a_new_preset_asks_too_and_takes_no_name_of_a_shipped_one(window, qtbot):
@@ -302,18 +268,6 @@ def test_a_session_is_opened_by_key_and_dialog(make_window, qtbot, session):
     assert window.sources.dialog is None
 
 
-@pytest.mark.parametrize(
-    ("name", "scheme"),
-    [("a.mcap", "mcap"), ("A.MCAP", "mcap"), ("a.bag", "bag"), ("a.db3", "bag"), ("a.json", ""), ("mcap", "")],
-)
-def test_files_are_known_by_their_ending(tmp_path, name, scheme):
-    assert recording_scheme(tmp_path / name) == scheme
-
-
-def test_the_dialog_offers_every_kind_of_file():
-    assert all(ending in recording_filters()[0] for ending in ("*.mcap", "*.bag", "*.db3"))
-
-
 def test_two_bags_are_opened_together(make_window, tmp_path):
     window = make_window()
     names = []
@@ -351,12 +305,6 @@ def test_it_is_the_default_for_its_recording(tmp_path: Path) -> None:
     assert default_preset(str(record(tmp_path / "bare.mcap", preset=False))) == "default"
     with pytest.raises(PresetError, match="recorded without"):
         load_preset(tmp_path / "bare.mcap")
-
-
-def test_run_uses_it(tmp_path, tactune):
-    done = tactune("run", "--source", record(tmp_path / "session.mcap"), "--truth")
-    assert done.status == 0
-    assert "press seven" in done.out
 
 
 def test_the_window_offers_it(tmp_path, window):

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
-from threading import get_ident
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from PyQt6.QtCore import QByteArray, QRect, QSettings, QSize, Qt, QTimer
+from PyQt6.QtCore import QByteArray, QRect, QSize, Qt, QTimer
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QDialog, QPushButton, QScrollArea, QWidget
 
@@ -20,8 +18,6 @@ from tactune.app.worker.results import CloudName, ColorBy
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.errors import SourceError
 from tactune.core.model.provenance import Provenance
-from tactune.core.preset import ContactTest
-from tactune.core.preset.tolerance import TOLERANCE
 from tactune.widgets.basics.colormaps import patch_lut
 from tactune.widgets.basics.dialogs import room_on
 from tactune.widgets.basics.theme import theme_name
@@ -70,27 +66,6 @@ def test_says_which_stage_dropped_everything(window, qtbot):
     window.document.edit("mask.enabled", True)
     qtbot.waitUntil(lambda: view.message() != "")
     assert view.message().startswith(f"{passed:,} points passed the contact test, but the mask dropped all: correct if")
-
-
-def test_the_window_does_not_look_for_the_reason_itself(window, qtbot, monkeypatch):
-    """The worker thread finds the reason, because that takes longer than finding no contact."""
-    threads = []
-    monkeypatch.setattr(ContactTest, "why_no_contact", lambda *_: threads.append(get_ident()) or "because")
-    window.document.edit("tolerance.t", 1e-5)
-    qtbot.waitUntil(lambda: window.views.views[CloudName.PATCH].message() == "because")
-    assert get_ident() not in threads
-
-
-def test_the_stage_that_dropped_most_is_named():
-    provenance = np.full((4, 5), Provenance.OUTSIDE_TOLERANCE, np.uint8)
-    assert TOLERANCE.why_no_contact(provenance).startswith("No contact yet")
-    provenance[0, 0] = Provenance.OUTLIER
-    assert TOLERANCE.why_no_contact(provenance).startswith(
-        "1 point passed the contact test, but the outlier removal dropped it:"
-    )
-    provenance[0] = Provenance.OUTLIER
-    provenance[1, :2] = Provenance.MASKED
-    assert "but the outlier removal dropped 5 of 7: raise its ratio" in TOLERANCE.why_no_contact(provenance)
 
 
 def test_one_camera_says_that_there_is_no_contact_to_find(make_window, qtbot):
@@ -234,27 +209,6 @@ def test_a_damaged_settings_file_means_defaults(make_window, settings_file):
     assert window.views.point_size.value() == 2
 
 
-class Harm:
-    """Creates a file when it is unpickled."""
-
-    def __init__(self, path):
-        self.path = path
-
-    def __reduce__(self):
-        return Path.touch, (self.path,)
-
-
-def test_a_hostile_settings_file_runs_nothing(make_window, settings_file, tmp_path):
-    hostile = QSettings(str(settings_file), QSettings.Format.IniFormat)
-    for key in ("window/geometry", "window/across", "theme", "view/color_by"):
-        hostile.setValue(key, Harm(tmp_path / "harm"))
-    hostile.sync()
-    assert b"PyQt_PyObject" in settings_file.read_bytes()
-    make_window().close_without_asking()
-    assert not (tmp_path / "harm").exists()
-    assert "window/geometry" in json.loads(settings_file.read_text())
-
-
 def test_two_windows_write_only_what_they_changed(settings_file):
     one, two = Settings(settings_file), Settings(settings_file)
     one.set("a", 1)
@@ -278,13 +232,6 @@ def test_nothing_is_cut_off(make_window, qtbot, size):
     clouds = sum(view.width() * view.height() for view in window.views.views.values())
     assert clouds > window.strip.width() * window.strip.height()
     assert clouds > window.panel.width() * window.panel.height()
-
-
-def test_a_refused_value_is_said_beside_its_row(window):
-    window.document.edit("mask.saturation", (200, 100))
-    row = window.panel.rows["mask.saturation"]
-    assert "swap" in row.message.text()
-    assert row.editor.value() == (0, 255)
 
 
 def test_another_rig_warns_once_and_can_be_put_away(make_window, qtbot, preset):
@@ -348,21 +295,6 @@ def test_a_source_that_cannot_be_opened_is_said(window, qtbot):
     qtbot.waitUntil(lambda: at_rest(window, 5))
 
 
-def test_names_on_buttons_keep_their_ampersands(window):
-    """Qt shows && as & and takes a single one for the mark of a key."""
-    window.toolbar.show_source("sim:cup?press=low&grid=dots")
-    window.toolbar.show_preset("dots & cup", None)
-    assert window.toolbar.source.text().endswith("press=low&&grid=dots")
-    assert window.toolbar.preset.text() == "Preset: dots && cup"
-
-
-def test_a_single_frame_has_nothing_to_play(make_window, qtbot):
-    window = make_window()
-    show_source(qtbot, window, TinySource(length=1))
-    for action in (window.actions_.play, window.actions_.next, window.actions_.freeze):
-        assert not action.isEnabled()
-
-
 def test_the_slider_does_not_jump_while_it_is_held(window, qtbot):
     slider = window.transport.slider
     window.worker.play()
@@ -386,16 +318,6 @@ def test_help_lists_every_shortcut(window, qtbot):
     assert "Space" in words
     assert dialog.findChild(QScrollArea).horizontalScrollBar().maximum() == 0, "nothing is cut off at the side"
     QTest.keyClick(dialog, Qt.Key.Key_Escape)
-    qtbot.waitUntil(lambda: QApplication.activeModalWidget() is None)
-
-
-def test_about_names_the_licence(window, qtbot):
-    window.actions_.about.trigger()
-    qtbot.waitUntil(lambda: QApplication.activeModalWidget() is not None)
-    words = QApplication.activeModalWidget().informativeText()
-    assert all(word in words for word in ("MIT", "GPL v3", "Apache License", f"numpy {np.__version__}"))
-    assert "pytest" not in words, "only what the program runs with"
-    QTest.keyClick(QApplication.activeModalWidget(), Qt.Key.Key_Escape)
     qtbot.waitUntil(lambda: QApplication.activeModalWidget() is None)
 
 
@@ -426,12 +348,6 @@ def test_region_dragged_in_the_strip_is_a_step(window, qtbot):
     window.strip.regionEdited.emit((4, 4, 30, 20), 11)
     assert window.document.preset.region.rectangle == (4, 4, 30, 20)
     assert window.document.undo_stack.count() == 2
-
-
-def test_baseline_of_reset_is_what_the_file_holds(window, tmp_path):
-    window.document.edit("tolerance.t", 0.02)
-    window.document.save(tmp_path / "mine.json")
-    assert window.panel.rows["tolerance.t"].reset_target == 0.02
 
 
 def test_a_frame_that_overtakes_the_news_of_its_source_stays(window):

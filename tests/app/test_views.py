@@ -139,23 +139,6 @@ def test_a_double_click_enlarges_a_view_or_image_and_another_goes_back(window, q
     qtbot.waitUntil(lambda: set(window.result.rendered.clouds) == set(CloudName))
 
 
-def test_an_enlarged_image_is_drawn_finer(window, qtbot):
-    hint = window.strip.width_hint()
-    double_click(window.strip.panes["tactile"].view.viewport())
-    qtbot.waitUntil(lambda: window.strip.width_hint() > 1.5 * hint)
-
-
-def test_going_back_keeps_hidden_what_the_person_hid(window, qtbot):
-    window.actions_.show_tactile.trigger()
-    window.actions_.show_strip.trigger()
-    double_click(canvas(window, PATCH))
-    assert not window.views.views[PROXIMITY].isVisible()
-    double_click(canvas(window, PATCH))
-    qtbot.waitUntil(window.views.views[PROXIMITY].isVisible)
-    assert not window.views.views[TACTILE].isVisible()
-    assert not window.strip.isVisible()
-
-
 # Pointing, measuring, copying
 
 

@@ -75,23 +75,6 @@ def test_the_panel_names_the_times_of_the_stages_that_took_time(bar, result, tim
     assert (said["Dropped"], said["Unmatched"], said["Skew"]) == ("3", "5", "2.0 ms")
 
 
-def test_the_panel_is_written_only_while_it_is_open(bar, result):
-    give(bar, result, dropped=3)
-    assert bar.details.numbers["Dropped"].text() == ""
-    QTest.mouseClick(bar.state, Qt.MouseButton.LeftButton)
-    assert bar.details.numbers["Dropped"].text() == "3"
-    QTest.mouseClick(bar.state, Qt.MouseButton.LeftButton)
-    give(bar, result, dropped=4)
-    assert not bar.details.isVisible() and bar.details.numbers["Dropped"].text() == "3"
-
-
-def test_the_area_is_that_of_the_frame_in_the_views_while_frames_play(bar, result):
-    running = PlaybackState(playing=True)
-    for area_cm2 in (4.0, 0.0, 4.5):  # faster than the other numbers change
-        give(bar, result, playback=running, area_mm2=100 * area_cm2)
-        assert f"patch {area_cm2:.1f} cm²" in {label.text() for label in bar.findChildren(QLabel)}
-
-
 def test_the_state_is_said_in_a_word_or_two(bar):
     said = []
     for state in (

@@ -46,14 +46,6 @@ def test_a_refused_source_offers_to_open_another(window, qtbot):
     qtbot.waitUntil(lambda: window.sources.dialog is not None and window.sources.dialog.isVisible())
 
 
-def test_the_red_sentence_of_a_field_goes_with_another_source(window, qtbot):
-    window.panel.show_error("tolerance.t", "t is too large")
-    message = window.panel.rows["tolerance.t"].message
-    assert message.isVisibleTo(window.panel)
-    other_source(window, qtbot, "another")
-    assert not message.text()
-
-
 def test_messages_about_a_source_and_ended_tasks_go_with_another_source(window, qtbot):
     window.messages.show_message("export", Severity.ERROR, "The disk is full.", subject="task")
     window.messages.show_message("worker", Severity.ERROR, "Frame 2 is damaged.", subject="source")
