@@ -104,6 +104,11 @@ class KeptState(QObject, Generic[T], metaclass=_AbstractQObject):
         """Do something on the disk's thread, after everything that was scheduled before."""
         self._disk.submit(work, *arguments)
 
+    def wait(self) -> None:
+        """Wait until everything that was scheduled is on the disk."""
+        with suppress(RuntimeError):  # finished
+            self._disk.submit(lambda: None).result()
+
     def close(self) -> None:
         """Write the last state and wait for the disk."""
         self.flush()

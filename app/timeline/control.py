@@ -8,16 +8,14 @@ from collections import deque
 import numpy as np
 from PyQt6.QtCore import QObject, QTimer, pyqtSignal
 
-from ...core.evaluation.time_series import FrameValues, Series, frame_values
 from ...core.preset import Preset
 from ...core.sources.registry import opens_by_name
-from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.messages import Severity
 from ...widgets.plots.time_strip import CURVES, LIVE_S, TimeStrip
 from ..context import SOURCE, Context
 from ..worker.results import Result, SourceInfo
-from .marker_list import MarkerList
 from .marks import MarksKeeper
+from .series import FrameValues, Series, frame_values
 from .series_job import SeriesJob
 
 #: Rest after a change of the preset before its series is computed, in ms: a drag changes it many times.
@@ -48,8 +46,7 @@ class Timeline(QObject):
         super().__init__(context)
         self._context, self._strip = context, strip
         self.keeper = MarksKeeper(context.data_folder / "markers", self)
-        self.list: MarkerList | None = None
-        self._job = SeriesJob(self)
+        self.job = SeriesJob(self)
         self._info: SourceInfo | None = None
         self._shown = True
         self._series: Series | None = None
@@ -73,10 +70,10 @@ class Timeline(QObject):
         context.frameShown.connect(self._frame_shown)
         context.document.presetChanged.connect(self._preset_changed)
         context.trimChanged.connect(lambda: worker.set_trim(context.trim))
-        self._job.found.connect(self._found)
-        self._job.ended.connect(self._ended)
+        self.job.found.connect(self._found)
+        self.job.ended.connect(self._ended)
         self.keeper.changed.connect(lambda _: self._show_marks())
-        self.keeper.told.connect(
+        self.keeper.failed.connect(
             lambda sentence: context.messages.show_message("markers", Severity.WARNING, sentence, subject=SOURCE)
         )
 
@@ -92,15 +89,13 @@ class Timeline(QObject):
         if shown:
             self._preset_changed(self._context.document.preset)
         else:
-            self._job.stop()
+            self.job.stop()
 
     def close(self) -> None:
-        """Stop computing, close the list of markers, and wait until the last one is written."""
-        self._job.stop()
+        """Stop computing, and wait until the last marker is written."""
+        self.job.stop()
         for timer in (self._rest, self._scroll):
             timer.stop()
-        if self.list is not None:
-            self.list.close()
         self.keeper.close()
 
     # Marks
@@ -116,10 +111,10 @@ class Timeline(QObject):
             self.keeper.set_out(index)
 
     def add_marker(self) -> None:
-        """Add a marker at the frame on the screen."""
+        """Add a marker at the frame on the screen, or delete the one there."""
         index = self._index()
         if index is not None and self._series is not None:
-            self.keeper.add(index, float(self._series.seconds()[index]))
+            self.keeper.toggle(index, float(self._series.seconds()[index]))
 
     def go_to_marker(self, forward: bool) -> None:
         """Show the next marker's frame, or that of the marker before."""
@@ -127,12 +122,6 @@ class Timeline(QObject):
         target = None if index is None else self.keeper.beyond(index, forward)
         if target is not None:
             self._context.worker.seek(target)
-
-    def open_list(self) -> None:
-        """Open the list of markers."""
-        if self.list is None:
-            self.list = MarkerList(self.keeper, self._context.worker.seek, self._context.window)
-        bring_up(self.list)
 
     def _index(self) -> int | None:
         """Return the index of the frame on the screen; None for a source without marks."""
@@ -154,7 +143,7 @@ class Timeline(QObject):
 
     def _opened(self, info: SourceInfo) -> None:
         self._info = info
-        self._job.stop()  # the file may have been replaced by another of the same name
+        self.job.stop()  # the file may have been replaced by another of the same name
         self._remembered.clear()
         self._live.clear()
         self._series = self._former = None
@@ -192,7 +181,7 @@ class Timeline(QObject):
             if self._series is not None and self._series.complete:
                 self._former = self._series
             self._series = series
-            self._job.rest()
+            self.job.rest()
             self._show_series()
         if series.complete:
             self._rest.stop()
@@ -217,8 +206,8 @@ class Timeline(QObject):
         while len(self._remembered) > _REMEMBERED:
             self._remembered.pop(next(iter(self._remembered)))
         self._strip.set_words("Computing…")
-        known = np.flatnonzero(self._series.computed).tolist()
-        self._job.start(self._info.name, len(self._series), preset, known)
+        known = frozenset(np.flatnonzero(self._series.computed).tolist())
+        self.job.start(self._info.name, len(self._series), preset, known)
 
     # Values
 

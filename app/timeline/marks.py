@@ -1,22 +1,20 @@
-"""The marks of the open recording: in and out, named markers; kept beside the recording, each edit undoable."""
+"""The marks of the open recording: in and out, and markers; kept beside the recording."""
 
 from __future__ import annotations
 
 import hashlib
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from ...core.errors import ExportError, SourceError
-from ...core.output.markers import MAX_MARKERS, MAX_NAME, Marker, Marks, load_marks, markers_file, save_marks
-from ..document.history import History
-from ..document.keeping import free_aside
+from ...core.output.markers import MAX_MARKERS, Marker, Marks, load_marks, markers_file, save_marks
+from ..document.keeping import KeptState, free_aside
 
 
-class MarksKeeper(QObject):
-    """The marks of one source, saved with every change, by a thread: a slow disk never stalls the window.
+class MarksKeeper(KeptState[Marks]):
+    """The marks of one source, saved soon after every change.
 
     A recording has them in a file beside it, or inside its folder. Where that cannot be written, and for sources that
     are no files, such as the simulator, they are kept in a folder of the user's data by the source's name.
@@ -24,30 +22,18 @@ class MarksKeeper(QObject):
     Signals
     -------
     changed(Marks)
-    told(sentence: str)
-        Where marks could not be read or written.
+    failed(sentence: str)
+        Marks could not be read or written where they belong.
     """
 
     changed = pyqtSignal(object)
-    told = pyqtSignal(str)
 
     def __init__(self, folder: Path, parent: QObject | None = None) -> None:
-        super().__init__(parent)
-        self._folder = folder
-        self._history: History[Marks] = History(Marks(), self)
-        self._history.changed.connect(self._changed)
-        self.undo_stack = self._history.undo_stack
+        self.marks = Marks()
+        super().__init__(folder, "markers", parent)
         self._length = 0
-        self._beside: Path | None = None
-        self._own: Path | None = None
-        self._damaged: Path | None = None
-        self._disk = ThreadPoolExecutor(max_workers=1, thread_name_prefix="keep markers")
-        self._loading = False
-
-    @property
-    def marks(self) -> Marks:
-        """The present marks."""
-        return self._history.state
+        self._beside: dict[Path, Path | None] = {}
+        self.changed.connect(self.schedule)
 
     @property
     def trim(self) -> tuple[int, int] | None:
@@ -59,62 +45,43 @@ class MarksKeeper(QObject):
 
     def open(self, source: str, length: int) -> None:
         """Read the marks of a source with this number of frames; 0: a source that has none."""
-        with suppress(RuntimeError):  # the window is closing
-            self._disk.submit(lambda: None).result()  # what was written last may be read now
-        self._length = length
-        self._beside = markers_file(source)
+        self.flush()
+        self.wait()  # what was written last may be read now
         digest = hashlib.blake2b(source.encode(), digest_size=4).hexdigest()
         letters = "".join(letter if letter.isalnum() else "_" for letter in source[-40:])
-        self._own = self._folder / f"{letters}-{digest}.json"
-        self._damaged = None
-        marks = self._read() if length else Marks()
-        self._loading = True
-        self._history.start(marks)
-        self._loading = False
-
-    def close(self) -> None:
-        """Wait until the last change is written."""
-        self._disk.shutdown(wait=True)
+        own, beside = self.folder / f"{letters}-{digest}.json", markers_file(source)
+        self._length, self._beside[own] = length, beside
+        self.marks = self._read(own, beside) if length else Marks()
+        self.follow(own, self.marks)
+        self.changed.emit(self.marks)
 
     # Edits
 
     def set_in(self, frame: int) -> None:
         """Mark the first frame of a part; an out mark before it goes."""
         _, end = self.trim or (0, self._length)
-        self._set_trim("Set in mark", frame, end if end > frame else self._length)
+        self._set_trim(frame, end if end > frame else self._length)
 
     def set_out(self, frame: int) -> None:
         """Mark the last frame of a part; an in mark behind it goes."""
         first, _ = self.trim or (0, self._length)
-        self._set_trim("Set out mark", first if first <= frame else 0, frame + 1)
+        self._set_trim(first if first <= frame else 0, frame + 1)
 
     def clear_trim(self) -> None:
         """Remove the in and out marks."""
-        self._set_trim("Clear in and out marks", 0, self._length)
+        self._set_trim(0, self._length)
 
-    def add(self, frame: int, time_s: float) -> None:
-        """Add a marker with a new name, unless the frame has one."""
-        markers = self.marks.markers
-        if any(marker.frame == frame for marker in markers):
-            return
-        if len(markers) >= MAX_MARKERS:
-            self.told.emit(f"There are {MAX_MARKERS} markers already; delete some to add others.")
-            return
-        taken = {marker.name for marker in markers}
-        number = next(number for number in range(1, len(markers) + 2) if f"Marker {number}" not in taken)
-        self._edit("Add marker", (*markers, Marker(frame=frame, name=f"Marker {number}", time_s=round(time_s, 6))))
-
-    def rename(self, place: int, name: str) -> None:
-        """Rename the marker at a place in `Marks.markers`; an empty name changes nothing."""
-        markers = list(self.marks.markers)
-        if name := name.strip()[:MAX_NAME]:
-            markers[place] = markers[place].model_copy(update={"name": name})
-            self._edit("Rename marker", tuple(markers))
-
-    def delete(self, places: set[int]) -> None:
-        """Delete the markers at these places in `Marks.markers`."""
-        kept = tuple(marker for place, marker in enumerate(self.marks.markers) if place not in places)
-        self._edit("Delete marker", kept)
+    def toggle(self, frame: int, time_s: float) -> None:
+        """Add a marker with a new name at a frame, or delete those that the frame has."""
+        markers = tuple(marker for marker in self.marks.markers if marker.frame != frame)
+        if len(markers) == len(self.marks.markers):
+            if len(markers) >= MAX_MARKERS:
+                self.failed.emit(f"There are {MAX_MARKERS} markers already; delete some to add others.")
+                return
+            taken = {marker.name for marker in markers}
+            number = next(number for number in range(1, len(markers) + 2) if f"Marker {number}" not in taken)
+            markers = (*markers, Marker(frame=frame, name=f"Marker {number}", time_s=round(time_s, 6)))
+        self._change(Marks(markers=markers, trim=self.marks.trim))
 
     def beyond(self, frame: int, forward: bool) -> int | None:
         """Return the frame of the next marker after ``frame``, or of the last one before it; None if there is none.
@@ -126,52 +93,41 @@ class MarksKeeper(QObject):
             return min((other for other in frames if other > frame), default=None)
         return max((other for other in frames if other < frame), default=None)
 
-    # Steps
-
-    def _set_trim(self, text: str, first: int, end: int) -> None:
+    def _set_trim(self, first: int, end: int) -> None:
         trim = None if (first, end) == (0, self._length) else (first, end)
-        self._history.edit(text, self.marks.model_copy(update={"trim": trim}))
+        self._change(self.marks.model_copy(update={"trim": trim}))
 
-    def _edit(self, text: str, markers: tuple[Marker, ...]) -> None:
-        self._history.edit(text, Marks(markers=markers, trim=self.marks.trim))
+    def _change(self, marks: Marks) -> None:
+        if marks != self.marks:
+            self.marks = marks
+            self.changed.emit(marks)
 
-    def _changed(self, marks: Marks) -> None:
-        if not self._loading:
-            assert self._own is not None
-            self._disk.submit(self._write, marks, self._beside, self._own, self._damaged)
-            self._damaged = None
-        self.changed.emit(marks)
+    # Files
 
-    def _read(self) -> Marks:
-        """Return the marks of the first file that there is."""
-        for file in (self._own, self._beside):
-            if file is not None and file.exists():
-                try:
-                    return load_marks(file)
-                except SourceError as error:
-                    self._damaged = file
-                    self.told.emit(f"{error}. The file stays; with the next mark it becomes {_aside(file).name}.")
-        return Marks()
+    def present(self) -> Marks:
+        """Return the marks."""
+        return self.marks
 
-    def _write(self, marks: Marks, beside: Path | None, own: Path, damaged: Path | None) -> None:
-        """Write marks, on the disk's thread."""
-        if damaged is not None:
-            with suppress(OSError):
-                damaged.rename(_aside(damaged))
-        if beside is not None:
-            try:
-                save_marks(beside, marks)
-            except ExportError:
-                self.told.emit(f"{beside} cannot be written, so the markers are kept in {own} on this computer.")
-            else:
-                with suppress(OSError):
-                    own.unlink(missing_ok=True)
+    def write(self, state: Marks, file: Path) -> None:
+        """Write marks beside their recording, else into the user's data."""
+        if (beside := self._beside[file]) is not None:
+            with suppress(ExportError):
+                save_marks(beside, state)
+                file.unlink(missing_ok=True)
                 return
-        try:
-            save_marks(own, marks)
-        except ExportError as error:
-            self.told.emit(f"The markers are not kept: {error}.")
+            self.failed.emit(f"{beside} cannot be written, so the markers are kept in {file} on this computer.")
+        save_marks(file, state)
 
-
-def _aside(file: Path) -> Path:
-    return free_aside(file.with_name(f"{file.name}.damaged"))
+    def _read(self, own: Path, beside: Path | None) -> Marks:
+        """Return the marks of the first file that there is; a damaged one is set aside."""
+        for file in (own, beside):
+            if file is None or not file.exists():
+                continue
+            try:
+                return load_marks(file)
+            except SourceError as error:
+                aside = free_aside(file.with_name(f"{file.name}.damaged"))
+                with suppress(OSError):
+                    file.rename(aside)
+                self.failed.emit(f"{error}. The file was set aside as {aside.name}.")
+        return Marks()

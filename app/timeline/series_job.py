@@ -1,22 +1,20 @@
-"""Computes time series in a process of low priority, so that playback keeps its rate."""
+"""Computes the series of a recording in a process of low priority; see `series`."""
 
 from __future__ import annotations
 
-import json
-import math
-import sys
-from pathlib import Path
-from typing import Any
+import multiprocessing
+import signal
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 
-from PyQt6.QtCore import QObject, QProcess, pyqtSignal
+from PyQt6.QtCore import QObject, QTimer, pyqtSignal
 
-from ...core.evaluation.series_process import PROGRAM
-from ...core.evaluation.time_series import FrameValues
 from ...core.preset import Preset
-from ...core.preset.file import preset_json
+from .series import Answer, Order, serve_series
 
-#: Longest wait for the process to end, in ms.
-_ENDING_MS = 2000
+#: Interval at which answers are looked for, in ms; longest wait for the process to end, in s.
+_LOOK_MS, _ENDING_S = 100, 2.0
 
 
 class SeriesJob(QObject):
@@ -36,75 +34,66 @@ class SeriesJob(QObject):
 
     def __init__(self, parent: QObject | None = None) -> None:
         super().__init__(parent)
-        self._process: QProcess | None = None
-        self._id = 0
-        self._running = False
+        #: The process; None before the first series.
+        self.process: BaseProcess | None = None
+        self._orders: Connection | None = None
+        self._number = 0
+        self._timer = QTimer(self)
+        self._timer.setInterval(_LOOK_MS)
+        self._timer.timeout.connect(self._look)
 
-    @property
-    def running(self) -> bool:
-        """Whether a series is being computed."""
-        return self._running
-
-    def start(self, source: str, length: int, preset: Preset, skip: list[int]) -> None:
-        """Compute the series of a source's ``length`` frames except ``skip``; ends the one before."""
-        self._running = True
-        self._order(source=source, length=length, preset=preset_json(preset), skip=skip)
+    def start(self, source: str, length: int, preset: Preset, known: frozenset[int]) -> None:
+        """Compute the series of a source's ``length`` frames except the known ones; ends the one before."""
+        self._number += 1
+        if self._orders is None:
+            self._start_process()
+        assert self._orders is not None
+        with suppress(OSError):  # the process has died: `_look` says so
+            self._orders.send(Order(self._number, source, length, preset, known))
+        self._timer.start()
 
     def rest(self) -> None:
         """Stop computing; the process stays."""
-        if self._running:
-            self._running = False
-            self._order(source=None)
+        if self._timer.isActive() and self._orders is not None:
+            self._timer.stop()
+            with suppress(OSError):
+                self._orders.send(None)
 
     def stop(self) -> None:
         """End the process."""
-        self._running = False
-        process, self._process = self._process, None
-        if process is not None:
-            process.blockSignals(True)
-            process.kill()
-            process.waitForFinished(_ENDING_MS)
-            process.deleteLater()
+        self._timer.stop()
+        if self._orders is not None and self.process is not None:
+            self._orders.close()
+            self.process.kill()
+            self.process.join(_ENDING_S)
+        self._orders = self.process = None
 
-    def _order(self, **order: Any) -> None:
-        self._id += 1
-        if self._process is None:
-            self._process = self._started()
-        self._process.write((json.dumps({"id": self._id, **order}) + "\n").encode())
-
-    def _started(self) -> QProcess:
-        process = QProcess(self)
-        process.setProcessChannelMode(QProcess.ProcessChannelMode.ForwardedErrorChannel)
-        process.readyReadStandardOutput.connect(self._read)
-        process.finished.connect(self._gone)
-        process.errorOccurred.connect(lambda error: self._gone() if error == QProcess.ProcessError.FailedToStart else 0)
-        path = json.dumps([str(entry) or str(Path.cwd()) for entry in sys.path])  # empty: the working folder
-        process.start(sys.executable, ["-P", "-c", PROGRAM, path])
-        return process
-
-    def _read(self) -> None:
-        while self._process is not None and self._process.canReadLine():
+    def _start_process(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._orders, other = context.Pipe()
+        self.process = context.Process(target=serve_series, args=(other,), name="time strip", daemon=True)
+        if not hasattr(signal, "pthread_sigmask"):  # Windows
+            self.process.start()
+        else:  # a Ctrl+C while it still imports would end it with a traceback; it inherits that they are held back
+            usual = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
             try:
-                answer = json.loads(self._process.readLine().data())
-            except ValueError:
-                continue  # printed by a library
-            if not self._running or not isinstance(answer, dict) or answer.get("id") != self._id:
-                continue
-            if "rows" in answer:
-                self.found.emit([_values(row) for row in answer["rows"]])
-            else:
-                self._running = False
-                self.ended.emit(answer.get("problem", ""))
+                self.process.start()
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, usual)
+        other.close()
 
-    def _gone(self) -> None:
-        process, self._process = self._process, None
-        if process is not None:
-            process.deleteLater()
-        if self._running:
-            self._running = False
+    def _look(self) -> None:
+        """Pass on what the process has sent."""
+        try:
+            while self._timer.isActive() and self._orders is not None and self._orders.poll():
+                answer: Answer = self._orders.recv()
+                if answer.number != self._number:
+                    continue
+                if answer.values:
+                    self.found.emit(answer.values)
+                if answer.problem is not None:
+                    self._timer.stop()
+                    self.ended.emit(answer.problem)
+        except (EOFError, OSError):
+            self.stop()
             self.ended.emit("The process that computes the time strip has ended; change the preset to start it again.")
-
-
-def _values(row: list[Any]) -> FrameValues:
-    index, *values = row
-    return FrameValues(index, *(math.nan if value is None else value for value in values))

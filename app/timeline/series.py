@@ -1,0 +1,208 @@
+"""Area, points, time and IoU of every frame of a recording, over time: first coarsely, then every frame.
+
+They are computed in a process of low priority, so that playback keeps its rate. Window and process both import this
+file; the process has no window, so nothing here imports Qt.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, fields
+from multiprocessing.connection import Connection
+from typing import Final
+
+import cv2
+import numpy as np
+
+from ...core.contact.kernels.threads import set_threads
+from ...core.contact.pipeline import ContactPatch, ContactPipeline
+from ...core.errors import FrameError, SourceError, TactuneError
+from ...core.model.arrays import BoolArray, Float64Array
+from ...core.model.frames import SensorFrame
+from ...core.preset import Preset
+from ...core.sources.base import FrameSource
+from ...core.sources.registry import open_source
+
+#: The first pass takes at most about this many frames of a recording.
+_FIRST_PASS: Final = 100
+#: Interval between two answers of the process, seconds.
+_INTERVAL_S: Final = 0.2
+
+
+@dataclass(frozen=True)
+class FrameValues:
+    """What the time strip shows of one frame; nan where it is unknown.
+
+    ``index`` counts from 0, ``time_s`` is the proximity camera's time stamp, ``ms`` the time of all steps of the
+    contact test, ``iou`` that with the true contact pixels, nan without ground truth.
+    """
+
+    index: int
+    time_s: float = math.nan
+    area_mm2: float = math.nan
+    points: float = math.nan
+    ms: float = math.nan
+    iou: float = math.nan
+
+
+@dataclass(frozen=True)
+class Order:
+    """A series to compute: its number, the source and its number of frames, and the frames that are known."""
+
+    number: int
+    source: str
+    length: int
+    preset: Preset
+    known: frozenset[int]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Values of an order's frames; at its end, ``problem`` is a sentence, or empty where the series is complete."""
+
+    number: int
+    values: list[FrameValues]
+    problem: str | None = None
+
+
+def frame_values(index: int, frame: SensorFrame, patch: ContactPatch) -> FrameValues:
+    """Return the values of a processed frame."""
+    iou = math.nan
+    if frame.truth is not None:
+        either = np.count_nonzero(patch.mask | frame.truth.contact)
+        iou = np.count_nonzero(patch.mask & frame.truth.contact) / either if either else 1.0
+    ms = sum(patch.stage_ms.values())
+    return FrameValues(index, frame.proximity_time_s, patch.area_mm2, len(patch.points), ms, float(iou))
+
+
+def visiting_order(length: int, preset: Preset) -> list[int]:
+    """Return all frames of a recording in the order in which a picture of the whole emerges soonest.
+
+    Every 2^k-th frame comes first, at most `_FIRST_PASS` of them, then those halfway between, and so on. A preset that
+    averages over frames must see them in their own order.
+    """
+    if preset.averaged_frames > 1:
+        return list(range(length))
+    step = 1 << max(0, math.ceil(math.log2(max(1, length) / _FIRST_PASS)))
+    order = list(range(0, length, step))
+    while step > 1:
+        order += range(step // 2, length, step)
+        step //= 2
+    return order
+
+
+def time_series(source: FrameSource, preset: Preset, order: Iterable[int]) -> Iterator[FrameValues]:
+    """Yield the values of frame after frame; a frame that cannot be read or processed has nan for all of them."""
+    pipeline = ContactPipeline(preset, source.rig)
+    for index in order:
+        try:
+            if source.position != index:
+                source.seek(index)
+            frame = source.next_frame()
+            if frame is not None:
+                yield frame_values(index, frame, pipeline.process(frame))
+                continue
+        except (SourceError, FrameError):
+            pass
+        yield FrameValues(index)
+
+
+def serve_series(orders: Connection) -> None:
+    """Obey orders until the other end closes: the main function of the process.
+
+    An `Order` ends the one before it; None only does that. All orders name the same source, which stays open.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends Ctrl+C to all processes; the window ends this one
+    with suppress(OSError, AttributeError):  # Windows has no nice
+        os.nice(19)  # playback and everything else of the user come first
+    set_threads(1)
+    cv2.setNumThreads(1)
+    source: FrameSource | None = None
+    with suppress(EOFError, OSError):
+        while True:
+            order: Order | None = orders.recv()
+            if order is None:
+                continue
+            problem = ""
+            try:
+                source = source or open_source(order.source)
+                _compute(source, order, orders)
+            except TactuneError as error:
+                problem = str(error)
+            except (EOFError, OSError):
+                raise
+            except Exception as error:
+                problem = f"Something went wrong ({type(error).__name__}: {error})."
+            orders.send(Answer(order.number, [], problem))
+
+
+def _compute(source: FrameSource, order: Order, orders: Connection) -> None:
+    """Send the values of an order, unless a newer one comes."""
+    if source.length != order.length:
+        was = f"not {order.length} as when it was opened"
+        raise SourceError(f"{source.name} has {source.length} frames, {was}; open it again")
+    frames = [index for index in visiting_order(order.length, order.preset) if index not in order.known]
+    waiting: list[FrameValues] = []
+    sent_s = time.monotonic()
+    for values in time_series(source, order.preset, frames):
+        if orders.poll():
+            return
+        waiting.append(values)
+        if time.monotonic() - sent_s >= _INTERVAL_S:
+            orders.send(Answer(order.number, waiting))
+            waiting, sent_s = [], time.monotonic()
+    orders.send(Answer(order.number, waiting))
+
+
+class Series:
+    """The values of a recording's frames as far as they are known.
+
+    Attributes
+    ----------
+    values : dict of str to float64, shape (N,)
+        Per field of `FrameValues` but ``index``; nan where unknown.
+    computed : bool, shape (N,)
+        Which frames were computed.
+    """
+
+    def __init__(self, length: int, frame_rate_hz: float) -> None:
+        self.values: dict[str, Float64Array] = {
+            field.name: np.full(length, math.nan) for field in fields(FrameValues) if field.name != "index"
+        }
+        self.computed: BoolArray = np.zeros(length, np.bool_)
+        self._rate_hz = frame_rate_hz
+
+    def __len__(self) -> int:
+        return len(self.computed)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every frame was computed."""
+        return bool(self.computed.all())
+
+    def put(self, found: FrameValues) -> None:
+        """Store the values of a frame."""
+        self.computed[found.index] = True
+        for name, column in self.values.items():
+            column[found.index] = getattr(found, name)
+
+    def seconds(self) -> Float64Array:
+        """Return the time of each frame since the first one, seconds, increasing, shape (N,).
+
+        From the time stamps, between known ones interpolated and beyond them by the frame rate; by the frame rate
+        alone where the stamps do not increase.
+        """
+        nominal = np.arange(len(self)) / self._rate_hz
+        stamps = self.values["time_s"]
+        known = np.flatnonzero(np.isfinite(stamps))
+        times = stamps[known]
+        if len(known) == 0 or np.any(np.diff(times) <= 0):
+            return nominal
+        late_s = np.interp(nominal, nominal[known], times - nominal[known])
+        seconds = nominal + late_s
+        return np.asarray(seconds - seconds[0])

@@ -1,0 +1,81 @@
+"""Series over time equal the pipeline's patches frame by frame; every frame is visited once; times are increasing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactune.app.timeline.series import FrameValues, Series, time_series, visiting_order
+from tactune.app.timeline.series_job import SeriesJob
+from tactune.core import ContactPipeline
+from tactune.core.model.frames import GroundTruth
+from tactune.core.preset import Preset
+from tactune.core.sources.folder import export_folder
+from tiny_sensor import TinySource
+
+PRESET = Preset(contact_test="tolerance").with_values({"tolerance.t": 0.03, "outliers.enabled": False})
+
+
+class KnownSource(TinySource):
+    """Knows the truth: the right half of the image is in contact."""
+
+    def read(self, index):
+        contact = np.zeros(self.rig.proximity.intrinsics.shape, np.bool_)
+        contact[:, contact.shape[1] // 2 :] = True
+        return replace(super().read(index), truth=GroundTruth(contact))
+
+
+def test_the_series_is_the_pipelines_and_a_damaged_frame_a_gap():
+    source = KnownSource(8, broken=frozenset({3}))
+    series = Series(source.length, source.frame_rate_hz)
+    for values in time_series(source, PRESET, visiting_order(8, PRESET)):
+        series.put(values)
+    assert series.complete
+    assert np.flatnonzero(np.isnan(series.values["area_mm2"])).tolist() == [3]
+    pipeline = ContactPipeline(PRESET, source.rig)
+    for index in (0, 1, 7):
+        frame = source.read(index)
+        patch = pipeline.process(frame)
+        true = frame.truth.contact
+        assert series.values["area_mm2"][index] == patch.area_mm2 > 0
+        assert series.values["points"][index] == len(patch.points)
+        assert series.values["iou"][index] == (patch.mask & true).sum() / (patch.mask | true).sum() > 0
+
+
+@pytest.mark.parametrize("length", [1, 2, 99, 101, 900, 5000])
+def test_visits_every_frame_once_and_the_whole_recording_first(length):
+    order = visiting_order(length, Preset())
+    assert sorted(order) == list(range(length))
+    first_pass = order[: order.index(max(order[:100])) + 1]
+    assert len(first_pass) <= 100
+    assert max(first_pass) >= 0.95 * length - 1
+    assert visiting_order(length, Preset().with_values({"membrane.frames": 5})) == list(range(length))
+
+
+def test_times_follow_the_stamps_and_increase():
+    series = Series(5, 10.0)
+    assert series.seconds().tolist() == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
+    for index, time_s in ((0, 7.0), (2, 7.4), (4, 8.4)):
+        series.put(FrameValues(index, time_s))
+    assert series.seconds().tolist() == pytest.approx([0, 0.2, 0.4, 0.9, 1.4])
+    series.put(FrameValues(3, 2.0))
+    assert series.seconds().tolist() == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
+
+
+def test_the_process_leaves_out_what_is_known_and_tells_what_is_wrong(qtbot, tmp_path):
+    export_folder(TinySource(8), tmp_path / "tiny")
+    name, found = f"folder:{tmp_path / 'tiny'}", []
+    job = SeriesJob()
+    job.found.connect(found.extend)
+    with qtbot.waitSignal(job.ended, timeout=60_000) as ended:
+        job.start(name, 8, PRESET, frozenset({2, 5}))
+    assert ended.args == [""]
+    expected = {values.index: values.area_mm2 for values in time_series(TinySource(8), PRESET, range(8))}
+    assert {values.index: values.area_mm2 for values in found} == {i: expected[i] for i in (0, 1, 3, 4, 6, 7)}
+    with qtbot.waitSignal(job.ended, timeout=60_000) as ended:
+        job.start(name, 5, PRESET, frozenset())
+    assert "8 frames" in ended.args[0]
+    job.stop()
+    assert job.process is None
