@@ -22,7 +22,18 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parents[2]
-SOURCES = ("core", "widgets", "app", "presets", "pyproject.toml", "README.md", "LICENSE")
+SOURCES = (
+    "core",
+    "widgets",
+    "app",
+    "presets",
+    "docs",
+    "pyproject.toml",
+    "setup.py",
+    "MANIFEST.in",
+    "README.md",
+    "LICENSE",
+)
 FORBIDDEN = ("PyQt6", "pyqtgraph", "open3d", "pyrealsense2")
 
 
@@ -63,7 +74,7 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in SOURCES:
         path = ROOT / name
         if path.is_dir():
-            shutil.copytree(path, source / name, ignore=shutil.ignore_patterns("__pycache__"))
+            shutil.copytree(path, source / name, ignore=shutil.ignore_patterns("__pycache__", "guide.*", "site"))
         else:
             shutil.copy(path, source / name)
     build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(folder), str(source)]
@@ -91,6 +102,11 @@ def test_nothing_of_the_window_is_importable_there(robot: Path) -> None:
     program = f"import importlib.util as u; print([n for n in {FORBIDDEN} if u.find_spec(n)])"
     done = subprocess.run([robot / "python", "-c", program], check=True, capture_output=True, text=True)
     assert done.stdout == "[]\n"
+
+
+def test_the_wheel_holds_the_guide(robot: Path) -> None:
+    (page,) = robot.parent.glob("lib/python*/site-packages/tactune/app/guide/index.html")
+    assert "membrane" in page.read_text("utf-8")
 
 
 @pytest.mark.parametrize(
