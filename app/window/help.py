@@ -41,7 +41,7 @@ def open_guide(messages: Messages) -> None:
         messages.show_message("guide", Severity.WARNING, sentence, subject=TASK)
 
 
-_MOUSE = (
+MOUSE = (
     ("Drag in a view", "orbit all views"),
     ("Shift + drag, middle button", "pan"),
     ("Wheel", "zoom, in views and images"),
@@ -58,7 +58,7 @@ _MOUSE = (
 def show_shortcuts(parent: QWidget, actions: Iterable[QAction]) -> None:
     rows = [(_keys(action), plain_text(action)) for action in actions]
     keys = "".join(_row(key, text) for key, text in rows if key)
-    mouse = "".join(_row(gesture, meaning) for gesture, meaning in _MOUSE)
+    mouse = "".join(_row(gesture, meaning) for gesture, meaning in MOUSE)
     dialog = QDialog(parent)
     dialog.setWindowTitle("Keyboard shortcuts")
     label = QLabel(f"<h3>Keys</h3><table>{keys}</table><h3>Mouse</h3><table>{mouse}</table>")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import shlex
 import subprocess
 import sys
@@ -90,3 +91,8 @@ def test_scripts_that_the_pages_name_exist() -> None:
     for page in [*PAGES, *(ROOT / "docs").glob("*.md")]:
         for script in re.findall(r"scripts/\w+\.py", page.read_text("utf-8")):
             assert (ROOT / script).is_file(), f"{page.name} names {script}"
+
+
+def test_the_page_of_keys_is_that_of_the_window() -> None:
+    words = runpy.run_path(str(ROOT / "scripts" / "make_keys.py"))["page"]()
+    assert (ROOT / "docs" / "guide" / "keys.md").read_text("utf-8") == words, "run scripts/make_keys.py"

@@ -1,0 +1,30 @@
+"""Write docs/guide/keys.md from the window's table of actions; a test compares the two.
+
+.venv/bin/python scripts/make_keys.py
+"""
+
+from pathlib import Path
+
+from tactune.app.window.actions import TABLE, Row
+from tactune.app.window.help import MOUSE
+
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "guide" / "keys.md"
+
+
+def page() -> str:
+    """Return the page: each menu's actions that have keys, then the mouse."""
+    lines = ["# Keys and mouse", "", "Also in the window: *Help > Shortcuts* (Shift+F1)."]
+    for title, entries in TABLE.items():
+        rows = [(row, row.keys or row.text.partition("\t")[2]) for row in entries if isinstance(row, Row)]
+        if any(keys for _, keys in rows):
+            lines += ["", f"## {title.replace('&', '')}", "", "| keys | action |", "| --- | --- |"]
+        for row, keys in rows:
+            if keys:
+                lines.append(f"| `{keys}` | {row.text.partition(chr(9))[0].replace('&', '').rstrip('…')} |")
+    lines += ["", "## Mouse", "", "| gesture | what |", "| --- | --- |"]
+    lines += [f"| {gesture} | {meaning} |" for gesture, meaning in MOUSE]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), "utf-8")
