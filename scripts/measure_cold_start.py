@@ -59,7 +59,7 @@ run.run(source=sys.argv[1], preset="simulator", frames=1, json_lines=True)
 """
 
 ALL = """
-from tactune.core.contact.warmup import warm_up
+from tactune.core.warmup import warm_up
 warm_up()
 at("all contact tests compiled")
 """

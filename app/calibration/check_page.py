@@ -18,8 +18,8 @@ from PyQt6.QtWidgets import (
 )
 
 from ...core.calibration.recheck import clearly_larger, replacement
+from ...core.contact.checks import rig_in_use
 from ...core.preset import AlignmentSection, Preset
-from ...core.preset.checks import rig_in_use
 from ...widgets.basics.controls import AccentButton, push_button
 from ...widgets.basics.layouts import hbox, splitter, vbox
 from ...widgets.basics.theme import theme_name
@@ -192,7 +192,7 @@ class CheckPage(QWidget):
 
     def _show_tolerance(self) -> None:
         report, preset = self._outcome.report, self._document.preset
-        used = "tolerance" in preset.test.section_names
+        used = "tolerance" in preset.test.sections
         use = "" if used else f"; the {preset.contact_test} test does not use it"
         self.set_tolerance.setEnabled(report is not None)
         supported = "" if report is None else f" to {100 * report.chosen.effect.supported_tolerance:.2f} %"

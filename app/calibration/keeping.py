@@ -14,11 +14,11 @@ from PyQt6.QtCore import QLockFile, QObject
 from ...core.calibration import CalibrationReport
 from ...core.calibration.snapshots import content_hash
 from ...core.errors import TactuneError
+from ...core.model.alignment import SnapshotRecord
 from ...core.model.files import atomic_path
 from ...core.model.frames import SensorFrame
 from ...core.model.loading import parse_npz, read_file
 from ...core.preset import Preset
-from ...core.preset.alignment import SnapshotRecord
 from ..document.keeping import KeptState, check_version, lock_of, remove_unnamed, write_json
 from .session import Choices, PointPair, Session, SessionState, Snapshot, rig_key
 

@@ -101,7 +101,7 @@ def warn(*sentences: str) -> None:
 
 def tell_notes(preset: Preset) -> None:
     """Say on standard error what works in a preset but is probably not intended."""
-    from ...core.preset.checks import preset_notes
+    from ...core.contact.checks import preset_notes
 
     for sentence in preset_notes(preset):
         typer.echo(f"note: {sentence}", err=True)
@@ -261,11 +261,12 @@ def _parse_setting(text: str) -> tuple[str, Any]:
 
 def _turning_sections_on(values: dict[str, Any]) -> dict[str, Any]:
     """Add ``section.enabled`` for each section with a value, and the contact test if all are one's; the user's win."""
-    from ...core.preset.preset import CONTACT_TESTS, preset_paths
+    from ...core.preset import CONTACT_TESTS
+    from ...core.preset.preset import preset_paths
 
     sections = {path.partition(".")[0] for path in values}
     switches: dict[str, Any] = {f"{name}.enabled": True for name in sections if f"{name}.enabled" in preset_paths()}
-    chosen = [test.name for test in CONTACT_TESTS.values() if sections & set(test.section_names)]
+    chosen = [test.name for test in CONTACT_TESTS.values() if sections & set(test.sections)]
     if len(chosen) == 1:
         switches["contact_test"] = chosen[0]
     return switches | values

@@ -116,7 +116,7 @@ def doctor(
 
 def warmup() -> None:
     """Compile the pipeline for this computer, so that a robot's first frame need not wait."""
-    from ...core.contact.warmup import is_compiled, warm_up
+    from ...core.warmup import is_compiled, warm_up
 
     started = time.perf_counter()
     with CliProgress() as progress:

@@ -135,8 +135,8 @@ def capture_untouched(
     Some methods and ``tactune recheck`` compare with it. It is a file beside the preset. Frames in which the preset
     finds contact are refused. The simulator removes its object for this.
     """
+    from ...core.contact.checks import check_rig
     from ...core.preset import now
-    from ...core.preset.checks import check_rig
     from ...core.preset.file import save_preset
     from ...core.rig.untouched import save_untouched
     from ...core.sources.presets import load_preset
@@ -183,7 +183,7 @@ def measure_rig(
     and where an object is pressed firmly. Without --out and without a preset file nothing is written. The simulator
     removes a moving object for this.
     """
-    from ...core.preset.checks import check_rig
+    from ...core.contact.checks import check_rig
     from ...core.rig.noise import describe
     from ...core.sources.presets import load_preset
 
@@ -224,8 +224,8 @@ def _describe(preset: Preset) -> str:
 
 def _check_untouched(preset: Preset, path: Path, rig: Rig, membrane: SensorFrame, *, force: bool) -> None:
     """Warn of signs that the membrane is touched; refuse it if contact is certain."""
-    from ...core.contact.warmup import warm_up_if_needed
     from ...core.rig.drift import touch_doubts
+    from ...core.warmup import warm_up_if_needed
 
     with CliProgress() as progress:
         warm_up_if_needed(progress.preparing)

@@ -138,9 +138,9 @@ def run(
             "give --out DIR or FILE.mcap for the patches, --json for one line per frame, --truth for a comparison, "
             "--watch for the drift watchdog, or --estimate tilt"
         )
-    from ...core.contact.warmup import warm_up_if_needed
-    from ...core.preset.checks import check_rig
+    from ...core.contact.checks import check_rig
     from ...core.sources.presets import load_preset
+    from ...core.warmup import warm_up_if_needed
     from .methods import make_step, read_untouched
 
     origin = preset or default_preset(source)

@@ -85,13 +85,13 @@ def serve(
 
     if not (foxglove or ros2 or rclpy):
         raise typer.BadParameter("give --foxglove or --ros2; nothing is published unless it is asked for")
+    from ...core.contact.checks import check_rig
     from ...core.contact.pipeline import ContactPipeline
-    from ...core.contact.warmup import warm_up_if_needed
     from ...core.output.parameters import PresetParameters
     from ...core.output.publisher import Publisher
-    from ...core.preset.checks import check_rig
     from ...core.sources.capture.live import LiveLoop
     from ...core.sources.presets import load_preset
+    from ...core.warmup import warm_up_if_needed
 
     chosen = load_preset(preset or default_preset(source))
     connections = Connections(foxglove, ros2, host, port, domain, namespace, rclpy, settable)

@@ -73,12 +73,12 @@ def suggest(
     The evidence is the present frame, the three before it, an untouched frame, and examples. Nothing is written without
     --out.
     """
-    from ...core.contact.warmup import warm_up_if_needed
-    from ...core.preset.checks import check_rig
+    from ...core.contact.checks import check_rig
     from ...core.sources.presets import load_preset
     from ...core.tuning.advice.example_file import load_example
     from ...core.tuning.advice.proposal import Evidence
     from ...core.tuning.advice.suggest import suggest_all
+    from ...core.warmup import warm_up_if_needed
 
     origin = preset or default_preset(source)
     if out is not None:

@@ -90,9 +90,9 @@ def track(
     Without --start or --pairs the object is searched for in the first patch.
     """
     from ...core.contact.pipeline import ContactPipeline
-    from ...core.contact.warmup import warm_up_if_needed
     from ...core.estimation.pose import PoseTracker
     from ...core.sources.presets import load_preset
+    from ...core.warmup import warm_up_if_needed
 
     if out is None and not truth:
         raise typer.BadParameter("give --out FILE for the poses, or --truth for a comparison")

@@ -84,7 +84,6 @@ def tune(
 ) -> None:  # fmt: skip
     """Search for preset values with the best error and run time. After Ctrl+C or a crash the same command continues."""
     from ...core.contact.kernels.threads import available_threads
-    from ...core.contact.warmup import warm_up_if_needed
     from ...core.preset.file import save_preset
     from ...core.rig.untouched import copy_untouched
     from ...core.sources.presets import load_preset
@@ -92,6 +91,7 @@ def tune(
     from ...core.tuning.plan import make_plan, parse_axis
     from ...core.tuning.study import Study, tuned_preset
     from ...core.tuning.workers import cluster_workers, local_workers
+    from ...core.warmup import warm_up_if_needed
 
     axes = [parse_axis(text) for text in settings or []]
     sources = source or []

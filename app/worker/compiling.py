@@ -6,8 +6,8 @@ import logging
 from collections.abc import Callable
 from threading import Thread
 
-from ...core.contact.warmup import is_compiled, warm_up_if_needed, warm_up_views
 from ...core.preset import Preset
+from ...core.warmup import is_compiled, warm_up_if_needed, warm_up_views
 
 _Kernels = tuple[str, bool]
 

@@ -6,12 +6,12 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
+from ...core.contact.checks import rig_in_use
 from ...core.contact.pipeline import ContactPatch, ContactPipeline
 from ...core.errors import TactuneError
 from ...core.evaluation.metrics import patch_overlap
 from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import Preset
-from ...core.preset.checks import rig_in_use
 from ..document.comparison import Sides
 from .playback import PlaybackState
 from .rendering import Renderer

@@ -337,12 +337,12 @@ def why_no_contact(frame: SensorFrame, patch: ContactPatch, preset: Preset, rig:
     blind = no_depth.find_in_frame(frame, rig)
     if blind is not None:
         return blind.sentence, blind.action
-    return preset.test.why_no_contact(patch.provenance), preset.test.remedy_action(patch.provenance)
+    return preset.test.why_no_contact(patch.provenance)
 
 
 def accepted_difference(preset: Preset, depth_range_m: tuple[float, float]) -> float:
     """Return the relative difference up to which the contact test treats both depths as equal, at mid-range."""
-    return preset.test.accepted_share(preset.test_section, sum(depth_range_m) / 2)
+    return preset.test.accepted_share(preset, sum(depth_range_m) / 2)
 
 
 def membrane_sample_m(frame: SensorFrame, preset: Preset, rig: Rig) -> Float32Array:

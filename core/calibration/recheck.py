@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..contact.alignment import tactile_homography, tactile_pose
+from ..contact.checks import rig_in_use
 from ..errors import CalibrationError, RigMismatchError
 from ..model.arrays import Float64Array
 from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
-from ..preset.checks import rig_in_use
 from .calibrate import rigid_points
 from .quality import PatchEffect, millimetres_per_pixel, patch_effect
 from .report import CalibrationReport

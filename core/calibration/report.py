@@ -12,11 +12,11 @@ import numpy as np
 from pydantic import ValidationError
 
 from ..errors import CalibrationError, minus
+from ..model.alignment import CalibrationRecord, ClickedPair, ModelSummary, SnapshotRecord
 from ..model.arrays import Float64Array
 from ..model.files import json_fields
 from ..model.frames import Rig
 from ..preset import AlignmentSection, HomographyAlignment, Preset, RigidAlignment, now
-from ..preset.alignment import CalibrationRecord, ClickedPair, ModelSummary, SnapshotRecord
 from .agreement import Agreement
 from .correspondences import Correspondence, listed
 from .depth_advice import DepthAdvice

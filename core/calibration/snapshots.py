@@ -11,10 +11,10 @@ import numpy as np
 
 from ..contact.kernels.compiling import kernel
 from ..errors import CalibrationError
+from ..model.alignment import SnapshotRecord
 from ..model.arrays import AnyArray, Float64Array, Uint8Array, Uint16Array
 from ..model.clouds import valid_depth
 from ..model.frames import SensorFrame
-from ..preset.alignment import SnapshotRecord
 
 #: Depths that differ from the click's by more than this belong to another surface, metres.
 _SAME_SURFACE_M = 0.004

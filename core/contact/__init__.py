@@ -1,1 +1,18 @@
-"""From a frame to its contact patch: alignment, contact tests, outlier removal."""
+"""The contact pipeline, the contact tests, and the kernels that they run on.
+
+Importing this package, as presets do for the tests' sections, loads no compiled kernel.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from .contact_test import ContactTest
+from .membrane.test import MembraneTest
+from .tolerance import ToleranceTest
+
+#: Every contact test by its name in presets, the default first. To add one, add its line here.
+CONTACT_TESTS: Final[dict[str, type[ContactTest]]] = {
+    "membrane": MembraneTest,
+    "tolerance": ToleranceTest,
+}

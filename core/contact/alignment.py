@@ -8,19 +8,20 @@ there with the depth measured there, which is exact wherever the membrane touche
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from ..errors import RigMismatchError
+from ..model.alignment import AlignmentSection
 from ..model.arrays import Float32Array, Float64Array, IndexArray, Int32Array, Uint16Array
 from ..model.clouds import ray_table
 from ..model.frames import Rig
 from ..model.patch import AlignedDepth
-from ..preset import AlignmentSection
 from .kernels import chain as kernels
 from .kernels.lenses import lens_parameters
-from .kernels.threads import by_rows
+from .kernels.threads import in_parallel
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,10 +45,7 @@ class AlignmentModel:
         aligned = AlignedDepth.empty(proximity.shape)
         images = kernels.DepthImages(kernels.flat(proximity), kernels.flat(tactile))
         expected, measured = aligned.expected_m.reshape(-1), aligned.measured_m.reshape(-1)
-        by_rows(
-            lambda first, last: kernels.align_rows(images, self.tables, region, first, last, expected, measured),
-            len(proximity),
-        )
+        in_parallel(partial(kernels.align_rows, images, self.tables, region, expected, measured), len(proximity))
         return aligned
 
     def tactile_pixels(self, pixels: IndexArray, depth_m: Float32Array, rig: Rig) -> tuple[Float32Array, Float32Array]:

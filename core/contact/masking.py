@@ -6,7 +6,7 @@ import numpy as np
 
 from ..model.arrays import BoolArray, Float32Array, IndexArray, Uint8Array
 from ..model.frames import Rig
-from ..preset import MaskSection
+from ..model.sections import MaskSection
 from .kernels.chain import ColorLookup, flat
 from .kernels.colors import color_lookup, colors_in_range, hsv_limits
 from .kernels.lenses import lens_parameters

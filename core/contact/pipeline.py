@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pkgutil import resolve_name
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
 from ..model.frames import Rig, SensorFrame
 from ..model.patch import ContactPatch, Lazy
-from ..preset import Preset
-from ..preset.checks import check_rig, rig_in_use
-from ..preset.contact_test import AVERAGE
 from .alignment import make_alignment
-from .finder import ContactFinder, Steps, Workspace
+from .checks import check_rig, rig_in_use
+from .contact_test import ContactTest, Steps
 from .membrane.average import AveragedDepth
+from .pixels import Pixels, Workspace
+
+if TYPE_CHECKING:
+    from ..preset import Preset
 
 __all__ = ["ContactPatch", "ContactPipeline"]
 
+#: Name of the step that averages depth over frames; it precedes the test's own steps.
+AVERAGE: Final = "average"
 #: Value of `ContactPatch.skipped` where no step was due.
-UNCHANGED = "nothing changed"
+UNCHANGED: Final = "nothing changed"
 
 
 class ContactPipeline:
@@ -37,29 +40,28 @@ class ContactPipeline:
     ------
     RigMismatchError
         The preset was made for images of another size, or neither it nor the rig has a pose.
+
+    Attributes
+    ----------
+    rig : Rig
+        With the preset's lens distortion.
+    preset : Preset
+        The current one; change it with `update`.
+    warnings : list of str
+        Sentences on differences between the preset's rig and this one.
     """
 
     def __init__(self, preset: Preset, rig: Rig) -> None:
         self._recording_rig = rig
-        self._start(preset)
+        self._start(preset, rig_in_use(preset, rig))
 
-    def _start(self, preset: Preset) -> None:
-        """Start with a preset. Where the rig states no lens distortion, the one that the preset estimated is used."""
-        rig = rig_in_use(preset, self._recording_rig)
-        warnings, alignment = check_rig(preset, self._recording_rig), make_alignment(preset.alignment, rig)  # may raise
-        self.rig, self.warnings, self._alignment, self._preset = rig, warnings, alignment, preset
-        self._workspace = Workspace(rig)
-        self._keys = _step_keys(preset)
-        self._finder: ContactFinder | None = None
-        self._finder_key: Any = None
-        self._memory = _Memory()
+    def _start(self, preset: Preset, rig: Rig) -> None:
+        self.warnings, self._alignment = check_rig(preset, self._recording_rig), make_alignment(preset.alignment, rig)
+        self.rig, self.preset = rig, preset
+        self._workspace, self._memory = Workspace(rig), _Memory()
         self._average: AveragedDepth | None = None
-        self._average_over(preset)
-
-    @property
-    def preset(self) -> Preset:
-        """The current preset; change it with `update`."""
-        return self._preset
+        self._test_key: Any = None
+        self._use(preset)
 
     def update(self, preset: Preset) -> None:
         """Use another preset from the next frame on.
@@ -69,16 +71,35 @@ class ContactPipeline:
         RigMismatchError
             As the constructor does; the old preset then stays in use.
         """
-        if rig_in_use(preset, self._recording_rig) != self.rig:  # other lenses: nothing computed so far can be kept
-            self._start(preset)
+        rig = rig_in_use(preset, self._recording_rig)
+        if rig != self.rig:  # other lenses: nothing computed so far can be kept
+            self._start(preset, rig)
             return
         warnings = check_rig(preset, self._recording_rig)
-        if preset.alignment.geometry != self._preset.alignment.geometry:
-            self._alignment = make_alignment(preset.alignment, self.rig)
-        self._average_over(preset)
-        self._keys = _step_keys(preset)
-        self.warnings = warnings
-        self._preset = preset
+        if preset.alignment.geometry != self.preset.alignment.geometry:
+            self._alignment = make_alignment(preset.alignment, rig)
+        self.warnings, self.preset = warnings, preset
+        self._use(preset)
+
+    def _use(self, preset: Preset) -> None:
+        """Keep the average and the test as far as the preset allows."""
+        frames = preset.averaged_frames
+        if frames == 1 and self._average is not None:
+            self._average, self._memory = None, _Memory()
+        elif frames > 1 and self._average is None:
+            self._average = AveragedDepth(self.rig, frames, preset.noise)
+        elif self._average is not None:
+            self._average.max_frames = frames
+            self._average.expect(preset.noise)
+        steps = preset.test.steps
+        self._keys: dict[str, Any] = {AVERAGE: None} if frames > 1 else {}
+        self._keys |= {name: (preset.contact_test, *map(preset.value, fields)) for name, fields in steps.items()}
+        first_key = self._keys[next(iter(steps))]
+        if first_key != self._test_key:
+            self._test: ContactTest = preset.test(Pixels(preset, self.rig, self._alignment, self._workspace))
+            self._test_key = first_key
+            for name in steps:  # the test that was replaced kept their results
+                self._memory.done.pop(name, None)
 
     def process(self, frame: SensorFrame) -> ContactPatch:
         """Return the contact patch of a frame.
@@ -88,25 +109,23 @@ class ContactPipeline:
         FrameError
             An image does not have the rig's size.
         """
-        memory = self._memory
-        if frame is not memory.frame:
+        if frame is not self._memory.frame:
             frame.check_against(self.rig)
-            memory = self._memory = _Memory(frame)
-        due = Steps(self._keys, memory.done)
+            self._memory = _Memory(frame)
+        memory, test, due = self._memory, self._test, Steps(self._keys, self._memory.done)
         if self._average is not None:
             if due(AVERAGE):
                 memory.averaged = self._average.add(frame)
             frame = memory.averaged or frame
-        found = self._finder_now().find(frame, self._preset, due)
+        found = test.find(frame, self.preset, due)
         due.finish()
         if memory.patch is not None and not due.stale:
             return memory.patch.again(frame.sequence, due.ms, (UNCHANGED,))
-        alignment, region = self._alignment, self._preset.region
         memory.patch = ContactPatch(
             frame.sequence,
             found.contact.points,
             Lazy(found.make_provenance),
-            Lazy(lambda: self._workspace.aligned(frame, alignment, region)),
+            Lazy(lambda: test.pixels.aligned(frame)),
             self.rig,
             due.ms,
             found.skipped,
@@ -115,29 +134,6 @@ class ContactPipeline:
             membrane=found.membrane,
         )
         return memory.patch
-
-    def _finder_now(self) -> ContactFinder:
-        """Return the finder of the preset's contact test; a new one if a field of its first step has changed."""
-        key = self._keys[self._preset.test.steps[0].name]
-        if self._finder is None or key != self._finder_key:
-            make = resolve_name(self._preset.test.implementation)
-            self._finder = make(self._preset, self.rig, self._alignment, self._workspace)
-            self._finder_key = key
-            for name in self._preset.test.step_names:  # the finder that was replaced kept their results
-                self._memory.done.pop(name, None)
-        return self._finder
-
-    def _average_over(self, preset: Preset) -> None:
-        """Average depth over the preset's number of frames; the frames so far are kept unless it is 1."""
-        frames = preset.averaged_frames
-        if frames == 1:
-            if self._average is not None:
-                self._average, self._memory = None, _Memory()
-        elif self._average is None:
-            self._average = AveragedDepth(self.rig, frames, preset.noise)
-        else:
-            self._average.max_frames = frames
-            self._average.expect(preset.noise)
 
 
 @dataclass
@@ -148,11 +144,3 @@ class _Memory:
     averaged: SensorFrame | None = None
     done: dict[str, Any] = field(default_factory=dict)
     patch: ContactPatch | None = None
-
-
-def _step_keys(preset: Preset) -> dict[str, Any]:
-    """Return the values of the fields that each step of the preset's contact test depends on."""
-    keys: dict[str, Any] = {AVERAGE: None} if preset.averaged_frames > 1 else {}
-    for step in preset.test.steps:
-        keys[step.name] = preset.contact_test, *(preset.value(path) for path in step.fields)
-    return keys

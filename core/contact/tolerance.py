@@ -1,111 +1,149 @@
-"""The tolerance test: both distances agree pixel by pixel; then outliers and small clusters are dropped."""
+"""The tolerance test, as published by Yin et al.: both distances agree within a share of the distance.
+
+Each pixel is judged by itself, |dp - dt| <= t |dp|; then statistical outliers and small clusters are dropped.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
+from pydantic import Field
 
-from ..model.arrays import BoolArray, Uint8Array
-from ..model.frames import Rig, SensorFrame
+from ..model.arrays import Uint8Array
+from ..model.frames import SensorFrame
 from ..model.patch import NO_CANDIDATES, Candidates, Found
 from ..model.provenance import Provenance
-from ..preset import OutlierSection, Preset
-from .alignment import AlignmentModel
-from .finder import MAX_TILES_ALONE, ContactFinder, Steps, Workspace, depth_images
-from .kernels import chain as kernels
-from .kernels.compiling import kernel
-from .kernels.threads import by_rows
-from .outliers.clusters import in_large_cluster
-from .outliers.statistical import statistical_inliers
+from ..model.sections import Section, described
+from .contact_test import HARMLESS_SHARE, MASK_REASON, PIXEL_FIELDS, BiasLimits, ContactTest, DropReason, Steps
+
+if TYPE_CHECKING:
+    from ..preset import Preset
+    from .pixels import Pixels
 
 
-class ToleranceFinder(ContactFinder):
-    """Computes the tolerance test."""
+class ToleranceSection(Section):
+    """The contact test |dp - dt| <= t |dp|."""
 
-    def __init__(self, preset: Preset, rig: Rig, alignment: AlignmentModel, workspace: Workspace | None = None) -> None:
-        super().__init__(preset, rig, alignment, workspace)
-        self._unmasked = self._inliers = self._contact = NO_CANDIDATES
+    t: Annotated[
+        float,
+        described(
+            "Tolerance t",
+            "A pixel is in contact where both distances agree within this share of the distance.",
+            unit="share",
+            scale="log",
+            slider=(0.001, 0.3),
+            step=0.001,
+        ),
+        Field(ge=0.0, le=1.0),
+    ] = 0.03
+
+
+class OutlierSection(Section):
+    """Statistical outlier removal (Open3D's definition) and the smallest cluster kept."""
+
+    enabled: Annotated[
+        bool, described("Remove outliers", "Drop points that lie unusually far from their neighbours.")
+    ] = True
+    k: Annotated[
+        int,
+        described(
+            "Neighbours k",
+            "Number of nearest points averaged for each point. The point itself counts as one, as in Open3D; "
+            "PCL counts one less.",
+            unit="points",
+            slider=(1, 100),
+            advanced=True,
+        ),
+        Field(ge=1, le=1000),
+    ] = 20
+    ratio: Annotated[
+        float,
+        described(
+            "Ratio",
+            "Points whose mean neighbour distance exceeds the mean by this many standard deviations are dropped.",
+            unit="sigma",
+            slider=(0.1, 5.0),
+            step=0.1,
+            advanced=True,
+        ),
+        Field(gt=0.0, le=100.0),
+    ] = 2.0
+    min_cluster_area_mm2: Annotated[
+        float,
+        described(
+            "Smallest cluster",
+            "Connected groups of contact pixels with a smaller area are dropped. 0 keeps all.",
+            unit="mm2",
+            slider=(0.0, 500.0),
+            step=5.0,
+        ),
+        Field(ge=0.0, le=1e6),
+    ] = 0.0
+
+
+class ToleranceTest(ContactTest):
+    """``|dp - dt| <= t |dp|``, pixel by pixel."""
+
+    name = "tolerance"
+    sections = {"tolerance": ToleranceSection, "outliers": OutlierSection}
+    steps = {
+        "fusion": (*PIXEL_FIELDS, "tolerance"),
+        "outliers": ("outliers.enabled", "outliers.k", "outliers.ratio"),
+        "clusters": ("outliers.min_cluster_area_mm2",),
+    }
+    summary = "a pixel is in contact where both distances agree within t, as published."
+    note = "Each pixel by itself, as published."
+    looser_words = "raise the tolerance t"
+    drop_reasons = {
+        Provenance.MASKED: MASK_REASON,
+        Provenance.OUTLIER: DropReason("the outlier removal", "raise its ratio, or switch it off"),
+        Provenance.SMALL_CLUSTER: DropReason("the limit on small clusters", "lower the smallest cluster"),
+    }
+
+    def __init__(self, pixels: Pixels) -> None:
+        super().__init__(pixels)
+        self._candidates = self._inliers = self._contact = NO_CANDIDATES
 
     def find(self, frame: SensorFrame, preset: Preset, due: Steps) -> Found:
         """Return the contact in a frame."""
+        from .outliers.clusters import without_small_clusters
+        from .outliers.statistical import without_outliers
+
+        pixels, section, t = self.pixels, preset.outliers, preset.tolerance.t
+        camera = pixels.rig.proximity.intrinsics
         if due("fusion"):
-            self._unmasked = self.candidates(frame)
-        if len(self._unmasked) == 0:
-            unmasked = self._unmasked
-            return Found(unmasked, lambda: full_provenance(self.classify(frame), *[unmasked] * 3), ("no candidates",))
+            self._candidates = pixels.candidates(frame, t)
+        if len(self._candidates) == 0:
+            nothing = self._candidates, NO_CANDIDATES, NO_CANDIDATES
+            return Found(NO_CANDIDATES, lambda: _provenance(pixels.classify(frame, t), *nothing), ("no candidates",))
         if due("outliers"):
-            self._inliers = drop_outliers(self._unmasked, self._rig, preset.outliers, self._workspace)
+            self._inliers = self._candidates
+            if section.enabled:
+                memory = pixels.workspace.neighbours
+                self._inliers = without_outliers(self._candidates, camera, section.k, section.ratio, memory)
         if due("clusters"):
-            self._contact = drop_small_clusters(self._inliers, self._rig, preset.outliers)
-        steps = self._unmasked, self._inliers, self._contact
-        return Found(self._contact, lambda: full_provenance(self.classify(frame), *steps))
+            self._contact = without_small_clusters(self._inliers, camera, section.min_cluster_area_mm2)
+        steps = self._candidates, self._inliers, self._contact
+        return Found(self._contact, lambda: _provenance(pixels.classify(frame, t), *steps))
 
-    def candidates(self, frame: SensorFrame) -> Candidates:
-        """Return the pixels that pass the tolerance test and the colour mask."""
-        height, width = frame.proximity_depth.shape
-        images = depth_images(frame)
-        tiles, possible = self.coarse.tiles(images, self.test.limits)
-        if possible == 0:
-            return NO_CANDIDATES
-        color, buffers = self.color_test(frame), self._workspace.buffers
-        out = kernels.CandidateArrays(buffers.pixels, buffers.points.reshape(-1))
-        counts: dict[int, int] = {}
+    @classmethod
+    def accepted_share(cls, preset: Preset, distance_m: float) -> float:
+        """Return t."""
+        return preset.tolerance.t
 
-        def find_rows(first: int, last: int) -> None:
-            counts[first * width] = kernels.find_candidates(images, self.test, color, tiles, first, last, out)
-
-        if possible <= MAX_TILES_ALONE:
-            find_rows(0, height)
-        else:
-            by_rows(find_rows, height)
-        return buffers.collect(counts)
+    @classmethod
+    def bias_limits(cls, preset: Preset, distance_m: float) -> BiasLimits:
+        """Return a third of t, and t, at this distance."""
+        t = preset.tolerance.t
+        reason = f"below {100 * HARMLESS_SHARE * t:.2g} %, a third of the tolerance t"
+        return BiasLimits(HARMLESS_SHARE * t * distance_m, t * distance_m, reason)
 
 
-def drop_outliers(candidates: Candidates, rig: Rig, section: OutlierSection, workspace: Workspace) -> Candidates:
-    """Return the candidates without statistical outliers."""
-    if not section.enabled or len(candidates) == 0:
-        return candidates
-    inliers = statistical_inliers(
-        candidates.points, candidates.pixels, rig.proximity.intrinsics, section.k, section.ratio, workspace.neighbours
-    )
-    return keep(candidates, inliers)
-
-
-def drop_small_clusters(candidates: Candidates, rig: Rig, section: OutlierSection) -> Candidates:
-    """Return the candidates without connected groups smaller than the preset's smallest cluster."""
-    camera = rig.proximity.intrinsics
-    large = in_large_cluster(candidates.points[:, 2], candidates.pixels, camera, section.min_cluster_area_mm2)
-    return keep(candidates, large)
-
-
-def full_provenance(verdicts: Uint8Array, unmasked: Candidates, inliers: Candidates, contact: Candidates) -> Uint8Array:
-    """Write the verdicts of the later steps over those of `ContactFinder.classify`."""
+def _provenance(verdicts: Uint8Array, candidates: Candidates, inliers: Candidates, contact: Candidates) -> Uint8Array:
+    """Write the verdicts of the later steps over those of `Pixels.classify`."""
     pixels = verdicts.reshape(-1)
     pixels[pixels == Provenance.CONTACT] = Provenance.MASKED
-    pixels[unmasked.pixels] = Provenance.OUTLIER
+    pixels[candidates.pixels] = Provenance.OUTLIER
     pixels[inliers.pixels] = Provenance.SMALL_CLUSTER
     pixels[contact.pixels] = Provenance.CONTACT
     return verdicts
-
-
-def keep(candidates: Candidates, which: BoolArray) -> Candidates:
-    """Return the candidates that ``which`` (bool, shape (N,)) marks."""
-    count = int(np.count_nonzero(which))
-    if count == len(candidates):
-        return candidates
-    pixels, points = np.empty(count, np.intp), np.empty((count, 3), np.float32)
-    _compact(which, candidates.pixels, candidates.points, pixels, points)
-    return Candidates(pixels, points)
-
-
-@kernel
-def _compact(which: Any, pixels: Any, points: Any, pixels_out: Any, points_out: Any) -> None:
-    count = 0
-    for i in range(len(which)):
-        if which[i]:
-            pixels_out[count] = pixels[i]
-            points_out[count, 0] = points[i, 0]
-            points_out[count, 1] = points[i, 1]
-            points_out[count, 2] = points[i, 2]
-            count += 1

@@ -10,12 +10,12 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
+from ..contact.checks import rig_in_use
 from ..errors import CalibrationError
 from ..model.arrays import Float64Array
 from ..model.frames import Rig, rigid_transform
 from ..model.patch import ContactPatch
 from ..preset import Preset
-from ..preset.checks import rig_in_use
 from .object_mesh import Axis, ObjectMesh, import_open3d
 from .pose_fit import ON_MESH_M, Fit, PatchPoints, fit, motion_between, moved, noise_density_m4, patch_points
 from .pose_search import Membrane, Searched, search, search_near, two_way_m

@@ -26,13 +26,13 @@ from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
+from ..contact.checks import rig_in_use
 from ..methods.method import MethodPatch
 from ..model.arrays import Float32Array, Float64Array
 from ..model.frames import Rig
 from ..model.intrinsics import Intrinsics
 from ..model.patch import ContactPatch
 from ..preset import Preset
-from ..preset.checks import rig_in_use
 from ..rig.slow_error import SLOW_CHANCE, SLOW_LENGTH, SLOW_M
 from .plane import Cells, DepthNoise, Functionals
 

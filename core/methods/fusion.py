@@ -3,13 +3,51 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from ..contact.pipeline import ContactPipeline
 from ..model.frames import Rig, SensorFrame
 from ..preset import CONTACT_TESTS, Preset
-from ..preset.contact_test import FusionVariant
 from .method import ContactMethod, MethodKind, MethodPatch, pose_settings
+
+
+@dataclass(frozen=True)
+class FusionVariant:
+    """A choice of preset fields that is a method of its own; see `MethodKind`."""
+
+    name: str
+    fields: Mapping[str, Any]
+    tip: str
+    rgb: tuple[int, int, int]
+
+
+_VARIANTS = (
+    FusionVariant(
+        "fusion-membrane",
+        {"contact_test": "membrane", "alignment.model": "rigid", "membrane.frames": 1},
+        "Both cameras: where a membrane in equilibrium of tension and pressure touches the object",
+        (0, 158, 115),
+    ),
+    FusionVariant(
+        "fusion-averaged",
+        {"contact_test": "membrane", "alignment.model": "rigid", "membrane.frames": 15},
+        "fusion-membrane on the mean of up to 15 frames while the membrane is still",
+        (119, 68, 255),
+    ),
+    FusionVariant(
+        "fusion-rigid",
+        {"contact_test": "tolerance", "alignment.model": "rigid"},
+        "Contact where both cameras measure the same distance, aligned by the tactile camera's pose",
+        (213, 94, 0),
+    ),
+    FusionVariant(
+        "fusion-homography",
+        {"contact_test": "tolerance", "alignment.model": "homography"},
+        "Contact where both cameras measure the same distance, aligned by a homography as published",
+        (230, 159, 0),
+    ),
+)
 
 
 class Fusion(ContactMethod):
@@ -53,15 +91,15 @@ class Fusion(ContactMethod):
 
 
 def fusion_kinds() -> dict[str, MethodKind]:
-    """Return the methods of all contact tests, in the tests' order."""
-    return {variant.name: _kind_of(variant) for test in CONTACT_TESTS.values() for variant in test.variants}
+    """Return the variants of the pipeline."""
+    return {variant.name: _kind_of(variant) for variant in _VARIANTS}
 
 
 def _kind_of(variant: FusionVariant) -> MethodKind:
     fields = variant.fields
     homography = fields["alignment.model"] == "homography"
     test = CONTACT_TESTS[fields["contact_test"]]
-    sections, by_noise = test.section_names, any("noise" in step.fields for step in test.steps)
+    sections, by_noise = tuple(test.sections), any("noise" in fields for fields in test.steps.values())
 
     def make(preset: Preset, rig: Rig, untouched: SensorFrame | None) -> ContactMethod:
         return Fusion(preset, rig, variant.name, fields)
@@ -72,9 +110,7 @@ def _kind_of(variant: FusionVariant) -> MethodKind:
         own = [_with_fields(getattr(preset, section), section, fields) for section in sections]
         return (preset.rig, *pose_settings(preset), *by_plane, preset.region, preset.range, preset.mask, *noise, *own)
 
-    return MethodKind(
-        variant.name, variant.tip, variant.rgb, make, settings_of, fields=fields, dark_rgb=variant.dark_rgb, rank=0
-    )
+    return MethodKind(variant.name, variant.tip, variant.rgb, make, settings_of, fields=fields, rank=0)
 
 
 def _with_fields(section: Any, name: str, fields: Mapping[str, Any]) -> Any:

@@ -7,30 +7,29 @@ import json
 import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import numpy as np
 from pydantic import Field, ValidationError, create_model
 
+from ..contact import CONTACT_TESTS
+from ..contact.contact_test import ContactTest
+from ..contact.membrane.section import MembraneSection
+from ..contact.tolerance import OutlierSection, ToleranceSection
 from ..errors import PresetError
+from ..model.alignment import AlignmentSection
 from ..model.frames import Rig
-from .alignment import AlignmentSection
-from .contact_test import ContactTest
-from .membrane import MembraneSection
-from .migrations import SCHEMA_VERSION, Document
-from .rig_noise import RigNoise
-from .sections import CamerasSection, MaskSection, RangeSection, RegionSection, Section, UntouchedRecord, described
-from .tolerance import OutlierSection, ToleranceSection
-
-#: Every contact test as ``module:object`` of this package, the default first. To add one, add its line here.
-_TESTS: Final = (
-    "membrane:MEMBRANE",
-    "tolerance:TOLERANCE",
+from ..model.rig_noise import RigNoise
+from ..model.sections import (
+    CamerasSection,
+    MaskSection,
+    RangeSection,
+    RegionSection,
+    Section,
+    UntouchedRecord,
+    described,
 )
-_tests = [resolve_name(f"{__package__}.{place}") for place in _TESTS]
-#: Every contact test by name.
-CONTACT_TESTS: Final[dict[str, ContactTest[Any]]] = {test.name: test for test in _tests}
+from .migrations import SCHEMA_VERSION, Document
 
 SCHEMA_NAME: Literal["tactune.preset"] = "tactune.preset"
 
@@ -73,11 +72,11 @@ if TYPE_CHECKING:
         membrane: MembraneSection = MembraneSection()
 
 else:
-    _sections = [section for test in CONTACT_TESTS.values() for section in test.sections]
+    _sections = {name: section for test in CONTACT_TESTS.values() for name, section in test.sections.items()}
     _WithTests = create_model(
         "_WithTests",
         __base__=_BeforeTests,
-        **{section.name: (section.model, section.model()) for section in _sections},
+        **{name: (section, section()) for name, section in _sections.items()},
     )
 
 
@@ -109,14 +108,9 @@ class Preset(_WithTests):
     ] = None
 
     @property
-    def test(self) -> ContactTest[Any]:
+    def test(self) -> type[ContactTest]:
         """The chosen contact test."""
         return CONTACT_TESTS[self.contact_test]
-
-    @property
-    def test_section(self) -> Any:
-        """The first section of the chosen contact test."""
-        return getattr(self, self.contact_test)
 
     @property
     def averaged_frames(self) -> int:

@@ -15,9 +15,9 @@ from ..contact.masking import colors_at, in_hsv_range
 from ..errors import minus
 from ..model.clouds import deproject, pixel_areas_m2, valid_depth
 from ..model.frames import Rig, SensorFrame
+from ..model.rig_noise import BiasOrigin
 from ..model.robust import spread
 from ..preset import MaskSection, Preset
-from ..preset.rig_noise import BiasOrigin
 
 #: Area of firm contact below which a frame tells nothing about the bias, m^2.
 MIN_CONTACT_M2: Final = 1e-3

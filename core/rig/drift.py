@@ -7,6 +7,7 @@ from typing import Final, Literal
 
 import numpy as np
 
+from ..contact.checks import rig_in_use
 from ..contact.pipeline import ContactPipeline
 from ..errors import CalibrationError, FrameError, RigMismatchError, minus
 from ..methods.membrane_view import MembraneView
@@ -15,7 +16,6 @@ from ..model.clouds import ray_table, valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
 from ..model.robust import spread
 from ..preset import Preset
-from ..preset.checks import rig_in_use
 
 #: Largest harmless change: half the margin of the method proximity-only, which compares with the untouched frame.
 LIMIT_M: Final = 0.001

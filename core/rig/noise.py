@@ -18,14 +18,14 @@ from typing import Final
 import numpy as np
 from scipy.optimize import nnls
 
-from ..contact.membrane.finder import firm_contact_bias
+from ..contact.checks import rig_in_use
+from ..contact.membrane.steps import firm_contact_bias
 from ..errors import FrameError
 from ..model.arrays import BoolArray, Float32Array, Float64Array, Uint16Array
 from ..model.clouds import valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
 from ..model.robust import spread
 from ..preset import CameraNoise, Preset, RigNoise, now
-from ..preset.checks import rig_in_use
 from ..sources.base import CameraRole, FrameSource, Progress
 from .bias import ContactBias, MeasuredBias, choose_bias, describe_bias, pressed_bias, print_bias
 from .slow_error import slow_error_m

@@ -100,7 +100,7 @@ def judge_bias(quality: DepthQuality, preset: Preset) -> Reading:
         f"scatter {1e3 * bias.spread_m:.2f} mm"
     )
     distance_m = bias.bias_m / bias.share if bias.share else math.inf
-    limits = preset.test.bias_limits(preset.test_section, distance_m)
+    limits = preset.test.bias_limits(preset, distance_m)
     if bias.spread_m > _ONE_SURFACE_SHARE * min(limits.fair_m, _ONE_SURFACE_MAX_M):
         step = "The cameras do not see the same surface: put a flat, opaque target in front of both."
         return Reading(title, value, Verdict.UNKNOWN, step=step)

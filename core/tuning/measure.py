@@ -21,7 +21,6 @@ import numpy as np
 
 from ..contact.kernels.threads import set_threads
 from ..contact.pipeline import ContactPipeline
-from ..contact.warmup import warm_up
 from ..errors import TactuneError
 from ..evaluation.metrics import TruthTree, pixel_scores
 from ..evaluation.table_cell import code_version, true_contact
@@ -30,6 +29,7 @@ from ..model.frames import Rig, SensorFrame
 from ..model.patch import ContactPatch
 from ..preset import Preset
 from ..sources.base import SeekableSource
+from ..warmup import warm_up
 from .plan import STAGE_OF, Clip, Plan, TuneError, content_of, open_recording
 
 #: Values of `OBJECTIVES`, the time only if it is one, and ``points``; those that are undefined are missing. And why the

@@ -15,11 +15,11 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from ..calibration.snapshots import content_hash
+from ..contact.checks import check_rig
 from ..errors import TactuneError
 from ..evaluation.table_cell import code_version
 from ..model.files import path_exists, recording_files, user_path
 from ..preset import CONTACT_TESTS, Preset
-from ..preset.checks import check_rig
 from ..preset.preset import json_or_word, preset_paths, set_path
 from ..sources.base import FrameSource, SeekableSource
 from ..sources.registry import is_recording, open_source, opens_by_name
@@ -32,7 +32,10 @@ MAX_GRID: Final = 10_000
 _FIXED: Final = ("name", "notes", "created", "modified", "rig", "alignment.calibration", "cameras.", "untouched")
 #: Index of the step of the contact test in which each field is first used.
 STAGE_OF: Final = {
-    path: number for test in CONTACT_TESTS.values() for number, step in enumerate(test.steps) for path in step.fields
+    path: number
+    for test in CONTACT_TESTS.values()
+    for number, fields in enumerate(test.steps.values())
+    for path in fields
 }
 _RANGE: Final = re.compile(r"([^:]+):([^:]+?)(?::([0-9]{0,9})(log)?)?")
 
@@ -140,7 +143,7 @@ def check_axes(axes: Sequence[Axis], base: Preset) -> tuple[Axis, ...]:
     for path in checked:
         section, _, field = path.partition(".")
         needs: list[tuple[str, Any]] = [
-            ("contact_test", test.name) for test in CONTACT_TESTS.values() if section in test.section_names
+            ("contact_test", test.name) for test in CONTACT_TESTS.values() if section in test.sections
         ]
         if f"{section}.enabled" in preset_paths() and field not in ("enabled", "min_cluster_area_mm2"):  # 0: off
             needs.append((f"{section}.enabled", True))
@@ -177,9 +180,9 @@ def default_axes(preset: Preset) -> tuple[Axis, ...]:
     section that is turned off.
     """
     axes: list[Axis] = []
-    for section in preset.test.sections:
-        for name, field in section.model.model_fields.items():
-            path, extra = f"{section.name}.{name}", field.json_schema_extra
+    for section, model in preset.test.sections.items():
+        for name, field in model.model_fields.items():
+            path, extra = f"{section}.{name}", field.json_schema_extra
             if isinstance(extra, dict) and "slider" in extra and path != preset.test.frames_field:
                 slider: Any = extra["slider"]
                 low, high = min(slider[0], preset.value(path)), max(slider[1], preset.value(path))

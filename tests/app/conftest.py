@@ -18,8 +18,8 @@ from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.processing import FrameProcessor
 from tactune.app.worker.results import SourceInfo, Wanted
 from tactune.app.worker.threads import wait_for_abandoned
-from tactune.core.contact.warmup import warm_up_if_needed
 from tactune.core.preset import Preset
+from tactune.core.warmup import warm_up_if_needed
 from tiny_sensor import TinySource, tiny_frame, tiny_rig
 from watched_worker import Watched
 

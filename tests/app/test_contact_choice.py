@@ -10,10 +10,10 @@ from PyQt6.QtTest import QTest
 from hands import CONTROL, shows_preset_of_document, type_into
 from tactune.app.worker.rendering import accepted_difference
 from tactune.app.worker.results import CloudName
+from tactune.core.contact.membrane.test import MembraneTest
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.model.provenance import Provenance
 from tactune.core.preset import Preset
-from tactune.core.preset.membrane import MEMBRANE as MEMBRANE_TEST
 from tactune.widgets.basics.colormaps import provenance_legend
 from tiny_sensor import tiny_frame, tiny_rig
 
@@ -48,7 +48,7 @@ def test_choose_tune_and_undo(window, qtbot):
     box = choose_by_keyboard(window, qtbot, Qt.Key.Key_Up)
     assert window.document.preset.contact_test == "membrane"
     assert window.document.undo_stack.undoText() == "Contact test membrane"
-    assert tuple(window.result.patch.stage_ms) == MEMBRANE_TEST.step_names
+    assert tuple(window.result.patch.stage_ms) == tuple(MembraneTest.steps)
     assert "raise the largest gap" in window.views.views[CloudName.PATCH].message()
     assert window.result.rendered.histogram.field == "membrane.gap_m"
     assert window.panel.histograms["membrane.gap_m"].isVisible()
@@ -89,12 +89,12 @@ def test_the_rim_has_a_colour_of_its_own_and_a_name():
 
 def test_an_empty_patch_says_what_the_membrane_test_has_dropped():
     provenance = np.full((4, 5), Provenance.OUTSIDE_TOLERANCE, np.uint8)
-    assert "largest gap" in MEMBRANE_TEST.why_no_contact(provenance)
+    assert "largest gap" in MembraneTest.why_no_contact(provenance)[0]
     provenance[0] = Provenance.RIM
-    assert "the membrane's equilibrium dropped all" in MEMBRANE_TEST.why_no_contact(provenance)
-    assert "measure the rig's bias" in MEMBRANE_TEST.why_no_contact(provenance)
+    assert "the membrane's equilibrium dropped all" in MembraneTest.why_no_contact(provenance)[0]
+    assert "measure the rig's bias" in MembraneTest.why_no_contact(provenance)[0]
     provenance[1:3] = Provenance.SMALL_CLUSTER
-    assert "dropped 10 of 15: lower the smallest contact" in MEMBRANE_TEST.why_no_contact(provenance)
+    assert "dropped 10 of 15: lower the smallest contact" in MembraneTest.why_no_contact(provenance)[0]
 
 
 def test_the_colours_middle_band_is_what_the_chosen_test_accepts():

@@ -6,8 +6,8 @@ A second run finds everything on the disk and takes a few seconds.
 from __future__ import annotations
 
 from coarse_scenes import solve_coarsely
-from tactune.core.contact.warmup import warm_up_if_needed
 from tactune.core.sources.registry import open_source
+from tactune.core.warmup import warm_up_if_needed
 
 SCENES = (
     "cup",

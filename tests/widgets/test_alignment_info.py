@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
+from tactune.core.model.alignment import CalibrationRecord, ClickedPair, ModelSummary
 from tactune.core.preset import Preset
-from tactune.core.preset.alignment import CalibrationRecord, ClickedPair, ModelSummary
 from tactune.widgets.parameters.parameter_panel import ParameterPanel
 
 

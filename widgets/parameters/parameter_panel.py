@@ -21,9 +21,9 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
+from ...core.model.alignment import CalibrationRecord
 from ...core.model.arrays import AnyArray
 from ...core.preset import CONTACT_TESTS, Preset
-from ...core.preset.alignment import CalibrationRecord
 from ..basics.colormaps import MASKED_RGB
 from ..basics.controls import CollapsibleSection, tool_button, wrapped_label
 from ..basics.fields import FieldSpec, field_spec, section_fields
@@ -39,7 +39,7 @@ SECTIONS = (
     ("alignment", "Alignment"),
     ("mask", "Mask"),
     ("contact_test", "Contact"),
-    *((section.name, section.title) for test in CONTACT_TESTS.values() for section in test.sections),
+    *((section, section.capitalize()) for test in CONTACT_TESTS.values() for section in test.sections),
     ("range", "Range"),
     ("region", "Region"),
 )
@@ -456,7 +456,7 @@ class ParameterPanel(QScrollArea):
 
     def _show_contact_test(self, chosen: str) -> None:
         for name, test in CONTACT_TESTS.items():
-            for section in test.section_names:
+            for section in test.sections:
                 self.sections[section].setVisible(name == chosen)
         self._test_note.setText(CONTACT_TESTS[chosen].note)
         self._test_note.show()

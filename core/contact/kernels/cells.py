@@ -148,7 +148,7 @@ class BesideCells(NamedTuple):
 
 
 @kernel
-def average_cells(window: Any, side: Any, step: Any, rays: Any, first: Any, last: Any, frame: Any, out: Any) -> None:
+def average_cells(window: Any, side: Any, step: Any, rays: Any, frame: Any, out: Any, first: Any, last: Any) -> None:
     """Write means over cells of ``side`` by ``side`` pixels, in rows ``first`` to ``last - 1`` of cells.
 
     The last cells may reach beyond the images.
@@ -162,11 +162,11 @@ def average_cells(window: Any, side: Any, step: Any, rays: Any, first: Any, last
         does not hide a cell. step x step divides ``side``, or step is 1.
     rays : membrane.RayWindow
         Of the images.
-    first, last : int
     frame : int
         Width of the frame of ``out``, cells.
     out : CellSums
         Its frame is left as it is.
+    first, last : int
     """
     means, left_out, points = out
     differences, usable, excluded, counts, unit_m, bias_m, centre_m, limit_m = window

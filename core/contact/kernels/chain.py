@@ -208,10 +208,21 @@ class ColorTest(NamedTuple):
 
 
 class CandidateArrays(NamedTuple):
-    """Where `find_candidates` writes: flat pixels (int64) and their points (float32, flat, x, y, z), metres."""
+    """Where `find_candidates` writes.
+
+    Attributes
+    ----------
+    pixels : int64, shape (H * W,)
+        Flat pixels.
+    points : float32, shape (H * W * 3,)
+        Their points x, y, z, metres.
+    counts : int64, shape (H,)
+        Number of candidates from a row on.
+    """
 
     pixels: Int64Array
     points: Float32Array
+    counts: Int64Array
 
 
 @inline
@@ -302,6 +313,12 @@ def both_depths(place: Any, depth: Any, valid: Any, tactile: Any, alignment: Any
 
 
 @inline
+def agree(dp: Any, dt: Any, tolerance: Any) -> Any:
+    """Return in which lanes the expected and the measured depth pass the tolerance test, |dp - dt| <= t |dp|."""
+    return absolute(dp - dt) <= floats(tolerance) * absolute(dp)
+
+
+@inline
 def colors_seen(x: Any, y: Any, depth: Any, place: Any, color: Any) -> Any:
     """Return red, green and blue of points (metres, depth frame), and the lanes that the colour camera sees.
 
@@ -334,7 +351,7 @@ def is_masked(x: Any, y: Any, depth: Any, place: Any, color: Any) -> Any:
 
 
 @kernel
-def align_rows(images: Any, alignment: Any, region: Any, first: Any, last: Any, expected: Any, measured: Any) -> None:
+def align_rows(images: Any, alignment: Any, region: Any, expected: Any, measured: Any, first: Any, last: Any) -> None:
     """Write both sides of the tolerance test for rows ``first`` to ``last - 1``; nan where there is none.
 
     ``images`` are `DepthImages`, ``alignment`` is an `Alignment`, ``region`` a `Region`; ``expected`` and
@@ -358,7 +375,7 @@ def align_rows(images: Any, alignment: Any, region: Any, first: Any, last: Any, 
 
 
 @kernel
-def classify_rows(images: Any, test: Any, first: Any, last: Any, provenance: Any) -> None:
+def classify_rows(images: Any, test: Any, provenance: Any, first: Any, last: Any) -> None:
     """Write the verdict of depth, region, range and tolerance for rows ``first`` to ``last - 1``.
 
     Candidates get CONTACT. ``images`` are `DepthImages`, ``test`` is a `PixelTest`, ``provenance`` is uint8, flat.
@@ -379,8 +396,7 @@ def classify_rows(images: Any, test: Any, first: Any, last: Any, provenance: Any
                 in_region = column < ints(_NONE)
             valid = has_depth & in_region & (column >= ints(np.int32(u)))
             dp, has_dp, dt, has_dt = both_depths(place, depth, valid, images.tactile, alignment)
-            agrees = absolute(dp - dt) <= floats(limits.tolerance) * absolute(dp)
-            verdict = where(agrees, ints(_CONTACT), ints(_OUTSIDE_TOLERANCE))
+            verdict = where(agree(dp, dt, limits.tolerance), ints(_CONTACT), ints(_OUTSIDE_TOLERANCE))
             verdict = where(has_dp & has_dt, verdict, ints(_NO_TACTILE_DEPTH))
             out_of_range = (depth < floats(limits.nearest_m)) | (depth > floats(limits.farthest_m))
             verdict = where(out_of_range, ints(_OUTSIDE_RANGE), verdict)
@@ -415,7 +431,7 @@ def _append_points(x: Any, y: Any, depth: Any, place: Any, chosen: Any, kept: An
 
 
 @kernel
-def find_candidates(images: Any, test: Any, color: Any, tiles: Any, first: Any, last: Any, out: Any) -> Any:
+def find_candidates(images: Any, test: Any, color: Any, tiles: Any, out: Any, first: Any, last: Any) -> None:
     """Find the pixels of rows ``first`` to ``last - 1`` that pass the tolerance test and the colour mask.
 
     Parameters
@@ -426,12 +442,8 @@ def find_candidates(images: Any, test: Any, color: Any, tiles: Any, first: Any, 
     tiles : bool, shape (rows of image tiles, tiles in a row)
         False where `coarse` has shown that a tile of `TILE_ROWS` x `LANES` pixels has no candidate.
     out : CandidateArrays
-        Written from element ``first * width`` on, in the order of the pixels.
-
-    Returns
-    -------
-    int
-        Number of candidates.
+        Written from element ``first * width`` on, in the order of the pixels; their number to ``counts[first]``.
+    first, last : int
     """
     alignment, region, limits, rays = test.alignment, test.region, test.limits, test.rays
     width, pixels = alignment.size.width, plane_size(alignment.size)
@@ -450,7 +462,7 @@ def find_candidates(images: Any, test: Any, color: Any, tiles: Any, first: Any, 
             if bits(valid) == 0:
                 continue
             dp, _, dt, has_dt = both_depths(place, depth, valid, images.tactile, alignment)
-            passes = has_dt & (absolute(dp - dt) <= floats(limits.tolerance) * absolute(dp))
+            passes = has_dt & agree(dp, dt, limits.tolerance)
             if bits(passes) == 0:
                 continue
             x = load(rays, place) * depth
@@ -458,4 +470,4 @@ def find_candidates(images: Any, test: Any, color: Any, tiles: Any, first: Any, 
             if color.hsv.shape[0] > 0:
                 passes = passes & ~is_masked(x, y, depth, place, color)
             kept = _append_points(x, y, depth, place, bits(passes), kept, buffer, out)
-    return kept - first * width
+    out.counts[first] = kept - first * width

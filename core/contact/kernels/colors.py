@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...model.arrays import Int64Array
-from ...preset import MaskSection
+from ...model.sections import MaskSection
 from .compiling import inline, kernel
 from .lenses import project
 from .simd import (

@@ -114,7 +114,7 @@ def _compare(place: Any, depth: Any, valid: Any, state: Any, images: Any, test: 
 
 @kernel
 def find_differences(
-    images: Any, test: Any, color: Any, tiles: Any, rectangle: Any, first: Any, last: Any, out: Any
+    images: Any, test: Any, color: Any, tiles: Any, rectangle: Any, out: Any, first: Any, last: Any
 ) -> None:
     """Write the differences between both depths for rows ``first`` to ``last - 1`` of a rectangle.
 
@@ -127,14 +127,14 @@ def find_differences(
     tiles : bool
         As in `chain.find_candidates`.
     rectangle : Rectangle
-    first, last : int
-        Rows of the whole image.
     out : DifferenceImages
+    first, last : int
+        Rows of the rectangle.
     """
     width, pixels = test.alignment.size.width, plane_size(test.alignment.size)
     left, top, right, bias_m, largest_m = rectangle
     float_buffer, int_buffer = _float_vector(), _int_vector()
-    for v in range(first, last):
+    for v in range(top + first, top + last):
         row_in_region = v >= test.region.top and v < test.region.bottom
         for u in range(left, right, LANES):
             place, before = vector_place(v, u, width, pixels)

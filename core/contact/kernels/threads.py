@@ -7,11 +7,11 @@ another. The parts do not depend on the number of threads, so neither do the res
 
 from __future__ import annotations
 
-import itertools
 import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import Final
 
 import numpy as np
 
@@ -22,7 +22,7 @@ _lock = threading.Lock()
 _pool: ThreadPoolExecutor | None = None
 
 #: Image rows that one thread takes at a time.
-_ROWS = 96
+ROWS: Final = 96
 
 
 def available_threads() -> int:
@@ -53,22 +53,22 @@ def scratch(name: str, count: int, dtype: type[np.generic]) -> AnyArray:
     return found
 
 
-def in_parallel(task: Callable[[int], object], count: int) -> None:
-    """Call ``task(0)`` to ``task(count - 1)``, each once, on the calling thread and helper threads.
+def in_parallel(task: Callable[[int, int], object], count: int, size: int = ROWS) -> None:
+    """Call ``task(first, last)`` for parts of ``range(count)``, on the calling thread and helper threads.
 
-    A helper that has not started when all parts are taken is cancelled. The first error of a task is raised.
+    Parts have ``size`` numbers, the last one may have fewer; ``last`` is exclusive. A helper that has not started when
+    all parts are taken is cancelled. The first error of a task is raised.
     """
-    helpers = min(get_threads(), count) - 1
-    if helpers <= 0:
-        for part in range(count):
-            task(part)
-        return
-    parts = itertools.count()
+    parts = iter(range(0, count, size))
 
     def work() -> None:
-        while (part := next(parts)) < count:
-            task(part)
+        for first in parts:
+            task(first, min(first + size, count))
 
+    helpers = min(get_threads(), -(-count // size)) - 1
+    if helpers <= 0:
+        work()
+        return
     pool = _helpers()
     futures = [pool.submit(work) for _ in range(helpers)]
     try:
@@ -79,11 +79,6 @@ def in_parallel(task: Callable[[int], object], count: int) -> None:
             future.exception()
     for future in begun:
         future.result()
-
-
-def by_rows(task: Callable[[int, int], object], height: int) -> None:
-    """Call ``task(first, last)`` for parts of the rows of an image, in parallel; ``last`` is exclusive."""
-    in_parallel(lambda part: task(part * _ROWS, min((part + 1) * _ROWS, height)), -(-height // _ROWS))
 
 
 def _helpers() -> ThreadPoolExecutor:

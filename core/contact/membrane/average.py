@@ -14,9 +14,9 @@ import numpy as np
 
 from ...model.arrays import Uint16Array
 from ...model.frames import Rig, SensorFrame
-from ...preset import CameraNoise, RigNoise
+from ...model.rig_noise import CameraNoise, RigNoise
 from ..kernels import membrane as kernels
-from ..kernels.threads import by_rows
+from ..kernels.threads import in_parallel
 
 #: Side of the image blocks whose mean depth is compared with the average, pixels.
 _SIDE_PX: Final = 32
@@ -117,5 +117,5 @@ class _Means:
             parts = (image[first:last] for image in (counts, self._mean, self._frames, mean))
             kernels.add_to_means(*parts, np.float32(max_frames), _JUMP_SHARE)
 
-        by_rows(add_rows, len(counts))
+        in_parallel(add_rows, len(counts))
         return mean

@@ -19,12 +19,12 @@ import numpy as np
 
 from ...model.arrays import Float32Array
 from ...model.frames import Rig
-from ...preset import CameraNoise, Preset
-from ...preset.membrane import LARGEST_BIAS_M
+from ...model.rig_noise import CameraNoise, RigNoise
 from ..kernels.cells import MembraneImage
 from .cells import CELL_PX, GUESS_PX, Cells, cells_of
 from .differences import Differences, surroundings
 from .equilibrium import Equilibrium, settle
+from .section import LARGEST_BIAS_M
 
 #: For the search for the bias: side of a grid cell, pixels; sigma of the window over the object's shape, pixels; length
 #: over which equilibrium is trusted, metres.
@@ -124,9 +124,8 @@ class FrameBias:
     known: bool = True
 
 
-def rig_bias(preset: Preset, rig: Rig) -> RigBias:
-    """Return what the preset knows of the bias and the noise of its rig."""
-    noise = preset.noise
+def rig_bias(noise: RigNoise | None, rig: Rig) -> RigBias:
+    """Return what is known of the bias and the noise of a rig, measured or not."""
     if noise is None:
         return RigBias(0.0, _USUAL_SIGMA_M, _USUAL_NOISE_M4, measured=False)
     proximity = noise.proximity.density_m4(rig.proximity.intrinsics.fx)

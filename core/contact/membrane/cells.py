@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -13,7 +14,7 @@ from ...model.frames import Rig
 from ..kernels import cells as kernels
 from ..kernels.cells import MembraneImage
 from ..kernels.membrane import RayWindow
-from ..kernels.threads import by_rows
+from ..kernels.threads import in_parallel
 from .differences import Differences
 
 #: Side of the cells, pixels.
@@ -120,10 +121,7 @@ def cells_of(
     )  # fmt: skip
     rays = RayWindow(ray_table(camera), *differences.corner)
     step = 2 if size_px % 4 == 0 else 1  # neighbours share noise, so every fourth pixel is enough for large cells
-    by_rows(
-        lambda first, last: kernels.average_cells(window, size_px, step, rays, first, last, FRAME, sums),
-        shape[0] - 2 * FRAME,
-    )
+    in_parallel(partial(kernels.average_cells, window, size_px, step, rays, FRAME, sums), shape[0] - 2 * FRAME)
     difference, excluded, points = sums
     share, known = points[..., 3].copy(), np.zeros(shape, np.bool_)
     known[INNER] = ((over_window(share, size_px) > _MIN_SHARE) & (excluded < _MAX_EXCLUDED))[INNER]

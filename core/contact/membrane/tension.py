@@ -12,11 +12,11 @@ from typing import Final
 
 import numpy as np
 
+from ...model.alignment import AlignmentSection
 from ...model.arrays import Float32Array
 from ...model.clouds import ray_table
 from ...model.frames import Rig, SensorFrame
 from ...model.intrinsics import Intrinsics
-from ...preset import AlignmentSection
 from ..kernels import membrane as kernels
 from ..kernels.membrane import BLOCK_PX
 

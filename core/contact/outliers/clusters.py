@@ -8,8 +8,14 @@ import numpy as np
 
 from ...model.arrays import BoolArray, Float32Array, IndexArray
 from ...model.intrinsics import Intrinsics
+from ...model.patch import Candidates
 from ..kernels.compiling import kernel
 from ..kernels.threads import scratch
+
+
+def without_small_clusters(candidates: Candidates, camera: Intrinsics, min_area_mm2: float) -> Candidates:
+    """Return the candidates without connected groups of a smaller area."""
+    return keep(candidates, in_large_cluster(candidates.points[:, 2], candidates.pixels, camera, min_area_mm2))
 
 
 def in_large_cluster(
@@ -31,6 +37,28 @@ def in_large_cluster(
     focal_product = intrinsics.fx * intrinsics.fy
     _mark_large(pixels, depth_m, intrinsics.width, focal_product, min_area_mm2, starts, parents, areas, large)
     return large
+
+
+def keep(candidates: Candidates, which: BoolArray) -> Candidates:
+    """Return the candidates that ``which`` (bool, shape (N,)) marks."""
+    count = int(np.count_nonzero(which))
+    if count == len(candidates):
+        return candidates
+    pixels, points = np.empty(count, np.intp), np.empty((count, 3), np.float32)
+    _compact(which, candidates.pixels, candidates.points, pixels, points)
+    return Candidates(pixels, points)
+
+
+@kernel
+def _compact(which: Any, pixels: Any, points: Any, pixels_out: Any, points_out: Any) -> None:
+    count = 0
+    for i in range(len(which)):
+        if which[i]:
+            pixels_out[count] = pixels[i]
+            points_out[count, 0] = points[i, 0]
+            points_out[count, 1] = points[i, 1]
+            points_out[count, 2] = points[i, 2]
+            count += 1
 
 
 @kernel

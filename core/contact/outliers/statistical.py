@@ -14,9 +14,11 @@ import numpy as np
 
 from ...model.arrays import BoolArray, Float32Array, Float64Array, IndexArray
 from ...model.intrinsics import Intrinsics
+from ...model.patch import Candidates
 from ..kernels.compiling import kernel
 from ..kernels.simd import LANES, doubles, load, total
 from ..kernels.threads import get_threads, in_parallel, scratch
+from .clusters import keep
 from .grid import MAX_POINT_RADIUS, NUMBER, Grid, GridPool
 from .point_search import Cloud, Coordinates, part_coordinates, search_all, search_points
 from .row_search import search_rows
@@ -66,6 +68,13 @@ class NeighbourMemory:
     def remember(self, points: Float32Array, k: int, means: Float64Array) -> None:
         """Keep the means."""
         self._of, self._means = (points, k), means
+
+
+def without_outliers(
+    candidates: Candidates, camera: Intrinsics, k: int, ratio: float, memory: NeighbourMemory
+) -> Candidates:
+    """Return the candidates without statistical outliers."""
+    return keep(candidates, statistical_inliers(candidates.points, candidates.pixels, camera, k, ratio, memory))
 
 
 def statistical_inliers(
@@ -157,8 +166,7 @@ def near_means(
             return exact_means(points, k)
         means = memory.buffer(len(points)) if memory is not None else np.empty(len(points))
         radius = _largest_worthwhile_radius(len(points))
-        search = partial(_search_part, grid, Cloud(points, pixels), k, radius, means)
-        in_parallel(search, -(-len(grid.runs) // _RUNS))
+        in_parallel(partial(_search, grid, Cloud(points, pixels), k, radius, means), len(grid.runs), _RUNS)
     finally:
         grid.clear(pixels)
         _grids.give_back(intrinsics, grid)
@@ -179,9 +187,9 @@ def precise_means(points: Float32Array, pixels: IndexArray, intrinsics: Intrinsi
     try:
         if grid.lay(points, pixels):
             in_parallel(
-                lambda part: search_rows(_runs_of(grid, part), grid.planes, k, True, means),
-                -(-len(grid.runs) // _RUNS),
-            )
+                lambda first, last: search_rows(grid.runs[first:last], grid.planes, k, True, means),
+                len(grid.runs), _RUNS,
+            )  # fmt: skip
     finally:
         grid.clear(pixels)
         _grids.give_back(intrinsics, grid)
@@ -197,28 +205,19 @@ def compare_with_all(left: IndexArray, points: Float32Array, k: int, means: Floa
     all_points = Coordinates(len(points), *planes)
     part_coordinates(points, all_points)
 
-    def compare(chosen: slice) -> None:
+    def compare(first: int, last: int) -> None:
         squares, kept = (scratch(name, len(points) + 2 * LANES, np.float32) for name in ("squares", "kept"))
-        search_all(left[chosen], all_points, k, squares, kept, means)
+        search_all(left[first:last], all_points, k, squares, kept, means)
 
-    if len(left) * len(points) <= MAX_PAIRS_ONE_THREAD:
-        compare(slice(None))
-    else:
-        parts = -(-len(left) // _COMPARED)
-        in_parallel(lambda part: compare(slice(part * _COMPARED, (part + 1) * _COMPARED)), parts)
+    alone = len(left) * len(points) <= MAX_PAIRS_ONE_THREAD
+    in_parallel(compare, len(left), len(left) if alone else _COMPARED)
 
 
-def _runs_of(grid: Grid, part: int) -> Any:
-    return grid.runs[part * _RUNS : (part + 1) * _RUNS]
-
-
-def _search_part(grid: Grid, cloud: Cloud, k: int, radius: int, means: Float64Array, part: int) -> None:
-    """Search the points of some runs together, then one by one those that are left open."""
-    runs, end = _runs_of(grid, part), (part + 1) * _RUNS
-    first = runs[0, NUMBER]
-    last = grid.runs[end, NUMBER] if end < len(grid.runs) else len(cloud.points)
-    search_rows(runs, grid.planes, k, False, means)
-    search_points(cloud, first, last, grid.planes, k, radius, means)
+def _search(grid: Grid, cloud: Cloud, k: int, radius: int, means: Float64Array, first: int, last: int) -> None:
+    """Search the points of the runs ``first`` to ``last - 1`` together, then one by one those that are left open."""
+    search_rows(grid.runs[first:last], grid.planes, k, False, means)
+    end = grid.runs[last, NUMBER] if last < len(grid.runs) else len(cloud.points)
+    search_points(cloud, grid.runs[first, NUMBER], end, grid.planes, k, radius, means)
 
 
 def _largest_worthwhile_radius(count: int) -> int:

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from ...contact.membrane.section import LARGEST_BIAS_M
 from ...errors import PresetError, minus
 from ...model.clouds import valid_depth
-from ...preset.membrane import LARGEST_BIAS_M
 from ...rig.bias import MeasuredBias
 from ...sources.base import Progress
 from .disagreement import Disagreement, depth_differences, measure_disagreement

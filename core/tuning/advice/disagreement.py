@@ -9,15 +9,15 @@ from typing import Final
 import numpy as np
 
 from ...contact.alignment import make_alignment
-from ...contact.finder import region_bounds
+from ...contact.checks import rig_in_use
 from ...contact.membrane.bias import most_frequent_m, rig_bias
-from ...contact.membrane.finder import firm_contact_bias
+from ...contact.membrane.steps import firm_contact_bias
+from ...contact.pixels import region_bounds
 from ...errors import AdviceError
 from ...model.arrays import Float32Array, Float64Array
 from ...model.clouds import pixel_areas_m2
 from ...model.frames import Rig, SensorFrame
 from ...preset import Preset
-from ...preset.checks import rig_in_use
 from ...rig.bias import MeasuredBias, pressed_bias, print_bias
 from ...sources.base import Progress
 from .proposal import Evidence
@@ -143,7 +143,7 @@ def measure_disagreement(evidence: Evidence, progress: Progress) -> tuple[Disagr
     if peak is not None and peak.same_scene:
         found.append(Disagreement.in_peak(peak))
     else:
-        power_m4 = rig_bias(preset, rig).noise_m4
+        power_m4 = rig_bias(preset.noise, rig).noise_m4
         free = [frame for frame in (evidence.untouched, *evidence.frames) if frame is not None]
         progress(0.3, "Measuring the bias on prints")
         if (bias := print_bias(free, rig, preset, power_m4)) is not None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...contact.masking import colors_at, in_hsv_range
 from ...contact.membrane.bias import most_frequent_m, rig_bias
-from ...contact.membrane.finder import firm_contact_bias
+from ...contact.membrane.steps import firm_contact_bias
 from ...contact.membrane.tension import LIMITS_PER_M, measured_curvature_per_m
 from ...errors import RigMismatchError
 from ...model.arrays import Float32Array
@@ -83,7 +83,7 @@ def _on_prints(
     if len(found) < _MIN_PRINT_PIXELS or abs(float(np.median(found))) < _CLEARLY_BELOW * above_m:
         return None
     try:
-        bias = print_bias([frame], rig, preset, rig_bias(preset, rig).noise_m4)
+        bias = print_bias([frame], rig, preset, rig_bias(preset.noise, rig).noise_m4)
     except RigMismatchError:  # a homography without a pose
         return None
     return None if bias is None else Disagreement.on_prints(bias)
@@ -94,7 +94,7 @@ def _in_firm_contact(frame: SensorFrame, patch: ContactPatch, preset: Preset, ri
 
     Only an inflated membrane tells firm contact from a flat gap.
     """
-    facts, known = patch.membrane, rig_bias(preset, rig)
+    facts, known = patch.membrane, rig_bias(preset.noise, rig)
     if facts is not None:
         found = (facts.bias_m, facts.firm_m2) if facts.firm_m2 > 0 and len(patch.points) else None
     else:

@@ -8,8 +8,7 @@ from typing import Final
 
 from ...contact.pipeline import ContactPipeline
 from ...errors import AdviceError, FrameError, PresetError, RigMismatchError
-from ...preset import Preset
-from ...preset.preset import CONTACT_TESTS
+from ...preset import CONTACT_TESTS, Preset
 from ...sources.base import Progress, part_of
 from .alignment import suggest_alignment
 from .contact_test import suggest_contact_test
@@ -140,8 +139,8 @@ def _suggest(section: str, evidence: Evidence, progress: Progress) -> Proposal:
 
 def _read_sections(preset: Preset) -> set[str]:
     """Return the sections that the preset's contact test reads."""
-    of_tests = {name for test in CONTACT_TESTS.values() for name in test.section_names}
-    return set(SECTIONS) - of_tests | set(preset.test.section_names)
+    of_tests = {name for test in CONTACT_TESTS.values() for name in test.sections}
+    return set(SECTIONS) - of_tests | set(preset.test.sections)
 
 
 def _patch_change(evidence: Evidence, proposal: Proposal) -> str:

@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
+from tactune.core.contact.checks import preset_notes
 from tactune.core.model.rig_file import load_rig
 from tactune.core.preset import Preset
 from tactune.core.preset import file as preset_file
-from tactune.core.preset.checks import preset_notes
 from tactune.core.preset.file import preset_json, save_preset
 from tactune.core.preset.preset import json_schema
 from tactune.core.rig.untouched import load_untouched, save_untouched

@@ -366,7 +366,7 @@ def test_parameters_are_read_set_and_refused(server: tuple[subprocess.Popen[str]
         changed = preset.with_values({"tolerance.t": 0.02, "contact_test": "tolerance"})
         topics = ["/contact/patch", "/tactune/frame", "/diagnostics"]
         client.subscribe(topics)
-        steps = {f"{step} ms" for step in changed.test.step_names}
+        steps = {f"{step} ms" for step in changed.test.steps}
         seen = next(
             frame
             for frame in client.frames(topics)

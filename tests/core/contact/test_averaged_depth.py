@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from tactune.core.contact.membrane.average import AveragedDepth
+from tactune.core.contact.membrane.test import MembraneTest
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.preset import Preset
-from tactune.core.preset.membrane import MEMBRANE as MEMBRANE_TEST
 
 AVERAGED = Preset().with_values({"contact_test": "membrane", "membrane.frames": 10})
 
@@ -129,12 +129,12 @@ def test_the_average_is_a_stage_of_its_own(make_frame, rig):
     contact = ContactPipeline(AVERAGED, rig)
     contact.process(first)
     patch = contact.process(second)
-    assert tuple(patch.stage_ms) == ("average", *MEMBRANE_TEST.step_names)
+    assert tuple(patch.stage_ms) == ("average", *MembraneTest.steps)
     assert patch.stage_ms["average"] > 0
     contact.update(AVERAGED.with_value("membrane.gap_m", 0.001))
     assert contact.process(second).stage_ms["average"] == 0
     contact.update(AVERAGED.with_value("membrane.frames", 1))
-    assert tuple(contact.process(second).stage_ms) == MEMBRANE_TEST.step_names
+    assert tuple(contact.process(second).stage_ms) == tuple(MembraneTest.steps)
 
 
 def test_another_number_of_frames_keeps_what_is_remembered(make_frame, rig):

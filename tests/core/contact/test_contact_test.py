@@ -14,14 +14,16 @@ from rigs import one_place_rig
 from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.kernels.threads import set_threads
 from tactune.core.contact.masking import colors_at, in_hsv_range
-from tactune.core.contact.membrane.finder import MembraneFinder
+from tactune.core.contact.membrane.bias import rig_bias
+from tactune.core.contact.membrane.steps import classify, differences_at
+from tactune.core.contact.membrane.test import MembraneTest
 from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.contact.pixels import Pixels, Workspace
+from tactune.core.contact.tolerance import ToleranceTest
 from tactune.core.model.clouds import ray_table
 from tactune.core.model.frames import Rig, SensorFrame
 from tactune.core.model.provenance import Provenance
 from tactune.core.preset import Preset
-from tactune.core.preset.membrane import MEMBRANE as MEMBRANE_TEST
-from tactune.core.preset.tolerance import TOLERANCE
 
 WIDTH, HEIGHT = 200, 120
 MEMBRANE_M = 0.3
@@ -131,10 +133,10 @@ def test_a_region_and_a_range_hold_to_the_pixel(rig, scene):
         ("membrane.gap_m", 0.001, {"edge", "clusters", "points"}),
         ("membrane.trust_m", 0.008, {"equilibrium", "edge", "clusters", "points"}),
         ("membrane.shape_px", 8.0, {"equilibrium", "edge", "clusters", "points"}),
-        ("membrane.bias", True, set(MEMBRANE_TEST.step_names)),
-        ("noise", NOISE, set(MEMBRANE_TEST.step_names)),
-        ("mask.value", (120, 255), set(MEMBRANE_TEST.step_names)),
-        ("alignment.depth_offset_m", 0.0001, set(MEMBRANE_TEST.step_names)),
+        ("membrane.bias", True, set(MembraneTest.steps)),
+        ("noise", NOISE, set(MembraneTest.steps)),
+        ("mask.value", (120, 255), set(MembraneTest.steps)),
+        ("alignment.depth_offset_m", 0.0001, set(MembraneTest.steps)),
         ("tolerance.t", 0.5, set()),
         ("outliers.k", 9, set()),
         ("outliers.min_cluster_area_mm2", 1e5, set()),
@@ -144,7 +146,7 @@ def test_a_change_repeats_only_what_comes_after_it(rig, scene, path, value, repe
     preset = masked(MEMBRANE)
     contact = ContactPipeline(preset, rig)
     first = contact.process(scene)
-    assert tuple(first.stage_ms) == MEMBRANE_TEST.step_names
+    assert tuple(first.stage_ms) == tuple(MembraneTest.steps)
     assert all(first.stage_ms.values())
     changed = preset.with_value(path, value)
     contact.update(changed)
@@ -160,7 +162,7 @@ def test_the_tolerance_test_does_not_care_for_the_membrane_section(rig, scene):
     first = contact.process(scene)
     contact.update(tolerance.with_values({"membrane.gap_m": 0.0001, "membrane.trust_m": 0.03, "noise": NOISE}))
     assert contact.process(scene).points is first.points
-    assert tuple(first.stage_ms) == TOLERANCE.step_names
+    assert tuple(first.stage_ms) == tuple(ToleranceTest.steps)
 
 
 choices = st.fixed_dictionaries(
@@ -215,8 +217,8 @@ def test_differences_are_those_of_whole_images(
          "region.rectangle": rectangle, "range.enabled": True, "range.limits_m": (0.27, 0.5),
          "membrane.bias": False, "membrane.min_area_mm2": 0.0}
     )  # fmt: skip
-    finder = MembraneFinder(preset, rig, make_alignment(preset.alignment, rig))
-    aligned = finder.alignment.align(frame.proximity_depth, frame.tactile_depth, finder.test.region)
+    pixels = Pixels(preset, rig, make_alignment(preset.alignment, rig), Workspace(rig))
+    aligned = pixels.aligned(frame)
     difference = aligned.expected_m - aligned.measured_m
     depth = frame.proximity_depth * np.float32(rig.proximity.depth_unit_m)
     usable = (np.abs(difference) < np.float32(0.008)) & (depth >= np.float32(0.27)) & (depth <= np.float32(0.5))
@@ -225,9 +227,9 @@ def test_differences_are_those_of_whole_images(
         colors, seen = colors_at(points.astype(np.float32), np.arange(depth.size), frame.proximity_color, rig)
         usable &= ~(in_hsv_range(colors, preset.mask) & seen).reshape(usable.shape)
 
-    found = finder.differences(frame, preset)
+    found = differences_at(frame, pixels, preset.membrane, rig_bias(None, rig))
     assert (found is None) == (not usable.any())
-    verdicts = finder.classify(frame)
+    verdicts = classify(frame, preset, pixels)
     if mask:
         masked_out = verdicts == Provenance.MASKED
         assert not (masked_out & usable).any()

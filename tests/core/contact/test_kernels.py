@@ -15,31 +15,34 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactune.core.contact.alignment import make_alignment
-from tactune.core.contact.finder import depth_images, depth_limits
 from tactune.core.contact.kernels import chain as kernels
 from tactune.core.contact.kernels import compiling
 from tactune.core.contact.kernels.chain import TILE_ROWS
-from tactune.core.contact.kernels.coarse import CoarseTest, tile_grid
+from tactune.core.contact.kernels.coarse import tile_grid
 from tactune.core.contact.kernels.simd import LANES
 from tactune.core.contact.masking import in_hsv_range
-from tactune.core.contact.tolerance import ToleranceFinder
+from tactune.core.contact.pixels import Pixels, Workspace, depth_images
 from tactune.core.model.provenance import Provenance
 from tactune.core.preset import MaskSection, Preset
 
 PRESET = Preset(contact_test="tolerance")
 
 
+def pixels_of(preset, rig) -> Pixels:
+    return Pixels(preset, rig, make_alignment(preset.alignment, rig), Workspace(rig))
+
+
 def tiles_with_candidates(preset, rig, frame) -> np.ndarray:
-    finder = ToleranceFinder(preset, rig, make_alignment(preset.alignment, rig))
-    v, u = np.nonzero(finder.classify(frame) == Provenance.CONTACT)
+    verdicts = pixels_of(preset, rig).classify(frame, preset.tolerance.t)
+    v, u = np.nonzero(verdicts == Provenance.CONTACT)
     tiles = np.zeros(tile_grid(frame.proximity_depth.shape[1], frame.proximity_depth.shape[0]), bool)
     tiles[v // TILE_ROWS, u // LANES] = True
     return tiles
 
 
 def marked(preset, rig, frame) -> np.ndarray:
-    test = CoarseTest(make_alignment(preset.alignment, rig).tables)
-    tiles, count = test.tiles(depth_images(frame), depth_limits(preset.range, preset.tolerance))
+    pixels = pixels_of(preset, rig)
+    tiles, count = pixels.coarse.tiles(depth_images(frame), pixels.test(preset.tolerance.t).limits)
     assert count == tiles.sum()
     return tiles
 

@@ -7,18 +7,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactune.core.bench.reference_pipeline import reference_patch
-from tactune.core.contact import tolerance as tolerance_module
 from tactune.core.contact.alignment import homography_table, tactile_homography
-from tactune.core.contact.outliers import statistical
+from tactune.core.contact.outliers import clusters, statistical
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.contact.tolerance import ToleranceFinder
+from tactune.core.contact.pixels import Pixels
+from tactune.core.contact.tolerance import ToleranceTest
 from tactune.core.errors import FrameError, RigMismatchError, SourceError
 from tactune.core.model.clouds import deproject, valid_depth
 from tactune.core.model.frames import Rig, SensorFrame, rigid_transform
 from tactune.core.model.intrinsics import Distortion
 from tactune.core.model.provenance import Provenance
 from tactune.core.preset import Preset
-from tactune.core.preset.tolerance import TOLERANCE
 
 PRESET = Preset(contact_test="tolerance")
 
@@ -88,11 +87,11 @@ def test_memory_never_changes_a_result(make_rig, make_frame, first, then, new_fr
         ("outliers.min_cluster_area_mm2", 5.0, {"clusters"}),
         ("outliers.k", 9, {"outliers", "clusters"}),
         ("outliers.ratio", 1.0, {"outliers", "clusters"}),
-        ("mask.hue", (10, 20), set(TOLERANCE.step_names)),
-        ("tolerance.t", 0.02, set(TOLERANCE.step_names)),
-        ("range.enabled", True, set(TOLERANCE.step_names)),
-        ("region.enabled", True, set(TOLERANCE.step_names)),
-        ("alignment.depth_offset_m", 0.001, set(TOLERANCE.step_names)),
+        ("mask.hue", (10, 20), set(ToleranceTest.steps)),
+        ("tolerance.t", 0.02, set(ToleranceTest.steps)),
+        ("range.enabled", True, set(ToleranceTest.steps)),
+        ("region.enabled", True, set(ToleranceTest.steps)),
+        ("alignment.depth_offset_m", 0.001, set(ToleranceTest.steps)),
         ("name", "other", set()),
     ],
 )
@@ -102,7 +101,7 @@ def test_a_change_repeats_only_what_comes_after_it(make_rig, make_frame, path, v
     preset = PRESET.with_values({"mask.enabled": True, "mask.saturation": [0, 30], "tolerance.t": 0.05})
     contact = ContactPipeline(preset, rig)
     first = contact.process(frame)
-    assert set(first.stage_ms) == set(TOLERANCE.step_names)
+    assert set(first.stage_ms) == set(ToleranceTest.steps)
     assert all(first.stage_ms.values())
     contact.update(preset.with_value(path, value))
     assert {name for name, ms in contact.process(frame).stage_ms.items() if ms > 0} == repeated
@@ -114,9 +113,9 @@ def test_the_same_frame_again_costs_nothing(make_rig, make_frame, monkeypatch):
     contact = ContactPipeline(PRESET, rig)
     first = contact.process(frame)
     provenance = first.provenance
-    monkeypatch.setattr(ToleranceFinder, "candidates", None)
-    for function in ("drop_outliers", "drop_small_clusters"):
-        monkeypatch.setattr(tolerance_module, function, None)
+    monkeypatch.setattr(Pixels, "candidates", None)
+    monkeypatch.setattr(statistical, "without_outliers", None)
+    monkeypatch.setattr(clusters, "without_small_clusters", None)
     again = contact.process(frame)
     assert again.points is first.points
     assert again.provenance is provenance
@@ -140,8 +139,8 @@ def test_another_ratio_does_not_search_for_neighbours_again(make_rig, make_frame
 def test_an_empty_scene_skips_everything_after_the_fusion(make_rig, make_frame, monkeypatch):
     rig = make_rig()
     frame = make_frame(rig)
-    for function in ("drop_outliers", "drop_small_clusters"):
-        monkeypatch.setattr(tolerance_module, function, None)
+    monkeypatch.setattr(statistical, "without_outliers", None)
+    monkeypatch.setattr(clusters, "without_small_clusters", None)
     preset = PRESET.with_values({"tolerance.t": 0.0, "alignment.depth_offset_m": 0.08, "mask.enabled": True})
     patch = ContactPipeline(preset, rig).process(frame)
     assert len(patch.points) == 0

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from tactune.core.contact.warmup import warm_up
+from tactune.core.warmup import warm_up
 
 SUPPORT = Path(__file__).resolve().parents[2] / "support"
 
 PROCESS = """
 import numpy as np
-from tactune.core.contact.warmup import is_compiled, warm_up, warm_up_test
+from tactune.core.warmup import is_compiled, warm_up, warm_up_test
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.preset import Preset
 from tiny_sensor import tiny_frame, tiny_rig

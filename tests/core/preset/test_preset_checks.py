@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from tactune.core.contact.checks import check_rig, homography_notes, mask_notes, preset_notes
 from tactune.core.preset import Preset
-from tactune.core.preset.checks import check_rig, homography_notes, mask_notes, preset_notes
 from tactune.core.preset.file import shipped_presets
 from tactune.core.sources.presets import load_preset
 

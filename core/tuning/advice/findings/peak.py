@@ -54,7 +54,7 @@ def find(situation: Situation) -> Finding | None:
 
 def _largest_m(preset: Preset, distance_m: float) -> float:
     """Return the largest bias beyond the corrected one that is not reported: half of what leaves no contact."""
-    limits = preset.test.bias_limits(preset.test_section, distance_m)
+    limits = preset.test.bias_limits(preset, distance_m)
     return min((limits.good_m + limits.fair_m) / 2, _MAX_ASSUMED_M)
 
 

@@ -15,11 +15,13 @@ from tactune.core.contact.kernels import cells as cell_kernels
 from tactune.core.contact.kernels import chain
 from tactune.core.contact.kernels import equilibrium as kernels
 from tactune.core.contact.kernels.membrane import RayWindow
+from tactune.core.contact.membrane.bias import rig_bias
 from tactune.core.contact.membrane.cells import Cells, cells_of, over_window
 from tactune.core.contact.membrane.equilibrium import Equilibrium, settle
-from tactune.core.contact.membrane.finder import MembraneFinder
+from tactune.core.contact.membrane.steps import differences_at, membrane_image
 from tactune.core.contact.membrane.tension import free_curvature_per_m
 from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.contact.pixels import Pixels, Workspace
 from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.preset import Preset
@@ -295,7 +297,7 @@ def test_a_cell_is_the_mean_of_the_pixels_that_take_part():
     )
     unit_m, bias_m, centre_m, limit_m = np.float32([1e-5, 0.003, 0.2, 0.08])
     window = cell_kernels.DifferenceWindow(differences, usable, excluded, counts, unit_m, bias_m, centre_m, limit_m)
-    cell_kernels.average_cells(window, 3, 1, RayWindow(rays, 3, 4), 0, 3, frame, sums)
+    cell_kernels.average_cells(window, 3, 1, RayWindow(rays, 3, 4), frame, sums, 0, 3)
     for row, column in np.ndindex(3, 4):
         box = np.s_[3 * row : 3 * row + 3, 3 * column : 3 * column + 3]
         part = usable[box] & (np.abs(differences[box] - 0.2) < 0.08)
@@ -309,7 +311,7 @@ def test_a_cell_is_the_mean_of_the_pixels_that_take_part():
     assert not sums.points[:frame].any()
     assert not sums.points[:, :frame].any()
     every_second = cell_kernels.CellSums(*(np.zeros_like(part) for part in sums))
-    cell_kernels.average_cells(window, 4, 2, RayWindow(rays, 3, 4), 0, 1, frame, every_second)
+    cell_kernels.average_cells(window, 4, 2, RayWindow(rays, 3, 4), frame, every_second, 0, 1)
     in_turn = (0, 1, 2, 3), (0, 2, 1, 3)
     part = usable[in_turn] & (np.abs(differences[in_turn] - 0.2) < 0.08)
     assert every_second.points[frame, frame, 3] == part.sum() / 4
@@ -366,8 +368,9 @@ def test_beside_an_object_the_gap_is_that_of_its_tangent_plane_to_the_membrane(r
     )
     preset = MEMBRANE.with_values(values)
     frame = SensorFrame(0, counts(frame_depth), counts(membrane), np.zeros((*tangent.shape, 3), np.uint8))
-    finder = MembraneFinder(preset, rig, make_alignment(preset.alignment, rig))
-    cells = cells_of(finder.differences(frame, preset), finder.membrane_image(frame), 3, 5.0, 10.0, (0.0, 0.008), rig)
+    pixels = Pixels(preset, rig, make_alignment(preset.alignment, rig), Workspace(rig))
+    differences = differences_at(frame, pixels, preset.membrane, rig_bias(None, rig))
+    cells = cells_of(differences, membrane_image(frame, pixels), 3, 5.0, 10.0, (0.0, 0.008), rig)
     beside = cells.linked & ~cells.known
     seen = beside & (cells.weight > 0)
     rows = np.flatnonzero((cells.known & (cells.share > 0)).any(axis=1))

@@ -12,7 +12,6 @@ from rigs import one_place_rig
 from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.kernels.chain import Region
 from tactune.core.contact.membrane.bias import rig_bias
-from tactune.core.contact.membrane.finder import MembraneFinder
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.evaluation.metrics import pixel_scores
 from tactune.core.model.frames import SensorFrame
@@ -55,9 +54,7 @@ def noise(bias_m: float, sigma_m: float = 0.0003, origin: str = "prints", white_
 
 
 def found_bias_m(preset: Preset, frame: SensorFrame, source: SimulatorSource) -> float:
-    finder = MembraneFinder(preset, source.rig, make_alignment(preset.alignment, source.rig))
-    finder.find(frame, preset, lambda step: True)
-    return finder._differences.bias_m + finder.bias.bias_m
+    return ContactPipeline(preset, source.rig).process(frame).membrane.bias_m
 
 
 def true_bias_m(frame: SensorFrame, source: SimulatorSource) -> float:
@@ -126,5 +123,5 @@ def test_without_the_correction_the_depths_are_compared_as_they_are():
 @pytest.mark.parametrize("white_m", [0.0, 0.0001, 0.001, 0.01])
 def test_cameras_of_equal_noise_weigh_the_same(white_m):
     rig = one_place_rig(160, 120, 120.0)
-    known = rig_bias(MEMBRANE.with_value("noise", noise(0.0, white_m=white_m)), rig)
+    known = rig_bias(MEMBRANE.with_value("noise", noise(0.0, white_m=white_m)).noise, rig)
     assert known.tactile_weight == pytest.approx(0.5)

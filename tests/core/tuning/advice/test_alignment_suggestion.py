@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tactune.core.errors import AdviceError
+from tactune.core.model.alignment import CalibrationRecord, ModelSummary
 from tactune.core.preset import now
-from tactune.core.preset.alignment import CalibrationRecord, ModelSummary
 from tactune.core.rig.bias import MeasuredBias
 from tactune.core.sources.presets import load_preset
 from tactune.core.tuning.advice.alignment import propose_alignment

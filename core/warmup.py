@@ -7,18 +7,18 @@ from typing import Final
 
 import numpy as np
 
-from ..model.frames import ColorCamera, DepthCamera, Rig, SensorFrame
-from ..model.intrinsics import Intrinsics
-from ..preset import Preset
-from .kernels.chain import classify_rows, find_candidates
-from .kernels.colors import color_lookup
-from .kernels.compiling import Compiled, compiled_so_far, counting_compiled, is_kept
-from .kernels.membrane import add_to_means, collect_points, find_differences
-from .masking import colors_at, in_hsv_range
-from .outliers.point_search import search_all
-from .outliers.row_search import search_rows
-from .outliers.statistical import below_threshold
-from .pipeline import ContactPipeline
+from .contact.kernels.chain import classify_rows, find_candidates
+from .contact.kernels.colors import color_lookup
+from .contact.kernels.compiling import Compiled, compiled_so_far, counting_compiled, is_kept
+from .contact.kernels.membrane import add_to_means, collect_points, find_differences
+from .contact.masking import colors_at, in_hsv_range
+from .contact.outliers.point_search import search_all
+from .contact.outliers.row_search import search_rows
+from .contact.outliers.statistical import below_threshold
+from .contact.pipeline import ContactPipeline
+from .model.frames import ColorCamera, DepthCamera, Rig, SensorFrame
+from .model.intrinsics import Intrinsics
+from .preset import Preset
 
 Progress = Callable[[float, str], None]
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from ..errors import RigMismatchError
 from ..model.frames import ColorCamera, DepthCamera, Rig
 from ..model.intrinsics import Intrinsics
-from .preset import Preset
+
+if TYPE_CHECKING:
+    from ..preset import Preset
 
 
 def preset_notes(preset: Preset) -> list[str]:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from ..model.frames import Matrix4, camera_pose
+from .frames import Matrix4, camera_pose
 from .sections import Section, described
 
 #: A homography has no scale. Its largest element must lie between the inverse of this and this.

@@ -1,0 +1,314 @@
+"""The steps of the membrane test: differences and bias, equilibrium, edge, groups, points."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from ...model.arrays import BoolArray, Float32Array, Uint8Array
+from ...model.clouds import ray_table
+from ...model.frames import Rig, SensorFrame
+from ...model.patch import Candidates, Lazy, MembraneFacts
+from ...model.provenance import Provenance
+from ..alignment import make_alignment
+from ..kernels import membrane as kernels
+from ..kernels.cells import MembraneImage
+from ..kernels.chain import TILE_ROWS, flat
+from ..kernels.simd import LANES
+from ..kernels.threads import ROWS, in_parallel
+from ..outliers.clusters import in_large_cluster
+from ..pixels import MAX_TILES_ALONE, Pixels, Workspace, depth_images
+from .bias import COARSE_CELL_PX, FrameBias, RigBias, frame_bias, rig_bias
+from .cells import CELL_PX, FAR_M, INNER, Cells, cells_of, to_pixels
+from .differences import Differences, surroundings
+from .equilibrium import Equilibrium, settle
+from .section import LARGEST_BIAS_M, NEAR_GAP_M, MembraneSection
+from .tension import measured_curvature_per_m, usable_curvature_per_m
+
+if TYPE_CHECKING:
+    from ...preset import Preset
+
+#: Largest difference that takes part in the search for the bias, and in the equilibrium, metres.
+_WIDE_M: Final = LARGEST_BIAS_M + 0.015
+_NEAR_M: Final = 0.008
+#: Differences are aligned again for a bias that is larger, metres: it displaces the tactile pixel by a quarter pixel.
+_ALIGN_ANEW_M: Final = 0.001
+#: A measured gap is certainly larger than the largest gap if it exceeds it by this number of standard deviations of the
+#: noise, and by the errors of the model, metres.
+_CERTAIN, _MODEL_ERROR_M = 3.0, 0.0003
+_NOTHING: Final = np.empty(0, np.float32)
+#: A membrane is not nearer to the camera, metres.
+_NEAREST_M: Final = 0.1
+#: Sigma of the Gaussian window over which the depth of the points is averaged, pixels, and its reach.
+POINT_WINDOW_PX: Final = 2.0
+_POINT_REACH_PX: Final = 4
+#: Share of a point's window that must be in contact.
+_MIN_SHARE: Final = np.float32(0.05)
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What the first step measures in a frame.
+
+    Attributes
+    ----------
+    differences : Differences
+    known : RigBias
+        What is known of the rig.
+    bias : FrameBias
+        That of the frame, beyond the bias of its differences.
+    curvature_per_m, free_per_m : float
+        Twice the mean curvature of the free membrane as measured (nan if it cannot be), and as used.
+    """
+
+    differences: Differences
+    known: RigBias
+    bias: FrameBias
+    curvature_per_m: float
+    free_per_m: float
+
+
+def differences_at(
+    frame: SensorFrame, pixels: Pixels, section: MembraneSection, known: RigBias, frame_bias_m: float = 0.0
+) -> Differences | None:
+    """Return the differences of both depths less the rig's and the frame's bias; None if fewer are usable than contact.
+
+    Only image tiles in which both depths can be near each other are compared.
+    """
+    bias_m = (known.mean_m if section.bias else 0.0) + frame_bias_m
+    largest_m = float(np.float32(_WIDE_M if section.bias else _NEAR_M))
+    tiles, possible = pixels.coarse.tiles(depth_images(frame), pixels.limits, largest_m + abs(bias_m))
+    if possible == 0:
+        return None
+    width, height, *_ = pixels.alignment.size
+    top, bottom = _used(tiles, 1, TILE_ROWS, height)
+    left, right = _used(tiles, 0, LANES, width)
+    rows = ROWS if possible > MAX_TILES_ALONE else bottom - top
+    difference, state = look(frame, pixels, tiles, (left, top, right, bottom), bias_m, largest_m, rows)
+    found = Differences(
+        (slice(top, bottom), slice(left, right)),
+        difference,
+        frame.proximity_depth[top:bottom, left:right].copy(),
+        np.float32(pixels.rig.proximity.depth_unit_m),
+        state == kernels.USABLE,
+        state == kernels.EXCLUDED,
+        bias_m,
+        _NOTHING if known.measured else difference[state == kernels.MASKED],
+    )
+    return None if _too_few(found, section.min_area_mm2, pixels.rig) else found
+
+
+def _used(tiles: BoolArray, axis: int, step: int, size: int) -> tuple[int, int]:
+    """Return first and last (exclusive) row or column of the possible tiles, with a margin of cells.
+
+    It begins at multiples of all cells and tiles, so what lies elsewhere in the image does not shift the cells.
+    """
+    places = np.flatnonzero(tiles.any(axis=axis))
+    first = max(int(places[0]) * step - 2 * CELL_PX, 0)
+    grid = math.lcm(step, CELL_PX, COARSE_CELL_PX)
+    return first // grid * grid, min((int(places[-1]) + 1) * step + 2 * CELL_PX, size)
+
+
+def _too_few(differences: Differences, min_area_mm2: float, rig: Rig) -> bool:
+    """Return whether the usable pixels together are smaller than the smallest contact."""
+    camera, count = rig.proximity.intrinsics, int(np.count_nonzero(differences.usable))
+    pixels = 1e-6 * min_area_mm2 * camera.fx * camera.fy  # at a depth of 1 m
+    if count * _NEAREST_M**2 > pixels:
+        return False
+    farthest = differences.counts[differences.usable].max(initial=0)
+    return count == 0 or count * float(differences.depth_m(farthest)) ** 2 < pixels
+
+
+def look(
+    frame: SensorFrame, pixels: Pixels, tiles: BoolArray, rectangle: tuple[int, int, int, int],
+    bias_m: float, largest_m: float, rows: int,
+) -> tuple[Float32Array, Uint8Array]:  # fmt: skip
+    """Return differences and states in a rectangle: left, top, right and bottom; ``rows`` at a time on each thread."""
+    left, top, right, bottom = rectangle
+    shape = bottom - top, right - left
+    difference, state = np.empty(shape, np.float32), np.empty(shape, np.uint8)
+    part = kernels.Rectangle(left, top, right, np.float32(bias_m), np.float32(largest_m))
+    out = kernels.DifferenceImages(difference.reshape(-1), state.reshape(-1))
+    images, test, color = depth_images(frame), pixels.test(), pixels.color_test(frame)
+    in_parallel(partial(kernels.find_differences, images, test, color, tiles, part, out), bottom - top, rows)
+    return difference, state
+
+
+def measure(found: Differences, frame: SensorFrame, preset: Preset, pixels: Pixels, known: RigBias) -> Measured | None:
+    """Return the curvature of the free membrane and the frame's bias, beside the differences near that bias.
+
+    None if there are fewer than a contact.
+    """
+    rig, section = pixels.rig, preset.membrane
+    curvature_per_m = measured_curvature_per_m(frame, preset.alignment, rig)
+    free_per_m = usable_curvature_per_m(curvature_per_m)
+    bias = FrameBias()
+    near: Differences | None = found
+    if section.bias:
+        membrane = membrane_image(frame, pixels)
+        bias, near = frame_bias(found, membrane, known, free_per_m, rig)
+        if abs(bias.bias_m) > _ALIGN_ANEW_M:
+            again = differences_at(frame, pixels, section, known, bias.bias_m)
+            firm, bias, near = bias.firm_m2 > 0, FrameBias(known=bias.known), again
+            if again is not None and firm:
+                refined, its_near = frame_bias(again, membrane, known, free_per_m, rig)
+                if refined.firm_m2 > 0:
+                    bias, near = refined, its_near
+    return None if near is None else Measured(near, known, bias, curvature_per_m, free_per_m)
+
+
+def membrane_image(frame: SensorFrame, pixels: Pixels) -> MembraneImage:
+    """Return the tactile depth image with its alignment, for the kernels."""
+    return MembraneImage(flat(frame.tactile_depth), pixels.alignment.tables)
+
+
+def measured_cells(measured: Measured, frame: SensorFrame, section: MembraneSection, pixels: Pixels) -> Cells | None:
+    """Average the differences near the bias and the object's shape over cells; None for too small an image."""
+    near_m = measured.bias.bias_m, _NEAR_M
+    image, free_per_m = membrane_image(frame, pixels), measured.free_per_m
+    return cells_of(measured.differences, image, CELL_PX, section.shape_px, free_per_m, near_m, pixels.rig)
+
+
+def solve(cells: Cells, measured: Measured, section: MembraneSection) -> Equilibrium:
+    """Solve for the gap in equilibrium."""
+    return settle(cells, measured.bias.bias_m, measured.known.length_m(section.trust_m))
+
+
+def within_edge(cells: Cells, solution: Equilibrium, gap_m: float, measured: Measured) -> BoolArray:
+    """Return the pixels whose gap in equilibrium is small, unless the measured one is certainly larger.
+
+    Where the object ends, cells are cut by their pixels: those that do not measure a small gap do not count.
+    """
+    differences, known = measured.differences, measured.known
+    touching = np.zeros_like(differences.usable)
+    certain_m = gap_m + max(_CERTAIN * known.gap_sigma_m, _MODEL_ERROR_M)
+    gap = np.where(solution.guess_m > np.float32(certain_m), FAR_M, solution.gap_m)
+    box = surroundings((gap <= np.float32(gap_m))[INNER], 2)
+    if box is None:
+        return touching
+    # between cells that are not near no pixel is: interpolate only around the near ones
+    rows, columns = (slice(CELL_PX * side.start, CELL_PX * side.stop) for side in box)
+    usable, difference = differences.usable[rows, columns], differences.difference_m[rows, columns]
+    gap, border = to_pixels(cells, gap, usable.shape, box)
+    largest = np.float32(gap_m + max(_CERTAIN * known.pixel_sigma_m, _MODEL_ERROR_M))
+    near = usable & (np.abs(difference - np.float32(measured.bias.bias_m)) < largest)
+    touching[rows, columns] = (gap <= np.float32(gap_m)) & (near | ~border)
+    return touching & ~differences.excluded
+
+
+def large_contacts(contact: BoolArray, differences: Differences, min_area_mm2: float, rig: Rig) -> BoolArray:
+    """Return contact without connected groups whose usable pixels are smaller than the smallest contact."""
+    camera, (top, left) = rig.proximity.intrinsics, differences.corner
+    found, width = np.flatnonzero(contact), contact.shape[1]
+    pixels = found + (found // width) * (camera.width - width) + (top * camera.width + left)
+    depth = differences.depth_m(differences.counts.reshape(-1)[found]) * differences.usable.reshape(-1)[found]
+    large = in_large_cluster(depth, pixels, camera, min_area_mm2)
+    if large.all():
+        return contact
+    kept = np.zeros_like(contact)
+    kept.reshape(-1)[found[large]] = True
+    return kept
+
+
+def surface_points(contact: BoolArray, measured: Measured, pixels: Pixels) -> Candidates:
+    """Return contact pixels that have a depth, with smoothed points weighted from both cameras' depths."""
+    import cv2  # here and below: importing the pipeline must not wait for it
+
+    differences, workspace, tactile_weight = measured.differences, pixels.workspace, measured.known.tactile_weight
+    part = surroundings(contact, _POINT_REACH_PX)
+    if part is None:
+        return workspace.collect([])
+    size = (2 * _POINT_REACH_PX + 1,) * 2
+    weight = (contact[part] & differences.usable[part]).view(np.uint8).astype(np.float32)
+    depth = differences.depth_m(differences.counts[part]) - np.float32(tactile_weight) * differences.difference_m[part]
+    depth -= np.float32((1 - tactile_weight) * measured.bias.bias_m)
+    share = np.asarray(cv2.GaussianBlur(weight, size, POINT_WINDOW_PX))
+    depth = cv2.GaussianBlur(depth * weight, size, POINT_WINDOW_PX) / np.maximum(share, np.float32(1e-6))
+    (top, left), (rows, columns) = differences.corner, part
+    window = kernels.RayWindow(ray_table(pixels.rig.proximity.intrinsics), top + rows.start, left + columns.start)
+    count = kernels.collect_points(
+        np.ascontiguousarray(contact[part]), depth, share, _MIN_SHARE, window, workspace.pixels, workspace.points
+    )
+    return workspace.collect([slice(0, count)])
+
+
+def facts(measured: Measured, cells: Cells, solution: Equilibrium, contact: Candidates, rig: Rig) -> MembraneFacts:
+    """Return what was measured besides contact, for messages."""
+    differences, bias, shape = measured.differences, measured.bias, rig.proximity.intrinsics.shape
+
+    def gap_image() -> Float32Array:
+        gap = np.full(shape, np.nan, np.float32)
+        within = to_pixels(cells, solution.gap_m, differences.usable.shape)[0]
+        gap[differences.place] = np.where(within < FAR_M, within, np.float32(np.nan))
+        return gap
+
+    def differences_of_contact() -> Float32Array:
+        rows, here = contact.pixels // shape[1], differences.usable.shape[1]
+        top, left = differences.corner
+        place = contact.pixels - rows * (shape[1] - here) - (top * here + left)
+        usable = np.where(differences.usable, differences.difference_m, np.float32(np.nan)).reshape(-1)[place]
+        return np.asarray(usable - np.float32(bias.bias_m))
+
+    return MembraneFacts(
+        bias_m=differences.bias_m + bias.bias_m,
+        firm_m2=bias.firm_m2,
+        bias_known=bias.known,
+        curvature_per_m=measured.curvature_per_m,
+        used_curvature_per_m=measured.free_per_m,
+        gap_m=Lazy(gap_image),
+        difference_m=Lazy(differences_of_contact),
+        tactile_weight=measured.known.tactile_weight,
+    )
+
+
+def classify(frame: SensorFrame, preset: Preset, pixels: Pixels) -> Uint8Array:
+    """Return each pixel's verdict of depth, region, range and colour; OUTSIDE_TOLERANCE where contact is possible."""
+    verdicts = pixels.classify(frame)
+    height, width = verdicts.shape
+    every_tile = np.ones(pixels.coarse.shape, np.bool_)  # not the pipeline's own, which other threads may be using
+    mean_m = rig_bias(preset.noise, pixels.rig).mean_m
+    _, state = look(frame, pixels, every_tile, (0, 0, width, height), mean_m, _WIDE_M, ROWS)
+    verdicts[verdicts == Provenance.CONTACT] = Provenance.OUTSIDE_TOLERANCE
+    verdicts[state == kernels.MASKED] = Provenance.MASKED
+    return verdicts
+
+
+def provenance(
+    frame: SensorFrame, preset: Preset, pixels: Pixels, measured: Measured, cells: Cells, solution: Equilibrium,
+    touching: BoolArray, large: BoolArray, contact: Candidates,
+) -> Uint8Array:  # fmt: skip
+    """Return each pixel's verdict."""
+    verdicts, differences = classify(frame, preset, pixels), measured.differences
+    part, usable = verdicts[differences.place], differences.usable
+    guess = np.where(cells.known, solution.guess_m, np.float32(1))
+    near = to_pixels(cells, guess.astype(np.float32), usable.shape)[0] < NEAR_GAP_M
+    part[usable & near] = Provenance.RIM
+    part[usable & touching] = Provenance.SMALL_CLUSTER
+    part[usable & large] = Provenance.OUTLIER
+    verdicts.reshape(-1)[contact.pixels] = Provenance.CONTACT
+    return verdicts
+
+
+def firm_contact_bias(preset: Preset, rig: Rig) -> Callable[[SensorFrame], tuple[float, float] | None]:
+    """Return a function that measures the bias in a frame where an object is pressed firmly into the membrane.
+
+    It returns the bias, proximity less tactile depth after the alignment's depth correction, in metres, and the area of
+    contact that proves it, in square metres; None without such contact.
+    """
+    plain = preset.with_values({"contact_test": "membrane", "membrane.bias": True}).model_copy(update={"noise": None})
+    pixels = Pixels(plain, rig, make_alignment(plain.alignment, rig), Workspace(rig))
+    known = rig_bias(None, rig)
+
+    def bias_of(frame: SensorFrame) -> tuple[float, float] | None:
+        found = differences_at(frame, pixels, plain.membrane, known)
+        measured = None if found is None else measure(found, frame, plain, pixels, known)
+        if measured is None or measured.bias.firm_m2 == 0:
+            return None
+        return measured.differences.bias_m + measured.bias.bias_m, measured.bias.firm_m2
+
+    return bias_of

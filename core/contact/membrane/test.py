@@ -1,0 +1,110 @@
+"""The membrane test: contact is where a membrane in equilibrium of tension and pressure touches the object.
+
+Its steps are in `steps`; `equilibrium` explains the physics, `bias` the bias between the cameras.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ...model.frames import SensorFrame
+from ...model.patch import NO_CANDIDATES, Candidates, Found
+from ...model.provenance import Provenance
+from ..contact_test import HARMLESS_SHARE, MASK_REASON, PIXEL_FIELDS, BiasLimits, ContactTest, DropReason, Steps
+from .section import LARGEST_BIAS_M, NEAR_GAP_M, MembraneSection
+
+if TYPE_CHECKING:
+    from ...model.arrays import BoolArray
+    from ...preset import Preset
+    from .cells import Cells
+    from .equilibrium import Equilibrium
+    from .steps import Measured
+
+
+class MembraneTest(ContactTest):
+    """Contact where a membrane in equilibrium touches the object."""
+
+    name = "membrane"
+    sections = {"membrane": MembraneSection}
+    steps = {
+        "fusion": (*PIXEL_FIELDS, "noise", "membrane.bias"),
+        "equilibrium": ("membrane.trust_m", "membrane.shape_px"),
+        "edge": ("membrane.gap_m",),
+        "clusters": ("membrane.min_area_mm2",),
+        "points": (),
+    }
+    summary = "the equilibrium of tension and pressure tells where the membrane leaves the object, also in noise."
+    note = "By the membrane's equilibrium. Tolerance and Outliers are ignored."
+    near_words = "came near the object"
+    looser_words = "raise the largest gap"
+    drop_reasons = {
+        Provenance.MASKED: MASK_REASON,
+        Provenance.RIM: DropReason(
+            "the membrane's equilibrium",
+            "correct if nothing touches; otherwise measure the rig's bias (Check cameras, Noise and bias)",
+            "measure_noise",
+        ),
+        Provenance.SMALL_CLUSTER: DropReason("the limit on small contacts", "lower the smallest contact"),
+    }
+    frames_field = "membrane.frames"
+    unmasked_note = (
+        "uses the membrane test without the mask, so parts of the membrane that reflect infrared, such as prints, "
+        "pass as contact; set mask.hue, mask.saturation and mask.value to their colour."
+    )
+    homography_note = (
+        "judges gaps of a millimetre, which a homography resolves on one plane only; choose the rigid "
+        "alignment, or the tolerance test."
+    )
+    moves_points = True
+
+    _measured: Measured | None
+    _cells: Cells | None
+    _solution: Equilibrium
+    _touching: BoolArray
+    _large: BoolArray
+    _contact: Candidates
+
+    def find(self, frame: SensorFrame, preset: Preset, due: Steps) -> Found:
+        """Return the contact in a frame."""
+        from . import steps
+        from .bias import rig_bias
+
+        pixels, section = self.pixels, preset.membrane
+        if due("fusion"):
+            known = rig_bias(preset.noise, pixels.rig)
+            found = steps.differences_at(frame, pixels, section, known)
+            self._measured = None if found is None else steps.measure(found, frame, preset, pixels, known)
+        if (measured := self._measured) is None:
+            return Found(NO_CANDIDATES, lambda: steps.classify(frame, preset, pixels), ("no candidates",))
+        if due("equilibrium"):
+            self._cells = steps.measured_cells(measured, frame, section, pixels)
+            if self._cells is not None:
+                self._solution = steps.solve(self._cells, measured, section)
+        if (cells := self._cells) is None:
+            return Found(NO_CANDIDATES, lambda: steps.classify(frame, preset, pixels), ("no candidates",))
+        if due("edge"):
+            self._touching = steps.within_edge(cells, self._solution, section.gap_m, measured)
+        if due("clusters"):
+            self._large = steps.large_contacts(self._touching, measured.differences, section.min_area_mm2, pixels.rig)
+        if due("points"):
+            self._contact = steps.surface_points(self._large, measured, pixels)
+        touching, large, contact, solution = self._touching, self._large, self._contact, self._solution
+        return Found(
+            contact,
+            lambda: steps.provenance(frame, preset, pixels, measured, cells, solution, touching, large, contact),
+            membrane=steps.facts(measured, cells, solution, contact, pixels.rig),
+        )
+
+    @classmethod
+    def accepted_share(cls, preset: Preset, distance_m: float) -> float:
+        """Return the gap that counts as near the object over the distance."""
+        return float(f"{NEAR_GAP_M / distance_m:.2g}") if distance_m > 0 else 0.0
+
+    @classmethod
+    def bias_limits(cls, preset: Preset, distance_m: float) -> BiasLimits:
+        """Return what the test corrects in firm contact, or what still leaves contact without a correction."""
+        if preset.membrane.bias:
+            reason = f"below {1e3 * LARGEST_BIAS_M:g} mm, what the test corrects"
+            return BiasLimits(LARGEST_BIAS_M, LARGEST_BIAS_M, reason)
+        harmless_m = HARMLESS_SHARE * NEAR_GAP_M
+        return BiasLimits(harmless_m, NEAR_GAP_M, f"below {1e3 * harmless_m:.2g} mm, as the bias is not corrected")

@@ -1,0 +1,128 @@
+"""What a contact test knows of each proximity pixel: both aligned depths, region, range, and the colour mask."""
+
+from __future__ import annotations
+
+from functools import lru_cache, partial
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from ..model.arrays import Float32Array, Uint8Array
+from ..model.clouds import ray_table
+from ..model.frames import Rig, SensorFrame
+from ..model.intrinsics import Intrinsics
+from ..model.patch import NO_CANDIDATES, AlignedDepth, Candidates
+from ..model.sections import RegionSection
+from .alignment import AlignmentModel
+from .kernels import chain as kernels
+from .kernels.coarse import CoarseTest
+from .kernels.colors import hsv_limits
+from .kernels.simd import LANES
+from .kernels.threads import ROWS, in_parallel
+from .masking import color_lookup_of
+from .outliers.statistical import NeighbourMemory
+
+if TYPE_CHECKING:
+    from ..preset import Preset
+
+#: Below this number of image tiles, one thread is faster than several.
+MAX_TILES_ALONE: Final = 300
+_NO_LIMITS = np.empty(0, np.int64)
+
+
+class Workspace:
+    """What is kept when the preset changes: buffers for every pixel, and the cache of the outlier removal."""
+
+    def __init__(self, rig: Rig) -> None:
+        height, width = rig.proximity.intrinsics.shape
+        self.pixels = np.empty(height * width, np.intp)
+        self.points = np.empty((height * width, 3), np.float32)
+        self.counts = np.empty(height, np.int64)
+        self.neighbours = NeighbourMemory()
+
+    def collect(self, places: list[slice]) -> Candidates:
+        """Copy out the pixels and points that were written to these places."""
+        places = [place for place in places if place.start < place.stop]
+        if not places:
+            return NO_CANDIDATES
+        parts = [self.pixels[place] for place in places], [self.points[place] for place in places]
+        return Candidates(np.concatenate(parts[0]), np.concatenate(parts[1]))
+
+
+class Pixels:
+    """The proximity pixels as a preset's alignment, region, range and mask let a contact test see them.
+
+    Attributes
+    ----------
+    rig : Rig
+    alignment : AlignmentModel
+    workspace : Workspace
+    coarse : CoarseTest
+        Rules out image tiles in which both depths are far from each other.
+    limits : kernels.DepthLimits
+        The range, with the tolerance 0.
+    """
+
+    def __init__(self, preset: Preset, rig: Rig, alignment: AlignmentModel, workspace: Workspace) -> None:
+        self.rig, self.alignment, self.workspace = rig, alignment, workspace
+        self.coarse = CoarseTest(alignment.tables)
+        near, far = preset.range.limits_m if preset.range.enabled else (0.0, np.inf)
+        self.limits = kernels.DepthLimits(np.float32(near), np.float32(far), np.float32(0))
+        self._region = region_bounds(preset.region, rig.proximity.intrinsics.shape)
+        self._lookup = color_lookup_of(rig)
+        self._hsv = hsv_limits(preset.mask) if preset.mask.enabled else _NO_LIMITS
+
+    def aligned(self, frame: SensorFrame) -> AlignedDepth:
+        """Return both depths for every pixel of the region; nan elsewhere."""
+        return self.alignment.align(frame.proximity_depth, frame.tactile_depth, self._region)
+
+    def test(self, tolerance: float = np.inf) -> kernels.PixelTest:
+        """Return the test of single pixels, for kernels; with the default any two depths agree."""
+        limits = self.limits._replace(tolerance=np.float32(tolerance))
+        return kernels.PixelTest(
+            self.alignment.tables, self._region, limits, _ray_planes(self.rig.proximity.intrinsics)
+        )
+
+    def color_test(self, frame: SensorFrame) -> kernels.ColorTest:
+        """Return the colour mask of a frame, for kernels."""
+        return kernels.ColorTest(self._lookup, kernels.flat(frame.proximity_color, 3 * LANES), self._hsv)
+
+    def candidates(self, frame: SensorFrame, tolerance: float) -> Candidates:
+        """Return the pixels whose depths agree within a tolerance and whose colour is not the mask's."""
+        height, width = frame.proximity_depth.shape
+        images, test, color = depth_images(frame), self.test(tolerance), self.color_test(frame)
+        workspace = self.workspace
+        tiles, possible = self.coarse.tiles(images, test.limits)
+        if possible == 0:
+            return NO_CANDIDATES
+        rows = height if possible <= MAX_TILES_ALONE else ROWS  # all rows at once: on one thread
+        out = kernels.CandidateArrays(workspace.pixels, workspace.points.reshape(-1), workspace.counts)
+        in_parallel(partial(kernels.find_candidates, images, test, color, tiles, out), height, rows)
+        return workspace.collect([slice(v * width, v * width + int(out.counts[v])) for v in range(0, height, rows)])
+
+    def classify(self, frame: SensorFrame, tolerance: float = np.inf) -> Uint8Array:
+        """Return each pixel's verdict of depth, region, range and tolerance; those that agree have CONTACT."""
+        provenance = np.empty(frame.proximity_depth.shape, np.uint8)
+        images, test, verdicts = depth_images(frame), self.test(tolerance), provenance.reshape(-1)
+        in_parallel(partial(kernels.classify_rows, images, test, verdicts), len(provenance))
+        return provenance
+
+
+def depth_images(frame: SensorFrame) -> kernels.DepthImages:
+    """Return the depth images of a frame, flat, for the kernels."""
+    return kernels.DepthImages(kernels.flat(frame.proximity_depth), kernels.flat(frame.tactile_depth))
+
+
+def region_bounds(section: RegionSection, shape: tuple[int, int]) -> kernels.Region:
+    """Return the region in pixels, clipped to the image."""
+    height, width = shape
+    if not section.enabled:
+        return kernels.Region(0, 0, width, height)
+    left, top, region_width, region_height = section.rectangle
+    return kernels.Region(left, top, min(left + region_width, width), min(top + region_height, height))
+
+
+@lru_cache(maxsize=8)
+def _ray_planes(intrinsics: Intrinsics) -> Float32Array:
+    """Return `ray_table` for the kernels: all x / z, then all y / z, flat."""
+    return kernels.planes_of(ray_table(intrinsics))
