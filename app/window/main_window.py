@@ -74,19 +74,8 @@ _COLLAPSED_AT_FIRST = "range,region,contacts"
 class MainWindow(QMainWindow):
     """Shows both sensors and the patch live, and lets a person tune the preset.
 
-    The window computes nothing: the `Worker` does, and passes on what is visible. Everything that other
-    windows need stands in `context`.
-
-    Parameters
-    ----------
-    preset : Preset
-        The first preset; `file_flows` opens files.
-    settings : Settings
-        Values remembered from earlier starts.
-    data_folder : Path
-        Folder for unsaved work.
-    native_dialogs : bool
-        Use the operating system's file dialogs.
+    The window computes nothing: the `Worker` does, and passes on what is visible. Everything that other windows need
+    stands in `context`.
     """
 
     def __init__(
@@ -151,7 +140,9 @@ class MainWindow(QMainWindow):
             self.context, self.untouched.keeper, self.actions_.watch_drift, self.calibration.open_recheck
         )
         self.suggest = SuggestControl(self.context)
-        self.analysis = self._make_analysis()
+        actions = self.actions_
+        playback = (actions.previous, actions.next, actions.first, actions.loop, actions.freeze)
+        self.analysis = AnalysisLauncher(self.context, actions.play, [actions.capture_untouched, *playback])
         self._closing = False
         self._lay_out()
         self._connect()
@@ -183,13 +174,6 @@ class MainWindow(QMainWindow):
                 min(max(self.y(), free.top()), free.y() + free.height()),
             )
         self.resize(size)
-
-    # Building
-
-    def _make_analysis(self) -> AnalysisLauncher:
-        actions = self.actions_
-        playback = (actions.previous, actions.next, actions.first, actions.loop, actions.freeze)
-        return AnalysisLauncher(self.context, actions.play, [actions.capture_untouched, *playback])
 
     def _lay_out(self) -> None:
         self.contacts = ContactList(self.context, self.panel, self.strip)
@@ -228,7 +212,9 @@ class MainWindow(QMainWindow):
     def _connect(self) -> None:
         self._connect_document()
         self._connect_worker()
+        self._connect_views()
         self._connect_actions()
+        self._connect_timeline()
         self.error_hook.raised.connect(
             lambda sentence, details: self.messages.show_message("defect", Severity.ERROR, sentence, details=details)
         )
@@ -265,6 +251,8 @@ class MainWindow(QMainWindow):
         transport.seekRequested.connect(worker.seek)
         transport.held.connect(worker.set_held)
         self.opening.cancel.clicked.connect(worker.cancel_open)
+
+    def _connect_views(self) -> None:
         self.views.wantedChanged.connect(self._send_wanted)
         self.comparison.wantedChanged.connect(self._send_wanted)
         self.comparison.runningChanged.connect(self._show_comparison)
@@ -290,7 +278,6 @@ class MainWindow(QMainWindow):
         actions.loop.triggered.connect(worker.set_loop)
         actions.freeze.triggered.connect(worker.set_frozen)
         flows.connect_actions(actions)
-        self._connect_timeline()
         actions.calibrate.triggered.connect(self.calibration.open_wizard)
         actions.recheck.triggered.connect(self.calibration.open_recheck)
         actions.check_cameras.triggered.connect(self.checks.open)
