@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -11,15 +12,11 @@ from typing import Any, Final
 
 from PyQt6.QtCore import QObject, Qt, pyqtSignal
 from PyQt6.QtWidgets import (
-    QAbstractItemView,
     QButtonGroup,
     QComboBox,
     QGridLayout,
-    QHeaderView,
     QLabel,
     QSizePolicy,
-    QTableWidget,
-    QTableWidgetItem,
     QWidget,
 )
 
@@ -27,10 +24,11 @@ from ...core.errors import TactuneError, minus
 from ...core.preset import Preset
 from ...core.preset.file import shipped_presets
 from ...core.sources.presets import load_preset
-from ...widgets.basics.controls import AccentButton, caption, push_button, read_only_table, wrapped_label
+from ...widgets.basics.controls import AccentButton, caption, push_button, wrapped_label
 from ...widgets.basics.fields import FieldSpec, field_spec, format_number
 from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.basics.messages import Severity
+from ...widgets.basics.record_table import Column, RecordTable
 from ..context import TASK, Context
 from ..document.comparison import PRESENT, Side, Sides, differing_fields, take_over
 from ..document.document import field_title, format_value
@@ -48,8 +46,6 @@ STEP: Final = 0.05
 INTERVAL_S: Final = 0.2
 #: Number of newest steps of the history that are offered.
 _MAX_STEPS: Final = 40
-#: Width of a column of values, in pixels.
-_VALUE_WIDTH: Final = 84
 
 
 class Shown(StrEnum):
@@ -145,7 +141,10 @@ class ComparisonPanel(QWidget):
         self.problem = wrapped_label()
         self.problem.setTextFormat(Qt.TextFormat.PlainText)
         self.problem.hide()
-        self.table = _make_table()
+        self.table = RecordTable(
+            _COLUMNS, "Fields in which the presets differ", "The value of each in A and B", key=lambda row: row.path
+        )
+        self.table.setMinimumHeight(80)
         self.swap = push_button("Swap", "Exchange A and B")
         self.close_button = push_button("Close", "End the comparison (Esc)")
         self.swap.clicked.connect(self.swapRequested)
@@ -218,17 +217,7 @@ class ComparisonPanel(QWidget):
         paths = differing_fields(*presets)
         many = "" if len(paths) == 1 else "s"
         self.heading.setText(f"{len(paths)} field{many} differ{'' if many else 's'}" if paths else "No field differs")
-        self.table.setRowCount(len(paths))
-        for row, path in enumerate(paths):
-            spec = _spec_of(path)
-            unit = spec.suffix.strip() if spec is not None else ""
-            title = field_title(path) + (f" ({unit})" if unit else "")
-            values = [preset.value(path) for preset in presets]
-            for column, text in enumerate((title, *(_in_words(path, spec, value) for value in values))):
-                item = QTableWidgetItem(text)
-                whole = text if path in _RECORDS else str(values[column - 1])
-                item.setToolTip(whole if column else f"{path}\n{spec.description if spec else ''}".strip())
-                self.table.setItem(row, column, item)
+        self.table.set_records([_difference(path, presets) for path in paths])
 
     def show_frame(self, compared: ComparedFrame) -> None:
         """Show the numbers of a frame."""
@@ -245,18 +234,36 @@ class ComparisonPanel(QWidget):
         self.problem.setVisible(bool(problems))
 
 
-def _make_table() -> QTableWidget:
-    table = QTableWidget(0, 3)
-    table.setHorizontalHeaderLabels(["Field", "A", "B"])
-    columns, _ = read_only_table(
-        table, "Fields in which the presets differ", "Fields in which the presets differ, with the value of each"
+@dataclass(frozen=True)
+class _Difference:
+    """A field in which the presets differ: its path, title with unit, description, and both values."""
+
+    path: str
+    title: str
+    description: str
+    texts: tuple[str, str]
+    whole: tuple[str, str]
+
+
+def _difference(path: str, presets: tuple[Preset, Preset]) -> _Difference:
+    spec = _spec_of(path)
+    unit = spec.suffix.strip() if spec is not None else ""
+    a, b = (preset.value(path) for preset in presets)
+    texts = _in_words(path, spec, a), _in_words(path, spec, b)
+    return _Difference(
+        path,
+        field_title(path) + (f" ({unit})" if unit else ""),
+        f"{path}\n{spec.description if spec else ''}".strip(),
+        texts,
+        texts if path in _RECORDS else (str(a), str(b)),
     )
-    table.setSizeAdjustPolicy(QAbstractItemView.SizeAdjustPolicy.AdjustToContents)
-    table.setMinimumHeight(80)
-    columns.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
-    for column in (1, 2):
-        table.setColumnWidth(column, _VALUE_WIDTH)
-    return table
+
+
+_COLUMNS: Final = (
+    Column("Field", lambda row: row.title, "Field of the preset", hint=lambda row: row.description, stretch=True),
+    Column("A", lambda row: row.texts[0], "Its value in A", hint=lambda row: row.whole[0], sample="0 to 0.0000"),
+    Column("B", lambda row: row.texts[1], "Its value in B", hint=lambda row: row.whole[1], sample="0 to 0.0000"),
+)
 
 
 def _numbers_of(side: ComparedSide) -> tuple[str, str, str]:

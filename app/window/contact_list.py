@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from PyQt6.QtCore import QObject, Qt
-from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableWidget, QTableWidgetItem
+from collections.abc import Callable
+from typing import Any
 
-from ...core.errors import minus
+from PyQt6.QtCore import QObject
+from PyQt6.QtWidgets import QAbstractItemView
+
 from ...core.model.patch import Contact
-from ...widgets.basics.controls import CollapsibleSection, read_only_table, wrapped_label
+from ...widgets.basics.controls import CollapsibleSection, wrapped_label
 from ...widgets.basics.layouts import vbox
+from ...widgets.basics.record_table import Column, RecordTable
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..context import Context
@@ -16,12 +19,32 @@ from ..context import Context
 #: The number of contacts listed; smaller ones are only counted.
 LIMIT = 20
 _ROWS_SEEN = 5
-_COLUMNS = {
-    "Area, cm²": "Area across the optical axis in square centimetres",
-    "x, mm": "Centroid, to the right in the proximity camera's frame, in millimetres",
-    "y, mm": "Centroid, down in the proximity camera's frame, in millimetres",
-    "Depth, mm": "Centroid, mean distance from the proximity camera along its axis, in millimetres",
-}
+
+
+def _centroid_mm(axis: int) -> Callable[[tuple[int, Contact]], float]:
+    return lambda row: 1e3 * row[1].centroid_m[axis]
+
+
+#: A row is the contact's place in the list, largest first, and the contact.
+_COLUMNS = (
+    Column(
+        "Area, cm²",
+        lambda row: row[1].area_mm2 / 100,
+        "Area across the optical axis in square centimetres",
+        decimals=2,
+        stretch=True,
+    ),
+    *(
+        Column(title, _centroid_mm(axis), f"Centroid, {where}, in millimetres", decimals=1, stretch=True)
+        for axis, (title, where) in enumerate(
+            (
+                ("x, mm", "to the right in the proximity camera's frame"),
+                ("y, mm", "down in the proximity camera's frame"),
+                ("Depth, mm", "mean distance from the proximity camera along its axis"),
+            )
+        )
+    ),
+)
 
 
 class ContactList(QObject):
@@ -35,54 +58,31 @@ class ContactList(QObject):
         self._context, self._strip = context, strip
         self._contacts: tuple[Contact, ...] = ()
         self.section = CollapsibleSection("Contacts")
-        self.table = QTableWidget(0, len(_COLUMNS))
-        self.note = wrapped_label()
-        self._lay_out()
-        panel.add_section("contacts", self.section)
-        self.section.set_collapsed(True)
-        self.table.itemSelectionChanged.connect(self._mark)
-        context.frameShown.connect(self._show_frame)
-
-    def _lay_out(self) -> None:
-        table = self.table
-        columns, rows = read_only_table(
-            table,
+        self.table = RecordTable(
+            _COLUMNS,
             "Contacts",
             "Connected parts of the patch, the largest first. Choose one to mark it in images and views.",
+            key=lambda row: row[0],
         )
-        table.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
-        for column, (title, tip) in enumerate(_COLUMNS.items()):
-            item = QTableWidgetItem(title)
-            item.setToolTip(tip)
-            table.setHorizontalHeaderItem(column, item)
-        columns.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
-        height = rows.defaultSectionSize()
-        table.setFixedHeight(columns.sizeHint().height() + _ROWS_SEEN * height + 2 * table.frameWidth())
-        vbox(table, self.note, within=self.section.body, margins=(8, 4, 4, 4))
+        self.table.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
+        self.table.setFixedHeight(self.table.full_height() + _ROWS_SEEN * (self.table.fontMetrics().height() + 6))
+        self.note = wrapped_label()
+        vbox(self.table, self.note, within=self.section.body, margins=(8, 4, 4, 4))
+        panel.add_section("contacts", self.section)
+        self.section.set_collapsed(True)
+        self.table.selectionEdited.connect(self._mark)
+        context.frameShown.connect(self._show_frame)
 
     def _show_frame(self) -> None:
-        result = self._context.result
-        if result is None:
+        contacts = None if self._context.result is None else self._context.result.rendered.contacts
+        if contacts is None or contacts is self._contacts:
             return
-        contacts = result.rendered.contacts
-        if contacts is not None and contacts is not self._contacts:
-            self._contacts = contacts
-            self._list()
-
-    def _list(self) -> None:
-        shown = self._contacts[:LIMIT]
-        self.table.setRowCount(len(shown))
-        for row, contact in enumerate(shown):
-            texts = (f"{contact.area_mm2 / 100:.2f}", *(minus(f"{1e3 * value:z.1f}") for value in contact.centroid_m))
-            for column, text in enumerate(texts):
-                item = QTableWidgetItem(text)
-                item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-                self.table.setItem(row, column, item)
-        rest = len(self._contacts) - len(shown)
-        self.note.setText("No contact" if not shown else f"and {rest:,} smaller ones" if rest else "")
+        self._contacts = contacts
+        self.table.set_records(list(enumerate(contacts[:LIMIT])))
+        rest = len(contacts) - LIMIT
+        self.note.setText("No contact" if not contacts else f"and {rest:,} smaller ones" if rest > 0 else "")
         self.note.setVisible(bool(self.note.text()))
 
-    def _mark(self) -> None:
-        row = self.table.currentRow()
-        if self.table.selectedItems() and row < len(self._contacts):
-            self._strip.point_at(*self._contacts[row].pixel)
+    def _mark(self, keys: tuple[Any, ...]) -> None:
+        if keys and keys[0] < len(self._contacts):
+            self._strip.point_at(*self._contacts[keys[0]].pixel)

@@ -140,9 +140,7 @@ class MainWindow(QMainWindow):
             self.context, self.untouched.keeper, self.actions_.watch_drift, self.calibration.open_recheck
         )
         self.suggest = SuggestControl(self.context)
-        actions = self.actions_
-        playback = (actions.previous, actions.next, actions.first, actions.loop, actions.freeze)
-        self.analysis = AnalysisLauncher(self.context, actions.play, [actions.capture_untouched, *playback])
+        self.analysis = self._make_analysis()
         self._closing = False
         self._lay_out()
         self._connect()
@@ -174,6 +172,11 @@ class MainWindow(QMainWindow):
                 min(max(self.y(), free.top()), free.y() + free.height()),
             )
         self.resize(size)
+
+    def _make_analysis(self) -> AnalysisLauncher:
+        actions = self.actions_
+        playback = (actions.previous, actions.next, actions.first, actions.loop, actions.freeze)
+        return AnalysisLauncher(self.context, actions.play, [actions.capture_untouched, *playback])
 
     def _lay_out(self) -> None:
         self.contacts = ContactList(self.context, self.panel, self.strip)

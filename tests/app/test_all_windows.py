@@ -45,11 +45,9 @@ ACTIONS = (
     "capture_untouched",
     "suggest_all",
     "examples",
-    "history",
     "messages",
     "shortcuts",
     "details",
-    "markers",
     "check_computer",
     "publish",
 )

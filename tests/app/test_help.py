@@ -8,6 +8,7 @@ from PyQt6.QtGui import QDesktopServices
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
+from hands import cells
 from tactune.app.doctor import report as doctor_report
 from tactune.app.doctor.checks import Check, State
 from tactune.app.window import help as help_menu
@@ -41,9 +42,8 @@ def test_the_checks_of_this_computer_are_a_table_that_can_be_copied(window, qtbo
     monkeypatch.setattr(doctor_report, "all_checks", lambda: [lambda: lines])
     window.actions_.check_computer.trigger()
     shown = window.computer
-    qtbot.waitUntil(lambda: shown.table.rowCount() == 2)
-    cells = [[shown.table.item(row, column).text() for column in range(3)] for row in range(2)]
-    assert cells == [["Sun", "✓ ok", "shines"], ["Moon", "✕ failed", "wanes\nWait for two weeks."]]
+    qtbot.waitUntil(lambda: len(cells(shown.table)) == 2)
+    assert cells(shown.table) == [["Sun", "✓ ok", "shines"], ["Moon", "✕ failed", "wanes\nWait for two weeks."]]
     assert "2 checks: 1 failed" in shown.status.text()
     QTest.mouseClick(shown.copy, LEFT)
     assert QApplication.clipboard().text() == doctor_report.report(lines)
@@ -54,5 +54,5 @@ def test_a_closed_window_of_checks_can_check_again(window, qtbot, monkeypatch):
     window.actions_.check_computer.trigger()
     window.computer.close()
     window.actions_.check_computer.trigger()
-    qtbot.waitUntil(lambda: window.computer.table.rowCount() == 1)
+    qtbot.waitUntil(lambda: len(cells(window.computer.table)) == 1)
     assert window.computer.copy.isEnabled()

@@ -49,6 +49,13 @@ def text_of(widget):
     return " ".join(label.text() for label in widget.findChildren(QLabel))
 
 
+def cells(table):
+    """The texts of a table, row by row."""
+    model = table.model()
+    columns = range(model.columnCount())
+    return [[model.index(row, column).data() for column in columns] for row in range(model.rowCount())]
+
+
 def image_position(pane, u, v):
     """Where an image pixel is drawn, in coordinates of the pane's viewport."""
     return QPointF(pane.view.mapFromScene(pane.box.mapViewToScene(QPointF(u, v))))
