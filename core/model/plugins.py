@@ -14,8 +14,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import EntryPoint, distributions
-from typing import Generic, TypeVar
+from importlib.metadata import EntryPoint, distributions, entry_points
+from typing import Any, Generic, TypeVar
 
 from ..errors import PluginError
 
@@ -39,6 +39,44 @@ class Plugins(Generic[T]):
 
     found: dict[str, T]
     problems: dict[str, str]
+
+
+@cache
+def added_by_others(group: str, kind: type[T]) -> tuple[dict[str, T], dict[str, str]]:
+    """Import what other packages add to a group, once; our own parts are plain imports of the caller.
+
+    Parameters
+    ----------
+    group : str
+        Such as ``"tactune.sources"``.
+    kind : type
+        What each object must be an instance or a subclass of.
+
+    Returns
+    -------
+    found : dict of str to object
+        By the names of the entry points.
+    problems : dict of str to str
+        One sentence for each that cannot be loaded, with the entry point and its package.
+    """
+    found: dict[str, T] = {}
+    problems: dict[str, str] = {}
+    for entry in entry_points(group=group):
+        package = entry.dist.name if entry.dist is not None else "?"
+        if package == "tactune":
+            continue
+        where = f"the entry point {entry.name!r} ({group}) of the package {package}"
+        try:
+            loaded: Any = entry.load()
+        except Exception as error:  # another package's module may raise anything
+            detail = f"{type(error).__name__}: {' '.join(str(error).split())}"
+            problems[entry.name] = f"{where} cannot be loaded ({detail}); update or uninstall the package"
+            continue
+        if isinstance(loaded, kind) or (isinstance(loaded, type) and issubclass(loaded, kind)):
+            found[entry.name] = loaded
+        else:
+            problems[entry.name] = f"{where} is no {kind.__name__}; update or uninstall the package"
+    return found, problems
 
 
 def plugin_names(group: str) -> tuple[str, ...]:
@@ -117,6 +155,7 @@ def _where(group: str, name: str) -> str:
 def forget() -> None:
     """Look for entry points again at the next call, because ``sys.path`` has changed."""
     _declared.cache_clear()
+    added_by_others.cache_clear()
 
 
 @cache
