@@ -42,7 +42,7 @@ class Plugins(Generic[T]):
 
 
 @cache
-def added_by_others(group: str, kind: type[T]) -> tuple[dict[str, T], dict[str, str]]:
+def added_by_others(group: str, kind: type[Any]) -> tuple[dict[str, Any], dict[str, str]]:
     """Import what other packages add to a group, once; our own parts are plain imports of the caller.
 
     Parameters
@@ -59,7 +59,7 @@ def added_by_others(group: str, kind: type[T]) -> tuple[dict[str, T], dict[str, 
     problems : dict of str to str
         One sentence for each that cannot be loaded, with the entry point and its package.
     """
-    found: dict[str, T] = {}
+    found: dict[str, Any] = {}
     problems: dict[str, str] = {}
     for entry in entry_points(group=group):
         package = entry.dist.name if entry.dist is not None else "?"
