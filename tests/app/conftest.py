@@ -9,7 +9,7 @@ import pyqtgraph as pg
 import pytest
 from PyQt6.QtWidgets import QApplication
 
-from fake_cameras import FakeCameras
+from fakes import FakeCameras, FakeSource, tiny_frame, tiny_rig
 from hands import show_source
 from tactune.app.settings import Settings
 from tactune.app.sources import opening
@@ -20,7 +20,6 @@ from tactune.app.worker.results import SourceInfo, Wanted
 from tactune.app.worker.threads import wait_for_abandoned
 from tactune.core.preset import Preset
 from tactune.core.warmup import warm_up_if_needed
-from tiny_sensor import TinySource, tiny_frame, tiny_rig
 from watched_worker import Watched
 
 
@@ -43,8 +42,8 @@ def preset() -> Preset:
 
 
 @pytest.fixture
-def source() -> Iterator[TinySource]:
-    made = TinySource()
+def source() -> Iterator[FakeSource]:
+    made = FakeSource()
     yield made
     made.close()
 
@@ -90,7 +89,7 @@ def make_window(qtbot, preset, tmp_path, settings_file, monkeypatch) -> Iterator
 def window(qtbot, make_window) -> MainWindow:
     """A window that stands still at frame 3 of a recording of 8."""
     made = make_window()
-    show_source(qtbot, made, TinySource(), 3)
+    show_source(qtbot, made, FakeSource(), 3)
     return made
 
 

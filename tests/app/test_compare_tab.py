@@ -13,6 +13,7 @@ from PyQt6.QtGui import QImage
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QStyle, QStyleOptionViewItem
 
+from fakes import at_rest, tiny_frame, tiny_rig
 from hands import show_source
 from tactune.app.analysis import comparer
 from tactune.app.analysis.compare_table import comparison_csv
@@ -31,7 +32,6 @@ from tactune.core.model.frames import GroundTruth, SensorFrame
 from tactune.core.preset import Preset
 from tactune.core.rig.untouched import save_untouched
 from tactune.core.sources.base import SeekableSource
-from tiny_sensor import at_rest, tiny_frame, tiny_rig
 
 
 class KnowingSource(SeekableSource):

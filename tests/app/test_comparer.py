@@ -10,6 +10,7 @@ import pytest
 
 from colour_vision import EYES, nearest
 from contrast import contrast_ratio
+from fakes import tiny_frame, tiny_rig
 from tactune.app.analysis import comparer
 from tactune.app.analysis.comparer import Comparer, Task
 from tactune.app.analysis.method_looks import FALSE_RGB, MISSED_RGB, RIGHT_RGB, TRUTH, method_rgb, method_tip
@@ -22,7 +23,6 @@ from tactune.core.methods.registry import make_method, method_names
 from tactune.core.preset import Preset
 from tactune.widgets.basics.colormaps import patch_lut
 from tactune.widgets.basics.theme import theme_colors
-from tiny_sensor import tiny_frame, tiny_rig
 
 METHODS = ("fusion-rigid", "fusion-homography", "fusion-membrane", "proximity-only", "tactile-only")
 RIG = tiny_rig()

@@ -7,6 +7,7 @@ import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 
+from fakes import tiny_frame, tiny_rig
 from hands import CONTROL, LEFT, cells, drag_slider, shows_preset_of_document, tolerance_slider, type_path
 from tactune.app.document.comparison import Side
 from tactune.app.worker import processing
@@ -18,7 +19,6 @@ from tactune.core.model.clouds import pixel_areas_m2
 from tactune.core.preset import Preset
 from tactune.core.preset.file import save_preset
 from tactune.widgets.basics.colormaps import BOTH_ROW, ONLY_A_ROW, ONLY_B_ROW
-from tiny_sensor import tiny_frame, tiny_rig
 
 ALT = Qt.KeyboardModifier.AltModifier
 RIG = tiny_rig()

@@ -7,6 +7,7 @@ import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
+from fakes import tiny_frame, tiny_rig
 from hands import CONTROL, shows_preset_of_document, type_into
 from tactune.app.worker.rendering import accepted_difference
 from tactune.app.worker.results import CloudName
@@ -15,7 +16,6 @@ from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.model.provenance import Provenance
 from tactune.core.preset import Preset
 from tactune.widgets.basics.colormaps import provenance_legend
-from tiny_sensor import tiny_frame, tiny_rig
 
 
 @pytest.fixture

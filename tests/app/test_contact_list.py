@@ -5,8 +5,8 @@ from __future__ import annotations
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
+from fakes import at_rest
 from hands import LEFT, cells, shows_preset_of_document, tolerance_slider
-from tiny_sensor import at_rest
 
 
 def test_the_contacts_are_listed_and_one_is_marked(window, qtbot):

@@ -12,6 +12,7 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QFileDialog
 
+from fakes import FakeSource, at_rest, tiny_rig
 from hands import (
     CONTROL,
     CONTROL_SHIFT,
@@ -35,7 +36,6 @@ from tactune.core.preset.file import save_preset
 from tactune.core.sources.mcap.source import McapSource
 from tactune.core.sources.presets import load_preset
 from tactune.widgets.basics.messages import Message
-from tiny_sensor import TinySource, at_rest, tiny_rig
 
 
 def test_save_reopen_same_values(window, qtbot, tmp_path, make_window):
@@ -105,7 +105,7 @@ def test_drop_a_preset(window, qtbot, preset, tmp_path):
 def test_drop_a_recording(window, qtbot, tmp_path):
     from tactune.core.sources.folder import export_folder
 
-    export_folder(TinySource(length=2), tmp_path / "recording")
+    export_folder(FakeSource(length=2), tmp_path / "recording")
     drop(window, tmp_path / "recording")
     qtbot.waitUntil(lambda: window.result is not None and window.result.source.name.startswith("folder:"))
     assert window.result.source.length == 2
@@ -224,7 +224,7 @@ def test_a_shipped_preset_is_named_after_its_file_and_one_that_a_person_named_ke
 @pytest.fixture
 def session(tmp_path):
     path = tmp_path / "session.mcap"
-    with TinySource(length=5) as source:
+    with FakeSource(length=5) as source:
         writer = SessionWriter(path, source.rig)
         for frame in source:
             writer.put(frame, wait=True)

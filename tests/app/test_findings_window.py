@@ -11,13 +11,13 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QPushButton, QToolButton
 
+from fakes import FakeSource, tiny_frame, tiny_rig
 from hands import CONTROL, LEFT, image_position, show_source, text_of
 from tactune.app.rig.check_window import CheckWindow
 from tactune.app.window.findings_window import FindingsWindow
 from tactune.app.worker.results import CloudName
 from tactune.core.preset import Preset
 from tactune.core.tuning.advice.proposal import Finding
-from tiny_sensor import TinySource, tiny_frame, tiny_rig
 
 WIDTH, HEIGHT = 160, 120
 
@@ -34,7 +34,7 @@ def disagreeing_frame(index, rig):
     )
 
 
-class OtherSource(TinySource):
+class OtherSource(FakeSource):
     """A recording whose frames are made by a function of index and rig."""
 
     def __init__(self, make, name):
@@ -73,7 +73,7 @@ def test_without_a_frame_the_list_does_not_say_that_nothing_is_wrong(make_window
     made = make_window()
     made.actions_.findings.trigger()
     assert "No frame was examined yet" in text_of(findings_window())
-    show_source(qtbot, made, TinySource(), 3)
+    show_source(qtbot, made, FakeSource(), 3)
     qtbot.waitUntil(lambda: "No frame was examined" not in text_of(findings_window()))
 
 
@@ -160,7 +160,7 @@ def test_the_membrane_test_offers_to_measure_the_bias(make_window, qtbot):
 
 
 def test_findings_go_with_their_source(window, qtbot):
-    show_source(qtbot, window, TinySource(), 3)
+    show_source(qtbot, window, FakeSource(), 3)
     qtbot.waitUntil(lambda: not window.status.findings.isVisible())
     assert not offset_row(window).finding.isVisible()
 

@@ -7,6 +7,7 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QLineEdit
 
+from fakes import HEIGHT, MEMBRANE_RGB, WIDTH, FakeSource, at_rest
 from hands import (
     CONTROL,
     CONTROL_SHIFT,
@@ -19,7 +20,6 @@ from hands import (
 )
 from tactune.app.worker.worker import SourceRequest
 from tactune.widgets.images.strip_render import MaskView
-from tiny_sensor import HEIGHT, MEMBRANE_RGB, WIDTH, TinySource, at_rest
 
 
 def test_a_typed_value_is_undone_while_its_entry_has_the_focus(window, qtbot):
@@ -207,7 +207,7 @@ def test_the_space_bar_in_an_entry_stays_there(window, qtbot):
 
 def test_a_source_that_fails_on_the_way_is_said_and_can_be_played_on(make_window, qtbot):
     window = make_window()
-    window.open_request(SourceRequest("tiny", lambda progress: TinySource(broken=frozenset({2}))))
+    window.open_request(SourceRequest("tiny", lambda progress: FakeSource(broken=frozenset({2}))))
     qtbot.waitUntil(lambda: "tiny: frame 2 is damaged; skip it" in window.messages.sentences())
     qtbot.waitUntil(lambda: not window.transport.state.playing)
     window.worker.seek(3)

@@ -12,6 +12,7 @@ import pytest
 from PyQt6.QtGui import QImage, QImageReader
 from typer.testing import CliRunner
 
+from fakes import FakeSource
 from tactune.app.cli.common import default_preset
 from tactune.app.cli.main import commands
 from tactune.app.gui import run_gui, start_with
@@ -21,12 +22,11 @@ from tactune.core.contact import warmup
 from tactune.core.errors import ExportError, PresetError
 from tactune.core.preset.file import save_preset
 from tactune.core.sources.folder import export_folder
-from tiny_sensor import TinySource
 
 
 @pytest.fixture
 def recording(tmp_path):
-    export_folder(TinySource(length=3), tmp_path / "recording")
+    export_folder(FakeSource(length=3), tmp_path / "recording")
     return f"folder:{tmp_path / 'recording'}"
 
 
@@ -58,7 +58,7 @@ def test_a_screenshot_is_a_picture_of_the_window(qapp, recording, tmp_path, them
 
 
 def test_a_single_frame_is_enough_for_a_picture(qapp, tmp_path):
-    export_folder(TinySource(length=1), tmp_path / "one")
+    export_folder(FakeSource(length=1), tmp_path / "one")
     assert run_gui(f"folder:{tmp_path / 'one'}", "default", tmp_path / "window.jpg", after=30) == 0
     assert QImageReader(str(tmp_path / "window.jpg")).format() == b"jpeg"
 
@@ -114,7 +114,7 @@ def test_clouds_are_shown_while_the_contact_test_is_compiled(monkeypatch, watche
 
     monkeypatch.setattr(compiling, "is_compiled", lambda preset: False)
     monkeypatch.setattr(compiling, "warm_up_if_needed", compile_slowly)
-    watched.open(TinySource(length=1))
+    watched.open(FakeSource(length=1))
     qtbot.waitUntil(lambda: watched.last is not None and watched.last.rendered.no_contact == words)
     shown = watched.last
     assert shown.patch is None
@@ -135,7 +135,7 @@ def test_a_window_can_be_closed_while_a_contact_test_is_compiled(monkeypatch, wa
 
     monkeypatch.setattr(compiling, "is_compiled", lambda preset: False)
     monkeypatch.setattr(compiling, "warm_up_if_needed", compile_for_ever)
-    watched.open(TinySource(length=1))
+    watched.open(FakeSource(length=1))
     qtbot.waitUntil(told.is_set)
     watched.worker.shut_down()
     assert watched.worker.isFinished()

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fakes import at_rest
 from tactune.app.cli.main import main
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.contact.pipeline import ContactPipeline
@@ -15,7 +16,6 @@ from tactune.core.sources.folder import export_folder
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 from tactune.core.sources.simulator.source import SimulatorSource
-from tiny_sensor import at_rest
 
 REAL_PAIR_PRESET = Path(__file__).resolve().parents[1] / "data" / "real_pair.json"
 

@@ -10,7 +10,7 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QCheckBox, QDialogButtonBox, QLabel
 
-from fake_cameras import FakeCameras
+from fakes import FakeCameras, FakeSource
 from hands import press, show_source, type_into
 from tactune.app.sources import opening
 from tactune.app.sources import search as search_module
@@ -19,7 +19,6 @@ from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.sources.base import CameraHealth
 from tactune.widgets.basics.controls import CollapsibleSection
-from tiny_sensor import TinySource
 
 LEFT = Qt.MouseButton.LeftButton
 CONTROL = Qt.KeyboardModifier.ControlModifier
@@ -314,7 +313,7 @@ def test_without_cameras_the_panel_says_so(window, qtbot):
 
 def test_after_the_cameras_a_recording_has_none(window, panel, qtbot):
     assert "L515" in title(panel, "Proximity")
-    window.open_request(SourceRequest("tiny", lambda progress: TinySource()))
+    window.open_request(SourceRequest("tiny", lambda progress: FakeSource()))
     qtbot.waitUntil(lambda: panel.rows == {})
     assert title(panel, "Proximity") == "Proximity camera"
     # the rows that are gone are deleted by the event loop

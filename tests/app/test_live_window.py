@@ -11,6 +11,7 @@ from PyQt6.QtGui import QImage
 from PyQt6.QtTest import QTest
 
 from contrast import contrast_ratio
+from fakes import FakeSource
 from hands import show_source
 from seen_clouds import canvas_of
 from tactune.app.window.frame_presenter import badge, source_sentence
@@ -19,7 +20,6 @@ from tactune.app.worker.processing import FrameProcessor
 from tactune.app.worker.results import CloudName, SourceState
 from tactune.core.sources.base import CameraHealth, Health
 from tactune.widgets.basics.stale_badge import BADGE_COLORS
-from tiny_sensor import TinySource
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ def test_all_marks_go_when_the_camera_is_back(window, cameras, qtbot):
 def test_another_source_takes_the_marks_away(window, cameras, qtbot):
     cameras.faults["tactile"] = "missing"
     qtbot.waitUntil(lambda: badges(window)["patch"] != "")
-    show_source(qtbot, window, TinySource())
+    show_source(qtbot, window, FakeSource())
     assert set(badges(window).values()) == {""}
 
 

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from fake_cameras import FakeCameras
+from fakes import FakeCameras, FakeSource
 from tactune.app.worker import reading
 from tactune.app.worker.worker import SourceRequest
-from tiny_sensor import LiveSource, TinySource
 from watched_worker import Watched
 
 
@@ -37,9 +36,9 @@ def test_a_preset_is_used_at_once_while_no_frame_comes(watched, cameras, qtbot, 
 
 
 def test_another_source_opens_while_no_frame_comes(watched, cameras, qtbot):
-    watched.open(TinySource(length=1))
+    watched.open(FakeSource(length=1))
     qtbot.waitUntil(lambda: watched.last.source.name == "tiny")
-    assert cameras.closed.is_set()
+    assert cameras.closed
 
 
 def test_shutting_down_while_no_frame_comes(qtbot, preset):
@@ -49,19 +48,19 @@ def test_shutting_down_while_no_frame_comes(qtbot, preset):
     qtbot.waitUntil(lambda: cameras.waits > 1)
     watched.worker.shut_down()
     assert watched.worker.isFinished()
-    assert cameras.closed.is_set(), "its thread was not abandoned"
+    assert cameras.closed, "its thread was not abandoned"
 
 
 def test_a_driver_that_hangs_does_not_keep_the_window_open(qtbot, preset, monkeypatch):
     monkeypatch.setattr(reading, "PATIENCE_S", 0.1)
     watched = Watched(preset)
-    source = LiveSource()
+    source = FakeSource(live=True, hold=0, hangs=True)
     with qtbot.waitSignal(watched.worker.opened):
         watched.open(source)
-    assert source.asked.wait(60)
+    assert source.waiting.wait(60)
     watched.worker.shut_down()
     assert watched.worker.isFinished()
-    source.stopped.set()
+    source.release()
 
 
 def test_waiting_is_left_to_the_source(watched, cameras, qtbot):
@@ -152,7 +151,7 @@ def test_cameras_are_closed_before_they_are_opened_again(watched, cameras, qtbot
     order = []
 
     def open_again(progress):
-        order.append(cameras.closed.is_set())
+        order.append(cameras.closed)
         return FakeCameras()
 
     watched.worker.open(SourceRequest("cameras", open_again, exclusive=True))

@@ -12,6 +12,7 @@ from PyQt6.QtCore import QByteArray, QRect, QSize, Qt, QTimer
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QDialog, QPushButton, QScrollArea, QWidget
 
+from fakes import FakeSource, at_rest, tiny_frame, tiny_rig
 from hands import show_source, text_of
 from tactune.app.settings import Settings
 from tactune.app.worker.results import CloudName, ColorBy
@@ -22,13 +23,12 @@ from tactune.widgets.basics.colormaps import patch_lut
 from tactune.widgets.basics.dialogs import room_on
 from tactune.widgets.basics.theme import theme_name
 from tactune.widgets.clouds.cloud_labels import LegendLine
-from tiny_sensor import TinySource, at_rest, tiny_frame, tiny_rig
 
 LEFT = Qt.MouseButton.LeftButton
 CONTROL = Qt.KeyboardModifier.ControlModifier
 
 
-class OneCameraSource(TinySource):
+class OneCameraSource(FakeSource):
     """What a recording with one depth camera gives: no tactile depth anywhere."""
 
     def __init__(self, rig):
@@ -55,7 +55,7 @@ def test_says_what_to_do_while_there_is_nothing(make_window, qtbot, preset):
     assert "Ctrl+O" in window.views.views[CloudName.PATCH].message()
     assert not window.actions_.export_patch.isEnabled()
     window.document.edit("tolerance.t", 0.001)
-    show_source(qtbot, window, TinySource(length=1))
+    show_source(qtbot, window, FakeSource(length=1))
     qtbot.waitUntil(lambda: "No contact yet" in window.views.views[CloudName.PATCH].message())
     assert window.transport.position.text() == "frame 1 of 1"
 
@@ -78,7 +78,7 @@ def test_one_camera_says_that_there_is_no_contact_to_find(make_window, qtbot):
     qtbot.waitUntil(lambda: views[CloudName.TACTILE].message() == "This recording has no tactile camera")
     assert views[CloudName.PATCH].message() == "One camera only: no contact can be found"
     assert views[CloudName.PROXIMITY].message() == ""
-    show_source(qtbot, window, TinySource())
+    show_source(qtbot, window, FakeSource())
     qtbot.waitUntil(lambda: views[CloudName.PATCH].point_count() > 0)
     assert {view.message() for view in views.values()} == {""}
 
@@ -222,7 +222,7 @@ def test_two_windows_write_only_what_they_changed(settings_file):
 @pytest.mark.parametrize("size", [(1280, 800), (1920, 1080)])
 def test_nothing_is_cut_off(make_window, qtbot, size):
     window = make_window(size=size)
-    show_source(qtbot, window, TinySource(length=1))
+    show_source(qtbot, window, FakeSource(length=1))
     QApplication.processEvents()
     assert (window.width(), window.height()) == size
     shown = window.rect()
@@ -236,7 +236,7 @@ def test_nothing_is_cut_off(make_window, qtbot, size):
 
 def test_another_rig_warns_once_and_can_be_put_away(make_window, qtbot, preset):
     window = make_window(preset.model_copy(update={"rig": tiny_rig(serial="9")}))
-    show_source(qtbot, window, TinySource(length=4))
+    show_source(qtbot, window, FakeSource(length=4))
     qtbot.waitUntil(lambda: window.messages.message("rig") is not None)
     assert "p9" in window.messages.message("rig").sentence
     window.messages.clear("rig")
@@ -247,7 +247,7 @@ def test_another_rig_warns_once_and_can_be_put_away(make_window, qtbot, preset):
 
 def test_a_preset_of_another_size_says_so_and_shows_the_cameras(make_window, qtbot, preset):
     window = make_window(preset.model_copy(update={"rig": tiny_rig(32, 24)}))
-    show_source(qtbot, window, TinySource(length=1))
+    show_source(qtbot, window, FakeSource(length=1))
     assert "32 x 24" in window.messages.message("problem").sentence
     assert window.views.views[CloudName.PROXIMITY].point_count() > 0
     assert not window.actions_.export_patch.isEnabled()
@@ -278,7 +278,7 @@ def test_choosing_another_source_gives_up_the_one_being_opened(window, qtbot):
 
     window.open_request(SourceRequest("sim:slow", slow))
     qtbot.waitUntil(window.opening.isVisible)
-    other = TinySource(length=2)
+    other = FakeSource(length=2)
     other.name = "other"
     show_source(qtbot, window, other)
     assert not window.opening.isVisible()

@@ -8,19 +8,19 @@ from PyQt6.QtGui import QColor
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QComboBox, QDialogButtonBox
 
+from fakes import FakeSource
 from hands import CONTROL, LEFT
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.simulator.names import NAME_FIELDS
 from tactune.core.sources.simulator.scenes import SCENES
 from tactune.core.sources.simulator.sensors import SENSORS
-from tiny_sensor import TinySource
 
 CAMERAS, RECENT, SIMULATOR, FILES = range(4)
 
 
 @pytest.fixture
 def recording(tmp_path):
-    export_folder(TinySource(length=2), tmp_path / "recording")
+    export_folder(FakeSource(length=2), tmp_path / "recording")
     return tmp_path / "recording"
 
 
@@ -169,7 +169,7 @@ def test_a_recording_that_was_open_has_a_picture_and_opens_by_double_click(make_
     window.open_source(name)
     qtbot.waitUntil(lambda: shows(window, name))
     dialog = open_dialog(window, qtbot, RECENT)
-    assert color_in_the_middle(dialog.page, 0) == pytest.approx(first_color(TinySource()), abs=3)
+    assert color_in_the_middle(dialog.page, 0) == pytest.approx(first_color(FakeSource()), abs=3)
     opened = []
     window.worker.opened.connect(opened.append)
     place = dialog.page.list.visualItemRect(dialog.page.list.item(0)).center()
@@ -183,7 +183,7 @@ def test_a_recording_that_was_never_open_gets_a_picture_of_its_first_frame(windo
     name = f"folder:{recording}"
     window.settings.add_recent("sources", name)
     page = open_dialog(window, qtbot, RECENT).page
-    qtbot.waitUntil(lambda: color_in_the_middle(page, 0) == pytest.approx(first_color(TinySource()), abs=3))
+    qtbot.waitUntil(lambda: color_in_the_middle(page, 0) == pytest.approx(first_color(FakeSource()), abs=3))
 
 
 def test_a_recording_that_is_gone_is_grey_and_can_be_removed(window, qtbot, tmp_path):

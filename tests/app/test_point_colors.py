@@ -9,18 +9,18 @@ import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
+from fakes import FakeSource, tiny_frame
 from hands import show_source
 from tactune.app.worker.point_colors import Palette
 from tactune.app.worker.results import CloudName, ColorBy
 from tactune.core.model.provenance import Provenance
 from tactune.widgets.basics.colormaps import CONTACT_RGB
-from tiny_sensor import TinySource, tiny_frame
 
 PATCH, TACTILE, PROXIMITY = CloudName.PATCH, CloudName.TACTILE, CloudName.PROXIMITY
 OBJECT_RGB = (200, 40, 40)
 
 
-class ColoredSource(TinySource):
+class ColoredSource(FakeSource):
     """The tactile camera has colours, too: green left, yellow right. A wall stands behind the upper rows."""
 
     def __init__(self):

@@ -11,11 +11,11 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QMenu
 
+from fakes import FakeSource
 from foxglove_client import FoxgloveClient
 from hands import CONTROL, CONTROL_SHIFT, LEFT, show_source, type_into
 from sockets import listening
 from tactune.core.estimation.tilt import TiltEstimator
-from tiny_sensor import TinySource
 
 
 @pytest.fixture
@@ -114,7 +114,7 @@ def test_a_new_window_remembers_the_settings_but_is_off(publishing, window, make
     qtbot.waitUntil(lambda: not listening())
     window.settings.sync()
     again = make_window()
-    show_source(qtbot, again, TinySource(), 3)
+    show_source(qtbot, again, FakeSource(), 3)
     assert not listening()
     assert not again.publishing.window.start.isChecked()
     assert again.publishing.window.port.value() == port

@@ -10,6 +10,7 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QLabel
 
+from fakes import FakeSource, tiny_frame, tiny_rig
 from hands import press, show_source, text_of
 from tactune.app.window import recording
 from tactune.app.worker import worker
@@ -17,7 +18,6 @@ from tactune.app.worker.threads import wait_for_abandoned
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.output import bag
 from tactune.core.sources.registry import open_source
-from tiny_sensor import HangingSource, TinySource, tiny_frame, tiny_rig
 
 LEFT = Qt.MouseButton.LeftButton
 
@@ -108,7 +108,7 @@ def test_the_file_can_be_opened_from_the_message(window, cameras, qtbot, folder)
 
 def test_a_recording_that_is_played_records_what_is_played(window, qtbot, folder):
     window.worker.set_loop(False)
-    show_source(qtbot, window, TinySource(length=8), 3)
+    show_source(qtbot, window, FakeSource(length=8), 3)
     begin(window, qtbot)
     assert "press Space" in text_of(window.recording_bar)
     QTest.keyClick(window, Qt.Key.Key_Space)
@@ -120,7 +120,7 @@ def test_a_recording_that_is_played_records_what_is_played(window, qtbot, folder
 def test_another_source_ends_the_recording_and_that_is_said(window, cameras, qtbot, folder):
     begin(window, qtbot)
     cameras.give(qtbot, 2)
-    window.open_request(SourceRequest("tiny", lambda progress: TinySource()))
+    window.open_request(SourceRequest("tiny", lambda progress: FakeSource()))
     qtbot.waitUntil(lambda: not window.recording.running)
     assert "It ended because tiny was opened." in told(window)
     assert len(recorded(folder)) == 2
@@ -225,18 +225,19 @@ def test_frames_that_never_reached_the_recorder_are_told(window, cameras, qtbot)
 
 def test_the_window_closes_while_a_recording_is_made_of_a_source_that_hangs(window, qtbot, folder, monkeypatch):
     monkeypatch.setattr(worker, "PATIENCE_MS", 200)
-    source = HangingSource()
+    source = FakeSource()
     window.open_request(SourceRequest(source.name, lambda progress: source))
     window.worker.pause()  # a source plays once it is open, and this one must not hang yet
     window.worker.seek(0)
     qtbot.waitUntil(lambda: window.result is not None)
     begin(window, qtbot)
+    source.hold(2)
     window.worker.play()
-    qtbot.waitUntil(lambda: source.hangs.is_set() and window.result.playback.index == 2)
+    qtbot.waitUntil(lambda: source.waiting.is_set() and window.result.playback.index >= 2)
     window.worker.seek(5)  # the worker itself is stuck now
     window.close_without_asking()
     qtbot.waitUntil(lambda: not window.isVisible())
     (path,) = folder.glob("*.mcap")
     assert len(frames_of(path)) >= 2
-    source.go_on.set()
+    source.release()
     assert wait_for_abandoned(20.0)

@@ -9,12 +9,12 @@ from threading import enumerate as enumerate_threads
 
 import pytest
 
+from fakes import tiny_frame, tiny_rig
 from tactune.app.window.recording import clock, duration, size
 from tactune.app.worker.recorder import Recorder, RecordingRequest
 from tactune.core.errors import FrameError, TactuneError
 from tactune.core.output.writer import RecordingStatus
 from tactune.core.preset import Preset
-from tiny_sensor import tiny_frame, tiny_rig
 
 
 class FakeWriter:

@@ -13,6 +13,7 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QFileDialog, QLineEdit
 
+from fakes import FakeCameras, FakeSource, at_rest
 from hands import CONTROL, CONTROL_SHIFT, LEFT, show_source, type_path
 from tactune.app.timeline import marks as marks_module
 from tactune.app.timeline.marks import MarksKeeper
@@ -22,7 +23,6 @@ from tactune.core.output.markers import load_marks
 from tactune.core.output.writer import export_mcap
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.mcap.source import McapSource
-from tiny_sensor import LiveSource, TinySource, at_rest
 
 LENGTH = 24
 
@@ -30,7 +30,7 @@ LENGTH = 24
 @pytest.fixture
 def scene(tmp_path) -> Path:
     folder = tmp_path / "scene"
-    export_folder(TinySource(LENGTH), folder)
+    export_folder(FakeSource(LENGTH), folder)
     return folder
 
 
@@ -67,7 +67,7 @@ def marked_window(qtbot, make_window, scene):
 def plain_window(qtbot, make_window):
     """The same without a file, so that no process computes the curve."""
     window = make_window()
-    show_source(qtbot, window, TinySource(LENGTH), 3)
+    show_source(qtbot, window, FakeSource(LENGTH), 3)
     return window
 
 
@@ -86,7 +86,7 @@ def test_the_series_is_the_pipelines_follows_preset_and_undo_and_is_read_by_the_
     window = strip_window
     qtbot.waitUntil(lambda: computed(window))
     first = window.timeline.series
-    source = TinySource(LENGTH)
+    source = FakeSource(LENGTH)
     pipeline = ContactPipeline(window.document.preset, source.rig)
     areas = [pipeline.process(source.read(index)).area_mm2 for index in range(LENGTH)]
     assert first.values["area_mm2"].tolist() == areas
@@ -110,7 +110,7 @@ def test_the_series_is_the_pipelines_follows_preset_and_undo_and_is_read_by_the_
 def test_a_recording_that_was_written_anew_is_computed_anew(window, qtbot, tmp_path):
     path = tmp_path / "part.mcap"
     for length in (LENGTH, 12):
-        export_mcap(TinySource(length), path)
+        export_mcap(FakeSource(length), path)
         window.open_source(f"mcap:{path}")
         qtbot.waitUntil(lambda length=length: computed(window) and len(window.timeline.series) == length)
 
@@ -284,22 +284,21 @@ def test_hiding_the_strip_is_remembered(strip_window, make_window, qtbot, scene)
 
 def test_a_single_frame_has_no_strip_and_a_live_source_scrolls(make_window, qtbot):
     window = make_window()
-    show_source(qtbot, window, TinySource(1))
+    show_source(qtbot, window, FakeSource(1))
     assert window.time_strip.isHidden()
     assert not window.actions_.mark_in.isEnabled()
-    live = LiveSource()
+    live = FakeCameras()
     show_live(qtbot, window, live)
     assert window.time_strip.isVisible()
     assert not window.actions_.mark_in.isEnabled()
-    live.stopped.set()
 
 
 def show_live(qtbot, window, live):
     """Let three frames come and wait until the strip has them."""
-    live.more.set()
+    live.release()
     show_source(qtbot, window, live)
     for count in (2, 3):
-        live.more.set()
+        live.release()
         qtbot.waitUntil(lambda count=count: window.result.frame.sequence == count - 1)
     area = window.result.area_mm2
 
@@ -316,7 +315,7 @@ def test_marks_of_a_source_that_is_no_file_are_kept_by_its_name(window, qtbot, m
     QTest.keyClick(window, Qt.Key.Key_M)
     window.close_without_asking()
     again = make_window()
-    show_source(qtbot, again, TinySource(), 0)
+    show_source(qtbot, again, FakeSource(), 0)
     assert [marker.frame for marker in again.timeline.keeper.marks.markers] == [3]
     assert json.loads(next((again.context.data_folder / "markers").glob("tiny-*.json")).read_text())["trim"] is None
 
@@ -354,7 +353,7 @@ def test_many_markers_are_drawn_as_one_item(strip_window, qtbot, scene):
     markers = [{"frame": number % LENGTH, "name": f"m{number}", "time_s": 0.0} for number in range(3000)]
     (scene / "markers.json").write_text(json.dumps({"markers": markers}))
     before = len(window.time_strip.plot_widget.items())
-    show_source(qtbot, window, TinySource())
+    show_source(qtbot, window, FakeSource())
     show_scene(qtbot, window, scene, 3)
     assert len(window.timeline.keeper.marks.markers) == 3000
     assert len(window.time_strip.plot_widget.items()) < before + 10

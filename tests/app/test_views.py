@@ -12,17 +12,17 @@ from PyQt6.QtGui import QContextMenuEvent
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QMenu, QToolButton, QWidget
 
+from fakes import FakeSource, tiny_frame
 from hands import image_position, show_source
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.results import CloudName
 from tactune.widgets.clouds.inspect_view import distance_text
-from tiny_sensor import TinySource, tiny_frame
 
 LEFT = Qt.MouseButton.LeftButton
 PATCH, TACTILE, PROXIMITY = CloudName.PATCH, CloudName.TACTILE, CloudName.PROXIMITY
 
 
-class WallSource(TinySource):
+class WallSource(FakeSource):
     """A disc on the membrane in front of a wall at 2 m; past the membrane's edge the tactile camera sees 3 m."""
 
     def __init__(self):

@@ -11,7 +11,7 @@ from PyQt6.QtWidgets import QToolButton
 
 from drifted import Drift
 from drifting import AVERAGED, drifted, untouched
-from fake_cameras import FakeCameras
+from fakes import FakeCameras
 from hands import press, show_source
 from tactune.core.preset.file import save_preset
 from tactune.core.rig.untouched import save_untouched

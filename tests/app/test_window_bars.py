@@ -11,13 +11,13 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QLabel, QToolButton
 
 from contrast import contrast_ratio
+from fakes import tiny_frame, tiny_rig
 from tactune.app.window.status import FrameStatus
 from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.processing import FrameProcessor
 from tactune.app.worker.results import SourceInfo, SourceState, Wanted
 from tactune.core.preset import Preset
 from tactune.widgets.basics.theme import theme_colors
-from tiny_sensor import tiny_frame, tiny_rig
 
 TIMES = {"average": 2.0, "fusion": 2.5, "equilibrium": 6.6, "edge": 0.4, "clusters": 0.8, "points": 0.5}
 

@@ -6,11 +6,11 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
+from fakes import FakeSource
 from hands import press, show_source
 from tactune.app.worker.reading import SourceRequest
 from tactune.core.errors import SourceError
 from tactune.widgets.basics.messages import Severity
-from tiny_sensor import TinySource
 
 
 def fail_to_open(window, qtbot):
@@ -22,7 +22,7 @@ def fail_to_open(window, qtbot):
 
 
 def other_source(window, qtbot, name):
-    source = TinySource()
+    source = FakeSource()
     source.name = name
     show_source(qtbot, window, source)
 

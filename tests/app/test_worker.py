@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fakes import FakeCameras, FakeSource, tiny_frame
 from tactune.app.worker import processing
 from tactune.app.worker import worker as worker_module
 from tactune.app.worker.playback import Playback
@@ -14,11 +15,10 @@ from tactune.app.worker.results import CloudName, ColorBy, Wanted
 from tactune.app.worker.threads import Mailbox, wait_for_abandoned
 from tactune.app.worker.worker import SourceRequest, Worker
 from tactune.core.sources.registry import open_source
-from tiny_sensor import HangingSource, LiveSource, TinySource, tiny_frame
 from watched_worker import Watched
 
 
-class OddSource(TinySource):
+class OddSource(FakeSource):
     """Opens, and then fails in a way that nobody foresaw."""
 
     def preset(self):
@@ -30,11 +30,11 @@ def test_an_order_that_fails_is_reported_and_the_worker_goes_on(watched, qtbot, 
     monkeypatch.setattr("sys.excepthook", lambda kind, error, trace: told.append(error))
     watched.open(OddSource(length=3))
     qtbot.waitUntil(lambda: [str(error) for error in told] == ["odd"])
-    watched.open(TinySource(length=3))
+    watched.open(FakeSource(length=3))
     qtbot.waitUntil(lambda: watched.last is not None)
 
 
-class LateSource(TinySource):
+class LateSource(FakeSource):
     """A recording that begins with frame 500 of its cameras."""
 
     def read(self, index):
@@ -58,7 +58,7 @@ def test_what_goes_wrong_in_recording_is_said_of_the_frame_that_the_window_shows
 
 
 def test_plays_loops_and_pauses(watched, qtbot):
-    watched.open(TinySource(length=3))
+    watched.open(FakeSource(length=3))
     qtbot.waitUntil(lambda: {result.playback.index for result in watched.results} == {0, 1, 2})
     qtbot.waitUntil(lambda: watched.results[-1].processed > 4)
     watched.worker.pause()
@@ -69,7 +69,7 @@ def test_plays_loops_and_pauses(watched, qtbot):
 def test_stops_at_the_end_without_a_loop(watched, qtbot, monkeypatch):
     monkeypatch.setattr(processing, "STRIP_INTERVAL_S", 3600.0)
     watched.worker.set_loop(False)
-    watched.open(TinySource(length=3))
+    watched.open(FakeSource(length=3))
     qtbot.waitUntil(lambda: watched.shows(2))
     qtbot.waitUntil(lambda: bool(watched.modes) and not watched.modes[-1].playing)
     qtbot.waitUntil(lambda: watched.last.rendered.strip is not None)  # the frame that stays is drawn in full
@@ -79,7 +79,7 @@ def test_stops_at_the_end_without_a_loop(watched, qtbot, monkeypatch):
 
 def test_only_what_is_looked_at_is_drawn(watched, qtbot):
     watched.worker.set_wanted(Wanted(clouds=frozenset({CloudName.PATCH}), strip=False, histograms=frozenset()))
-    watched.open(TinySource(length=1))
+    watched.open(FakeSource(length=1))
     qtbot.waitUntil(lambda: watched.last is not None)
     rendered = watched.last.rendered
     assert set(rendered.clouds) == {CloudName.PATCH}
@@ -94,7 +94,7 @@ def test_only_what_is_looked_at_is_drawn(watched, qtbot):
 
 
 def test_an_unexpected_error_is_a_sentence_too(watched, qtbot):
-    source = TinySource(length=1)
+    source = FakeSource(length=1)
     source.read = lambda index: 1 / 0
     watched.open(source)
     qtbot.waitUntil(lambda: len(watched.failures) == 1)
@@ -102,7 +102,7 @@ def test_an_unexpected_error_is_a_sentence_too(watched, qtbot):
 
 
 def test_opening_another_source_closes_the_first(watched, qtbot):
-    first, second = TinySource(), TinySource(length=2)
+    first, second = FakeSource(), FakeSource(length=2)
     watched.open(first)
     qtbot.waitUntil(lambda: len(watched.opened) == 1)
     watched.open(second)
@@ -128,13 +128,14 @@ def test_a_disk_that_hangs_does_not_keep_the_window_open_and_what_was_recorded_i
     qtbot, preset, monkeypatch, caplog, tmp_path
 ):
     monkeypatch.setattr(worker_module, "PATIENCE_MS", 200)
-    watched, source = Watched(preset), HangingSource()
+    watched, source = Watched(preset), FakeSource()
     watched.worker.pause()
     watched.open(source)
     qtbot.waitUntil(lambda: watched.shows(0))
     watched.worker.start_recording(tmp_path / "kept.mcap")
+    source.hold(2)
     watched.worker.play()
-    qtbot.waitUntil(lambda: source.hangs.is_set() and watched.shows(2))
+    qtbot.waitUntil(lambda: source.waiting.is_set() and watched.last.playback.index >= 2)
     watched.worker.seek(5)  # the worker itself is stuck now, before it is told to stop
     watched.worker.shut_down()
     assert watched.worker.isRunning() and not wait_for_abandoned(0.0)
@@ -144,37 +145,35 @@ def test_a_disk_that_hangs_does_not_keep_the_window_open_and_what_was_recorded_i
     kept = open_source(f"mcap:{tmp_path / 'kept.mcap'}")
     assert kept.length >= 2
     kept.close()
-    source.go_on.set()
+    source.release()
     assert wait_for_abandoned(20.0)
 
 
 def test_a_frozen_live_frame_stays_while_the_source_goes_on(watched, qtbot, preset):
-    source = LiveSource()
+    source = FakeCameras()
     try:
         watched.open(source)
-        source.more.set()
+        source.release()
         qtbot.waitUntil(lambda: watched.last is not None)
         watched.worker.set_frozen(True)
-        source.more.set()
+        source.release()
         qtbot.waitUntil(lambda: bool(watched.modes) and watched.modes[-1].frozen)
         held = watched.last.frame.sequence
         watched.worker.set_preset(preset.with_value("tolerance.t", 0.5))
-        for _ in range(3):
-            source.more.set()
-            qtbot.waitUntil(lambda: not source.more.is_set())
+        source.give(qtbot, 3)
         qtbot.waitUntil(lambda: watched.last.preset.tolerance.t == 0.5)
         assert watched.last.frame.sequence == held
         assert source.count > held + 2
         watched.worker.set_frozen(False)
-        qtbot.waitUntil(lambda: source.more.set() or watched.last.frame.sequence > held)
+        qtbot.waitUntil(lambda: source.release() or watched.last.frame.sequence > held)
     finally:
-        source.stopped.set()
+        source.close()
 
 
 def test_slow_consumers_see_the_newest_frame_and_the_drops_are_counted(qtbot, preset):
     worker = Worker(preset)
     worker.start()
-    worker.open(SourceRequest("tiny", lambda progress: TinySource(length=30)))
+    worker.open(SourceRequest("tiny", lambda progress: FakeSource(length=30)))
     worker.set_speed(1000.0)
     taken = []
 
@@ -191,7 +190,7 @@ def test_slow_consumers_see_the_newest_frame_and_the_drops_are_counted(qtbot, pr
 
 
 def test_the_state_says_what_the_controls_show(watched, qtbot):
-    watched.open(TinySource())
+    watched.open(FakeSource())
     qtbot.waitUntil(lambda: watched.last is not None)
     watched.worker.set_frozen(True)
     qtbot.waitUntil(lambda: bool(watched.modes) and watched.modes[-1].frozen)

@@ -19,6 +19,7 @@ from rigs import save_rig
 if not any(os.environ.get(name) for name in ("QT_QPA_PLATFORM", "DISPLAY", "WAYLAND_DISPLAY")):
     os.environ["QT_QPA_PLATFORM"] = "offscreen"  # so that a bare pytest works on a machine without a display
 
+from fakes import FakeSource
 from tactune.app.analysis.tab import TABS, TabKind
 from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
@@ -31,7 +32,6 @@ from tactune.core.sources.cameras.drivers import camera_drivers
 from tactune.core.sources.cameras.source import CameraSource
 from tactune.core.sources.registry import open_source, source_kinds
 from tactune.core.sources.simulator.scene import simulator_rig
-from tiny_sensor import TinySource
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "guide" / "extending.md"
 BROKEN = {
@@ -127,7 +127,7 @@ def test_the_cameras_are_listed_and_recorded(acme: Path, tmp_path: Path) -> None
 
 
 def test_the_method_needs_no_untouched_frame(found: None) -> None:
-    source = TinySource(length=1)
+    source = FakeSource(length=1)
     frame = source.next_frame()
     assert frame is not None
     assert "nearest" in method_names()
@@ -167,7 +167,7 @@ def test_the_tab_stands_in_the_analysis_menu(found: None, qtbot, tmp_path: Path)
     window = MainWindow(preset, Settings(tmp_path / "window.json"), tmp_path, False, "software")
     qtbot.addWidget(window)
     window.show()
-    window.open_request(SourceRequest("tiny", lambda progress: TinySource()))
+    window.open_request(SourceRequest("tiny", lambda progress: FakeSource()))
     action = window.analysis.actions["area"]
     assert (action.text(), action.shortcut().toString()) == ("Patch &area…", "F11")
     action.trigger()

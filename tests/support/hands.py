@@ -7,9 +7,9 @@ from PyQt6.QtGui import QDragEnterEvent, QDropEvent
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QFileDialog, QLabel, QLineEdit, QMessageBox, QPushButton
 
+from fakes import at_rest
 from tactune.app.worker.reading import SourceRequest
 from tactune.widgets.basics.messages import Message
-from tiny_sensor import at_rest
 
 LEFT = Qt.MouseButton.LeftButton
 CONTROL = Qt.KeyboardModifier.ControlModifier

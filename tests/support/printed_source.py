@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from fakes import CONTACT_RGB, FakeSource, tiny_frame, tiny_rig
 from tactune.core.model.arrays import BoolArray, Uint16Array
 from tactune.core.model.frames import Rig, SensorFrame
-from tiny_sensor import CONTACT_RGB, TinySource, tiny_frame, tiny_rig
 
 PRINT_RGB = (214, 40, 160)
 #: Rows and columns of the prints.
@@ -29,7 +29,7 @@ def behind_membrane(frame: SensorFrame, rig: Rig, gap_m: float) -> Uint16Array:
     return np.rint((membrane_m + gap_m) / rig.proximity.depth_unit_m).astype(np.uint16)
 
 
-class PrintedSource(TinySource):
+class PrintedSource(FakeSource):
     """Frames of 160 x 120 pixels; a disc of 2 mm gap grows with the frame number."""
 
     def __init__(self, with_untouched: bool = True) -> None:

@@ -9,11 +9,11 @@ from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
+from fakes import FakeSource
 from hands import CONTROL, LEFT, drag_over, show_source, text_of
 from printed_source import PrintedSource
 from tactune.core.tuning.advice.example_file import load_example
 from tactune.widgets.images.paint_image import CONTACT, NO_CONTACT, UNKNOWN
-from tiny_sensor import TinySource
 
 RIGHT = Qt.MouseButton.RightButton
 
@@ -163,7 +163,7 @@ def test_examples_outlive_a_crash_and_a_restart(main, painted, qtbot, make_windo
 def test_each_pair_of_cameras_has_its_examples(main, painted, qtbot):
     drag_over(painted.image, (50, 60), (70, 60))
     [example] = main.suggest.examples.examples
-    show_source(qtbot, main, TinySource(), 1)
+    show_source(qtbot, main, FakeSource(), 1)
     assert main.suggest.examples.examples == ()
     assert painted.list.count() == 0
     show_source(qtbot, main, PrintedSource(), 1)

@@ -15,6 +15,7 @@ from mcap_ros2.decoder import DecoderFactory
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
+from fakes import at_rest
 from foxglove_client import FoxgloveClient
 from hands import CONTROL_SHIFT, LEFT, drop, show_source, type_into, type_path
 from tactune.app.analysis import track_tab
@@ -24,7 +25,6 @@ from tactune.core.estimation.object_mesh import simulated_mesh
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scenes import resolve_scene
 from tactune.core.sources.simulator.source import SimulatorSource
-from tiny_sensor import at_rest
 from truth_scene import click_at
 
 PRESSED = 40

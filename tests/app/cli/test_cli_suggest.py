@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
+from fakes import FakeSource
 from tactune.core.preset.file import save_preset
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 from tactune.core.tuning.advice.example_file import save_example
 from tactune.core.tuning.advice.proposal import Example
-from tiny_sensor import TinySource
 
 Tactune = Callable[..., Any]
 SCENE = "sim:cup?press=medium"
@@ -96,6 +96,6 @@ def test_an_unknown_section_is_refused(tactune: Tactune) -> None:
 
 
 def test_an_untouched_frame_of_another_rig_is_refused(tactune: Tactune, tmp_path: Path) -> None:
-    export_folder(TinySource(2), tmp_path / "tiny")
+    export_folder(FakeSource(2), tmp_path / "tiny")
     named = ("--section", "mask", "--untouched", f"folder:{tmp_path / 'tiny'}")
     assert "the rig says" in tactune("preset", "suggest", "--source", SCENE, *named).sentence

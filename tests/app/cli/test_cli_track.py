@@ -15,13 +15,13 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
+from fakes import FakeSource
 from tactune.app.cli import track
 from tactune.core.estimation.object_mesh import simulated_mesh
 from tactune.core.estimation.pose import PoseEstimate, PoseTracker
 from tactune.core.estimation.pose_files import pose_record, save_poses
 from tactune.core.evaluation.scan.pose import save_transform
 from tactune.core.sources.simulator.source import SimulatorSource
-from tiny_sensor import TinySource
 
 FRAMES = 20
 #: The frames from this one on have enough contact.
@@ -151,7 +151,7 @@ def test_a_source_that_fails_leaves_the_poses_until_then(tactune, cup, tmp_path)
         assert len(list(csv.DictReader(file))) == FRAMES - 2
 
 
-class Endless(TinySource):
+class Endless(FakeSource):
     """Small frames whose times increase."""
 
     def read(self, index):

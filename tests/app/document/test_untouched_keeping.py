@@ -11,6 +11,7 @@ import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
+from fakes import tiny_frame, tiny_rig
 from hands import CONTROL, press, type_path
 from tactune.app.document.document import Document
 from tactune.app.document.untouched_store import UntouchedStore
@@ -21,7 +22,6 @@ from tactune.core.preset import Preset
 from tactune.core.rig.untouched import load_untouched
 from tactune.core.sources.mcap.source import McapSource
 from tactune.core.sources.presets import load_preset
-from tiny_sensor import tiny_frame, tiny_rig
 
 RIG = tiny_rig()
 

@@ -12,68 +12,36 @@ import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
+from fakes import FakeSource, at_rest, tiny_frame
 from hands import type_into
 from tactune.app.worker.threads import wait_for_abandoned
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.calibration.snapshots import content_hash
 from tactune.core.model.frames import SensorFrame
 from tactune.core.rig.untouched import average_untouched, load_untouched
-from tiny_sensor import LiveSource, TinySource, at_rest, tiny_frame
 
 CONTROL = Qt.KeyboardModifier.ControlModifier
 SHIFT = Qt.KeyboardModifier.ShiftModifier
 
 
-class Endless(LiveSource):
-    """A live source that never waits for long."""
+class Endless(FakeSource):
+    """A live source at 200 Hz."""
+
+    def __init__(self) -> None:
+        super().__init__(live=True)
 
     def next_frame(self) -> SensorFrame | None:
         time.sleep(0.005)
-        self.more.set()
         return super().next_frame()
 
 
-class Moving(TinySource):
+class Moving(FakeSource):
     """From its fifth frame on, number 504 of its cameras, the whole membrane is pushed in by 8 mm."""
 
     def read(self, index: int) -> SensorFrame:
         frame = tiny_frame(index, self.rig)
         pushed = (frame.tactile_depth - (80 if index >= 4 else 0)).astype(np.uint16)
         return replace(frame, sequence=500 + index, tactile_depth=pushed)
-
-
-class Gated(TinySource):
-    """Reads as many frames as the gate lets through, then waits until it opens."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.name = "gated"
-        self.opened = Event()
-        self.opened.set()
-        self.left = 0
-
-    def let_through(self, frames: int) -> None:
-        """Close the gate behind the next ``frames`` frames."""
-        self.left = frames
-        self.opened.clear()
-
-    def read(self, index: int) -> SensorFrame:
-        if not self.opened.is_set():
-            if self.left == 0:
-                self.opened.wait(120)
-            self.left = max(self.left - 1, 0)
-        return super().read(index)
-
-    def close(self) -> None:
-        self.opened.set()
-        super().close()
-
-
-class Truncated(TinySource):
-    """States 8 frames and has 5."""
-
-    def next_frame(self) -> SensorFrame | None:
-        return super().next_frame() if self.position < 5 else None
 
 
 def open_capture(qtbot, window):
@@ -150,7 +118,7 @@ def test_where_a_recording_ends_what_came_is_taken(qtbot, window):
 @pytest.fixture
 def gated(qtbot, window):
     """The window at rest on frame 4 of a source that the test can hold back."""
-    source = Gated()
+    source = FakeSource(name="gated")
     open_source(qtbot, window, source)
     window.worker.pause()
     window.worker.seek(3)
@@ -162,11 +130,11 @@ def pause_capturing(qtbot, window, source, frames=6):
     """Begin to capture, and pause the main window once some frames, but not all, are taken."""
     opened = open_capture(qtbot, window)
     opened.frames.setValue(frames)
-    source.let_through(2)
+    source.hold(2)
     QTest.mouseClick(opened.take, Qt.MouseButton.LeftButton)
     qtbot.waitUntil(lambda: opened.capture.taken >= 2)
     QTest.keyClick(window, Qt.Key.Key_Space)
-    source.opened.set()
+    source.release()
     qtbot.waitUntil(lambda: "Paused after" in opened.sentence.text())
     assert opened.capture.busy and window.document.preset.untouched is None
     return opened
@@ -175,14 +143,14 @@ def pause_capturing(qtbot, window, source, frames=6):
 @pytest.mark.parametrize("by", ["button", "main window"])
 def test_a_pause_of_the_main_window_makes_capturing_wait(qtbot, window, gated, by):
     opened = pause_capturing(qtbot, window, gated)
-    gated.let_through(1)
+    gated.hold(1)
     if by == "button":
         QTest.mouseClick(opened.go_on, Qt.MouseButton.LeftButton)
     else:
         QTest.keyClick(window, Qt.Key.Key_Space)
     qtbot.waitUntil(lambda: not opened.go_on.isVisible())
     assert "do not touch the membrane" in opened.sentence.text()
-    gated.opened.set()
+    gated.release()
     qtbot.waitUntil(lambda: not opened.capture.busy)
     assert window.document.preset.untouched.frames == 6
     qtbot.waitUntil(lambda: at_rest(window, 3))
@@ -242,8 +210,7 @@ def test_once_no_more_frames_are_taken_the_membrane_may_be_touched(qtbot, window
 
 @pytest.mark.parametrize("start", [0, 4])
 def test_a_recording_shorter_than_it_states_ends_where_no_frame_comes(qtbot, window, start):
-    source = Truncated()
-    source.name = "truncated"
+    source = FakeSource(name="truncated", ends_at=5)
     open_source(qtbot, window, source)
     window.worker.pause()
     window.worker.seek(start)
@@ -262,7 +229,7 @@ def test_a_recording_shorter_than_it_states_ends_where_no_frame_comes(qtbot, win
 
 @pytest.mark.parametrize("length", [1, 3])
 def test_a_short_recording_is_taken_once(qtbot, window, length):
-    source = TinySource(length)
+    source = FakeSource(length)
     source.name = "short"
     open_source(qtbot, window, source)
     opened = capture(qtbot, window, 15)
@@ -291,7 +258,7 @@ def test_another_source_ends_capturing(qtbot, window):
     opened = open_capture(qtbot, window)
     opened.frames.setValue(1000)
     QTest.mouseClick(opened.take, Qt.MouseButton.LeftButton)
-    open_source(qtbot, window, TinySource())
+    open_source(qtbot, window, FakeSource())
     qtbot.waitUntil(lambda: not opened.capture.busy)
     assert "another source was opened" in opened.sentence.text()
 

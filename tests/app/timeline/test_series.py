@@ -7,18 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fakes import FakeSource
 from tactune.app.timeline.series import FrameValues, Series, time_series, visiting_order
 from tactune.app.timeline.series_job import SeriesJob
 from tactune.core import ContactPipeline
 from tactune.core.model.frames import GroundTruth
 from tactune.core.preset import Preset
 from tactune.core.sources.folder import export_folder
-from tiny_sensor import TinySource
 
 PRESET = Preset(contact_test="tolerance").with_values({"tolerance.t": 0.03, "outliers.enabled": False})
 
 
-class KnownSource(TinySource):
+class KnownSource(FakeSource):
     """Knows the truth: the right half of the image is in contact."""
 
     def read(self, index):
@@ -65,14 +65,14 @@ def test_times_follow_the_stamps_and_increase():
 
 
 def test_the_process_leaves_out_what_is_known_and_tells_what_is_wrong(qtbot, tmp_path):
-    export_folder(TinySource(8), tmp_path / "tiny")
+    export_folder(FakeSource(8), tmp_path / "tiny")
     name, found = f"folder:{tmp_path / 'tiny'}", []
     job = SeriesJob()
     job.found.connect(found.extend)
     with qtbot.waitSignal(job.ended, timeout=60_000) as ended:
         job.start(name, 8, PRESET, frozenset({2, 5}))
     assert ended.args == [""]
-    expected = {values.index: values.area_mm2 for values in time_series(TinySource(8), PRESET, range(8))}
+    expected = {values.index: values.area_mm2 for values in time_series(FakeSource(8), PRESET, range(8))}
     assert {values.index: values.area_mm2 for values in found} == {i: expected[i] for i in (0, 1, 3, 4, 6, 7)}
     with qtbot.waitSignal(job.ended, timeout=60_000) as ended:
         job.start(name, 5, PRESET, frozenset())

@@ -18,7 +18,7 @@ import numpy as np
 from tactune.core.warmup import is_compiled, warm_up, warm_up_test
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.preset import Preset
-from tiny_sensor import tiny_frame, tiny_rig
+from fakes import tiny_frame, tiny_rig
 """
 
 
