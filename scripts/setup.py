@@ -29,7 +29,6 @@ class SetupError(Exception):
 
 
 def main() -> int:
-    """Set up; return the exit status."""
     with Path(__file__).open() as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         try:
@@ -41,7 +40,6 @@ def main() -> int:
 
 
 def set_up() -> None:
-    """Carry out the steps that are not done yet."""
     link_for_type_checkers()
     packages_stamp, project_stamp = Stamp("packages", LOCK), Stamp("project", ROOT / "pyproject.toml")
     missing = missing_system_packages()
@@ -70,15 +68,13 @@ class Stamp:
         self._text = f"{ROOT} {hashlib.sha256(source.read_bytes()).hexdigest()}\n"
 
     def holds(self) -> bool:
-        """Return whether the environment exists and was made in this folder from the present file."""
         return VENV_PYTHON.exists() and self._path.exists() and self._path.read_text() == self._text
 
     def is_from_another_folder(self) -> bool:
-        """Return whether the environment was made in another folder; its scripts then contain that folder's path."""
+        """The environment's scripts contain the path of the folder that it was made in."""
         return self._path.exists() and not self._path.read_text().startswith(f"{ROOT} ")
 
     def set(self) -> None:
-        """Record that the environment was made from the present file."""
         self._path.write_text(self._text)
 
 
@@ -89,7 +85,6 @@ def succeeds(*command: str | Path, silent: bool = False, env: dict[str, str] | N
 
 
 def output_of(*command: str | Path) -> str:
-    """Return what a command prints."""
     return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
 
 
@@ -158,7 +153,6 @@ def known_to_apt(alternatives: tuple[str, ...]) -> str:
 
 
 def install_hint(missing: list[tuple[str, ...]]) -> str:
-    """Return the command that installs what is missing."""
     return "sudo apt-get install " + " ".join(map(known_to_apt, missing))
 
 
