@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from math import radians
 from typing import Any, Final, cast
 
@@ -32,6 +33,7 @@ from ...core.preset import MaskSection
 from ...widgets.basics.controls import (
     AccentButton,
     CollapsibleSection,
+    NoteLabel,
     ProgressBar,
     caption,
     copy_text,
@@ -43,9 +45,8 @@ from ...widgets.basics.fields import FieldSpec, field_spec
 from ...widgets.basics.gestures import new_gesture
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.images.eyedropper import Mode, new_ranges
-from ...widgets.parameters.band_slider import RangeEditor, groove_colors
-from ...widgets.parameters.number_slider import NumberEntry
-from ...widgets.parameters.parameter_row import MessageLabel, ParameterRow
+from ...widgets.parameters.editors import NumberEntry
+from ...widgets.parameters.form import ParameterRow
 from .truth_state import PickedPair
 from .truth_work import Refinement, Scores
 
@@ -144,8 +145,6 @@ class PaintPanel(CollapsibleSection):
         self._paint = paint
         for name, row in self.rows.items():
             row.show_value(getattr(paint, name))
-        for name, colors in groove_colors(paint.hue, paint.saturation, paint.value).items():
-            cast(RangeEditor, self.rows[name].widget).set_colors(colors)
 
     def show_readout(self, vertices: int, area_mm2: float, total: int) -> None:
         """Show the size of the contact."""
@@ -288,7 +287,7 @@ class AlignPanel(CollapsibleSection):
         self.cancel = push_button("Cancel", "Cancel the refinement; the scan is not moved")
         self.progress = ProgressBar()
         self.outcome = wrapped_label()
-        self.refusal = MessageLabel()
+        self.refusal = NoteLabel()
         self._set_up_table()
         self._lay_out()
         self._connect()
@@ -339,8 +338,8 @@ class AlignPanel(CollapsibleSection):
         for entry in (*self.places, *self.turns):
             entry.edited.connect(lambda _, gesture: self._edited(gesture))
         for entry in (*self.places, *self.turns, self.reach):
-            entry.refused.connect(self.refusal.show_sentence)
-            entry.edited.connect(lambda *_: self.refusal.show_sentence(""))
+            entry.refused.connect(partial(self.refusal.say, error=True))
+            entry.edited.connect(lambda *_: self.refusal.say(""))
         for entry in (*self.places, *self.turns):
             entry.setValue(0.0)
         self.reach.setValue(_REACH.default)

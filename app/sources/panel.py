@@ -20,7 +20,7 @@ from ...core.sources.base import CameraHealth, CameraOption, CameraRole
 from ...widgets.basics.controls import CollapsibleSection, dialog_buttons, wrapped_label
 from ...widgets.basics.fields import FieldSpec, field_spec
 from ...widgets.basics.layouts import scrolling, vbox
-from ...widgets.parameters.parameter_row import ParameterRow
+from ...widgets.parameters.form import ParameterRow
 
 DELAY_PATH = "cameras.tactile_delay_s"
 _TITLES: dict[CameraRole, str] = {"proximity": "Proximity camera", "tactile": "Tactile camera"}
@@ -59,7 +59,7 @@ class OptionRow(ParameterRow):
     def show_number(self, value: float) -> None:
         """Show the device's value, unless the slider is being dragged."""
         slider = getattr(self.widget, "slider", None)
-        if slider is None or not slider.isSliderDown():
+        if slider is None or not slider.is_held():
             self.show_value(self._shown(value))
 
     def number(self) -> float:

@@ -10,8 +10,8 @@ from PyQt6.QtGui import QAction
 from ...core.preset import Preset
 from ...core.tuning.advice.proposal import Finding
 from ...widgets.basics.dialogs import bring_up
+from ...widgets.parameters.form import ShownFinding
 from ...widgets.parameters.parameter_panel import ParameterPanel
-from ...widgets.parameters.parameter_row import ShownFinding
 from ..context import Context
 from ..worker.results import CloudName
 from .actions import Actions, plain_text

@@ -18,7 +18,7 @@ from PyQt6.QtWidgets import (
 from ...core.tuning.advice.proposal import Finding
 from ...widgets.basics.controls import NoteLabel, push_button
 from ...widgets.basics.layouts import STRETCH, hbox, scrolling, vbox
-from ...widgets.parameters.parameter_row import ShownFinding
+from ...widgets.parameters.form import ShownFinding
 
 _NOTHING = "Nothing is wrong with this frame."
 _NO_FRAME = "No frame was examined yet: open a source (Ctrl+O)."

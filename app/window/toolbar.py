@@ -8,12 +8,11 @@ from functools import partial
 from pathlib import Path
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtWidgets import QMenu, QPushButton, QSizePolicy, QSpinBox, QToolBar, QToolButton, QWidget
+from PyQt6.QtWidgets import QMenu, QPushButton, QSizePolicy, QSlider, QSpinBox, QToolBar, QToolButton, QWidget
 
 from ...widgets.basics.controls import action_button
 from ...widgets.basics.icons import icon
 from ...widgets.basics.layouts import hbox
-from ...widgets.parameters.number_slider import JumpSlider
 from ..worker.playback import PlaybackState
 from .actions import Actions, Menus
 
@@ -35,7 +34,7 @@ class Transport(QWidget):
         super().__init__()
         self._actions = actions
         self._state = PlaybackState(length=1)
-        self.slider = JumpSlider()
+        self.slider = QSlider(Qt.Orientation.Horizontal)
         self.slider.setAccessibleName("Frame")
         self.slider.setToolTip("Frame of the recording: drag or click to seek")
         self.slider.setMinimumWidth(90)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from PyQt6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
 from PyQt6.QtGui import QDragEnterEvent, QDropEvent
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QFileDialog, QLabel, QLineEdit, QMessageBox, QPushButton
+from PyQt6.QtWidgets import QApplication, QFileDialog, QLabel, QLineEdit, QMessageBox, QPushButton, QSlider, QStyle
 
 from fakes import at_rest
 from tactune.app.worker.reading import SourceRequest
@@ -18,7 +18,11 @@ CONTROL_SHIFT = CONTROL | Qt.KeyboardModifier.ShiftModifier
 
 def drag_slider(slider, *fractions):
     """Press at the handle's place for the first fraction, move through the others, let go."""
-    start, length = slider.travel()
+    if isinstance(slider, QSlider):
+        handle = slider.style().pixelMetric(QStyle.PixelMetric.PM_SliderLength, None, slider)
+        start, length = handle / 2, slider.width() - handle
+    else:
+        start, length = slider.travel()
     points = [QPoint(round(start + fraction * length), slider.height() // 2) for fraction in fractions]
     QTest.mousePress(slider, LEFT, pos=points[0])
     for point in points[1:]:

@@ -5,17 +5,16 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtGui import QColor
 from PyQt6.QtTest import QTest
 
-from tactune.widgets.parameters.band_slider import BandSlider
-from tactune.widgets.parameters.number_slider import Scale
+from tactune.widgets.parameters.slider import Scale, Slider
 
 LEFT = Qt.MouseButton.LeftButton
 
 
-def make(qtbot, *, wraps: bool, low: float = 0, high: float = 179, gap: float = 0.0) -> BandSlider:
-    slider = BandSlider(Scale(0, 179, step=1), wraps=wraps, gap=gap)
+def make(qtbot, *, wraps: bool, low: float = 0, high: float = 179, gap: float = 0.0) -> Slider:
+    slider = Slider(Scale(0, 179, step=1), 2, wraps=wraps, gap=gap)
     qtbot.addWidget(slider)
-    slider.resize(371, 24)  # two pixels a step
-    slider.setValue(low, high)
+    slider.resize(372, 24)  # two pixels a step
+    slider.set_values(low, high)
     slider.show()
     qtbot.waitExposed(slider)
     slider.activateWindow()
@@ -23,23 +22,23 @@ def make(qtbot, *, wraps: bool, low: float = 0, high: float = 179, gap: float = 
     return slider
 
 
-def record(slider: BandSlider) -> list[tuple[float, float, int]]:
+def record(slider: Slider) -> list[tuple[float, float, int]]:
     edits: list[tuple[float, float, int]] = []
-    slider.edited.connect(lambda low, high, gesture: edits.append((low, high, gesture)))
+    slider.edited.connect(lambda band, gesture: edits.append((*band, gesture)))
     return edits
 
 
-def at(slider: BandSlider, value: float) -> QPoint:
-    present = slider.value()
+def at(slider: Slider, value: float) -> QPoint:
+    present = slider.values()
     slider.blockSignals(True)
-    slider.setValue(value, value)
+    slider.set_values(value, value)
     x = slider.handle_x(0)
-    slider.setValue(*present)
+    slider.set_values(*present)
     slider.blockSignals(False)
     return QPoint(round(x), slider.height() // 2)
 
 
-def drag(slider: BandSlider, start: float, *targets: float) -> None:
+def drag(slider: Slider, start: float, *targets: float) -> None:
     QTest.mousePress(slider, LEFT, pos=at(slider, start))
     for target in targets:
         QTest.mouseMove(slider, at(slider, target))
@@ -53,7 +52,7 @@ def test_a_handle_is_dragged_in_one_gesture(qtbot) -> None:
     assert [(low, high) for low, high, _ in edits] == [(50, 130), (50, 140), (50, 150)]
     assert len({gesture for *_, gesture in edits}) == 1
     drag(slider, 50, 40)
-    assert slider.value() == (40, 150)
+    assert slider.values() == (40, 150)
     assert len({gesture for *_, gesture in edits}) == 2
 
 
@@ -74,7 +73,7 @@ def test_drags_end_where_they_should(qtbot, wraps, low, high, gap, drags, value)
     assert not slider.wrapped()
     for places in drags:
         drag(slider, *places)
-    assert slider.value() == value
+    assert slider.values() == value
     assert slider.wrapped() == (value[0] > value[1])
 
 
@@ -83,10 +82,10 @@ def test_two_handles_on_one_spot_come_apart_both_ways(qtbot) -> None:
     QTest.mousePress(slider, LEFT, pos=at(slider, 100) + QPoint(2, 0))
     QTest.mouseMove(slider, at(slider, 130) + QPoint(2, 0))
     QTest.mouseRelease(slider, LEFT, pos=at(slider, 130))
-    assert slider.value() == (100, 130)
-    slider.setValue(179, 179)
+    assert slider.values() == (100, 130)
+    slider.set_values(179, 179)
     drag(slider, 179, 150)
-    assert slider.value() == (150, 179)
+    assert slider.values() == (150, 179)
 
 
 def test_a_press_beside_the_band_brings_the_nearer_handle(qtbot) -> None:
@@ -103,25 +102,25 @@ def test_the_keyboard_reaches_both_handles(qtbot) -> None:
     slider.setFocus(Qt.FocusReason.TabFocusReason)
     QTest.keyClick(slider, Qt.Key.Key_Right)
     QTest.keyClick(slider, Qt.Key.Key_PageDown)
-    assert slider.value() == (34, 100)
+    assert slider.values() == (34, 100)
     assert edits[0][2] == edits[1][2]
     QTest.keyClick(slider, Qt.Key.Key_Tab)
     QTest.keyClick(slider, Qt.Key.Key_Up)
     QTest.keyClick(slider, Qt.Key.Key_PageUp)
-    assert slider.value() == (34, 118)
+    assert slider.values() == (34, 118)
     assert edits[2][2] != edits[1][2]
     QTest.keyClick(slider, Qt.Key.Key_End)
-    assert slider.value() == (34, 179)
+    assert slider.values() == (34, 179)
     QTest.keyClick(slider, Qt.Key.Key_Tab, Qt.KeyboardModifier.ShiftModifier)
     QTest.keyClick(slider, Qt.Key.Key_Home)
-    assert slider.value() == (0, 179)
+    assert slider.values() == (0, 179)
 
 
 def test_a_handle_that_is_not_moved_keeps_its_exact_value(qtbot) -> None:
     slider = make(qtbot, wraps=False, low=20.123456, high=99.87)
     drag(slider, 100, 120)
-    assert slider.value()[0] == 20.123456
-    assert slider.value()[1] == pytest.approx(120, abs=1)
+    assert slider.values()[0] == 20.123456
+    assert slider.values()[1] == pytest.approx(120, abs=1)
 
 
 @pytest.mark.parametrize(("low", "high", "inside", "outside"), [(40, 100, 70, 150), (150, 20, 170, 90)])

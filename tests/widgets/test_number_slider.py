@@ -12,7 +12,8 @@ from PyQt6.QtTest import QTest
 from hands import type_into
 from tactune.core.preset import Preset
 from tactune.widgets.basics.fields import FieldSpec, format_number, section_fields
-from tactune.widgets.parameters.number_slider import NumberSlider, Scale, parse_number
+from tactune.widgets.parameters.editors import NumbersEditor, parse_number
+from tactune.widgets.parameters.slider import Scale
 
 LEFT = Qt.MouseButton.LeftButton
 
@@ -22,8 +23,8 @@ def spec_of(path: str) -> FieldSpec:
     return next(spec for spec in section_fields(type(getattr(Preset(), name)), name) if spec.path == path)
 
 
-def make_slider(qtbot, path: str) -> NumberSlider:
-    widget = NumberSlider(spec_of(path))
+def make_slider(qtbot, path: str) -> NumbersEditor:
+    widget = NumbersEditor(spec_of(path))
     qtbot.addWidget(widget)
     widget.resize(260, 30)
     widget.setValue(spec_of(path).default)
@@ -40,14 +41,14 @@ def record(widget) -> list[tuple[object, int]]:
     return edits
 
 
-def point_at(widget: NumberSlider, value: float) -> QPoint:
+def point_at(widget: NumbersEditor, value: float) -> QPoint:
     left, length = widget.slider.travel()
     spec = widget.spec
     fraction = Scale(*spec.slider, step=spec.step, log=spec.log).fraction(value)
     return QPoint(round(left + length * fraction), widget.slider.height() // 2)
 
 
-def drag(widget: NumberSlider, start: float, *targets: float) -> None:
+def drag(widget: NumbersEditor, start: float, *targets: float) -> None:
     QTest.mousePress(widget.slider, LEFT, pos=point_at(widget, start))
     for target in targets:
         QTest.mouseMove(widget.slider, point_at(widget, target))
@@ -193,7 +194,7 @@ def test_an_out_of_focus_slider_leaves_the_wheel_to_the_page(qtbot) -> None:
 @given(value=st.floats(0.0, 1.0))
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=80)
 def test_showing_a_value_never_changes_it(qtbot, value: float) -> None:
-    widget = NumberSlider(spec_of("tolerance.t"))
+    widget = NumbersEditor(spec_of("tolerance.t"))
     edits = record(widget)
     widget.setValue(value)
     assert widget.value() == value

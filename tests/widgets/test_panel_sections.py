@@ -16,8 +16,8 @@ from tactune.core.preset import (
     Preset,
     RigidAlignment,
 )
+from tactune.widgets.parameters.form import ShownFinding
 from tactune.widgets.parameters.parameter_panel import ParameterPanel
-from tactune.widgets.parameters.parameter_row import ShownFinding
 
 
 def test_a_folded_section_unfolds_for_an_error(panel: ParameterPanel) -> None:
@@ -77,19 +77,19 @@ def test_advanced_fields_are_folded_until_they_matter(panel: ParameterPanel) -> 
     assert gap.widget.isVisible()
     assert not trust.widget.isVisible()
     assert panel.open_folds() == []
-    QTest.mouseClick(panel.folds["membrane"].button, LEFT)
+    QTest.mouseClick(panel.forms["membrane"].more, LEFT)
     assert trust.widget.isVisible()
     assert panel.open_folds() == ["membrane"]
-    QTest.mouseClick(panel.folds["membrane"].button, LEFT)
+    QTest.mouseClick(panel.forms["membrane"].more, LEFT)
     panel.set_preset(Preset(membrane=MembraneSection(trust_m=0.02)))
     assert trust.widget.isVisible(), "a value that differs is not hidden"
-    QTest.mouseClick(panel.folds["membrane"].button, LEFT)
+    QTest.mouseClick(panel.forms["membrane"].more, LEFT)
     panel.set_preset(Preset(name="next", membrane=MembraneSection(trust_m=0.02)))
     assert not trust.widget.isVisible(), "who closes it again is not disturbed"
     finding = {"alignment.depth_scale": ShownFinding("The scale is wrong.")}
     panel.show_findings(finding)
     assert panel.rows["alignment.depth_scale"].finding.isVisible()
-    QTest.mouseClick(panel.folds["alignment"].button, LEFT)
+    QTest.mouseClick(panel.forms["alignment"].more, LEFT)
     panel.show_findings(finding)
     assert panel.open_folds() == [], "the same finding again"
 

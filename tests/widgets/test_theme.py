@@ -13,11 +13,11 @@ from PyQt6.QtWidgets import QApplication, QCheckBox, QPushButton, QRadioButton, 
 import tactune.app
 import tactune.widgets
 from contrast import contrast_ratio
+from tactune.widgets.basics.controls import NoteLabel
 from tactune.widgets.basics.icons import app_icon, icon
 from tactune.widgets.basics.style import apply_theme
 from tactune.widgets.basics.theme import ACCENT, GRID, theme_colors, theme_name
 from tactune.widgets.images.image_pane import ImagePane
-from tactune.widgets.parameters.parameter_row import MessageLabel
 from tactune.widgets.plots.histogram import RELATIVE_DIFFERENCE, LimitHistogram
 
 NAMES = ("light", "dark")
@@ -68,9 +68,9 @@ def test_a_theme_reaches_qt_and_pyqtgraph(qapp: QApplication, qtbot, name: str) 
 
 
 def test_what_paints_itself_follows_a_change_of_theme(qapp: QApplication, qtbot) -> None:
-    histogram, message = LimitHistogram(RELATIVE_DIFFERENCE, 0.03), MessageLabel()
+    histogram, message = LimitHistogram(RELATIVE_DIFFERENCE, 0.03), NoteLabel()
     pane = ImagePane("Proximity depth")
-    message.show_sentence("out of range")
+    message.say("out of range", error=True)
     for widget in (histogram, message, pane):
         qtbot.addWidget(widget)
     for name in ("dark", "light", "dark"):

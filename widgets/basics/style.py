@@ -119,6 +119,8 @@ class ControlStyle(QProxyStyle):
             return 1
         if hint == QStyle.StyleHint.SH_DialogButtonBox_ButtonsHaveIcons:
             return 0
+        if hint == QStyle.StyleHint.SH_Slider_AbsoluteSetButtons:
+            return cast(int, Qt.MouseButton.LeftButton.value)  # the handle jumps to a press
         return super().styleHint(hint, option, widget, returnData)
 
     def drawPrimitive(

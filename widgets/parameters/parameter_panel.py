@@ -10,16 +10,7 @@ import numpy.typing as npt
 from pydantic import BaseModel
 from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QKeySequence, QPalette, QShortcut
-from PyQt6.QtWidgets import (
-    QFrame,
-    QGridLayout,
-    QHBoxLayout,
-    QLabel,
-    QScrollArea,
-    QSizePolicy,
-    QToolButton,
-    QWidget,
-)
+from PyQt6.QtWidgets import QLabel, QScrollArea, QSizePolicy, QToolButton, QWidget
 
 from ...core.model.alignment import CalibrationRecord
 from ...core.model.arrays import AnyArray
@@ -31,8 +22,7 @@ from ..basics.gestures import new_gesture
 from ..basics.layouts import hbox, vbox
 from ..images.strip_render import MaskView
 from ..plots.histogram import GAP, RELATIVE_DIFFERENCE, LimitHistogram
-from .band_slider import RangeEditor, groove_colors
-from .parameter_row import COLUMNS, AdvancedFold, ParameterRow, ShownFinding, align_columns
+from .form import Form, ParameterRow, ShownFinding, align_columns
 
 #: The sections of the panel, top to bottom: part of the preset, title.
 SECTIONS = (
@@ -56,7 +46,6 @@ _EYEDROPPERS = {
     "shrink": ("−", "Shrink: click what the mask wrongly covers, and one range is narrowed to exclude it. Esc stops."),
 }
 
-
 _MASK_VIEWS = {
     MaskView.COLOR: "Show the colour image as it is",
     MaskView.OVERLAY: "Tint what the mask covers in the colour image",
@@ -69,11 +58,6 @@ class ParameterPanel(QScrollArea):
 
     The panel holds no preset of its own: it shows the one given to `set_preset` and tells what a person does.
     Whoever listens answers with `set_preset`, or with `show_error` where the value is refused.
-
-    Parameters
-    ----------
-    suggestible : collection of str
-        The sections that get a button *Suggest*.
 
     Signals
     -------
@@ -103,37 +87,32 @@ class ParameterPanel(QScrollArea):
         self._preset = Preset()
         self._median_m = float("nan")
         self.rows: dict[str, ParameterRow] = {}
+        self.forms: dict[str, Form] = {}
         self.sections: dict[str, CollapsibleSection] = {}
         self.section_resets: dict[str, QToolButton] = {}
         self.suggests: dict[str, QToolButton] = {}
         self.eyedroppers: dict[str, QToolButton] = {}
         self.mask_views: dict[MaskView, QToolButton] = {}
-        self.masked_share = _note()
-        self.alignment_info = _note()
-        self._test_note = _note()
-        self.tolerance_mm = _note()
-        self.folds: dict[str, AdvancedFold] = {}
         self.histograms: dict[str, LimitHistogram] = {}
+        self.masked_share, self.alignment_info, self.tolerance_mm, self._test_note = (_note() for _ in range(4))
 
         content = QWidget()
-        column = vbox(within=content, margins=4, spacing=8)
+        self._column = vbox(within=content, margins=4, spacing=8)
         if suggestible:
-            column.addLayout(self._make_suggest_all())
+            words = QLabel("Parameters")
+            words.setForegroundRole(QPalette.ColorRole.PlaceholderText)
+            suggest = self._make_suggest(
+                "all", "Suggest all", "Propose values for all sections, each with its evidence"
+            )
+            self._column.addLayout(hbox((words, 1), suggest, margins=(4, 0, 4, 0)))
         for name, title in SECTIONS:
-            section = self._make_section(name, title)
-            if name in suggestible:
-                evidence = "the newest frames, the untouched frame and the examples"
-                tip = f"Measure {title.lower()} from {evidence}, and propose values"
-                section.add_header_widget(self._make_suggest(name, "Suggest", tip), before=self.section_resets[name])
-            self.sections[name] = section
-            column.addWidget(section)
-        self._column = column
-        column.addStretch(1)
+            self._column.addWidget(self._make_section(name, title, name in suggestible))
+        self._column.addStretch(1)
         align_columns(self.rows.values())
         self._order_tabs()
         self.setWidget(content)
         self.setWidgetResizable(True)
-        self.setFrameShape(QFrame.Shape.NoFrame)
+        self.setFrameShape(QScrollArea.Shape.NoFrame)
         self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.setMinimumWidth(360)
@@ -145,7 +124,7 @@ class ParameterPanel(QScrollArea):
         self.set_preset(self._preset)
         self.set_baseline(None)
 
-    # --- what is shown -----------------------------------------------------------------------------------------
+    # What is shown
 
     def set_preset(self, preset: Preset) -> None:
         """Show a preset; never emits."""
@@ -157,21 +136,24 @@ class ParameterPanel(QScrollArea):
 
     def set_baseline(self, preset: Preset | None) -> None:
         """Say what the reset buttons go back to: the loaded or saved preset, or with None the defaults."""
+        target, origin = (Preset(), "default") if preset is None else (preset, f"as in {preset.name}")
         for path, row in self.rows.items():
-            if preset is None:
-                row.set_reset_target(Preset().value(path), "default")
-            else:
-                row.set_reset_target(preset.value(path), f"as in {preset.name}")
+            row.set_reset_target(target.value(path), origin)
         self._refresh()
 
     def show_error(self, path: str, sentence: str) -> None:
         """Show why a value was refused, below its row, and put the row back to the preset's value."""
         row = self.rows[path]
         row.show_value(self._preset.value(path))
-        row.message.show_sentence(sentence)
+        row.refuse(sentence)
         self.sections[_section_of(path)].set_collapsed(False)
         self._unfold(path)
         self._refresh()
+
+    def clear_errors(self) -> None:
+        """Remove the sentences on refused values."""
+        for row in self.rows.values():
+            row.refuse("")
 
     def go_to(self, name: str) -> None:
         """Unfold a section, scroll it to the top and give its first control the focus."""
@@ -180,13 +162,8 @@ class ParameterPanel(QScrollArea):
         bar = self.verticalScrollBar()
         if bar is not None:
             bar.setValue(section.y())
-        first = next(row for path, row in self.rows.items() if _section_of(path) == name)
+        first = next(iter(self.forms[name].rows.values()))
         first.tab_stops[0].setFocus(Qt.FocusReason.OtherFocusReason)
-
-    def clear_errors(self) -> None:
-        """Remove the sentences on refused values."""
-        for row in self.rows.values():
-            row.message.show_sentence("")
 
     def show_findings(self, findings: Mapping[str, ShownFinding]) -> None:
         """Show findings below the rows of their fields, by dotted path, and none below the others."""
@@ -198,7 +175,7 @@ class ParameterPanel(QScrollArea):
     def _unfold(self, path: str) -> None:
         """Open the fold of an advanced field."""
         if self.rows[path].spec.advanced:
-            self.folds[_section_of(path)].set_open(True)
+            self.forms[_section_of(path)].set_open(True)
 
     def set_median_distance_m(self, distance_m: float) -> None:
         """Say at which distance the tolerance is also shown in millimetres; nan hides it."""
@@ -256,12 +233,12 @@ class ParameterPanel(QScrollArea):
 
     def open_folds(self) -> list[str]:
         """Return the sections whose advanced fields are shown, to be remembered."""
-        return [name for name, fold in self.folds.items() if fold.is_open]
+        return [name for name, form in self.forms.items() if form.is_open]
 
     def set_open_folds(self, names: list[str]) -> None:
         """Show the advanced fields of these sections too."""
-        for name, fold in self.folds.items():
-            fold.set_open(fold.is_open or name in names)
+        for name, form in self.forms.items():
+            form.set_open(form.is_open or name in names)
 
     def enable_measuring(self, enabled: bool) -> None:
         """Enable what looks at a frame: the suggestions and the eyedroppers."""
@@ -286,63 +263,54 @@ class ParameterPanel(QScrollArea):
             )
         self.alignment_info.setVisible(record is not None)
 
-    # --- building ----------------------------------------------------------------------------------------------
+    # Building
 
-    def _make_section(self, name: str, title: str) -> CollapsibleSection:
-        section = CollapsibleSection(title)
-        grid = QGridLayout(section.body)
-        grid.setContentsMargins(8, 4, 4, 4)
-        grid.setHorizontalSpacing(4)
-        grid.setVerticalSpacing(4)
-        grid.setColumnStretch(1, 1)
+    def _make_section(self, name: str, title: str, suggestible: bool) -> CollapsibleSection:
+        section = self.sections[name] = CollapsibleSection(title)
+        form = self.forms[name] = Form(title=title.lower())
+        vbox(form, within=section.body, margins=0)
         for spec in fields_of(name):
-            self._add_row(ParameterRow(spec, section), section, grid)
-        if name in self.folds:
-            grid.addWidget(self.folds[name], grid.rowCount(), 0, 1, COLUMNS)
+            row = self.rows[spec.path] = ParameterRow(spec, section)
+            row.finding.pressed.connect(lambda path=spec.path: self.remedyPressed.emit(path))
+            form.add(row)
+            if row.in_header:
+                section.add_header_widget(row.widget)
+            self._add_below(spec, form)
+        form.edited.connect(self._row_edited)
         if name == "contact_test":
-            grid.addWidget(self._test_note, grid.rowCount(), 0, 1, COLUMNS)
+            form.add_line(self._test_note)
         if name == "mask":
-            for words, bar in (("Eyedropper", self._make_eyedropper_bar()), ("Show", self._make_mask_view_bar())):
-                line = grid.rowCount()
-                grid.addWidget(QLabel(words), line, 0)
-                grid.addWidget(bar, line, 1, 1, COLUMNS - 1)
-            grid.addWidget(self.masked_share, grid.rowCount(), 1, 1, COLUMNS - 1)
+            for mode, (text, tip) in _EYEDROPPERS.items():
+                button = self.eyedroppers[mode] = _bar_button(text, tip, f"Eyedropper: {mode}")
+                button.clicked.connect(lambda checked, mode=mode: self._choose_eyedropper(mode if checked else "off"))
+            for view, tip in _MASK_VIEWS.items():
+                button = self.mask_views[view] = _bar_button(view.value, tip, f"Show mask: {view.value}")
+                button.clicked.connect(lambda _, view=view: self._choose_mask_view(view))
+            self.mask_views[MaskView.OVERLAY].setChecked(True)
+            form.add_line(_bar(self.eyedroppers.values()), "Eyedropper")
+            form.add_line(_bar(self.mask_views.values()), "Show")
+            form.add_line(self.masked_share, column=1)
+        if suggestible:
+            evidence = "the newest frames, the untouched frame and the examples"
+            tip = f"Measure {title.lower()} from {evidence}, and propose values"
+            section.add_header_widget(self._make_suggest(name, "Suggest", tip))
         tip, name_of_reset = f"Reset everything in {title.lower()}", f"Reset section {title.lower()}"
-        reset = tool_button("", tip, name_of_reset, icon_name="restore")
+        reset = self.section_resets[name] = tool_button("", tip, name_of_reset, icon_name="restore")
         reset.clicked.connect(lambda: self._reset_section(name))
         section.add_header_widget(reset)
-        self.section_resets[name] = reset
         return section
 
-    def _add_row(self, row: ParameterRow, section: CollapsibleSection, grid: QGridLayout) -> None:
-        """Place a row, and below it what belongs to its field."""
-        path = row.spec.path
-        row.edited.connect(self._row_edited)
-        row.finding.pressed.connect(lambda: self.remedyPressed.emit(path))
-        self.rows[path] = row
-        if row.in_header:
-            section.add_header_widget(row.widget)
-            grid.addWidget(row.message, grid.rowCount(), 0, 1, COLUMNS)
-            grid.addWidget(row.finding, grid.rowCount(), 0, 1, COLUMNS)
-        elif row.spec.advanced:
-            name = _section_of(path)
-            if name not in self.folds:
-                fold = self.folds[name] = AdvancedFold(section.title)
-                fold.grid.setHorizontalSpacing(grid.horizontalSpacing())
-                fold.grid.setVerticalSpacing(grid.verticalSpacing())
-                fold.grid.setColumnStretch(1, 1)
-            self.folds[name].add(row)
-        else:
-            row.add_to(grid)
-        if path == "alignment.model":
-            grid.addWidget(self.alignment_info, grid.rowCount(), 0, 1, COLUMNS)
-        if path == "tolerance.t":
+    def _add_below(self, spec: FieldSpec, form: Form) -> None:
+        """Place what belongs to a field below its row."""
+        if spec.path == "alignment.model":
+            form.add_line(self.alignment_info)
+        if spec.path == "tolerance.t":
             self.tolerance_mm.setAlignment(Qt.AlignmentFlag.AlignRight)
-            grid.addWidget(self.tolerance_mm, grid.rowCount(), 0, 1, COLUMNS - 1)
-        if path in _HISTOGRAMS:
-            histogram = self.histograms[path] = LimitHistogram(_HISTOGRAMS[path], row.spec.default)
-            histogram.limitEdited.connect(lambda limit, gesture: self._histogram_dragged(path, limit, gesture))
-            grid.addWidget(histogram, grid.rowCount(), 0, 1, COLUMNS)
+            form.add_line(self.tolerance_mm)
+        if spec.path in _HISTOGRAMS:
+            histogram = self.histograms[spec.path] = LimitHistogram(_HISTOGRAMS[spec.path], spec.default)
+            histogram.limitEdited.connect(lambda limit, gesture: self._histogram_dragged(spec.path, limit, gesture))
+            form.add_line(histogram)
 
     def _make_suggest(self, name: str, text: str, tip: str) -> QToolButton:
         button = tool_button(text, tip, text if name == "all" else f"{text} {name.replace('_', ' ')}")
@@ -350,64 +318,37 @@ class ParameterPanel(QScrollArea):
         self.suggests[name] = button
         return button
 
-    def _make_suggest_all(self) -> QHBoxLayout:
-        title = QLabel("Parameters")
-        title.setForegroundRole(QPalette.ColorRole.PlaceholderText)
-        button = self._make_suggest("all", "Suggest all", "Propose values for all sections, each with its evidence")
-        return hbox((title, 1), button, margins=(4, 0, 4, 0))
-
-    def _make_eyedropper_bar(self) -> QWidget:
-        for mode, (text, tooltip) in _EYEDROPPERS.items():
-            button = self.eyedroppers[mode] = _bar_button(text, tooltip, f"Eyedropper: {mode}")
-            button.clicked.connect(lambda checked, mode=mode: self._choose_eyedropper(mode if checked else "off"))
-        return _bar(self.eyedroppers.values())
-
-    def _make_mask_view_bar(self) -> QWidget:
-        for view, tooltip in _MASK_VIEWS.items():
-            button = self.mask_views[view] = _bar_button(view.value, tooltip, f"Show mask: {view.value}")
-            button.clicked.connect(lambda _, view=view: self._choose_mask_view(view))
-        self.mask_views[MaskView.OVERLAY].setChecked(True)
-        return _bar(self.mask_views.values())
-
     def _order_tabs(self) -> None:
         """Let Tab go through the panel as one reads it."""
         chain: list[QWidget] = [self.suggests["all"]] if self.suggests else []
-        for name, section in self.sections.items():
-            rows = [row for path, row in self.rows.items() if _section_of(path) == name]
+        for name, form in self.forms.items():
+            rows = form.rows.values()
             header = [row.widget for row in rows if row.in_header]
             suggest = [self.suggests[name]] if name in self.suggests else []
-            chain += [section.button, *header, *suggest, self.section_resets[name]]
-            for row in sorted(rows, key=lambda row: row.spec.advanced):
-                if row.spec.advanced and self.folds[name].button not in chain:
-                    chain.append(self.folds[name].button)
-                if not row.in_header:
-                    chain += [*row.tab_stops, row.reset, row.finding.button]
+            chain += [self.sections[name].button, *header, *suggest, self.section_resets[name]]
+            plain = [row for row in rows if not row.in_header and not row.spec.advanced]
+            chain += [stop for row in plain for stop in (*row.tab_stops, row.reset, row.finding.button)]
             if name == "mask":
                 chain += [*self.eyedroppers.values(), *self.mask_views.values()]
+            chain.append(form.more)
+            chain += [stop for row in form.advanced for stop in (*row.tab_stops, row.reset, row.finding.button)]
         for first, second in pairwise(chain):
             QWidget.setTabOrder(first, second)
 
-    # --- reacting ----------------------------------------------------------------------------------------------
+    # Reacting
 
     def _row_edited(self, path: str, value: object, gesture: int) -> None:
         self._refresh()
         self.valueEdited.emit(path, value, gesture)
 
     def _histogram_dragged(self, path: str, limit: float, gesture: int) -> None:
-        row = self.rows[path]
-        row.show_value(limit)
-        row.message.show_sentence("")
+        self.rows[path].show_value(limit)
         self._row_edited(path, limit, gesture)
 
     def _reset_section(self, name: str) -> None:
-        changed = {
-            path: row.reset_target
-            for path, row in self.rows.items()
-            if _section_of(path) == name and row.editor.value() != row.reset_target
-        }
+        changed = {path: row.reset_target for path, row in self.forms[name].rows.items() if row.differs()}
         for path, value in changed.items():
             self.rows[path].show_value(value)
-            self.rows[path].message.show_sentence("")
         self._refresh()
         if changed:
             self.valuesEdited.emit(changed, new_gesture())
@@ -421,49 +362,38 @@ class ParameterPanel(QScrollArea):
         self.set_eyedropper(mode)
         self.eyedropperRequested.emit(mode)
 
+    def _value(self, path: str) -> object:
+        return self.rows[path].editor.value()
+
     def _refresh(self) -> None:
         """Bring everything that depends on other values up to date."""
-        for name in self.section_resets:
-            self._refresh_section(name)
-        self._show_alignment_model()
-        self._enable_eyedroppers()
-        self._show_contact_test(str(self.rows["contact_test"].editor.value()))
-        for path, histogram in self.histograms.items():
-            histogram.set_limit(float(self.rows[path].editor.value()))
-        for fold in self.folds.values():
-            fold.open_if_changed()
-        self._show_tolerance_mm()
-        self._paint_mask_colors()
-
-    def _refresh_section(self, name: str) -> None:
-        """Disable a section that is off, and show its reset button where a value differs."""
-        rows = [row for path, row in self.rows.items() if _section_of(path) == name]
-        enabled = self.rows.get(f"{name}.enabled")
-        on = enabled is None or bool(enabled.editor.value())
-        for row in rows:
-            if row is not enabled:
-                row.set_editable(on)
-        self.section_resets[name].setVisible(any(row.editor.value() != row.reset_target for row in rows))
-
-    def _show_alignment_model(self) -> None:
-        """Show the rows of the chosen model; a homography has its own distance."""
-        model = self.rows["alignment.model"].editor.value()
+        for name, form in self.forms.items():
+            enabled = form.rows.get(f"{name}.enabled")
+            for row in form.rows.values():
+                if row is not enabled:
+                    row.set_editable(enabled is None or bool(enabled.editor.value()))
+            self.section_resets[name].setVisible(any(row.differs() for row in form.rows.values()))
+            form.open_if_changed()
+        model = self._value("alignment.model")
         for path, row in self.rows.items():
             if path.startswith(("alignment.rigid.", "alignment.homography.")):
                 row.set_shown(path.split(".")[1] == model)
-        matrix = self.rows["alignment.homography.H_p_t"].editor.value()
+        matrix = self._value("alignment.homography.H_p_t")  # it has its own distance
         self.rows["alignment.homography.plane_distance_m"].set_editable(matrix is None)
-
-    def _show_contact_test(self, chosen: str) -> None:
         for name, test in CONTACT_TESTS.items():
             for section in test.sections:
-                self.sections[section].setVisible(name == chosen)
-        self._test_note.setText(CONTACT_TESTS[chosen].note)
+                self.sections[section].setVisible(name == self._value("contact_test"))
+        self._test_note.setText(CONTACT_TESTS[str(self._value("contact_test"))].note)
         self._test_note.show()
+        for path, histogram in self.histograms.items():
+            histogram.set_limit(self.rows[path].editor.value())
+        self._enable_eyedroppers()
+        self._show_tolerance_mm()
+        self._paint_mask_colors()
 
     def _enable_eyedroppers(self) -> None:
         """While the mask is off, enable only *Pick*; without a frame, none."""
-        mask_on, pick = bool(self.rows["mask.enabled"].editor.value()), self.eyedroppers["set"]
+        mask_on, pick = bool(self._value("mask.enabled")), self.eyedroppers["set"]
         for button in self.mask_views.values():
             button.setEnabled(mask_on)
         for mode in ("expand", "shrink"):
@@ -474,17 +404,21 @@ class ParameterPanel(QScrollArea):
 
     def _show_tolerance_mm(self) -> None:
         known = np.isfinite(self._median_m) and self._median_m > 0
-        t = float(self.rows["tolerance.t"].editor.value())
+        t = self.rows["tolerance.t"].editor.value()
         self.tolerance_mm.setText(f"= {t * self._median_m * 1000:.1f} mm at {self._median_m:.3f} m" if known else "")
         self.tolerance_mm.setVisible(bool(known))
 
     def _paint_mask_colors(self) -> None:
-        """Show on the mask's sliders the colours that their positions mean."""
-        ranges = {name: self.rows[f"mask.{name}"].editor.value() for name in ("hue", "saturation", "value")}
-        for name, stops in groove_colors(**ranges).items():
-            widget = self.rows[f"mask.{name}"].widget
-            if isinstance(widget, RangeEditor):
-                widget.set_colors(stops)
+        """Show on the mask's sliders the colours that their positions mean, at the centre of the other two ranges."""
+        ranges = [self.rows[f"mask.{name}"].editor.value() for name in ("hue", "saturation", "value")]
+        hue = 2 * ((ranges[0][0] + ((ranges[0][1] - ranges[0][0]) % 180) // 2) % 180)
+        saturation, value = (sum(span) // 2 for span in ranges[1:])
+        for name, colors in (
+            ("hue", [QColor.fromHsv(min(h, 358), 230, 230) for h in range(0, 361, 30)]),
+            ("saturation", [QColor.fromHsv(hue, s, max(value, 120)) for s in range(0, 256, 51)]),
+            ("value", [QColor.fromHsv(hue, saturation, v) for v in range(0, 256, 51)]),
+        ):
+            self.rows[f"mask.{name}"].editor.slider.set_colors(colors)
 
 
 def fields_of(section: str) -> list[FieldSpec]:

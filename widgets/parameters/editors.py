@@ -1,62 +1,25 @@
-"""One number: the scale of a slider, a numeric entry that never rounds its value, and both in a row."""
+"""The widgets that edit one field: numbers exactly by entry and slider, choices, flags; and what shows a matrix.
+
+Each has ``value``, ``setValue``, which never emits, and the signal ``edited(value, gesture)``.
+"""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from collections.abc import Sequence
 from decimal import Decimal
+from typing import Any
 
 from PyQt6.QtCore import QEvent, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QFocusEvent, QKeyEvent, QKeySequence, QMouseEvent, QValidator, QWheelEvent
-from PyQt6.QtWidgets import QAbstractSpinBox, QLineEdit, QSlider, QStyle, QStyleOptionSlider, QWidget
+from PyQt6.QtGui import QFocusEvent, QFontDatabase, QKeyEvent, QKeySequence, QValidator, QWheelEvent
+from PyQt6.QtWidgets import QAbstractSpinBox, QCheckBox, QComboBox, QLabel, QLineEdit, QWidget
 
 from ...core.errors import minus
+from ..basics.controls import caption
 from ..basics.fields import FieldSpec, format_number
-from ..basics.gestures import GestureClock
-from ..basics.layouts import hbox
-
-
-@dataclass(frozen=True)
-class Scale:
-    """A slider's travel from ``low`` to ``high``; positions are fractions 0 to 1.
-
-    Linear scales snap to multiples of ``step`` from ``low``, logarithmic ones to a hundredth of a decade,
-    rounded to three significant digits.
-    """
-
-    low: float
-    high: float
-    step: float = 1.0
-    log: bool = False
-
-    def fraction(self, value: float) -> float:
-        """Return the position of a value, clamped to the ends."""
-        value = min(max(value, self.low), self.high)
-        if self.log:
-            return math.log(value / self.low) / math.log(self.high / self.low)
-        return (value - self.low) / (self.high - self.low)
-
-    def value(self, fraction: float) -> float:
-        """Return the snapped value at a position."""
-        fraction = min(max(fraction, 0.0), 1.0)
-        if self.log:
-            exact = self.low * (self.high / self.low) ** fraction
-            return min(max(float(f"{exact:.3g}"), self.low), self.high)
-        return self._snapped(self.low + fraction * (self.high - self.low))
-
-    @property
-    def positions(self) -> int:
-        """Number of steps between the ends."""
-        if self.log:
-            return round(100 * math.log10(self.high / self.low))
-        return max(1, round((self.high - self.low) / self.step))
-
-    def _snapped(self, value: float) -> float:
-        steps = round((value - self.low) / self.step)
-        # decimal arithmetic keeps 3 x 0.1 from becoming 0.30000000000000004
-        exact = Decimal(repr(self.low)) + steps * Decimal(repr(self.step))
-        return min(max(float(exact), self.low), self.high)
-
+from ..basics.gestures import GestureClock, new_gesture
+from ..basics.layouts import Part, hbox
+from ..basics.theme import text_font
+from .slider import Scale, Slider
 
 _Step = QAbstractSpinBox.StepEnabledFlag
 _UNDO_KEYS = (QKeySequence.StandardKey.Undo, QKeySequence.StandardKey.Redo)
@@ -245,131 +208,188 @@ def parse_number(text: str, suffix: str = "") -> float | None:
     return number if abs(number) < 1e300 else None
 
 
-class JumpSlider(QSlider):
-    """A horizontal slider whose handle jumps to where it is pressed and leaves the wheel to the page."""
-
-    def __init__(self) -> None:
-        super().__init__(Qt.Orientation.Horizontal)
-        self._grip = 0.0
-        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-
-    def mousePressEvent(self, event: QMouseEvent | None) -> None:
-        """Grab the handle; first move it here if needed."""
-        if event is None or event.button() != Qt.MouseButton.LeftButton:
-            return
-        x = event.position().x()
-        left, length = self.travel()
-        handle = left + length * (self.value() - self.minimum()) / max(1, self.maximum() - self.minimum())
-        self._grip = x - handle if abs(x - handle) <= self._handle_width() / 2 else 0.0
-        self.setSliderDown(True)
-        self._move_to(x)
-
-    def mouseMoveEvent(self, event: QMouseEvent | None) -> None:
-        """Drag the handle."""
-        if event is not None and self.isSliderDown():
-            self._move_to(event.position().x())
-
-    def mouseReleaseEvent(self, event: QMouseEvent | None) -> None:
-        """Let go."""
-        if event is not None and event.button() == Qt.MouseButton.LeftButton:
-            self.setSliderDown(False)
-
-    def wheelEvent(self, event: QWheelEvent | None) -> None:
-        """Let the panel scroll unless this slider has the focus."""
-        if event is not None and not self.hasFocus():
-            event.ignore()
-            return
-        super().wheelEvent(event)
-
-    def travel(self) -> tuple[float, float]:
-        """Return the x of the handle's centre at the minimum, and how far it can move, in pixels."""
-        width = self._handle_width()
-        return width / 2, max(1.0, self.width() - width)
-
-    def _handle_width(self) -> int:
-        option = QStyleOptionSlider()
-        self.initStyleOption(option)
-        style = self.style()
-        return style.pixelMetric(QStyle.PixelMetric.PM_SliderLength, option, self) if style else 12
-
-    def _move_to(self, x: float) -> None:
-        left, length = self.travel()
-        fraction = min(max((x - self._grip - left) / length, 0.0), 1.0)
-        self.setValue(self.minimum() + round(fraction * (self.maximum() - self.minimum())))
+_NAMES = {
+    "number": ("",),
+    "range": (", low end", ", high end"),
+    "rectangle": (", left", ", top", ", width", ", height"),
+}
 
 
-class NumberSlider(QWidget):
-    """Edits one number of a preset field with a slider and an entry; the unit stands beside it.
+class NumbersEditor(QWidget):
+    """Edits one number, both ends of a range or a rectangle: an entry for each, and a slider for the first two.
 
     `value` is always exactly what was set or what a person chose; the slider only shows the nearest position.
 
     Signals
     -------
-    valueChanged(value)
-        On every change.
     edited(value, gesture: int)
         Changed by the user.
     refused(sentence: str)
     """
 
-    valueChanged = pyqtSignal(object)
     edited = pyqtSignal(object, int)
     refused = pyqtSignal(str)
 
     def __init__(self, spec: FieldSpec) -> None:
         super().__init__()
         self.spec = spec
-        self._scale = Scale(*spec.slider, step=spec.step, log=spec.log)
-        self._clock = GestureClock()
-        self.slider = JumpSlider()
-        self.slider.setRange(0, self._scale.positions)
-        self.slider.setPageStep(max(1, self._scale.positions // 10))
-        self.slider.setMinimumWidth(50)
-        self.slider.setAccessibleName(f"{spec.title} slider")
-        self.slider.setToolTip(spec.tooltip)
-        self.entry = NumberEntry(spec, shows_unit=False)
-
-        hbox((self.slider, 1), self.entry, within=self, margins=0)
-
-        self.slider.sliderPressed.connect(self._clock.hold)
-        self.slider.sliderReleased.connect(self._clock.release)
-        self.slider.valueChanged.connect(self._slider_moved)
-        self.entry.edited.connect(self._entry_edited)
-        self.entry.refused.connect(self.refused)
-        self._place_slider(self.entry.value())
+        self.entries = [NumberEntry(spec, title=spec.title + name, shows_unit=False) for name in _NAMES[spec.kind]]
+        self.entry = self.entries[0]
+        self.slider: Slider | None = None
+        for entry in self.entries:
+            entry.edited.connect(lambda _, gesture: self._take([entry.value() for entry in self.entries], gesture))
+            entry.refused.connect(self.refused)
+            if spec.kind != "number":
+                entry.setButtonSymbols(QAbstractSpinBox.ButtonSymbols.NoButtons)
+        parts: list[Part] = list(self.entries)
+        if spec.kind == "rectangle":
+            named = zip("xywh", self.entries, strict=True)
+            parts = [part for letter, entry in named for part in (caption(letter, entry), (entry, 1))]
+        else:
+            # whole numbers may coincide (one hue); a range of lengths must not be empty
+            gap = 0.0 if spec.integer else spec.step
+            scale = Scale(*spec.slider, step=spec.step, log=spec.log)
+            self.slider = Slider(scale, len(self.entries), wraps=spec.wraps, gap=gap)
+            self.slider.setAccessibleName(f"{spec.title} slider")
+            self.slider.setToolTip(spec.tooltip)
+            self.slider.edited.connect(self._take)
+            parts.insert(len(self.entries) - 1, (self.slider, 1))
+        hbox(*parts, within=self, margins=0, spacing=4)
+        self.setValue(spec.default)
 
     @property
     def tab_stops(self) -> list[QWidget]:
         """Focusable widgets, in tab order."""
-        return [self.slider, self.entry]
+        stops: list[QWidget] = list(self.entries)
+        if self.slider is not None:
+            stops.insert(len(stops) - 1, self.slider)
+        return stops
 
-    def value(self) -> float | int:
-        """Return the exact value."""
-        return self.entry.value()
+    def value(self) -> Any:
+        """Return the exact number, or the numbers as a tuple."""
+        return self.entry.value() if self.spec.kind == "number" else tuple(entry.value() for entry in self.entries)
 
-    def setValue(self, value: float | int) -> None:
-        """Show a value; `edited` is not emitted."""
-        if value == self.value() and type(value) is type(self.value()):
+    def setValue(self, value: Any) -> None:
+        """Show a number or numbers."""
+        numbers = (value,) if self.spec.kind == "number" else tuple(value)
+        for entry, number in zip(self.entries, numbers, strict=True):
+            entry.setValue(number)
+        if self.slider is not None:
+            self.slider.set_values(*numbers)
+
+    def _take(self, numbers: Sequence[float], gesture: int) -> None:
+        numbers = tuple(round(number) if self.spec.integer else number for number in numbers)
+        self.setValue(numbers[0] if self.spec.kind == "number" else numbers)
+        self.edited.emit(self.value(), gesture)
+
+
+class ChoiceEditor(QComboBox):
+    """Chooses one of a field's words."""
+
+    edited = pyqtSignal(object, int)
+
+    def __init__(self, spec: FieldSpec) -> None:
+        super().__init__()
+        self.addItems(list(spec.choices))
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.setValue(spec.default)
+        self._shown = self.value()
+        self.activated.connect(self._activated)
+
+    def value(self) -> str:
+        """Return the chosen word."""
+        return self.currentText()
+
+    def setValue(self, value: str) -> None:
+        """Show a choice; `edited` is not emitted."""
+        self.setCurrentText(value)
+        self._shown = value
+
+    def wheelEvent(self, event: QWheelEvent | None) -> None:
+        """Let the panel scroll."""
+        if event is not None:
+            event.ignore()
+
+    def _activated(self, _: int) -> None:
+        if self.value() != self._shown:
+            self._shown = self.value()
+            self.edited.emit(self._shown, new_gesture())
+
+
+class FlagEditor(QCheckBox):
+    """Turns something on or off."""
+
+    edited = pyqtSignal(object, int)
+
+    def __init__(self, spec: FieldSpec) -> None:
+        super().__init__(spec.title)
+        self.setChecked(bool(spec.default))
+        self.clicked.connect(lambda checked: self.edited.emit(bool(checked), new_gesture()))
+
+    def value(self) -> bool:
+        """Return whether it is on."""
+        return self.isChecked()
+
+    def setValue(self, value: bool) -> None:
+        """Show a state; `edited` is not emitted."""
+        self.setChecked(value)
+
+
+class MatrixView(QLabel):
+    """Shows a matrix as text that can be selected; None is "from the rig"."""
+
+    edited = pyqtSignal(object, int)
+
+    def __init__(self, spec: FieldSpec) -> None:
+        super().__init__()
+        self._factor = spec.factor
+        self._suffix = spec.suffix
+        self._value: Any = spec.default
+        self.setTextInteractionFlags(
+            Qt.TextInteractionFlag.TextSelectableByMouse | Qt.TextInteractionFlag.TextSelectableByKeyboard
+        )
+        self._show()
+
+    def value(self) -> Any:
+        """Return the matrix as nested tuples, or None."""
+        return self._value
+
+    def setValue(self, value: Any) -> None:
+        """Show a matrix or None."""
+        if value != self._value:
+            self._value = value
+            self._show()
+
+    def _show(self) -> None:
+        if self._value is None:
+            self.setFont(text_font("body"))
+            self.setText("from the rig")
             return
-        self.entry.setValue(value)
-        self._place_slider(value)
-        self.valueChanged.emit(value)
+        font = QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont)
+        font.setPointSizeF(text_font("caption").pointSizeF())
+        self.setFont(font)
+        self.setText("\n".join(self._line(row) for row in self._value[:3]))
 
-    def _place_slider(self, value: float) -> None:
-        blocked = self.slider.blockSignals(True)
-        self.slider.setValue(round(self._scale.fraction(value) * self._scale.positions))
-        self.slider.blockSignals(blocked)
+    def _line(self, row: tuple[float, ...]) -> str:
+        if len(row) == 3:
+            return " ".join(f"{cell:>10.5g}" for cell in row)
+        return " ".join(f"{cell:8.5f}" for cell in row[:3]) + f" | {row[3] * self._factor:8.2f}{self._suffix}"
 
-    def _slider_moved(self, position: int) -> None:
-        value = self._scale.value(position / self._scale.positions)
-        target = round(value) if self.spec.integer else value
-        if target == self.value():
-            return
-        self.entry.setValue(target)
-        self.valueChanged.emit(target)
-        self.edited.emit(target, self._clock.number())
 
-    def _entry_edited(self, value: float | int, gesture: int) -> None:
-        self._place_slider(value)
-        self.valueChanged.emit(value)
-        self.edited.emit(value, gesture)
+_EDITORS: dict[str, Any] = {
+    "number": NumbersEditor,
+    "range": NumbersEditor,
+    "rectangle": NumbersEditor,
+    "choice": ChoiceEditor,
+    "flag": FlagEditor,
+    "matrix": MatrixView,
+}
+
+
+def make_editor(spec: FieldSpec) -> Any:
+    """Return the widget that edits a field."""
+    widget: QWidget = _EDITORS[spec.kind](spec)
+    if spec.kind != "matrix":
+        widget.setAccessibleName(spec.title)
+    widget.setToolTip(spec.tooltip)
+    return widget

@@ -1,0 +1,277 @@
+"""A form of fields: for each a label, its editor, the unit, a reset button, and lines for a refusal and a finding."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+from typing import Any, Final
+
+from PyQt6.QtCore import QObject, Qt, pyqtSignal
+from PyQt6.QtGui import QPalette
+from PyQt6.QtWidgets import QCheckBox, QGridLayout, QLabel, QWidget
+
+from ..basics.controls import FoldButton, NoteLabel, TintedLabel, push_button, tool_button
+from ..basics.fields import FieldSpec
+from ..basics.gestures import new_gesture
+from ..basics.layouts import vbox
+from .editors import NumbersEditor, make_editor
+
+#: Columns of a form: label, editor, unit, reset button.
+COLUMNS: Final = 4
+_RESET_WIDTH = 20
+
+
+@dataclass(frozen=True)
+class ShownFinding:
+    """A finding as it is shown: the sentence, and text and tooltip of its button; without a text there is none."""
+
+    sentence: str
+    button: str = ""
+    tip: str = ""
+
+
+class FindingLine(QWidget):
+    """A sentence in the colour of warnings and the button below it; hidden without a finding."""
+
+    pressed = pyqtSignal()
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._sentence = TintedLabel(color="warning")
+        self._sentence.setWordWrap(True)
+        self.button = push_button("", "")
+        self.button.clicked.connect(self.pressed)
+        layout = vbox(self._sentence, within=self, margins=(0, 0, 0, 4), spacing=4)
+        layout.addWidget(self.button, 0, Qt.AlignmentFlag.AlignRight)
+        self.hide()
+
+    @property
+    def sentence(self) -> str:
+        """What is wrong; empty while there is no finding."""
+        return self._sentence.text()
+
+    def show_finding(self, finding: ShownFinding | None) -> None:
+        """Show a finding, or hide with None."""
+        shown = finding or ShownFinding("")
+        self._sentence.setText(shown.sentence)
+        self.button.setText(shown.button)
+        self.button.setToolTip(shown.tip)
+        self.button.setVisible(bool(shown.button))
+        self.setVisible(finding is not None)
+
+
+class ParameterRow(QObject):
+    """The widgets of one field, placed into a grid by `add_to`.
+
+    Signals
+    -------
+    edited(path: str, value: object, gesture: int)
+    """
+
+    edited = pyqtSignal(str, object, int)
+
+    def __init__(self, spec: FieldSpec, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self.spec = spec
+        self.editor: Any = make_editor(spec)
+        self.widget: QWidget = self.editor
+        self.label = QLabel(spec.title)
+        self.label.setBuddy(getattr(self.widget, "entry", self.widget))
+        self.label.setToolTip(spec.tooltip)
+        if isinstance(self.widget, QCheckBox) and not self.in_header:
+            self.widget.setText("")  # the label stands beside it
+        self.unit = QLabel(spec.suffix.strip() if isinstance(self.widget, NumbersEditor) else "")
+        self.unit.setForegroundRole(QPalette.ColorRole.PlaceholderText)
+        self.reset = tool_button("", "", f"Reset {spec.title.lower()}", icon_name="restore")
+        self.reset.setFixedWidth(_RESET_WIDTH)
+        self.reset.clicked.connect(self._reset)
+        self.reset.hide()
+        self.label.setMinimumHeight(self.reset.sizeHint().height())  # the row keeps its height when it is hidden
+        self.message = NoteLabel()
+        self.message.hide()
+        self.finding = FindingLine()
+        self._grid: QGridLayout | None = None
+        self._line = 0
+        self._is_shown = True
+        self.editor.edited.connect(self._edited)
+        if isinstance(self.widget, NumbersEditor):
+            self.widget.refused.connect(self.refuse)
+        self.set_reset_target(spec.default, "default")
+
+    @property
+    def in_header(self) -> bool:
+        """Whether the editor turns its whole section on or off and so belongs into the header."""
+        return self.spec.kind == "flag" and self.spec.path.endswith(".enabled")
+
+    @property
+    def tab_stops(self) -> list[QWidget]:
+        """Focusable widgets, in tab order."""
+        return list(getattr(self.widget, "tab_stops", [self.widget]))
+
+    def add_to(self, grid: QGridLayout) -> None:
+        """Append the row to a grid of `COLUMNS` columns."""
+        self._grid, self._line = grid, grid.rowCount()
+        grid.setColumnMinimumWidth(3, _RESET_WIDTH)
+        grid.addWidget(self.label, self._line, 0)
+        grid.addWidget(self.unit, self._line, 2)
+        grid.addWidget(self.reset, self._line, 3)
+        grid.addWidget(self.message, self._line + 2, 0, 1, COLUMNS)
+        grid.addWidget(self.finding, self._line + 3, 0, 1, COLUMNS)
+        self._place_editor()
+        self._update_reset()
+
+    def set_shown(self, shown: bool) -> None:
+        """Show or hide the whole row."""
+        self._is_shown = shown
+        for widget in (self.label, self.widget, self.unit):
+            widget.setVisible(shown)
+        self.message.setVisible(shown and bool(self.message.text()))
+        self.finding.setVisible(shown and bool(self.finding.sentence))
+        self._update_reset()
+
+    def set_editable(self, editable: bool) -> None:
+        """Grey the row, or not."""
+        for widget in (self.label, self.widget, self.unit):
+            widget.setEnabled(editable)
+        self._update_reset()
+
+    def set_reset_target(self, value: Any, origin: str) -> None:
+        """Set the value of the reset button and describe its origin."""
+        self.reset_target = value
+        self.reset.setToolTip(f"Reset to {self.spec.describe(value)} ({origin})")
+        self._update_reset()
+
+    def differs(self) -> bool:
+        """Return whether the reset button would change something."""
+        return bool(self.editor.value() != self.reset_target)
+
+    def show_value(self, value: Any) -> None:
+        """Show a value without emitting; a changed one clears the refusal."""
+        if value != self.editor.value():
+            self.refuse("")
+        self.editor.setValue(value)
+        self._place_editor()
+        self._update_reset()
+
+    def refuse(self, sentence: str) -> None:
+        """Show below the row why a value was refused; empty: nothing."""
+        self.message.say(sentence, error=True)
+        self.message.setVisible(bool(sentence))
+
+    def _place_editor(self) -> None:
+        """Put the editor beside the label, or below it if it is too wide."""
+        if self._grid is None:
+            return
+        if self.spec.kind == "rectangle" or (self.spec.kind == "matrix" and self.editor.value() is not None):
+            self._grid.addWidget(self.widget, self._line + 1, 0, 1, COLUMNS)
+        else:
+            self._grid.addWidget(self.widget, self._line, 1)
+
+    def _update_reset(self) -> None:
+        """Show the reset button only where it would change something."""
+        wanted = self._is_shown and self.widget.isEnabled() and self.differs()
+        if not wanted and self.reset.hasFocus():
+            self.tab_stops[0].setFocus()
+        self.reset.setVisible(wanted and self._grid is not None)
+
+    def _edited(self, value: Any, gesture: int) -> None:
+        self.refuse("")
+        self._update_reset()
+        self.edited.emit(self.spec.path, value, gesture)
+
+    def _reset(self) -> None:
+        if self.differs():
+            self.show_value(self.reset_target)
+            self._edited(self.reset_target, new_gesture())
+
+
+class Form(QWidget):
+    """Rows for fields, such as those of a pydantic model that `section_fields` yields.
+
+    Rows that few people need are behind a fold *More*. It opens by itself when one of its values begins to differ from
+    the default, so that no such value is overlooked.
+
+    Signals
+    -------
+    edited(path: str, value: object, gesture: int)
+        All edits of one drag, one burst of keys or one typed number carry the same gesture number.
+    """
+
+    edited = pyqtSignal(str, object, int)
+
+    def __init__(self, rows: Iterable[ParameterRow] = (), title: str = "the settings") -> None:
+        super().__init__()
+        self.rows: dict[str, ParameterRow] = {}
+        self._differs = False
+        seen, self._body = QWidget(), QWidget()
+        self._grid, self._hidden = _grid(seen), _grid(self._body)
+        self.more = FoldButton(
+            "More", f"More of {title}", f"Show or hide the fields of {title} that are seldom changed"
+        )
+        self.more.clicked.connect(lambda: self.set_open(not self.is_open))
+        vbox(seen, self.more, self._body, within=self, margins=(8, 4, 4, 4), spacing=4)
+        self.more.hide()
+        self.set_open(False)
+        for row in rows:
+            self.add(row)
+
+    @property
+    def advanced(self) -> list[ParameterRow]:
+        """The rows behind the fold."""
+        return [row for row in self.rows.values() if row.spec.advanced]
+
+    def add(self, row: ParameterRow) -> None:
+        """Append a row; one that belongs into a section's header only with its lines for a refusal and a finding."""
+        self.rows[row.spec.path] = row
+        row.edited.connect(self.edited)
+        if row.in_header:
+            self.add_line(row.message)
+            self.add_line(row.finding)
+        elif row.spec.advanced:
+            row.add_to(self._hidden)
+            self.more.show()
+        else:
+            row.add_to(self._grid)
+
+    def add_line(self, widget: QWidget, title: str = "", column: int = 0) -> None:
+        """Append a widget in a line of its own, from a column on, or after a title."""
+        line = self._grid.rowCount()
+        if title:
+            self._grid.addWidget(QLabel(title), line, 0)
+            column = 1
+        self._grid.addWidget(widget, line, column, 1, COLUMNS - column)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the rows behind the fold are shown."""
+        return bool(self.advanced) and not self._body.isHidden()
+
+    def set_open(self, opened: bool) -> None:
+        """Show or hide the rows behind the fold."""
+        self._body.setVisible(opened)
+        self.more.show_folded(not opened)
+
+    def open_if_changed(self) -> None:
+        """Open the fold if a value differs from the default now and none did before."""
+        differs = any(row.editor.value() != row.spec.default for row in self.advanced)
+        if differs and not self._differs:
+            self.set_open(True)
+        self._differs = differs
+
+
+def _grid(within: QWidget) -> QGridLayout:
+    grid = QGridLayout(within)
+    grid.setContentsMargins(0, 0, 0, 0)
+    grid.setHorizontalSpacing(4)
+    grid.setVerticalSpacing(4)
+    grid.setColumnStretch(1, 1)
+    return grid
+
+
+def align_columns(rows: Collection[ParameterRow]) -> None:
+    """Give labels, number fields and units of all rows equal widths, so that columns are aligned across sections."""
+    entries = [row.widget.entry for row in rows if isinstance(row.widget, NumbersEditor) and row.spec.kind == "number"]
+    for widgets in ([row.label for row in rows], [row.unit for row in rows], entries):
+        width = max(widget.sizeHint().width() for widget in widgets)
+        for widget in widgets:
+            widget.setMinimumWidth(width)

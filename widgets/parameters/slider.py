@@ -1,0 +1,349 @@
+"""A slider with one handle for a number, or with two for a range; and the scale along its groove."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+
+from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtGui import (
+    QColor,
+    QFocusEvent,
+    QKeyEvent,
+    QLinearGradient,
+    QMouseEvent,
+    QPainter,
+    QPaintEvent,
+    QPen,
+    QWheelEvent,
+)
+from PyQt6.QtWidgets import QSizePolicy, QWidget
+
+from ..basics.gestures import GestureClock
+from ..basics.theme import theme_colors
+
+_RADIUS = 6.0
+#: Distance in pixels within which the mouse grips a handle.
+_REACH = 8.0
+_GROOVE, _COLORED_GROOVE = 4.0, 8.0
+_BAND = 2  # what is gripped when it is neither handle 0 nor handle 1
+
+Values = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A slider's travel from ``low`` to ``high``; positions are fractions 0 to 1.
+
+    Linear scales snap to multiples of ``step`` from ``low``, logarithmic ones to a hundredth of a decade,
+    rounded to three significant digits.
+    """
+
+    low: float
+    high: float
+    step: float = 1.0
+    log: bool = False
+
+    def fraction(self, value: float) -> float:
+        """Return the position of a value, clamped to the ends."""
+        value = min(max(value, self.low), self.high)
+        if self.log:
+            return math.log(value / self.low) / math.log(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
+
+    def value(self, fraction: float) -> float:
+        """Return the snapped value at a position."""
+        fraction = min(max(fraction, 0.0), 1.0)
+        if self.log:
+            exact = float(f"{self.low * (self.high / self.low) ** fraction:.3g}")
+        else:
+            steps = round(fraction * (self.high - self.low) / self.step)
+            # decimal arithmetic keeps 3 x 0.1 from becoming 0.30000000000000004
+            exact = float(Decimal(repr(self.low)) + steps * Decimal(repr(self.step)))
+        return min(max(exact, self.low), self.high)
+
+    @property
+    def positions(self) -> int:
+        """Number of steps between the ends."""
+        if self.log:
+            return round(100 * math.log10(self.high / self.low))
+        return max(1, round((self.high - self.low) / self.step))
+
+
+class Slider(QWidget):
+    """One handle, or two with a band between them.
+
+    Drag a handle, or the band to move both; a press beside them brings the nearer handle. With ``wraps`` the handles
+    may cross: a low end above the high end means the band from the low end over the top to the high end, and moving
+    the band rotates it. Otherwise the ends stay at least ``gap`` apart. Tab goes from the low handle to the high one;
+    arrows, PageUp, PageDown, Home and End move the one in focus.
+
+    Signals
+    -------
+    edited(values: tuple, gesture: int)
+        Changed by the user.
+    """
+
+    edited = pyqtSignal(object, int)
+
+    def __init__(self, scale: Scale, handles: int = 1, *, wraps: bool = False, gap: float = 0.0) -> None:
+        super().__init__()
+        self._scale = scale
+        self._wraps = wraps
+        self._gap = scale.fraction(scale.low + gap)
+        self._values: Values = (scale.low, scale.high)[:handles]
+        self._colors: list[QColor] = []
+        self._active = 0
+        self._hovered: int | None = None
+        self._gripped: int | None = None
+        self._grip_fraction = 0.0
+        self._grip_values = self._values
+        self._clock = GestureClock()
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.setMouseTracking(True)
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+
+    def values(self) -> Values:
+        """Return the number, or the low and the high end."""
+        return self._values
+
+    def set_values(self, *values: float) -> None:
+        """Show a number, or both ends; never emits."""
+        if values != self._values:
+            self._values = values
+            self.update()
+
+    def set_colors(self, colors: Sequence[QColor]) -> None:
+        """Paint the groove with colours spread evenly from the low end to the high end."""
+        if list(colors) != self._colors:
+            self._colors = list(colors)
+            self.update()
+
+    def is_held(self) -> bool:
+        """Whether a drag is going on."""
+        return self._gripped is not None
+
+    def wrapped(self) -> bool:
+        """Whether the band wraps around now."""
+        return self._wraps and self._values[0] > self._values[-1]
+
+    def sizeHint(self) -> QSize:
+        """As high as a handle."""
+        return QSize(120, 22)
+
+    def minimumSizeHint(self) -> QSize:
+        """Room for the handles and some travel."""
+        return QSize(40, 22)
+
+    def travel(self) -> tuple[float, float]:
+        """Return the x of a handle's centre at the minimum, and how far it can move, in pixels."""
+        return _RADIUS + 1, max(1.0, self.width() - 2 * _RADIUS - 2)
+
+    def handle_x(self, handle: int) -> float:
+        """Return the x of a handle's centre in pixels."""
+        left, length = self.travel()
+        return left + length * self._scale.fraction(self._values[handle])
+
+    # Mouse
+
+    def mousePressEvent(self, event: QMouseEvent | None) -> None:
+        """Grip a handle or the band; a press outside brings the nearer handle here."""
+        if event is None or event.button() != Qt.MouseButton.LeftButton:
+            return
+        x = event.position().x()
+        part = self._part_at(x)
+        gripped = self._nearer_handle(x) if part is None else part
+        self._gripped, self._grip_values = gripped, self._values
+        if gripped != _BAND:
+            self._active = gripped
+        self._clock.hold()
+        self._grip_fraction = self._scale.fraction(self._values[gripped]) if part is None else self._fraction_at(x)
+        self._drag_to(x)
+        self.update()
+
+    def mouseMoveEvent(self, event: QMouseEvent | None) -> None:
+        """Drag, or show what a press here would grip."""
+        if event is None:
+            return
+        if self._gripped is not None:
+            self._drag_to(event.position().x())
+            return
+        hovered = self._part_at(event.position().x())
+        if hovered != self._hovered:
+            self._hovered = hovered
+            self.setCursor(Qt.CursorShape.SizeHorCursor if hovered == _BAND else Qt.CursorShape.ArrowCursor)
+            self.update()
+
+    def mouseReleaseEvent(self, event: QMouseEvent | None) -> None:
+        """Let go."""
+        if event is not None and event.button() == Qt.MouseButton.LeftButton:
+            self._gripped = None
+            self._clock.release()
+            self.update()
+
+    def leaveEvent(self, event: QEvent | None) -> None:
+        """Nothing is under the mouse any more."""
+        self._hovered = None
+        self.update()
+        super().leaveEvent(event)
+
+    def wheelEvent(self, event: QWheelEvent | None) -> None:
+        """Let the panel scroll unless this slider has the focus."""
+        if event is not None and self.hasFocus():
+            self._step(1 if event.angleDelta().y() > 0 else -1)
+        elif event is not None:
+            event.ignore()
+
+    # Keyboard
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:
+        """Move the handle in focus."""
+        if event is None:
+            return
+        page = max(1, self._scale.positions // 10)
+        steps = {
+            Qt.Key.Key_Left: -1,
+            Qt.Key.Key_Down: -1,
+            Qt.Key.Key_Right: 1,
+            Qt.Key.Key_Up: 1,
+            Qt.Key.Key_PageDown: -page,
+            Qt.Key.Key_PageUp: page,
+            Qt.Key.Key_Home: -self._scale.positions,
+            Qt.Key.Key_End: self._scale.positions,
+        }.get(Qt.Key(event.key()))
+        if steps is None:
+            super().keyPressEvent(event)
+        else:
+            self._step(steps)
+
+    def focusNextPrevChild(self, forward: bool) -> bool:
+        """Tab goes through both handles."""
+        target = self._active + (1 if forward else -1)
+        if 0 <= target < len(self._values):
+            self._active = target
+            self._clock.release()
+            self.update()
+            return True
+        return super().focusNextPrevChild(forward)
+
+    def focusInEvent(self, event: QFocusEvent | None) -> None:
+        """Enter at the handle that Tab or Shift+Tab comes to first."""
+        if event is not None and event.reason() == Qt.FocusReason.TabFocusReason:
+            self._active = 0
+        if event is not None and event.reason() == Qt.FocusReason.BacktabFocusReason:
+            self._active = len(self._values) - 1
+        super().focusInEvent(event)
+
+    def focusOutEvent(self, event: QFocusEvent | None) -> None:
+        """Leaving ends the burst of keys."""
+        self._clock.release()
+        super().focusOutEvent(event)
+
+    # Moving
+
+    def _fraction_at(self, x: float) -> float:
+        left, length = self.travel()
+        return (x - left) / length
+
+    def _nearer_handle(self, x: float) -> int:
+        return min(range(len(self._values)), key=lambda handle: abs(x - self.handle_x(handle)))
+
+    def _part_at(self, x: float) -> int | None:
+        nearer = self._nearer_handle(x)
+        low_x, high_x = self.handle_x(0), self.handle_x(len(self._values) - 1)
+        if abs(x - self.handle_x(nearer)) <= _REACH:
+            if len(self._values) == 2 and low_x == high_x:  # take the handle that can move towards the mouse
+                return 0 if x < low_x or (x == low_x and self._values[1] >= self._scale.high) else 1
+            return nearer
+        inside = x < high_x or x > low_x if self.wrapped() else low_x < x < high_x
+        return _BAND if inside else None
+
+    def _drag_to(self, x: float) -> None:
+        by = self._fraction_at(x) - self._grip_fraction
+        if self._gripped == _BAND:
+            self._move_band(by)
+        elif self._gripped is not None:
+            self._move_handle(self._gripped, self._scale.fraction(self._grip_values[self._gripped]) + by)
+
+    def _step(self, steps: int) -> None:
+        position = round(self._scale.fraction(self._values[self._active]) * self._scale.positions) + steps
+        self._move_handle(self._active, position / self._scale.positions)
+
+    def _move_handle(self, handle: int, fraction: float) -> None:
+        positions = self._scale.positions
+        now = self._scale.fraction(self._values[handle])
+        if round(min(max(fraction, 0.0), 1.0) * positions) == round(now * positions):
+            return  # a value between two positions stays exactly what it is
+        if not self._wraps and len(self._values) == 2:
+            if handle == 0:
+                fraction = min(fraction, self._scale.fraction(self._values[1]) - self._gap)
+            else:
+                fraction = max(fraction, self._scale.fraction(self._values[0]) + self._gap)
+        value = self._scale.value(fraction)
+        self._take(tuple(value if number == handle else kept for number, kept in enumerate(self._values)))
+
+    def _move_band(self, by: float) -> None:
+        start = [self._scale.fraction(end) for end in self._grip_values]
+        if self._wraps:
+            count = self._scale.positions + 1
+            shift = round(by * self._scale.positions)
+            ends = [(round(end * self._scale.positions) + shift) % count / self._scale.positions for end in start]
+        else:
+            by = min(max(by, -start[0]), 1.0 - start[1])
+            ends = [end + by for end in start]
+        if by != 0.0:
+            self._take(tuple(map(self._scale.value, ends)))
+
+    def _take(self, values: Values) -> None:
+        if values != self._values:
+            self._values = values
+            self.update()
+            self.edited.emit(values, self._clock.number())
+
+    # Painting
+
+    def paintEvent(self, _: QPaintEvent | None) -> None:
+        """Paint the groove, what lies inside, and the handles."""
+        painter, colors = QPainter(self), theme_colors()
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        painter.setPen(Qt.PenStyle.NoPen)
+        left, length = self.travel()
+        middle, enabled = self.height() / 2, self.isEnabled()
+        height = _COLORED_GROOVE if self._colors else _GROOVE
+        groove = QRectF(left, middle - height / 2, length, height)
+        first = left if len(self._values) == 1 else self.handle_x(0)
+        inside, outside = [(first, self.handle_x(-1))], [(left, first), (self.handle_x(-1), left + length)]
+        if self.wrapped():
+            inside, outside = [(left, self.handle_x(1)), (first, left + length)], [(self.handle_x(1), first)]
+        if self._colors:
+            gradient = QLinearGradient(groove.topLeft(), groove.topRight())
+            for index, color in enumerate(self._colors):
+                gradient.setColorAt(index / max(1, len(self._colors) - 1), color)
+            painter.setBrush(gradient)
+            painter.drawRoundedRect(groove, 3, 3)
+            faded = QColor(colors.window)
+            faded.setAlpha(190 if enabled else 220)
+            for start, end in outside if enabled else [(left, left + length)]:
+                painter.fillRect(QRectF(start, groove.top(), end - start, height), faded)
+        else:
+            painter.setBrush(QColor(colors.outline if enabled else colors.border))
+            painter.drawRoundedRect(groove, height / 2, height / 2)
+        accent = QColor(colors.accent if enabled else colors.border)
+        for start, end in inside:
+            span = QRectF(start, groove.top(), end - start, height)
+            if not self._colors:
+                painter.setBrush(accent)
+                painter.drawRoundedRect(span, height / 2, height / 2)
+            elif enabled:
+                painter.setPen(QPen(accent, 1.5))
+                painter.setBrush(Qt.BrushStyle.NoBrush)
+                painter.drawRect(span)
+        painter.setPen(QPen(accent, 2.0))
+        for handle in range(len(self._values)):
+            focused = self.hasFocus() and handle == self._active
+            lit = enabled and (focused or handle in (self._hovered, self._gripped))
+            painter.setBrush(QColor(colors.accent if lit else colors.knob if enabled else colors.button))
+            painter.drawEllipse(QPointF(self.handle_x(handle), middle), _RADIUS, _RADIUS)
+        painter.end()
