@@ -8,7 +8,7 @@ OUT ?= out
 unexport PYTHONPATH
 export PYTHONNOUSERSITE = 1
 
-.PHONY: run test test-long test-newest-realsense lint format setup guide pictures benchmarks lock clean help
+.PHONY: run test test-long test-newest-realsense lint format setup guide pictures release lock clean help
 .DEFAULT_GOAL := help
 
 run: setup guide  ## start the application on the simulator; without a display do the same job headless, into out/
@@ -23,7 +23,7 @@ test-long: setup  ## run the soaks and the long random tests
 test-newest-realsense: setup  ## run the tests of the live cameras with the newest camera driver
 	@scripts/test_newest_realsense.sh
 
-lint: setup  ## ruff with its security rules, its formatter, mypy, the import rules, known vulnerabilities
+lint: setup  ## ruff with its security rules, its formatter, mypy, the import rules, known vulnerabilities where the network allows
 	@scripts/lint.sh
 
 format: setup  ## let ruff order imports and format
@@ -40,8 +40,8 @@ app/guide/index.html: docs/mkdocs.yml $(wildcard docs/guide/*.md docs/guide/imag
 pictures: setup  ## make the pictures of README and guide from the program itself
 	@QT_QPA_PLATFORM=offscreen .venv/bin/python scripts/make_pictures.py
 
-benchmarks: setup  ## measure anew what docs/benchmarks.md says, on an idle machine
-	@scripts/benchmarks.sh
+release: setup  ## audit the locked packages, then build wheel and sdist into dist/
+	@scripts/audit.sh && .venv/bin/python -m build --no-isolation --outdir dist
 
 lock: setup  ## write requirements.lock from the ranges in pyproject.toml
 	@.venv/bin/uv pip compile pyproject.toml --quiet --all-extras --generate-hashes --python-version 3.11 \

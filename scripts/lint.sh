@@ -11,5 +11,5 @@ if grep -rnE --include='*.py' '# noqa(: [A-Z0-9, ]+)?$' app core widgets scripts
     echo "each noqa above needs its reason: # noqa: RULE  # why" >&2
     status=1
 fi
-scripts/audit.sh || status=1
+scripts/audit.sh || [ $? = 3 ] || status=1  # without a network the other checks still count
 exit $status
