@@ -95,56 +95,6 @@ def mcap_of_tiny_messages(path: Path) -> None:
     path.write_bytes(b"\x89MCAP0\r\n" + 12 * chunk(lz4.frame.compress(content), len(content)))
 
 
-def mcap_of_one_index(path: Path, count: int = 4000) -> None:
-    """A summary in which each chunk index points to the same message index."""
-    magic = b"\x89MCAP0\r\n"
-    data = chunk(lz4.frame.compress(bytes(9)), 9)
-    index = record(7, struct.pack("<HI", 1, 16 * 100_000) + bytes(16 * 100_000))
-    body = magic + data + index
-    text = struct.pack("<I", 0)
-    pointer = (
-        struct.pack("<QQQQ", 0, 0, len(magic), len(data)) + text + struct.pack("<Q", len(index)) + text + bytes(16)
-    )
-    channel = record(4, struct.pack("<HH", 1, 0) + struct.pack("<I", 1) + b"a" + struct.pack("<I", 3) + b"cdr" + text)
-    summary = channel + count * record(8, pointer)
-    summary += record(11, struct.pack("<QHIIIIQQ", 1, 0, 1, 0, 0, count, 0, 0) + text)
-    path.write_bytes(body + summary + record(2, struct.pack("<QQI", len(body), 0, 0)) + magic)
-
-
-def ros1_record(fields: dict[bytes, bytes], data: bytes) -> bytes:
-    header = b"".join(struct.pack("<I", len(k) + 1 + len(v)) + k + b"=" + v for k, v in fields.items())
-    return struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data
-
-
-def bag(path: Path, content: bytes, entries: int) -> None:
-    """A bag of one chunk, whose index points to its first byte again and again."""
-    u32 = lambda value: struct.pack("<I", value)
-    magic = b"#ROSBAG V2.0\n"
-    counts = {b"conn_count": u32(1), b"chunk_count": u32(1)}
-    head = lambda at: ros1_record({b"op": b"\x03", b"index_pos": struct.pack("<Q", at)} | counts, b"")
-    start = len(magic) + len(head(0))
-    body = ros1_record({b"op": b"\x05", b"compression": b"none", b"size": u32(len(content))}, content)
-    places = b"".join(struct.pack("<III", n, 0, 0) for n in range(entries))
-    body += ros1_record({b"op": b"\x04", b"ver": u32(1), b"conn": u32(0), b"count": u32(entries)}, places)
-    topic = b"/device_0/sensor_0/Depth_0/image/data"
-    infos = ros1_record({b"op": b"\x07", b"conn": u32(0), b"topic": topic}, b"")
-    infos += ros1_record(
-        {b"op": b"\x06", b"ver": u32(1), b"chunk_pos": struct.pack("<Q", start), b"count": u32(1)}, b""
-    )
-    path.write_bytes(magic + head(start + len(body)) + body + infos)
-
-
-def bag_of_connections(path: Path) -> None:
-    connection = ros1_record({b"op": b"\x07", b"conn": struct.pack("<I", 0), b"topic": b"a"}, b"")
-    message = ros1_record({b"op": b"\x02", b"conn": struct.pack("<I", 0), b"time": bytes(8)}, bytes(20))
-    bag(path, 2000 * connection + message, 8000)
-
-
-def bag_of_fields(path: Path) -> None:
-    fields = {b"op": b"\x02", b"conn": struct.pack("<I", 0)} | {b"%x" % n: b"" for n in range(8000)}
-    bag(path, ros1_record(fields, bytes(20)), 8000)
-
-
 def textured(path: Path) -> None:
     """Twelve squares with a texture each."""
     texture = png(4096, 4096, zeros(4096 * (3 * 4096 + 1) // 2**24 * 2**24 + 2**24))
@@ -183,9 +133,6 @@ LARGE_PLY = b"ply\nformat binary_little_endian 1.0\nelement vertex 999999999999\
 FILES: dict[str, tuple[Callable[[Path], object], Callable[[Path], Any]]] = {
     "chunks.mcap": (mcap_of_large_chunks, play),
     "messages.mcap": (mcap_of_tiny_messages, play),
-    "index.mcap": (mcap_of_one_index, play),
-    "connections.bag": (bag_of_connections, play),
-    "fields.bag": (bag_of_fields, play),
     "cloud.npz": (lambda p: npz_of_zeros(p, "points.npy", npy_header("(26214400, 3)"), 600 * MIB), read_points),
     "claim.npz": (lambda p: npz_of_zeros(p, "points.npy", npy_header("(10000000000, 3)"), 0), read_points),
     "example.npz": (

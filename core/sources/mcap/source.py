@@ -79,7 +79,7 @@ class McapSource(SeekableSource):
         try:
             places = {topic: self._file.places(topic) for topic in (Topic.FRAME, *_IMAGES)}
             self._check_topics(places)
-            self._about = self._file.metadata(METADATA_NAME)
+            self._about = self._file.metadata.get(METADATA_NAME, {})
             self._refuse_newer_format()
             times_ns = _log_times(places[Topic.PROXIMITY_DEPTH])
             exact = bool(np.isin(times_ns, _log_times(places[Topic.FRAME])).all())
@@ -185,10 +185,11 @@ class McapSource(SeekableSource):
                 )
         for topic in places:
             expected = TEXT if topic == Topic.FRAME else IMAGE
-            if topic in topics and (topics[topic].message_type, topics[topic].encoding) != (expected, "cdr"):
+            if topic in topics and topics[topic] != (expected, "cdr"):
+                kind, encoding = topics[topic]
                 raise SourceError(
-                    f"{self._path}: {topic} has messages of the type {topics[topic].message_type} in "
-                    f"{topics[topic].encoding}, but {expected} in cdr is needed; record it again"
+                    f"{self._path}: {topic} has messages of the type {kind} in {encoding}, but {expected} in cdr is "
+                    "needed; record it again"
                 )
 
     def _refuse_newer_format(self) -> None:

@@ -1,11 +1,11 @@
-"""RealSense recordings independent of the file format: cameras, lenses, poses, units, times."""
+"""What a RealSense recording holds, whatever its file format: cameras, lenses, poses, units and times."""
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,19 +19,71 @@ from ...model.frames import DepthCamera, Matrix4, camera_pose
 from ...model.intrinsics import Distortion, Intrinsics
 from ..base import Progress
 from ..cameras.camera import Calibration
-from ..ros_image import DamagedFileError
+from ..ros_image import DamagedFileError, RawImage
 
 HARDWARE_CLOCK = "Hardware Clock"
+MAGIC_BAG, MAGIC_DB3 = b"#ROSBAG V2.0\n", b"SQLite format 3\x00"
+_STREAM = re.compile(r"(/device_(\d{1,4})/sensor_\d{1,4}/(Depth|Color)_\d{1,4})/image/data(/compressed(?:Depth)?)?")
 
 
 @dataclass(frozen=True, eq=False)
-class Stream:
-    """One image stream: its lens and time stamps.
+class ImageTimes:
+    """Time stamps of the images of one stream as in the file.
+
+    ``clocks`` is an empty string and ``arrived_ms`` is 0 where they are unknown.
+    """
+
+    recorded_ns: Int64Array
+    stamps_s: Float64Array
+    clocks: Sequence[str]
+    arrived_ms: Float64Array
+
+
+@dataclass(frozen=True, eq=False)
+class StreamFacts:
+    """One image stream as in the file, unchecked.
 
     Attributes
     ----------
     topic : str
         Prefix of all its topics, such as ``"/device_0/sensor_0/Depth_0"``.
+    size : (int, int)
+        Width and height.
+    matrix : tuple of float
+        fx, fy, cx, cy.
+    poses : dict of str to 4 x 4
+        From a named reference to the stream, by the reference's name.
+    read : callable
+        Returns an image by its number.
+    """
+
+    topic: str
+    size: tuple[int, int]
+    matrix: tuple[float, float, float, float]
+    lens_model: str
+    coefficients: tuple[float, ...]
+    rate_hz: float
+    times: ImageTimes
+    poses: Mapping[str, Float64Array]
+    read: Callable[[int], RawImage]
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceFacts:
+    """One device as in the file, unchecked; ``names`` holds its model and serial number."""
+
+    names: Mapping[str, str]
+    depth_unit_m: float | None
+    depth: StreamFacts
+    color: StreamFacts | None
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """One image stream: its lens, time stamps and images.
+
+    Attributes
+    ----------
     clock : str
         Clock of ``stamps_s``, in librealsense's words; empty if unknown.
     stamps_s : float64, shape (N,)
@@ -49,6 +101,7 @@ class Stream:
     stamps_s: Float64Array
     recorded_s: Float64Array
     arrived_s: Float64Array | None
+    read: Callable[[int], RawImage]
 
     def __len__(self) -> int:
         return len(self.stamps_s)
@@ -68,38 +121,20 @@ class Camera:
         """Model, serial number, lens and depth unit."""
         return self.calibration.depth
 
+    def depth_image(self, index: int) -> Uint16Array:
+        """Return raw counts: uint16, shape (H, W)."""
+        with damage_told(self.recording.path, f"image {index} of {self.depth.topic} cannot be read"):
+            return self.depth.read(index).depth(self.depth.intrinsics.shape)
 
-@dataclass(frozen=True, eq=False)
-class ImageTimes:
-    """Time stamps of the images of one stream as in the file; clock and arrival may be unknown.
-
-    ``clocks`` is an empty string and ``arrived_ms`` is 0 where an image has none.
-    """
-
-    recorded_ns: Int64Array
-    stamps_s: Float64Array
-    clocks: Sequence[str]
-    arrived_ms: Float64Array
+    def color_image(self, index: int) -> Uint8Array:
+        """Return a colour image: RGB uint8, shape (H, W, 3)."""
+        assert self.color is not None
+        with damage_told(self.recording.path, f"image {index} of {self.color.topic} cannot be read"):
+            return self.color.read(index).color(self.color.intrinsics.shape)
 
 
-@dataclass(frozen=True)
-class Lens:
-    """A lens as in the file, unchecked."""
-
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    model: str
-    coefficients: tuple[float, ...]
-
-
-class Recording(ABC):
-    """An open recording: its cameras, by device number, and their images on demand.
-
-    Subclasses read the parts of one file format; this class puts them together.
+class Recording:
+    """An open recording; its cameras are in the order of their device numbers.
 
     Raises
     ------
@@ -108,160 +143,126 @@ class Recording(ABC):
     """
 
     def __init__(self, path: Path, progress: Progress | None) -> None:
+        from .bag import BagFile
+        from .db3 import Db3File
+
         self.path = path
-        self._progress = progress
-        self.is_complete = True
-        self._is_open = True
+        with damage_told(path, "this is no readable RealSense recording"):
+            with path.open("rb") as file:
+                start = file.read(32)
+            # Decided by content, because a .bag may have been renamed.
+            if not start.startswith((MAGIC_BAG, MAGIC_DB3)):
+                raise DamagedFileError("it begins neither as a .bag nor as a .db3 does" if start else "it is empty")
+            self._file = (BagFile if start.startswith(MAGIC_BAG) else Db3File)(path, progress)
         try:
-            with self._damage_told():
-                self._open()
-                self.cameras = self._find_cameras()
+            with damage_told(path, "this is no readable RealSense recording"):
+                devices = list(self._file.devices())
+                if not devices:
+                    raise DamagedFileError("it holds no depth images")
+                self.cameras = [_camera(self, device) for device in devices]
         except BaseException:
             self.close()
             raise
 
+    @property
+    def is_complete(self) -> bool:
+        """False where the recorder was killed; the recording then ends with its last complete part."""
+        return self._file.is_complete
+
     def close(self) -> None:
         """Close the file; twice is harmless."""
-        self._is_open = False
-        self._close()
+        self._file.close()
 
-    def depth_image(self, stream: Stream, index: int) -> Uint16Array:
-        """Return raw counts: uint16, shape (H, W)."""
-        with self._damage_told(f"image {index} of {stream.topic}"):
-            return self._depth_image(stream, index)
 
-    def color_image(self, stream: Stream, index: int) -> Uint8Array:
-        """Return a colour image: RGB uint8, shape (H, W, 3)."""
-        with self._damage_told(f"image {index} of {stream.topic}"):
-            return self._color_image(stream, index)
+def find_streams(topics: Iterable[str]) -> dict[tuple[int, str], tuple[str, str]]:
+    """Return the image topics by device number and ``"Depth"`` or ``"Color"``: the topics' prefix, and the topic."""
+    streams: dict[tuple[int, str], tuple[str, str]] = {}
+    for topic in sorted(topics):
+        if match := _STREAM.fullmatch(topic):
+            streams.setdefault((int(match[2]), match[3]), (match[1], topic))
+    return streams
 
-    # A format implements these; each may raise DamagedFileError.
 
-    @abstractmethod
-    def _open(self) -> None: ...
+@contextmanager
+def damage_told(path: Path, what: str) -> Iterator[None]:
+    """Turn damage, in whichever way a library reports it, into a `SourceError` of one sentence."""
+    try:
+        yield
+    except SourceError:
+        raise
+    except OSError as error:
+        raise SourceError(f"cannot read {path}: {error.strerror or error}; check the disk") from error
+    except Exception as error:
+        detail = " ".join(str(error).split())[:300] or type(error).__name__
+        raise SourceError(f"{path}: {what} ({detail}); copy or record it again") from error
 
-    @abstractmethod
-    def _close(self) -> None: ...
 
-    @abstractmethod
-    def _streams(self) -> dict[tuple[int, str], str]:
-        """Return the topics of the streams with images by device number and ``"Depth"`` or ``"Color"``."""
+def _camera(recording: Recording, device: DeviceFacts) -> Camera:
+    depth = _stream(device.depth)
+    unit_m = device.depth_unit_m
+    if unit_m is None:
+        raise DamagedFileError("the depth unit is missing (topic …/option/Depth_Units/value)")
+    if not 1e-7 <= unit_m <= 1.0:
+        raise DamagedFileError(f"the depth unit is {unit_m} m, but it must be above 0 and at most 1")
+    info = DepthCamera(
+        model=_plain(device.names.get("Name", "unknown")),
+        serial=_plain(device.names.get("Serial Number", "")),
+        intrinsics=depth.intrinsics,
+        depth_unit_m=unit_m,
+    )
+    if device.color is None:
+        return Camera(recording, Calibration(info), depth, None)
+    color = _stream(device.color)
+    pose = _pose(device.color, device.depth)
+    return Camera(recording, Calibration(info, color.intrinsics, pose), depth, color)
 
-    @abstractmethod
-    def _times(self, topics: Sequence[str]) -> Mapping[str, ImageTimes]: ...
 
-    @abstractmethod
-    def _device_info(self, device: int) -> Mapping[str, str]: ...
+def _stream(facts: StreamFacts) -> Stream:
+    clock, stamps_s, arrived_s = on_one_clock(facts.times)
+    return Stream(
+        topic=facts.topic,
+        intrinsics=_intrinsics(facts),
+        rate_hz=facts.rate_hz,
+        clock=clock,
+        stamps_s=stamps_s,
+        recorded_s=np.asarray(facts.times.recorded_ns * 1e-9, np.float64),
+        arrived_s=arrived_s,
+        read=facts.read,
+    )
 
-    @abstractmethod
-    def _rate_hz(self, topic: str) -> float: ...
 
-    @abstractmethod
-    def _lens(self, topic: str) -> Lens: ...
-
-    @abstractmethod
-    def _depth_unit_m(self, sensor: str) -> float | None: ...
-
-    @abstractmethod
-    def _poses(self, topic: str) -> Mapping[str, Float64Array]:
-        """Return 4 x 4 matrices from a named reference to the stream, by the reference's name."""
-
-    @abstractmethod
-    def _depth_image(self, stream: Stream, index: int) -> Uint16Array: ...
-
-    @abstractmethod
-    def _color_image(self, stream: Stream, index: int) -> Uint8Array: ...
-
-    def _find_cameras(self) -> list[Camera]:
-        streams = self._streams()
-        devices = sorted(device for device, kind in streams if kind == "Depth")
-        if not devices:
-            raise self._refusal("it holds no depth images")
-        times = self._times(sorted(streams.values()))
-        return [self._camera(device, streams, times) for device in devices]
-
-    def _camera(self, device: int, streams: Mapping[tuple[int, str], str], times: Mapping[str, ImageTimes]) -> Camera:
-        depth = self._stream(streams[device, "Depth"], times)
-        sensor = "/".join(depth.topic.split("/")[:3])
-        unit_m = self._depth_unit_m(sensor)
-        if unit_m is None:
-            raise self._refusal(f"the depth unit is missing (topic {sensor}/option/Depth_Units/value)")
-        if not 1e-7 <= unit_m <= 1.0:
-            raise self._refusal(f"the depth unit is {unit_m} m, but it must be above 0 and at most 1")
-        names = self._device_info(device)
-        info = DepthCamera(
-            model=_plain(names.get("Name", "unknown")),
-            serial=_plain(names.get("Serial Number", "")),
-            intrinsics=depth.intrinsics,
-            depth_unit_m=unit_m,
+def _intrinsics(facts: StreamFacts) -> Intrinsics:
+    try:
+        distortion = Distortion(facts.lens_model.lower().replace(" ", "_"))
+    except ValueError as error:
+        known = ", ".join(Distortion)
+        raise DamagedFileError(
+            f"{facts.topic} has the lens model {_plain(facts.lens_model)!r}; known are {known}"
+        ) from error
+    (width, height), (fx, fy, cx, cy) = facts.size, facts.matrix
+    try:
+        return Intrinsics(
+            width=width,
+            height=height,
+            fx=fx,
+            fy=fy,
+            cx=cx,
+            cy=cy,
+            distortion=distortion,
+            coefficients=facts.coefficients,
         )
-        if (device, "Color") not in streams:
-            return Camera(self, Calibration(info), depth, None)
-        color = self._stream(streams[device, "Color"], times)
-        return Camera(self, Calibration(info, color.intrinsics, self._pose(color, depth)), depth, color)
+    except ValidationError as error:
+        field = ".".join(str(part) for part in error.errors()[0]["loc"])
+        raise DamagedFileError(f"{facts.topic}: {field} of the lens is out of range") from error
 
-    def _stream(self, topic: str, times: Mapping[str, ImageTimes]) -> Stream:
-        clock, stamps_s, arrived_s = on_one_clock(times[topic])
-        return Stream(
-            topic=topic,
-            intrinsics=self._intrinsics(topic),
-            rate_hz=self._rate_hz(topic),
-            clock=clock,
-            stamps_s=stamps_s,
-            recorded_s=np.asarray(times[topic].recorded_ns * 1e-9, np.float64),
-            arrived_s=arrived_s,
-        )
 
-    def _intrinsics(self, topic: str) -> Intrinsics:
-        lens = self._lens(topic)
-        try:
-            distortion = Distortion(lens.model.lower().replace(" ", "_"))
-        except ValueError as error:
-            known = ", ".join(Distortion)
-            raise self._refusal(f"{topic} has the lens model {_plain(lens.model)!r}; known are {known}") from error
-        try:
-            return Intrinsics(
-                width=lens.width,
-                height=lens.height,
-                fx=lens.fx,
-                fy=lens.fy,
-                cx=lens.cx,
-                cy=lens.cy,
-                distortion=distortion,
-                coefficients=lens.coefficients,
-            )
-        except ValidationError as error:
-            field = ".".join(str(part) for part in error.errors()[0]["loc"])
-            raise self._refusal(f"{topic}: {field} of the lens is out of range") from error
-
-    def _pose(self, color: Stream, depth: Stream) -> Matrix4:
-        """Return the transform from depth to colour coordinates, via a reference frame of both."""
-        to_color, to_depth = self._poses(color.topic), self._poses(depth.topic)
-        common = to_color.keys() & to_depth.keys()
-        if not common:
-            raise self._refusal(f"the pose of {color.topic} to {depth.topic} is missing (topics such as …/tf/0)")
-        reference = min(common)
-        try:
-            return camera_pose(to_color[reference] @ np.linalg.inv(to_depth[reference]))
-        except (ValueError, np.linalg.LinAlgError) as error:
-            raise self._refusal(f"the pose of {color.topic} to {depth.topic} is damaged: {error}") from error
-
-    def _refusal(self, what: str) -> SourceError:
-        return SourceError(f"{self.path}: {what}; record it again with the RealSense viewer or rs-record")
-
-    @contextmanager
-    def _damage_told(self, where: str = "") -> Iterator[None]:
-        """Turn damage into a `SourceError` of one sentence."""
-        if not self._is_open:
-            raise SourceError(f"{self.path} is closed; open it again")
-        try:
-            yield
-        except DamagedFileError as error:
-            detail = " ".join(str(error).split())
-            what = f"{where} cannot be read" if where else "this is no readable RealSense recording"
-            raise SourceError(f"{self.path}: {what} ({detail}); copy or record it again") from error
-        except OSError as error:
-            raise SourceError(f"cannot read {self.path}: {error.strerror or error}; check the disk") from error
+def _pose(color: StreamFacts, depth: StreamFacts) -> Matrix4:
+    """Return the transform from depth to colour coordinates, via a reference frame of both."""
+    common = color.poses.keys() & depth.poses.keys()
+    if not common:
+        raise DamagedFileError(f"the pose of {color.topic} to {depth.topic} is missing (topics such as …/tf/0)")
+    reference = min(common)
+    return camera_pose(color.poses[reference] @ np.linalg.inv(depth.poses[reference]))
 
 
 def on_one_clock(times: ImageTimes) -> tuple[str, Float64Array, Float64Array | None]:

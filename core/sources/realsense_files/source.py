@@ -12,11 +12,7 @@ from ...errors import SourceError
 from ...model.arrays import Float64Array, IndexArray, Uint8Array, Uint16Array
 from ...model.files import recording_files, user_path
 from ...model.frames import Rig, SensorFrame, rigid_transform
-from ...model.loading import open_regular
 from ..base import Health, Progress, SeekableSource, part_of
-from . import db3_recording, ros1_bag
-from .bag_recording import BagRecording
-from .db3_recording import Db3Recording
 from .recording import HARDWARE_CLOCK, Camera, Recording, Stream
 
 #: Seconds in this range are a date; smaller ones count from an arbitrary start.
@@ -110,7 +106,7 @@ class BagSource(SeekableSource):
             raise SourceError(f"{self.name} is closed; open it again")
         proximity_index, tactile_index = int(self._proximity_index[index]), int(self._tactile_index[index])
         tactile = self._helper.submit(self._read_tactile, tactile_index) if self._tactile else None
-        depth = self._proximity.recording.depth_image(self._proximity.depth, proximity_index)
+        depth = self._proximity.depth_image(proximity_index)
         proximity_color = self._color(self._proximity, proximity_index)
         tactile_depth, tactile_color = tactile.result() if tactile else (np.zeros_like(depth), None)
         return SensorFrame(
@@ -126,7 +122,7 @@ class BagSource(SeekableSource):
     def _read_tactile(self, index: int) -> tuple[Uint16Array, Uint8Array | None]:
         """Return a tactile depth image and its colours in depth pixels."""
         assert self._tactile is not None
-        depth = self._tactile.recording.depth_image(self._tactile.depth, index)
+        depth = self._tactile.depth_image(index)
         color = self._color(self._tactile, index)
         return depth, color if color is None else self._tactile.calibration.color_on_depth(color, depth)
 
@@ -134,7 +130,7 @@ class BagSource(SeekableSource):
         """Return the colour image nearest to a depth image of the same camera."""
         if camera.color is None:
             return None
-        return camera.recording.color_image(camera.color, int(self._color_index[camera][depth_index]))
+        return camera.color_image(int(self._color_index[camera][depth_index]))
 
     def _pair(self, name: str, tactile: Camera) -> None:
         """Pair the depth images; raise `SourceError` if no pair is found."""
@@ -282,28 +278,12 @@ def open_recordings(text: str, progress: Progress | None) -> list[Recording]:
     try:
         for number, path in enumerate(paths):
             within = None if progress is None else part_of(progress, number, len(paths))
-            opened.append(_open(path, within))
+            opened.append(Recording(path, within))
     except BaseException:
         for recording in opened:
             recording.close()
         raise
     return opened
-
-
-def _open(path: Path, progress: Progress | None) -> Recording:
-    # Decided by content, because a .bag may have been renamed.
-    with open_regular(path) as file:
-        start = file.read(32)
-    if not start:
-        raise SourceError(f"{path}: this is no readable RealSense recording (it is empty); copy or record it again")
-    if start.startswith(db3_recording.MAGIC):
-        return Db3Recording(path, progress)
-    if start.startswith(ros1_bag.MAGIC):
-        return BagRecording(path, progress)
-    raise SourceError(
-        f"{path}: this is no readable RealSense recording (it begins neither as a .bag nor as a .db3 does); "
-        "copy or record it again"
-    )
 
 
 def _missing(text: str) -> str:

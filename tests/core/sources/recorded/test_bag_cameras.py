@@ -165,7 +165,8 @@ def test_tactile_colour_is_brought_to_tactile_depth_pixels(open_bag: Opener, tmp
 def test_indexing_tells_how_far_it_is(open_bag: Opener, two_cameras: Path) -> None:
     told: list[tuple[float, str]] = []
     open_bag(two_cameras, lambda share, words: told.append((share, words)))
-    assert told[-1] == (1.0, "indexing two.bag: image 9 of 9")
+    assert [share for share, _ in told] == sorted(share for share, _ in told)
+    assert told[-1][0] == 1.0
 
 
 def test_one_camera_is_for_viewing_only(open_bag: Opener, tmp_path: Path) -> None:
