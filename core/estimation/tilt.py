@@ -1,59 +1,59 @@
 """The tilt of a contact patch: its plane as two angles, and the direction of its long axis in the image.
 
 Two estimators. `pca` takes the normal from the principal components of the points, as Yin et al. do. `noise` fits the
-plane by least squares and uses what is known of the errors:
+plane by weighted least squares and corrects it by the difference of both depths:
 
 * On a plane the inverse depth is linear in the rays, 1 / z = a + b x / z + c y / z, and the normal is along (b, c, a).
   An error of the depth moves a point along its ray, so only the left side has errors: least squares of it is unbiased.
-* Points are not independent. Each camera has white noise and noise that neighbours share (`CameraNoise`), and a time of
-  flight camera has errors that vary over a large part of the image. The covariance of every linear functional of the
-  depth follows exactly from these: f C f', where C is the sum of a diagonal and of products of Gaussians of rows and
-  columns, so it costs two small matrix products.
-* In contact both cameras see the same surface. So the difference of their depths shows the errors of both, and the
-  error of the plane is predicted from the difference's plane and three quadratic modes (the best linear prediction, as
-  in kriging). The amplitude of the slow error is that measured on the rig (`rig.slow_error`). Where it was not, the
-  result is a sum over amplitudes, weighted by how well they explain the difference.
+* In contact both cameras see the same surface. So the slopes of the difference of their depths predict the error of
+  the plane (the best linear prediction, as in kriging).
 
-The standard deviation is about the plane that fits best. It does not contain a wrong rotation between the cameras'
-calibration and the robot, nor the shape of an object that is not flat.
+The standard deviations follow from the noise, which is not independent: each camera has white noise and noise that
+neighbours share (`CameraNoise`), and a time of flight camera has a slow error over the image, for which 0.4 mm is
+assumed. The plane is a linear functional f of the inverse depths of square cells of the image. So its covariance is
+f C f', where C is the sum of a diagonal and of products of Gaussians of rows and columns. It is about the plane that
+fits best, and contains neither a wrong rotation between the cameras' calibration and the robot, nor the shape of an
+object that is not flat.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, NamedTuple
+from functools import lru_cache
+from typing import Any, Final, Literal
 
 import numpy as np
+from scipy.special import erf
 
 from ..contact.checks import rig_in_use
 from ..methods.method import MethodPatch
-from ..model.arrays import Float32Array, Float64Array
+from ..model.arrays import Float32Array, Float64Array, IndexArray
 from ..model.frames import Rig
 from ..model.intrinsics import Intrinsics
 from ..model.patch import ContactPatch
-from ..preset import Preset
-from ..rig.slow_error import SLOW_CHANCE, SLOW_LENGTH, SLOW_M
-from .plane import Cells, DepthNoise, Functionals
+from ..preset import CameraNoise, Preset
 
 TiltMethod = Literal["pca", "noise"]
 
-#: Noise of an L515 and a D405, in proximity pixels, for a rig whose noise was not measured.
-_USUAL_PROXIMITY: Final = DepthNoise(0.0002, 0.0009, 2.0, 0.5, 0.285, power=0)
-_USUAL_TACTILE: Final = DepthNoise(0.0003, 0.0011, 6.0, 0.5, 0.285, power=2)
-#: Slow error that is assumed where it was not measured and no difference shows it, metres.
-_USUAL_SLOW_M: Final = 0.0004
+#: Standard deviation of the slow error of the proximity depth, metres, and the length over which it is shared, as a
+#: share of the image's width: typical of time of flight cameras.
+_SLOW_M, _SLOW_LENGTH = 0.0004, 1 / 12
 #: The tactile plane has this share of the slow proximity error: where that error is towards the camera, membrane beside
 #: the contact counts as contact. Measured with sim:tray on sensors that are not held out.
 _SHARED_SLOW: Final = 0.25
-#: That share differs from patch to patch: the tactile plane has an error of its own, this share of the slow error.
-_OWN_SLOW: Final = 0.125
 #: An angle with a larger standard deviation is not determined, radians: 5 and 15 degrees.
 MAX_SIGMA_RAD: Final = math.radians(5.0)
 MAX_AXIS_SIGMA_RAD: Final = math.radians(15.0)
 #: Random displacement of the patch's edge: standard deviation, and the length over which it is shared, metres.
 _EDGE_M, _EDGE_LENGTH_M = 0.0015, 0.010
 _MIN_POINTS: Final = 12
+#: Most cells along a side of the patch, and their smallest side, pixels.
+_MAX_CELLS, _MIN_CELL_PX = 24, 4.0
+#: What is known before the points are seen: standard deviations of the inverse depth, 1/m, and of dz/dx and dz/dy.
+_ANY_PER_M, _ANY_SLOPE = 100.0, 3.0
+#: Lower limit of the white noise of a camera: none is exact, metres.
+_MIN_WHITE_M: Final = 1e-6
 
 
 @dataclass(frozen=True)
@@ -139,8 +139,15 @@ class TiltEstimator:
     preset : Preset
         Its measured noise, if any; else that of usual cameras is assumed.
     rig : Rig
+        The rig that takes the frames, unless the preset has one of its own.
     method : {"noise", "pca"}
-        The standard deviations follow from the noise with both.
+        Weighted least squares, or principal components. The standard deviations follow from the noise with both.
+
+    Examples
+    --------
+    >>> tilts = TiltEstimator(preset, source.rig)
+    >>> tilt = tilts.estimate(pipeline.process(frame))
+    >>> tilt.roll_rad, tilt.roll_sigma_rad
     """
 
     def __init__(self, preset: Preset, rig: Rig, method: TiltMethod = "noise") -> None:
@@ -150,24 +157,27 @@ class TiltEstimator:
         self._proximity, self._tactile = _USUAL_PROXIMITY, _USUAL_TACTILE
         if preset.noise is not None:
             pixels = rig.proximity.intrinsics.fx / rig.tactile.intrinsics.fx
-            self._proximity = DepthNoise.of(preset.noise.proximity, 1.0, power=0)
-            self._tactile = DepthNoise.of(preset.noise.tactile, pixels, power=2)
-        self._slow_m = None if preset.noise is None else preset.noise.slow_m
-        length_px = SLOW_LENGTH * rig.proximity.intrinsics.width
-        self._slow = DepthNoise(0.0, 1.0, length_px, 1.0, 1.0, power=0)
+            self._proximity = _DepthNoise.of(preset.noise.proximity, 1.0, power=0)
+            self._tactile = _DepthNoise.of(preset.noise.tactile, pixels, power=2)
+        self._slow = _DepthNoise(0.0, _SLOW_M, _SLOW_LENGTH * self._lens.width, 1.0, 1.0, power=0)
 
     def estimate(self, patch: ContactPatch | MethodPatch, sequence: int = 0, time_s: float = 0.0) -> Tilt:
         """Return the tilt of a patch.
 
         Parameters
         ----------
-        patch : ContactPatch or MethodPatch
-            The differences of both depths are used where the membrane test found the patch. Points of other tests and
-            methods count as proximity points.
-        sequence, time_s
-            Number and time stamp of the frame, passed on.
+        patch : ContactPatch
+        sequence : int
+            Number of the frame, passed on.
+        time_s : float
+            Time stamp of the frame, seconds, passed on.
+
+        Returns
+        -------
+        Tilt
+            Angles that the patch does not determine are None.
         """
-        difference, weight = None, 0.0
+        difference, weight = None, 0.0  # points of other tests and methods count as proximity points
         if isinstance(patch, ContactPatch) and patch.membrane is not None and len(patch.points):
             difference, weight = patch.membrane.difference_m.get(), patch.membrane.tactile_weight
         return self.of_points(patch.points, difference, weight, patch.averaged_frames, sequence, time_s)
@@ -197,25 +207,41 @@ class TiltEstimator:
         found = Tilt(sequence, time_s, self.method, len(points))
         if len(points) < _MIN_POINTS:
             return found
-        cells = Cells.of(points, difference_m, self._lens)
+        cells = _Cells.of(points, difference_m, self._lens)
         if len(cells.count) < 3:
             return found
-        power = (1 - tactile_weight) ** 2 * self._proximity.power_m2(cells.depth_m)
-        power += tactile_weight**2 * self._tactile.power_m2(cells.depth_m)
+        depth_m = 1 / cells.inverse_m
+        power = (1 - tactile_weight) ** 2 * self._proximity.power_m2(depth_m)
+        power += tactile_weight**2 * self._tactile.power_m2(depth_m)
         variance = power * cells.inverse_m**4  # of the inverse depth of a point
-        weights = cells.count / (variance if self.method == "noise" else variance.mean())
-        fit = Functionals(cells, weights, self._lens.fx)
-        plane, covariance, changing = self._fit(cells, fit, tactile_weight, averaged_frames)
-        if self.method == "pca":
-            plane = _principal_plane(points)
+        matrix, unknown = _plane_fit(cells, cells.count / variance, self._lens.fx)
+        plane = matrix @ cells.inverse_m if self.method == "noise" else _principal_plane(points)
+
+        near, near_changing = _covariance(matrix, cells, self._proximity, averaged_frames)
+        far, far_changing = _covariance(matrix, cells, self._tactile, averaged_frames)
+        slow, weight = _covariance(matrix, cells, self._slow, 1)[0], tactile_weight
+        of_slow, apart = 1 - (1 - _SHARED_SLOW) * weight, 1 - _SHARED_SLOW  # shares in the points and the difference
+        gain = np.zeros((3, 3))
+        if cells.difference_m is not None and self.method == "noise":
+            # The best linear prediction of the plane's error by the slopes of the difference, as in kriging. The
+            # difference's mean says nothing: it was taken for a bias.
+            together = (1 - weight) * near - weight * far + of_slow * apart * slow
+            gain[:, 1:] = together[:, 1:] @ np.linalg.inv((near + far + apart**2 * slow)[1:, 1:])
+            plane = plane + gain @ matrix @ (cells.difference_m * cells.inverse_m**2)
+        of_near, of_far = (1 - weight) * np.eye(3) - gain, weight * np.eye(3) + gain
+        of_slow_error = of_slow * np.eye(3) - apart * gain
+        parts = ((of_near, near), (of_far, far), (of_slow_error, slow))
+        whole = unknown + sum(part @ covariance @ part.T for part, covariance in parts)
+        changing = of_near @ near_changing @ of_near.T + of_far @ far_changing @ of_far.T
+
         angles, jacobian = _angles(plane)
-        covariance, changing = (jacobian @ matrix @ jacobian.T for matrix in (covariance, changing))
-        sigma = np.sqrt(np.diag(covariance))
+        whole, changing = (jacobian @ each @ jacobian.T for each in (whole, changing))
+        sigma = np.sqrt(np.diag(whole))
         roll, pitch = (
             (float(angles[i]), float(sigma[i])) if sigma[i] <= MAX_SIGMA_RAD else (None, None) for i in (0, 1)
         )
         axis = _long_axis(cells, self._lens)
-        x, y, z = np.full(len(points), 1 / len(points)) @ points
+        x, y, z = points.mean(axis=0, dtype=np.float64)
         return replace(
             found,
             centroid_m=(float(x), float(y), float(z)),
@@ -223,84 +249,146 @@ class TiltEstimator:
             roll_sigma_rad=roll[1],
             pitch_rad=pitch[0],
             pitch_sigma_rad=pitch[1],
-            roll_pitch_covariance_rad2=float(covariance[0, 1]) if None not in (roll[0], pitch[0]) else 0.0,
+            roll_pitch_covariance_rad2=float(whole[0, 1]) if None not in (roll[0], pitch[0]) else 0.0,
             axis_rad=axis[0],
             axis_sigma_rad=axis[1],
-            fixed_share=1.0 - float(np.trace(changing) / np.trace(covariance)),
+            fixed_share=1.0 - float(np.trace(changing) / np.trace(whole)),
         )
 
-    def _fit(
-        self, cells: Cells, fit: Functionals, tactile_weight: float, averaged_frames: int
-    ) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """Return the plane (a, b, c), its covariance, and the part of it that changes from frame to frame.
 
-        With a gain G the estimate is the plane of the points less G times the modes of the difference. Its error is
-        linear in the errors of both cameras. It is averaged over the amplitudes of the slow error by their chances.
-        """
-        plane = fit.matrix[:3] @ cells.inverse_m
-        errors = self._errors(fit, averaged_frames)
-        modes, chance, gains = np.zeros(len(errors.near) - 3), errors.prior, np.zeros((1, 3, len(errors.near) - 3))
-        if cells.difference_m is not None:
-            modes = fit.matrix[3:] @ (-cells.difference_m * cells.inverse_m**2)
-            chance, gains = errors.explain(modes, tactile_weight)
-            if self.method == "pca":
-                gains = np.zeros_like(gains)
-        shifts = gains @ modes
-        shift = chance @ shifts
+@dataclass(frozen=True)
+class _DepthNoise:
+    """Errors of a camera's depth in pixels of the proximity image, as standard deviations at a distance.
 
-        from_near, from_far = _operators(tactile_weight, gains)
-        from_slow = from_near + _SHARED_SLOW * from_far
-        parts = ((from_near, errors.near), (from_far, errors.far), (from_slow, errors.slow))
-        each = sum(np.asarray(to @ error @ to.swapaxes(1, 2)) for to, error in parts)
-        away = shifts - shift
-        covariance = np.tensordot(chance, each, 1) + (away.T * chance) @ away + fit.unknown
-        from_near, from_far = _operators(tactile_weight, np.tensordot(chance, gains, 1))
-        changing = from_near @ errors.near_changing @ from_near.T + from_far @ errors.far_changing @ from_far.T
-        return plane - shift, covariance, changing
-
-    def _errors(self, fit: Functionals, averaged_frames: int) -> _Errors:
-        near, near_fixed = fit.covariance(self._proximity, averaged_frames)
-        far, far_fixed = fit.covariance(self._tactile, averaged_frames)
-        slow_m, prior = np.array([_USUAL_SLOW_M if self._slow_m is None else self._slow_m]), np.ones(1)
-        if self._slow_m is None and fit.cells.difference_m is not None:
-            slow_m, prior = SLOW_M, SLOW_CHANCE
-        slow = (slow_m**2)[:, None, None] * fit.covariance(self._slow, 1)[0]
-        return _Errors(near, near - near_fixed, far + _OWN_SLOW**2 * slow, far - far_fixed, slow, prior)
-
-
-class _Errors(NamedTuple):
-    """Covariances of the errors of the eight functionals, (8, 8), or (S, 8, 8) for S amplitudes of the slow error.
-
-    The proximity depth has the errors ``near`` and ``slow``, the tactile depth ``far`` and `_SHARED_SLOW` of ``slow``.
-    ``prior`` are the chances of the amplitudes, (S,).
+    The white part differs from pixel to pixel. Of the shared part two pixels d pixels apart share
+    exp(-d^2 / (4 length_px^2)), and ``fixed_share`` of its variance stays from frame to frame. Both grow with a power
+    of the depth.
     """
 
-    near: Float64Array
-    near_changing: Float64Array
-    far: Float64Array
-    far_changing: Float64Array
-    slow: Float64Array
-    prior: Float64Array
+    white_m: float
+    shared_m: float
+    length_px: float
+    fixed_share: float
+    distance_m: float
+    power: int
 
-    def explain(self, modes: Float64Array, tactile_weight: float) -> tuple[Float64Array, Float64Array]:
-        """Return the chance of each amplitude, (S,), and its gain, (S, 3, 5), by the modes m of the difference.
+    @classmethod
+    def of(cls, noise: CameraNoise, pixels: float, power: int) -> _DepthNoise:
+        """Return the measured noise of a camera of which one pixel covers ``pixels`` pixels of the proximity image."""
+        shared = noise.correlated_m**2
+        changing = noise.changing_share * noise.total_m**2 - noise.white_m**2  # white noise changes
+        fixed_share = 1.0 - min(max(changing / shared, 0.0), 1.0) if shared > 0 else 0.0
+        white_m, length_px = max(noise.white_m, _MIN_WHITE_M) * pixels, noise.length_px * pixels
+        return cls(white_m, noise.correlated_m, length_px, fixed_share, noise.distance_m, power)
 
-        m is normal with the covariance V, so the chance is proportional to ``prior exp(-m' V^-1 m / 2) / |V|^(1/2)``.
-        The best linear prediction of the plane's error is ``G m`` with ``G = cov(plane, m) V^-1``.
-        """
-        of_difference = (self.near + self.far + (1 - _SHARED_SLOW) ** 2 * self.slow)[:, 3:, 3:]
-        inverse = np.linalg.inv(of_difference)
-        log_chance = -0.5 * (np.einsum("i,sij,j->s", modes, inverse, modes) + np.linalg.slogdet(of_difference)[1])
-        chance = self.prior * np.exp(log_chance - log_chance.max())
-        own_slow = 1 - tactile_weight * (1 - _SHARED_SLOW)  # of the points' depth
-        both = (1 - tactile_weight) * self.near - tactile_weight * self.far
-        return chance / chance.sum(), (both + own_slow * (1 - _SHARED_SLOW) * self.slow)[:, :3, 3:] @ inverse
+    def power_m2(self, depth_m: Float64Array) -> Float64Array:
+        """Return the variance of a mean over many pixels times their number, m^2."""
+        growth = (depth_m / self.distance_m) ** (2 * self.power)
+        return (self.white_m**2 + 4 * math.pi * (self.shared_m * self.length_px) ** 2) * growth
 
 
-def _operators(tactile_weight: float, gains: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Return how the plane's error follows from the functionals of either camera's errors, shape (..., 3, 8)."""
-    own = np.broadcast_to(np.eye(3), (*gains.shape[:-2], 3, 3))
-    return np.concatenate([(1 - tactile_weight) * own, -gains], -1), np.concatenate([tactile_weight * own, gains], -1)
+#: Noise of an L515 and a D405, in proximity pixels, for a rig whose noise was not measured.
+_USUAL_PROXIMITY: Final = _DepthNoise(0.0002, 0.0009, 2.0, 0.5, 0.285, power=0)
+_USUAL_TACTILE: Final = _DepthNoise(0.0003, 0.0011, 6.0, 0.5, 0.285, power=2)
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """Sums over square cells of the image: those with points, shape (K,), of a grid of ``rows`` x ``columns``.
+
+    ``place`` is the flat number of a cell in the grid; ``x``, ``y`` and ``inverse_m`` are means of x / z, y / z and
+    1 / z of its points.
+    """
+
+    rows: int
+    columns: int
+    size_px: float
+    place: IndexArray
+    count: Float64Array
+    x: Float64Array
+    y: Float64Array
+    inverse_m: Float64Array
+    difference_m: Float64Array | None
+
+    @classmethod
+    def of(cls, points: Float32Array, difference_m: Float32Array | None, lens: Intrinsics) -> _Cells:
+        """Sort points, shape (N, 3), N > 0, into cells; cells without any known difference are left out."""
+        inverse = 1 / points[:, 2]
+        x, y = points[:, 0] * inverse, points[:, 1] * inverse
+        left, top = float(x.min()), float(y.min())
+        width, height = lens.fx * (float(x.max()) - left), lens.fy * (float(y.max()) - top)
+        # in steps of half a pixel, so that the tables of `_shared_by_cells` serve again
+        size = max(_MIN_CELL_PX, math.ceil(2 * max(width, height) / (_MAX_CELLS - 1)) / 2)
+        rows, columns = int(height / size) + 2, int(width / size) + 2
+        row, column = (y - top) * (lens.fy / size), (x - left) * (lens.fx / size)
+        index = row.astype(np.intp) * columns + column.astype(np.intp)
+        count = np.bincount(index, minlength=rows * columns)
+        kept, difference = count > 0, None
+        if difference_m is not None:
+            known = np.isfinite(difference_m)
+            seen = np.bincount(index, known, rows * columns)
+            total = np.bincount(index, np.where(known, difference_m, 0.0), rows * columns)
+            kept = seen > 0
+            difference = total[kept] / seen[kept]
+        place = np.flatnonzero(kept)
+        number = count[place].astype(np.float64)
+        x, y, inverse = (np.bincount(index, values, rows * columns)[place] / number for values in (x, y, inverse))
+        return cls(rows, columns, size, place, number, x, y, inverse, difference)
+
+
+def _plane_fit(cells: _Cells, weights: Float64Array, focal_px: float) -> tuple[Float64Array, Float64Array]:
+    """Return the matrix of weighted least squares, shape (3, K): a, b, c are the matrix times the inverse depths.
+
+    Also return the covariance of a, b, c from what the points do not tell, shape (3, 3): large along a line of points.
+    """
+    share = weights / weights.sum()
+    (x, mean_x, scale_x), (y, mean_y, scale_y) = (
+        _normalised(values, share, cells.size_px / focal_px) for values in (cells.x, cells.y)
+    )
+    basis = np.stack([np.ones_like(x), x, y])
+    any_slope = _ANY_SLOPE * float(share @ cells.inverse_m)
+    known = np.diag(np.array([_ANY_PER_M, any_slope * scale_x, any_slope * scale_y]) ** -2)
+    inverse = np.linalg.inv((basis * weights) @ basis.T + known)
+    back = np.array([[1.0, -mean_x / scale_x, -mean_y / scale_y], [0.0, 1.0 / scale_x, 0.0], [0.0, 0.0, 1.0 / scale_y]])
+    return back @ inverse @ (basis * weights), back @ inverse @ known @ inverse @ back.T
+
+
+def _normalised(values: Float64Array, share: Float64Array, cell: float) -> tuple[Float64Array, float, float]:
+    """Return values with mean 0 and deviation 1, their mean and their deviation; a cell has a width, too."""
+    mean = float(share @ values)
+    scale = math.sqrt(float(share @ (values - mean) ** 2) + cell**2 / 12)
+    return (values - mean) / scale, mean, scale
+
+
+def _covariance(
+    matrix: Float64Array, cells: _Cells, noise: _DepthNoise, averaged_frames: int
+) -> tuple[Float64Array, Float64Array]:
+    """Return the covariance of a, b, c from the noise of a camera, and its part that changes from frame to frame."""
+    scaled = matrix * (cells.inverse_m ** (2 - noise.power) / noise.distance_m**noise.power)
+    white = (scaled * (noise.white_m**2 / cells.count)) @ scaled.T
+    grid = np.zeros((len(scaled), cells.rows, cells.columns))
+    grid.reshape(len(scaled), -1)[:, cells.place] = scaled
+    along, across = (_shared_by_cells(noise.length_px, cells.size_px, n) for n in (cells.rows, cells.columns))
+    shared = noise.shared_m**2 * np.einsum("aij,bij->ab", along @ grid @ across, grid)
+    fixed = noise.fixed_share * shared
+    changing = (white + shared - fixed) / averaged_frames
+    return changing + fixed, changing
+
+
+@lru_cache(maxsize=256)
+def _shared_by_cells(length_px: float, size_px: float, count: int) -> Float64Array:
+    """Return the covariances of the means over ``count`` intervals side by side, shape (count, count).
+
+    The process has the covariance exp(-d^2 / (4 length_px^2)). Twice integrated, it gives the covariance of two means.
+    """
+    if length_px <= 0:
+        return np.zeros((count, count))
+    distance = np.arange(-1, count + 1) * (size_px / (2 * length_px))
+    twice = math.sqrt(math.pi) / 2 * distance * erf(distance) + np.exp(-(distance**2)) / 2
+    means = np.diff(twice, 2) * (2 * length_px / size_px) ** 2
+    steps = np.arange(count)
+    result: Float64Array = means[np.abs(steps[:, None] - steps)]
+    return result
 
 
 def _angles(plane: Float64Array) -> tuple[Float64Array, Float64Array]:
@@ -323,7 +411,7 @@ def _principal_plane(points: Float32Array) -> Float64Array:
     return plane
 
 
-def _long_axis(cells: Cells, lens: Intrinsics) -> tuple[float | None, float | None]:
+def _long_axis(cells: _Cells, lens: Intrinsics) -> tuple[float | None, float | None]:
     """Return direction of the long axis in the image and its standard deviation, radians; None where it has none.
 
     It is the direction of the larger principal component of the pixels. A displacement d of the edge changes their

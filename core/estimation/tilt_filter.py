@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -20,12 +20,12 @@ _START_RATE_RAD_S: Final = 1.0
 
 @dataclass
 class _Track:
-    """One angle and its rate, with their covariance; no state before the first measurement."""
+    """One angle: (angle, rate), their covariance, the variance that time does not average, and when it was measured."""
 
-    state: Float64Array | None = None
-    covariance: Float64Array | None = None
-    fixed_rad2: float = 0.0
-    measured_s: float = 0.0
+    state: Float64Array
+    covariance: Float64Array
+    fixed_rad2: float
+    measured_s: float
 
 
 class TiltFilter:
@@ -49,8 +49,8 @@ class TiltFilter:
 
     def restart(self) -> None:
         """Forget all measurements, as after a seek."""
-        self._roll, self._pitch = _Track(), _Track()
-        self._time_s: float | None = None
+        self._tracks: dict[str, _Track] = {}
+        self._time_s = -math.inf
 
     def update(self, tilt: Tilt) -> Tilt:
         """Return the tilt with filtered angles and with rates.
@@ -58,67 +58,49 @@ class TiltFilter:
         An angle that is not determined is predicted for up to ``max_gap_s``. A time stamp that is not later than the
         previous one restarts the filter.
         """
-        dt_s = 0.0 if self._time_s is None else tilt.time_s - self._time_s
-        if self._time_s is not None and dt_s <= 0:
+        if tilt.time_s <= self._time_s:
             self.restart()
-        self._time_s = tilt.time_s
-        changing = 1.0 - tilt.fixed_share
-        roll = self._step(self._roll, tilt.roll_rad, tilt.roll_sigma_rad, changing, tilt.time_s, dt_s)
-        pitch = self._step(self._pitch, tilt.pitch_rad, tilt.pitch_sigma_rad, changing, tilt.time_s, dt_s)
-        covariance = 0.0
-        if tilt.roll_pitch_covariance_rad2 and tilt.roll_sigma_rad and tilt.pitch_sigma_rad and roll[1] and pitch[1]:
-            correlation = tilt.roll_pitch_covariance_rad2 / (tilt.roll_sigma_rad * tilt.pitch_sigma_rad)
-            covariance = correlation * roll[1] * pitch[1]
-        return replace(
-            tilt,
-            roll_rad=roll[0],
-            roll_sigma_rad=roll[1],
-            roll_rate_rad_s=roll[2],
-            roll_rate_sigma_rad_s=roll[3],
-            pitch_rad=pitch[0],
-            pitch_sigma_rad=pitch[1],
-            pitch_rate_rad_s=pitch[2],
-            pitch_rate_sigma_rad_s=pitch[3],
-            roll_pitch_covariance_rad2=covariance,
+        dt_s, self._time_s = tilt.time_s - self._time_s, tilt.time_s  # infinite at the start, where nothing moves
+        values: dict[str, Any] = {}
+        for name in ("roll", "pitch"):
+            self._step(name, tilt, dt_s)
+            values |= dict.fromkeys(
+                (f"{name}_rad", f"{name}_sigma_rad", f"{name}_rate_rad_s", f"{name}_rate_sigma_rad_s")
+            )
+            if (track := self._tracks.get(name)) is not None:
+                sigma = math.sqrt(track.covariance[0, 0] + track.fixed_rad2)
+                if sigma <= MAX_SIGMA_RAD:
+                    values[f"{name}_rad"], values[f"{name}_sigma_rad"] = float(track.state[0]), sigma
+                    values[f"{name}_rate_rad_s"] = float(track.state[1])
+                    values[f"{name}_rate_sigma_rad_s"] = math.sqrt(track.covariance[1, 1])
+        before, after = (
+            (each["roll_sigma_rad"] or 0.0) * (each["pitch_sigma_rad"] or 0.0) for each in (vars(tilt), values)
         )
+        covariance = tilt.roll_pitch_covariance_rad2 * after / before if before else 0.0  # the same correlation
+        return replace(tilt, roll_pitch_covariance_rad2=covariance, **values)
 
-    def _step(
-        self,
-        track: _Track,
-        angle_rad: float | None,
-        sigma_rad: float | None,
-        changing: float,
-        time_s: float,
-        dt_s: float,
-    ) -> tuple[float | None, float | None, float | None, float | None]:
-        """Predict one angle, correct it, and return angle, sigma, rate and its sigma; None while it is lost."""
-        if track.state is not None and time_s - track.measured_s > self.max_gap_s:
-            track.state = None
-        if track.state is not None and track.covariance is not None:
+    def _step(self, name: str, tilt: Tilt, dt_s: float) -> None:
+        """Predict one angle and correct it by the measurement, if there is one."""
+        track = self._tracks.get(name)
+        if track is not None and tilt.time_s - track.measured_s > self.max_gap_s:
+            del self._tracks[name]
+            track = None
+        if track is not None:
             move = np.array([[1.0, dt_s], [0.0, 1.0]])
             push = self.acceleration_rad_s2 * np.array([dt_s**2 / 2, dt_s])
             track.state = move @ track.state
             track.covariance = move @ track.covariance @ move.T + np.outer(push, push)
-        if angle_rad is not None and sigma_rad is not None:
-            self._correct(track, angle_rad, sigma_rad**2, changing)
-            track.measured_s = time_s
-        if track.state is None or track.covariance is None:
-            return None, None, None, None
-        sigma = math.sqrt(track.covariance[0, 0] + track.fixed_rad2)
-        if sigma > MAX_SIGMA_RAD:
-            return None, None, None, None
-        angle, rate = track.state
-        return float(angle), sigma, float(rate), math.sqrt(track.covariance[1, 1])
-
-    def _correct(self, track: _Track, angle_rad: float, variance: float, changing: float) -> None:
-        track.fixed_rad2 = (1 - changing) * variance
-        noise = max(changing * variance, 1e-12)
-        if track.state is not None and track.covariance is not None:
-            residual, total = angle_rad - track.state[0], track.covariance[0, 0] + noise
+        angle, sigma = getattr(tilt, f"{name}_rad"), getattr(tilt, f"{name}_sigma_rad")
+        if angle is None or sigma is None:
+            return
+        fixed, noise = tilt.fixed_share * sigma**2, max((1 - tilt.fixed_share) * sigma**2, 1e-12)
+        if track is not None:
+            residual, total = angle - track.state[0], track.covariance[0, 0] + noise
             if residual**2 <= _PUSHED**2 * total:
                 gain = track.covariance[:, 0] / total
                 track.state = track.state + gain * residual
                 track.covariance = track.covariance - np.outer(gain, track.covariance[0])
+                track.fixed_rad2, track.measured_s = fixed, tilt.time_s
                 return
-        track.state = np.array([angle_rad, 0.0])
-        track.covariance = np.diag([noise, _START_RATE_RAD_S**2])
+        start = np.diag([noise, _START_RATE_RAD_S**2])
+        self._tracks[name] = _Track(np.array([angle, 0.0]), start, fixed, tilt.time_s)

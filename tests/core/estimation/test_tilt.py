@@ -15,7 +15,6 @@ from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.estimation.tilt import Tilt, TiltEstimator
 from tactune.core.estimation.tilt_filter import TiltFilter
 from tactune.core.preset import CameraNoise, RigNoise, now
-from tactune.core.rig.slow_error import SLOW_LENGTH
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.source import SimulatorSource
 
@@ -134,20 +133,19 @@ def test_long_axis(rig, turn):
     assert (round_.axis_rad, round_.axis_sigma_rad) == (None, None)
 
 
-def noise_of(proximity, tactile, slow_m=None):
+def noise_of(proximity, tactile):
     make = (
         CameraNoise(white_m=w, correlated_m=c, length_px=px, changing_share=0.5, distance_m=0.26)
         for w, c, px in (proximity, tactile)
     )
-    return RigNoise(proximity=next(make), tactile=next(make), measured=now(), frames=30, slow_m=slow_m)
+    return RigNoise(proximity=next(make), tactile=next(make), measured=now(), frames=30)
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("slow_m", [None, 0.0])
 @pytest.mark.parametrize("test", ["membrane", "tolerance"])
-def test_a_rig_without_any_noise_has_a_tilt(cube, method, slow_m, test):
+def test_a_rig_without_any_noise_has_a_tilt(cube, method, test):
     source, measured = cube
-    exact = PRESET.model_copy(update={"noise": noise_of((0, 0, 0), (0, 0, 0), slow_m)}).with_value("contact_test", test)
+    exact = PRESET.model_copy(update={"noise": noise_of((0, 0, 0), (0, 0, 0))}).with_value("contact_test", test)
     patch = ContactPipeline(exact, source.rig).process(source.read(0))
     tilt = TiltEstimator(exact, source.rig, method).estimate(patch)
     usual = TiltEstimator(PRESET, source.rig, method).estimate(measured)
@@ -171,17 +169,17 @@ def noises(length_px, tactile_px):
         (
             0.0006 * rng.standard_normal(len(u)) + 0.0009 * smooth_noise(rng, length_px)[v, u],
             0.0008 * smooth_noise(rng, tactile_px)[v, u],
-            smooth_noise(slow_rng, SLOW_LENGTH * 640)[v, u],
+            smooth_noise(slow_rng, 640 / 12)[v, u],
         )
         for _ in range(60)
     ]
 
 
-@pytest.mark.parametrize(("slow_m", "known"), [(0.0, True), (0.0006, True), (0.0, False)])
+@pytest.mark.parametrize("slow_m", [0.0, 0.0004])
 @pytest.mark.parametrize("length_px", [2.0, 18.0])
-def test_standard_deviation_of_correlated_noise(rig, length_px, slow_m, known):
-    """Noise made here. Where no slow error is known not to be there, the sigma may be larger."""
-    noise = noise_of((0.0006, 0.0009, length_px), (0.0002, 0.0008, 5.0), slow_m if known else None)
+def test_standard_deviation_of_correlated_noise(rig, length_px, slow_m):
+    """Noise made here. A slow error of 0.4 mm is assumed; where it is not there, the sigma may be larger."""
+    noise = noise_of((0.0006, 0.0009, length_px), (0.0002, 0.0008, 5.0))
     estimator = TiltEstimator(PRESET.model_copy(update={"noise": noise}), rig)
     flat = plane_points(rig, *pixels(70, 45), 0.1, -0.1)
     scale = rig.proximity.intrinsics.fx / rig.tactile.intrinsics.fx
@@ -192,8 +190,8 @@ def test_standard_deviation_of_correlated_noise(rig, length_px, slow_m, known):
         errors += [tilt.roll_rad - 0.1, tilt.pitch_rad + 0.1]
         sigmas += [tilt.roll_sigma_rad, tilt.pitch_sigma_rad]
     stated, found = (np.sqrt(np.mean(np.square(values))) for values in (sigmas, errors))
-    assert 0.8 < stated / found < (1.25 if known else 2.0)
-    assert 0.6 < np.mean(np.abs(errors) < sigmas) < (0.82 if known else 0.96)
+    assert 0.8 < stated / found < (1.25 if slow_m else 2.5)
+    assert 0.6 < np.mean(np.abs(errors) < sigmas) < (0.82 if slow_m else 0.99)
 
 
 def moving(count=90, sigma=0.004, seed=3):
