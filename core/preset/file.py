@@ -1,4 +1,4 @@
-"""Preset files: reading with migration of older versions, atomic saving, and the presets that Tactune ships.
+"""Preset files: reading, atomic saving, and the presets that Tactune ships.
 
 `tactune.core.sources.presets.load_preset` also reads the preset inside a recording.
 """
@@ -10,12 +10,15 @@ import json
 import reprlib
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any, Final
 
-from ..errors import ExportError, PresetError
+from ..errors import PresetError
 from ..model.files import atomic_path, remove_leftovers
-from ..model.loading import MAX_JSON_BYTES, parse_json, read_file, read_json
-from .migrations import SCHEMA_VERSION, Document, migrate, migration_note
-from .preset import SCHEMA_NAME, Preset, parse_preset
+from ..model.loading import MAX_JSON_BYTES, parse_json, read_file
+from .preset import SCHEMA_NAME, SCHEMA_VERSION, Preset, parse_preset
+
+#: Fields that earlier versions wrote and this one does not know. A preset with one loads, and a note names it.
+GONE: Final[tuple[str, ...]] = ()
 
 
 def shipped_presets() -> list[str]:
@@ -26,13 +29,7 @@ def shipped_presets() -> list[str]:
 
 
 def preset_text(path_or_name: Path | str) -> tuple[str, str]:
-    """Return the text of a preset file or shipped preset, and its name for messages.
-
-    Raises
-    ------
-    PresetError
-        The file does not exist or is not a text file.
-    """
+    """Return the text of a preset file or shipped preset, and its name for messages."""
     path = Path(path_or_name)
     if str(path_or_name) in shipped_presets() and not path.is_file():
         resource = importlib.resources.files("tactune.presets") / f"{path_or_name}.json"
@@ -57,28 +54,39 @@ def preset_from_text(text: str, origin: str) -> Preset:
 
 
 def preset_and_note(text: str, origin: str) -> tuple[Preset, str]:
-    """Parse the text of a preset file; return the preset and what `migration_note` says about its version.
+    """Parse the text of a preset file; return the preset and a note that names fields that are gone, or nothing.
 
     Raises
     ------
     PresetError
         Not a preset, a version that this Tactune does not read, or a field that is unknown or out of range.
     """
-    document = _parse_document(text, origin)
-    return parse_preset(migrate(document, origin), origin), migration_note(document)
-
-
-def _parse_document(text: str, origin: str) -> Document:
     try:
         document = parse_json(text)
     except ValueError as error:
         raise PresetError(f"{origin} is no preset: {error}") from error
-    if not isinstance(document, dict):
-        raise PresetError(f'{origin} is no preset: it is no JSON object with "schema": "{SCHEMA_NAME}"')
-    if document.get("schema") != SCHEMA_NAME:
-        found = reprlib.repr(document.get("schema"))
+    if not isinstance(document, dict) or document.get("schema") != SCHEMA_NAME:
+        found = reprlib.repr(document.get("schema") if isinstance(document, dict) else document)
         raise PresetError(f'{origin} is no preset: "schema" should be "{SCHEMA_NAME}", it is {found}')
-    return document
+    number = document.get("schema_version")
+    if not isinstance(number, int) or number < SCHEMA_VERSION or isinstance(number, bool):
+        raise PresetError(f"{origin}: schema_version is {reprlib.repr(number)}; it should be {SCHEMA_VERSION}")
+    if number > SCHEMA_VERSION:
+        raise PresetError(
+            f"{origin}: schema_version is {reprlib.repr(number)}, this Tactune reads up to {SCHEMA_VERSION}; "
+            f"update Tactune (the file was written by version {document.get('tool_version', 'unknown')})"
+        )
+    gone = [path for path in GONE if _taken_out(document, path)]
+    note = f"{', '.join(gone)} of an earlier Tactune: no longer used" if gone else ""
+    return parse_preset(document, origin), note
+
+
+def _taken_out(document: Any, path: str) -> bool:
+    """Remove the value at a dotted path from plain data; return whether there was one."""
+    *parents, last = path.split(".")
+    for parent in parents:
+        document = document.get(parent) if isinstance(document, dict) else None
+    return isinstance(document, dict) and document.pop(last, document) is not document
 
 
 def preset_json(preset: Preset) -> str:
@@ -93,34 +101,19 @@ def preset_json(preset: Preset) -> str:
 
 
 def save_preset(preset: Preset, path: Path | str) -> None:
-    """Save atomically. A file of an older schema version there is kept as ``NAME.schema-N.json``.
+    """Save a preset atomically: whatever was there before is unchanged if that fails.
+
+    Parameters
+    ----------
+    preset : Preset
+    path : path or str
 
     Raises
     ------
     ExportError
-        The file cannot be written, or holds a preset of a newer schema version; whatever was there before is unchanged.
+        The file cannot be written.
     """
     path = Path(path)
-    _keep_older_version(path)
     remove_leftovers(path.parent, path.name)
     with atomic_path(path, follow_link=True) as temporary:
         temporary.write_text(preset_json(preset), "utf-8")
-
-
-def _keep_older_version(path: Path) -> None:
-    if not path.is_file():
-        return
-    try:
-        document = read_json(path)
-        found = document["schema_version"] if document["schema"] == SCHEMA_NAME else SCHEMA_VERSION
-    except (OSError, ValueError, KeyError, TypeError):
-        return  # nothing there, or no preset: there is no older preset to keep
-    if isinstance(found, int) and found > SCHEMA_VERSION:
-        raise ExportError(
-            f"{path} holds a preset of schema version {found}, newer than this Tactune's {SCHEMA_VERSION}; "
-            "it stays as it is: save under another name"
-        )
-    if isinstance(found, int) and found < SCHEMA_VERSION:
-        kept = path.with_name(f"{path.stem}.schema-{found}{path.suffix}")
-        with atomic_path(kept) as temporary:
-            temporary.write_bytes(read_file(path))

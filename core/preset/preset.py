@@ -29,9 +29,11 @@ from ..model.sections import (
     UntouchedRecord,
     described,
 )
-from .migrations import SCHEMA_VERSION, Document
+
+Document = dict[str, Any]
 
 SCHEMA_NAME: Literal["tactune.preset"] = "tactune.preset"
+SCHEMA_VERSION: Final[Literal[1]] = 1
 
 #: A message names at most this many bad fields.
 _MAX_ERRORS: Final = 9
