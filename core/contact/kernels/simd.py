@@ -10,7 +10,9 @@ All functions are for use inside ``@kernel`` functions only. Arrays must be one-
 
 from __future__ import annotations
 
+import inspect
 import operator
+from collections.abc import Callable
 from typing import Any, Final
 
 from llvmlite import ir
@@ -19,11 +21,13 @@ from numba.extending import intrinsic as _numba_intrinsic
 from numba.extending import models, overload, register_model
 from numba.np.arrayobj import populate_array
 
-#: numba annotates an intrinsic by what it emits, not by what a kernel calls.
-intrinsic: Any = _numba_intrinsic
-
 #: Elements of a vector.
 LANES: Final = 16
+
+_WORD, _WIDE = ir.IntType(32), ir.IntType(64)
+_tuple_of: Any = types.UniTuple
+_declared: Any = cgutils.get_or_insert_function
+_fill_in: Any = populate_array
 
 
 class Vector(types.Type):
@@ -31,12 +35,10 @@ class Vector(types.Type):
 
     def __init__(self, name: str, element: ir.Type, scalar: types.Type) -> None:
         super().__init__(name=f"tactune.{name}x{LANES}")
-        self.element = element
-        self.scalar = scalar
+        self.element, self.scalar = element, scalar
 
     @property
     def llvm(self) -> ir.VectorType:
-        """The LLVM type."""
         return ir.VectorType(self.element, LANES)
 
 
@@ -48,252 +50,294 @@ class _VectorModel(models.PrimitiveModel):
 
 FLOATS = Vector("float32", ir.FloatType(), types.float32)
 DOUBLES = Vector("float64", ir.DoubleType(), types.float64)
-INTS = Vector("int32", ir.IntType(32), types.int32)
+INTS = Vector("int32", _WORD, types.int32)
 FLAGS = Vector("bool", ir.IntType(1), types.boolean)
 #: Unsigned, for raw counts; arithmetic wraps around.
 COUNTS = Vector("uint16", ir.IntType(16), types.uint16)
 
-#: Returns a function of the module; declares it if needed.
-declare: Any = cgutils.get_or_insert_function
-
 #: The vector type that elements of an array are loaded as.
-VECTOR_OF = {
-    types.float32: FLOATS,
-    types.float64: DOUBLES,
-    types.int32: INTS,
-    types.uint16: INTS,
-}
+_VECTOR_OF = {types.float32: FLOATS, types.float64: DOUBLES, types.int32: INTS, types.uint16: INTS}
 
 
-def constant(vector: Vector, values: Any) -> ir.Constant:
-    """Return an LLVM constant vector with these values."""
+def _operation(doc: str, typed: Callable[..., Any], emit: Callable[..., Any]) -> Any:
+    """Return a function for kernels; ``emit`` returns its LLVM value from the builder and the arguments' values."""
+    return _array_operation(doc, typed, lambda context, builder, signature, *values: emit(builder, *values))
+
+
+def _array_operation(doc: str, typed: Callable[..., Any], emit: Callable[..., Any]) -> Any:
+    """Return a function for kernels that are given arrays.
+
+    Parameters
+    ----------
+    doc : str
+    typed : callable
+        Returns the signature of types for the arguments' types; None if there is no such operation.
+    emit : callable
+        Returns the LLVM value from numba's context, the builder, the signature, and the arguments' values.
+    """
+
+    def function(typing: Any, *arguments: Any) -> Any:
+        signature = typed(*arguments)
+        return signature and (signature, lambda context, builder, sig, values: emit(context, builder, sig, *values))
+
+    named = inspect.Parameter("typing", inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    parameters = [named, *inspect.signature(typed).parameters.values()]  # numba counts the arguments by them
+    function.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    function.__doc__ = doc
+    return _numba_intrinsic(function)
+
+
+def _constant(vector: Vector, values: Any) -> ir.Constant:
     return ir.Constant(vector.llvm, list(values))
 
 
-def pointer(context: Any, builder: Any, array_type: Any, array: Any, index: Any, llvm: ir.Type) -> Any:
+def _pointer(context: Any, builder: Any, array_type: Any, array: Any, index: Any, llvm: ir.Type) -> Any:
     """Return a pointer to the element ``index`` of an array, cast to a pointer to ``llvm``."""
     data = context.make_array(array_type)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [index]), llvm.as_pointer())
 
 
-def _bytes_of(array_type: Any) -> int:
-    return int(array_type.dtype.bitwidth // 8)
+def _same_in_all(builder: Any, llvm: ir.VectorType, scalar: Any) -> Any:
+    nothing = ir.Constant(llvm, ir.Undefined)
+    one = builder.insert_element(nothing, scalar, ir.Constant(_WORD, 0))
+    return builder.shuffle_vector(one, nothing, _constant(INTS, [0] * LANES))
 
 
-@intrinsic
-def load(typing: Any, array: Any, index: Any) -> Any:
-    """Return elements ``index`` to ``index + LANES - 1``; uint16 widens to int32."""
-    vector = VECTOR_OF[array.dtype]
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        stored = ir.VectorType(context.get_data_type(array.dtype), LANES)
-        value = builder.load(pointer(context, builder, array, arguments[0], arguments[1], stored))
-        value.align = _bytes_of(array)
-        return value if stored == vector.llvm else builder.zext(value, vector.llvm)
-
-    return vector(array, types.intp), emit
+# Loading and storing
 
 
-@intrinsic
-def load_counts(typing: Any, array: Any, index: Any) -> Any:
-    """Return elements ``index`` to ``index + LANES - 1`` of a uint16 array without widening."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        value = builder.load(pointer(context, builder, array, arguments[0], arguments[1], COUNTS.llvm))
-        value.align = _bytes_of(array)
-        return value
-
-    return COUNTS(array, types.intp), emit
+def _load(context: Any, builder: Any, signature: Any, array: Any, index: Any) -> Any:
+    array_type, vector = signature.args[0], signature.return_type
+    stored = ir.VectorType(context.get_data_type(array_type.dtype), LANES)
+    value = builder.load(_pointer(context, builder, array_type, array, index, stored))
+    value.align = array_type.dtype.bitwidth // 8
+    return value if stored == vector.llvm else builder.zext(value, vector.llvm)
 
 
-@intrinsic
-def store(typing: Any, array: Any, index: Any, value: Any) -> Any:
-    """Write a vector to elements ``index`` onwards; int32 narrows to the array's integer type."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        place, index, vector = arguments
-        stored = ir.VectorType(context.get_data_type(array.dtype), LANES)
-        if stored != value.llvm:
-            vector = builder.trunc(vector, stored)
-        instruction = builder.store(vector, pointer(context, builder, array, place, index, stored))
-        instruction.align = _bytes_of(array)
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp, value), emit
+load = _array_operation(
+    "Return elements ``index`` to ``index + LANES - 1``; uint16 widens to int32.",
+    lambda array, index: _VECTOR_OF[array.dtype](array, types.intp),
+    _load,
+)
+load_counts = _array_operation(
+    "Return elements ``index`` to ``index + LANES - 1`` of a uint16 array without widening.",
+    lambda array, index: COUNTS(array, types.intp),
+    _load,
+)
 
 
-def _splatted(builder: Any, vector: Vector, scalar: Any) -> Any:
-    one = builder.insert_element(ir.Constant(vector.llvm, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
-    return builder.shuffle_vector(
-        one, ir.Constant(vector.llvm, ir.Undefined), ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
-    )
+def _store(context: Any, builder: Any, signature: Any, array: Any, index: Any, *values: Any) -> Any:
+    array_type, value = signature.args[0], values[0]
+    stored = ir.VectorType(context.get_data_type(array_type.dtype), value.type.count)
+    if stored != value.type:
+        value = builder.trunc(value, stored)
+    instruction = builder.store(value, _pointer(context, builder, array_type, array, index, stored))
+    instruction.align = array_type.dtype.bitwidth // 8
+    return context.get_dummy_value()
 
 
-def _make_splat(vector: Vector, doc: str) -> Any:
-    def splat(typing: Any, value: Any) -> Any:
-        def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            return _splatted(builder, vector, arguments[0])
-
-        return vector(vector.scalar), emit
-
-    splat.__doc__ = doc
-    return intrinsic(splat)
+store = _array_operation(
+    "Write a vector to elements ``index`` onwards; int32 narrows to the array's integer type.",
+    lambda array, index, value: types.void(array, types.intp, value),
+    _store,
+)
 
 
-floats = _make_splat(FLOATS, "Return a float32 vector with the same value in all lanes.")
-doubles = _make_splat(DOUBLES, "Return a float64 vector with the same value in all lanes.")
-ints = _make_splat(INTS, "Return an int32 vector with the same value in all lanes.")
-counts = _make_splat(COUNTS, "Return a uint16 vector with the same value in all lanes.")
+def _store_points(context: Any, builder: Any, signature: Any, points: Any, index: Any, x: Any, y: Any, z: Any) -> Any:
+    def shuffled(a: Any, b: Any, order: list[int]) -> Any:
+        return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(_WORD, len(order)), order))
+
+    both = shuffled(x, y, list(range(2 * LANES)))
+    depths = shuffled(z, z, list(range(2 * LANES)))
+    mixed = shuffled(both, depths, [LANES * (i % 3) + i // 3 for i in range(3 * LANES)])
+    return _store(context, builder, signature, points, index, mixed)
 
 
-@intrinsic
-def lane_numbers(typing: Any) -> Any:
-    """Return 0, 1, ..., LANES - 1 as int32."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return constant(INTS, range(LANES))
-
-    return INTS(), emit
+store_points = _array_operation(
+    "Write `LANES` points to a flat float32 array of coordinates x, y, z, x, ... from element ``index`` on.",
+    lambda points, index, x, y, z: types.void(points, types.intp, FLOATS, FLOATS, FLOATS),
+    _store_points,
+)
 
 
-def _binary(name: str, vectors: dict[Vector, str]) -> Any:
-    def function(typing: Any, a: Any, b: Any) -> Any:
-        def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            return getattr(builder, vectors[a])(*arguments)
-
-        return (a(a, a), emit) if a in vectors else None
-
-    function.__name__ = name
-    return intrinsic(function)
+def _store_numbers(context: Any, builder: Any, signature: Any, numbers: Any, index: Any, first: Any) -> Any:
+    wide = ir.VectorType(_WIDE, LANES)
+    values = builder.add(_same_in_all(builder, wide, first), ir.Constant(wide, list(range(LANES))))
+    return _store(context, builder, signature, numbers, index, values)
 
 
-def _define_operator(symbol: Any, vectors: dict[Vector, str]) -> None:
-    apply = _binary(f"_{symbol.__name__}", vectors)
+store_numbers = _array_operation(
+    "Write ``first``, ``first + 1``, ... to `LANES` elements of an int64 array from ``index`` on.",
+    lambda numbers, index, first: types.void(numbers, types.intp, types.int64),
+    _store_numbers,
+)
+
+
+def _gather(context: Any, builder: Any, signature: Any, array: Any, indices: Any) -> Any:
+    array_type, vector = signature.args[0], signature.return_type
+    data = context.make_array(array_type)(context, builder, array).data
+    stored = ir.VectorType(context.get_data_type(array_type.dtype), LANES)
+    value = ir.Constant(stored, ir.Undefined)
+    for lane in range(LANES):
+        number = ir.Constant(_WORD, lane)
+        index = builder.zext(builder.extract_element(indices, number), _WIDE)
+        value = builder.insert_element(value, builder.load(builder.gep(data, [index])), number)
+    return value if stored == vector.llvm else builder.zext(value, vector.llvm)
+
+
+gather = _array_operation(
+    "Return ``array[indices]``, int32 indices; every lane must be a valid index.",
+    lambda array, indices: _VECTOR_OF[array.dtype](array, INTS),
+    _gather,
+)
+
+
+def _gather_colors(context: Any, builder: Any, signature: Any, image: Any, pixels: Any) -> Any:
+    data = context.make_array(signature.args[0])(context, builder, image).data
+    words, first = ir.Constant(INTS.llvm, ir.Undefined), _constant(INTS, [0] * LANES)
+    is_first = builder.icmp_signed("==", pixels, first)
+    # One load of four bytes per pixel, from the byte before it: the load of the last pixel stays inside the image.
+    place = builder.sub(builder.mul(pixels, _constant(INTS, [3] * LANES)), _constant(INTS, [1] * LANES))
+    place = builder.select(is_first, first, place)
+    for lane in range(LANES):
+        number = ir.Constant(_WORD, lane)
+        index = builder.zext(builder.extract_element(place, number), _WIDE)
+        loaded = builder.load(builder.bitcast(builder.gep(data, [index]), _WORD.as_pointer()))
+        loaded.align = 1
+        words = builder.insert_element(words, loaded, number)
+    words = builder.select(is_first, words, builder.lshr(words, _constant(INTS, [8] * LANES)))
+    byte = _constant(INTS, [255] * LANES)
+    channels = [builder.and_(builder.lshr(words, _constant(INTS, [shift] * LANES)), byte) for shift in (0, 8, 16)]
+    return context.make_tuple(builder, signature.return_type, channels)
+
+
+gather_colors = _array_operation(
+    "Return red, green and blue (int32) of pixels of a flat uint8 image with at least four bytes.",
+    lambda image, pixels: _tuple_of(INTS, 3)(image, INTS),
+    _gather_colors,
+)
+
+
+def _load_colors(context: Any, builder: Any, signature: Any, image: Any, pixel: Any) -> Any:
+    index = builder.mul(pixel, ir.Constant(_WIDE, 3))
+    all_channels = ir.VectorType(ir.IntType(8), 3 * LANES)
+    loaded = builder.load(_pointer(context, builder, signature.args[0], image, index, all_channels))
+    loaded.align = 1
+    nothing, channels = ir.Constant(all_channels, ir.Undefined), []
+    for channel in range(3):
+        order = _constant(INTS, [3 * lane + channel for lane in range(LANES)])
+        channels.append(builder.zext(builder.shuffle_vector(loaded, nothing, order), INTS.llvm))
+    return context.make_tuple(builder, signature.return_type, channels)
+
+
+load_colors = _array_operation(
+    "Return red, green and blue (int32) of pixels ``pixel`` to ``pixel + LANES - 1`` of a flat uint8 image.",
+    lambda image, pixel: _tuple_of(INTS, 3)(image, types.intp),
+    _load_colors,
+)
+
+
+def _scratch_of(scalar: Any, count: int) -> Any:
+    array_type = types.Array(scalar, 1, "C")
+
+    def emit(context: Any, builder: Any, signature: Any) -> Any:
+        element = context.get_data_type(scalar)
+        with builder.goto_entry_block():  # numba's own alloca_once writes zeros, which costs LLVM half a minute
+            memory = builder.alloca(ir.ArrayType(element, count))
+        memory.align = 64
+        size = context.get_constant(types.intp, scalar.bitwidth // 8)
+        array = context.make_array(array_type)(context, builder)
+        data = builder.bitcast(memory, element.as_pointer())
+        _fill_in(array, data, [context.get_constant(types.intp, count)], [size], size, None)
+        return array._getvalue()
+
+    return _array_operation(f"Return a stack array of {count} {scalar}.", lambda: array_type(), emit)  # noqa: PLW0108
+
+
+def float_scratch(count: int) -> Any:
+    """Return a function for kernels that allocates ``count`` uninitialised float32 on the stack."""
+    return _scratch_of(types.float32, count)
+
+
+def double_scratch(count: int) -> Any:
+    """Return a function for kernels that allocates ``count`` uninitialised float64 on the stack."""
+    return _scratch_of(types.float64, count)
+
+
+def int_scratch(count: int) -> Any:
+    """Return a function for kernels that allocates ``count`` uninitialised int32 on the stack."""
+    return _scratch_of(types.int32, count)
+
+
+# Arithmetic
+
+
+def _splat(vector: Vector) -> Any:
+    doc = f"Return a {vector.name} vector with the same value in all lanes."
+    return _operation(doc, lambda value: vector(vector.scalar), lambda b, value: _same_in_all(b, vector.llvm, value))
+
+
+floats, doubles, ints, counts = (_splat(vector) for vector in (FLOATS, DOUBLES, INTS, COUNTS))
+lane_numbers = _operation(
+    "Return 0 to LANES - 1 as int32.",
+    lambda: INTS(),  # noqa: PLW0108  # its signature has no argument
+    lambda builder: _constant(INTS, range(LANES)),
+)
+
+
+def _define(symbol: Any, vectors: tuple[Vector, ...], result: Any, emit: Callable[..., Any]) -> None:
+    """Define a Python operator for pairs of vectors of these types."""
+    apply = _operation(symbol.__name__, lambda a, b: (result or a)(a, a), emit)
 
     @overload(symbol, strict=False)
     def implementation(a: Any, b: Any) -> Any:
-        if isinstance(a, Vector) and a == b and a in vectors:
+        if a == b and a in vectors:
             return lambda a, b: apply(a, b)  # noqa: PLW0108  # numba's overload needs a Python function
         return None
 
 
-_define_operator(operator.add, {FLOATS: "fadd", DOUBLES: "fadd", INTS: "add", COUNTS: "add"})
-_define_operator(operator.sub, {FLOATS: "fsub", DOUBLES: "fsub", INTS: "sub", COUNTS: "sub"})
-_define_operator(operator.mul, {FLOATS: "fmul", DOUBLES: "fmul", INTS: "mul"})
-_define_operator(operator.truediv, {FLOATS: "fdiv", DOUBLES: "fdiv"})
-_define_operator(operator.and_, {FLAGS: "and_"})
-_define_operator(operator.or_, {FLAGS: "or_"})
-_define_operator(operator.xor, {FLAGS: "xor"})
+def _either(of_floats: str, of_ints: str) -> Callable[..., Any]:
+    """Return what emits one instruction for floats and another one for integers."""
+    return lambda b, x, y: getattr(b, of_ints if isinstance(x.type.element, ir.IntType) else of_floats)(x, y)
 
 
-def _define_comparison(symbol: Any, sign: str) -> None:
-    def function(typing: Any, a: Any, b: Any) -> Any:
-        def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            if a is INTS:
-                return builder.icmp_signed(sign, *arguments)
-            compare = builder.fcmp_unordered if sign == "!=" else builder.fcmp_ordered
-            return compare(sign, *arguments)
+_define(operator.add, (FLOATS, DOUBLES, INTS, COUNTS), None, _either("fadd", "add"))
+_define(operator.sub, (FLOATS, DOUBLES, INTS, COUNTS), None, _either("fsub", "sub"))
+_define(operator.mul, (FLOATS, DOUBLES, INTS), None, _either("fmul", "mul"))
+_define(operator.truediv, (FLOATS, DOUBLES), None, lambda b, x, y: b.fdiv(x, y))
+_define(operator.and_, (FLAGS,), None, lambda b, x, y: b.and_(x, y))
+_define(operator.or_, (FLAGS,), None, lambda b, x, y: b.or_(x, y))
+_define(operator.xor, (FLAGS,), None, lambda b, x, y: b.xor(x, y))
 
-        return FLAGS(a, a), emit
 
-    function.__name__ = f"_{symbol.__name__}"
-    compare = intrinsic(function)
+def _comparison(sign: str) -> Callable[..., Any]:
+    def emit(builder: Any, x: Any, y: Any) -> Any:
+        if isinstance(x.type.element, ir.IntType):
+            return builder.icmp_signed(sign, x, y)
+        return (builder.fcmp_unordered if sign == "!=" else builder.fcmp_ordered)(sign, x, y)
 
-    @overload(symbol, strict=False)
-    def implementation(a: Any, b: Any) -> Any:
-        if isinstance(a, Vector) and a == b:
-            return lambda a, b: compare(a, b)  # noqa: PLW0108  # numba's overload needs a Python function
-        return None
+    return emit
 
 
 for _symbol, _sign in (
     (operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"),
     (operator.ge, ">="), (operator.eq, "=="), (operator.ne, "!="),
 ):  # fmt: skip
-    _define_comparison(_symbol, _sign)
+    _define(_symbol, (FLOATS, DOUBLES, INTS), FLAGS, _comparison(_sign))
 
-
-@intrinsic
-def _not(typing: Any, a: Any) -> Any:
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.not_(arguments[0])
-
-    return FLAGS(FLAGS), emit
+_not = _operation("Return the opposite flags.", lambda a: FLAGS(FLAGS), lambda b, a: b.not_(a))
 
 
 @overload(operator.invert, strict=False)
 def _invert(a: Any) -> Any:
-    if a is FLAGS:
-        return lambda a: _not(a)  # noqa: PLW0108  # numba's overload needs a Python function
-    return None
+    return (lambda a: _not(a)) if a is FLAGS else None  # noqa: PLW0108  # numba's overload needs a Python function
 
 
-@intrinsic
-def where(typing: Any, flags: Any, a: Any, b: Any) -> Any:
-    """Return ``a`` in the lanes that are flagged and ``b`` in the others."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.select(*arguments)
-
-    return a(FLAGS, a, a), emit
-
-
-def _conversion(source: Vector, target: Vector, instruction: str, doc: str) -> Any:
-    def convert(typing: Any, a: Any) -> Any:
-        def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            return getattr(builder, instruction)(arguments[0], target.llvm)
-
-        return target(source), emit
-
-    convert.__doc__ = doc
-    return intrinsic(convert)
-
-
-to_floats = _conversion(INTS, FLOATS, "sitofp", "Convert int32 to float32.")
-to_doubles = _conversion(FLOATS, DOUBLES, "fpext", "Widen float32 to float64.")
-#: The lanes must hold values that fit.
-to_ints = _conversion(FLOATS, INTS, "fptosi", "Convert float32 to int32, towards zero.")
-as_ints = _conversion(FLAGS, INTS, "sext", "Return -1 in the flagged lanes and 0 in the others.")
-
-
-def _unary(llvm_name: str, doc: str) -> Any:
-    def function(typing: Any, a: Any) -> Any:
-        def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            name = f"{llvm_name}.v{LANES}{a.element.intrinsic_name}"
-            function = declare(builder.module, ir.FunctionType(a.llvm, [a.llvm]), name)
-            return builder.call(function, arguments)
-
-        return a(a), emit
-
-    function.__doc__ = doc
-    return intrinsic(function)
-
-
-sqrt = _unary("llvm.sqrt", "Square root, correctly rounded.")
-floor = _unary("llvm.floor", "The largest whole number not above.")
-absolute = _unary("llvm.fabs", "Absolute value.")
-
-
-@intrinsic
-def multiply_add(typing: Any, a: Any, b: Any, c: Any) -> Any:
-    """Return ``a * b + c``, fused if the processor can do that: the last bit may differ between processors."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        product = builder.fmul(arguments[0], arguments[1], flags=("contract",))
-        return builder.fadd(product, arguments[2], flags=("contract",))
-
-    return a(a, a, a), emit
-
-
-@intrinsic
-def shift_right(typing: Any, a: Any, distance: Any) -> Any:
-    """Return int32 lanes shifted right arithmetically, all by the same number of bits."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        narrow = builder.trunc(arguments[1], INTS.element)
-        return builder.ashr(arguments[0], _splatted(builder, INTS, narrow))
-
-    return INTS(INTS, types.int64), emit
+where = _operation(
+    "Return ``a`` in the lanes that are flagged and ``b`` in the others.",
+    lambda flags, a, b: a(FLAGS, a, a),
+    lambda builder, flags, a, b: builder.select(flags, a, b),
+)
 
 
 def lesser(a: Any, b: Any) -> Any:
@@ -314,229 +358,81 @@ def _greater(a: Any, b: Any) -> Any:
     return lambda a, b: where(a > b, a, b)
 
 
-def _of_counts(llvm_name: str, arguments: int, result: Any, doc: str) -> Any:
-    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        llvm = COUNTS.llvm if result is COUNTS else COUNTS.element
-        of_type = ir.FunctionType(llvm, [COUNTS.llvm] * arguments)
-        return builder.call(declare(builder.module, of_type, f"{llvm_name}.v{LANES}i16"), values)
-
-    def one(typing: Any, a: Any) -> Any:
-        return result(COUNTS), emit
-
-    def two(typing: Any, a: Any, b: Any) -> Any:
-        return result(COUNTS, COUNTS), emit
-
-    function = one if arguments == 1 else two
-    function.__doc__ = doc
-    return intrinsic(function)
+def _conversion(doc: str, source: Vector, target: Vector, instruction: str) -> Any:
+    return _operation(doc, lambda a: target(source), lambda b, a: getattr(b, instruction)(a, target.llvm))
 
 
-lesser_counts = _of_counts("llvm.umin", 2, COUNTS, "Return the smaller of each pair of counts.")
-greater_counts = _of_counts("llvm.umax", 2, COUNTS, "Return the larger of each pair of counts.")
-least_count = _of_counts("llvm.vector.reduce.umin", 1, types.uint16, "Return the smallest count of all lanes.")
-largest_count = _of_counts("llvm.vector.reduce.umax", 1, types.uint16, "Return the largest count of all lanes.")
+to_floats = _conversion("Convert int32 to float32.", INTS, FLOATS, "sitofp")
+to_doubles = _conversion("Widen float32 to float64.", FLOATS, DOUBLES, "fpext")
+to_ints = _conversion("Convert float32 to int32, towards zero; the values must fit.", FLOATS, INTS, "fptosi")
+as_ints = _conversion("Return -1 in the flagged lanes and 0 in the others.", FLAGS, INTS, "sext")
 
 
-@intrinsic
-def bits(typing: Any, flags: Any) -> Any:
-    """Return the flags as an integer, lane 0 in the lowest bit."""
+def _called(doc: str, name: str, typed: Callable[..., Any], result: Callable[..., Any] = lambda llvm: llvm) -> Any:
+    """Return a function that calls an LLVM intrinsic of vectors of one type."""
 
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.zext(builder.bitcast(arguments[0], ir.IntType(LANES)), ir.IntType(64))
+    def emit(builder: Any, *values: Any) -> Any:
+        llvm = values[0].type
+        of = ir.FunctionType(result(llvm), [value.type for value in values])
+        full_name = f"{name}.v{LANES}{llvm.element.intrinsic_name}"
+        return builder.call(_declared(builder.module, of, full_name), values)
 
-    return types.int64(FLAGS), emit
-
-
-@intrinsic
-def flags(typing: Any, number: Any) -> Any:
-    """Return the lowest `LANES` bits of an integer as flags; the inverse of `bits`."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        narrow = builder.trunc(arguments[0], ir.IntType(LANES))
-        return builder.bitcast(narrow, FLAGS.llvm)
-
-    return FLAGS(types.int64), emit
+    return _operation(doc, typed, emit)
 
 
-@intrinsic
-def count_trailing_zeros(typing: Any, number: Any) -> Any:
-    """Return the number of the lowest bit set in an int64 that is not 0."""
+sqrt = _called("Square root, correctly rounded.", "llvm.sqrt", lambda a: a(a))
+floor = _called("The largest whole number not above.", "llvm.floor", lambda a: a(a))
+absolute = _called("Absolute value.", "llvm.fabs", lambda a: a(a))
+lesser_counts = _called("Return the smaller of each pair of counts.", "llvm.umin", lambda a, b: COUNTS(COUNTS, COUNTS))
+greater_counts = _called("Return the larger of each pair of counts.", "llvm.umax", lambda a, b: COUNTS(COUNTS, COUNTS))
+least_count = _called(
+    "Return the smallest count of all lanes.", "llvm.vector.reduce.umin", lambda a: types.uint16(COUNTS),
+    lambda llvm: llvm.element,
+)  # fmt: skip
+largest_count = _called(
+    "Return the largest count of all lanes.", "llvm.vector.reduce.umax", lambda a: types.uint16(COUNTS),
+    lambda llvm: llvm.element,
+)  # fmt: skip
 
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
-
-    return types.int64(types.int64), emit
-
-
-@intrinsic
-def count_ones(typing: Any, number: Any) -> Any:
-    """Return the number of bits of an int64 that are set."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.ctpop(arguments[0])
-
-    return types.int64(types.int64), emit
-
-
-@intrinsic
-def total(typing: Any, a: Any) -> Any:
-    """Return the sum of all lanes, added pairwise in a fixed order."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        values = [builder.extract_element(arguments[0], ir.Constant(ir.IntType(32), lane)) for lane in range(LANES)]
-        add = builder.add if a is INTS else builder.fadd
-        while len(values) > 1:
-            half = len(values) // 2
-            values = [add(values[i], values[i + half]) for i in range(half)]
-        return values[0]
-
-    return a.scalar(a), emit
-
-
-_fill_in: Any = populate_array
-_TRIPLE: Any = types.UniTuple
-
-
-def _make_scratch(scalar: Any, count: int) -> Any:
-    def scratch(typing: Any) -> Any:
-        array_type = types.Array(scalar, 1, "C")
-
-        def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            element = context.get_data_type(scalar)
-            with builder.goto_entry_block():  # numba's own alloca_once writes zeros, which costs LLVM half a minute
-                memory = builder.alloca(ir.ArrayType(element, count))
-            memory.align = 64
-            size = context.get_constant(types.intp, scalar.bitwidth // 8)
-            length = context.get_constant(types.intp, count)
-            array = context.make_array(array_type)(context, builder)
-            data = builder.bitcast(memory, element.as_pointer())
-            _fill_in(array, data, [length], [size], size, None)
-            return array._getvalue()
-
-        return array_type(), emit
-
-    scratch.__doc__ = f"Return a stack array of {count} {scalar}, the same array at each call in one kernel run."
-    return intrinsic(scratch)
+multiply_add = _operation(
+    "Return ``a * b + c``, fused if the processor can do that: the last bit may differ between processors.",
+    lambda a, b, c: a(a, a, a),
+    lambda builder, a, b, c: builder.fadd(builder.fmul(a, b, flags=("contract",)), c, flags=("contract",)),
+)
+shift_right = _operation(
+    "Return int32 lanes shifted right arithmetically, all by the same number of bits.",
+    lambda a, distance: INTS(INTS, types.int64),
+    lambda builder, a, distance: builder.ashr(a, _same_in_all(builder, INTS.llvm, builder.trunc(distance, _WORD))),
+)
+bits = _operation(
+    "Return the flags as an integer, lane 0 in the lowest bit.",
+    lambda flags: types.int64(FLAGS),
+    lambda builder, flags: builder.zext(builder.bitcast(flags, ir.IntType(LANES)), _WIDE),
+)
+flags = _operation(
+    "Return the lowest `LANES` bits of an integer as flags; the inverse of `bits`.",
+    lambda number: FLAGS(types.int64),
+    lambda builder, number: builder.bitcast(builder.trunc(number, ir.IntType(LANES)), FLAGS.llvm),
+)
+count_trailing_zeros = _operation(
+    "Return the number of the lowest bit set in an int64 that is not 0.",
+    lambda number: types.int64(types.int64),
+    lambda builder, number: builder.cttz(number, ir.Constant(ir.IntType(1), 1)),
+)
+count_ones = _operation(
+    "Return the number of bits of an int64 that are set.",
+    lambda number: types.int64(types.int64),
+    lambda builder, number: builder.ctpop(number),
+)
 
 
-def float_scratch(count: int) -> Any:
-    """Return a function for kernels that allocates ``count`` uninitialised float32 on the stack."""
-    return _make_scratch(types.float32, count)
+def _total(builder: Any, a: Any) -> Any:
+    values = [builder.extract_element(a, ir.Constant(_WORD, lane)) for lane in range(LANES)]
+    add = builder.add if isinstance(a.type.element, ir.IntType) else builder.fadd
+    while len(values) > 1:
+        half = len(values) // 2
+        values = [add(values[i], values[i + half]) for i in range(half)]
+    return values[0]
 
 
-def double_scratch(count: int) -> Any:
-    """Return a function for kernels that allocates ``count`` uninitialised float64 on the stack."""
-    return _make_scratch(types.float64, count)
-
-
-def int_scratch(count: int) -> Any:
-    """Return a function for kernels that allocates ``count`` uninitialised int32 on the stack."""
-    return _make_scratch(types.int32, count)
-
-
-@intrinsic
-def gather(typing: Any, array: Any, indices: Any) -> Any:
-    """Return ``array[indices]``, int32 indices; every lane must be a valid index."""
-    vector = VECTOR_OF[array.dtype]
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        data = context.make_array(array)(context, builder, arguments[0]).data
-        stored = ir.VectorType(context.get_data_type(array.dtype), LANES)
-        value = ir.Constant(stored, ir.Undefined)
-        for lane in range(LANES):
-            number = ir.Constant(ir.IntType(32), lane)
-            index = builder.zext(builder.extract_element(arguments[1], number), ir.IntType(64))
-            value = builder.insert_element(value, builder.load(builder.gep(data, [index])), number)
-        return value if stored == vector.llvm else builder.zext(value, vector.llvm)
-
-    return vector(array, INTS), emit
-
-
-def _channel(builder: Any, words: Any, number: int) -> Any:
-    shifted = builder.lshr(words, constant(INTS, [8 * number] * LANES))
-    return builder.and_(shifted, constant(INTS, [255] * LANES))
-
-
-@intrinsic
-def gather_colors(typing: Any, image: Any, pixels: Any) -> Any:
-    """Return red, green and blue (int32) of pixels of a flat uint8 image with at least four bytes."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        data = context.make_array(image)(context, builder, arguments[0]).data
-        word, wide = ir.IntType(32), ir.IntType(64)
-        words = ir.Constant(INTS.llvm, ir.Undefined)
-        first = constant(INTS, [0] * LANES)
-        is_first = builder.icmp_signed("==", arguments[1], first)
-        # One load of four bytes per pixel, from the byte before it: the load of the last pixel stays inside the image.
-        place = builder.sub(builder.mul(arguments[1], constant(INTS, [3] * LANES)), constant(INTS, [1] * LANES))
-        place = builder.select(is_first, first, place)
-        for lane in range(LANES):
-            number = ir.Constant(word, lane)
-            index = builder.zext(builder.extract_element(place, number), wide)
-            loaded = builder.load(builder.bitcast(builder.gep(data, [index]), word.as_pointer()))
-            loaded.align = 1
-            words = builder.insert_element(words, loaded, number)
-        words = builder.select(is_first, words, builder.lshr(words, constant(INTS, [8] * LANES)))
-        return context.make_tuple(builder, signature.return_type, [_channel(builder, words, i) for i in range(3)])
-
-    return _TRIPLE(INTS, 3)(image, INTS), emit
-
-
-@intrinsic
-def load_colors(typing: Any, image: Any, pixel: Any) -> Any:
-    """Return red, green and blue (int32) of pixels ``pixel`` to ``pixel + LANES - 1`` of a flat uint8 image."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        byte = ir.IntType(8)
-        index = builder.mul(arguments[1], ir.Constant(ir.IntType(64), 3))
-        all_channels = ir.VectorType(byte, 3 * LANES)
-        loaded = builder.load(pointer(context, builder, image, arguments[0], index, all_channels))
-        loaded.align = 1
-        channels = []
-        for channel in range(3):
-            order = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [3 * lane + channel for lane in range(LANES)])
-            picked = builder.shuffle_vector(loaded, ir.Constant(all_channels, ir.Undefined), order)
-            channels.append(builder.zext(picked, INTS.llvm))
-        return context.make_tuple(builder, signature.return_type, channels)
-
-    return _TRIPLE(INTS, 3)(image, types.intp), emit
-
-
-@intrinsic
-def store_points(typing: Any, points: Any, index: Any, x: Any, y: Any, z: Any) -> Any:
-    """Write `LANES` points to a flat float32 array of coordinates x, y, z, x, ... from element ``index`` on."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        array, index, *planes = arguments
-
-        def shuffled(a: Any, b: Any, order: list[int]) -> Any:
-            numbers = ir.Constant(ir.VectorType(ir.IntType(32), len(order)), order)
-            return builder.shuffle_vector(a, b, numbers)
-
-        both = shuffled(planes[0], planes[1], list(range(2 * LANES)))
-        depths = shuffled(planes[2], planes[2], list(range(2 * LANES)))
-        mixed = shuffled(both, depths, [LANES * (i % 3) + i // 3 for i in range(3 * LANES)])
-        stored = ir.VectorType(ir.FloatType(), 3 * LANES)
-        instruction = builder.store(mixed, pointer(context, builder, points, array, index, stored))
-        instruction.align = 4
-        return context.get_dummy_value()
-
-    return types.void(points, types.intp, FLOATS, FLOATS, FLOATS), emit
-
-
-@intrinsic
-def store_numbers(typing: Any, numbers: Any, index: Any, first: Any) -> Any:
-    """Write ``first``, ``first + 1``, ... to `LANES` elements of an int64 array from ``index`` on."""
-
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        array, index, first = arguments
-        wide = ir.VectorType(ir.IntType(64), LANES)
-        one = builder.insert_element(ir.Constant(wide, ir.Undefined), first, ir.Constant(ir.IntType(32), 0))
-        order = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
-        same = builder.shuffle_vector(one, ir.Constant(wide, ir.Undefined), order)
-        values = builder.add(same, ir.Constant(wide, list(range(LANES))))
-        instruction = builder.store(values, pointer(context, builder, numbers, array, index, wide))
-        instruction.align = 8
-        return context.get_dummy_value()
-
-    return types.void(numbers, types.intp, types.int64), emit
+total = _operation("Return the sum of all lanes, added pairwise in a fixed order.", lambda a: a.scalar(a), _total)
