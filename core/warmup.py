@@ -20,27 +20,25 @@ from .model.frames import ColorCamera, DepthCamera, Rig, SensorFrame
 from .model.intrinsics import Intrinsics
 from .preset import Preset
 
+#: Called with the share done, 0 to 1, and what is done.
 Progress = Callable[[float, str], None]
 
 _WIDTH, _HEIGHT = 96, 64
 #: Number of kernels of a frame, by contact test, and of the average over frames.
 _KERNELS: Final = {"tolerance": 11, "membrane": 14}
 _AVERAGE_KERNELS: Final = 2
+#: The largest and the last kernels of each test, and what the window reads of a patch.
+_LARGEST: Final = {"tolerance": (find_candidates, search_all), "membrane": (find_differences, collect_points)}
+_ALL: Final = (*_LARGEST["tolerance"], *_LARGEST["membrane"], search_rows, add_to_means, classify_rows, color_lookup)
 
 
 def is_compiled(preset: Preset | None = None) -> bool:
-    """Return whether the largest and the last kernels of a preset's contact test are cached on disk; compiles nothing.
-
-    Without a preset: those of all contact tests, and what the window reads of a patch.
-    """
+    """Return whether the kernels of a preset's contact test, or else all, are cached on disk; compiles nothing."""
     if preset is None:
-        all_tests = (find_candidates, search_rows, search_all, find_differences, collect_points, add_to_means)
-        return all(map(is_kept, (*all_tests, classify_rows, color_lookup)))
-    if preset.contact_test not in _KERNELS:
-        return True  # a test that somebody adds is compiled by its first frame
-    largest = {"tolerance": (find_candidates, search_all), "membrane": (find_differences, collect_points)}
+        return all(map(is_kept, _ALL))
     average = (add_to_means,) if preset.averaged_frames > 1 else ()
-    return all(map(is_kept, (*largest[preset.contact_test], *average)))
+    # a test that somebody adds is compiled by its first frame
+    return all(map(is_kept, (*_LARGEST.get(preset.contact_test, ()), *average)))
 
 
 def warm_up_if_needed(progress: Progress, preset: Preset | None = None) -> None:
@@ -54,14 +52,7 @@ def warm_up_if_needed(progress: Progress, preset: Preset | None = None) -> None:
 
 
 def warm_up_test(preset: Preset, progress: Progress) -> None:
-    """Compile the kernels of a preset's contact test, and no others.
-
-    Parameters
-    ----------
-    preset : Preset
-    progress : callable
-        Called with the share done, 0 to 1, and a sentence, before the first kernel and after each.
-    """
+    """Compile the kernels of a preset's contact test, and no others; tells before the first kernel and after each."""
     test, averages = preset.contact_test, preset.averaged_frames > 1
     total = _KERNELS[test] + _AVERAGE_KERNELS * averages
 
@@ -71,13 +62,13 @@ def warm_up_test(preset: Preset, progress: Progress) -> None:
 
     tell(0)
     with counting_compiled(tell):
-        ContactPipeline(_artificial(test, 2 if averages else 1), _rig()).process(_frame(test))
+        ContactPipeline(_preset(test, 2 if averages else 1), _rig()).process(_frame(test))
     progress(1.0, f"The {test} test is compiled")
 
 
 def warm_up_views(test: str) -> None:
     """Compile what the window reads of a frame, and of its patch by a contact test beside the points."""
-    rig, frame, preset = _rig(), _frame(test), _artificial(test)
+    rig, frame, preset = _rig(), _frame(test), _preset(test)
     patch = ContactPipeline(preset, rig).process(frame)
     _ = patch.provenance, patch.aligned
     colors_at(patch.points, np.flatnonzero(patch.mask), frame.proximity_color, rig)
@@ -85,70 +76,40 @@ def warm_up_views(test: str) -> None:
 
 
 def warm_up(progress: Progress = lambda share, words: None) -> Compiled:
-    """Run every kernel once, on artificial frames.
-
-    Parameters
-    ----------
-    progress : callable
-        Called with the share done, 0 to 1, and a description of the work.
-
-    Returns
-    -------
-    Compiled
-        How many kernels were compiled, how many were loaded from disk, and where they are cached.
-    """
-    warm_up_test(_artificial("tolerance"), lambda share, words: progress(share / 3, words))
-    warm_up_test(_artificial("membrane", 2), lambda share, words: progress((1 + share) / 3, words))
+    """Run every kernel once, on artificial frames; return how many were compiled, and where they are cached."""
+    warm_up_test(_preset("tolerance"), lambda share, words: progress(share / 3, words))
+    warm_up_test(_preset("membrane", 2), lambda share, words: progress((1 + share) / 3, words))
     below_threshold(np.ones(10), 2.0)
     warm_up_views("membrane")
     progress(1.0, "All contact tests are compiled")
     return compiled_so_far()
 
 
-def _artificial(test: str, frames: int = 1) -> Preset:
+def _preset(test: str, frames: int = 1) -> Preset:
     """Return a preset with which the artificial frames need every kernel of a contact test."""
-    return Preset(contact_test=test).with_values(
-        {
-            "mask.enabled": True,
-            "mask.value": (0, 9),
-            "outliers.min_cluster_area_mm2": 1.0,
-            "tolerance.t": 0.05,
-            "membrane.frames": frames,
-        }
-    )
+    values = {"mask.enabled": True, "mask.value": (0, 9), "outliers.min_cluster_area_mm2": 1.0, "tolerance.t": 0.05}
+    return Preset(contact_test=test).with_values(values | {"membrane.frames": frames})
 
 
 def _rig() -> Rig:
     lens = Intrinsics(width=_WIDTH, height=_HEIGHT, fx=70.0, fy=70.0, cx=47.5, cy=31.5)
-    camera = DepthCamera(intrinsics=lens, depth_unit_m=0.0001)
-    unit = np.eye(4).tolist()
-    return Rig(
-        proximity=camera,
-        tactile=camera,
-        proximity_color=ColorCamera(intrinsics=lens, T_color_depth=unit),
-        T_proximity_tactile=unit,
-    )
+    camera, pose = DepthCamera(intrinsics=lens, depth_unit_m=0.0001), np.eye(4).tolist()
+    color = ColorCamera(intrinsics=lens, T_color_depth=pose)
+    return Rig(proximity=camera, tactile=camera, proximity_color=color, T_proximity_tactile=pose)
 
 
 def _frame(test: str) -> SensorFrame:
     """Return a frame in which a contact test finds contact, by every kernel that it has."""
-    return _bulging_frame() if test == "membrane" else _ragged_frame()
-
-
-def _ragged_frame() -> SensorFrame:
-    """Return a frame whose surface has a smooth and a ragged half, and a lone point."""
-    depth = np.full((_HEIGHT, _WIDTH), 3000, np.uint16)
-    depth[:, 40:] += np.random.default_rng(0).integers(0, 300, (_HEIGHT, _WIDTH - 40)).astype(np.uint16)
-    depth[:, 60:] = 0
-    depth[0, -1] = 9000
-    return SensorFrame(0, depth, depth.copy(), np.full((_HEIGHT, _WIDTH, 3), 128, np.uint8))
-
-
-def _bulging_frame() -> SensorFrame:
-    """Return a frame of a bulging membrane that is a little flattened where an object touches its centre."""
+    color = np.full((_HEIGHT, _WIDTH, 3), 128, np.uint8)
+    if test != "membrane":  # a surface with a smooth and a ragged half, and a lone point
+        depth = np.full((_HEIGHT, _WIDTH), 3000, np.uint16)
+        depth[:, 40:] += np.random.default_rng(0).integers(0, 300, (_HEIGHT, _WIDTH - 40)).astype(np.uint16)
+        depth[:, 60:] = 0
+        depth[0, -1] = 9000
+        return SensorFrame(0, depth, depth.copy(), color)
+    # a bulging membrane that is a little flattened where an object touches its centre
     v, u = np.mgrid[:_HEIGHT, :_WIDTH] - np.array([_HEIGHT, _WIDTH])[:, None, None] / 2
     square = np.maximum(u * u + v * v, 400.0)
     membrane = 3000 - square / 16
     behind = np.where(square < 500, membrane, membrane + 2000)
-    color = np.full((_HEIGHT, _WIDTH, 3), 128, np.uint8)
     return SensorFrame(1, behind.astype(np.uint16), membrane.astype(np.uint16), color)

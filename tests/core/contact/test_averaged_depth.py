@@ -35,29 +35,6 @@ def test_the_mean_is_that_of_the_frames(make_frame, rig):
     assert shown.sequence == frames[-1].sequence
 
 
-def test_no_more_than_so_many_frames_weigh(make_frame, rig):
-    still = make_frame(rig, 0, 0.0, 0.0)
-    later = replace(still, tactile_depth=still.tactile_depth + np.uint16(3))  # 0.3 mm, below what counts as movement
-    average = AveragedDepth(rig, 4)
-    for _ in range(50):
-        average.add(still)
-    shown = [int(np.median(average.add(later).tactile_depth - still.tactile_depth.astype(int))) for _ in range(20)]
-    assert shown[0] == 1
-    assert shown[-1] == 3
-
-
-def test_noise_fades_and_holes_are_filled(make_frame, rig):
-    clean = make_frame(rig, 0, 0.0, 0.0).tactile_depth.astype(float)
-    frames = frames_of(make_frame, rig, 10)
-    average = AveragedDepth(rig, 10)
-    for frame in frames:
-        shown = average.add(frame)
-    seen = (frames[-1].tactile_depth > 0) & (frames[-1].tactile_depth < 65535)
-    before, after = (np.std((image - clean)[seen]) for image in (frames[-1].tactile_depth, shown.tactile_depth))
-    assert after < 0.45 * before
-    assert (shown.tactile_depth > 0).mean() > 0.999 > seen.mean() + 0.05
-
-
 def test_where_the_membrane_moves_both_cameras_begin_anew(make_frame, rig):
     still = make_frame(rig, 0, 0.0, 0.0)
     average = AveragedDepth(rig, 10)
@@ -111,19 +88,6 @@ def test_the_pipeline_averages_only_where_asked_and_each_frame_once(make_frame, 
     assert patch.points.shape != single.points.shape or not np.array_equal(patch.points, single.points)
 
 
-def test_turning_it_off_gives_the_frame_itself(make_frame, rig):
-    frames = frames_of(make_frame, rig, 4)
-    contact = ContactPipeline(AVERAGED, rig)
-    for frame in frames:
-        contact.process(frame)
-    contact.update(AVERAGED.with_value("membrane.frames", 1))
-    off = contact.process(frames[-1])
-    np.testing.assert_array_equal(off.points, ContactPipeline(contact.preset, rig).process(frames[-1]).points)
-    contact.update(AVERAGED.with_value("membrane.gap_m", 0.002))
-    begun = ContactPipeline(contact.preset, rig).process(frames[-1])
-    np.testing.assert_array_equal(contact.process(frames[-1]).points, begun.points)
-
-
 def test_the_average_is_a_stage_of_its_own(make_frame, rig):
     first, second = frames_of(make_frame, rig, 2)
     contact = ContactPipeline(AVERAGED, rig)
@@ -135,32 +99,6 @@ def test_the_average_is_a_stage_of_its_own(make_frame, rig):
     assert contact.process(second).stage_ms["average"] == 0
     contact.update(AVERAGED.with_value("membrane.frames", 1))
     assert tuple(contact.process(second).stage_ms) == tuple(MembraneTest.steps)
-
-
-def test_another_number_of_frames_keeps_what_is_remembered(make_frame, rig):
-    frames = frames_of(make_frame, rig, 7)
-    changed, constant = (
-        ContactPipeline(AVERAGED, rig),
-        ContactPipeline(AVERAGED.with_value("membrane.frames", 12), rig),
-    )
-    for frame in frames[:5]:
-        changed.process(frame)
-        constant.process(frame)
-    changed.update(constant.preset)
-    for frame in frames[5:]:
-        np.testing.assert_array_equal(changed.process(frame).points, constant.process(frame).points)
-
-
-@pytest.mark.parametrize(("width", "height"), [(160, 104), (72, 120), (16, 16)])
-def test_squares_cut_off_by_the_border_are_judged_too(make_rig, make_frame, width, height):
-    rig = make_rig(width=width, height=height)
-    still = make_frame(rig, 0, 0.0, 0.0)
-    average = AveragedDepth(rig, 10)
-    average.add(still)
-    moved = still.tactile_depth.copy()
-    moved[-8:, -8:] += np.uint16(30)  # 3 mm
-    shown = average.add(replace(still, tactile_depth=moved))
-    np.testing.assert_array_equal(shown.tactile_depth, moved)
 
 
 def test_what_moves_slowly_together_stays_together(make_frame, rig):
@@ -175,15 +113,6 @@ def test_what_moves_slowly_together_stays_together(make_frame, rig):
         shown = average.add(replace(still, **moved))
         lags_m = [np.median(moved[name].astype(float) - getattr(shown, name)) * unit_m for name, unit_m in cameras]
         assert abs(lags_m[0] - lags_m[1]) < 0.0003
-
-
-def test_a_patch_says_over_how_many_frames_it_is(make_frame, rig):
-    frames = frames_of(make_frame, rig, 4, share_missing=0.0)
-    contact = ContactPipeline(AVERAGED.with_value("membrane.frames", 3), rig)
-    assert [contact.process(frame).averaged_frames for frame in frames] == [1, 2, 3, 3]
-    assert contact.process(frames[-1]).averaged_frames == 3
-    contact.update(AVERAGED.with_value("membrane.frames", 1))
-    assert contact.process(frames[-1]).averaged_frames == 1
 
 
 def test_measured_noise_keeps_the_frames_so_far(make_frame, rig):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +11,6 @@ from hypothesis import strategies as st
 
 from rigs import one_place_rig
 from tactune.core.contact.alignment import make_alignment
-from tactune.core.contact.kernels.threads import set_threads
 from tactune.core.contact.masking import colors_at, in_hsv_range
 from tactune.core.contact.membrane.bias import rig_bias
 from tactune.core.contact.membrane.steps import classify, differences_at
@@ -97,13 +95,6 @@ def test_every_pixel_has_the_reason_why_it_was_kept_or_dropped(rig, scene):
     assert all(verdict.explanation.endswith(".") for verdict in Provenance)
 
 
-def test_a_patch_without_a_tactile_depth_says_so(rig, scene):
-    blind = replace(scene, tactile_depth=np.full_like(scene.tactile_depth, 65535))
-    patch = ContactPipeline(MEMBRANE, rig).process(blind)
-    assert set(np.unique(patch.provenance)) == {Provenance.NO_PROXIMITY_DEPTH, Provenance.NO_TACTILE_DEPTH}
-    assert patch.skipped == ("no candidates",)
-
-
 def test_points_belong_to_the_masks_pixels_in_order_and_lie_between_both_surfaces(rig, scene):
     patch = ContactPipeline(MEMBRANE, rig).process(scene)
     rays = ray_table(rig.proximity.intrinsics)[patch.mask]
@@ -114,16 +105,6 @@ def test_points_belong_to_the_masks_pixels_in_order_and_lie_between_both_surface
     reach_mm = 25 + np.sqrt(MEMBRANE.membrane.gap_m / 3e-5)  # where the gap is the largest one
     disc = patch.mask & (np.mgrid[:HEIGHT, :WIDTH][1] < 120)
     assert disc.sum() == pytest.approx(np.pi * reach_mm**2, rel=0.05)
-
-
-def test_a_region_and_a_range_hold_to_the_pixel(rig, scene):
-    """The means reach beyond, contact does not."""
-    cut = MEMBRANE.with_values({"region.enabled": True, "region.rectangle": (0, 0, 60, HEIGHT)})
-    patch = ContactPipeline(cut, rig).process(scene)
-    assert patch.mask[60, 59]
-    assert not patch.mask[:, 60:].any()
-    near = MEMBRANE.with_values({"range.enabled": True, "range.limits_m": (0.1, 0.2)})
-    assert not ContactPipeline(near, rig).process(scene).mask.any()
 
 
 @pytest.mark.parametrize(
@@ -249,14 +230,6 @@ def test_nothing_is_done_for_a_frame_with_nothing_near(rig):
     assert set(np.unique(patch.provenance)) == {Provenance.OUTSIDE_TOLERANCE}
 
 
-def test_lone_pixels_are_no_contact(rig):
-    gap = np.full((HEIGHT, WIDTH), 0.1)
-    gap[::20, ::20] = 0.0
-    patch = ContactPipeline(MEMBRANE, rig).process(frame_of(gap))
-    assert len(patch.points) == 0
-    assert (patch.provenance[::20, ::20] == Provenance.OUTSIDE_TOLERANCE).all()
-
-
 def test_what_is_elsewhere_in_the_image_changes_nothing(rig, scene):
     """Lone pixels near the membrane make what is looked at larger, and must not reach contact."""
     crowded = scene.proximity_depth.copy()
@@ -268,24 +241,3 @@ def test_what_is_elsewhere_in_the_image_changes_nothing(rig, scene):
     assert len(alone.points) > 1000
     np.testing.assert_array_equal(alone.points.view(np.uint32), among.points.view(np.uint32))
     np.testing.assert_array_equal(alone.mask, among.mask)
-
-
-def test_the_result_does_not_depend_on_threads(make_rig, make_frame):
-    rig = make_rig(width=640, height=480)
-    frame = make_frame(rig, 3, 0.0008, 0.02)
-    preset = MEMBRANE.with_values({"membrane.bias": True, "membrane.gap_m": 0.0003})
-
-    def patch_with(threads):
-        set_threads(threads)
-        return ContactPipeline(preset, rig).process(frame)
-
-    with ThreadPoolExecutor(1) as pool:  # whose thread keeps the setting to itself
-        one, three = (pool.submit(patch_with, threads).result() for threads in (1, 3))
-    assert len(one.points) > 1000
-    assert same_patch(one, three)
-
-
-def test_a_homography_with_the_membrane_test_is_warned_of(rig):
-    assert ContactPipeline(MEMBRANE, rig).warnings == []
-    (warning,) = ContactPipeline(MEMBRANE.with_value("alignment.model", "homography"), rig).warnings
-    assert "rigid" in warning

@@ -81,20 +81,6 @@ def test_no_candidate_is_ever_ruled_out(make_rig, make_frame, seed, model, width
     assert not (tiles_with_candidates(preset, rig, frame) & ~marked(preset, rig, frame)).any()
 
 
-@pytest.mark.parametrize("model", ["rigid", "homography"])
-def test_an_empty_scene_has_no_tile_left(make_rig, make_frame, model):
-    rig = make_rig(width=160)
-    frame = make_frame(rig, 3, noise_m=0.0005)
-    far = lifted(frame, rig, 0.08, np.zeros(frame.proximity_depth.shape, bool))
-    preset = PRESET.with_values({"alignment.model": model, "tolerance.t": 0.01})
-    assert not marked(preset, rig, far).any()
-    where = np.zeros(frame.proximity_depth.shape, bool)
-    where[24:40, 64:96] = True
-    touched = marked(preset, rig, lifted(frame, rig, 0.08, where))
-    assert touched.any()
-    assert touched.mean() < 0.5
-
-
 def test_a_distorted_tactile_lens_rules_nothing_out(make_rig, make_frame):
     rig = make_rig(distortion="brown_conrady", bend=0.05)
     assert marked(PRESET, rig, make_frame(rig)).all()
@@ -113,13 +99,6 @@ def test_every_colour_has_opencvs_hue_saturation_and_value():
         for channel, (floor, ceiling) in ((saturation, section.saturation), (value, section.value)):
             expected &= (floor <= channel) & (channel <= ceiling)
         assert np.array_equal(in_hsv_range(colors, section), expected)
-
-
-def test_hue_ranges_wrap_around_red():
-    red, green = np.array([255, 0, 8], np.uint8), np.array([0, 255, 0], np.uint8)
-    colors = np.stack([red, green])
-    assert in_hsv_range(colors, MaskSection(hue=(170, 10))).tolist() == [True, False]
-    assert in_hsv_range(colors, MaskSection(hue=(10, 170))).tolist() == [False, True]
 
 
 _PROGRAM = """

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from numba.core.errors import NumbaError
 from numba.core.runtime import _nrt_python, rtsys
 
 from tactune.core.bench.measure import allocation
-from tactune.core.contact.kernels.compiling import kernel
-from tactune.core.contact.outliers.statistical import NeighbourMemory, statistical_inliers
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.model.provenance import Provenance
 from tactune.core.preset import Preset
@@ -63,31 +59,6 @@ def test_points_are_one_array_that_later_frames_do_not_overwrite(make_rig, make_
     assert np.array_equal(points, before)
 
 
-def test_the_membrane_test_takes_a_bounded_number_of_bytes_and_the_command_measures_it(tactune):
-    finished = tactune("bench", "memory", "--source", "sim:cup?press=medium", "--json")
-    facts = json.loads(finished.out)
-    assert facts["contact_test"] == "membrane"
-    assert facts["contiguous"]
-    assert not facts["copied_when_read"]
-    assert facts["points_bytes"] == 12 * facts["most_points"] > 12 * 5000
-    assert facts["frame_bytes"] < 20 * 640 * 480  # bytes per pixel of the proximity camera
-    assert facts["left_bytes"] < SLACK_BYTES
-
-
-def test_outliers_are_searched_in_arrays_from_before(pipeline_and_frame):
-    """Besides flags for inliers and for open means, nothing is allocated: no array of eight bytes per point."""
-    pipeline, frame, _ = pipeline_and_frame
-    patch, camera = pipeline.process(replace(frame)), pipeline.rig.proximity.intrinsics
-    pixels, memory = np.flatnonzero(patch.mask), NeighbourMemory()
-
-    def search():
-        memory.buffer(0)  # forgets what was found before
-        return statistical_inliers(patch.points, pixels, camera, 20, 2.0, memory)
-
-    search()
-    assert allocation(search, FRAMES).peak_bytes < 3 * len(pixels) + SLACK_BYTES
-
-
 def test_kernels_take_no_memory_of_their_own(pipeline_and_frame):
     """numba's arrays are not traced by Python; its own counter must stand still."""
     pipeline, frame, _ = pipeline_and_frame
@@ -99,15 +70,3 @@ def test_kernels_take_no_memory_of_their_own(pipeline_and_frame):
         assert rtsys.get_allocation_stats() == before
     finally:
         _nrt_python.memsys_disable_stats()
-
-
-def test_a_kernel_that_makes_an_array_is_refused():
-    def refused(count):
-        return np.zeros(count).sum()
-
-    def allowed(count):
-        return np.zeros(count).sum()
-
-    with pytest.raises((NumbaError, RuntimeError)):
-        kernel(refused)(3)
-    assert kernel(allowed, allocates=True)(3) == 0.0

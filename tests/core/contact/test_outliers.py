@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactune.core.contact.kernels.threads import get_threads, set_threads
 from tactune.core.contact.outliers import statistical
 from tactune.core.contact.outliers.clusters import in_large_cluster
 from tactune.core.contact.outliers.statistical import exact_means, near_means, precise_means, statistical_inliers
@@ -136,42 +135,6 @@ def test_clouds_without_a_near_neighbour_go_to_the_tree(monkeypatch):
     monkeypatch.setattr(statistical, "exact_means", lambda *a: calls.append(len(a[0])) or exact_means(*a))
     assert np.array_equal(statistical_inliers(far, pixels, lens, 20, 2.0), open3d_inliers(far, 20, 2.0))
     assert calls == [len(points)]
-
-
-@pytest.mark.parametrize("count", [0, 1, 2, 3])
-def test_tiny_clouds_follow_open3d(count):
-    points, pixels, lens = scene(0, 20, 20, 1.0, 0.01)
-    some = statistical_inliers(points[:count], pixels[:count], lens, 20, 2.0)
-    assert some.shape == (count,)
-    if count:
-        assert np.array_equal(some, open3d_inliers(points[:count], 20, 2.0))
-
-
-def test_the_result_does_not_depend_on_the_number_of_threads():
-    points, pixels, lens = scene(8, 160, 120, 0.8, 0.002)
-    threads = get_threads()
-    means = []
-    try:
-        for count in (1, 2, 5):
-            set_threads(count)
-            means.append((near_means(points, pixels, lens, 20), exact_means(points, 20)))
-    finally:
-        set_threads(threads)
-    for near, exact in means[1:]:
-        assert np.array_equal(near, means[0][0])
-        assert np.array_equal(exact, means[0][1])
-
-
-def test_clusters_are_kept_by_their_area():
-    lens = Intrinsics(width=40, height=30, fx=30.0, fy=30.0, cx=20.0, cy=15.0)
-    mask = np.zeros((30, 40), bool)
-    mask[2:6, 2:6] = True  # 16 pixels of 100 mm2 at 0.3 m
-    mask[20, 30] = mask[21, 31] = True  # two pixels that touch at a corner: 200 mm2
-    pixels = np.flatnonzero(mask)
-    points = np.zeros((len(pixels), 3), np.float32)
-    points[:, 2] = 0.3
-    for smallest, survivors in ((0.0, 18), (199.0, 18), (201.0, 16), (1599.0, 16), (1601.0, 0)):
-        assert in_large_cluster(points[:, 2], pixels, lens, smallest).sum() == survivors
 
 
 @settings(max_examples=60, deadline=None)

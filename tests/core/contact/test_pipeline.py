@@ -12,10 +12,9 @@ from tactune.core.contact.outliers import clusters, statistical
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.contact.pixels import Pixels
 from tactune.core.contact.tolerance import ToleranceTest
-from tactune.core.errors import FrameError, RigMismatchError, SourceError
+from tactune.core.errors import FrameError, RigMismatchError
 from tactune.core.model.clouds import deproject, valid_depth
 from tactune.core.model.frames import Rig, SensorFrame, rigid_transform
-from tactune.core.model.intrinsics import Distortion
 from tactune.core.model.provenance import Provenance
 from tactune.core.preset import Preset
 
@@ -65,20 +64,6 @@ def test_every_input_gives_the_references_bits(make_rig, make_frame, values, see
     assert same_patch(patch, reference_patch(preset, rig, frame))
     assert patch.points.dtype == np.float32
     assert patch.mask.sum() == len(patch.points)
-
-
-@settings(max_examples=60, deadline=None)
-@given(first=settings_of_all_kinds, then=settings_of_all_kinds, new_frame=st.booleans())
-def test_memory_never_changes_a_result(make_rig, make_frame, first, then, new_frame):
-    rig = make_rig()
-    frame = make_frame(rig, 1)
-    used = ContactPipeline(PRESET.with_values(first), rig)
-    used.process(frame)
-    used.update(PRESET.with_values(then))
-    if new_frame:
-        frame = make_frame(rig, 2)
-    fresh = ContactPipeline(PRESET.with_values(then), rig)
-    assert same_patch(used.process(frame), fresh.process(frame))
 
 
 @pytest.mark.parametrize(
@@ -203,15 +188,6 @@ def test_the_homography_lookup_is_opencvs_nearest_warp():
     assert (ours > 0).mean() > 0.8
 
 
-def test_pixels_beyond_the_horizon_have_no_partner():
-    H = np.array([[1.0, 0, 0], [0, 1.0, 0], [0.02, 0, -1.0]])  # w changes sign at u = 50
-    table = homography_table(np.linalg.inv(H), (60, 80), (60, 80))
-    u = np.arange(80)[None].repeat(60, axis=0)
-    w = 0.02 * u - 1.0
-    centre_side = np.sign(np.linalg.inv(H)[2] @ (39.5, 29.5, 1.0))
-    assert (table[np.sign(w) != centre_side] == -1).all()
-
-
 def test_a_point_outside_the_colour_image_is_kept(make_rig, make_frame):
     rig = make_rig()
     frame = make_frame(rig)
@@ -220,16 +196,6 @@ def test_a_point_outside_the_colour_image_is_kept(make_rig, make_frame):
     everything = PRESET.with_values({"mask.enabled": True, "tolerance.t": 0.05})
     assert (ContactPipeline(everything, rig).process(frame).provenance == Provenance.MASKED).any()
     assert not (ContactPipeline(everything, turned).process(frame).provenance == Provenance.MASKED).any()
-
-
-@settings(max_examples=30, deadline=None)
-@given(st.floats(0, 0.2), st.floats(0, 0.2), st.sampled_from(["rigid", "homography"]))
-def test_candidates_grow_with_the_tolerance(make_rig, make_frame, a, b, model):
-    rig = make_rig()
-    frame = make_frame(rig)
-    base = PRESET.with_values({"outliers.enabled": False, "alignment.model": model})
-    small, large = (ContactPipeline(base.with_value("tolerance.t", t), rig).process(frame).mask for t in sorted((a, b)))
-    assert not (small & ~large).any()
 
 
 def test_area_and_centroid_of_a_known_patch(make_rig):
@@ -284,12 +250,6 @@ def test_a_refused_update_leaves_the_old_preset_in_force(make_rig, make_frame):
     assert same_patch(contact.process(make_frame(rig)), before)
 
 
-def test_a_rig_without_a_pose_is_refused_in_words(make_rig):
-    rig = make_rig().model_copy(update={"T_proximity_tactile": None})
-    with pytest.raises(RigMismatchError, match="pose of the tactile camera is not known"):
-        ContactPipeline(PRESET, rig)
-
-
 def test_a_plane_through_the_tactile_camera_is_refused(make_rig):
     pose = np.eye(4)
     pose[2, 3] = 0.3
@@ -297,31 +257,6 @@ def test_a_plane_through_the_tactile_camera_is_refused(make_rig):
     preset = PRESET.with_values({"alignment.model": "homography", "alignment.homography.plane_distance_m": 0.3})
     with pytest.raises(RigMismatchError, match=r"plane_distance_m is 0\.3"):
         ContactPipeline(preset, rig)
-
-
-def test_a_lens_without_a_ray_for_every_pixel_is_refused(make_rig, make_frame):
-    rig = make_rig()
-    # Ten fixed-point steps with such tangential coefficients run away.
-    wild = rig.proximity.intrinsics.model_copy(
-        update={"distortion": Distortion.BROWN_CONRADY, "coefficients": (0.0, 0.0, 900.0, 900.0, 0.0)}
-    )
-    rig = rig.model_copy(update={"proximity": rig.proximity.model_copy(update={"intrinsics": wild})})
-    with pytest.raises(SourceError, match="without a ray"):
-        ContactPipeline(PRESET, rig).process(make_frame(rig))
-
-
-def test_other_intrinsics_are_warned_of_with_what_differs(make_rig):
-    rig = make_rig()
-    lens = rig.tactile.intrinsics.model_copy(update={"cy": 31.5})
-    other = rig.model_copy(update={"tactile": rig.tactile.model_copy(update={"intrinsics": lens})})
-    (warning,) = ContactPipeline(Preset(rig=rig), other).warnings
-    assert f"(cy {rig.tactile.intrinsics.cy}, here 31.5)" in warning
-
-
-def test_a_region_outside_the_image_is_refused(make_rig):
-    preset = PRESET.with_values({"region.enabled": True, "region.rectangle": [80, 0, 5, 5]})
-    with pytest.raises(RigMismatchError, match=r"\(80, 0\).*80 x 60"):
-        ContactPipeline(preset, make_rig())
 
 
 @pytest.mark.parametrize(

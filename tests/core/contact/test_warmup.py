@@ -9,8 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from tactune.core.warmup import warm_up
-
 SUPPORT = Path(__file__).resolve().parents[2] / "support"
 
 PROCESS = """
@@ -46,34 +44,6 @@ print(compiled_so_far())
     assert str(tmp_path) in first
     again = run(program, NUMBA_CACHE_DIR=str(tmp_path))
     assert again.startswith("False True\nCompiled(loaded=1, compiled=0")
-
-
-def test_without_any_folder_to_write_to_the_kernels_still_run():
-    program = """
-import numba.core.caching as caching
-caching.CacheImpl._locator_classes = []  # numba has no public setting for "no folder at all"
-import importlib, tactune.core.contact.kernels.compiling, tactune.core.contact.kernels.colors
-importlib.reload(tactune.core.contact.kernels.colors)
-from tactune.core.contact.masking import in_hsv_range
-print(in_hsv_range(np.zeros((2, 3), np.uint8), Preset().mask).tolist(), is_compiled() in (True, False))
-print(tactune.core.contact.kernels.colors.colors_in_range.stats.cache_path)
-"""
-    assert run(program).splitlines() == ["[True, True] True", "None"]
-
-
-def test_the_command_says_what_it_did():
-    warm_up()
-    done = subprocess.run(
-        [sys.executable, "-m", "tactune.app", "warmup"],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
-    assert "nothing to compile" in done.stdout
-    assert "kept in" in done.stdout
-    assert done.stderr == ""
 
 
 MEMBRANE = {
@@ -138,27 +108,6 @@ for values in ({"membrane.bias": False}, {}, {"membrane.frames": 2}):  # each ne
     print(patch.stage_ms["equilibrium"] > 0.2, after.loaded - before.loaded, after.compiled - before.compiled)
 """
     assert run(program).split() == ["True", "0", "0"] * 3
-
-
-def test_two_pipelines_in_two_threads_at_once():
-    program = """
-import threading
-rig = tiny_rig()
-frame = tiny_frame(12, rig)
-wanted = ContactPipeline(Preset(), rig).process(frame)
-wrong = []
-def work():
-    pipeline = ContactPipeline(Preset(), rig)
-    for _ in range(50):
-        patch = pipeline.process(type(frame)(0, frame.proximity_depth, frame.tactile_depth, frame.proximity_color))
-        if not np.array_equal(patch.points, wanted.points) or not np.array_equal(patch.provenance, wanted.provenance):
-            wrong.append(patch)
-threads = [threading.Thread(target=work) for _ in range(4)]
-for thread in threads: thread.start()
-for thread in threads: thread.join()
-print(len(wrong), len(wanted.points) > 100)
-"""
-    assert run(program, NUMBA_THREADING_LAYER="workqueue").split() == ["0", "True"]
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")

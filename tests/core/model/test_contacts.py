@@ -37,7 +37,3 @@ def test_contacts_are_the_connected_parts_the_largest_first() -> None:
     u, v = ring.pixel
     assert mask[v, u], "the centroid of a ring is not in contact; the point nearest to it is"
     assert abs(u - 44) + abs(v - 24) == 2
-
-
-def test_an_empty_patch_has_no_contacts() -> None:
-    assert patch_of(np.zeros((40, 60), bool)).contacts == ()

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactune.core.errors import ExportError, PresetError
-from tactune.core.preset import CamerasSection, Preset
+from tactune.core.preset import Preset
 from tactune.core.preset import file as preset_file
 from tactune.core.preset.file import preset_and_note, preset_from_text, preset_json, save_preset, shipped_presets
 from tactune.core.preset.preset import json_schema, preset_paths
@@ -163,42 +163,6 @@ def test_a_preset_with_a_field_that_is_gone_says_which_and_loads(tmp_path, monke
     assert read == preset
     assert "polish, tolerance.share of" in note
     assert preset_and_note(preset_json(preset), "new.json") == (preset, "")
-
-
-def test_cameras_are_kept_and_checked():
-    read = Preset()
-    assert read.cameras == CamerasSection()
-    kept = read.with_values({"cameras.tactile.serial": "1234", "cameras.proximity.options": {"laser_power": 40.0}})
-    assert preset_from_text(preset_json(kept), "new.json").cameras == kept.cameras
-    with pytest.raises(PresetError, match=r"cameras.proximity.options.laser_power is 'much'"):
-        read.with_value("cameras.proximity.options", {"laser_power": "much"})
-    with pytest.raises(PresetError, match=r"cameras.tactile_delay_s is 3.0.*allowed: -2 to 2"):
-        read.with_value("cameras.tactile_delay_s", 3.0)
-
-
-def test_a_failed_save_leaves_the_old_file_whole(tmp_path, monkeypatch):
-    path = tmp_path / "cup.json"
-    save_preset(Preset(name="first"), path)
-
-    def disk_full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("tactune.core.model.files.os.fsync", disk_full)
-    with pytest.raises(ExportError, match="No space left"):
-        save_preset(Preset(name="second"), path)
-    assert load_preset(path).name == "first"
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_what_a_killed_save_left_is_removed(tmp_path):
-    kept = [tmp_path / name for name in (".mine-0123abcd.txt", ".other-0123abcd.json", ".mine-0123.json")]
-    left = tmp_path / ".mine-0123abcd.json"
-    for file in (left, *kept):
-        file.touch()
-        os.utime(file, (1e9, 1e9))
-    save_preset(Preset(), tmp_path / "mine.json")
-    assert not left.exists()
-    assert all(file.exists() for file in kept)
 
 
 def test_only_ordinary_files_are_replaced_and_a_link_stays_one(tmp_path):

@@ -8,16 +8,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import brentq, lsq_linear
+from scipy.optimize import lsq_linear
 
 from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.kernels import cells as cell_kernels
-from tactune.core.contact.kernels import chain
 from tactune.core.contact.kernels import equilibrium as kernels
 from tactune.core.contact.kernels.membrane import RayWindow
 from tactune.core.contact.membrane.bias import rig_bias
 from tactune.core.contact.membrane.cells import Cells, cells_of, over_window
-from tactune.core.contact.membrane.equilibrium import Equilibrium, settle
+from tactune.core.contact.membrane.equilibrium import settle
 from tactune.core.contact.membrane.steps import differences_at, membrane_image
 from tactune.core.contact.membrane.tension import free_curvature_per_m
 from tactune.core.contact.pipeline import ContactPipeline
@@ -50,78 +49,6 @@ def cells_of_gap(gap_m: np.ndarray, push_per_m: float | np.ndarray) -> Cells:
         facing=np.ones_like(gap_m),
         size_px=3,
     )
-
-
-def radius_m(touching: np.ndarray, side_m: float = SIDE_M) -> float:
-    return float(np.sqrt(np.count_nonzero(touching) / np.pi)) * side_m
-
-
-def gap_at(r: np.ndarray | float, contact_m: float, push_per_m: float) -> np.ndarray:
-    """The solution of g'' + g' / r = f with g = g' = 0 at the edge of contact: f / 4 (r^2 - a^2 - 2 a^2 ln(r / a))."""
-    r = np.maximum(r, contact_m)
-    return push_per_m / 4 * (r**2 - contact_m**2 - 2 * contact_m**2 * np.log(r / contact_m))
-
-
-def pressed_paraboloid(depth_m: float, curvature_per_m: float, pull_per_m: float, rim_m: float) -> float:
-    """Return the radius of contact of a paraboloid that is pressed into a flat membrane, clamped on a circle.
-
-    The membrane with p / T = pull bulges away from the camera, the paraboloid of curvature 1 / R towards it, so
-    laplacian(g) = p / T + 2 / R, and at the rim the gap is that of the paraboloid above the plane.
-    """
-    push = pull_per_m + 2 * curvature_per_m
-    at_rim = curvature_per_m * rim_m**2 / 2 - depth_m
-    return float(brentq(lambda a: float(gap_at(rim_m, a, push)) - at_rim, 1e-5, rim_m * 0.999))
-
-
-@pytest.mark.parametrize(
-    ("depth_m", "curvature_per_m", "pull_per_m"), [(0.0005, 20.0, 5.0), (0.001, 20.0, 10.0), (0.0005, 10.0, 3.0)]
-)
-@pytest.mark.parametrize("noise_m", [0.0, 0.0005])
-def test_a_paraboloid_pressed_through_a_flat_membrane_touches_within_its_radius(
-    depth_m, curvature_per_m, pull_per_m, noise_m
-):
-    """Inside the rim the measured gap has no weight: what is solved for follows from mechanics and the rim alone."""
-    rim_m = 0.026
-    contact_m = pressed_paraboloid(depth_m, curvature_per_m, pull_per_m, rim_m)
-    v, u = np.indices((COUNT, COUNT)) - COUNT // 2
-    r = np.hypot(u, v) * SIDE_M
-    push = pull_per_m + 2 * curvature_per_m
-    gap = gap_at(r, contact_m, push)
-    noise = np.random.default_rng(0).normal(0, noise_m, gap.shape) if noise_m else 0.0
-    clamped = r > rim_m
-    cells = cells_of_gap(np.where(clamped, 0.006 + 0 * gap, gap + noise), push)
-    inner = replace(cells, weight=np.where(clamped, 0, cells.share).astype(np.float32))
-    trust_m = 0.2 if noise_m == 0 else 0.05
-    # the rim's own gaps are held: the solver keeps the gap of cells that it does not solve for
-    solution = settled_with_rim(inner, gap, clamped, trust_m)
-    assert contact_m > 3 * SIDE_M
-    assert radius_m(solution <= 1e-7) == pytest.approx(contact_m, abs=0.6 * SIDE_M)
-    if noise_m == 0:
-        np.testing.assert_allclose(solution[~clamped], gap[~clamped], atol=2e-5)
-
-
-def settled_with_rim(cells: Cells, gap_m: np.ndarray, held: np.ndarray, trust_m: float) -> np.ndarray:
-    """Solve with the kernels for the cells that are not held; the held ones keep ``gap_m``."""
-    gaps = np.where(held, gap_m, np.maximum(cells.difference_m, 0)).astype(np.float32)
-    relaxation = kernels.Relaxation(np.float32(1.8), np.float32(1e-8), 5000)
-    kernels.settle(gaps.reshape(-1), gaps.shape[1], *equations(cells, cells.known & ~held, trust_m), relaxation)
-    return gaps
-
-
-@pytest.mark.parametrize("push_per_m", [20.0, 60.0, 150.0])
-@pytest.mark.parametrize("contact_m", [0.005, 0.010])
-@pytest.mark.parametrize("trust_m", [0.008, 0.016, 0.03])
-def test_the_shipped_iteration_finds_the_disc(push_per_m, contact_m, trust_m):
-    v, u = np.indices((COUNT, COUNT)) - COUNT // 2
-    gap = gap_at(np.hypot(u, v) * SIDE_M, contact_m, push_per_m)
-    cells = cells_of_gap(gap, push_per_m)
-    beside = np.zeros_like(cells.known)
-    beside[1:-1, 1:-1] = True
-    beside[2:-2, 2:-2] = False  # where the membrane goes on, its measured gap holds the border
-    solution = settle(replace(cells, known=cells.known & ~beside), 0.0, trust_m)
-    near_m = MEMBRANE.membrane.gap_m
-    reach_m = np.sqrt(2 * near_m / push_per_m)  # as far beyond contact the gap is the largest one that counts
-    assert radius_m(solution.gap_m <= near_m) == pytest.approx(contact_m + reach_m, abs=SIDE_M)
 
 
 def test_the_membrane_beside_an_object_decides_at_its_border():
@@ -204,40 +131,6 @@ def test_the_gap_is_that_of_a_bounded_least_squares_solver(seed):
     np.testing.assert_allclose(gaps.reshape(-1)[places], expected, atol=2e-6)
 
 
-@settings(max_examples=40, deadline=None)
-@given(seed=st.integers(0, 10_000), bias_m=st.floats(-0.002, 0.002), trust_m=st.sampled_from([0.004, 0.016, 0.05]))
-def test_no_gap_is_negative_and_open_cells_are_in_equilibrium(seed, bias_m, trust_m):
-    cells, _ = random_cells(seed)
-    measured = (cells.difference_m - np.float32(bias_m)) * cells.facing
-    found, loads = equations(cells, cells.known, trust_m, bias_m)
-    places, links, _, _ = found
-    gaps = np.maximum(measured, 0).astype(np.float32)
-    relaxation = kernels.Relaxation(np.float32(1.7), np.float32(1e-9), 20_000)
-    kernels.settle(gaps.reshape(-1), gaps.shape[1], found, loads, relaxation)
-    assert (gaps >= 0).all()
-    flat, width = gaps.reshape(-1).astype(float), gaps.shape[1]
-    steps = (-1, 1, -width, width)
-    inwards = sum(link * flat[places + step] for link, step in zip(links[:4], steps, strict=True)) + loads
-    outwards = links[:5].sum(axis=0) * flat[places]
-    scale = links[:5].sum(axis=0) * max(flat[places].max(), 1e-3)
-    open_cells = flat[places] > 0
-    assert (np.abs(inwards - outwards)[open_cells] < 1e-4 * scale[open_cells]).all()
-    assert (inwards[~open_cells] < 1e-4 * scale[~open_cells]).all(), "where the gap is 0, it is pressed shut"
-
-
-@settings(max_examples=40, deadline=None)
-@given(seed=st.integers(0, 10_000), bias_m=st.floats(-0.001, 0.001), trust_m=st.sampled_from([0.008, 0.016, 0.03]))
-def test_what_settle_returns_is_consistent(seed, bias_m, trust_m):
-    cells, _ = random_cells(seed)
-    solution = settle(cells, bias_m, trust_m)
-    assert (solution.gap_m >= 0).all()
-    assert not (solution.touching & ~cells.known).any()
-    assert (solution.gap_m[solution.touching] == 0).all()
-    assert (solution.gap_m[~cells.known] >= 0.01).all()
-    measured = (cells.difference_m - np.float32(bias_m)) * cells.facing
-    np.testing.assert_allclose(solution.residual_m, measured - solution.gap_m, atol=1e-7)
-
-
 def smooth_cells(seed: int, size: int = 40) -> Cells:
     """Bumps below and above 0 with noise, as real scenes have them."""
     rng = np.random.default_rng(seed)
@@ -248,14 +141,6 @@ def smooth_cells(seed: int, size: int = 40) -> Cells:
 
 
 @settings(max_examples=30, deadline=None)
-@given(seed=st.integers(0, 10_000), bias_m=st.floats(-0.0005, 0.001), more_m=st.floats(0.0002, 0.001))
-def test_contact_grows_with_the_bias(seed, bias_m, more_m):
-    cells = smooth_cells(seed)
-    less, more = (settle(cells, value, 0.016).touching for value in (bias_m, bias_m + more_m))
-    assert np.count_nonzero(less & ~more) <= 0.01 * np.count_nonzero(more)
-
-
-@settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 10_000), shift_m=st.floats(-0.02, 0.02))
 def test_differences_and_bias_that_shift_together_change_nothing(seed, shift_m):
     cells = smooth_cells(seed)
@@ -263,26 +148,6 @@ def test_differences_and_bias_that_shift_together_change_nothing(seed, shift_m):
     one, other = settle(cells, 0.0003, 0.016), settle(shifted, 0.0003 + shift_m, 0.016)
     np.testing.assert_allclose(one.gap_m, other.gap_m, atol=2e-5)
     assert np.count_nonzero(one.touching ^ other.touching) <= 4
-
-
-@settings(max_examples=30, deadline=None)
-@given(seed=st.integers(0, 10_000), axis=st.sampled_from([0, 1]))
-def test_a_mirrored_image_has_the_mirrored_contact(seed, axis):
-    cells = smooth_cells(seed)
-    mirrored = cells_of_gap(np.flip(cells.difference_m, axis).copy(), cells.push_per_m)
-    one, other = settle(cells, 0.0, 0.016), settle(mirrored, 0.0, 0.016)
-    np.testing.assert_allclose(np.flip(one.gap_m, axis), other.gap_m, atol=3e-5)
-    near_m = MEMBRANE.membrane.gap_m
-    changed = (np.flip(one.gap_m, axis) <= near_m) ^ (other.gap_m <= near_m)
-    assert np.count_nonzero(changed) <= 0.02 * changed.size
-
-
-def test_another_start_leads_to_the_same_gaps():
-    cells = smooth_cells(3)
-    start: Equilibrium = settle(cells, 0.0008, 0.016)
-    np.testing.assert_allclose(
-        settle(cells, 0.0, 0.016, start).gap_m, settle(cells, 0.0, 0.016).gap_m, atol=MEMBRANE.membrane.gap_m
-    )
 
 
 def test_a_cell_is_the_mean_of_the_pixels_that_take_part():
@@ -381,39 +246,6 @@ def test_beside_an_object_the_gap_is_that_of_its_tangent_plane_to_the_membrane(r
     np.testing.assert_allclose(cells.difference_m[right], 0.004, atol=0.0003)
     assert (cells.weight[beside] <= 1).all()
     assert (cells.push_per_m[beside] == 10).all()
-
-
-@pytest.mark.parametrize("rows", [1, 2, 5])
-@pytest.mark.parametrize(("side", "reach"), [(8, 2), (3, 3)])
-def test_a_narrow_bar_away_from_the_axis_is_continued_along_its_own_plane(side, reach, rows):
-    """The membrane is 1 mm in front of a bar of few rows of cells, which noise must not tilt into the rays."""
-    size, count = 22 * side, (22 * side) ** 2
-    v, u = np.mgrid[:size, :size]
-    rays = np.dstack([(u - size / 2) / 380, 0.25 + (v - size / 2) / 380]).astype(np.float32)
-    alignment = chain.Alignment(
-        False, chain.ImageSizes(size, size, size, size), np.float32(1e-4), np.float32(1e-4), np.float32(0),
-        np.zeros(3, np.float32), np.empty(0, np.float32), np.arange(count, dtype=np.int32), 0, np.zeros(9, np.float32),
-    )  # fmt: skip
-    shape = 22, 22
-    known, points = np.zeros(shape, bool), np.zeros((*shape, 4), np.float32)
-    known[10 : 10 + rows, 5:17] = True
-    rng = np.random.default_rng(0)
-    for row, column in np.argwhere(known):
-        z = 0.3 + rng.normal(0, 1e-4)
-        pixels = np.s_[row * side : (row + 1) * side, column * side : (column + 1) * side]
-        points[row, column] = *rays[pixels].mean(axis=(0, 1)) * z, z, 1
-    ones = np.ones(shape, np.float32)
-    surface = cell_kernels.Surface(ones, np.stack([ones, ones]), ones.copy())
-    differences, linked, weights = np.zeros(shape, np.float32), known.copy(), known.astype(np.float32)
-    sources, queue = np.empty((2, known.size), np.int32)
-    out = cell_kernels.BesideCells(linked, differences, weights, sources, queue, np.empty((3, known.size), np.float32))
-    membrane = cell_kernels.MembraneImage(np.full(count, 2990, np.uint16), alignment)
-    grid = cell_kernels.CellGrid(rays, 0, 0, side)
-    cell_kernels.continue_beside(known, 0 * ones, points, surface, grid, membrane, (0.0, np.float32(0.012)), reach, out)
-    beside = linked & ~known
-    assert beside.sum() > 30
-    assert weights[beside].all()
-    np.testing.assert_allclose(differences[beside], 0.001, atol=0.001)
 
 
 # Images of a bubble with an exact shape

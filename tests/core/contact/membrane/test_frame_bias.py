@@ -8,10 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from rigs import one_place_rig
 from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.kernels.chain import Region
-from tactune.core.contact.membrane.bias import rig_bias
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.evaluation.metrics import pixel_scores
 from tactune.core.model.frames import SensorFrame
@@ -100,13 +98,6 @@ def test_what_hovers_is_no_contact_where_the_bias_is_known(gap_mm, sensor, shape
         assert not patch.mask.any()
 
 
-@pytest.mark.parametrize("bias_m", [0.035, 0.05, -0.035])
-def test_a_larger_bias_than_30_mm_leaves_no_contact(bias_m):
-    source = cup("clean")
-    moved = farther(source.read(0), bias_m, source.rig.proximity.depth_unit_m)
-    assert len(ContactPipeline(MEMBRANE, source.rig).process(moved).points) == 0
-
-
 def test_without_the_correction_the_depths_are_compared_as_they_are():
     source = cup("clean")
     preset = MEMBRANE.with_value("membrane.bias", False)
@@ -118,10 +109,3 @@ def test_without_the_correction_the_depths_are_compared_as_they_are():
     assert pixels == sorted(pixels, reverse=True)
     assert pixels[0] > 3000
     assert pixels[-1] == 0
-
-
-@pytest.mark.parametrize("white_m", [0.0, 0.0001, 0.001, 0.01])
-def test_cameras_of_equal_noise_weigh_the_same(white_m):
-    rig = one_place_rig(160, 120, 120.0)
-    known = rig_bias(MEMBRANE.with_value("noise", noise(0.0, white_m=white_m)).noise, rig)
-    assert known.tactile_weight == pytest.approx(0.5)

@@ -152,38 +152,6 @@ def test_images_of_any_size_and_content_are_judged(width, height, kind, bias):
             assert len(patch.points) == 0, "smaller than three cells"
 
 
-def test_region_range_and_mask_exclude_to_the_pixel():
-    rig, frame = flat_rig(200, 120), disc()
-    whole = ContactPipeline(PLAIN, rig).process(frame).mask
-    assert whole.sum() > 2500
-    region = PLAIN.with_values({"region.enabled": True, "region.rectangle": (0, 0, 95, 120)})
-    patch = ContactPipeline(region, rig).process(frame)
-    assert patch.mask[60, 80]
-    assert not patch.mask[:, 95:].any()
-    assert (patch.provenance[:, 95:] == Provenance.OUTSIDE_REGION).all()
-    near = PLAIN.with_values({"range.enabled": True, "range.limits_m": (0.1, 0.2)})
-    patch = ContactPipeline(near, rig).process(frame)
-    assert not patch.mask.any()
-    assert set(np.unique(patch.provenance)) == {Provenance.OUTSIDE_RANGE}
-
-
-def test_the_masks_colour_is_never_contact():
-    camera = flat_rig(200, 120).proximity
-    rig = Rig(
-        proximity=camera, tactile=camera, T_proximity_tactile=np.eye(4).tolist(),
-        proximity_color={"intrinsics": camera.intrinsics, "T_color_depth": np.eye(4).tolist()},
-    )  # fmt: skip
-    frame = disc()
-    color = frame.proximity_color.copy()
-    color[20:100, 100:140] = (200, 30, 120)
-    masked = PLAIN.with_values({"mask.enabled": True, "mask.saturation": (100, 255), "mask.value": (100, 255)})
-    patch = ContactPipeline(masked, rig).process(replace(frame, proximity_color=color))
-    printed = (color[..., 0] == 200) & (patch.provenance != Provenance.OUTSIDE_TOLERANCE)
-    assert patch.mask[60, 85]
-    assert (patch.provenance[50:70, 110:125] == Provenance.MASKED).all()
-    assert np.count_nonzero(patch.mask & printed) < 0.1 * np.count_nonzero(printed)
-
-
 def test_one_and_four_threads_and_a_used_pipeline_give_the_same_bits():
     source = SimulatorSource("cup", seed=1, cells=CELLS, variant=Variant(press="medium"), sensor="datasheet")
     first, second = (replace(source.read(index), truth=None) for index in (0, 1))
