@@ -18,7 +18,7 @@ from .checks import Check, Child, RunChild, State, python_child, run_child
 
 OLDEST_PYTHON = (3, 11)
 _MIN_FREE_BYTES, _ENOUGH_FREE_BYTES = 200e6, 2e9
-_FRAMES_BYTES = 32_000_000
+_FRAMES_BYTES = 37_000_000
 
 #: Distribution names whose import name differs.
 _IMPORT_NAMES = {"opencv-contrib-python-headless": "cv2"}
@@ -36,8 +36,11 @@ print(json.dumps(wrong))
 _THREADS = "import json, numba; n = numba.get_num_threads(); print(json.dumps([n, numba.threading_layer()]))"
 _MEMORY = """
 import sys
-from tactune.core.sources.capture.protocol import create_memory, reserve_memory
-reserve_memory(create_memory(), int(sys.argv[1]))
+from multiprocessing.shared_memory import SharedMemory
+size = int(sys.argv[1])
+memory = SharedMemory(create=True, size=size)
+memory.buf[:] = bytes(size)
+memory.unlink()
 """
 
 
@@ -113,11 +116,11 @@ def check_cache_folder(folder: Path | None = None) -> list[Check]:
 
 
 def check_shared_memory(run: RunChild = run_child) -> list[Check]:
-    """Reserve the shared memory that passes frames from the capture process to the window."""
+    """Use the shared memory that passes frames from the capture process to the window."""
     name = "Shared memory"
     child: Child = run(python_child(_MEMORY, str(_FRAMES_BYTES)))
     if child.problem:
-        remedy = "Close other programs; in a container, give it more memory."
+        remedy = "Close other programs; in a container, give it more with --shm-size."
         return [Check(name, State.FAIL, child.problem, remedy)]
     return [Check(name, State.OK, f"{_FRAMES_BYTES / 1e6:.0f} MB for frames, {os.cpu_count()} processor cores")]
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-import select
+import pickle
 import signal
+import sys
 import time
 from collections import deque
 from contextlib import suppress
@@ -15,33 +16,27 @@ from threading import Condition, Event, Lock, Thread
 from typing import Any, Final
 
 from ...errors import FrameError, TactuneError
-from ...model.frames import SensorFrame
 from ..base import FrameSource, Health
 from .protocol import (
     HEARTBEAT_S,
     SLOTS,
     Call,
     Ended,
-    Failure,
-    FrameReady,
     GiveBack,
     Heartbeat,
     Opened,
     Opening,
     Reply,
-    Ring,
     Start,
-    arrays_of,
-    reserve_memory,
-    slot_bytes,
+    as_tactune_error,
+    create_memory,
+    write_frame,
 )
 
 #: Longest wait for a frame between two rounds of answering calls, seconds.
 _ROUND_S: Final = 0.2
 #: Time to close the source after the parent has gone; then the process ends anyway, seconds.
 _GRACE_S: Final = 2.0
-#: The kernel ends an orphaned process whose interpreter is blocked after this time, seconds.
-_ALARM_S: Final = 60
 #: Unfit frames in a row after which the source is opened again.
 _MAX_UNFIT: Final = 30
 #: Time that a skipped frame stays in the health message, seconds.
@@ -52,21 +47,21 @@ class _StoppedError(TactuneError):
     """Raised to cancel the opening of a source that is no longer needed."""
 
 
-def main(control: int, memory: int) -> None:
-    """Run the capture process on two inherited descriptors: the socket and the shared memory."""
-    _Capture(Connection(control), memory).run()
+def main(connection: Connection, order: bytes) -> None:
+    """Run the capture process; ``order`` is a pickled `Start`."""
+    for name in ("SIGINT", "SIGHUP"):  # only the parent handles Ctrl+C; it then closes its source
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.__stdout__.fileno())  # type: ignore[union-attr]  # drivers print
+    _Capture(connection).run(order)
 
 
 class _Capture:
-    """The main thread uses the source; a second thread talks to the parent and never waits for it."""
+    """The main thread uses the source; a second thread talks to the parent."""
 
-    def __init__(self, connection: Connection, memory: int) -> None:
+    def __init__(self, connection: Connection) -> None:
         self._connection = connection
-        self._memory = memory
-        self._parent = os.getppid()
         self._sending = Lock()
-        self._writable = select.poll()
-        self._writable.register(connection.fileno(), select.POLLOUT)
         self._stop = Event()
         self._calls: SimpleQueue[Call] = SimpleQueue()
         self._slots = Condition()
@@ -74,45 +69,39 @@ class _Capture:
         self._health = Health()
         self._round_s = time.monotonic()
         self._dropped = 0
-        self._unfit = 0
         self._unfit_in_a_row = 0
         self._unfit_message = ""
         self._unfit_told_until_s = 0.0
 
-    def run(self) -> None:
+    def run(self, order: bytes) -> None:
         """Open the source and capture until the parent ends or the source does."""
-        try:
-            start: Start = self._connection.recv()
-        except (EOFError, OSError):
-            return
-        except Exception as error:  # an import may raise anything
-            self._send(Failure.of(error, "the source cannot be imported in the capture process; define it in a module"))
-            return
+        signal.signal(signal.SIGTERM, lambda *_: self._stop.set())
         Thread(target=self._converse, daemon=True).start()
+        try:
+            start: Start = pickle.loads(order)  # noqa: S301  # our own parent wrote it
+        except Exception as error:  # an import may raise anything
+            what = "the source cannot be imported in the capture process; define it in a module"
+            self._send(Ended(as_tactune_error(error, what)))
+            return
         try:
             with start.opener(self._progress) as source:
                 self._serve(source, start.lossless)
         except _StoppedError:
             return
         except Exception as error:  # a driver or a source may raise anything
-            self._send(Failure.of(error, "the capture failed unexpectedly"))
+            self._send(Ended(as_tactune_error(error, "the capture failed unexpectedly")))
 
     # The main thread
 
     def _progress(self, fraction: float, text: str) -> None:
         if self._stop.is_set():
             raise _StoppedError("the capture process is no longer needed")
-        self._round_s = time.monotonic()
         self._send(Opening(fraction, text))
 
     def _serve(self, source: FrameSource, lossless: bool) -> None:
-        rig = source.rig
-        size = slot_bytes(rig)
-        reserve_memory(self._memory, SLOTS * size)
-        ring = Ring(self._memory, SLOTS, size)
+        memory = create_memory(source.rig)
         self._health = source.health()
-        self._round_s = time.monotonic()  # a long opening is over
-        self._send(Opened(source.name, rig, source.frame_rate_hz, self._health, size))
+        self._send(Opened(source.name, source.rig, source.frame_rate_hz, self._health, memory.name))
         while not self._stop.is_set():
             self._round_s = time.monotonic()
             self._answer(source)
@@ -126,11 +115,18 @@ class _Capture:
             if frame is None:
                 self._send(Ended())
                 return
+            with self._slots:
+                slot = self._free.popleft() if self._free else None
             try:
-                frame.check_against(rig)
-                self._hand_over(ring, frame)
+                frame.check_against(source.rig)
+                if slot is None:
+                    self._dropped += 1
+                else:
+                    self._send(write_frame(memory, slot, frame))
                 self._unfit_in_a_row = 0
             except FrameError as error:
+                if slot is not None:
+                    self._give_back(slot)
                 self._leave_out(error, lossless)
 
     def _answer(self, source: FrameSource) -> None:
@@ -143,7 +139,7 @@ class _Capture:
             try:
                 reply = Reply(call.number, getattr(source, call.method)(*call.arguments))
             except Exception as error:
-                reply = Reply(call.number, failure=Failure.of(error, f"{source.name}: {call.method} failed"))
+                reply = Reply(call.number, error=as_tactune_error(error, f"{source.name}: {call.method} failed"))
             self._send(reply)
 
     def _health_of(self, source: FrameSource) -> Health:
@@ -152,27 +148,13 @@ class _Capture:
             health,
             ok=health.ok and not self._unfit_in_a_row,
             message=health.message or (self._unfit_message if self._round_s < self._unfit_told_until_s else ""),
-            dropped=health.dropped + self._unfit,
+            dropped=health.dropped + self._dropped,
             stale=health.stale or self._unfit_in_a_row > 0,
         )
 
-    def _hand_over(self, ring: Ring, frame: SensorFrame) -> None:
-        with self._slots:
-            slot = self._free.popleft() if self._free else None
-        if slot is None:
-            self._dropped += 1
-            return
-        try:
-            places = ring.write(slot, arrays_of(frame))
-        except FrameError:
-            self._give_back(slot)
-            raise
-        stamps = float(frame.proximity_time_s), float(frame.tactile_time_s)
-        self._send(FrameReady(slot, places, int(frame.sequence), *stamps, self._dropped))
-
     def _leave_out(self, error: FrameError, lossless: bool) -> None:
         """Skip a frame that does not fit the rig and report it; raise after too many of them in a row."""
-        self._unfit += 1
+        self._dropped += 1
         self._unfit_in_a_row += 1
         self._unfit_message = f"A frame was ignored: {error}."
         self._unfit_told_until_s = self._round_s + _TOLD_S
@@ -183,17 +165,25 @@ class _Capture:
         with self._slots:
             return self._slots.wait_for(lambda: bool(self._free), _ROUND_S)
 
+    def _send(self, message: Any) -> None:
+        """Send a message; a parent that has gone is noticed by the other thread."""
+        with self._sending, suppress(BrokenPipeError, ConnectionResetError):
+            self._connection.send(message)
+            self._round_s = time.monotonic()  # a parent that is stopped itself does not read
+
     # The other thread
 
     def _converse(self) -> None:
         """Receive messages and send heartbeats until the parent has gone; then end the process."""
         with suppress(EOFError, OSError):
             due_s = time.monotonic()
-            while os.getppid() == self._parent:
-                # Restarted in every round: the alarm fires only if this thread cannot run any more.
-                signal.alarm(_ALARM_S)
+            while True:
                 if self._connection.poll(max(0.0, due_s - time.monotonic())):
-                    self._obey(self._connection.recv())
+                    message = self._connection.recv()
+                    if isinstance(message, GiveBack):
+                        self._give_back(message.slot)
+                    else:
+                        self._calls.put(message)
                 late_s = time.monotonic() - due_s
                 if late_s >= 0:
                     if late_s > HEARTBEAT_S:  # the machine was busy, so this time is not counted for the source
@@ -205,27 +195,14 @@ class _Capture:
         os._exit(0)
 
     def _beat(self) -> None:
-        """Send a heartbeat, unless something else is being sent or the parent does not read."""
-        if not self._sending.acquire(blocking=False):
-            return
-        try:
-            if self._writable.poll(0):
+        """Send a heartbeat, unless something else is being sent."""
+        if self._sending.acquire(blocking=False):
+            try:
                 self._connection.send(Heartbeat(self._health, time.monotonic() - self._round_s))
-        finally:
-            self._sending.release()
-
-    def _obey(self, message: GiveBack | Call) -> None:
-        if isinstance(message, GiveBack):
-            self._give_back(message.slot)
-        else:
-            self._calls.put(message)
+            finally:
+                self._sending.release()
 
     def _give_back(self, slot: int) -> None:
         with self._slots:
             self._free.append(slot)
             self._slots.notify()
-
-    def _send(self, message: Any) -> None:
-        """Send a message; a parent that has gone is noticed by the other thread."""
-        with self._sending, suppress(BrokenPipeError, ConnectionResetError):
-            self._connection.send(message)

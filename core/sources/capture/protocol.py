@@ -1,39 +1,35 @@
-"""The protocol of the two processes: pickled messages over a socket pair, images in shared memory.
+"""The protocol of the two processes: pickled messages over a pipe, images in shared memory.
 
-The memory is cut into slots; each slot holds the images of one frame. It has no name: it is an anonymous or unlinked
-file whose descriptor the capture process inherits, so the system frees it when both processes have ended. Messages
-pass the ownership of a slot: the capture process announces it after writing, and the parent returns it after copying.
-No slot is therefore read while it is being written.
+The memory is cut into slots; each slot holds the images of one frame. Messages pass the ownership of a slot: the
+capture process announces it after writing, and the parent returns it after copying. No slot is therefore read while it
+is being written.
 """
 
 from __future__ import annotations
 
 import math
-import mmap
-import os
-import tempfile
+import pickle
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from multiprocessing.shared_memory import SharedMemory
+from pathlib import Path
+from typing import Any, Final
 
-import numpy as np
-
-from ... import errors
 from ...errors import FrameError, SourceError, TactuneError
-from ...model.arrays import AnyArray
-from ...model.frames import GroundTruth, Rig, SensorFrame, rigid_transform
+from ...model.frames import Rig, SensorFrame
 from ..base import FrameSource, Health, Progress
 
 #: Opens a source in the capture process; a function of a module, or `functools.partial` of one.
 Opener = Callable[[Progress], FrameSource]
 
 #: Number of slots: the queued frames, one that is being written and one that is being copied.
-SLOTS = 8
-
+SLOTS: Final = 8
 #: Interval of the capture process's heartbeats, seconds.
-HEARTBEAT_S = 0.2
+HEARTBEAT_S: Final = 0.2
 _ALIGNMENT: Final = 64
-_POSE_BYTES: Final = 16 * 8
+#: Where POSIX systems keep shared memory; elsewhere it is not limited.
+_SHARED: Final = Path("/dev/shm")  # noqa: S108  # only asked for its size
 
 
 @dataclass(frozen=True)
@@ -70,34 +66,22 @@ class Opening:
 
 @dataclass(frozen=True)
 class Opened:
-    """From the capture process: the source is open and the shared memory is allocated."""
+    """From the capture process: the source is open, and the shared memory has this name."""
 
     name: str
     rig: Rig
     frame_rate_hz: float
     health: Health
-    slot_bytes: int
-
-
-class ArrayPlace(NamedTuple):
-    """Where one array lies in a slot: byte offset, type and shape."""
-
-    name: str
-    dtype: str
-    shape: tuple[int, ...]
-    offset: int
+    memory: str
 
 
 @dataclass(frozen=True)
 class FrameReady:
-    """From the capture process: a slot holds a frame; ``dropped`` counts frames without a free slot."""
+    """From the capture process: a slot holds the arrays, of these sizes in bytes, of a pickled frame."""
 
     slot: int
-    places: tuple[ArrayPlace, ...]
-    sequence: int
-    proximity_time_s: float
-    tactile_time_s: float
-    dropped: int
+    frame: bytes
+    sizes: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -110,152 +94,83 @@ class Heartbeat:
 
 @dataclass(frozen=True)
 class Reply:
-    """From the capture process: what a call returned, or how it failed."""
+    """From the capture process: what a call returned, or the error that it raised."""
 
     number: int
     value: Any = None
-    failure: Failure | None = None
+    error: TactuneError | None = None
 
 
 @dataclass(frozen=True)
 class Ended:
-    """From the capture process, last: the source has no more frames."""
+    """From the capture process, last: the source has no more frames, or it failed."""
+
+    error: TactuneError | None = None
 
 
-@dataclass(frozen=True)
-class Failure:
-    """From the capture process: an error. As a message of its own, it is the last one."""
-
-    kind: str
-    sentence: str
-
-    @classmethod
-    def of(cls, error: Exception, what: str) -> Failure:
-        """Describe an error; ``what`` introduces one that is no `TactuneError`."""
-        if isinstance(error, TactuneError):
-            return cls(type(error).__name__, str(error))
-        return cls(SourceError.__name__, f"{what} ({type(error).__name__}: {error})")
-
-    def error(self) -> TactuneError:
-        """Return an error of the same class and sentence."""
-        kind = getattr(errors, self.kind, SourceError)
-        made: TactuneError = kind(self.sentence)
-        return made
+def as_tactune_error(error: Exception, what: str) -> TactuneError:
+    """Return an error that can be sent; ``what`` introduces one that is no `TactuneError`."""
+    if isinstance(error, TactuneError):
+        return error
+    return SourceError(f"{what} ({type(error).__name__}: {error})")
 
 
-def arrays_of(frame: SensorFrame) -> dict[str, AnyArray]:
-    """Return the arrays of a frame by name; those of its truth as ``truth.NAME``."""
-    arrays: dict[str, AnyArray | None] = {
-        "proximity_depth": frame.proximity_depth,
-        "tactile_depth": frame.tactile_depth,
-        "proximity_color": frame.proximity_color,
-        "tactile_color": frame.tactile_color,
-    }
-    if frame.truth is not None:
-        pose = frame.truth.T_proximity_object
-        arrays |= {
-            "truth.contact": frame.truth.contact,
-            "truth.depth_m": frame.truth.depth_m,
-            "truth.T_proximity_object": None if pose is None else np.array(pose),
-        }
-    return {name: array for name, array in arrays.items() if array is not None}
-
-
-def frame_of(ready: FrameReady, arrays: dict[str, AnyArray]) -> SensorFrame:
-    """Return the frame of these arrays; the inverse of `arrays_of`."""
-    truth = None
-    if "truth.contact" in arrays:
-        for name in ("truth.contact", "truth.depth_m"):
-            if name in arrays:
-                arrays[name].flags.writeable = False
-        pose = arrays.get("truth.T_proximity_object")
-        truth = GroundTruth(
-            arrays["truth.contact"],
-            arrays.get("truth.depth_m"),
-            T_proximity_object=None if pose is None else rigid_transform(pose),
-        )
-    return SensorFrame(
-        sequence=ready.sequence,
-        proximity_depth=arrays["proximity_depth"],
-        tactile_depth=arrays["tactile_depth"],
-        proximity_color=arrays["proximity_color"],
-        tactile_color=arrays.get("tactile_color"),
-        proximity_time_s=ready.proximity_time_s,
-        tactile_time_s=ready.tactile_time_s,
-        truth=truth,
-    )
-
-
-def create_memory() -> int:
-    """Return the descriptor of an empty, nameless file in memory."""
-    if hasattr(os, "memfd_create"):
-        return os.memfd_create("tactune-frames", os.MFD_CLOEXEC)
-    with tempfile.TemporaryFile(prefix="tactune-frames-") as file:
-        return os.dup(file.fileno())
-
-
-def reserve_memory(descriptor: int, size: int) -> None:
-    """Allocate the file's memory, so that a lack of memory is an error here and not a crash later.
+def create_memory(rig: Rig) -> SharedMemory:
+    """Allocate the slots for the frames of a rig.
 
     Raises
     ------
     SourceError
-        There is not enough memory.
+        There is not enough shared memory; writing to it would end the process.
     """
-    try:
-        os.ftruncate(descriptor, size)
-        if hasattr(os, "posix_fallocate"):
-            os.posix_fallocate(descriptor, 0, size)
-    except OSError as error:
+    size = SLOTS * _slot_bytes(rig)
+    if _SHARED.is_dir() and shutil.disk_usage(_SHARED).free < size:
         raise SourceError(
-            f"there are no {size / 1e6:.0f} MB of shared memory for the frames ({error.strerror}); close other programs"
-        ) from error
+            f"there are no {size / 1e6:.0f} MB of shared memory for the frames; close other programs, "
+            f"or give the container more with --shm-size"
+        )
+    return SharedMemory(create=True, size=size)
 
 
-def slot_bytes(rig: Rig) -> int:
-    """Return the size of a slot that holds every array of a frame of this rig."""
+def _slot_bytes(rig: Rig) -> int:
+    """Return the size of a slot that holds every array of a frame of this rig, its truth included."""
     proximity, tactile = math.prod(rig.proximity.intrinsics.shape), math.prod(rig.tactile.intrinsics.shape)
     color = math.prod(rig.proximity_color_shape)
-    sizes = (2 * proximity, 2 * tactile, 3 * color, 3 * tactile, proximity, 4 * proximity, _POSE_BYTES)
-    return sum(_aligned(size) for size in sizes)
+    return sum(map(_aligned, (2 * proximity, 2 * tactile, 3 * color, 3 * tactile, proximity, 4 * proximity)))
 
 
-class Ring:
-    """The slots, mapped into one process; the memory is released with the object."""
+def write_frame(memory: SharedMemory, slot: int, frame: SensorFrame) -> FrameReady:
+    """Copy a frame's arrays into a slot.
 
-    def __init__(self, descriptor: int, slots: int, size: int) -> None:
-        memory = mmap.mmap(descriptor, slots * size)
-        self._slots = np.frombuffer(memory, np.uint8).reshape(slots, size)
+    Raises
+    ------
+    FrameError
+        They are larger than the rig's images.
+    """
+    buffers: list[pickle.PickleBuffer] = []
+    pickled = pickle.dumps(frame, protocol=5, buffer_callback=buffers.append)
+    arrays = [buffer.raw() for buffer in buffers]
+    offset = slot * (memory.size // SLOTS)
+    if sum(_aligned(array.nbytes) for array in arrays) > memory.size // SLOTS:
+        raise FrameError(f"frame {frame.sequence} has arrays that are too large for its rig; leave them out")
+    assert memory.buf is not None
+    for array in arrays:
+        memory.buf[offset : offset + array.nbytes] = array
+        offset += _aligned(array.nbytes)
+    return FrameReady(slot, pickled, tuple(array.nbytes for array in arrays))
 
-    def write(self, slot: int, arrays: dict[str, AnyArray]) -> tuple[ArrayPlace, ...]:
-        """Copy arrays into a slot.
 
-        Raises
-        ------
-        FrameError
-            They are larger than the rig's images.
-        """
-        places = []
-        offset = 0
-        for name, array in arrays.items():
-            end = offset + array.nbytes
-            if end > self._slots.shape[1]:
-                raise FrameError(f"{name} is too large for a frame of this rig ({array.shape}); leave it out")
-            target = self._slots[slot, offset:end].view(array.dtype).reshape(array.shape)
-            np.copyto(target, array)
-            places.append(ArrayPlace(name, array.dtype.str, array.shape, offset))
-            offset = _aligned(end)
-        return tuple(places)
-
-    def read(self, slot: int, places: tuple[ArrayPlace, ...]) -> dict[str, AnyArray]:
-        """Copy a slot and return its arrays."""
-        last = places[-1]
-        size = last.offset + math.prod(last.shape) * np.dtype(last.dtype).itemsize
-        copied = self._slots[slot, :size].copy()
-        return {
-            place.name: np.ndarray(place.shape, place.dtype, buffer=copied.data, offset=place.offset)
-            for place in places
-        }
+def read_frame(memory: SharedMemory, ready: FrameReady) -> SensorFrame:
+    """Copy a frame out of its slot; its arrays cannot be written to."""
+    assert memory.buf is not None
+    start = ready.slot * (memory.size // SLOTS)
+    copied = memoryview(bytes(memory.buf[start : start + sum(map(_aligned, ready.sizes))]))
+    arrays, offset = [], 0
+    for size in ready.sizes:
+        arrays.append(copied[offset : offset + size])
+        offset += _aligned(size)
+    frame: SensorFrame = pickle.loads(ready.frame, buffers=arrays)  # noqa: S301  # our own process wrote it
+    return frame
 
 
 def _aligned(size: int) -> int:

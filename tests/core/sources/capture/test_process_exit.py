@@ -46,7 +46,12 @@ def start(tmp_path: Path) -> Iterator[Start]:
         program = tmp_path / "program.py"  # without a main guard
         program.write_text(OPEN + more)
         parent = subprocess.Popen(
-            [sys.executable, program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            [sys.executable, program],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
         )
         started.append(parent)
         assert parent.stdout is not None
@@ -94,17 +99,16 @@ def test_a_process_that_hangs_is_ended_with_its_source(
 
 
 def test_ctrl_c_reaches_the_parent_only(start: Start) -> None:
-    parent, pid = start("""
+    parent, _ = start("""
 try:
     print("ready", flush=True)
     time.sleep(60)
 except KeyboardInterrupt:
     print(source.next_frame() is not None, source.health().message, flush=True)
 """)
-    assert os.getpgid(pid) != os.getpgid(parent.pid)
     assert parent.stdout is not None
     assert read_line(parent.stdout) == "ready\n"
-    parent.send_signal(signal.SIGINT)
+    os.killpg(parent.pid, signal.SIGINT)  # as a terminal does
     answer, words = parent.communicate(timeout=300)
     assert (answer, words) == ("True \n", "")
 

@@ -22,8 +22,8 @@ from tactune.core.errors import SourceError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.sources.base import Health
 from tactune.core.sources.capture import ProcessSource
+from tactune.core.sources.capture.process import Patience
 from tactune.core.sources.capture.protocol import FrameReady, Heartbeat, Opened
-from tactune.core.sources.capture.supervisor import Patience
 
 #: All that a troubled source sends.
 MADE = [make_frame(make_rig(), number) for number in range(50)]
@@ -159,8 +159,8 @@ def test_another_rig_after_a_restart_ends_the_source(nothing_left: None, tmp_pat
         (tmp_path / "rig.txt").write_text("24")
         kill(source, signal.SIGKILL)
         sentence = (
-            "troubled: after a restart the tactile camera gives 24 x 14 pixels instead of 20 x 14; "
-            "open the source again"
+            "troubled: after a restart the tactile camera is D405 t1 with 24 x 14 pixels of 0.0001 m instead of "
+            "D405 t1 with 20 x 14 pixels of 0.0001 m; open the source again"
         )
         with pytest.raises(SourceError, match=sentence):
             take(source, 1000)
@@ -193,10 +193,7 @@ sys.path.append({str(Path(capture_sources.__file__).parent)!r})
 from functools import partial
 from pathlib import Path
 from capture_sources import open_troubled
-from tactune.core.sources.base import Health
 from tactune.core.sources.capture import ProcessSource
-from tactune.core.sources.capture.protocol import FrameReady, Heartbeat, Opened
-from tactune.core.sources.capture.supervisor import Patience
 with ProcessSource(partial(open_troubled, Path({str(tmp_path)!r}))) as source:
     source.next_frame()
     pid = source.capture_pid
@@ -220,7 +217,7 @@ with ProcessSource(partial(open_troubled, Path({str(tmp_path)!r}))) as source:
 
 def test_a_machine_that_is_too_busy_is_no_silence_of_the_process() -> None:
     patience = Patience()
-    patience.heard(Opened("x", make_rig(), 30.0, Health(), 64))
+    patience.heard(Opened("x", make_rig(), 30.0, Health(), "memory"))
     for _ in range(100):
         patience.silent(waited_s=0.4)
     assert patience.problem == ""
@@ -233,11 +230,11 @@ def test_what_has_come_back_after_long_is_no_hang() -> None:
     """Opening may take longer than a first frame, and a first frame longer than the others."""
     patience = Patience()
     patience.heard(Heartbeat(Health(), 60.0))
-    patience.heard(Opened("a", make_rig(), 30.0, Health(), 1))
+    patience.heard(Opened("a", make_rig(), 30.0, Health(), "memory"))
     assert patience.problem == ""
     patience.heard(Heartbeat(Health(), 5.0))
     assert patience.problem == ""
-    patience.heard(FrameReady(0, (), 0, 0.0, 0.0, 0))
+    patience.heard(FrameReady(0, b"", ()))
     assert patience.problem == ""
     patience.heard(Heartbeat(Health(), 5.0))
     assert "has waited 5.0 s for its source" in patience.problem

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import os
 import sys
 import threading
 from collections.abc import Callable
@@ -27,16 +26,7 @@ from capture_sources import (
 from tactune.core.errors import MissingExtraError, SourceError
 from tactune.core.model.frames import Rig
 from tactune.core.sources.capture import ProcessSource
-from tactune.core.sources.capture.protocol import (
-    SLOTS,
-    FrameReady,
-    Ring,
-    arrays_of,
-    create_memory,
-    frame_of,
-    reserve_memory,
-    slot_bytes,
-)
+from tactune.core.sources.capture.protocol import SLOTS, create_memory, read_frame, write_frame
 from tactune.core.sources.registry import open_source
 
 sizes = st.tuples(st.integers(1, 40), st.integers(1, 30))
@@ -48,35 +38,19 @@ def test_a_slot_gives_back_the_frame_that_was_put_in(
     rig: Rig, number: int, color: bool, truth: bool, depth: bool
 ) -> None:
     frame = make_frame(rig, number, tactile_color=color, truth=truth, truth_depth=depth)
-    ours, theirs = _two_views(rig)
-    places = theirs.write(1, arrays_of(frame))
-    theirs.write(0, arrays_of(make_frame(rig, number + 1)))
-    ready = FrameReady(1, places, number, frame.proximity_time_s, frame.tactile_time_s, 0)
-    out = frame_of(ready, ours.read(1, places))
-    theirs.write(1, arrays_of(make_frame(rig, number + 2)))  # what is written later does not reach it
+    memory = create_memory(rig)
+    try:
+        ready = write_frame(memory, 1, frame)
+        write_frame(memory, 0, make_frame(rig, number + 1))
+        out = read_frame(memory, ready)
+        write_frame(memory, 1, make_frame(rig, number + 2))  # what is written later does not reach it
+    finally:
+        memory.close()
+        memory.unlink()
     assert same_frame(out, frame)
     assert not out.proximity_depth.flags.writeable
     if out.truth is not None:
         assert not out.truth.contact.flags.writeable
-
-
-def test_memory_without_memfd_has_no_name_either(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delattr("os.memfd_create")
-    rig = make_rig()
-    ours, theirs = _two_views(rig)
-    frame = make_frame(rig, 3)
-    places = theirs.write(2, arrays_of(frame))
-    assert same_frame(frame_of(FrameReady(2, places, 3, 0.2, 0.2021, 0), ours.read(2, places)), frame)
-
-
-def _two_views(rig: Rig) -> tuple[Ring, Ring]:
-    size = slot_bytes(rig)
-    descriptor = create_memory()
-    try:
-        reserve_memory(descriptor, 3 * size)
-        return Ring(descriptor, 3, size), Ring(descriptor, 3, size)
-    finally:
-        os.close(descriptor)
 
 
 @settings(max_examples=5, suppress_health_check=[HealthCheck.function_scoped_fixture])
