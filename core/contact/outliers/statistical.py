@@ -19,7 +19,7 @@ from ..kernels.compiling import kernel
 from ..kernels.simd import LANES, doubles, load, total
 from ..kernels.threads import get_threads, in_parallel, scratch
 from .clusters import keep
-from .grid import MAX_POINT_RADIUS, NUMBER, Grid, GridPool
+from .grid import MAX_POINT_RADIUS, NUMBER, Grid
 from .point_search import Cloud, Coordinates, part_coordinates, search_all, search_points
 from .row_search import search_rows
 
@@ -40,19 +40,24 @@ _MAX_WINDOW_SHARE, _MIN_POINT_RADIUS = 0.25, 7
 #: Runs, and points compared with all others, that one thread takes at a time.
 _RUNS, _COMPARED = 192, 16
 
-_grids = GridPool()
-
 
 class NeighbourMemory:
-    """Remembers the last mean distances, for the same points and k with another ratio.
+    """What one search keeps for the next: the grid, the array of mean distances, and these for another ratio.
 
-    It also keeps the array that holds them for the next frame. For one thread at a time.
+    For one thread at a time.
     """
 
     def __init__(self) -> None:
+        self._grid: Grid | None = None
+        self._camera: Intrinsics | None = None
         self._of: tuple[Float32Array, int] | None = None
-        self._means = np.empty(0)
-        self._buffer = np.empty(0)
+        self._means = self._buffer = np.empty(0)
+
+    def grid(self, camera: Intrinsics) -> Grid:
+        """Return an empty grid for a camera's image."""
+        if self._grid is None or self._camera != camera:
+            self._grid, self._camera = Grid(camera), camera
+        return self._grid
 
     def buffer(self, count: int) -> Float64Array:
         """Return an array for ``count`` means; forgets what was remembered."""
@@ -112,16 +117,15 @@ def statistical_inliers(
     """
     if len(points) == 0:
         return np.zeros(0, bool)
-    k = min(k, len(points))
+    k, memory = min(k, len(points)), memory or NeighbourMemory()
     if len(points) > _FEW_POINTS and k > 1:
-        means = memory.recall(points, k) if memory is not None else None
+        means = memory.recall(points, k)
         if means is None:
             means = near_means(points, pixels, intrinsics, k, memory)
-            if memory is not None:
-                memory.remember(points, k, means)
+            memory.remember(points, k, means)
         inliers = surely_below_threshold(means, ratio, UNCERTAINTY)
         if inliers is None:
-            means = precise_means(points, pixels, intrinsics, k)
+            means = precise_means(points, pixels, intrinsics, k, memory)
             inliers = surely_below_threshold(means, ratio, PRECISE_UNCERTAINTY)
         if inliers is not None:
             return inliers
@@ -154,36 +158,33 @@ def exact_means(points: Float32Array, k: int, chosen: IndexArray | None = None) 
 
 
 def near_means(
-    points: Float32Array, pixels: IndexArray, intrinsics: Intrinsics, k: int, memory: NeighbourMemory | None = None
+    points: Float32Array, pixels: IndexArray, intrinsics: Intrinsics, k: int, memory: NeighbourMemory
 ) -> Float64Array:
     """Return each point's mean distance to its k nearest, with a relative error of at most `UNCERTAINTY`.
 
-    Parameters as in `statistical_inliers`, with 1 < k <= N. With a ``memory`` the result lies in its array.
+    Parameters as in `statistical_inliers`, with 1 < k <= N. The result lies in the memory's array.
     """
-    grid = _grids.borrow(intrinsics)
+    grid, means = memory.grid(intrinsics), memory.buffer(len(points))
     try:
         if not grid.lay(points, pixels):
             return exact_means(points, k)
-        means = memory.buffer(len(points)) if memory is not None else np.empty(len(points))
         radius = _largest_worthwhile_radius(len(points))
         in_parallel(partial(_search, grid, Cloud(points, pixels), k, radius, means), len(grid.runs), _RUNS)
     finally:
         grid.clear(pixels)
-        _grids.give_back(intrinsics, grid)
     left = np.flatnonzero(np.isnan(means))
-    if len(left) == 0:
-        return means
     if len(left) * len(points) > MAX_PAIRS:
         means[left] = exact_means(points, k, left)
-    else:
+    elif len(left):
         compare_with_all(left, points, k, means)
     return means
 
 
-def precise_means(points: Float32Array, pixels: IndexArray, intrinsics: Intrinsics, k: int) -> Float64Array:
+def precise_means(
+    points: Float32Array, pixels: IndexArray, intrinsics: Intrinsics, k: int, memory: NeighbourMemory
+) -> Float64Array:
     """Return the means of `near_means` with a relative error of at most `PRECISE_UNCERTAINTY`."""
-    means = np.full(len(points), np.nan)
-    grid = _grids.borrow(intrinsics)
+    grid, means = memory.grid(intrinsics), np.full(len(points), np.nan)
     try:
         if grid.lay(points, pixels):
             in_parallel(
@@ -192,7 +193,6 @@ def precise_means(points: Float32Array, pixels: IndexArray, intrinsics: Intrinsi
             )  # fmt: skip
     finally:
         grid.clear(pixels)
-        _grids.give_back(intrinsics, grid)
     left = np.flatnonzero(np.isnan(means))
     if len(left):
         means[left] = exact_means(points, k, left)

@@ -11,7 +11,13 @@ from hypothesis import strategies as st
 
 from tactune.core.contact.outliers import statistical
 from tactune.core.contact.outliers.clusters import in_large_cluster
-from tactune.core.contact.outliers.statistical import exact_means, near_means, precise_means, statistical_inliers
+from tactune.core.contact.outliers.statistical import (
+    NeighbourMemory,
+    exact_means,
+    near_means,
+    precise_means,
+    statistical_inliers,
+)
 from tactune.core.model.clouds import deproject
 from tactune.core.model.frames import DepthCamera
 from tactune.core.model.intrinsics import Intrinsics
@@ -77,8 +83,12 @@ def test_near_means_are_as_near_as_they_say(seed, k, share, noise):
         return
     k = min(k, len(points))
     exact = exact_means(points, k)
-    assert np.abs(near_means(points, pixels, lens, k) / exact - 1).max() <= statistical.UNCERTAINTY
-    assert np.abs(precise_means(points, pixels, lens, k) / exact - 1).max() <= statistical.PRECISE_UNCERTAINTY / 100
+    near, precise = (means(points, pixels, lens, k, NeighbourMemory()) for means in (near_means, precise_means))
+    assert np.abs(near / exact - 1).max() <= statistical.UNCERTAINTY
+    assert (
+        np.abs(precise_means(points, pixels, lens, k, NeighbourMemory()) / exact - 1).max()
+        <= statistical.PRECISE_UNCERTAINTY / 100
+    )
 
 
 def test_a_point_too_near_to_the_threshold_is_decided_in_float64_and_then_exactly(monkeypatch):
