@@ -35,25 +35,17 @@ ONLY_B_RGB: Final = (230, 159, 0)
 #: Relative difference at both ends of the colour scale.
 DIFFERENCE_LIMIT: Final = 0.10
 
-#: The row of a difference table that stands for *undefined*.
+#: Rows of the tables: undefined difference; contact in a patch; two compared patches.
 UNDEFINED_ROW: Final = 0
-
-#: The row of a patch table that stands for *contact*.
 CONTACT_ROW: Final = 255
-
-#: The rows of two compared patches.
-BOTH_ROW: Final = 253
-ONLY_A_ROW: Final = 254
-ONLY_B_ROW: Final = 255
+BOTH_ROW, ONLY_A_ROW, ONLY_B_ROW = 253, 254, 255
 
 #: The rows of a table of real colours after those of the palette: no colour known, behind the depth range.
 NO_COLOR_ROW: Final = 126
 BEHIND_ROW: Final = 127
 
 #: The rows of what a tactile pixel was used for; row 0: not compared.
-USED_ROW: Final = 1
-AGREED_ROW: Final = 2
-TOUCHING_ROW: Final = 3
+USED_ROW, AGREED_ROW, TOUCHING_ROW = 1, 2, 3
 
 _DEPTH_MAP, _DEPTH_PART = "viridis", (0.96, 0.14)
 #: Blue, white, ochre: made for colour-blind people (P. Kovesi, CET perceptually uniform colour maps).
@@ -139,19 +131,9 @@ def depth_legend(near_m: float, far_m: float) -> Legend:
 
 
 def difference_index(relative_difference: Float32Array, limit: float = DIFFERENCE_LIMIT) -> Uint8Array:
-    """Take relative differences to rows of a difference table.
+    """Take relative differences ``(dp - dt) / dp``, float32 (H, W), nan where undefined, to rows of a difference table.
 
-    Parameters
-    ----------
-    relative_difference : float32, shape (H, W)
-        ``(dp - dt) / dp``; nan where undefined.
-    limit : float
-        Relative difference at both ends of the table.
-
-    Returns
-    -------
-    uint8, shape (H, W)
-        Rows 1 to 255 from ``-limit`` to ``limit``, clipped; `UNDEFINED_ROW` for nan.
+    Returns uint8 (H, W): rows 1 to 255 from ``-limit`` to ``limit``, clipped; `UNDEFINED_ROW` for nan.
     """
     rows = relative_difference * np.float32(127.0 / limit)
     rows += np.float32(128.5)
@@ -227,7 +209,6 @@ def tactile_use_lut(theme: Theme) -> Uint8Array:
 
 
 def tactile_use_legend(theme: Theme) -> Legend:
-    """Return the legend of `tactile_use_lut`."""
     return [(name, _color(tactile_use_lut(theme), row)) for row, name in _USE_NAMES.items()]
 
 
@@ -246,20 +227,9 @@ def real_color_legend() -> Legend:
 
 
 def patch_index(contact: BoolArray, depth: Uint16Array, near: float, far: float) -> Uint8Array:
-    """Take a contact mask and the depth around it to rows of `patch_lut`.
+    """Take a contact mask, bool (H, W), and raw depth counts around it to rows of `patch_lut`: uint8 (H, W).
 
-    Parameters
-    ----------
-    contact : bool, shape (H, W)
-    depth : uint16, shape (H, W)
-        Raw counts.
-    near, far : float
-        Raw counts at both ends of the context's shades.
-
-    Returns
-    -------
-    uint8, shape (H, W)
-        `CONTACT_ROW` for contact, rows below it for the context by depth.
+    ``near`` and ``far`` are the raw counts at both ends of the context's shades.
     """
     rows = _shades(depth, near, far)
     rows[contact] = CONTACT_ROW

@@ -27,8 +27,18 @@ from .theme import text_font, theme_colors
 
 
 def shortened(sentence: str) -> str:
-    """Return a sentence of at most 600 characters; the middle of a longer one, such as a name of any length, goes."""
+    """Return a sentence of at most 600 characters; the centre of a longer one, such as a name of any length, goes."""
     return sentence if len(sentence) <= 600 else f"{sentence[:300]} … {sentence[-300:]}"
+
+
+def copy_text(text: str) -> None:
+    """Put a text on the clipboard."""
+    clipboard = QApplication.clipboard()
+    assert clipboard is not None
+    clipboard.setText(text)
+
+
+# Buttons
 
 
 def push_button(text: str, tip: str, shortcut: str = "") -> QPushButton:
@@ -39,6 +49,16 @@ def push_button(text: str, tip: str, shortcut: str = "") -> QPushButton:
     if shortcut:
         button.setShortcut(shortcut)
     return button
+
+
+class AccentButton(QPushButton):
+    """A checkable button; the style fills checked ones with the accent colour."""
+
+    def __init__(self, text: str, tip: str) -> None:
+        super().__init__(text)
+        self.setCheckable(True)
+        self.setAutoDefault(False)
+        self.setToolTip(tip)
 
 
 def tool_button(text: str, tip: str, name: str = "", *, icon_name: str = "", checkable: bool = False) -> QToolButton:
@@ -52,13 +72,6 @@ def tool_button(text: str, tip: str, name: str = "", *, icon_name: str = "", che
         button.setAutoRaise(True)
     button.setCheckable(checkable)
     button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-    return button
-
-
-def close_button(name: str, tip: str) -> QToolButton:
-    """Return the cross of a card over the views."""
-    button = tool_button("", tip, name, icon_name="close")
-    button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
     return button
 
 
@@ -90,11 +103,16 @@ class FoldButton(QToolButton):
         self.setArrowType(Qt.ArrowType.RightArrow if folded else Qt.ArrowType.DownArrow)
 
 
-def copy_text(text: str) -> None:
-    """Put a text on the clipboard."""
-    clipboard = QApplication.clipboard()
-    assert clipboard is not None
-    clipboard.setText(text)
+def dialog_buttons(standard: QDialogButtonBox.StandardButton) -> QDialogButtonBox:
+    """Return a row of standard buttons; Close is never the primary one."""
+    box = QDialogButtonBox(standard)
+    close = box.button(QDialogButtonBox.StandardButton.Close)
+    if close is not None:
+        close.setAutoDefault(False)
+    return box
+
+
+# Labels
 
 
 def caption(text: str, control: QWidget) -> QLabel:
@@ -102,6 +120,99 @@ def caption(text: str, control: QWidget) -> QLabel:
     label = QLabel(text)
     label.setBuddy(control)
     return label
+
+
+def make_verdict(label: QLabel) -> None:
+    """Show a label larger and in bold: the sentence that states the result."""
+    label.setFont(text_font("title", bold=True))
+
+
+def wrapped_label(text: str = "", *, verdict: bool = False, selectable: bool = False) -> QLabel:
+    """Return a label for sentences, which may take several lines and, if ``selectable``, can be copied."""
+    label = QLabel(text)
+    label.setWordWrap(True)
+    if verdict:
+        make_verdict(label)
+    if selectable:
+        label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+    return label
+
+
+class TintedLabel(QLabel):
+    """A label in one of the theme's colours, a field of `ThemeColors`; empty: the usual one of text."""
+
+    def __init__(self, text: str = "", color: str = "") -> None:
+        super().__init__(text)
+        self._color = ""
+        self.tint(color)
+
+    def tint(self, color: str) -> None:
+        """Use another colour."""
+        if color or self._color:
+            palette = QPalette()
+            if color:
+                palette.setColor(QPalette.ColorRole.WindowText, QColor(getattr(theme_colors(), color)))
+            self.setPalette(palette)
+        self._color = color
+
+    def changeEvent(self, event: QEvent | None) -> None:
+        super().changeEvent(event)
+        if event is not None and event.type() == QEvent.Type.PaletteChange and self._color:
+            self.tint(self._color)
+
+
+class NoteLabel(TintedLabel):
+    """A wrapped sentence that can be selected; ``lines`` keeps room for a longer one, so that it moves nothing."""
+
+    def __init__(self, text: str = "", lines: int = 1) -> None:
+        super().__init__(text)
+        self.setWordWrap(True)
+        self.setMinimumWidth(1)  # a long word widens no window
+        self.setTextFormat(Qt.TextFormat.PlainText)
+        self.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        if lines > 1:
+            self.setMinimumHeight(lines * self.fontMetrics().height())
+            self.setAlignment(Qt.AlignmentFlag.AlignTop)
+
+    def say(self, sentence: str, error: bool = False) -> None:
+        """Show a sentence; an error is in the theme's colour of errors."""
+        self.tint("error" if error else "")
+        self.setText(shortened(sentence))
+
+
+def number_label(widest: str, tip: str) -> TintedLabel:
+    """Return a label wide enough for its widest text, so that nothing moves as numbers change."""
+    label = TintedLabel()
+    label.setToolTip(tip)
+    label.setMinimumWidth(label.fontMetrics().horizontalAdvance(widest))
+    return label
+
+
+class ElidedLabel(QLabel):
+    """A plain-text label that accepts any width; the tooltip has the whole text if it is elided."""
+
+    def __init__(self, text: str = "", parent: QWidget | None = None) -> None:
+        super().__init__(text, parent)
+        self.setTextFormat(Qt.TextFormat.PlainText)
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+
+    def sizeHint(self) -> QSize:
+        return QSize(0, self.fontMetrics().height() + 4)  # also while empty, so that the layout does not jump
+
+    def minimumSizeHint(self) -> QSize:
+        return self.sizeHint()
+
+    def paintEvent(self, _: QPaintEvent | None) -> None:
+        shown = self.fontMetrics().elidedText(self.text(), Qt.TextElideMode.ElideRight, self.width() - 4)
+        tip = "" if shown == self.text() else self.text()
+        if tip != self.toolTip():  # each call tells every widget above, also without a change
+            self.setToolTip(tip)
+        painter = QPainter(self)
+        painter.setPen(self.palette().windowText().color())
+        painter.drawText(self.rect().adjusted(2, 0, -2, 0), Qt.AlignmentFlag.AlignVCenter, shown)
+
+
+# Entries and tables
 
 
 def frame_count(most: int, tip: str, value: int = 1) -> QSpinBox:
@@ -116,70 +227,16 @@ def frame_count(most: int, tip: str, value: int = 1) -> QSpinBox:
     return box
 
 
-def dialog_buttons(standard: QDialogButtonBox.StandardButton) -> QDialogButtonBox:
-    """Return a row of standard buttons; Close is never the primary one."""
-    box = QDialogButtonBox(standard)
-    close = box.button(QDialogButtonBox.StandardButton.Close)
-    if close is not None:
-        close.setAutoDefault(False)
-    return box
+class ChoiceBox(QComboBox):
+    """A list to choose from, in which a letter chooses an entry and is no shortcut of the window."""
 
-
-def make_verdict(label: QLabel) -> None:
-    """Show a label larger and in bold: the sentence that states the result."""
-    label.setFont(text_font("title", bold=True))
-
-
-def wrapped_label(text: str = "", *, verdict: bool = False, selectable: bool = False) -> QLabel:
-    """Return a label for sentences, which may take several lines.
-
-    Parameters
-    ----------
-    text : str
-    verdict : bool
-        As by `make_verdict`.
-    selectable : bool
-        The text can be selected and copied.
-    """
-    label = QLabel(text)
-    label.setWordWrap(True)
-    if verdict:
-        make_verdict(label)
-    if selectable:
-        label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-    return label
-
-
-class TintedLabel(QLabel):
-    """A label in one of the theme's colours."""
-
-    def __init__(self, text: str = "", color: str = "") -> None:
-        super().__init__(text)
-        self._color = ""
-        self.tint(color)
-
-    def tint(self, color: str) -> None:
-        """Use a colour by its field of `ThemeColors`; empty: the usual one of text."""
-        if color or self._color:
-            palette = QPalette()
-            if color:
-                palette.setColor(QPalette.ColorRole.WindowText, QColor(getattr(theme_colors(), color)))
-            self.setPalette(palette)
-        self._color = color
-
-    def changeEvent(self, event: QEvent | None) -> None:
-        """Follow the theme."""
-        super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.PaletteChange and self._color:
-            self.tint(self._color)
-
-
-def number_label(widest: str, tip: str) -> TintedLabel:
-    """Return a label wide enough for its widest text, so that nothing moves as numbers change."""
-    label = TintedLabel()
-    label.setToolTip(tip)
-    label.setMinimumWidth(label.fontMetrics().horizontalAdvance(widest))
-    return label
+    def event(self, event: QEvent | None) -> bool:
+        if isinstance(event, QKeyEvent) and event.type() == QEvent.Type.ShortcutOverride:
+            held = event.modifiers() & ~(Qt.KeyboardModifier.ShiftModifier | Qt.KeyboardModifier.KeypadModifier)
+            if held == Qt.KeyboardModifier.NoModifier and event.text().strip().isprintable() and event.text().strip():
+                event.accept()
+                return True
+        return super().event(event)
 
 
 def read_only_table(table: QTableView, name: str, tip: str) -> tuple[QHeaderView, QHeaderView]:
@@ -204,27 +261,11 @@ def paint_focus(widget: QWidget) -> None:
         painter.drawRect(widget.rect().adjusted(1, 1, -1, -1))
 
 
-class ChoiceBox(QComboBox):
-    """A list to choose from, in which a letter chooses an entry and is no shortcut of the window."""
-
-    def event(self, event: QEvent | None) -> bool:
-        """Keep letters from the window's shortcuts."""
-        if isinstance(event, QKeyEvent) and event.type() == QEvent.Type.ShortcutOverride:
-            held = event.modifiers() & ~(Qt.KeyboardModifier.ShiftModifier | Qt.KeyboardModifier.KeypadModifier)
-            if held == Qt.KeyboardModifier.NoModifier and event.text().strip().isprintable() and event.text().strip():
-                event.accept()
-                return True
-        return super().event(event)
+# Progress
 
 
 class ProgressBar(QProgressBar):
-    """The share of a job that is done, and the current step in one line: the style would wrap long words and clip them.
-
-    Parameters
-    ----------
-    words : str
-        The step at first; empty shows the share in percent.
-    """
+    """The share of a job that is done, in percent or as the current step in one line, which is elided to fit."""
 
     def __init__(self, words: str = "") -> None:
         super().__init__()
@@ -240,29 +281,18 @@ class ProgressBar(QProgressBar):
         self.update()
 
     def text(self) -> str:
-        """Return the words as they fit into the bar."""
         words = self._words or f"{self.value()} %"
         return self.fontMetrics().elidedText(words, Qt.TextElideMode.ElideRight, self.width() - 8)
 
     def sizeHint(self) -> QSize:
-        """Room for all words."""
         return QSize(self.fontMetrics().horizontalAdvance(self._words) + 24, super().sizeHint().height())
 
     def minimumSizeHint(self) -> QSize:
-        """Words are elided rather than that they widen the window."""
         return QSize(100, super().minimumSizeHint().height())
 
 
 class ProgressCard(QFrame):
-    """What a job does, its progress, and a Cancel button; hidden while there is no job.
-
-    Parameters
-    ----------
-    name : str
-        Of the progress bar, for screen readers.
-    tip : str
-        Tooltip of *Cancel*.
-    """
+    """What a job does, its progress, and a Cancel button with the tooltip ``tip``; hidden while there is no job."""
 
     def __init__(self, name: str, tip: str) -> None:
         super().__init__()
@@ -284,110 +314,35 @@ class ProgressCard(QFrame):
         self.show()
 
 
-class NoteLabel(TintedLabel):
-    """A wrapped sentence that can be selected; an error is in the theme's colour of errors.
-
-    Parameters
-    ----------
-    text : str
-    lines : int
-        Room that is kept for a longer sentence, so that it moves nothing.
-    """
-
-    def __init__(self, text: str = "", lines: int = 1) -> None:
-        super().__init__(text)
-        self.setWordWrap(True)
-        self.setMinimumWidth(1)  # a long word widens no window
-        self.setTextFormat(Qt.TextFormat.PlainText)
-        self.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        if lines > 1:
-            self.setMinimumHeight(lines * self.fontMetrics().height())
-            self.setAlignment(Qt.AlignmentFlag.AlignTop)
-
-    def say(self, sentence: str, error: bool = False) -> None:
-        """Show a sentence."""
-        self.tint("error" if error else "")
-        self.setText(shortened(sentence))
-
-
-class AccentButton(QPushButton):
-    """A checkable button; the style fills checked ones with the accent colour."""
-
-    def __init__(self, text: str, tip: str) -> None:
-        super().__init__(text)
-        self.setCheckable(True)
-        self.setAutoDefault(False)
-        self.setToolTip(tip)
-
-
-class ElidedLabel(QLabel):
-    """A plain-text label that accepts any width; the tooltip has the whole text if it is elided."""
-
-    def __init__(self, text: str = "", parent: QWidget | None = None) -> None:
-        super().__init__(text, parent)
-        self.setTextFormat(Qt.TextFormat.PlainText)
-        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-
-    def sizeHint(self) -> QSize:
-        """One line, also while empty, so that the layout does not jump."""
-        return QSize(0, self.fontMetrics().height() + 4)
-
-    def minimumSizeHint(self) -> QSize:
-        """The layout decides on the width."""
-        return self.sizeHint()
-
-    def paintEvent(self, _: QPaintEvent | None) -> None:
-        """Paint the elided text."""
-        shown = self.fontMetrics().elidedText(self.text(), Qt.TextElideMode.ElideRight, self.width() - 4)
-        tip = "" if shown == self.text() else self.text()
-        if tip != self.toolTip():  # each call tells every widget above, also without a change
-            self.setToolTip(tip)
-        painter = QPainter(self)
-        painter.setPen(self.palette().windowText().color())
-        painter.drawText(self.rect().adjusted(2, 0, -2, 0), Qt.AlignmentFlag.AlignVCenter, shown)
-
-
 class CollapsibleSection(QFrame):
-    """A titled section: a header button that folds the body, and header widgets beside the title.
-
-    Signals
-    -------
-    collapsedChanged(bool)
-    """
+    """A titled section: a header button that folds the body, and header widgets beside the title."""
 
     collapsedChanged = pyqtSignal(bool)
 
     def __init__(self, title: str) -> None:
         super().__init__()
         self.title = title
-        self._collapsed = False
+        self.collapsed = False
         self.button = FoldButton(title, f"{title} section", f"Fold or unfold {title.lower()}")
         self.button.show_folded(False)
         self.button.setFont(text_font("body", bold=True))
-
         header = QFrame()
         header.setAutoFillBackground(True)
         header.setBackgroundRole(QPalette.ColorRole.AlternateBase)
         self._header_layout = hbox((self.button, 1), within=header, margins=(4, 0, 4, 0), spacing=4)
         self.body = QWidget()
         vbox(header, self.body, within=self, margins=0, spacing=0)
-        self.button.clicked.connect(lambda: self.set_collapsed(not self._collapsed))
+        self.button.clicked.connect(lambda: self.set_collapsed(not self.collapsed))
 
-    def add_header_widget(self, widget: QWidget, before: QWidget | None = None) -> None:
-        """Put a widget at the right end of the header or before another, where it stays when the section is folded."""
-        at = self._header_layout.count() if before is None else self._header_layout.indexOf(before)
-        self._header_layout.insertWidget(at, widget)
-
-    @property
-    def collapsed(self) -> bool:
-        """Whether the body is folded away."""
-        return self._collapsed
+    def add_header_widget(self, widget: QWidget) -> None:
+        """Put a widget at the right end of the header, where it stays when the section is folded."""
+        self._header_layout.addWidget(widget)
 
     def set_collapsed(self, collapsed: bool) -> None:
         """Fold or unfold the body."""
-        if collapsed == self._collapsed:
+        if collapsed == self.collapsed:
             return
-        self._collapsed = collapsed
+        self.collapsed = collapsed
         self.body.setVisible(not collapsed)
         self.button.show_folded(collapsed)
         self.collapsedChanged.emit(collapsed)

@@ -181,7 +181,6 @@ def _open(box: QMessageBox, answer: Callable[[QAbstractButton | None], Callable[
 
 
 def local_files(data: QMimeData | None) -> list[Path]:
-    """Return the local files and folders in dragged data."""
     return [] if data is None else [Path(url.toLocalFile()) for url in data.urls() if url.isLocalFile()]
 
 

@@ -67,7 +67,6 @@ class FieldSpec:
 
     @property
     def name(self) -> str:
-        """The last part of the path."""
         return self.path.rpartition(".")[2]
 
     @property
@@ -82,7 +81,6 @@ class FieldSpec:
         return " ".join(parts)
 
     def allows(self, value: float) -> bool:
-        """Whether one number lies within the bounds."""
         return value <= self.maximum and (value > self.minimum if self.open_minimum else value >= self.minimum)
 
     @property

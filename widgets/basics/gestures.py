@@ -36,7 +36,6 @@ class GestureClock:
 
     @property
     def held(self) -> bool:
-        """Whether a drag is going on."""
         return self._held
 
     def number(self) -> int:

@@ -10,7 +10,7 @@ from enum import StrEnum
 from html import escape
 
 from PyQt6.QtCore import QEvent, QObject, Qt, QTimer, pyqtSignal
-from PyQt6.QtGui import QColor, QEnterEvent, QHideEvent, QKeyEvent, QPainter, QPaintEvent, QPalette, QShowEvent
+from PyQt6.QtGui import QEnterEvent, QHideEvent, QKeyEvent, QPalette, QShowEvent
 from PyQt6.QtWidgets import (
     QApplication,
     QDialog,
@@ -24,9 +24,8 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from .controls import close_button, copy_text, dialog_buttons, push_button, shortened, wrapped_label
+from .controls import copy_text, dialog_buttons, push_button, shortened, tool_button, wrapped_label
 from .layouts import STRETCH, hbox, vbox
-from .theme import theme_colors
 
 #: Messages on the screen at once; older ones wait.
 LIMIT = 3
@@ -36,18 +35,18 @@ _WIDTH_PX, _MARGIN_PX, _GAP_PX = 400, 8, 4
 _LINE_PX = 20
 #: A note stays for this time and the time to read its characters, in ms.
 NOTE_MS, CHARACTER_MS = 4000, 60
-_HISTORY = 500
 _SHOWN_OR_HIDDEN = (QEvent.Type.ShowToParent, QEvent.Type.HideToParent)
 
 
 class Severity(StrEnum):
-    """Severity of a message, shown as a coloured stripe and as its first word."""
+    """Severity of a message, shown as a coloured stripe (by the style sheet) and as its first word."""
 
     INFO = "Note"
     WARNING = "Warning"
     ERROR = "Error"
 
 
+#: Text and action of a button.
 Offer = tuple[str, Callable[[], None]]
 
 
@@ -62,30 +61,7 @@ class Said:
 
 
 #: The messages of all windows since the start, oldest first.
-HISTORY: deque[Said] = deque(maxlen=_HISTORY)
-
-
-class Card(QFrame):
-    """A frame over the views with a background and an outline.
-
-    Signals
-    -------
-    closed()
-        Esc was pressed while the focus was here.
-    """
-
-    closed = pyqtSignal()
-
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        _make_card(self)
-
-    def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Ask to be closed with Esc."""
-        if event is not None and event.key() == Qt.Key.Key_Escape:
-            self.closed.emit()
-        else:
-            super().keyPressEvent(event)
+HISTORY: deque[Said] = deque(maxlen=500)
 
 
 def _make_card(frame: QFrame) -> None:
@@ -94,22 +70,24 @@ def _make_card(frame: QFrame) -> None:
     frame.setBackgroundRole(QPalette.ColorRole.AlternateBase)
 
 
-class _Stripe(QWidget):
-    """The colour of a severity."""
+class Card(QFrame):
+    """A frame over the views with a background and an outline; Esc asks to close it."""
 
-    def __init__(self, severity: Severity) -> None:
-        super().__init__()
-        self._severity = severity
-        self.setFixedWidth(5)
+    closed = pyqtSignal()
 
-    def paintEvent(self, _: QPaintEvent | None) -> None:
-        colors = theme_colors()
-        color = {Severity.INFO: colors.accent, Severity.WARNING: colors.warning, Severity.ERROR: colors.error}
-        QPainter(self).fillRect(self.rect(), QColor(color[self._severity]))
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        _make_card(self)
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:
+        if event is not None and event.key() == Qt.Key.Key_Escape:
+            self.closed.emit()
+        else:
+            super().keyPressEvent(event)
 
 
 class Message(Card):
-    """One sentence with its buttons, optional details, and a button that dismisses it.
+    """One sentence with its buttons, optional details, and a button that dismisses it, as does Esc.
 
     A note without buttons goes by itself, but not while the pointer or the focus is on it.
     """
@@ -119,9 +97,9 @@ class Message(Card):
     ) -> None:
         super().__init__(parent)
         self.sentence, self.subject = said.sentence, subject
+        self.closed.connect(close)
         self.lasts = bool(offers) or said.severity is not Severity.INFO
         self.rank = 0 if said.severity is Severity.ERROR else 1 if self.lasts else 2
-        self.closed.connect(close)
         self._goes = QTimer(self)
         self._goes.setSingleShot(True)
         self._goes.setInterval(NOTE_MS + CHARACTER_MS * len(said.sentence))
@@ -131,7 +109,8 @@ class Message(Card):
         text = wrapped_label(f"<b>{said.severity}.</b> {escape(shortened(said.sentence))}", selectable=True)
         text.setTextFormat(Qt.TextFormat.RichText)
         text.setMinimumWidth(1)  # a long word does not push the button aside
-        dismiss = close_button("Dismiss", "Dismiss this message (Esc)")
+        dismiss = tool_button("", "Dismiss this message (Esc)", "Dismiss", icon_name="close")
+        dismiss.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         dismiss.clicked.connect(close)
         first = QHBoxLayout()
         first.addWidget(text, 1)
@@ -145,9 +124,11 @@ class Message(Card):
             button.clicked.connect(lambda _=False, action=action: action())
             answers.append(button)
         if answers:
-            row = hbox(STRETCH, *answers)
-            body.addLayout(row)
-        hbox(_Stripe(said.severity), (body, 1), within=self, margins=0, spacing=0)
+            body.addLayout(hbox(STRETCH, *answers))
+        stripe = QFrame()
+        stripe.setFixedWidth(5)
+        stripe.setProperty("severity", str(said.severity))
+        hbox(stripe, (body, 1), within=self, margins=0, spacing=0)
 
     def _details_button(self, details: str, body: QVBoxLayout) -> QToolButton:
         shown = QPlainTextEdit(details)
@@ -163,30 +144,23 @@ class Message(Card):
 
     def run(self) -> None:
         """Begin, or begin again, the time after which a note goes."""
-        if not self.lasts and not self.underMouse() and not self._has_focus():
+        focus = QApplication.focusWidget()
+        if not self.lasts and not self.underMouse() and not (focus is not None and self.isAncestorOf(focus)):
             self._goes.start()
 
-    def _has_focus(self) -> bool:
-        focus = QApplication.focusWidget()
-        return focus is not None and self.isAncestorOf(focus)
-
     def showEvent(self, event: QShowEvent | None) -> None:
-        """Begin the time of a note."""
         super().showEvent(event)
         self.run()
 
     def hideEvent(self, event: QHideEvent | None) -> None:
-        """Stop the time of a note that waits."""
         self._goes.stop()
         super().hideEvent(event)
 
     def enterEvent(self, event: QEnterEvent | None) -> None:
-        """Stay while the pointer is here."""
         self._goes.stop()
         super().enterEvent(event)
 
     def leaveEvent(self, event: QEvent | None) -> None:
-        """Go some time after the pointer left."""
         super().leaveEvent(event)
         self.run()
 
@@ -195,14 +169,8 @@ class Messages(QWidget):
     """The messages at the lower left over a widget, the newest on top. A message replaces an older one of its key.
 
     At most `LIMIT` are shown, fewer if the widget is low; errors come first, notes that go by themselves last. The
-    others wait. `HISTORY` keeps all.
-
-    Parameters
-    ----------
-    over : QWidget
-        The messages stand over this widget.
-    free : callable, optional
-        Returns how many pixels stay free at its lower edge; call `arrange` when that changes.
+    others wait. `HISTORY` keeps all. ``free`` returns how many pixels stay free at the widget's lower edge; call
+    `arrange` when that changes.
     """
 
     def __init__(self, over: QWidget, free: Callable[[], int] = lambda: 0) -> None:
@@ -244,8 +212,7 @@ class Messages(QWidget):
         self._remove(key)
         said = Said(datetime.now(), severity, sentence, details)
         HISTORY.append(said)
-        message = Message(said, subject, offers, lambda: self._dismiss(key), self)
-        self._messages[key] = message
+        self._messages[key] = Message(said, subject, offers, lambda: self._dismiss(key), self)
         self.arrange()
         self.setAccessibleName(f"{severity}: {sentence}")  # PyQt has no call that announces; a changed name is reported
 
@@ -296,8 +263,12 @@ class Messages(QWidget):
         """Return the sentences of all messages, oldest first, those that wait too."""
         return [message.sentence for message in self._messages.values()]
 
+    def keys(self) -> list[str]:
+        """Return the keys of all messages, oldest first, those that wait too."""
+        return list(self._messages)
+
     def message(self, key: str) -> Message | None:
-        """Return the message of a key, or None."""
+        """Return the message of a key, if there is one."""
         return self._messages.get(key)
 
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
@@ -369,7 +340,7 @@ class MessageHistory(QDialog):
         self.text.setPlaceholderText("No message yet")
         self.text.setAccessibleName("Messages of this start, the newest first")
         self.copy = push_button("&Copy all", "Copy the list to the clipboard")
-        self.copy.clicked.connect(self._copy)
+        self.copy.clicked.connect(lambda: copy_text(self.text.toPlainText()))
         buttons = dialog_buttons(QDialogButtonBox.StandardButton.Close)
         buttons.addButton(self.copy, QDialogButtonBox.ButtonRole.ActionRole)
         buttons.rejected.connect(self.close)
@@ -377,7 +348,6 @@ class MessageHistory(QDialog):
         self.resize(620, 360)
 
     def changeEvent(self, event: QEvent | None) -> None:
-        """Show what was said since the last look."""
         super().changeEvent(event)
         if event is not None and event.type() == QEvent.Type.ActivationChange and self.isActiveWindow():
             self.refresh()
@@ -389,6 +359,3 @@ class MessageHistory(QDialog):
             details = "".join(f"\n    {line}" for line in said.details.splitlines())
             lines.append(f"{said.at:%H:%M:%S}  {said.severity}: {said.sentence}{details}")
         self.text.setPlainText("\n".join(lines))
-
-    def _copy(self) -> None:
-        copy_text(self.text.toPlainText())

@@ -49,14 +49,9 @@ class PointRow:
 
 
 class PointTable(RecordTable):
-    """Shows pairs; sorted by any column, the worst highlighted.
+    """Shows pairs; sorted by any column, the worst highlighted."""
 
-    Signals
-    -------
-    enabledToggled(key: int, enabled: bool)
-        A person ticked or cleared a check mark; whoever listens answers with `set_rows`.
-    """
-
+    #: Key, enabled: a person ticked or cleared a check mark; whoever listens answers with `set_rows`.
     enabledToggled = pyqtSignal(int, bool)
 
     def __init__(self) -> None:
@@ -118,7 +113,6 @@ class PointTable(RecordTable):
         self.sortByColumn(titles.index("Res. px"), Qt.SortOrder.DescendingOrder)
 
     def rows(self) -> tuple[PointRow, ...]:
-        """Return the rows, unsorted."""
         return self.records()
 
     def set_rows(self, rows: Sequence[PointRow]) -> None:

@@ -135,20 +135,12 @@ class RecordTable(QTableView):
         Whether a record's row is highlighted.
     wraps : bool
         Long texts take several lines.
-
-    Signals
-    -------
-    ticked(record: object, on: bool)
-    selectionEdited(keys: tuple)
-        A person selected other rows.
-    deleteRequested()
-    copied(rows: int)
     """
 
-    ticked = pyqtSignal(object, bool)
-    selectionEdited = pyqtSignal(object)
+    ticked = pyqtSignal(object, bool)  # record, on
+    selectionEdited = pyqtSignal(object)  # keys: a person selected other rows
     deleteRequested = pyqtSignal()
-    copied = pyqtSignal(int)
+    copied = pyqtSignal(int)  # rows
 
     def __init__(
         self,
@@ -201,7 +193,6 @@ class RecordTable(QTableView):
         self._selection.selectionChanged.connect(self._selection_changed)
 
     def records(self) -> tuple[Any, ...]:
-        """Return the records, unsorted."""
         return self._model.records
 
     def set_records(self, records: Sequence[Any]) -> None:
@@ -222,7 +213,6 @@ class RecordTable(QTableView):
         self.select(selected)
 
     def selected_keys(self) -> tuple[Any, ...]:
-        """Return the keys of the selected rows, in the order shown."""
         return tuple(self._key(record) for record in self._in_order(selected=True))
 
     def select(self, keys: Sequence[Any]) -> None:
@@ -270,7 +260,6 @@ class RecordTable(QTableView):
         return across.sizeHint().height() + down.length() + 2 * self.frameWidth()
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Copy, tick or delete the selected rows."""
         if event is None:
             return
         if event.matches(QKeySequence.StandardKey.Copy):

@@ -47,7 +47,6 @@ class StaleBadge(QWidget):
         self.hide()
 
     def text(self) -> str:
-        """Return the text."""
         return self._text
 
     def set_text(self, text: str) -> None:
@@ -63,7 +62,6 @@ class StaleBadge(QWidget):
         self.update()
 
     def paintEvent(self, _: QPaintEvent | None) -> None:
-        """Paint veil and plate."""
         painter = QPainter(self)
         paint_badge(painter, QRectF(self.rect()), self.palette(), self.font(), self._text)
         painter.end()

@@ -100,7 +100,6 @@ def theme_name() -> ThemeName:
 
 
 def theme_colors(name: ThemeName | None = None) -> ThemeColors:
-    """Return the colours of a theme, by default of the current one."""
     return _THEMES[name or theme_name()]
 
 

@@ -31,11 +31,9 @@ class Wipe:
     right: str
 
     def column(self, width: int) -> int:
-        """Return the first column that shows the right side."""
         return min(max(round(self.share * width), 0), width)
 
     def grabbed(self, x: float, width: float) -> bool:
-        """Whether the mouse at ``x`` takes hold of the line."""
         return abs(x - self.share * width) <= REACH
 
 

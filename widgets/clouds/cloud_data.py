@@ -155,7 +155,6 @@ class DepthCloud:
 
     @cached_property
     def point_count(self) -> int:
-        """The number of points that a view states."""
         return int(np.count_nonzero(self.drawn())) if self.count is None else self.count
 
 

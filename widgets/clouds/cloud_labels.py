@@ -55,11 +55,9 @@ class CloudHeader(QWidget):
             self._place()
 
     def sizeHint(self) -> QSize:
-        """One line high, with flexible width."""
         return QSize(100, self._title.sizeHint().height() + _TOP)
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:
-        """Update the shortened texts."""
         super().resizeEvent(event)
         self._place()
 
@@ -99,7 +97,6 @@ class LegendLine(QWidget):
         self.setFont(text_font("caption"))
 
     def value(self) -> list[tuple[str, QColor]]:
-        """Return the entries."""
         return list(self._entries)
 
     def setValue(self, entries: list[tuple[str, QColor]]) -> None:
@@ -112,7 +109,6 @@ class LegendLine(QWidget):
         self.update()
 
     def sizeHint(self) -> QSize:
-        """As high as its lines, with flexible width."""
         return QSize(100, round(self._lines * QFontMetricsF(self.font()).height() + _PADDING))
 
     def needed_lines(self) -> int:
@@ -151,7 +147,6 @@ class LegendLine(QWidget):
         return places
 
     def paintEvent(self, _event: QPaintEvent | None) -> None:
-        """Paint swatches and words from the left, line after line."""
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         text_color = self.palette().color(QPalette.ColorRole.WindowText)

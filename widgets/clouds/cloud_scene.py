@@ -109,7 +109,6 @@ def _axes_image(azimuth: float, elevation: float, theme: Theme, _letters: str, r
 
 
 def message_rect(widget: QWidget, message: str) -> QRectF:
-    """Return where a message is painted in the middle of a widget."""
     return QFontMetricsF(text_font("body")).boundingRect(_message_room(widget), _MESSAGE_FLAGS, message)
 
 

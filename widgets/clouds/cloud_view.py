@@ -140,7 +140,6 @@ class CloudView(QWidget):
         return self._scene.cloud
 
     def right_cloud(self) -> DepthCloud | None:
-        """Return the cloud right of the wipe."""
         return self._scene.right
 
     def set_right(self, cloud: DepthCloud | None, message: str = "") -> None:
@@ -162,7 +161,6 @@ class CloudView(QWidget):
         self._canvas.update()
 
     def wipe(self) -> Wipe | None:
-        """Return where the view is divided; None for one cloud."""
         return self._scene.wipe
 
     def point_count(self) -> int:
@@ -187,11 +185,9 @@ class CloudView(QWidget):
         self._legend.setValue(entries)
 
     def legend(self) -> list[tuple[str, QColor]]:
-        """Return the entries of the legend."""
         return self._legend.value()
 
     def legend_lines(self) -> int:
-        """Return the number of lines that the whole legend needs."""
         return self._legend.needed_lines()
 
     def set_legend_lines(self, lines: int) -> None:
@@ -237,7 +233,6 @@ class CloudView(QWidget):
             self._canvas.update()
 
     def badge(self) -> str:
-        """Return why the cloud is old; empty while it is not."""
         return self._scene.badge
 
     def _show_count(self) -> None:
@@ -256,7 +251,6 @@ class CloudView(QWidget):
     # Camera
 
     def camera(self) -> ViewCamera:
-        """Return the camera."""
         return self._scene.camera
 
     def set_camera(self, camera: ViewCamera) -> None:
@@ -343,15 +337,12 @@ class CloudView(QWidget):
     # Events
 
     def sizeHint(self) -> QSize:
-        """Large: the clouds are the main content of a window."""
         return QSize(420, 440)
 
     def minimumSizeHint(self) -> QSize:
-        """Small enough for three views in a small window."""
         return QSize(160, 160)
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:
-        """Frame again unless the user moved the camera."""
         super().resizeEvent(event)
         self._place_offer()
         if not self._steered and self._scene.cloud is not None:
@@ -369,7 +360,6 @@ class CloudView(QWidget):
         return super().event(event)
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Orbit, zoom or change the viewpoint."""
         if event is None or not self._knows(event):
             super().keyPressEvent(event)
             return
@@ -391,7 +381,6 @@ class CloudView(QWidget):
         return any(event.key() in keys for keys in (_ORBIT_KEYS, _ZOOM_KEYS, _VIEWPOINT_KEYS))
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:
-        """Begin to orbit or to pan."""
         if event is None or event.button() not in (Qt.MouseButton.LeftButton, Qt.MouseButton.MiddleButton):
             super().mousePressEvent(event)
             return
@@ -404,7 +393,6 @@ class CloudView(QWidget):
         self._canvas.setCursor(Qt.CursorShape.SizeAllCursor if self._drag_pans else Qt.CursorShape.ClosedHandCursor)
 
     def mouseMoveEvent(self, event: QMouseEvent | None) -> None:
-        """Drag the wipe, orbit or pan with the mouse."""
         if event is not None and self._drags_wipe:
             x = self._canvas.mapFrom(self, event.position()).x()
             self.wipeDragged.emit(min(max(x / max(1, self._canvas.width()), 0.0), 1.0))
@@ -426,7 +414,6 @@ class CloudView(QWidget):
             self.set_camera(self.camera().orbited(-moved.x() * turn, moved.y() * turn))
 
     def mouseReleaseEvent(self, event: QMouseEvent | None) -> None:
-        """End a drag."""
         self._drag_from, self._drags_wipe = None, False
         self._canvas.unsetCursor()
         super().mouseReleaseEvent(event)
@@ -436,12 +423,10 @@ class CloudView(QWidget):
         return wipe is not None and wipe.grabbed(at.x(), self._canvas.width())
 
     def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:
-        """Reset the view."""
         if event is not None and event.button() == Qt.MouseButton.LeftButton:
             self.look_from("reset")
 
     def wheelEvent(self, event: QWheelEvent | None) -> None:
-        """Zoom about the cursor."""
         if event is None or event.angleDelta().y() == 0:
             super().wheelEvent(event)
             return
@@ -454,7 +439,6 @@ class CloudView(QWidget):
         self.set_camera(self.camera().zoomed(factor, (at.x(), at.y()), *size))
 
     def paintEvent(self, _event: QPaintEvent | None) -> None:
-        """Paint the frame around the canvas, as a ring in the accent colour when focused."""
         role = QPalette.ColorRole.Highlight if self.hasFocus() else QPalette.ColorRole.Mid
         width = _RING if self.hasFocus() else 1
         painter = QPainter(self)

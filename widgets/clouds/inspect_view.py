@@ -19,19 +19,7 @@ _LINE, _PLATE = QColor(255, 255, 255), QColor(0, 0, 0, 190)
 
 
 class InspectView(CloudView):
-    """A `CloudView` that shows a mark and a measured distance and reports what a person does with its points.
-
-    Signals
-    -------
-    pointHovered(found: (int, Place) or None)
-        The flat pixel and the place in metres of the point under the mouse; None beside all points.
-    endChosen(place: Place)
-        A point was clicked with Shift: an end of a distance.
-    enlargeRequested()
-        The view was double-clicked.
-    menuRequested(at: QPoint, place: Place or None)
-        A context menu is wanted at this place on the screen, over the point at ``place``.
-    """
+    """A `CloudView` that shows a mark and a measured distance and reports what a person does with its points."""
 
     HELP = """<p><b>Drag</b> to orbit, <b>Shift + drag</b> or middle button to pan, <b>wheel</b> to zoom,
     <b>double click</b> to enlarge, <b>Shift + click</b> on two points to measure their distance, <b>right click</b> for
@@ -40,9 +28,13 @@ class InspectView(CloudView):
     <b>Z</b> zoom to the patch.</p>"""
     FOLLOWS_MOUSE = True
 
+    #: Found: the flat pixel and the place in metres of the point under the mouse; None beside
+    #: all points.
     pointHovered = pyqtSignal(object)
-    endChosen = pyqtSignal(object)
-    enlargeRequested = pyqtSignal()
+    endChosen = pyqtSignal(object)  # place: a point was clicked with Shift: an end of a distance
+    enlargeRequested = pyqtSignal()  # the view was double-clicked
+    #: At, place: a context menu is wanted at this place on the screen, over the point at
+    #: ``place``.
     menuRequested = pyqtSignal(object, object)
 
     def __init__(self, title: str, parent: QWidget | None = None) -> None:
@@ -64,7 +56,6 @@ class InspectView(CloudView):
             self._canvas.update()
 
     def mark(self) -> Place | None:
-        """Return the marked place."""
         return self._mark
 
     def set_ends(self, ends: tuple[Place, ...]) -> None:
@@ -74,18 +65,15 @@ class InspectView(CloudView):
             self._canvas.update()
 
     def ends(self) -> tuple[Place, ...]:
-        """Return the ends of the distance."""
         return self._ends
 
     # Events
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:
-        """Note where a click may begin."""
         self._pressed = None if event is None else event.position()
         super().mousePressEvent(event)
 
     def mouseMoveEvent(self, event: QMouseEvent | None) -> None:
-        """Look for the point under the mouse while no button is pressed."""
         super().mouseMoveEvent(event)
         if event is not None and event.buttons() == Qt.MouseButton.NoButton:
             self._mouse = self._canvas.mapFrom(self, event.position())
@@ -93,7 +81,6 @@ class InspectView(CloudView):
                 self._hover.start()
 
     def mouseReleaseEvent(self, event: QMouseEvent | None) -> None:
-        """Choose an end of a distance by a click with Shift."""
         super().mouseReleaseEvent(event)
         if event is None or self._pressed is None or event.button() != Qt.MouseButton.LeftButton:
             return
@@ -109,18 +96,15 @@ class InspectView(CloudView):
         self.pointHovered.emit(self.pick(self._mouse))
 
     def leaveEvent(self, event: QEvent | None) -> None:
-        """Point at nothing."""
         super().leaveEvent(event)
         self._hover.stop()
         self.pointHovered.emit(None)
 
     def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:
-        """Ask to be enlarged."""
         if event is not None and event.button() == Qt.MouseButton.LeftButton:
             self.enlargeRequested.emit()
 
     def contextMenuEvent(self, event: QContextMenuEvent | None) -> None:
-        """Ask for a menu."""
         if event is not None:
             found = self.pick(self._canvas.mapFrom(self, event.pos()).toPointF())
             self.menuRequested.emit(event.globalPos(), None if found is None else found[1])

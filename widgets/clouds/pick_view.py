@@ -51,13 +51,6 @@ class PickView(CloudView):
     A click takes the point that is seen at the cursor: the nearest to the eye among those drawn there, or else
     the nearest beside it. Handles are dragged; Ctrl and drag moves across the view, Ctrl, Shift and drag turns;
     Ctrl and arrows or page keys move by `STEP_M`, with Shift they turn by `STEP_RAD`.
-
-    Signals
-    -------
-    pointClicked(pixel: int, place: tuple of 3 floats)
-        The flat pixel of the cloud and its place in the view's frame, metres.
-    nudged(change: float64 (4, 4), gesture: int)
-        To be applied from the left, in the view's frame; all changes of one drag carry one gesture.
     """
 
     HELP = """<p><b>Click</b> a point to pick it. <b>Drag</b> to orbit, <b>Shift + drag</b> or middle button to pan,
@@ -69,7 +62,10 @@ class PickView(CloudView):
 
     FOLLOWS_MOUSE = True
 
+    #: Pixel, place: tuple of 3 floats: the flat pixel of the cloud and its place in the view's frame, metres.
     pointClicked = pyqtSignal(int, object)
+    #: Change, gesture: to be applied from the left, in the view's frame; all changes of one
+    #: drag carry one gesture.
     nudged = pyqtSignal(object, int)
 
     def __init__(self, title: str, parent: QWidget | None = None) -> None:
@@ -92,7 +88,6 @@ class PickView(CloudView):
         self._canvas.update()
 
     def spots(self) -> tuple[Spot, ...]:
-        """Return the marks."""
         return self._spots
 
     def set_handles(self, handles: PoseHandles | None) -> None:
@@ -102,7 +97,6 @@ class PickView(CloudView):
             self._canvas.update()
 
     def handles(self) -> PoseHandles | None:
-        """Return the handles that are shown."""
         return self._handles
 
     def set_pickable(self, pixels: int | None) -> None:
@@ -112,7 +106,6 @@ class PickView(CloudView):
     # Mouse
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:
-        """Grab a handle or begin a nudge; otherwise as the base class."""
         if event is None or event.button() != Qt.MouseButton.LeftButton:
             super().mousePressEvent(event)
             return
@@ -130,7 +123,6 @@ class PickView(CloudView):
         super().mousePressEvent(event)
 
     def mouseMoveEvent(self, event: QMouseEvent | None) -> None:
-        """Nudge, or orbit once the mouse has left the place of the press."""
         if event is None:
             return
         if self._nudging and self._handles is not None:
@@ -143,7 +135,6 @@ class PickView(CloudView):
             super().mouseMoveEvent(event)
 
     def mouseReleaseEvent(self, event: QMouseEvent | None) -> None:
-        """End a nudge; a press that did not move is a click."""
         if event is not None and event.button() == Qt.MouseButton.LeftButton:
             if self._nudging:
                 self._nudging, self._held = False, None
@@ -156,7 +147,6 @@ class PickView(CloudView):
         super().mouseReleaseEvent(event)
 
     def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:
-        """A double click counts as two clicks; R resets the view."""
         self.mousePressEvent(event)
 
     def _click(self, at: QPointF) -> None:
@@ -183,7 +173,6 @@ class PickView(CloudView):
     # Keys
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Nudge by a step with Ctrl; otherwise as the base class."""
         if event is None or not self._nudges(event):
             super().keyPressEvent(event)
             return

@@ -46,7 +46,6 @@ class Handle(StrEnum):
 
     @property
     def turns(self) -> bool:
-        """Whether this is a ring."""
         return self.value.startswith("turn")
 
 

@@ -322,7 +322,6 @@ class CloudCanvas(QWidget):
         self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)  # what lies below need not be painted
 
     def paintEvent(self, _event: QPaintEvent | None) -> None:
-        """Draw the cloud and the overlays."""
         ratio = self.devicePixelRatioF()
         if self.width() * self.height() * ratio**2 > _MAX_SHARP:
             ratio /= 2

@@ -142,7 +142,6 @@ def _widened(span: Span, margin: int) -> Span:
 
 
 def _arc_length(arc: Span) -> int:
-    """Return how many hues an arc holds."""
     return (arc[1] - arc[0]) % _HUES + 1
 
 

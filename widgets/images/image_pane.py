@@ -65,12 +65,15 @@ class PaneHeader(QWidget):
         self._swatches: tuple[Swatch, ...] = ()
         self._lines = 1
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        self._describe()
+        self.setAccessibleName(title)
+        self.set_legend(None)
 
     def set_legend(self, bar: ColorBar | None, swatches: tuple[Swatch, ...] = ()) -> None:
         """Show a colour bar, swatches, or both."""
         self._bar, self._swatches = bar, swatches
-        self._describe()
+        words = ([] if bar is None else [f"{bar.low} to {bar.high}"]) + [swatch.text for swatch in swatches]
+        self.setToolTip(f"{self._title}: {', '.join(words)}" if words else self._title)
+        self.setAccessibleDescription(", ".join(words))
         self.update()
 
     def full_width(self) -> int:
@@ -89,70 +92,47 @@ class PaneHeader(QWidget):
             self.update()
 
     def sizeHint(self) -> QSize:
-        """As high as its lines."""
         return QSize(200, self._lines * (self.fontMetrics().height() + 4))
 
     def minimumSizeHint(self) -> QSize:
-        """The pane decides on the width."""
         return QSize(0, self.sizeHint().height())
 
     def paintEvent(self, _: QPaintEvent | None) -> None:
-        """Paint the title and what fits of the legend."""
-        painter = QPainter(self)
-        colors = theme_colors()
-        metrics = self.fontMetrics()
-        line = self.height() / self._lines
+        painter, metrics, colors = QPainter(self), self.fontMetrics(), theme_colors()
+        line, middle = self.height() / self._lines, Qt.AlignmentFlag.AlignVCenter
         painter.setPen(QColor(colors.text))
         title = metrics.elidedText(self._title, Qt.TextElideMode.ElideRight, self.width() - 2)
-        painter.drawText(QRectF(2, 0, self.width(), line), Qt.AlignmentFlag.AlignVCenter, title)
+        painter.drawText(QRectF(2, 0, self.width(), line), middle, title)
         left = metrics.horizontalAdvance(title) + 2 + 2 * _GAP if self._lines == 1 else 2
-        right = float(self.width() - 2)
+        right = float(self.width() - 2)  # the free space ends here
         painter.setPen(QColor(colors.muted))
         painter.translate(0, self.height() - line)
-        if self._bar is not None:
-            right = self._paint_bar(painter, self._bar, left, right, line)
+
+        def write(text: str) -> float:
+            advance = metrics.horizontalAdvance(text)
+            painter.drawText(QRectF(right - advance, 0, advance + 1, line), middle, text)
+            return right - advance - _GAP
+
+        bar = self._bar
+        if bar is not None:
+            length = min(_BAR_WIDTH, right - left - metrics.horizontalAdvance(bar.low + bar.high) - 2 * _GAP)
+            if length >= _SHORTEST_BAR:
+                right = write(bar.high)
+                frame = QRectF(right - length, line / 2 - 4, length, 8)
+                strip = np.ascontiguousarray(bar.lut[None, 1:])
+                painter.drawImage(frame, QImage(strip.tobytes(), strip.shape[1], 1, QImage.Format.Format_RGBX8888))
+                for mark in bar.marks:
+                    painter.fillRect(
+                        QRectF(frame.left() + mark * length, frame.top() - 2, 1.5, 12), QColor(colors.text)
+                    )
+                right = frame.left() - _GAP
+                right = write(bar.low) - _GAP
         for swatch in self._swatches:
-            right = self._paint_swatch(painter, swatch, left, right, line)
-
-    def _paint_bar(self, painter: QPainter, bar: ColorBar, left: float, right: float, line: float) -> float:
-        """Paint the bar right-aligned; return the x where the free space ends."""
-        metrics = self.fontMetrics()
-        low, high = metrics.horizontalAdvance(bar.low), metrics.horizontalAdvance(bar.high)
-        length = min(_BAR_WIDTH, right - left - low - high - 2 * _GAP)
-        if length < _SHORTEST_BAR:
-            return right
-        flags = Qt.AlignmentFlag.AlignVCenter
-        painter.drawText(QRectF(right - high, 0, high + 1, line), flags, bar.high)
-        frame = QRectF(right - high - _GAP - length, line / 2 - 4, length, 8)
-        painter.drawText(QRectF(frame.left() - _GAP - low, 0, low + 1, line), flags, bar.low)
-        strip = np.ascontiguousarray(bar.lut[None, 1:])
-        painter.drawImage(frame, QImage(strip.tobytes(), strip.shape[1], 1, QImage.Format.Format_RGBX8888))
-        painter.save()
-        painter.setPen(QPen(QColor(theme_colors().text), 1.5))
-        for mark in bar.marks:
-            x = frame.left() + mark * length
-            painter.drawLine(round(x), round(frame.top() - 2), round(x), round(frame.bottom() + 2))
-        painter.restore()
-        return frame.left() - _GAP - low - 2 * _GAP
-
-    def _paint_swatch(self, painter: QPainter, swatch: Swatch, left: float, right: float, line: float) -> float:
-        advance = self.fontMetrics().horizontalAdvance(swatch.text)
-        start = right - advance - _SWATCH - _GAP
-        if start < left:
-            return right
-        painter.fillRect(QRectF(start, (line - _SWATCH) / 2, _SWATCH, _SWATCH), QColor(*swatch.rgb))
-        box = QRectF(right - advance, 0, advance + 1, line)
-        painter.drawText(box, Qt.AlignmentFlag.AlignVCenter, swatch.text)
-        return start - 2 * _GAP
-
-    def _describe(self) -> None:
-        """Write the legend as text, for the tooltip and for screen readers."""
-        parts = [swatch.text for swatch in self._swatches]
-        if self._bar is not None:
-            parts.insert(0, f"{self._bar.low} to {self._bar.high}")
-        self.setToolTip(f"{self._title}: {', '.join(parts)}" if parts else self._title)
-        self.setAccessibleName(self._title)
-        self.setAccessibleDescription(", ".join(parts))
+            if right - metrics.horizontalAdvance(swatch.text) - _SWATCH - _GAP < left:
+                break
+            right = write(swatch.text)
+            painter.fillRect(QRectF(right - _SWATCH, (line - _SWATCH) / 2, _SWATCH, _SWATCH), QColor(*swatch.rgb))
+            right -= _SWATCH + 2 * _GAP
 
 
 _SMALLEST_VIEW = 6.0
@@ -191,7 +171,6 @@ class PixelItem(pg.GraphicsObject):  # type: ignore[misc]  # pyqtgraph has no ty
         self.update()
 
     def boundingRect(self) -> QRectF:
-        """Return the extent in image coordinates."""
         return self._rect
 
     def paint(self, painter: QPainter, *_: Any) -> None:
@@ -213,12 +192,7 @@ def _image_of(pixels: Uint8Array | None) -> QImage:
 
 
 class WipeLine(pg.InfiniteLine):  # type: ignore[misc]
-    """The wipe over an image: a line at a share of the visible width, with the letter of each side.
-
-    Signals
-    -------
-    shareDragged(float)
-    """
+    """The wipe over an image: a line at a share of the visible width, with the letter of each side."""
 
     shareDragged = pyqtSignal(float)
 
@@ -229,13 +203,12 @@ class WipeLine(pg.InfiniteLine):  # type: ignore[misc]
         self._box = box
         self._share = 0.5
         self.setZValue(30)
-        self._letters = [self._letter(text, side) for text, side in (("A", 1), ("B", 0))]
+        self._letters = [
+            pg.InfLineLabel(self, text, position=0.0, anchors=[(side, 0)] * 2, color="w", fill=(0, 0, 0, 165))
+            for text, side in (("A", 1), ("B", 0))
+        ]
         self.sigDragged.connect(lambda _: self._dragged())
         self.hide()
-
-    def _letter(self, text: str, side: int) -> pg.InfLineLabel:
-        anchor = (side, 0)
-        return pg.InfLineLabel(self, text, position=0.0, anchors=[anchor, anchor], color="w", fill=(0, 0, 0, 165))
 
     def set_share(self, share: float) -> None:
         """Stand at a share of the visible width; at either end only one letter is shown."""
@@ -271,33 +244,16 @@ class _View(pg.GraphicsView):  # type: ignore[misc]
 
 
 class ImagePane(QWidget):
-    """A titled image with a legend.
+    """A titled image with a legend."""
 
-    Signals
-    -------
-    hovered(u: int, v: int)
-        The pixel under the mouse; -1, -1 outside the image.
-    clicked(u: int, v: int, modifiers: Qt.KeyboardModifier)
-    doubleClicked()
-    menuRequested(at: QPoint)
-        The right button was clicked at this place on the screen.
-    viewChanged(rect: QRectF)
-        Zoomed or panned, in image coordinates.
-    viewMoved()
-        Zoomed or panned by a person.
-    resized()
-    wipeDragged(share: float)
-        The wipe was dragged to this share of the visible width.
-    """
-
-    hovered = pyqtSignal(int, int)
-    clicked = pyqtSignal(int, int, object)
+    hovered = pyqtSignal(int, int)  # the pixel under the mouse; -1, -1 outside the image
+    clicked = pyqtSignal(int, int, object)  # u, v, modifiers
     doubleClicked = pyqtSignal()
-    menuRequested = pyqtSignal(object)
-    viewChanged = pyqtSignal(object)
-    viewMoved = pyqtSignal()
+    menuRequested = pyqtSignal(object)  # where on the screen the right button was clicked
+    viewChanged = pyqtSignal(object)  # zoomed or panned to this QRectF of the image
+    viewMoved = pyqtSignal()  # zoomed or panned by a person
     resized = pyqtSignal()
-    wipeDragged = pyqtSignal(float)
+    wipeDragged = pyqtSignal(float)  # to this share of the visible width
 
     def __init__(self, title: str, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -376,11 +332,9 @@ class ImagePane(QWidget):
         self.box.setRange(rect, padding=0)
 
     def image_rect(self) -> QRectF:
-        """Return the whole image in its own coordinates."""
         return QRectF(-0.5, -0.5, *self._size)
 
     def contains(self, u: int, v: int) -> bool:
-        """Whether the pixel lies inside the image."""
         return 0 <= u < self._size[0] and 0 <= v < self._size[1]
 
     def scale(self) -> float:
@@ -389,13 +343,11 @@ class ImagePane(QWidget):
         return float(self.box.width() * self.devicePixelRatioF() / width) if width > 0 else 1.0
 
     def changeEvent(self, event: QEvent | None) -> None:
-        """Follow the theme."""
         super().changeEvent(event)
         if event is not None and event.type() == QEvent.Type.PaletteChange:
             self._recolor()
 
     def resizeEvent(self, event: Any) -> None:
-        """Keep the message centred."""
         super().resizeEvent(event)
         self.empty_label.setGeometry(self.view.rect())
         self.badge.setGeometry(self.view.rect())
@@ -407,7 +359,6 @@ class ImagePane(QWidget):
         self.viewChanged.emit(self.box.viewRect())
 
     def paintEvent(self, event: QPaintEvent | None) -> None:
-        """Underline the title while the keyboard acts here."""
         super().paintEvent(event)
         if self.hasFocus():
             painter = QPainter(self)

@@ -59,29 +59,17 @@ class ImageStrip(QWidget):
 
     Wheel zooms, a drag pans, 0 shows all again. With the keyboard: arrows move the crosshair
     (Shift by ten pixels), Enter clicks the colour image there, + and - zoom.
-
-    Signals
-    -------
-    hovered(u: int, v: int)
-        The proximity pixel pointed at; -1, -1 for none.
-    clicked(pane: str, u: int, v: int, modifiers: Qt.KeyboardModifier)
-        ``pane`` is a key of `PANES`.
-    regionEdited(rectangle: tuple[int, int, int, int], gesture: int)
-        The region of interest was dragged: left, top, width, height.
-    widthHintChanged(int)
-        Another resolution is needed; a paused frame has to be rendered again.
-    wipeDragged(share: float)
-        The wipe was dragged in one of the images.
-    pickingDone()
-        *Done* was pressed in the banner.
     """
 
-    hovered = pyqtSignal(int, int)
+    hovered = pyqtSignal(int, int)  # u, v: the proximity pixel pointed at; -1, -1 for none
+    #: Pane, u, v, modifiers: ``pane`` is a key of `PANES`.
     clicked = pyqtSignal(str, int, int, object)
+    #: Rectangle, gesture: the region of interest was dragged: left, top, width,
+    #: height.
     regionEdited = pyqtSignal(object, int)
-    widthHintChanged = pyqtSignal(int)
-    wipeDragged = pyqtSignal(float)
-    pickingDone = pyqtSignal()
+    widthHintChanged = pyqtSignal(int)  # another resolution is needed; a paused frame has to be rendered again
+    wipeDragged = pyqtSignal(float)  # share: the wipe was dragged in one of the images
+    pickingDone = pyqtSignal()  # *Done* was pressed in the banner
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -185,7 +173,6 @@ class ImageStrip(QWidget):
     # --- keyboard ----------------------------------------------------------------------------------------------
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Point, click and zoom without a mouse."""
         if event is None:
             return
         key = Qt.Key(event.key())
@@ -202,7 +189,6 @@ class ImageStrip(QWidget):
             super().keyPressEvent(event)
 
     def paintEvent(self, event: QPaintEvent | None) -> None:
-        """Paint a frame while the keyboard acts here."""
         super().paintEvent(event)
         paint_focus(self)
 
@@ -250,7 +236,6 @@ class ImageStrip(QWidget):
             self.reset_view()
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:
-        """Adapt the headers to the new width."""
         super().resizeEvent(event)
         self._fit_headers()
         self._place_banner()

@@ -90,7 +90,6 @@ class MarkLayer(QWidget):
 
     @property
     def ghost(self) -> tuple[float, float] | None:
-        """The predicted position on offer, in image pixels."""
         return self._ghost
 
     def set_marks(self, marks: Sequence[Mark]) -> None:
@@ -139,7 +138,6 @@ class MarkLayer(QWidget):
         return best
 
     def paintEvent(self, _: QPaintEvent | None) -> None:
-        """Draw partner, arrows, marks and ghost, in this order."""
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         transform = self.to_screen()
@@ -223,14 +221,9 @@ _CORNERS = (((0, 0), (1, 1)), ((1, 0), (0, 1)), ((0, 1), (1, 0)), ((1, 1), (0, 0
 
 
 class RegionItem(QObject):
-    """Shows (left, top, width, height) on a pane; corners resize it, the interior moves it.
+    """Shows (left, top, width, height) on a pane; corners resize it, the interior moves it."""
 
-    Signals
-    -------
-    edited(rectangle: tuple, gesture: int)
-    """
-
-    edited = pyqtSignal(object, int)
+    edited = pyqtSignal(object, int)  # rectangle, gesture
 
     def __init__(self, pane: ImagePane) -> None:
         super().__init__(pane)

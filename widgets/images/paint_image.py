@@ -33,15 +33,9 @@ class PaintImage(ImagePane):
     and wheel, + and - zoom, the middle button pans, 0 shows all. A disc is dragged from its centre, a rectangle from a
     corner: contact inside and in what is contact already, no contact elsewhere. With the keyboard: arrows move the
     brush (Shift: by ten pixels), Space paints there, Delete erases there.
-
-    Signals
-    -------
-    painted(labels: uint8 (H, W))
-        A stroke ended.
-    radiusChanged(int)
     """
 
-    painted = pyqtSignal(object)
+    painted = pyqtSignal(object)  # labels: uint8 (H, W): a stroke ended
     radiusChanged = pyqtSignal(int)
 
     def __init__(self, title: str) -> None:
@@ -192,7 +186,6 @@ class PaintImage(ImagePane):
         return super().eventFilter(watched, event)
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Move the brush, paint, erase, zoom."""
         if event is None:
             return
         key = Qt.Key(event.key())

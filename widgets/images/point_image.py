@@ -42,7 +42,6 @@ class Loupe(QWidget):
         self.hide()
 
     def sizeHint(self) -> QSize:
-        """A square and room for two lines of text."""
         return QSize(EDGE, EDGE + 2 * self.fontMetrics().lineSpacing() + 2)
 
     def set_pixels(self, pixels: Uint8Array | None, corner: tuple[int, int] = (0, 0)) -> None:
@@ -78,15 +77,12 @@ class Loupe(QWidget):
         self.update()
 
     def swatch(self) -> QColor | None:
-        """Return the colour of the swatch; None without one."""
         return self._swatch
 
     def text(self) -> str:
-        """Return the line below the image."""
         return self._words or f"{self._place[0]:.1f}  {self._place[1]:.1f}"
 
     def paintEvent(self, _: QPaintEvent | None) -> None:
-        """Paint the enlarged pixels, the crosshair, the ring and the text."""
         painter = QPainter(self)
         colors = theme_colors()
         painter.fillRect(self.rect(), QColor(colors.base))
@@ -143,27 +139,14 @@ class PointImage(ImagePane):
     A click on free ground places a point, a drag there pans, the wheel zooms. A press on a mark selects it, and
     a drag moves it. With the keyboard: arrows nudge by a pixel (Shift: a tenth), Delete
     removes, Enter and space accept the ghost, + and - zoom, 0 shows all.
-
-    Signals
-    -------
-    placed(u: float, v: float, modifiers: Qt.KeyboardModifier)
-    pressed(key: int, modifiers: Qt.KeyboardModifier)
-        A mark was pressed.
-    dragged(key: int, u: float, v: float, done: bool)
-        A mark was moved; ``done`` when the button was released.
-    pointed(u: float, v: float)
-        The mouse is over this place; nan, nan when it left.
-    nudged(du: float, dv: float)
-    deleteRequested()
-    acceptRequested()
-    cancelRequested()
     """
 
-    placed = pyqtSignal(float, float, object)
-    pressed = pyqtSignal(int, object)
+    placed = pyqtSignal(float, float, object)  # u, v, modifiers
+    pressed = pyqtSignal(int, object)  # key, modifiers: a mark was pressed
+    #: Key, u, v, done: a mark was moved; ``done`` when the button was released.
     dragged = pyqtSignal(int, float, float, bool)
-    pointed = pyqtSignal(float, float)
-    nudged = pyqtSignal(float, float)
+    pointed = pyqtSignal(float, float)  # u, v: the mouse is over this place; nan, nan when it left
+    nudged = pyqtSignal(float, float)  # du, dv
     deleteRequested = pyqtSignal()
     acceptRequested = pyqtSignal()
     cancelRequested = pyqtSignal()
@@ -310,7 +293,6 @@ class PointImage(ImagePane):
     # Keyboard
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Nudge, delete, accept, zoom."""
         if event is None:
             return
         key, modifiers = Qt.Key(event.key()), event.modifiers()
@@ -333,7 +315,6 @@ class PointImage(ImagePane):
             super().keyPressEvent(event)
 
     def resizeEvent(self, event: Any) -> None:
-        """Keep the marks' layer over the whole image."""
         super().resizeEvent(event)
         self.layer.setGeometry(self.view.viewport().rect())
 

@@ -31,16 +31,10 @@ class NumberEntry(QAbstractSpinBox):
     The value stays the exact number given to `setValue`; only what a person types or steps changes it.
     Typing takes effect on Enter, which gives the keyboard back to the window, or when the focus leaves; Esc brings back
     the text. Before anything is typed, space bar and comma belong to the window: no number begins with them.
-
-    Signals
-    -------
-    edited(value: float | int, gesture: int)
-    refused(sentence: str)
-        What was typed is no number or out of bounds; the old value stays.
     """
 
-    edited = pyqtSignal(object, int)
-    refused = pyqtSignal(str)
+    edited = pyqtSignal(object, int)  # value, gesture
+    refused = pyqtSignal(str)  # sentence: what was typed is no number or out of bounds; the old value stays
 
     def __init__(self, spec: FieldSpec, *, title: str = "", shows_unit: bool = True) -> None:
         super().__init__()
@@ -59,7 +53,6 @@ class NumberEntry(QAbstractSpinBox):
         self._show_value()
 
     def value(self) -> float | int:
-        """Return the exact value."""
         return self._value
 
     def setValue(self, value: float | int) -> None:
@@ -95,15 +88,13 @@ class NumberEntry(QAbstractSpinBox):
         return QValidator.State.Acceptable, text or "", position
 
     def sizeHint(self) -> QSize:
-        """Wide enough for the field's own numbers."""
         hint = super().sizeHint()
         frame = hint.width() - self._edit.sizeHint().width()
         widest = max(self.fontMetrics().horizontalAdvance(text) for text in self._sample_texts())
-        around = 32 if self.buttonSymbols() != QAbstractSpinBox.ButtonSymbols.NoButtons else 10
+        around = 32 if self.buttonSymbols() != QAbstractSpinBox.ButtonSymbols.NoButtons else 8
         return QSize(widest + around, hint.height()) if frame else hint
 
     def minimumSizeHint(self) -> QSize:
-        """Never cut off a number."""
         return self.sizeHint()
 
     def event(self, event: QEvent | None) -> bool:
@@ -119,7 +110,6 @@ class NumberEntry(QAbstractSpinBox):
         return super().event(event)
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Esc restores the text while typing; Enter leaves the field; the space bar is the window's."""
         if event is None:
             return
         if event.key() == Qt.Key.Key_Escape and self._typing:
@@ -135,14 +125,12 @@ class NumberEntry(QAbstractSpinBox):
             super().keyPressEvent(event)
 
     def wheelEvent(self, event: QWheelEvent | None) -> None:
-        """Let the panel scroll unless this entry has the focus."""
         if event is not None and not self.hasFocus():
             event.ignore()
             return
         super().wheelEvent(event)
 
     def focusOutEvent(self, event: QFocusEvent | None) -> None:
-        """Leaving ends the burst of keys."""
         super().focusOutEvent(event)
         self._clock.release()
 
@@ -219,16 +207,10 @@ class NumbersEditor(QWidget):
     """Edits one number, both ends of a range or a rectangle: an entry for each, and a slider for the first two.
 
     `value` is always exactly what was set or what a person chose; the slider only shows the nearest position.
-
-    Signals
-    -------
-    edited(value, gesture: int)
-        Changed by the user.
-    refused(sentence: str)
     """
 
-    edited = pyqtSignal(object, int)
-    refused = pyqtSignal(str)
+    edited = pyqtSignal(object, int)  # value, gesture: changed by the user
+    refused = pyqtSignal(str)  # sentence
 
     def __init__(self, spec: FieldSpec) -> None:
         super().__init__()
@@ -266,7 +248,6 @@ class NumbersEditor(QWidget):
         return stops
 
     def value(self) -> Any:
-        """Return the exact number, or the numbers as a tuple."""
         return self.entry.value() if self.spec.kind == "number" else tuple(entry.value() for entry in self.entries)
 
     def setValue(self, value: Any) -> None:
@@ -297,7 +278,6 @@ class ChoiceEditor(QComboBox):
         self.activated.connect(self._activated)
 
     def value(self) -> str:
-        """Return the chosen word."""
         return self.currentText()
 
     def setValue(self, value: str) -> None:
@@ -306,7 +286,6 @@ class ChoiceEditor(QComboBox):
         self._shown = value
 
     def wheelEvent(self, event: QWheelEvent | None) -> None:
-        """Let the panel scroll."""
         if event is not None:
             event.ignore()
 
@@ -327,7 +306,6 @@ class FlagEditor(QCheckBox):
         self.clicked.connect(lambda checked: self.edited.emit(bool(checked), new_gesture()))
 
     def value(self) -> bool:
-        """Return whether it is on."""
         return self.isChecked()
 
     def setValue(self, value: bool) -> None:
@@ -351,7 +329,6 @@ class MatrixView(QLabel):
         self._show()
 
     def value(self) -> Any:
-        """Return the matrix as nested tuples, or None."""
         return self._value
 
     def setValue(self, value: Any) -> None:

@@ -61,14 +61,9 @@ class FindingLine(QWidget):
 
 
 class ParameterRow(QObject):
-    """The widgets of one field, placed into a grid by `add_to`.
+    """The widgets of one field, placed into a grid by `add_to`."""
 
-    Signals
-    -------
-    edited(path: str, value: object, gesture: int)
-    """
-
-    edited = pyqtSignal(str, object, int)
+    edited = pyqtSignal(str, object, int)  # path, value, gesture
 
     def __init__(self, spec: FieldSpec, parent: QObject | None = None) -> None:
         super().__init__(parent)
@@ -142,7 +137,6 @@ class ParameterRow(QObject):
         self._update_reset()
 
     def differs(self) -> bool:
-        """Return whether the reset button would change something."""
         return bool(self.editor.value() != self.reset_target)
 
     def show_value(self, value: Any) -> None:
@@ -190,13 +184,10 @@ class Form(QWidget):
 
     Rows that few people need are behind a fold *More*. It opens by itself when one of its values begins to differ from
     the default, so that no such value is overlooked.
-
-    Signals
-    -------
-    edited(path: str, value: object, gesture: int)
-        All edits of one drag, one burst of keys or one typed number carry the same gesture number.
     """
 
+    #: Path, value, gesture: all edits of one drag, one burst of keys or one typed number carry the
+    #: same gesture number.
     edited = pyqtSignal(str, object, int)
 
     def __init__(self, rows: Iterable[ParameterRow] = (), title: str = "the settings") -> None:
@@ -217,7 +208,6 @@ class Form(QWidget):
 
     @property
     def advanced(self) -> list[ParameterRow]:
-        """The rows behind the fold."""
         return [row for row in self.rows.values() if row.spec.advanced]
 
     def add(self, row: ParameterRow) -> None:
@@ -243,7 +233,6 @@ class Form(QWidget):
 
     @property
     def is_open(self) -> bool:
-        """Whether the rows behind the fold are shown."""
         return bool(self.advanced) and not self._body.isHidden()
 
     def set_open(self, opened: bool) -> None:

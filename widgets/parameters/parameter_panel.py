@@ -58,29 +58,17 @@ class ParameterPanel(QScrollArea):
 
     The panel holds no preset of its own: it shows the one given to `set_preset` and tells what a person does.
     Whoever listens answers with `set_preset`, or with `show_error` where the value is refused.
-
-    Signals
-    -------
-    valueEdited(path: str, value: object, gesture: int)
-        All edits of one drag, one burst of keys or one typed number carry the same gesture number.
-    valuesEdited(values: dict[str, object], gesture: int)
-        A section was reset: several fields at once.
-    eyedropperRequested(mode: str)
-        "set", "expand", "shrink", or "off".
-    maskViewChanged()
-        Another way to show the mask was chosen.
-    suggestRequested(section: str)
-        A proposal for a section is wanted; ``"all"`` for all sections.
-    remedyPressed(path: str)
-        The button of the finding below a row was pressed.
     """
 
+    #: Path, value, gesture: all edits of one drag, one burst of keys or one typed number carry the
+    #: same gesture number.
     valueEdited = pyqtSignal(str, object, int)
+    #: Values, gesture: a section was reset: several fields at once.
     valuesEdited = pyqtSignal(object, int)
-    eyedropperRequested = pyqtSignal(str)
-    maskViewChanged = pyqtSignal()
-    suggestRequested = pyqtSignal(str)
-    remedyPressed = pyqtSignal(str)
+    eyedropperRequested = pyqtSignal(str)  # mode: "set", "expand", "shrink", or "off"
+    maskViewChanged = pyqtSignal()  # another way to show the mask was chosen
+    suggestRequested = pyqtSignal(str)  # section: a proposal for a section is wanted; ``"all"`` for all sections
+    remedyPressed = pyqtSignal(str)  # path: the button of the finding below a row was pressed
 
     def __init__(self, suggestible: Collection[str] = ()) -> None:
         super().__init__()
@@ -203,11 +191,9 @@ class ParameterPanel(QScrollArea):
         self.histograms[path].set_data(counts, edges, limit, known)
 
     def open_histograms(self) -> frozenset[str]:
-        """Return the fields whose histograms are not folded away."""
         return frozenset(path for path in self.histograms if not self.sections[_section_of(path)].collapsed)
 
     def mask_view(self) -> MaskView:
-        """Return how the colour image shows the mask."""
         return next(view for view, button in self.mask_views.items() if button.isChecked())
 
     def show_masked_share(self, share: float | None) -> None:
@@ -223,7 +209,6 @@ class ParameterPanel(QScrollArea):
         self._column.insertWidget(self._column.count() - 1, section)
 
     def collapsed_sections(self) -> list[str]:
-        """Return which sections are folded, to be remembered."""
         return [name for name, section in self.sections.items() if section.collapsed]
 
     def set_collapsed_sections(self, names: list[str]) -> None:

@@ -79,14 +79,9 @@ class Slider(QWidget):
     may cross: a low end above the high end means the band from the low end over the top to the high end, and moving
     the band rotates it. Otherwise the ends stay at least ``gap`` apart. Tab goes from the low handle to the high one;
     arrows, PageUp, PageDown, Home and End move the one in focus.
-
-    Signals
-    -------
-    edited(values: tuple, gesture: int)
-        Changed by the user.
     """
 
-    edited = pyqtSignal(object, int)
+    edited = pyqtSignal(object, int)  # values, gesture: changed by the user
 
     def __init__(self, scale: Scale, handles: int = 1, *, wraps: bool = False, gap: float = 0.0) -> None:
         super().__init__()
@@ -106,7 +101,6 @@ class Slider(QWidget):
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
 
     def values(self) -> Values:
-        """Return the number, or the low and the high end."""
         return self._values
 
     def set_values(self, *values: float) -> None:
@@ -122,19 +116,15 @@ class Slider(QWidget):
             self.update()
 
     def is_held(self) -> bool:
-        """Whether a drag is going on."""
         return self._gripped is not None
 
     def wrapped(self) -> bool:
-        """Whether the band wraps around now."""
         return self._wraps and self._values[0] > self._values[-1]
 
     def sizeHint(self) -> QSize:
-        """As high as a handle."""
         return QSize(120, 22)
 
     def minimumSizeHint(self) -> QSize:
-        """Room for the handles and some travel."""
         return QSize(40, 22)
 
     def travel(self) -> tuple[float, float]:
@@ -149,7 +139,6 @@ class Slider(QWidget):
     # Mouse
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:
-        """Grip a handle or the band; a press outside brings the nearer handle here."""
         if event is None or event.button() != Qt.MouseButton.LeftButton:
             return
         x = event.position().x()
@@ -164,7 +153,6 @@ class Slider(QWidget):
         self.update()
 
     def mouseMoveEvent(self, event: QMouseEvent | None) -> None:
-        """Drag, or show what a press here would grip."""
         if event is None:
             return
         if self._gripped is not None:
@@ -177,20 +165,17 @@ class Slider(QWidget):
             self.update()
 
     def mouseReleaseEvent(self, event: QMouseEvent | None) -> None:
-        """Let go."""
         if event is not None and event.button() == Qt.MouseButton.LeftButton:
             self._gripped = None
             self._clock.release()
             self.update()
 
     def leaveEvent(self, event: QEvent | None) -> None:
-        """Nothing is under the mouse any more."""
         self._hovered = None
         self.update()
         super().leaveEvent(event)
 
     def wheelEvent(self, event: QWheelEvent | None) -> None:
-        """Let the panel scroll unless this slider has the focus."""
         if event is not None and self.hasFocus():
             self._step(1 if event.angleDelta().y() > 0 else -1)
         elif event is not None:
@@ -199,7 +184,6 @@ class Slider(QWidget):
     # Keyboard
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Move the handle in focus."""
         if event is None:
             return
         page = max(1, self._scale.positions // 10)
@@ -229,7 +213,6 @@ class Slider(QWidget):
         return super().focusNextPrevChild(forward)
 
     def focusInEvent(self, event: QFocusEvent | None) -> None:
-        """Enter at the handle that Tab or Shift+Tab comes to first."""
         if event is not None and event.reason() == Qt.FocusReason.TabFocusReason:
             self._active = 0
         if event is not None and event.reason() == Qt.FocusReason.BacktabFocusReason:
@@ -237,7 +220,6 @@ class Slider(QWidget):
         super().focusInEvent(event)
 
     def focusOutEvent(self, event: QFocusEvent | None) -> None:
-        """Leaving ends the burst of keys."""
         self._clock.release()
         super().focusOutEvent(event)
 
@@ -305,7 +287,6 @@ class Slider(QWidget):
     # Painting
 
     def paintEvent(self, _: QPaintEvent | None) -> None:
-        """Paint the groove, what lies inside, and the handles."""
         painter, colors = QPainter(self), theme_colors()
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.setPen(Qt.PenStyle.NoPen)

@@ -28,11 +28,9 @@ class CoverageGrid(QWidget):
         self.setAccessibleName("Coverage of the image and of depth")
 
     def sizeHint(self) -> QSize:
-        """Return the size for three rows of four grid cells and the line."""
         return QSize(260, 190)
 
     def minimumSizeHint(self) -> QSize:
-        """Return the smallest size with legible counts."""
         return QSize(160, 120)
 
     def set_coverage(self, cells: Sequence[Sequence[int]], depths_mm: Sequence[float]) -> None:
@@ -46,7 +44,6 @@ class CoverageGrid(QWidget):
         self.update()
 
     def paintEvent(self, _: QPaintEvent | None) -> None:
-        """Paint the cells and the line."""
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         area = QRectF(self.rect()).adjusted(1, 1, -1, -1)
@@ -118,11 +115,9 @@ class ResidualPlot(QWidget):
         self.setAccessibleName("Residuals")
 
     def sizeHint(self) -> QSize:
-        """Return the size for a dozen names."""
         return QSize(260, 220)
 
     def minimumSizeHint(self) -> QSize:
-        """Return the smallest size with distinct rings."""
         return QSize(140, 120)
 
     def set_residuals(self, residuals: Sequence[Residual], limit: float | None = None, message: str = "") -> None:
@@ -135,7 +130,6 @@ class ResidualPlot(QWidget):
         self.update()
 
     def paintEvent(self, _: QPaintEvent | None) -> None:
-        """Paint rings, then dots."""
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         colors = theme_colors()

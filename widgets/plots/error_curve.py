@@ -24,14 +24,9 @@ class ErrorCurvePlot(QWidget):
     """Missed against false area, with a ring at the present value and a dot at the suggested one.
 
     A press or drag on the plot chooses the nearest point of the curve; so do the arrow keys.
-
-    Signals
-    -------
-    chosen(value: float)
-        A person chose another value on the curve.
     """
 
-    chosen = pyqtSignal(float)
+    chosen = pyqtSignal(float)  # value: a person chose another value on the curve
 
     def __init__(self, shown: Callable[[float], str]) -> None:
         super().__init__()
@@ -99,7 +94,6 @@ class ErrorCurvePlot(QWidget):
         return super().eventFilter(watched, event)
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Go along the curve."""
         steps = {Qt.Key.Key_Left: -1, Qt.Key.Key_Right: 1}
         if event is None or event.key() not in steps or not len(self._values):
             super().keyPressEvent(event)
@@ -108,7 +102,6 @@ class ErrorCurvePlot(QWidget):
         self._choose(min(max(nearest + steps[Qt.Key(event.key())], 0), len(self._values) - 1))
 
     def paintEvent(self, event: QPaintEvent | None) -> None:
-        """Paint a frame while the keyboard acts here."""
         super().paintEvent(event)
         paint_focus(self)
 

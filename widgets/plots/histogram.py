@@ -72,19 +72,13 @@ class _Axis(pg.AxisItem):  # type: ignore[misc]  # pyqtgraph has no types
         return [f"{minus(format_number(value, 3))} {self._unit}" for value in values]
 
     def wheelEvent(self, event: Any) -> None:
-        """Leave the wheel to the page that the histogram lies on."""
         event.ignore()
 
 
 class LimitHistogram(QWidget):
-    """Counts of a quantity; what lies within the limit is in the accent colour.
+    """Counts of a quantity; what lies within the limit is in the accent colour."""
 
-    Signals
-    -------
-    limitEdited(limit: float, gesture: int)
-        A line was dragged; in a symmetric histogram the other one mirrors it.
-    """
-
+    #: Limit, gesture: a line was dragged; in a symmetric histogram the other one mirrors it.
     limitEdited = pyqtSignal(float, int)
 
     def __init__(self, quantity: Quantity, limit: float) -> None:
@@ -153,11 +147,9 @@ class LimitHistogram(QWidget):
             self._draw()
 
     def limit(self) -> float:
-        """Return the limit that the lines show."""
         return self._limit
 
     def showEvent(self, event: Any) -> None:
-        """Draw the counts that arrived while hidden."""
         super().showEvent(event)
         if self._stale:
             self._draw()

@@ -63,7 +63,6 @@ class Plot(pg.PlotWidget):  # type: ignore[misc]  # pyqtgraph has no types
         self._apply_theme()
 
     def changeEvent(self, event: QEvent | None) -> None:
-        """Follow the theme."""
         super().changeEvent(event)
         if event is not None and event.type() == QEvent.Type.PaletteChange and self._recolor is not None:
             self._apply_theme()

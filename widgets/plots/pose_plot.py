@@ -57,7 +57,6 @@ class PosePlot(QWidget):
 
     @property
     def filled(self) -> bool:
-        """Whether there is anything to see."""
         return any(np.isfinite(residual_mm) for _, residual_mm, _, _ in self._rows)
 
     def clear(self) -> None:

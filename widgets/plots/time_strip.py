@@ -97,20 +97,11 @@ class _StripPlot(Plot):
 
 
 class TimeStrip(QWidget):
-    """One curve over the time of a recording, or over the last minute of a live source.
+    """One curve over the time of a recording, or over the last minute of a live source."""
 
-    Signals
-    -------
-    seekRequested(index: int)
-        A person clicked or dragged.
-    held(bool)
-        The mouse button is down; playback should wait.
-    curveChosen(key: str)
-    """
-
-    seekRequested = pyqtSignal(int)
-    held = pyqtSignal(bool)
-    curveChosen = pyqtSignal(str)
+    seekRequested = pyqtSignal(int)  # index: a person clicked or dragged
+    held = pyqtSignal(bool)  # the mouse button is down; playback should wait
+    curveChosen = pyqtSignal(str)  # key
 
     def __init__(self) -> None:
         super().__init__()
@@ -191,7 +182,6 @@ class TimeStrip(QWidget):
 
     @property
     def curve(self) -> Curve:
-        """The curve that is shown."""
         return CURVES[self.curve_box.currentIndex()]
 
     def choose_curve(self, key: str) -> None:
@@ -259,7 +249,6 @@ class TimeStrip(QWidget):
 
     @property
     def words(self) -> str:
-        """The text in the strip's corner."""
         return str(self._text.toPlainText())
 
     def show_all(self) -> None:

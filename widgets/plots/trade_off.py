@@ -38,21 +38,11 @@ class Dot:
 
 
 class TradeOffPlot(QWidget):
-    """Dots to hover over and to click; Left and Right walk along the front.
+    """Dots to hover over and to click; Left and Right walk along the front."""
 
-    Signals
-    -------
-    pointed(words: str)
-        The pointer is over a dot; empty when it leaves.
-    chosen(number: int)
-        A dot was clicked or reached by a key.
-    accepted()
-        Enter was pressed.
-    """
-
-    pointed = pyqtSignal(str)
-    chosen = pyqtSignal(int)
-    accepted = pyqtSignal()
+    pointed = pyqtSignal(str)  # words: the pointer is over a dot; empty when it leaves
+    chosen = pyqtSignal(int)  # number: a dot was clicked or reached by a key
+    accepted = pyqtSignal()  # enter was pressed
 
     def __init__(self) -> None:
         super().__init__()
@@ -100,12 +90,10 @@ class TradeOffPlot(QWidget):
 
     @property
     def front(self) -> tuple[int, ...]:
-        """The numbers of the front, by time."""
         return self._front
 
     @property
     def number(self) -> int:
-        """The number of the chosen dot; -1 for none."""
         return self._number
 
     def choose(self, number: int) -> None:
@@ -114,7 +102,6 @@ class TradeOffPlot(QWidget):
         self._draw()
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Walk along the front, or accept the chosen dot."""
         assert event is not None
         steps = {Qt.Key.Key_Left: -1, Qt.Key.Key_Right: 1}
         if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter) and self._number >= 0:
