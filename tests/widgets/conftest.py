@@ -6,12 +6,19 @@ from collections.abc import Iterator
 
 import pyqtgraph as pg
 import pytest
+from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
 from panel_steering import Recorder
 from seen_clouds import shown
+from tactune.widgets.basics.style import apply_theme
 from tactune.widgets.clouds.cloud_view import CloudView
 from tactune.widgets.parameters.parameter_panel import ParameterPanel
+
+
+@pytest.fixture(autouse=True)
+def light_theme(qapp: QApplication) -> None:
+    apply_theme(qapp, "light")
 
 
 @pytest.fixture(autouse=True)

@@ -12,13 +12,15 @@ import pytest
 from PyQt6.QtCore import QBuffer
 from PyQt6.QtGui import QColor, QPalette
 from PyQt6.QtSvg import QSvgGenerator
-from PyQt6.QtWidgets import QLabel, QWidget
+from PyQt6.QtWidgets import QApplication, QLabel, QWidget
 from pytestqt.qtbot import QtBot
 
 from seen_clouds import BLUE, FRONT, GREEN, RED, canvas_of, cloud_of, colored, picture, pixels_of, red_wall, shown, wall
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.model.provenance import Provenance
 from tactune.widgets.basics.colormaps import depth_lut, provenance_legend
+from tactune.widgets.basics.style import apply_theme
+from tactune.widgets.basics.theme import theme_colors
 from tactune.widgets.basics.wipe import Wipe
 from tactune.widgets.clouds.cloud_data import DepthCloud
 from tactune.widgets.clouds.cloud_labels import CloudHeader, LegendLine, short_count
@@ -181,11 +183,11 @@ def test_every_new_frame_is_drawn(view: CloudView) -> None:
     assert len(pixels_of(picture(view), near)) == 0  # type: ignore[arg-type]
 
 
-def test_the_background_follows_the_theme(view: CloudView) -> None:
-    palette = view.palette()
-    palette.setColor(QPalette.ColorRole.Base, QColor(30, 32, 34))
-    view.setPalette(palette)
-    assert picture(view)[2, 2].tolist() == [30, 32, 34]
+def test_the_background_follows_the_theme(view: CloudView, qapp: QApplication) -> None:
+    view.setPalette(QPalette())  # the one of the application
+    for name in ("dark", "light"):
+        apply_theme(qapp, name)
+        assert picture(view)[2, 2].tolist() == list(QColor(theme_colors().base).getRgb()[:3])
 
 
 # Words around it

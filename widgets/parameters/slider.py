@@ -125,7 +125,7 @@ class Slider(QWidget):
         return QSize(120, 22)
 
     def minimumSizeHint(self) -> QSize:
-        return QSize(40, 22)
+        return QSize(36, 22)
 
     def travel(self) -> tuple[float, float]:
         """Return the x of a handle's centre at the minimum, and how far it can move, in pixels."""
