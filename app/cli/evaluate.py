@@ -144,7 +144,7 @@ def table(
 @evaluate_commands.command("patch")
 def evaluate_patch(
     *,
-    patch: Annotated[Path, typer.Option(metavar="FILE", help="A cloud: .ply, .pcd, .npz or .csv, metres.")],
+    patch: Annotated[Path, typer.Option(metavar="FILE", help="A cloud: .ply, .npz or .csv, metres.")],
     truth: Annotated[Path, typer.Option(metavar="FILE", help="The true cloud, in the same frame.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:

@@ -94,9 +94,7 @@ def run(
             help="A folder for one file per frame (patch_000012.npz), or a .mcap for all patches as PointCloud2.",
         ),
     ] = None,
-    file_format: Annotated[
-        Literal["npz", "ply", "pcd", "csv"], typer.Option("--format", help="Format of the files.")
-    ] = "npz",
+    file_format: Annotated[Literal["npz", "ply", "csv"], typer.Option("--format", help="Format of the files.")] = "npz",
     json_lines: Annotated[
         bool, typer.Option("--json", help="Print a JSON line for each frame at once; no summary.")
     ] = False,

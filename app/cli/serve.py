@@ -43,7 +43,6 @@ if TYPE_CHECKING:
 _LOST_S = 1.0
 _LAYOUT_HELP = "Write the layout for the Foxglove app (Import from file) and end, unless --foxglove or --ros2 is given."
 _SETTABLE_HELP = "Let clients of --foxglove set preset parameters; any program or web page on this computer then can."
-_RCLPY_HELP = "Publish by the ROS 2 that is sourced in this shell, whose middleware and settings choose the network."
 
 
 def serve(
@@ -53,7 +52,6 @@ def serve(
     frames: FrameCount = None,
     foxglove: Annotated[bool, typer.Option("--foxglove", help="Listen for the Foxglove app and its clients.")] = False,
     ros2: Annotated[bool, typer.Option("--ros2", help="Publish ROS 2 topics by DDS; needs no ROS.")] = False,
-    rclpy: Annotated[bool, typer.Option("--rclpy", help=_RCLPY_HELP)] = False,
     host: Annotated[
         str,
         typer.Option(
@@ -79,11 +77,11 @@ def serve(
 
         save_layout(layout)
         typer.echo(f"wrote {layout}; in Foxglove: Layouts, Import from file")
-        if not (foxglove or ros2 or rclpy):
+        if not (foxglove or ros2):
             return
     from ...core.output.connections import Connections
 
-    if not (foxglove or ros2 or rclpy):
+    if not (foxglove or ros2):
         raise typer.BadParameter("give --foxglove or --ros2; nothing is published unless it is asked for")
     from ...core.contact.checks import check_rig
     from ...core.contact.pipeline import ContactPipeline
@@ -94,7 +92,7 @@ def serve(
     from ...core.warmup import warm_up_if_needed
 
     chosen = load_preset(preset or default_preset(source))
-    connections = Connections(foxglove, ros2, host, port, domain, namespace, rclpy, settable)
+    connections = Connections(foxglove, ros2, host, port, domain, namespace, settable)
     parameters = PresetParameters(chosen, check=_refuse_while_opening, settable=settable)
     with (
         Publisher(connections.make_sinks(parameters)) as publisher,  # a taken port is told before cameras start

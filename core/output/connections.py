@@ -32,8 +32,6 @@ class Connections:
         ROS 2 domain id.
     namespace : str
         Of the ROS 2 topics.
-    rclpy : bool
-        ROS 2 topics by the sourced ROS 2, which decides on the network.
     settable : bool
         Foxglove clients may set preset parameters. Off by default: a web page that is open on this computer can
         connect to the loopback address, and foxglove-sdk does not let us check where a client comes from.
@@ -45,7 +43,6 @@ class Connections:
     port: int = FOXGLOVE_PORT
     domain: int = 0
     namespace: str = "tactune"
-    rclpy: bool = False
     settable: bool = False
 
     @property
@@ -75,8 +72,4 @@ class Connections:
             from .dds import DdsSink
 
             sinks.append(DdsSink(self.domain, self.namespace, self.host))
-        if self.rclpy:
-            from .ros import RosSink
-
-            sinks.append(RosSink(self.domain, self.namespace))
         return sinks

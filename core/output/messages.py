@@ -63,15 +63,13 @@ POSE_TOPICS: Final[dict[str, str]] = {Topic.OBJECT_POSE: POSE, Topic.TRANSFORMS:
 _GLOBAL_TOPICS: Final = (Topic.TRANSFORMS, Topic.STATIC_TRANSFORMS)
 
 _LAST_STAMP_NS = (2**31) * 10**9 - 1
-#: Log times do not jump beyond this, nanoseconds; readers can hold twice as much, so 146 years are left to record.
-_LAST_LOG_NS = 2**62
-_DTYPES: dict[str, np.dtype[Any]] = {
-    "16UC1": np.dtype("<u2"),
-    "rgb8": np.dtype("u1"),
-    "mono8": np.dtype("u1"),
-    "32FC1": np.dtype("<f4"),
+#: Type and number of channels of each encoding.
+_PIXELS: Final[dict[str, tuple[np.dtype[Any], int]]] = {
+    "16UC1": (np.dtype("<u2"), 1),
+    "rgb8": (np.dtype("u1"), 3),
+    "mono8": (np.dtype("u1"), 1),
+    "32FC1": (np.dtype("<f4"), 1),
 }
-_CHANNELS = {"rgb8": 3}
 
 
 def ros_topic(topic: str, namespace: str) -> str:
@@ -89,8 +87,7 @@ def nanoseconds(time_s: float) -> int:
 class LogClock:
     """Log times that follow the time stamps and always increase, even where the stamps do not.
 
-    Players sort by log time, so a camera's clock that jumps back must not reorder the frames. They hold log times in 64
-    bits with a sign, so one that jumps back and forth by decades must not add them up beyond that.
+    Players sort by log time, so a camera's clock that jumps back must not reorder the frames.
     """
 
     def __init__(self, period_s: float) -> None:
@@ -101,7 +98,7 @@ class LogClock:
     def tick(self, stamp_ns: int) -> int:
         """Return the log time of a frame with this stamp, nanoseconds from 0."""
         earliest_ns = 0 if self._last_ns is None else self._last_ns + 1
-        if not earliest_ns <= stamp_ns + self._shift_ns <= _LAST_LOG_NS:
+        if stamp_ns + self._shift_ns < earliest_ns:
             resume_ns = 0 if self._last_ns is None else self._last_ns + self._period_ns
             self._shift_ns = resume_ns - stamp_ns
         self._last_ns = stamp_ns + self._shift_ns
@@ -153,16 +150,7 @@ def camera_info(frame_id: str, lens: Intrinsics) -> bytes:
 
 
 def static_transforms(rig: Rig, stamp_ns: int, T_proximity_tactile: Float64Array | None = None) -> bytes:
-    """Return the poses of the cameras in the proximity depth frame.
-
-    Parameters
-    ----------
-    rig : Rig
-        Factory poses; those that it does not know are left out.
-    stamp_ns : int
-    T_proximity_tactile : 4 x 4, optional
-        A calibrated pose, which replaces the rig's.
-    """
+    """Return the poses of the cameras in the proximity depth frame; a calibrated one replaces the rig's."""
     poses: dict[str, Float64Array] = {}
     if T_proximity_tactile is not None:
         poses[TACTILE_FRAME] = T_proximity_tactile
@@ -190,14 +178,9 @@ def transforms(poses: Mapping[str, Float64Array], stamp_ns: int) -> bytes:
 
 
 def pose_with_covariance(pose: Float64Array, covariance: Float64Array, stamp_ns: int) -> bytes:
-    """Return a pose in the proximity depth frame.
+    """Return a pose, (4, 4), in the proximity depth frame.
 
-    Parameters
-    ----------
-    pose : float64, shape (4, 4)
-    covariance : float64, shape (6, 6)
-        Of x, y, z in metres and of small rotations about the fixed axes x, y, z in radians.
-    stamp_ns : int
+    Its covariance, (6, 6), is of x, y, z in metres and of small rotations about the fixed axes x, y, z in radians.
     """
     point = _type("geometry_msgs/msg/Point")(*pose[:3, 3].tolist())
     body = _type("geometry_msgs/msg/Pose")(point, _quaternion(pose))
@@ -250,16 +233,7 @@ def frame_text(frame: SensorFrame) -> bytes:
 
 
 def point_cloud(points: Float32Array, stamp_ns: int, frame_id: str = PROXIMITY_FRAME) -> bytes:
-    """Return a cloud.
-
-    Parameters
-    ----------
-    points : float32, shape (N, 3) or (H, W, 3)
-        Metres. A cloud in the shape of an image has nan where a pixel has no point.
-    stamp_ns : int
-    frame_id : str
-        The frame of the points.
-    """
+    """Return a cloud of points in metres: (N, 3), or (H, W, 3) with nan where a pixel has no point."""
     height, width = points.shape[:2] if points.ndim == 3 else (1, len(points))
     field = _type("sensor_msgs/msg/PointField")
     message = _type(POINT_CLOUD)(
@@ -280,32 +254,27 @@ def point_cloud(points: Float32Array, stamp_ns: int, frame_id: str = PROXIMITY_F
 
 @dataclass(frozen=True)
 class ImageStream:
-    """One image topic, with the parts that all its messages share, serialised once.
-
-    Attributes
-    ----------
-    head : bytes
-        An image message up to its pixels, without a time stamp.
-    lens : bytes or None
-        The camera info that goes with each image.
-    """
+    """One image topic, with what all its messages share: ``head`` up to the pixels, and ``lens``, its camera info."""
 
     topic: Topic
     of_tactile: bool
-    shape: tuple[int, int]
+    shape: tuple[int, ...]
     dtype: np.dtype[Any]
-    channels: int
     head: bytes
     lens: bytes | None
 
     def check(self, image: AnyArray, sequence: int) -> None:
         """Raise `FrameError` if an image has another size or type than the stream."""
-        shape = self.shape if self.channels == 1 else (*self.shape, self.channels)
-        if image.shape != shape or image.dtype != self.dtype:
+        if image.shape != self.shape or image.dtype != self.dtype:
             raise FrameError(
                 f"frame {sequence}: the image for {self.topic} is {image.dtype}, {image.shape}, "
-                f"but the rig needs {self.dtype}, {shape}; use the rig of the camera that took it"
+                f"but the rig needs {self.dtype}, {self.shape}; use the rig of the camera that took it"
             )
+
+    def parts(self, image: AnyArray, sequence: int, stamp_ns: int) -> tuple[bytes, memoryview]:
+        """Return an image message in two pieces, its pixels without a copy."""
+        self.check(image, sequence)
+        return stamped(self.head, stamp_ns), np.ascontiguousarray(image).reshape(-1).view(np.uint8).data
 
 
 @lru_cache(maxsize=4)
@@ -359,13 +328,7 @@ def _type(name: str) -> Any:
 def _stream(
     topic: Topic, frame_id: str, encoding: str, lens: Intrinsics, *, of_tactile: bool = False, with_lens: bool = True
 ) -> ImageStream:
-    dtype, channels = _DTYPES[encoding], _CHANNELS.get(encoding, 1)
-    return ImageStream(
-        topic=topic,
-        of_tactile=of_tactile,
-        shape=lens.shape,
-        dtype=dtype,
-        channels=channels,
-        head=image_head(frame_id, encoding, lens.shape, dtype.itemsize * channels),
-        lens=camera_info(frame_id, lens) if with_lens else None,
-    )
+    dtype, channels = _PIXELS[encoding]
+    head = image_head(frame_id, encoding, lens.shape, dtype.itemsize * channels)
+    shape = lens.shape if channels == 1 else (*lens.shape, channels)
+    return ImageStream(topic, of_tactile, shape, dtype, head, camera_info(frame_id, lens) if with_lens else None)

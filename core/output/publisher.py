@@ -11,21 +11,19 @@ from __future__ import annotations
 import math
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Mapping, Sequence, Set
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final, Protocol
-
-import numpy as np
+from functools import partial
+from typing import Any, Final, Protocol
 
 from ..contact.alignment import tactile_pose
 from ..contact.pipeline import ContactPatch
 from ..errors import RigMismatchError
-from ..model.arrays import Float64Array
+from ..model.arrays import AnyArray, Float64Array, Uint16Array
 from ..model.clouds import deproject_image
-from ..model.frames import SensorFrame
+from ..model.frames import DepthCamera, SensorFrame
 from ..model.patch import Lazy
 from ..model.rig_file import json_text, rig_to_json
 from ..preset import Preset
@@ -33,6 +31,7 @@ from ..sources.mcap.messages import (
     CAMERA_INFO,
     IMAGE,
     POINT_CLOUD,
+    PROXIMITY_FRAME,
     TACTILE_FRAME,
     TEXT,
     TRANSFORMS,
@@ -164,21 +163,19 @@ class OutputStatus:
     error: str
 
 
-class Messages(ABC):
-    """Messages with one time stamp, each built when it is first asked for; for any thread.
+class Messages:
+    """The messages of one frame, or of one pose, each built when it is first asked for; for any thread.
 
-    Attributes
+    Parameters
     ----------
-    topics : set of str
-        Those that there may be messages of.
+    builders : mapping of topic to callable
+        Each returns the bytes of a message, or None if there is none this time.
     stamp_ns : int
         Time stamp of the frame, nanoseconds since 1970.
     """
 
-    topics: ClassVar[Set[str]]
-
-    def __init__(self, stamp_ns: int) -> None:
-        self.stamp_ns = stamp_ns
+    def __init__(self, builders: Mapping[str, Callable[[], bytes | None]], stamp_ns: int) -> None:
+        self.builders, self.stamp_ns = builders, stamp_ns
         self._built: dict[str, LiveMessage | None] = {}
         self._lock = threading.Lock()
 
@@ -186,122 +183,80 @@ class Messages(ABC):
         """Return the message of one of the topics, or None if there is none this time."""
         with self._lock:
             if topic not in self._built:
-                data = self._build(topic)
-                self._built[topic] = (
-                    None if data is None else LiveMessage(topic, LIVE_TOPICS[topic], data, self.stamp_ns)
-                )
+                data = self.builders[topic]()
+                message = None if data is None else LiveMessage(topic, LIVE_TOPICS[topic], data, self.stamp_ns)
+                self._built[topic] = message
             return self._built[topic]
 
-    @abstractmethod
-    def _build(self, topic: str) -> bytes | None: ...
+
+def pose_messages(pose: Float64Array, covariance: Float64Array, stamp_ns: int) -> Messages:
+    """Return the messages of a tracked object: ``T_proximity_object``, (4, 4), and its covariance, (6, 6)."""
+    parts = messages.pose_parts(pose, covariance, stamp_ns)
+    return Messages({topic: partial(parts.get, topic) for topic in parts}, stamp_ns)
 
 
-class PoseMessages(Messages):
-    """The pose of a tracked object: ``T_proximity_object``, (4, 4), and its covariance, (6, 6)."""
+def frame_messages(
+    frame: SensorFrame,
+    patch: ContactPatch,
+    preset: Preset,
+    shift_ns: int,
+    tilt: Lazy[dict[str, Any]] | None = None,
+    warning: str = "",
+) -> Messages:
+    """Return the messages of a frame; ``shift_ns`` is added to its stamps, ``warning`` is for ``/diagnostics``."""
+    rig = patch.rig
+    stamp_ns, tactile_ns = (
+        messages.nanoseconds(time_s) + shift_ns for time_s in (frame.proximity_time_s, frame.tactile_time_s)
+    )
 
-    topics = POSE_TOPICS.keys()
-
-    def __init__(self, pose: Float64Array, covariance: Float64Array, stamp_ns: int) -> None:
-        super().__init__(stamp_ns)
-        self._pose, self._covariance = pose, covariance
-
-    def _build(self, topic: str) -> bytes:
-        return messages.pose_parts(self._pose, self._covariance, self.stamp_ns)[topic]
-
-
-class FrameMessages(Messages):
-    """The messages of one processed frame.
-
-    Parameters
-    ----------
-    frame : SensorFrame
-    patch : ContactPatch
-    preset : Preset
-        The one that the patch was computed with.
-    shift_ns : int
-        Added to the frame's time stamps.
-    tilt : Lazy of a dict, optional
-        As `tactune.core.estimation.tilt.Tilt.record` returns it.
-    warning : str
-        For ``/diagnostics``; empty if all is well.
-    """
-
-    topics = LIVE_TOPICS.keys() - POSE_TOPICS.keys()
-
-    def __init__(
-        self,
-        frame: SensorFrame,
-        patch: ContactPatch,
-        preset: Preset,
-        shift_ns: int,
-        tilt: Lazy[dict[str, Any]] | None = None,
-        warning: str = "",
-    ) -> None:
-        super().__init__(messages.nanoseconds(frame.proximity_time_s) + shift_ns)
-        self._frame, self._patch, self._preset = frame, patch, preset
-        self._tilt, self._warning = tilt, warning
-        self._tactile_ns = messages.nanoseconds(frame.tactile_time_s) + shift_ns
-
-    def _build(self, topic: str) -> bytes | None:
-        frame, rig, stamp_ns = self._frame, self._patch.rig, self.stamp_ns
-        if topic.endswith(("/image", "/camera_info")):
-            return self._build_image(topic)
-        build: dict[str, Callable[[], bytes | None]] = {
-            Topic.PATCH: lambda: messages.point_cloud(self._patch.points, stamp_ns),
-            Topic.AREA: lambda: messages.number(self._patch.area_mm2),
-            Topic.TILT: lambda: self._build_tilt(""),
-            Topic.TILT_SIGMA: lambda: self._build_tilt("_sigma"),
-            Topic.STATIC_TRANSFORMS: self._build_static_transforms,
-            Topic.PROXIMITY_CLOUD: lambda: messages.point_cloud(
-                deproject_image(frame.proximity_depth, rig.proximity), stamp_ns
-            ),
-            Topic.TACTILE_CLOUD: lambda: messages.point_cloud(
-                deproject_image(frame.tactile_depth, rig.tactile), self._tactile_ns, TACTILE_FRAME
-            ),
-            Topic.DIAGNOSTICS: self._build_diagnostics,
-            Topic.FRAME: lambda: messages.frame_text(frame),
-            Topic.RIG: lambda: messages.text(json_text(rig_to_json(rig))),
-        }
-        return build[topic]()
-
-    def _build_image(self, topic: str) -> bytes | None:
-        streams = messages.image_streams(self._patch.rig)
-        image_topic = Topic(topic.replace("camera_info", "image"))
-        stream = streams[image_topic]
-        image = next((image for of, image in messages.images_of(self._frame) if of == image_topic), None)
-        if image is None:
-            return None
-        stamp_ns = self._tactile_ns if stream.of_tactile else self.stamp_ns
-        if topic != image_topic:
-            return messages.stamped(stream.lens, stamp_ns) if stream.lens is not None else None
-        stream.check(image, self._frame.sequence)
-        pixels = np.ascontiguousarray(image).reshape(-1).view(np.uint8)
-        return b"".join((messages.stamped(stream.head, stamp_ns), pixels.data))
-
-    def _build_tilt(self, of: str) -> bytes | None:
-        if self._tilt is None:
-            return None
-        tilt = self._tilt.get()
-        angles = [tilt[f"{angle}{of}_rad"] for angle in ("roll", "pitch", "axis")]
-        x, y, z = (math.nan if angle is None else angle for angle in angles)
-        return messages.vector(x, y, z, self.stamp_ns)
-
-    def _build_static_transforms(self) -> bytes:
+    def transforms() -> bytes:
         calibrated = None
         with suppress(RigMismatchError):  # a homography needs no pose
-            calibrated = tactile_pose(self._preset.alignment, self._patch.rig)
-        return messages.static_transforms(self._patch.rig, self.stamp_ns, calibrated)
+            calibrated = tactile_pose(preset.alignment, rig)
+        return messages.static_transforms(rig, stamp_ns, calibrated)
 
-    def _build_diagnostics(self) -> bytes:
-        patch = self._patch
-        values = {f"{stage} ms": f"{ms:.3f}" for stage, ms in patch.stage_ms.items()}
-        values |= {
+    def angles(of: str) -> bytes | None:
+        if tilt is None:
+            return None
+        found = [tilt.get()[f"{angle}{of}_rad"] for angle in ("roll", "pitch", "axis")]
+        roll, pitch, axis = (math.nan if angle is None else angle for angle in found)
+        return messages.vector(roll, pitch, axis, stamp_ns)
+
+    def diagnostics() -> bytes:
+        values = {f"{stage} ms": f"{ms:.3f}" for stage, ms in patch.stage_ms.items()} | {
             "frame": str(patch.sequence),
             "total ms": f"{sum(patch.stage_ms.values()):.3f}",
             "points": str(len(patch.points)),
-            "skew ms": f"{1e3 * self._frame.skew_s:.3f}",
+            "skew ms": f"{1e3 * frame.skew_s:.3f}",
         }
-        return messages.diagnostics("tactune", values, self.stamp_ns, self._warning)
+        return messages.diagnostics("tactune", values, stamp_ns, warning)
+
+    def cloud(counts: Uint16Array, camera: DepthCamera, time_ns: int, frame_id: str) -> bytes:
+        return messages.point_cloud(deproject_image(counts, camera), time_ns, frame_id)
+
+    def image(stream: messages.ImageStream, pixels: AnyArray, time_ns: int) -> bytes:
+        return b"".join(stream.parts(pixels, frame.sequence, time_ns))
+
+    builders: dict[str, Callable[[], bytes | None]] = {
+        Topic.PATCH: lambda: messages.point_cloud(patch.points, stamp_ns),
+        Topic.AREA: lambda: messages.number(patch.area_mm2),
+        Topic.TILT: lambda: angles(""),
+        Topic.TILT_SIGMA: lambda: angles("_sigma"),
+        Topic.STATIC_TRANSFORMS: transforms,
+        Topic.PROXIMITY_CLOUD: lambda: cloud(frame.proximity_depth, rig.proximity, stamp_ns, PROXIMITY_FRAME),
+        Topic.TACTILE_CLOUD: lambda: cloud(frame.tactile_depth, rig.tactile, tactile_ns, TACTILE_FRAME),
+        Topic.DIAGNOSTICS: diagnostics,
+        Topic.FRAME: lambda: messages.frame_text(frame),
+        Topic.RIG: lambda: messages.text(json_text(rig_to_json(rig))),
+    }
+    streams = messages.image_streams(rig)
+    for topic, pixels in messages.images_of(frame):
+        stream = streams[topic]
+        time_ns = tactile_ns if stream.of_tactile else stamp_ns
+        if stream.lens is not None:  # truth has none, and is no topic of a live connection
+            builders[topic] = partial(image, stream, pixels, time_ns)
+            builders[topic.camera_info] = partial(messages.stamped, stream.lens, time_ns)
+    return Messages(builders, stamp_ns)
 
 
 class Publisher:
@@ -356,12 +311,12 @@ class Publisher:
         elif self._shift_ns:  # a frame that took less time than those before: no stamp lies in the future
             self._shift_ns = min(self._shift_ns, now_ns - stamp_ns)
         warning = " ".join(tuple(self._told.values()))
-        built = FrameMessages(frame, patch, preset, self._shift_ns, tilt, warning)
+        built = frame_messages(frame, patch, preset, self._shift_ns, tilt, warning)
         self._stamps_ns.pop(frame.proximity_time_s, None)  # of a recording that begins again
         self._stamps_ns[frame.proximity_time_s] = built.stamp_ns
         if len(self._stamps_ns) > _KEPT_STAMPS:
             del self._stamps_ns[next(iter(self._stamps_ns))]
-        self._give(built)
+        self._give("frame", built)
 
     def put_pose(self, pose: Float64Array, covariance: Float64Array, time_s: float) -> None:
         """Publish the pose of a tracked object that is not lost, and return at once; for any thread.
@@ -378,7 +333,7 @@ class Publisher:
         """
         stamp_ns = self._stamps_ns.get(time_s)
         if stamp_ns is not None:
-            self._give(PoseMessages(pose, covariance, stamp_ns))
+            self._give("pose", pose_messages(pose, covariance, stamp_ns))
 
     def tell(self, subject: str, sentence: str) -> None:
         """Warn clients, in ``/diagnostics`` and where the protocol has a way for it; for any thread.
@@ -399,9 +354,9 @@ class Publisher:
         for output in self._outputs:
             output.sink.tell(subject, sentence)
 
-    def _give(self, built: Messages) -> None:
+    def _give(self, kind: str, built: Messages) -> None:
         for output in self._outputs:
-            output.put(built)
+            output.put(kind, built)
 
     def status(self) -> tuple[OutputStatus, ...]:
         """Return the state of every sink."""
@@ -425,21 +380,21 @@ class _Output:
     def __init__(self, sink: Sink) -> None:
         self.sink = sink
         self._changed = threading.Condition()
-        self._waiting: dict[type[Messages], Messages] = {}
+        self._waiting: dict[str, Messages] = {}  # "frame" and "pose"
         self._closing = False
-        self._sent: Counter[type[Messages]] = Counter()
+        self._sent: Counter[str] = Counter()
         self._missed = 0
-        self._sent_s: deque[tuple[type[Messages], float]] = deque(maxlen=_RATE_FRAMES)
+        self._sent_s: deque[tuple[str, float]] = deque(maxlen=_RATE_FRAMES)
         self._error = ""
         self._repeated_ns: dict[str, int] = {}
         self._thread = threading.Thread(target=self._run, name=f"publish {sink.status().name}", daemon=True)
         self._thread.start()
 
-    def put(self, built: Messages) -> None:
+    def put(self, kind: str, built: Messages) -> None:
         """Replace the frame, or the pose, in the mailbox."""
         with self._changed:
-            self._missed += type(built) in self._waiting
-            self._waiting[type(built)] = built
+            self._missed += kind in self._waiting
+            self._waiting[kind] = built
             self._changed.notify()
 
     def status(self) -> OutputStatus:
@@ -458,30 +413,33 @@ class _Output:
         self._thread.join(_CLOSE_S)
 
     def _run(self) -> None:
-        while (built := self._next()) is not None:
+        while (waiting := self._next()) is not None:
             try:
-                self._send(built)
+                self._send(*waiting)
             except Exception as error:  # nobody can catch an exception of this thread, and the next frame may pass
                 with self._changed:
                     self._error = str(error) or type(error).__name__
         self.sink.close()
 
-    def _next(self) -> Messages | None:
+    def _next(self) -> tuple[str, Messages] | None:
         with self._changed:
             self._changed.wait_for(lambda: self._closing or bool(self._waiting))
-            return None if self._closing else self._waiting.pop(next(iter(self._waiting)))
+            if self._closing:
+                return None
+            kind = next(iter(self._waiting))
+            return kind, self._waiting.pop(kind)
 
-    def _send(self, built: Messages) -> None:
-        wanted = [topic for topic in self.sink.wanted() if topic in built.topics]
+    def _send(self, kind: str, built: Messages) -> None:
+        wanted = [topic for topic in self.sink.wanted() if topic in built.builders]
         due = [topic for topic in wanted if self._is_due(topic, built.stamp_ns)]
         found = [message for topic in due if (message := built.get(topic)) is not None]
         if not found:
             return
         self.sink.send(found)
         with self._changed:
-            self._sent[type(built)] += 1
+            self._sent[kind] += 1
             self._error = ""
-            self._sent_s.append((type(built), time.monotonic()))
+            self._sent_s.append((kind, time.monotonic()))
 
     def _is_due(self, topic: str, stamp_ns: int) -> bool:
         if topic not in _REPEATED:

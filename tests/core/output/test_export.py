@@ -16,11 +16,10 @@ from tactune.core.model.frames import ColorCamera, DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.model.patch import AlignedDepth
 from tactune.core.model.provenance import Provenance
-from tactune.core.output.cloud_files import patch_cloud, read_points, write_cloud
+from tactune.core.output.cloud_files import SUFFIXES, patch_cloud, read_points, write_cloud
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 
-ALL = (".ply", ".pcd", ".npz", ".csv")
 TYPES = (np.int8, np.uint8, np.int16, np.uint16, np.int32, np.uint32, np.float32, np.float64)
 
 
@@ -34,7 +33,7 @@ def make_cloud(count: int = 7, colors: bool = True) -> PointCloud:
     return PointCloud(points, rng.integers(0, 256, (count, 3)).astype(np.uint8) if colors else None, attributes)
 
 
-@pytest.mark.parametrize("suffix", ALL)
+@pytest.mark.parametrize("suffix", [*SUFFIXES, ".PLY", ".NPZ"])
 @pytest.mark.parametrize("count", [0, 1, 7])
 @pytest.mark.parametrize("colors", [False, True])
 def test_points_come_back_bit_for_bit(tmp_path: Path, suffix: str, count: int, colors: bool) -> None:
@@ -43,6 +42,19 @@ def test_points_come_back_bit_for_bit(tmp_path: Path, suffix: str, count: int, c
     points, dropped = read_points(tmp_path / f"cloud{suffix}")
     assert dropped == 0
     assert points.astype(np.float32).tobytes() == cloud.points.tobytes()
+    assert [path.name for path in tmp_path.iterdir()] == [f"cloud{suffix}"]
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_points_with_a_nan_are_left_out_and_counted(tmp_path: Path, suffix: str) -> None:
+    points = np.float32([[1, 2, 3], [np.nan, 0, 0], [4, 5, 6]])
+    write_cloud(tmp_path / f"a{suffix}", PointCloud(points))
+    found, dropped = read_points(tmp_path / f"a{suffix}")
+    assert dropped == 1
+    np.testing.assert_array_equal(found, points[[0, 2]])
+    write_cloud(tmp_path / f"a{suffix}", PointCloud(np.float32([[np.inf, 0, 0]])))
+    with pytest.raises(SourceError, match="infinite"):
+        read_points(tmp_path / f"a{suffix}")
 
 
 def test_numpy_reads_every_bit_of_the_npz_by_its_names(tmp_path: Path) -> None:
@@ -67,15 +79,13 @@ def test_a_csv_file_has_titles_with_units(tmp_path: Path) -> None:
     assert row == ["0.100000001", "0.200000003", "0.300000012", "1", "2", "3", "0.5", "7", "1"]
 
 
-@pytest.mark.parametrize("suffix", [".ply", ".pcd"])
-def test_open3d_reads_what_is_written(tmp_path: Path, suffix: str) -> None:
+def test_open3d_reads_the_ply(tmp_path: Path) -> None:
     o3d = pytest.importorskip("open3d", reason="open3d is not installed", exc_type=ImportError)
     cloud = make_cloud()
     kept = {"float32_x", "float64_x", "int32_x", "uint16", "uint8"}
     cloud = PointCloud(cloud.points, cloud.colors, {name: cloud.attributes[name] for name in kept})
-    path = tmp_path / f"cloud{suffix}"
-    write_cloud(path, cloud)
-    theirs = o3d.t.io.read_point_cloud(str(path)).point
+    write_cloud(tmp_path / "cloud.ply", cloud)
+    theirs = o3d.t.io.read_point_cloud(str(tmp_path / "cloud.ply")).point
     assert theirs["positions"].numpy().tobytes() == cloud.points.tobytes()
     np.testing.assert_array_equal(theirs["colors"].numpy(), cloud.colors)
     for name, values in cloud.attributes.items():
@@ -83,7 +93,7 @@ def test_open3d_reads_what_is_written(tmp_path: Path, suffix: str) -> None:
         assert theirs[name].numpy().dtype == values.dtype
 
 
-def test_a_mesh_is_read_as_its_vertices(tmp_path: Path) -> None:
+def test_a_mesh_of_another_program_is_read_as_its_vertices(tmp_path: Path) -> None:
     header = (
         "ply\r\nformat binary_little_endian 1.0\r\ncomment a mesh\r\nelement vertex 2\r\nproperty double x\r\n"
         "property double y\r\nproperty double z\r\nelement face 1\r\nproperty list uchar int vertex_indices\r\n"
@@ -94,111 +104,49 @@ def test_a_mesh_is_read_as_its_vertices(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_points(tmp_path / "mesh.ply")[0], vertices.reshape(2, 3))
 
 
-def test_no_format_imports_open3d(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_writing_imports_neither_open3d_nor_trimesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "open3d", None)
-    for suffix in ALL:
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    for suffix in SUFFIXES:
         write_cloud(tmp_path / f"cloud{suffix}", make_cloud())
-        assert len(read_points(tmp_path / f"cloud{suffix}")[0]) == len(make_cloud())
-
-
-# --- refusals --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("suffix", "attributes", "sentence"),
+    ("suffix", "attributes", "word"),
     [
-        (".xyz", {}, r"cloud\.xyz has the suffix '\.xyz'; clouds are \.ply, \.pcd, \.npz, \.csv"),
-        ("", {}, "the suffix ''"),
-        (".ply", {"count": np.zeros(7, np.int64)}, r"\.ply holds no int64 such as count; convert it to 32 bits"),
-        (".pcd", {"count": np.zeros(7, np.complex64)}, r"\.pcd holds no complex64 such as count"),
-        (".npz", {"u": np.zeros(6)}, r"u has the shape \(6,\), but there are 7 points"),
-        (".npz", {"points": np.zeros(7)}, "cannot be called 'points'"),
-        (".npz", {"file": np.zeros(7)}, "cannot be called 'file'"),
-        (".ply", {"red": np.zeros(7)}, "cannot be called 'red'"),
-        (".ply", {"two words": np.zeros(7)}, "cannot be called 'two words'"),
-        (".csv", {"a,b": np.zeros(7)}, "cannot be called 'a,b'"),
+        (".xyz", {}, "suffix"),
+        ("", {}, "suffix"),
+        (".ply", {"count": np.zeros(7, np.int64)}, "int64"),
+        (".npz", {"u": np.zeros(6)}, "there are 7 points"),
+        (".npz", {"points": np.zeros(7)}, "'points'"),
+        (".npz", {"file": np.zeros(7)}, "'file'"),
+        (".ply", {"red": np.zeros(7)}, "'red'"),
+        (".ply", {"two words": np.zeros(7)}, "'two words'"),
+        (".csv", {"a,b": np.zeros(7)}, "'a,b'"),
     ],
 )
 def test_what_cannot_be_written_is_refused_and_leaves_no_file(
-    tmp_path: Path, suffix: str, attributes: dict[str, np.ndarray], sentence: str
+    tmp_path: Path, suffix: str, attributes: dict[str, np.ndarray], word: str
 ) -> None:
     cloud = PointCloud(make_cloud().points, None, attributes)
-    with pytest.raises(ExportError, match=sentence):
+    with pytest.raises(ExportError, match=word):
         write_cloud(tmp_path / f"cloud{suffix}", cloud)
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("suffix", ALL)
-def test_the_suffix_may_be_in_capitals(tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / f"cloud{suffix.upper()}"
-    write_cloud(path, make_cloud())
-    assert np.array_equal(read_points(path)[0].astype(np.float32), make_cloud().points)
-    assert list(tmp_path.iterdir()) == [path]
-
-
-@pytest.mark.parametrize("suffix", ALL)
-def test_an_interrupted_write_keeps_the_old_file(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / f"cloud{suffix}"
-    write_cloud(path, make_cloud(3))
-    before = path.read_bytes()
-
-    def full(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    for owner, name in ((Path, "write_bytes"), (np, "savez"), (np, "savetxt")):
-        monkeypatch.setattr(owner, name, full)
-    with pytest.raises(ExportError, match="No space left on device"):
-        write_cloud(path, make_cloud(7))
-    assert path.read_bytes() == before
-    assert list(tmp_path.iterdir()) == [path]
-
-
-@pytest.mark.parametrize("suffix", ALL)
-def test_a_damaged_file_is_refused_in_one_sentence(tmp_path: Path, suffix: str) -> None:
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_file_that_is_cut_off_or_another_is_refused(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"cloud{suffix}"
     write_cloud(path, make_cloud())
     whole = path.read_bytes()
-    for length in (0, 10, len(whole) // 2, len(whole) - 9):
-        path.write_bytes(whole[:length])
-        with pytest.raises(SourceError, match=rf"cloud\{suffix}") as caught:
+    for bad in (b"", whole[:10], whole[: len(whole) // 2], whole[:-9], b"x,y,z\n1,2,3\n"):
+        path.write_bytes(bad)
+        with pytest.raises(SourceError) as caught:
             read_points(path)
-        assert "\n" not in str(caught.value)
-    with pytest.raises(SourceError, match=r"missing.*check the path"):
+        assert path.name in str(caught.value) and "\n" not in str(caught.value)
+    with pytest.raises(SourceError, match="check the path"):
         read_points(tmp_path / f"missing{suffix}")
 
-
-@pytest.mark.parametrize("suffix", [".ply", ".pcd"])
-def test_a_short_file_is_told_with_its_number_of_points(tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / f"cloud{suffix}"
-    write_cloud(path, PointCloud(np.zeros((7, 3), np.float32)))
-    path.write_bytes(path.read_bytes()[:-25])
-    with pytest.raises(SourceError, match="it ends after 4 of 7 points"):
-        read_points(path)
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "sentence"),
-    [
-        ("a.ply", "ply\nformat odd 1.0\nelement vertex 0\nend_header\n", "neither ascii nor binary_little_endian"),
-        ("a.ply", "PLY\nend_header\n", "does not begin with the line ply"),
-        ("a.ply", "ply\nformat binary_little_endian 1.0\nelement face 0\nend_header\n", "first element is not vertex"),
-        (
-            "a.ply",
-            "ply\nformat binary_little_endian 1.0\nelement vertex 0\nproperty float x\nproperty float y\nend_header\n",
-            "it has no z",
-        ),
-        ("a.pcd", "VERSION 0.7\nDATA binary_compressed\n", "no line DATA"),
-        ("a.csv", "x,y,z\n1,2,3\n", "header does not begin with x_m,y_m,z_m"),
-        ("a.xyz", "", "the suffix '.xyz'"),
-    ],
-)
-def test_other_files_are_refused_with_the_reason(tmp_path: Path, name: str, text: str, sentence: str) -> None:
-    (tmp_path / name).write_text(text)
-    with pytest.raises(SourceError, match=sentence):
-        read_points(tmp_path / name)
-
-
-# --- patches ---------------------------------------------------------------------------------------
 
 LENS = Intrinsics(width=4, height=3, fx=2.0, fy=2.0, cx=1.5, cy=1.0)
 COLOR_LENS = Intrinsics(width=8, height=6, fx=4.0, fy=4.0, cx=3.0, cy=2.0)

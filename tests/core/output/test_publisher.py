@@ -20,7 +20,7 @@ from tactune.core.model.clouds import deproject
 from tactune.core.model.frames import SensorFrame
 from tactune.core.model.patch import ContactPatch, Lazy
 from tactune.core.output.messages import definition
-from tactune.core.output.publisher import LIVE_TOPICS, FrameMessages, LiveMessage, PoseMessages, Publisher, SinkStatus
+from tactune.core.output.publisher import LIVE_TOPICS, LiveMessage, Publisher, SinkStatus, frame_messages, pose_messages
 from tactune.core.preset import Preset
 
 WAIT_S = 60
@@ -60,9 +60,9 @@ def processed() -> tuple[SensorFrame, ContactPatch, Preset]:
 def test_every_topic_arrives_bit_for_bit(processed: tuple[SensorFrame, ContactPatch, Preset]) -> None:
     frame, patch, preset = processed
     covariance = np.arange(36, dtype=np.float64).reshape(6, 6)
-    built = FrameMessages(frame, patch, preset, 5 * 10**9, Lazy(TILT.record))
-    posed = PoseMessages(np.array(TURN), covariance, built.stamp_ns)
-    found = [of.get(topic) for of in (built, posed) for topic in of.topics]
+    built = frame_messages(frame, patch, preset, 5 * 10**9, Lazy(TILT.record))
+    posed = pose_messages(np.array(TURN), covariance, built.stamp_ns)
+    found = [of.get(topic) for of in (built, posed) for topic in of.builders]
     seen = {message.topic: decoded(message) for message in found if message is not None}
     assert seen.keys() == LIVE_TOPICS.keys()
 
@@ -102,7 +102,7 @@ def test_every_topic_arrives_bit_for_bit(processed: tuple[SensorFrame, ContactPa
 
 
 def test_what_was_not_estimated_is_not_sent(processed: tuple[SensorFrame, ContactPatch, Preset]) -> None:
-    assert FrameMessages(*processed, 0).get("/contact/tilt") is None
+    assert frame_messages(*processed, 0).get("/contact/tilt") is None
 
 
 class Collecting:

@@ -1,5 +1,0 @@
-"""Stand-in for ROS 2's package; see rclpy beside it."""
-
-
-class TFMessage:
-    """A name only."""
