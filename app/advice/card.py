@@ -1,26 +1,23 @@
-"""One suggestion in the window: what it changes, why, and its picture or curve."""
+"""One suggestion in the window: what it changes, why, and its picture."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QFont, QPalette
-from PyQt6.QtWidgets import QCheckBox, QComboBox, QFrame, QGridLayout, QLabel, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QCheckBox, QFrame, QGridLayout, QLabel, QVBoxLayout, QWidget
 
 from ...core.model.arrays import Uint8Array
 from ...core.preset import Preset
-from ...core.tuning.advice.examples import CURVES, ErrorCurve
 from ...core.tuning.advice.proposal import MaskLabel, Proposal
-from ...widgets.basics.controls import NoteLabel, caption
+from ...widgets.basics.controls import NoteLabel
 from ...widgets.basics.fields import field_spec
-from ...widgets.basics.layouts import STRETCH, hbox
+from ...widgets.basics.layouts import hbox
 from ...widgets.images.image_pane import ImagePane, Swatch
 from ...widgets.parameters.parameter_panel import SECTIONS
-from ...widgets.plots.error_curve import ErrorCurvePlot
 from ..calibration.pictures import pack_rgb
 
 _TITLES = dict(SECTIONS)
@@ -41,24 +38,19 @@ def section_title(section: str) -> str:
 
 
 class ProposalCard(QFrame):
-    """Shows a proposal. Its values can be changed along the error curve, and it can be left out.
+    """Shows a proposal, which can be left out.
 
     Signals
     -------
     changed()
-        Another value was chosen, or the proposal was ticked or unticked.
-    curveWanted()
-        The curve of another field was chosen.
+        The proposal was ticked or unticked.
     """
 
     changed = pyqtSignal()
-    curveWanted = pyqtSignal()
 
     def __init__(self, proposal: Proposal, preset: Preset, tickable: bool, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._original, self._preset = proposal, preset
-        self._chosen: dict[str, Any] = {}
-        self._curve: ErrorCurve | None = None
+        self.proposal, self._preset = proposal, preset
         self.setFrameShape(QFrame.Shape.StyledPanel)
         self.take = QCheckBox(section_title(proposal.section))
         self.take.setToolTip(f"Take this suggestion for {section_title(proposal.section).lower()}, or leave it")
@@ -70,7 +62,7 @@ class ProposalCard(QFrame):
         self.label = NoteLabel(proposal.label)
         self.evidence = NoteLabel(proposal.evidence)
         self.expected = NoteLabel(proposal.expected)
-        self.weak = NoteLabel("Weaker than with examples: mark untouched frames or paint contact (Examples…).")
+        self.weak = NoteLabel("Weaker than with examples: mark frames (Examples…).")
         self.weak.setVisible(proposal.weak)
         self.weak.setForegroundRole(QPalette.ColorRole.PlaceholderText)
         self._values = QGridLayout()
@@ -86,18 +78,8 @@ class ProposalCard(QFrame):
         column.addLayout(self._values)
         if proposal.picture is not None:
             column.addWidget(_mask_picture(proposal.picture))
-        self.curve_field = QComboBox()
-        self.curve = self._make_curve(column)
         self.take.toggled.connect(self.changed)
         self._show_values()
-
-    @property
-    def proposal(self) -> Proposal:
-        """The proposal with the values that were chosen on the curve."""
-        if not self._chosen:
-            return self._original
-        texts = (f"{_spec(path).title} {_spec(path).describe(value)}" for path, value in self._chosen.items())
-        return replace(self._original, changes={**self._original.changes, **self._chosen}, label=", ".join(texts))
 
     @property
     def changes(self) -> Mapping[str, Any]:
@@ -106,56 +88,10 @@ class ProposalCard(QFrame):
             return {}
         return {path: value for path, value in self.proposal.changes.items() if value != self._preset.value(path)}
 
-    @property
-    def curve_path(self) -> str:
-        """The field whose curve is shown; empty for a section without one."""
-        return str(self.curve_field.currentData() or "")
-
     def show_preset(self, preset: Preset) -> None:
         """Show another present preset."""
         self._preset = preset
         self._show_values()
-
-    def show_curve(self, curve: ErrorCurve | None) -> None:
-        """Show the curve of `curve_path`, or none."""
-        self._curve = curve if curve is not None and curve.path == self.curve_path else None
-        self.curve.setVisible(self._curve is not None)
-        if self._curve is not None:
-            self.curve.set_curve(self._curve.values, self._curve.missed_mm2, self._curve.false_mm2)
-            self._show_values()
-
-    def _make_curve(self, column: QVBoxLayout) -> ErrorCurvePlot:
-        for path in CURVES.get(self._original.section, {}):
-            self.curve_field.addItem(_spec(path).title, path)
-        proposed = [self.curve_field.findData(path) for path in self._original.changes]
-        self.curve_field.setCurrentIndex(max([0, *proposed]))
-        self.curve_field.setToolTip("The parameter whose missed and false area in the examples is drawn")
-        self._curve_row = QWidget()
-        error_by = caption("Error in the examples by", self.curve_field)
-        hbox(error_by, self.curve_field, STRETCH, within=self._curve_row, margins=0)
-        self._curve_row.hide()
-        curve = ErrorCurvePlot(lambda value: _spec(self.curve_path).describe(value))
-        curve.hide()
-        curve.chosen.connect(self._choose)
-        self.curve_field.activated.connect(lambda _: self._switch_curve())
-        column.addWidget(self._curve_row)
-        column.addWidget(curve)
-        return curve
-
-    def offer_curve(self) -> None:
-        """Show the choice of curves: there are examples."""
-        self._curve_row.setVisible(self.curve_field.count() > 0)
-
-    def _switch_curve(self) -> None:
-        self.show_curve(None)
-        self.curveWanted.emit()
-
-    def _choose(self, value: float) -> None:
-        spec = _spec(self.curve_path)
-        self._chosen[self.curve_path] = round(value) if spec.integer else value
-        self.take.setChecked(True)
-        self._show_values()
-        self.changed.emit()
 
     def _show_values(self) -> None:
         """List the fields that change, with both values."""
@@ -174,10 +110,6 @@ class ProposalCard(QFrame):
                 label = QLabel(text)
                 label.setToolTip(spec.tooltip)
                 self._values.addWidget(label, line, place)
-        if self._curve is not None:
-            path = self._curve.path
-            now = float(self._preset.value(path))
-            self.curve.set_values(now, float(proposal.changes.get(path, now)))
 
 
 def _spec(path: str) -> Any:

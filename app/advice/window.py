@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Final
 
 from PyQt6.QtCore import QObject, pyqtSignal
 from PyQt6.QtGui import QKeySequence, QShortcut
 from PyQt6.QtWidgets import QCheckBox, QDialog, QFrame, QVBoxLayout, QWidget
 
-from ...core.errors import AdviceError, PresetError
+from ...core.errors import AdviceError, PresetError, TactuneError
+from ...core.model.frames import SensorFrame
 from ...core.preset import Preset
-from ...core.tuning.advice.examples import ErrorCurve, error_curve, known_examples
-from ...core.tuning.advice.proposal import Evidence, Proposal
+from ...core.tuning.advice.proposal import Evidence, Example, Proposal
 from ...core.tuning.advice.suggest import suggest, suggest_all
 from ...widgets.basics.controls import ProgressBar, push_button, wrapped_label
 from ...widgets.basics.dialogs import bring_up
@@ -24,15 +26,39 @@ from ..document.comparison import PRESENT, Side
 from ..worker.jobs import Job, Progress
 from ..worker.results import SourceInfo
 from .card import ProposalCard, section_title
-from .evidence import FrameRing, Gathered
-from .examples import ExampleHistory, ExampleKeeper
-from .examples_window import ExamplesWindow
+from .examples import ExampleHistory, ExampleKeeper, ExamplesWindow
 
-#: The values besides its own that decide a card's curve: field of the curve, preset.
-Bases = dict[ProposalCard, tuple[str, Preset]]
 #: Stands for every section, as in `Proposal.section`.
 ALL: Final = "all"
 _NO_FRAME: Final = "There is no frame to measure yet: open a source first."
+
+
+#: Number of newest frames that suggestions are made from.
+MAX_FRAMES: Final = 8
+#: Share of the progress at which the untouched frame is found.
+_FOUND: Final = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Gathered:
+    """Evidence without the untouched frame, which may take long to find; see `Evidence` for the attributes."""
+
+    info: SourceInfo
+    preset: Preset
+    home: Path | None
+    frames: tuple[SensorFrame, ...]
+    examples: tuple[Example, ...]
+
+    def evidence(self, progress: Progress) -> Evidence:
+        """Find the untouched frame; call it on a job's thread."""
+        untouched = None
+        try:
+            untouched = self.info.find_untouched(
+                self.preset, self.home, lambda share, words: progress(_FOUND * share, words)
+            ).frame
+        except TactuneError:
+            progress(_FOUND, "The untouched frame cannot be read")  # raises if the job was cancelled
+        return Evidence(self.preset, self.info.rig, self.frames, untouched, self.examples)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,15 +108,14 @@ class SuggestWindow(QDialog):
         self._outdated = ""
         self._shown: Side | None = None
         self._compares = True
-        self._job, self._curves = Job(self), Job(self)
-        self._bases: Bases = {}
+        self._job = Job(self)
         self.cards: list[ProposalCard] = []
         self.progress = ProgressBar()
         self.sentence = wrapped_label()
         self.sentence.hide()
         self.cancel = push_button("Cance&l", "Stop measuring; nothing is changed")
         self.again = push_button("&Measure again", "Make new suggestions from the present frame, preset and examples")
-        self.examples = push_button("&Examples…", "Mark untouched frames and paint contact, for better suggestions")
+        self.examples = push_button("&Examples…", "Mark frames with and without contact, for better suggestions")
         self.compare = QCheckBox("&Compare")
         self.compare.setToolTip("Compare the present preset with the suggested one in the views")
         self.apply = push_button("&Apply", "Put the ticked suggestions into the preset, as one undo step (Ctrl+Return)")
@@ -117,8 +142,6 @@ class SuggestWindow(QDialog):
         self._job.done.connect(self._show_found)
         self._job.failed.connect(self._show_failure)
         self._job.busyChanged.connect(self._show_busy)
-        self._curves.done.connect(self._show_curves)
-        self._curves.failed.connect(self._show_failure)
         self.cancel.clicked.connect(self._cancel)
         self.again.clicked.connect(lambda: self.ask(self._section))
         self.examples.clicked.connect(open_examples)
@@ -154,8 +177,8 @@ class SuggestWindow(QDialog):
 
     @property
     def busy(self) -> bool:
-        """Whether suggestions or curves are being computed."""
-        return self._job.busy or self._curves.busy
+        """Whether suggestions are being computed."""
+        return self._job.busy
 
     @property
     def proposal(self) -> Proposal:
@@ -170,7 +193,6 @@ class SuggestWindow(QDialog):
     def done(self, result: int) -> None:
         """Stop measuring and end the comparison."""
         self._job.cancel()
-        self._curves.cancel()
         self.compare.setChecked(False)
         super().done(result)
 
@@ -179,7 +201,6 @@ class SuggestWindow(QDialog):
         self._document.undo_stack.indexChanged.disconnect(self._show_state)
         self.reject()
         self._job.stop()
-        self._curves.stop()
 
     # What was found
 
@@ -191,9 +212,6 @@ class SuggestWindow(QDialog):
         for part in found.parts:
             card = ProposalCard(part, preset, tickable=self._section == ALL)
             card.changed.connect(self._choice_changed)
-            card.curveWanted.connect(self._request_curves)
-            if known_examples(found.evidence):
-                card.offer_curve()
             self.cards.append(card)
             self._add(card)
         for section, sentence in found.refusals.items():
@@ -238,7 +256,6 @@ class SuggestWindow(QDialog):
 
     def _clear(self) -> None:
         self.cards.clear()
-        self._bases.clear()
         self.compare.setChecked(False)
         while self._column.count() > 1:
             item = self._column.takeAt(0)
@@ -258,7 +275,6 @@ class SuggestWindow(QDialog):
         self._show_state()
         self.compare.setChecked(self._compares and self.isVisible() and bool(self.proposal.changes))
         self._show_comparison(self.compare.isChecked())
-        self._request_curves()
 
     def _show_state(self) -> None:
         changes = bool(self.proposal.changes)
@@ -306,38 +322,6 @@ class SuggestWindow(QDialog):
     def _is_mine(self, sides: tuple[Side, Side] | None) -> bool:
         return sides is not None and sides[1] == self._shown
 
-    # Curves
-
-    def _request_curves(self) -> None:
-        """Compute the curves of all cards for which another value has changed."""
-        if self._found is None or not known_examples(self._found.evidence) or not self.isVisible():
-            return
-        try:
-            suggested = self.proposal.apply(self._document.preset)
-        except PresetError:
-            return
-        evidence, wanted = replace(self._found.evidence, preset=suggested), {}
-        for card in self.cards:
-            path = card.curve_path
-            if path:  # its own value does not change a curve
-                wanted[card] = path, suggested.with_value(path, Preset().value(path))
-        if wanted != self._bases:
-            due = [(card, path) for card, (path, base) in wanted.items() if self._bases.get(card) != (path, base)]
-            self._curves.cancel()
-            self._curves.start(lambda progress: (wanted, _curves_of(due, evidence, progress)))
-
-    def _show_curves(self, found: tuple[Bases, dict[ProposalCard, ErrorCurve]]) -> None:
-        self._bases, curves = found
-        for card, curve in curves.items():
-            if card in self.cards:
-                card.show_curve(curve)
-
-
-def _curves_of(
-    due: list[tuple[ProposalCard, str]], evidence: Evidence, progress: Progress
-) -> dict[ProposalCard, ErrorCurve]:
-    return {card: error_curve(path, evidence, progress) for card, path in due}
-
 
 def _refusal(section: str, sentence: str) -> QWidget:
     frame = QFrame()
@@ -346,6 +330,34 @@ def _refusal(section: str, sentence: str) -> QWidget:
     label = wrapped_label(f"{section_title(section)}: no suggestion. {why[0].upper()}{why[1:]}.", selectable=True)
     QVBoxLayout(frame).addWidget(label)
     return frame
+
+
+class FrameRing(QObject):
+    """Keeps the newest frames of the present source."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._context = context
+        self._info: SourceInfo | None = None
+        self._frames: deque[SensorFrame] = deque(maxlen=MAX_FRAMES)
+        context.frameShown.connect(self._frame_shown)
+
+    def gather(self, examples: tuple[Example, ...]) -> Gathered | None:
+        """Return what is known now; None before the first frame."""
+        document = self._context.document
+        if self._info is None or not self._frames:
+            return None
+        return Gathered(self._info, document.preset, document.untouched_home, tuple(self._frames), examples)
+
+    def _frame_shown(self) -> None:
+        result = self._context.result
+        if result is None:
+            return
+        if result.source is not self._info:
+            self._info = result.source
+            self._frames.clear()
+        if not self._frames or self._frames[-1] is not result.frame:
+            self._frames.append(result.frame)
 
 
 class SuggestControl(QObject):

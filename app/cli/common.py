@@ -307,7 +307,7 @@ def live_frames(
     ``idle`` is called every `WAIT_S` seconds while none comes. A first frame in which the rig's depth unit puts the
     membrane where it cannot be gives a warning.
     """
-    from ...core.tuning.advice.findings.no_depth import find_wrong_unit
+    from ...core.tuning.advice.no_depth import wrong_unit
 
     count = 0
     while count != total and not stopped.is_set():
@@ -317,7 +317,7 @@ def live_frames(
         frame = source.next_frame()
         if frame is None:
             return
-        if not count and (finding := find_wrong_unit(frame, source.rig)) is not None:
+        if not count and (finding := wrong_unit(frame, source.rig)) is not None:
             warn(finding.sentence)
         yield frame
         count += 1

@@ -229,10 +229,10 @@ def _check_untouched(preset: Preset, path: Path, rig: Rig, membrane: SensorFrame
 
     with CliProgress() as progress:
         warm_up_if_needed(progress.preparing)
-    for doubt in touch_doubts(preset, rig, membrane, _earlier(preset, path)):
-        if doubt.certain and not force:
-            raise CalibrationError(f"{doubt.sentence}, or keep it with --force")
-        warn(doubt.sentence)
+    for sentence, certain in touch_doubts(preset, rig, membrane, _earlier(preset, path)):
+        if certain and not force:
+            raise CalibrationError(f"{sentence}, or keep it with --force")
+        warn(sentence)
 
 
 def _earlier(preset: Preset, path: Path) -> SensorFrame | None:

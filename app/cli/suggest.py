@@ -75,8 +75,7 @@ def suggest(
     """
     from ...core.contact.checks import check_rig
     from ...core.sources.presets import load_preset
-    from ...core.tuning.advice.example_file import load_example
-    from ...core.tuning.advice.proposal import Evidence
+    from ...core.tuning.advice.proposal import Evidence, Example
     from ...core.tuning.advice.suggest import suggest_all
     from ...core.warmup import warm_up_if_needed
 
@@ -90,7 +89,7 @@ def suggest(
         free = _untouched(opened, chosen, origin, untouched)
         if free is not None:
             free.check_against(opened.rig)
-        examples = tuple(load_example(path) for path in example or ())
+        examples = tuple(Example.load(path) for path in example or ())
         for each in examples:
             each.frame.check_against(opened.rig)
         evidence = Evidence(chosen, opened.rig, frames, free, examples)
@@ -119,7 +118,7 @@ def check(
     from ...core.contact.pipeline import ContactPipeline
     from ...core.rig.untouched import kept_untouched
     from ...core.sources.presets import load_preset
-    from ...core.tuning.advice.findings.registry import Examiner
+    from ...core.tuning.advice.findings import Examiner
 
     origin = preset or default_preset(source)
     chosen = load_preset(origin)

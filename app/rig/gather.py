@@ -48,6 +48,8 @@ class Gather(QWidget):
     min_frames = 1
     #: What to do while frames are taken.
     prompt = "Hold everything still"
+    #: Whether the result goes into the preset by itself, without a press of `apply`.
+    at_once = False
 
     _takingFailed = pyqtSignal(str)
 
@@ -82,7 +84,9 @@ class Gather(QWidget):
         start.clicked.connect(self.begin)
         self.cancel.clicked.connect(self.stop)
         apply.clicked.connect(self.use)
+        apply.setVisible(not self.at_once)
         self.undo.clicked.connect(self._document.undo_stack.undo)
+        self._document.undo_stack.canUndoChanged.connect(self._show_undo)
         context.worker.playbackChanged.connect(self._playback_changed)
         context.worker.opened.connect(self._source_opened)
 
@@ -231,14 +235,17 @@ class Gather(QWidget):
 
     def use(self) -> None:
         """Put the result into the preset."""
-        if self.found is not None and self._document.edit(*self.change()):
+        if self.found is not None and self._document.edit(*self.change()) and not self.at_once:
             self._set_found(None)
             self.sentence.setText("The result is in the preset now; Undo (Ctrl+Z) takes it out again.")
 
     def _done(self, found: Any) -> None:
         self._set_found(found)
         self._show_busy()
-        self.apply.setFocus(Qt.FocusReason.OtherFocusReason)  # a focused number entry would handle Ctrl+Z itself
+        if self.at_once:
+            self.use()
+        # a focused number entry would handle Ctrl+Z itself
+        (self.undo if self.at_once else self.apply).setFocus(Qt.FocusReason.OtherFocusReason)
 
     def _fail(self, sentence: str) -> None:
         self._show_busy()
@@ -256,6 +263,10 @@ class Gather(QWidget):
         self.cancel.setEnabled(self.busy)
         self.progress.setVisible(self.busy)
         self.apply.setEnabled(self.found is not None and not self.busy)
+        self._show_undo()
+
+    def _show_undo(self) -> None:
+        self.undo.setEnabled(self._document.undo_stack.canUndo() and not self.busy)
 
     # Rows for the layout
 

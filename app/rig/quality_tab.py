@@ -19,8 +19,7 @@ from PyQt6.QtWidgets import (
 from ...core.errors import as_sentence
 from ...core.model.arrays import Uint8Array
 from ...core.model.frames import Rig, SensorFrame
-from ...core.rig.depth_quality import NOISE_FRAMES, DepthQuality, Rectangle, measure_quality
-from ...core.rig.quality_verdict import Reading, Verdict, judge_bias, judge_camera
+from ...core.rig.quality import NOISE_FRAMES, Quality, Reading, Rectangle, Verdict, measure_quality
 from ...core.sources.base import CameraRole
 from ...widgets.basics.controls import copy_text, push_button, wrapped_label
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
@@ -73,7 +72,7 @@ class QualityTab(QWidget):
         self._last_s = 0.0
         self._newer = False
         self._unfitted = True
-        self.quality: DepthQuality | None = None
+        self.quality: Quality | None = None
         self._job = Job(self)
         self._job.done.connect(self._show)
         self._job.failed.connect(self._fail)
@@ -132,8 +131,8 @@ class QualityTab(QWidget):
         parts = []
         for camera in (quality.proximity, quality.tactile):
             parts.append(f"{camera.role.capitalize()} camera ({camera.model}), region {camera.region}")
-            parts += [reading.line for reading in judge_camera(camera)]
-        return "\n".join([*parts, judge_bias(quality, self._document.preset).line])
+            parts += [reading.line for reading in camera.readings()]
+        return "\n".join([*parts, quality.bias_reading(self._document.preset).line])
 
     def _lay_out(self) -> None:
         intro = wrapped_label(_INTRO)
@@ -221,15 +220,15 @@ class QualityTab(QWidget):
             return
         self._newer, self._last_s = False, time.monotonic()
         true_m = 1e-3 * self.true_distance.value() or None
-        frames, section, region = tuple(self._frames), self._document.preset.alignment, self.region
+        frames, preset, region = tuple(self._frames), self._document.preset, self.region
 
-        def measure(_: Progress) -> tuple[DepthQuality, list[Uint8Array]]:
-            quality = measure_quality(frames, rig, section, region, true_m)
+        def measure(_: Progress) -> tuple[Quality, list[Uint8Array]]:
+            quality = measure_quality(frames, rig, preset, region, true_m)
             return quality, [picture(frames[-1], rig, side, "depth", stretch=True).pixels for side in self.panes]
 
         self._job.start(measure)
 
-    def _show(self, measured: tuple[DepthQuality, list[Uint8Array]]) -> None:
+    def _show(self, measured: tuple[Quality, list[Uint8Array]]) -> None:
         """Show a measurement and the newest frame, as pixels of ``QImage.Format_RGB32``."""
         quality, images = measured
         self.quality = quality
@@ -240,9 +239,9 @@ class QualityTab(QWidget):
             self._unfitted = False
             self._fit()
         self._tactile_outline.set_rectangle(quality.tactile.region)
-        self.lines["proximity"].setText(_table(judge_camera(quality.proximity)))
-        self.lines["tactile"].setText(_table(judge_camera(quality.tactile)))
-        self.lines["bias"].setText(_table((judge_bias(quality, self._document.preset),)))
+        self.lines["proximity"].setText(_table(quality.proximity.readings()))
+        self.lines["tactile"].setText(_table(quality.tactile.readings()))
+        self.lines["bias"].setText(_table((quality.bias_reading(self._document.preset),)))
         count = quality.proximity.frames
         waiting = f"{count} of {NOISE_FRAMES} frames for the temporal noise" if count < NOISE_FRAMES else ""
         self.status.setText(waiting)

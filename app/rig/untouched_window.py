@@ -1,19 +1,32 @@
-"""The window that captures the preset's untouched frame."""
+"""The window that captures the preset's untouched frame, and what reads the present preset's one."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
-from PyQt6.QtCore import QObject, Qt, QTimer
+from PyQt6.QtCore import QObject, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QKeyEvent
-from PyQt6.QtWidgets import QDialog, QLabel, QWidget
+from PyQt6.QtWidgets import QDialog, QLabel
 
-from ...core.errors import as_sentence
-from ...core.model.frames import Rig, SensorFrame
-from ...core.rig.untouched import MAX_FRAMES, UNTOUCHED_FRAMES
-from ...widgets.basics.controls import ProgressBar, caption, frame_count, make_verdict, push_button, wrapped_label
+from ...core.errors import FrameError, PresetError, counted
+from ...core.model.frames import SensorFrame
+from ...core.preset import Preset, UntouchedRecord
+from ...core.rig.untouched import (
+    MAX_FRAMES,
+    UNTOUCHED_FRAMES,
+    UntouchedAverage,
+    average_untouched,
+    frames_to_average,
+    load_untouched,
+)
+from ...core.sources.registry import open_source
+from ...widgets.basics.controls import caption, frame_count, make_verdict, push_button, wrapped_label
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.messages import Severity
@@ -22,179 +35,159 @@ from ..calibration.pictures import picture
 from ..context import SOURCE, Context
 from ..document.document import Document
 from ..document.untouched_store import UntouchedStore
-from ..worker.feed import FrameFeed
+from ..worker.jobs import Job, Progress, Work
+from ..worker.recorder import Recorder
 from ..worker.results import SourceInfo
-from .untouched_capture import Capture, Captured, UntouchedKeeper
+from .gather import Gather
 
 _PREVIEW_MS: Final = 80
 _ADVICE: Final = (
-    "The next frames are averaged into the preset's untouched frame. Proximity-only, tactile-only and membrane "
-    "mechanics compare with it, and Re-check calibration uses it to detect a changed inflation or camera."
+    "The next frames are averaged into the preset's untouched frame. The check for drift and methods such as "
+    "tactile-only compare with it. The simulator removes its object for these frames."
 )
-_SIMULATED: Final = " The simulator removes its object for these frames."
 _NONE: Final = "This preset has no untouched frame yet"
 _UNREAD: Final = "The preset's untouched frame cannot be found: capture it again"
-_CAPTURING: Final = "Capturing: do not touch the membrane."
-_AVERAGING: Final = "Averaging the frames; the membrane may be touched again."
-_OTHER_SOURCE: Final = "Capturing was cancelled because another source was opened."
 
 
-class CaptureWindow(QDialog):
-    """Shows the membrane now and in the untouched frame, and captures a new untouched frame as one undoable step."""
+@dataclass(frozen=True, eq=False)
+class Captured:
+    """A captured untouched frame that is already saved on disk."""
 
-    def __init__(
-        self,
-        document: Document,
-        feed: FrameFeed,
-        store: UntouchedStore,
-        keeper: UntouchedKeeper,
-        parent: QWidget | None = None,
-    ) -> None:
-        super().__init__(parent)
-        self.setWindowTitle("Capture untouched frame – Tactune")
-        self._document, self._feed, self._keeper = document, feed, keeper
-        self.capture = Capture(feed, store, self)
-        self._redraw = QTimer(self)
-        self._redraw.setSingleShot(True)
-        self._redraw.setInterval(_PREVIEW_MS)
-        self._make_controls()
-        self._lay_out()
-        self._connect()
-        self._show_frame()
-        self._show_untouched()
-        self._show_busy(False)
-        self.take.setFocus()
+    average: UntouchedAverage
+    record: UntouchedRecord
+    asked: int
 
-    def _make_controls(self) -> None:
-        self.headline = QLabel("Nothing may touch the membrane")
-        make_verdict(self.headline)
-        simulated = _SIMULATED if self._feed.info.name.startswith("sim:") else ""
-        self.advice = wrapped_label(_ADVICE + simulated)
-        self.now = ImagePane("Now, tactile depth")
-        self.untouched = ImagePane("Untouched frame, tactile depth")
-        for pane in (self.now, self.untouched):
-            pane.view.setMinimumSize(220, 165)
-            pane.resized.connect(partial(_fit, pane))
+
+class UntouchedPanel(Gather):
+    """Averages the next frames while nothing touches the membrane, as one undoable step."""
+
+    prompt = "Do not touch the membrane"
+    at_once = True
+
+    def __init__(self, context: Context, store: UntouchedStore) -> None:
+        self._store = store
         self.frames = frame_count(
             MAX_FRAMES,
             f"Number of frames to average, 1 to {MAX_FRAMES}: the median of each pixel. More frames, less noise; "
             "the membrane must not move meanwhile",
             UNTOUCHED_FRAMES,
         )
-        self.progress = ProgressBar()
+        start = push_button("&Capture", "Average the next frames into the untouched frame (Enter)")
+        start.setDefault(True)
+        super().__init__(context, start, self.frames, push_button("Use", "Put it into the preset"))
         self.progress.setAccessibleName("Progress of capturing")
-        self.sentence = wrapped_label()
-        self.sentence.setMinimumHeight(3 * self.sentence.fontMetrics().lineSpacing())
-        self.take = push_button(
-            "&Capture", "Average the next frames into the untouched frame (Enter), as one undoable step"
-        )
-        self.take.setDefault(True)
-        self.go_on = push_button("&Go on", "Continue playback and take the missing frames")
-        self.use_taken = push_button("Use &these", "Average only the frames taken so far")
-        self.cancel = push_button("Cance&l", "Cancel capturing (Esc); the preset's untouched frame is unchanged")
-        self.undo = push_button("&Undo", "Undo the last change of the preset (Ctrl+Z)")
-        self.undo.setShortcut("Ctrl+Z")
         self.save = push_button("&Save preset", "Save the preset; the untouched frame is written beside it (Ctrl+S)")
         self.save.setShortcut("Ctrl+S")
+        self.save.clicked.connect(context.saveRequested)
+        self._document.undo_stack.indexChanged.connect(self._show_undo)
+        self._document.fileChanged.connect(self._show_undo)
+        self.sentence.setMinimumHeight(2 * self.sentence.fontMetrics().lineSpacing())
+        row = self.applying_row(self.save)
+        vbox(self.taking_row(caption("A&verage", self.frames)), self.sentence, row, within=self, margins=0)
+        self._show_busy()
+
+    def takes_frames(self, info: SourceInfo) -> bool:
+        """Return whether this is no simulator, whose object has to be removed."""
+        return not info.name.startswith("sim:")
+
+    def share(self, kept: Sequence[Any]) -> float:
+        """Return which share of the frames has arrived."""
+        return len(kept) / self.frames.value()
+
+    def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
+        """Average the frames; those of the simulator are made here."""
+        asked = self.frames.value()
+        if kept:
+            return lambda progress: self._average(kept[:asked], asked)
+        return partial(self._simulated, info.name, asked)
+
+    def _simulated(self, name: str, asked: int, progress: Progress) -> Captured:
+        def third(number: int) -> Progress:
+            return lambda share, words: progress((number + share) / 3, words)
+
+        frames: list[SensorFrame] = []
+        with open_source(name, third(0)) as source, frames_to_average(source, asked, third(1)) as shown:
+            for frame in shown:
+                frames.append(frame)
+                third(2)(len(frames) / asked, f"Frame {len(frames)} of {asked}")
+        return self._average(frames, asked)
+
+    def _average(self, frames: list[SensorFrame], asked: int) -> Captured:
+        average = average_untouched(frames)
+        return Captured(average, self._store.keep(average.frame, average.frames), asked)
+
+    def show_found(self, found: Captured | None) -> None:
+        """Say what was captured, and the next step."""
+        if found is None or self.info is None:
+            return
+        average = found.average
+        fewer = f" of {found.asked}, because the source has no more" if average.frames < found.asked else ""
+        before, after = (1e3 * self.info.rig.tactile.depth_unit_m * counts for counts in average.noise_counts)
+        noise = f" Noise of the tactile depth: {before:.2f} mm before, {after:.2f} mm after."
+        self.sentence.setText(
+            f"Captured {counted(average.frames, 'frame')}{fewer}.{'' if math.isnan(before) else noise} "
+            "Save the preset to write the untouched frame beside it."
+        )
+
+    def change(self) -> tuple[str, Any]:
+        """Return the field and its value."""
+        return "untouched", self.found.record.model_dump()
+
+    def _show_undo(self) -> None:
+        super()._show_undo()
+        self.save.setEnabled(self._document.dirty and not self.busy)
+
+
+class CaptureWindow(QDialog):
+    """Shows the membrane now and in the untouched frame, and captures a new one."""
+
+    def __init__(self, context: Context, store: UntouchedStore, keeper: UntouchedKeeper) -> None:
+        super().__init__(context.window)
+        self.setWindowTitle("Capture untouched frame – Tactune")
+        self._context, self._keeper = context, keeper
+        self.panel = UntouchedPanel(context, store)
+        headline = QLabel("Nothing may touch the membrane")
+        make_verdict(headline)
+        self.now = ImagePane("Now, tactile depth")
+        self.untouched = ImagePane("Untouched frame, tactile depth")
+        for pane in (self.now, self.untouched):
+            pane.view.setMinimumSize(220, 165)
+            pane.resized.connect(partial(_fit, pane))
         self.leave = push_button(
             "Close", "Close this window (Esc); an unsaved untouched frame is kept with the unsaved preset"
         )
-
-    def _lay_out(self) -> None:
-        images = hbox(self.now, self.untouched)
-        average = (caption("A&verage", self.frames), self.frames, self.take)
-        taking = hbox(*average, (self.progress, 1), self.go_on, self.use_taken, self.cancel)
-        taking.addStretch(0)
-        row = hbox(self.undo, self.save, STRETCH, self.leave)
-        vbox(self.headline, self.advice, (images, 1), taking, self.sentence, row, within=self)
-        self.resize(760, 560)
-
-    def _connect(self) -> None:
-        self._feed.frameArrived.connect(lambda _: self._redraw.isActive() or self._redraw.start())
-        self._redraw.timeout.connect(self._show_frame)
-        self._keeper.changed.connect(self._show_untouched)
-        self._document.undo_stack.indexChanged.connect(self._show_state)
-        self._document.fileChanged.connect(self._show_state)
-        self.take.clicked.connect(self._start)
-        self.go_on.clicked.connect(self.capture.go_on)
-        self.use_taken.clicked.connect(self.capture.use_taken)
-        self.cancel.clicked.connect(self.capture.cancel)
-        self.undo.clicked.connect(self._document.undo_stack.undo)
         self.leave.clicked.connect(self.reject)
-        self.capture.progress.connect(self.progress.show_share)
-        self.capture.pausedChanged.connect(self._show_paused)
-        self.capture.averaging.connect(lambda: self.sentence.setText(_AVERAGING))
-        self.capture.captured.connect(self._use)
-        self.capture.failed.connect(self._fail)
+        images, row = hbox(self.now, self.untouched), hbox(STRETCH, self.leave)
+        vbox(headline, wrapped_label(_ADVICE), (images, 1), self.panel, row, within=self)
+        self.resize(760, 560)
+        self._redraw = QTimer(self)
+        self._redraw.setSingleShot(True)
+        self._redraw.setInterval(_PREVIEW_MS)
+        self._redraw.timeout.connect(self._show_frame)
+        context.frameShown.connect(lambda: self._redraw.isActive() or self._redraw.start())
+        keeper.changed.connect(self._show_untouched)
+        self._show_frame()
+        self._show_untouched()
+        self.panel.start.setFocus()
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
         """Let Esc cancel capturing before it closes the window."""
-        if event is not None and event.key() == Qt.Key.Key_Escape and self.capture.busy:
-            self.capture.cancel()
+        if event is not None and event.key() == Qt.Key.Key_Escape and self.panel.busy:
+            self.panel.stop()
             return
         super().keyPressEvent(event)
 
     def done(self, result: int) -> None:
-        """Stop capturing and disconnect; a closed window is not reused."""
-        self.capture.close()
-        self._document.undo_stack.indexChanged.disconnect(self._show_state)
+        """Stop capturing."""
+        self.panel.close_down()
         super().done(result)
 
-    def source_changed(self) -> None:
-        """Cancel: frames of another source show another membrane."""
-        if self.capture.busy:
-            self.capture.cancel()
-            self.sentence.setText(_OTHER_SOURCE)
-
-    def _start(self) -> None:
-        self._show_busy(True)
-        self.sentence.setText(_CAPTURING)
-        self.progress.show_share(0.0, "")
-        self.capture.start(self.frames.value())
-
-    def _use(self, captured: Captured) -> None:
-        self._show_busy(False)
-        self._document.edit("untouched", captured.record.model_dump())
-        self.sentence.setText(captured_words(captured, self._feed.rig))
-        self.save.setFocus()  # a focused number entry would handle Ctrl+Z itself
-
-    def _fail(self, sentence: str) -> None:
-        self._show_busy(False)
-        if sentence:
-            self.sentence.setText(as_sentence(sentence))
-        elif self.sentence.text() != _OTHER_SOURCE:
-            self.sentence.setText("Capturing was cancelled; the preset is unchanged.")
-
-    def _show_busy(self, busy: bool) -> None:
-        self.progress.setVisible(busy)
-        self.cancel.setVisible(busy)
-        self._show_paused(False)
-        self.take.setEnabled(not busy)
-        self.frames.setEnabled(not busy)
-        self._show_state()
-
-    def _show_paused(self, paused: bool) -> None:
-        self.go_on.setVisible(paused)
-        self.use_taken.setVisible(paused)
-        if paused:
-            taken = self.capture.taken
-            self.sentence.setText(
-                f"Paused after {taken} frame{'' if taken == 1 else 's'}, which are kept. Press “Go on”, or play in "
-                "the main window, to capture the rest."
-            )
-            self.go_on.setFocus()
-        elif self.capture.taking:
-            self.sentence.setText(_CAPTURING)
-
-    def _show_state(self) -> None:
-        self.undo.setEnabled(self._document.undo_stack.canUndo() and not self.capture.busy)
-        self.save.setEnabled(self._document.dirty and not self.capture.busy)
-
     def _show_frame(self) -> None:
-        self._draw(self.now, self._feed.frame)
+        if self._context.result is not None:
+            self._draw(self.now, self._context.result.frame)
 
     def _show_untouched(self) -> None:
-        record, frame = self._document.preset.untouched, self._keeper.frame
+        record, frame = self._context.document.preset.untouched, self._keeper.frame
         if frame is not None:
             self._draw(self.untouched, frame)
         else:
@@ -203,21 +196,11 @@ class CaptureWindow(QDialog):
         self.untouched.set_message("" if found else _NONE if record is None else _UNREAD)
 
     def _draw(self, pane: ImagePane, frame: SensorFrame) -> None:
-        rig = self._feed.rig
-        if frame.tactile_depth.shape == rig.tactile.intrinsics.shape:
-            shown = picture(frame, rig, "tactile", "depth", stretch=True).pixels
+        result = self._context.result
+        if result is not None and frame.tactile_depth.shape == result.source.rig.tactile.intrinsics.shape:
+            shown = picture(frame, result.source.rig, "tactile", "depth", stretch=True).pixels
             pane.set_pixels(shown, (shown.shape[1], shown.shape[0]), 1)
             _fit(pane)
-
-
-def captured_words(captured: Captured, rig: Rig) -> str:
-    """Return a sentence on what was captured and the next step."""
-    averaged = captured.untouched
-    count = f"{averaged.frames} frame{'' if averaged.frames == 1 else 's'}"
-    fewer = f" of {captured.asked}, because the source has no more" if averaged.frames < captured.asked else ""
-    before, after = (1e3 * rig.tactile.depth_unit_m * counts for counts in averaged.noise_counts)
-    noise = "" if math.isnan(before) else f" Noise of the tactile depth: {before:.2f} mm before, {after:.2f} mm after."
-    return f"Captured {count}{fewer}.{noise} Save the preset to write the untouched frame beside it."
 
 
 def _fit(pane: ImagePane) -> None:
@@ -230,7 +213,6 @@ class UntouchedControls(QObject):
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._context = context
-        self._feed: FrameFeed | None = None
         self.window: CaptureWindow | None = None
         self.store = UntouchedStore(context.data_folder / "untouched")
         self.store.tidy(context.data_folder)
@@ -239,25 +221,16 @@ class UntouchedControls(QObject):
             lambda sentence: context.messages.show_message("untouched", Severity.WARNING, sentence)
         )
         self.keeper = UntouchedKeeper(context.document, context.worker.recorder, self.store, self)
-        context.worker.opened.connect(self._source_opened)
-        context.frameShown.connect(self._frame_shown)
+        context.worker.opened.connect(self.keeper.source_opened)
 
     def open(self) -> None:
         """Open the window on the current source, or bring it to the front."""
-        context = self._context
-        if context.result is None:
-            context.messages.show_message(
-                "untouched",
-                Severity.WARNING,
-                "There is no frame to capture yet: open a source first.",
-                subject=SOURCE,
-            )
+        if self._context.result is None:
+            sentence = "There is no frame to capture yet: open a source first."
+            self._context.messages.show_message("untouched", Severity.WARNING, sentence, subject=SOURCE)
             return
         if self.window is None:
-            self._feed = FrameFeed(context.worker, context.result, context.playback, self)
-            self.window = CaptureWindow(context.document, self._feed, self.store, self.keeper, context.window)
-            self.window.save.clicked.connect(context.saveRequested)
-            self.window.finished.connect(self._closed)
+            self.window = CaptureWindow(self._context, self.store, self.keeper)
         bring_up(self.window)
 
     def close(self) -> None:
@@ -266,20 +239,86 @@ class UntouchedControls(QObject):
             self.window.reject()
         self.keeper.close()
 
-    def _closed(self) -> None:
-        if self.window is not None:
-            self.window.deleteLater()
-        if self._feed is not None:
-            self._feed.deleteLater()
-        self.window, self._feed = None, None
 
-    def _source_opened(self, info: SourceInfo) -> None:
-        self.keeper.source_opened(info)
-        if self.window is not None and self._feed is not None:
-            self.window.source_changed()
-            if info.rig != self._feed.rig:
-                self.window.reject()
+class UntouchedKeeper(QObject):
+    """Reads the untouched frame of the current preset, on its own thread.
 
-    def _frame_shown(self) -> None:
-        if self._feed is not None and self._context.result is not None:
-            self._feed.show_result(self._context.result)
+    A preset from a recording has no folder. Its untouched frame is copied from the recording to the store, and is
+    saved from there.
+
+    Signals
+    -------
+    changed()
+        `frame` has changed.
+    """
+
+    changed = pyqtSignal()
+
+    def __init__(self, document: Document, recorder: Recorder, store: UntouchedStore, parent: QObject) -> None:
+        super().__init__(parent)
+        self._document, self._recorder, self._store = document, recorder, store
+        self._info: SourceInfo | None = None
+        self._key: object = None
+        self._job = Job(self)
+        self._job.done.connect(self._use)
+        document.presetChanged.connect(self._look)
+        document.fileChanged.connect(self._look)
+        self._look()
+
+    @property
+    def frame(self) -> SensorFrame | None:
+        """The preset's untouched frame; None if there is none, if it cannot be read, or while it is being read."""
+        return self._recorder.untouched
+
+    @property
+    def busy(self) -> bool:
+        """Whether the untouched frame is still being read."""
+        return self._job.busy
+
+    def source_opened(self, info: SourceInfo) -> None:
+        """Check whether this source contains the preset's untouched frame."""
+        self._info = info
+        self._look()
+
+    def close(self) -> None:
+        """Stop permanently."""
+        self._job.stop()
+
+    def _look(self) -> None:
+        preset, home = self._document.preset, self._document.untouched_home
+        key = (preset.untouched, home, self._info)
+        if key == self._key:
+            return
+        self._key = key
+        self._job.cancel()  # its result would belong to another preset or source
+        if preset.untouched is not None:
+            self._job.start(partial(_read, preset.untouched, preset, home, self._info, self._store))
+        self._use(None)
+
+    def _use(self, frame: SensorFrame | None) -> None:
+        self._recorder.untouched = frame
+        self.changed.emit()
+
+
+def _read(
+    record: UntouchedRecord,
+    preset: Preset,
+    home: Path | None,
+    info: SourceInfo | None,
+    store: UntouchedStore,
+    progress: Progress,
+) -> SensorFrame | None:
+    """Return the preset's untouched frame from its folder, else from the recording that contains both, else None."""
+    if home is not None:
+        with suppress(PresetError, FrameError):  # reported where the frame is needed
+            frame = load_untouched(record, home)
+            if info is not None:
+                frame.check_against(info.rig)
+            return frame
+    if info is None or info.preset is None or info.preset.untouched != record:
+        return None
+    found = info.find_untouched(preset, None, progress)
+    if found.frame is None or found.warnings:
+        return None
+    store.keep(found.frame, record.frames)
+    return found.frame

@@ -1,4 +1,4 @@
-"""The drift watchdog of the window: it looks at live sources, tells what changed, and offers the re-check."""
+"""The check for drift while a live source runs: it tells what changed, and offers the re-check."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from functools import cache
 from PyQt6.QtCore import QObject
 from PyQt6.QtGui import QAction
 
-from ...core.rig.watch import INTERVAL_S, SUBJECTS, Watchdog, WatchReport
+from ...core.rig.drift import INTERVAL_S, Watch, WatchReport
 from ...widgets.basics.messages import Severity
 from ..context import Context
 from ..worker.jobs import Job
-from .untouched_capture import UntouchedKeeper
+from .untouched_window import UntouchedKeeper
+
+_KEY = "watch"
 
 
 class WatchControl(QObject):
@@ -32,7 +34,7 @@ class WatchControl(QObject):
     def __init__(self, context: Context, keeper: UntouchedKeeper, action: QAction, recheck: Callable[[], None]) -> None:
         super().__init__(context)
         self._context, self._keeper, self._action, self._recheck = context, keeper, action, recheck
-        self._watchdog: Callable[[], Watchdog] | None = None
+        self._watch: Callable[[], Watch] | None = None
         self._key: object = None
         self._next_s = float("-inf")
         self._failed = False
@@ -55,42 +57,39 @@ class WatchControl(QObject):
     def _forget(self) -> None:
         self._key = None
         self._job.stop()
-        for subject in ("", *SUBJECTS):
-            self._context.messages.clear(f"watch {subject}")
+        self._context.messages.clear(_KEY)
 
     def _look(self) -> None:
         """Look at the shown frame if that is due."""
         result, untouched = self._context.result, self._keeper.frame
         if result is None or result.source.length is not None or not self._action.isChecked():
             return
-        preset = self._context.document.preset
-        if self._keeper.busy or self._job.busy or (untouched is None and preset.alignment.calibration is None):
+        if untouched is None or self._keeper.busy or self._job.busy:
             return
-        rig = result.source.rig
+        preset, rig = self._context.document.preset, result.source.rig
         # The other fields only decide what counts as touched; changing them must not forget earlier looks.
-        key = (untouched, preset.alignment, preset.noise, result.source)
+        key = (untouched, preset.alignment, result.source)
         if key != self._key:
             self._forget()
             self._key, self._next_s, self._failed = key, float("-inf"), False
-            self._watchdog = cache(lambda: Watchdog(preset, rig, untouched))  # made on the thread of the job
+            self._watch = cache(lambda: Watch(preset, rig, untouched))  # made on the thread of the job
         time_s = result.frame.proximity_time_s
         if self._failed or self._next_s - INTERVAL_S <= time_s < self._next_s:
             return
         self._next_s = time_s + INTERVAL_S
-        watchdog, frame = self._watchdog, result.frame
-        assert watchdog is not None
-        self._job.start(lambda _: watchdog().look(frame, time_s))
+        watch, frame = self._watch, result.frame
+        assert watch is not None
+        self._job.start(lambda _: watch().look(frame, time_s))
 
     def _tell(self, report: WatchReport | None) -> None:
         if report is None:
             return
-        key = f"watch {report.subject}"
         if report.state == "withdrawn":
-            self._context.messages.clear(key)
+            self._context.messages.clear(_KEY)
         else:
-            self._context.messages.show_message(key, Severity.WARNING, report.sentence, [("Re-check…", self._recheck)])
+            self._context.messages.show_message(_KEY, Severity.WARNING, report.sentence, [("Re-check…", self._recheck)])
 
     def _fail(self, sentence: str) -> None:
-        self._failed = True  # the same reference would fail again
+        self._failed = True  # the same untouched frame would fail again
         if sentence:
-            self._context.messages.show_message("watch ", Severity.INFO, f"Drift is not watched: {sentence}")
+            self._context.messages.show_message(_KEY, Severity.INFO, f"Drift is not watched: {sentence}")

@@ -8,7 +8,7 @@ from pathlib import Path
 from ...core.errors import TactuneError
 from ...core.model.frames import SensorFrame
 from ...core.preset import Preset
-from ...core.tuning.advice.findings.registry import Examiner
+from ...core.tuning.advice.findings import Examiner
 from ...core.tuning.advice.proposal import Finding
 from .results import Result, SourceInfo
 

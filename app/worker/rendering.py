@@ -20,7 +20,7 @@ from ...core.model.intrinsics import Intrinsics
 from ...core.model.provenance import Provenance
 from ...core.preset import Preset
 from ...core.sources.base import CameraRole
-from ...core.tuning.advice.findings import no_depth
+from ...core.tuning.advice.no_depth import depth_missing
 from ...widgets.basics.colormaps import (
     BEHIND_ROW,
     LATE_VERDICTS,
@@ -334,7 +334,7 @@ def _quantiles(sample: Float32Array, *shares: float) -> tuple[float, ...]:
 
 def why_no_contact(frame: SensorFrame, patch: ContactPatch, preset: Preset, rig: Rig) -> tuple[str, str]:
     """Return why a patch is empty and what to do, and the name of the window's action that helps, or an empty one."""
-    blind = no_depth.find_in_frame(frame, rig)
+    blind = depth_missing(frame, rig)
     if blind is not None:
         return blind.sentence, blind.action
     return preset.test.why_no_contact(patch.provenance)

@@ -1,42 +1,57 @@
-"""The bias between both cameras: what the proximity camera reads farther than the tactile one on the same surface."""
+"""The bias between both cameras: what the proximity camera reads farther than the tactile one on the same surface.
+
+It is known only where both see the same surface: on prints of the membrane, which reflect infrared; where an object is
+pressed firmly into the membrane; or all over the image, if there is no membrane. Elsewhere a gap looks like a bias.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal
 
 import cv2
 import numpy as np
 
-from ..contact.alignment import AlignmentModel, make_alignment
-from ..contact.kernels.chain import Region
+from ..contact.alignment import make_alignment
+from ..contact.checks import rig_in_use
 from ..contact.masking import colors_at, in_hsv_range
+from ..contact.membrane.bias import most_frequent_m
+from ..contact.pixels import region_bounds
 from ..errors import minus
+from ..model.arrays import BoolArray, Float32Array
 from ..model.clouds import deproject, pixel_areas_m2, valid_depth
 from ..model.frames import Rig, SensorFrame
-from ..model.rig_noise import BiasOrigin
 from ..model.robust import spread
 from ..preset import MaskSection, Preset
 
-#: Area of firm contact below which a frame tells nothing about the bias, m^2.
+#: Area of firm contact below which a frame tells nothing about the bias, m^2; less is enough where a person marked it.
 MIN_CONTACT_M2: Final = 1e-3
+_MIN_MARKED_M2: Final = 2e-4
 #: Standard deviation of a bias that was not measured, metres.
 UNKNOWN_BIAS_M: Final = 0.005
-
-#: Finds firm contact in a frame and returns the bias there, metres, and its area, m^2; None without contact.
-ContactBias = Callable[[SensorFrame], tuple[float, float] | None]
+#: Standard deviation of the bias that no area reduces, metres.
+_BIAS_FLOOR_M: Final = 0.0002
 
 #: Prints: how far their rim is eroded, fewest pixels of one, largest bias, and largest scatter between prints.
 _PRINT_RIM_PX, _PRINT_PIXELS, _MAX_BIAS_M, _MAX_SCATTER_M = 5, 60, 0.04, 0.006
-#: Standard deviation of the bias that no area reduces, metres.
-_BIAS_FLOOR_M: Final = 0.0002
 #: Smallest range of depth that tells the slope of the bias, metres.
 _MIN_RANGE_M: Final = 0.040
-#: Two biases disagree beyond this number of standard deviations.
-_DISAGREE: Final = 3.0
 #: Prints whose bias is off by more than this number of robust standard deviations do not count.
 _TRIM: Final = 5.0
+#: Two biases disagree beyond this number of standard deviations.
+_DISAGREE: Final = 3.0
+#: Both cameras see the same scene if this share of the pixels with both depths differs by one bias, within a share of
+#: the distance. Behind an inflated membrane no object is everywhere at one distance from it.
+SAME_SCENE, _PEAK_SHARE = 0.5, 0.02
+#: Fewest pixels with both depths; side of the blocks that count as independent, pixels, and fewest pixels of one.
+_MIN_PIXELS, _BLOCK_PX, _BLOCK_PIXELS = 2000, 40, 200
+#: Step between the rows and columns that tell at first whether it is one scene.
+_STRIDE: Final = 4
+
+#: Finds firm contact in a frame and returns the bias there, metres, and its area, m^2; None without contact.
+ContactBias = Callable[[SensorFrame], tuple[float, float] | None]
 
 
 @dataclass(frozen=True)
@@ -47,42 +62,123 @@ class MeasuredBias:
     ----------
     bias_m, sigma_m : float
         Value and standard deviation, metres.
-    origin : {"prints", "contact", "unknown"}
+    origin : {"prints", "contact", "scene", "unknown"}
     per_m, per_m_sigma : float
         Slope per metre of depth, 0 if the range of depth is too small to tell, and its standard deviation.
     depth_m : float
         Mean depth that a slope refers to.
+    share : float
+        Of a scene: share of the pixels with both depths that have this bias.
     """
 
     bias_m: float
     sigma_m: float
-    origin: BiasOrigin
+    origin: Literal["prints", "contact", "scene", "unknown"]
     per_m: float = 0.0
     per_m_sigma: float = 0.0
     depth_m: float = 0.0
+    share: float = 0.0
+
+    @property
+    def place(self) -> str:
+        """Where it was measured, in words."""
+        return {
+            "prints": "on the prints of the mask's colour",
+            "contact": "in firm contact",
+            "scene": f"in {100 * self.share:.0f} % of the pixels that both cameras measure",
+            "unknown": "nowhere",
+        }[self.origin]
+
+    def contradicts(self, other: MeasuredBias) -> bool:
+        """Return whether two biases differ by more than their uncertainty explains."""
+        return abs(self.bias_m - other.bias_m) > _DISAGREE * math.hypot(self.sigma_m, other.sigma_m)
 
 
-def print_bias(frames: Sequence[SensorFrame], rig: Rig, preset: Preset, density_m4: float) -> MeasuredBias | None:
+def depth_differences(frame: SensorFrame, preset: Preset, rig: Rig) -> tuple[Float32Array, Float32Array]:
+    """Return the proximity depth, and the difference of both depths, for each proximity pixel; nan where unknown.
+
+    Raises a `RigMismatchError` if neither preset nor rig has the pose between the cameras.
+    """
+    rig = rig_in_use(preset, rig)
+    bounds = region_bounds(preset.region, rig.proximity.intrinsics.shape)
+    aligned = make_alignment(preset.alignment, rig).align(frame.proximity_depth, frame.tactile_depth, bounds)
+    return aligned.expected_m, aligned.expected_m - aligned.measured_m
+
+
+def scene_bias(expected_m: Float32Array, difference_m: Float32Array, min_relief: float = 0.0) -> MeasuredBias | None:
+    """Return the bias over the whole image, from `depth_differences`; None if a membrane is between the cameras.
+
+    Between a flat membrane and a flat object behind it the gap is the same everywhere, too: the depth of the scene must
+    vary by ``min_relief`` times the bias.
+    """
+    some = difference_m[::_STRIDE, ::_STRIDE]
+    centre = most_frequent_m(some[np.isfinite(some)])
+    for image, depth in ((some, expected_m[::_STRIDE, ::_STRIDE]), (difference_m, expected_m)):
+        known = np.isfinite(image)
+        with np.errstate(invalid="ignore"):
+            peak = np.abs(image - centre) < _PEAK_SHARE * depth
+        if np.count_nonzero(peak) < max(SAME_SCENE * np.count_nonzero(known), 1):
+            return None
+        centre = float(np.median(image[peak]))
+    near_m, far_m = np.percentile(expected_m[peak], (5, 95))
+    if np.count_nonzero(known) < _MIN_PIXELS or far_m - near_m < min_relief * abs(centre):
+        return None
+    share = np.count_nonzero(peak) / np.count_nonzero(known)
+    blocks = []
+    for top in range(0, peak.shape[0], _BLOCK_PX):
+        for left in range(0, peak.shape[1], _BLOCK_PX):
+            part = np.s_[top : top + _BLOCK_PX, left : left + _BLOCK_PX]
+            if np.count_nonzero(peak[part]) >= _BLOCK_PIXELS:
+                blocks.append([np.median(image[part][peak[part]]) for image in (difference_m, expected_m)])
+    if len(blocks) < 2:
+        return MeasuredBias(centre, _PEAK_SHARE * near_m, "scene", share=share)
+    difference, depth = np.array(blocks, np.float64).T
+    wide = float(np.std(depth))
+    per_m = float(np.polyfit(depth, difference, 1)[0]) if wide > 0 else 0.0
+    scatter = float(np.std(difference - per_m * (depth - depth.mean()))) / np.sqrt(len(blocks))
+    per_m_sigma = scatter / wide if wide > 0 else 0.0
+    sigma_m = float(np.hypot(scatter, _BIAS_FLOOR_M))
+    return MeasuredBias(centre, sigma_m, "scene", per_m, per_m_sigma, float(depth.mean()), share)
+
+
+def marked_bias(
+    marked: Sequence[tuple[SensorFrame, BoolArray]], preset: Preset, rig: Rig, density_m4: float
+) -> MeasuredBias | None:
+    """Return the median difference in contact that a person marked, pixels of the proximity image; None without any."""
+    found = []
+    for frame, contact in marked:
+        expected_m, difference_m = depth_differences(frame, preset, rig)
+        inside = contact & np.isfinite(difference_m)
+        area_m2 = float(pixel_areas_m2(expected_m[inside], rig.proximity.intrinsics).sum())
+        if area_m2 >= _MIN_MARKED_M2:
+            found.append((float(np.median(difference_m[inside])), area_m2))
+    if not found:
+        return None
+    bias_m, area_m2 = np.array(found).T
+    sigma_m = float(np.hypot(np.sqrt(density_m4 / area_m2.sum()), _BIAS_FLOOR_M))
+    return MeasuredBias(float(np.average(bias_m, weights=area_m2)), sigma_m, "contact")
+
+
+def print_bias(
+    frames: Sequence[SensorFrame],
+    rig: Rig,
+    preset: Preset,
+    density_m4: float,
+    difference_m: Float32Array | None = None,
+) -> MeasuredBias | None:
     """Return the bias on prints of the mask's colour, where the proximity camera sees the membrane itself, or None.
 
-    Parameters
-    ----------
-    frames : sequence of SensorFrame
-    rig : Rig
-    preset : Preset
-        Without a mask there are no prints.
-    density_m4 : float
-        Noise power per area of the difference of both depths.
-
-    Raises
-    ------
-    RigMismatchError
-        Neither preset nor rig has the pose between the cameras.
+    ``density_m4`` is the noise power per area of the difference of both depths; ``difference_m`` is that of a single
+    frame, where it is known. Raises a `RigMismatchError` if neither
+    preset nor rig has the pose between the cameras.
     """
     if not preset.mask.enabled or not frames:
         return None
-    alignment = make_alignment(preset.alignment, rig)
-    prints = [found for frame in frames for found in _prints(frame, rig, preset.mask, alignment)]
+    whole = preset.with_value("region.enabled", False)
+    prints: list[tuple[float, float, float]] = []
+    for frame in frames:
+        difference = depth_differences(frame, whole, rig)[1] if difference_m is None else difference_m
+        prints += _prints(frame, rig, preset.mask, difference)
     if not prints:
         return None
     bias_m, depth_m, area_m2 = np.array(prints).T
@@ -106,14 +202,12 @@ def print_bias(frames: Sequence[SensorFrame], rig: Rig, preset: Preset, density_
 
 
 def _prints(
-    frame: SensorFrame, rig: Rig, mask: MaskSection, alignment: AlignmentModel
+    frame: SensorFrame, rig: Rig, mask: MaskSection, difference: Float32Array
 ) -> Iterator[tuple[float, float, float]]:
     """Yield median bias, median depth and area of each print, metres and m^2."""
     camera = rig.proximity
     height, width = camera.intrinsics.shape
-    aligned = alignment.align(frame.proximity_depth, frame.tactile_depth, Region(0, 0, width, height))
     with np.errstate(invalid="ignore"):
-        difference = aligned.expected_m - aligned.measured_m
         near = np.abs(difference) < _MAX_BIAS_M
     pixels = np.flatnonzero(near & valid_depth(frame.proximity_depth))
     colors, seen = colors_at(deproject(frame.proximity_depth, camera, pixels), pixels, frame.proximity_color, rig)
@@ -132,14 +226,16 @@ def _prints(
             yield float(np.median(found[0])), float(np.median(found[1])), float(found[2].sum())
 
 
-def pressed_bias(frames: Sequence[SensorFrame], contact_bias: ContactBias, density_m4: float) -> MeasuredBias | None:
+def pressed_bias(
+    frames: Sequence[SensorFrame], contact_bias: ContactBias, density_m4: float, floor_m: float = _BIAS_FLOOR_M
+) -> MeasuredBias | None:
     """Return the bias where an object is pressed firmly into the membrane; None without a frame of enough contact."""
     found = [contact for frame in frames if (contact := contact_bias(frame)) is not None]
     firm = np.array([contact for contact in found if contact[1] >= MIN_CONTACT_M2])
     if not len(firm):
         return None
     noise = np.sqrt(density_m4 / np.median(firm[:, 1]))
-    return MeasuredBias(float(np.median(firm[:, 0])), float(np.hypot(noise, _BIAS_FLOOR_M)), "contact")
+    return MeasuredBias(float(np.median(firm[:, 0])), float(np.hypot(noise, floor_m)), "contact")
 
 
 def choose_bias(found: Sequence[MeasuredBias], warn: Callable[[str], None]) -> MeasuredBias:
@@ -148,7 +244,7 @@ def choose_bias(found: Sequence[MeasuredBias], warn: Callable[[str], None]) -> M
         return MeasuredBias(0.0, UNKNOWN_BIAS_M, "unknown")
     best, *others = sorted(found, key=lambda bias: bias.sigma_m)
     for other in others:
-        if abs(other.bias_m - best.bias_m) > _DISAGREE * np.hypot(other.sigma_m, best.sigma_m):
+        if best.contradicts(other):
             warn(
                 f"Two measurements of the bias disagree: {_numbers(best)} on {best.origin} and {_numbers(other)} on "
                 f"{other.origin}; the first is used. Check the mask and the alignment."

@@ -1,37 +1,56 @@
-"""Drift of the membrane since the untouched frame was captured: the depth change of both cameras, in words."""
+"""Change of the membrane since the untouched frame was captured: a camera that moved, another inflation, or a touch.
+
+The change of the tactile depth is a plane over the image (the camera moved along its axis, turned, or drifts), plus a
+multiple of the membrane's own bulge (the pressure changed), plus a local residual (a touch). A camera that moves
+sideways changes the depth little, but it shifts the membrane's texture in the colour image, which is tracked by
+Lucas-Kanade.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, Literal
 
+import cv2
 import numpy as np
 
+from ..calibration.rigid import color_lens
+from ..contact.alignment import make_alignment
 from ..contact.checks import rig_in_use
+from ..contact.kernels.chain import Region
 from ..contact.pipeline import ContactPipeline
 from ..errors import CalibrationError, FrameError, RigMismatchError, minus
-from ..methods.membrane_view import MembraneView
-from ..model.arrays import Float64Array, Uint16Array
+from ..model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array, Uint16Array
 from ..model.clouds import ray_table, valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
 from ..model.robust import spread
 from ..preset import Preset
 
-#: Largest harmless change: half the margin of the method proximity-only, which compares with the untouched frame.
+#: Largest harmless change of depth: half the margin of the method proximity-only, which compares with the untouched
+#: frame. Largest harmless shift of the texture, which is measured ten times as exactly.
 LIMIT_M: Final = 0.001
+SHIFT_LIMIT_M: Final = 0.0004
+#: Seconds from one look of a `Watch` to the next, and the looks that must agree.
+INTERVAL_S: Final = 10.0
+LOOKS: Final = 3
 
 Verdict = Literal["fine", "inflation", "camera", "touched"]
 
 #: Touch: a residual that neither pressure nor pose explains, above this depth in more than this share of the membrane.
-_DENT_M: Final = 0.003
-_DENT_SHARE: Final = 0.02
+_DENT_M, _DENT_SHARE = 0.003, 0.02
+#: Touch during a watch: the preset finds this much more contact than in the untouched frame.
+_CONTACT_MM2: Final = 50.0
 #: The proximity camera sees the membrane itself only on prints, where both depths agree within this.
 _SAME_SURFACE_M: Final = 0.006
 #: Smallest bulge by which a change of inflation can be detected, metres.
-MIN_BULGE_M: Final = 0.005
-_MIN_PIXELS: Final = 200
-_MAX_PIXELS: Final = 20_000
-_ROUNDS: Final = 4
+_MIN_BULGE_M: Final = 0.005
+_MIN_PIXELS, _MAX_PIXELS, _ROUNDS = 200, 20_000, 4
+#: Texture: most and fewest places, their distance and window, and how near tracking back must end, pixels.
+_MAX_PLACES, _MIN_PLACES, _APART_PX, _WINDOW_PX, _RETURN_PX = 300, 20, 12, 15, 0.5
+#: Places follow a common motion within this, pixels. A common shift beyond the second, metres, is no touch.
+_SCATTER_PX, _FAR_M = 3.0, 0.002
+#: A change of the apex moves the texture sideways by at most this share of it.
+_PRESSURE_SHIFT: Final = 0.06
 
 
 @dataclass(frozen=True)
@@ -43,7 +62,7 @@ class DepthChange:
     median_m, spread_m : float
         Median and robust spread (1.4826 median absolute deviations) over the membrane's pixels, metres.
     moved_m : float
-        Root mean square of the planar part of the change, as a moving camera causes it, metres.
+        Root mean square of the planar part of the change, metres.
     pixels : int
     """
 
@@ -67,6 +86,9 @@ class MembraneDrift:
     verdict : {"fine", "inflation", "camera", "touched"}
     sentence : str
         The result in words, with what to do.
+    shift_m : dict of str to float
+        Sideways shift of the texture in the colour image of ``"tactile"`` and ``"proximity"``, metres at the membrane's
+        distance; a camera without enough texture is missing.
     """
 
     tactile: DepthChange
@@ -74,13 +96,17 @@ class MembraneDrift:
     inflation_m: float
     verdict: Verdict
     sentence: str
+    shift_m: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def moved_m(self) -> dict[str, float]:
+        """By how much each camera has moved or drifted, metres: the larger of what depth and texture tell."""
+        depths = {"tactile": self.tactile.moved_m} | ({"proximity": self.proximity.moved_m} if self.proximity else {})
+        return {name: max(depths.get(name, 0.0), self.shift_m.get(name, 0.0)) for name in {**depths, **self.shift_m}}
 
 
 def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouched: SensorFrame) -> MembraneDrift:
     """Compare the present untouched membrane with the untouched frame.
-
-    The change of the tactile depth is fitted robustly by a multiple of the membrane's own bulge (a change of pressure)
-    plus a plane over the image (a camera that moves or drifts). A local residual is a touch.
 
     Parameters
     ----------
@@ -110,35 +136,44 @@ def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouch
             "check that it sees the membrane, or capture the untouched frame again"
         )
     rim, apex = np.quantile(before, [0.02, 0.98])
-    inflated = apex - rim >= MIN_BULGE_M
+    inflated = apex - rim >= _MIN_BULGE_M
     bulge = (before - rim) / (apex - rim) if inflated else np.zeros_like(before)
     fitted = _fit(change, np.column_stack([np.ones_like(x), x, y, bulge]))
     inflation_m = float(fitted[3]) if inflated else 0.0
     plane = fitted[0] + fitted[1] * x + fitted[2] * y
-    tactile = _sum_up(change, plane)
     dented = float(np.mean(np.abs(change - plane - inflation_m * bulge) > _DENT_M))
+
     proximity = _proximity_change(preset, rig, frame, untouched, inflation_m)
-    verdict, sentence = _judge(tactile, proximity, inflation_m, dented)
-    return MembraneDrift(tactile, proximity, inflation_m, verdict, sentence)
+    shifts = {"proximity": _shift_px(untouched.proximity_color, frame.proximity_color), "tactile": None}
+    distance_m = float(np.median(before))
+    metres_a_px = {"proximity": distance_m / color_lens(rig).fx, "tactile": distance_m / rig.tactile.intrinsics.fx}
+    if untouched.tactile_color is not None and frame.tactile_color is not None:
+        shifts["tactile"] = _shift_px(untouched.tactile_color, frame.tactile_color)
+    shift_m = {
+        name: max(shift * metres_a_px[name] - _PRESSURE_SHIFT * abs(inflation_m), 0.0)
+        for name, shift in shifts.items()
+        if shift is not None
+    }
+    tactile = _sum_up(change, plane)
+    verdict, sentence = _judge(tactile, proximity, shift_m, inflation_m, dented)
+    return MembraneDrift(tactile, proximity, inflation_m, verdict, sentence, shift_m)
 
 
 def _proximity_change(
-    preset: Preset,
-    rig: Rig,
-    frame: SensorFrame,
-    untouched: SensorFrame,
-    inflation_m: float,
+    preset: Preset, rig: Rig, frame: SensorFrame, untouched: SensorFrame, inflation_m: float
 ) -> DepthChange | None:
     """Return the change where the proximity camera sees the membrane, minus that of the inflation; None if too few."""
-    view = MembraneView(preset.alignment, rig)
-    membrane = view.depth_m(untouched.tactile_depth)
+    height, width = rig.proximity.intrinsics.shape
+    aligned = make_alignment(preset.alignment, rig).align(
+        untouched.proximity_depth, untouched.tactile_depth, Region(0, 0, width, height)
+    )
     with np.errstate(invalid="ignore"):
-        seen = np.abs(untouched.proximity_depth * rig.proximity.depth_unit_m - membrane) < _SAME_SURFACE_M
+        seen = np.abs(aligned.expected_m - aligned.measured_m) < _SAME_SURFACE_M
     where = np.where(seen, untouched.proximity_depth, np.uint16(0))
     change, x, y, before = _changes(frame.proximity_depth, where, rig.proximity)
     if len(change) < _MIN_PIXELS:
         return None
-    rim, apex = np.nanquantile(membrane, [0.02, 0.98])  # in the proximity camera
+    rim, apex = np.nanquantile(aligned.measured_m, [0.02, 0.98])
     bulge = (before - rim) / (apex - rim) if inflation_m else np.zeros_like(before)
     fitted = _fit(change - inflation_m * bulge, np.column_stack([np.ones_like(x), x, y]))
     return _sum_up(change, fitted[0] + fitted[1] * x + fitted[2] * y)
@@ -161,33 +196,73 @@ def _fit(change: Float64Array, columns: Float64Array) -> Float64Array:
     fitted: Float64Array = np.zeros(columns.shape[1])
     for _ in range(_ROUNDS):
         fitted = np.asarray(np.linalg.lstsq(columns[kept], change[kept], rcond=None)[0], np.float64)
-        left = change - columns @ fitted
-        kept = np.abs(left) <= 3 * spread(left, float(np.median(left))) + LIMIT_M / 2
+        residual = change - columns @ fitted
+        kept = np.abs(residual) <= 3 * spread(residual, float(np.median(residual))) + LIMIT_M / 2
     return fitted
 
 
 def _sum_up(change: Float64Array, plane: Float64Array) -> DepthChange:
-    moved = float(np.sqrt(np.mean(plane**2)))
     median_m = float(np.median(change))
-    return DepthChange(median_m, spread(change, median_m), moved, len(change))
+    return DepthChange(median_m, spread(change, median_m), float(np.sqrt(np.mean(plane**2))), len(change))
+
+
+def _shift_px(before: Uint8Array, now: Uint8Array) -> float | None:
+    """Return the RMS shift of the texture by a similarity that most of it follows, pixels; None without enough."""
+    first, second = _local_contrast(before), _local_contrast(now)
+    corners = cv2.goodFeaturesToTrack(first, _MAX_PLACES, 0.05, _APART_PX, blockSize=_WINDOW_PX)
+    if corners is None or len(corners) < _MIN_PLACES:
+        return None
+    start = np.asarray(corners, np.float32)
+    there, ahead = _tracked(first, second, start)
+    back, behind = _tracked(second, first, there)
+    found = ahead & behind & (np.hypot(*(back - start).reshape(-1, 2).T) < _RETURN_PX)
+    if found.sum() < _MIN_PLACES:
+        return None
+    before_px, now_px = (places.reshape(-1, 2)[found].astype(np.float64) for places in (start, there))
+    similarity, inliers = cv2.estimateAffinePartial2D(before_px, now_px, ransacReprojThreshold=_SCATTER_PX)
+    if similarity is None or inliers.sum() < max(_MIN_PLACES, len(before_px) / 2):
+        return None
+    moved = before_px @ similarity[:, :2].T + similarity[:, 2] - before_px
+    return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
+
+
+def _tracked(first: Uint8Array, second: Uint8Array, places: Float32Array) -> tuple[Float32Array, BoolArray]:
+    window = (_WINDOW_PX, _WINDOW_PX)
+    there, found, _ = cv2.calcOpticalFlowPyrLK(first, second, places, np.empty_like(places), winSize=window, maxLevel=4)
+    return np.asarray(there, np.float32), np.asarray(found).ravel() == 1
+
+
+def _local_contrast(color: Uint8Array) -> Uint8Array:
+    """Return brightness relative to that of the surroundings, which light and exposure do not change."""
+    gray = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY).astype(np.float32) + 8.0  # below 8 levels there is only noise
+    ratio = cv2.GaussianBlur(gray, (0, 0), 1.0) / cv2.GaussianBlur(gray, (0, 0), 6.0)
+    return np.asarray(np.clip(128 + 200 * np.log(ratio), 0, 255), np.uint8)
 
 
 def _judge(
-    tactile: DepthChange, proximity: DepthChange | None, inflation_m: float, dented: float
+    tactile: DepthChange,
+    proximity: DepthChange | None,
+    shift_m: dict[str, float],
+    inflation_m: float,
+    dented: float,
 ) -> tuple[Verdict, str]:
-    if dented > _DENT_SHARE:
+    if dented > _DENT_SHARE and shift_m.get("tactile", 0.0) < _FAR_M:
         return "touched", (
             f"Something touches the membrane: {100 * dented:.0f} % of it differs from the untouched frame by more than "
             f"{1e3 * _DENT_M:.0f} mm; remove it and check again."
         )
     known = {"tactile": tactile} | ({} if proximity is None else {"proximity": proximity})
-    moved = {name: change.moved_m for name, change in known.items() if change.moved_m > LIMIT_M}
+    moved: dict[str, float] = {}
+    for name in ("tactile", "proximity"):
+        depth_m, texture_m = (known[name].moved_m if name in known else 0.0), shift_m.get(name, 0.0)
+        if depth_m > LIMIT_M or texture_m > SHIFT_LIMIT_M:
+            moved[name] = max(depth_m, texture_m)
     if moved:
         by = " and ".join(f"{1e3 * metres:.1f} mm" for metres in moved.values())
         cameras = f"The {next(iter(moved))} camera has" if len(moved) == 1 else "Both cameras have"
         return "camera", (
-            f"{cameras} moved, or drifted with temperature: the membrane's depth is off by {by} up to its rim; "
-            "calibrate again, then capture the untouched frame again."
+            f"{cameras} moved by {by}, or drifted with temperature; calibrate again, then capture the untouched frame "
+            "again."
         )
     if abs(inflation_m) > LIMIT_M:
         return "inflation", (
@@ -201,22 +276,95 @@ def _judge(
 
 
 @dataclass(frozen=True)
-class TouchDoubt:
-    """A sign that something touches the membrane.
+class WatchReport:
+    """Something that changed, or that is as before again.
 
     Attributes
     ----------
+    verdict : {"inflation", "camera"}
+    state : {"told", "withdrawn"}
+    time_s : float
+        When it was decided, by the time given to `Watch.look`.
     sentence : str
-    certain : bool
-        False if there is another possible explanation.
     """
 
+    verdict: Verdict
+    state: Literal["told", "withdrawn"]
+    time_s: float
     sentence: str
-    certain: bool
 
 
-def touch_doubts(preset: Preset, rig: Rig, membrane: SensorFrame, earlier: SensorFrame | None) -> list[TouchDoubt]:
-    """Return signs that a membrane said to be untouched is touched; empty if there are none.
+class Watch:
+    """Compares a rig with the untouched frame while it is used, whenever nothing touches the membrane.
+
+    No single frame decides: a change is told once `LOOKS` successive looks agree, and withdrawn in the same way.
+
+    Parameters
+    ----------
+    preset : Preset
+    rig : Rig
+    untouched : SensorFrame or None
+        The preset's untouched frame.
+
+    Raises
+    ------
+    CalibrationError
+        There is no untouched frame.
+    FrameError
+        The untouched frame is of another rig.
+    """
+
+    def __init__(self, preset: Preset, rig: Rig, untouched: SensorFrame | None) -> None:
+        if untouched is None:
+            raise CalibrationError("the preset has no untouched frame to compare with; capture one")
+        untouched.check_against(rig)
+        self._preset, self._rig, self._untouched = preset, rig, untouched
+        # One look must not depend on earlier ones.
+        self._pipeline = ContactPipeline(preset.with_value("membrane.frames", 1), rig)
+        self._area_mm2 = self._pipeline.process(untouched).area_mm2
+        self._verdicts: list[Verdict] = []
+        self._next_s = -np.inf
+        #: The change that has been told and not withdrawn; "fine" if there is none.
+        self.told: Verdict = "fine"
+        #: What the newest look measured; None while something touches.
+        self.drift: MembraneDrift | None = None
+
+    def due(self, time_s: float) -> bool:
+        """Return whether the next look is due; also after time was set back."""
+        return time_s >= self._next_s or time_s < self._next_s - INTERVAL_S
+
+    def look(self, frame: SensorFrame, time_s: float) -> WatchReport | None:
+        """Measure one frame, taken at ``time_s`` by any clock, and return what it decides.
+
+        Raises
+        ------
+        FrameError
+            The frame is of another rig.
+        """
+        self._next_s = time_s + INTERVAL_S
+        frame.check_against(self._rig)
+        self.drift = None
+        try:
+            drift = compare_with_untouched(self._preset, self._rig, frame, self._untouched)
+        except CalibrationError:  # too little depth at this moment
+            return None
+        touched = self._pipeline.process(frame).area_mm2 > self._area_mm2 + _CONTACT_MM2
+        if drift.verdict == "touched" or (touched and drift.shift_m.get("tactile", 0.0) < _FAR_M):
+            return None
+        self.drift = drift
+        self._verdicts = [*self._verdicts[1 - LOOKS :], drift.verdict]
+        if self._verdicts != [drift.verdict] * LOOKS or drift.verdict == self.told:
+            return None
+        before, self.told = self.told, drift.verdict
+        if drift.verdict == "fine":
+            return WatchReport(before, "withdrawn", time_s, drift.sentence)
+        return WatchReport(drift.verdict, "told", time_s, drift.sentence)
+
+
+def touch_doubts(
+    preset: Preset, rig: Rig, membrane: SensorFrame, earlier: SensorFrame | None
+) -> list[tuple[str, bool]]:
+    """Return signs that a membrane said to be untouched is touched: a sentence each, and whether it is certain.
 
     Parameters
     ----------
@@ -239,27 +387,19 @@ def touch_doubts(preset: Preset, rig: Rig, membrane: SensorFrame, earlier: Senso
         return []
     doubts = []
     if len(patch.points):
-        found = (
-            f"the preset finds a contact patch of {patch.area_mm2 / 100:.1f} cm2 on a membrane that should be untouched"
-        )
-        doubts.append(
-            TouchDoubt(f"{found}; remove what touches the membrane or is close to it, and capture again", True)
-            if preset.mask.enabled
-            else TouchDoubt(f"{found}; the mask is off, so these may be its prints, or a touch", False)
-        )
-    if earlier is not None and (dent := _dent(preset, rig, membrane, earlier)):
-        doubts.append(TouchDoubt(dent, False))
+        found = f"the preset finds contact of {patch.area_mm2 / 100:.1f} cm2 on a membrane that should be untouched"
+        if preset.mask.enabled:
+            doubts.append((f"{found}; remove what touches the membrane or is close to it, and capture again", True))
+        else:
+            doubts.append((f"{found}; the mask is off, so these may be its prints, or a touch", False))
+    if earlier is not None:
+        try:
+            touched = compare_with_untouched(preset, rig, membrane, earlier).verdict == "touched"
+        except (CalibrationError, FrameError):  # of another sensor, or without depth
+            touched = False
+        if touched:
+            doubts.append(
+                ("the membrane differs from the preset's current untouched frame by more than 3 mm in places; "
+                 "something touches it now, or did then", False)
+            )  # fmt: skip
     return doubts
-
-
-def _dent(preset: Preset, rig: Rig, membrane: SensorFrame, earlier: SensorFrame) -> str:
-    try:
-        drift = compare_with_untouched(preset, rig, membrane, earlier)
-    except (CalibrationError, FrameError):  # of another sensor, or without depth
-        return ""
-    if drift.verdict != "touched":
-        return ""
-    return (
-        "in places the membrane is more than 3 mm away from the preset's current untouched frame; one of the two is "
-        "touched"
-    )

@@ -4,13 +4,14 @@ Two things tell the noise. The difference of successive frames contains only wha
 of all frames contains what stays: its residual from a smooth surface. The autocovariances of both are fitted
 together by white noise and by noise that neighbours share (a Gaussian window over white noise). A smooth surface that
 is fitted to a window also takes away part of the shared noise; the model of the autocovariance takes away the same.
+All noise is that at one distance: it is divided by its growth with the depth z, which is z^2 for stereo and a straight
+line for time of flight.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice, pairwise
 from typing import Final
@@ -28,44 +29,34 @@ from ..model.robust import spread
 from ..preset import CameraNoise, Preset, RigNoise, now
 from ..sources.base import CameraRole, FrameSource, Progress
 from .bias import ContactBias, MeasuredBias, choose_bias, describe_bias, pressed_bias, print_bias
-from .slow_error import slow_error_m
 from .untouched import TILE_PX, frames_to_average, tile_medians
 
-#: Default number of live frames, and upper limit: more take too much memory.
+#: Default number of live frames, and upper limit: more take too much memory. Fewest different frames.
 NOISE_FRAMES: Final = 60
 MAX_FRAMES: Final = 300
-#: Fewest different frames.
 MIN_FRAMES: Final = 10
-#: Lags of the autocovariances, pixels.
+#: Lags of the autocovariances, and candidates for the correlation length, pixels.
 _LAGS: Final = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
-#: Candidates for the correlation length, pixels.
-_LENGTHS_PX: Final = np.geomspace(0.8, 64.0, 90)
+_LENGTHS_PX: Final = np.geomspace(0.8, 64.0, 60)
 #: Side of the windows with a smooth surface, pixels: the first, or this multiple of the correlation length if that is
 #: larger, up to the last.
 _TILE_PX, _TILE_LENGTHS, _MAX_TILE_PX = 48, 6.0, 144
 #: Share of a window's pixels that need a depth, and share of the frames in which a pixel needs one.
 _MIN_FILLED, _MIN_SEEN = 0.85, 0.8
-#: What changes and what stays have correlation lengths within this factor. Where only what stays is correlated, the
-#: length is at most a window's share of `_TILE_LENGTHS`: shape is not told from longer ones.
+#: What changes and what stays have correlation lengths within this factor.
 _LENGTH_RANGE: Final = 1.3
 #: Smallest side of an image, pixels, largest noise, metres, and smallest share of the image with depth.
-_MIN_SIDE_PX, _MAX_NOISE_M = 64, 1.0
-_MIN_USABLE: Final = 0.01
+_MIN_SIDE_PX, _MAX_NOISE_M, _MIN_USABLE = 64, 1.0, 0.01
 #: Pixels whose noise is larger than the median by this factor are flying pixels at edges.
 _FLYING: Final = 2.5
 #: Residuals beyond this number of robust standard deviations are outliers.
 _TRIM: Final = 5.0
-#: Standard error of an autocovariance as a share of the variance, at the least.
-_MIN_ERROR: Final = 0.005
-#: A correlated part below this share of the variance has no measurable length.
-_MIN_CORRELATED: Final = 0.01
-
-#: Movement: the median depth of an image tile differs by more than this share in more than this share of the tiles,
-#: between these parts of the time. The last number limits the frames that are read of each part.
-_MOVED_SHARE, _MOVED_TILES, _PARTS, _PART_FRAMES = 0.0067, 0.03, 4, 8
-#: Changes of an image tile within this number of standard errors are noise. The standard error of a median is that of a
-#: mean times the second number.
-_MOVED_SIGMAS, _MEDIAN_ERROR = 5.0, 1.25
+#: Standard error of an autocovariance as a share of the variance, at the least; a correlated part below the second
+#: share of the variance has no measurable length.
+_MIN_ERROR, _MIN_CORRELATED = 0.005, 0.01
+#: Movement: the median depth of an image tile differs by more than this share, and by more than a number of standard
+#: errors, in more than this share of the tiles, between these parts of the time; frames that are read of each part.
+_MOVED_SHARE, _MOVED_SIGMAS, _MOVED_TILES, _PARTS, _PART_FRAMES = 0.0067, 5.0, 0.03, 4, 8
 #: Fast movement looks like noise. No sensor of the simulator makes the median depth of a tile vary from frame to frame
 #: by half of this share of the depth (standard deviation), except at edges.
 _RESTLESS_SHARE: Final = 0.01
@@ -87,7 +78,8 @@ def measure_noise(
     Parameters
     ----------
     frames : sequence of SensorFrame
-        Frames of a scene at rest, `NOISE_FRAMES` by default, at least `MIN_FRAMES` different ones.
+        10 to 300 different frames of a scene at rest, 60 for an accurate result. Depth images are uint16, (H, W), raw
+        counts, at least 64 x 64 pixels.
     rig : Rig
     preset : Preset
         Its alignment relates both depths; its mask shows the prints that both cameras see.
@@ -100,6 +92,13 @@ def measure_noise(
         own by default.
     warn : callable, optional
         Called with sentences on a result that is doubtful.
+
+    Returns
+    -------
+    RigNoise
+        For each camera the standard deviations of white and of correlated noise (metres, at ``distance_m``), the
+        correlation length (pixels) and the share that changes from frame to frame; proximity minus tactile depth on
+        the same surface (metres) with its standard deviation. ``preset.with_value("noise", noise)`` stores it.
 
     Raises
     ------
@@ -131,15 +130,15 @@ def measure_noise(
     proximity, tactile = depth_noises(different, rig, lambda share, words: report(0.1 + 0.7 * share, words))
     report(0.8, "Measuring the bias")
     density_m4 = proximity.density_m4(rig.proximity.intrinsics.fx) + tactile.density_m4(rig.tactile.intrinsics.fx)
+    some = list(different[:: max(len(different) // 10, 1)])  # over the whole time
     found = [
-        print_bias(_spread_out(different, untouched), rig, preset, density_m4),
-        pressed_bias(_spread_out(different), contact_bias or firm_contact_bias(preset, rig), density_m4),
+        print_bias(some if untouched is None else [untouched, *some], rig, preset, density_m4),
+        pressed_bias(some, contact_bias or firm_contact_bias(preset, rig), density_m4),
     ]
     report(1.0, "The noise is measured")
     bias = choose_bias([bias for bias in found if bias is not None], warn or (lambda sentence: None))
     if warn is not None and bias.origin == "unknown" and not preset.mask.enabled:
         warn("the mask is off, so prints on the membrane can't tell the bias; switch it on if there are any")
-    some = _metres([frame.proximity_depth for frame in _spread_out(different)], rig.proximity)
     return RigNoise(
         proximity=proximity,
         tactile=tactile,
@@ -147,7 +146,6 @@ def measure_noise(
         bias_sigma_m=bias.sigma_m,
         bias_from=bias.origin,
         bias_per_m=bias.per_m,
-        slow_m=slow_error_m(_mean_over_frames(some)[0], proximity.length_px),
         measured=now(),
         frames=len(different),
     )
@@ -174,70 +172,41 @@ def frames_at_rest(
 
 def describe(noise: RigNoise) -> list[str]:
     """Return the result in sentences: tactile noise, proximity noise, bias."""
-    slow = "" if noise.slow_m is None else f" Its slow error, over the image, is about {1e3 * noise.slow_m:.2f} mm."
     return [
         _describe_camera("Tactile", noise.tactile),
-        _describe_camera("Proximity", noise.proximity) + slow,
+        _describe_camera("Proximity", noise.proximity),
         describe_bias(MeasuredBias(noise.bias_m, noise.bias_sigma_m, noise.bias_from, noise.bias_per_m)),
     ]
 
 
-# The noise of one camera
-
-
 def depth_noises(frames: Sequence[SensorFrame], rig: Rig, progress: Progress) -> tuple[CameraNoise, CameraNoise]:
-    """Measure the noise of the proximity and of the tactile camera.
+    """Measure the noise of the proximity and of the tactile camera on at least two frames of a scene at rest.
 
-    Parameters
-    ----------
-    frames : sequence of SensorFrame
-        At least two different frames of a scene at rest; few frames tell little about what changes between them.
-    rig : Rig
-    progress : callable
-
-    Raises
-    ------
-    FrameError
-        A camera sees too little depth or no smooth surface.
+    Raises a `FrameError` if a camera sees too little depth or no smooth surface.
     """
-    tactile = _camera_noise(
-        "tactile",
-        [frame.tactile_depth for frame in frames],
-        rig.tactile,
-        report=lambda share: progress(share / 2, "Measuring the tactile noise"),
-    )
-    proximity = _camera_noise(
-        "proximity",
-        [frame.proximity_depth for frame in frames],
-        rig.proximity,
-        tactile.distance_m,
-        report=lambda share: progress((1 + share) / 2, "Measuring the proximity noise"),
-    )
+
+    def measure(role: CameraRole, images: list[Uint16Array], membrane_m: float | None, start: float) -> CameraNoise:
+        camera = rig.tactile if role == "tactile" else rig.proximity
+        words = f"Measuring the {role} noise"
+        return _camera_noise(role, images, camera, membrane_m, lambda share: progress(start + share / 2, words))
+
+    tactile = measure("tactile", [frame.tactile_depth for frame in frames], None, 0.0)
+    proximity = measure("proximity", [frame.proximity_depth for frame in frames], tactile.distance_m, 0.5)
     return proximity, tactile
 
 
 def image_noise(counts: Uint16Array, camera: DepthCamera) -> CameraNoise:
     """Measure the noise of one tactile image, or of an average: its residual from smooth surfaces.
 
-    Which part of it changes from frame to frame cannot be told; ``changing_share`` is 0.
-
-    Parameters
-    ----------
-    counts : uint16, shape (H, W)
-        At least `_MIN_SIDE_PX` pixels wide and high.
-    camera : DepthCamera
-
-    Raises
-    ------
-    FrameError
-        The camera sees no smooth surface.
+    Which part of it changes from frame to frame cannot be told; ``changing_share`` is 0. Raises a `FrameError` if the
+    camera sees no smooth surface.
     """
     depth = _metres([counts], camera)[0]
     seen = np.isfinite(depth)
     distance_m = float(np.median(depth[seen])) if seen.any() else 1.0
     surface = distance_m - distance_m**2 / depth
     fixed, tile_px = _fixed_autocovariances("tactile", surface, np.ones_like(depth), seen, 0.0)
-    unknown = Autocovariances(np.full(len(_LAGS), np.nan), np.ones(len(_LAGS)))
+    unknown = np.full(len(_LAGS), np.nan), np.ones(len(_LAGS))
     parts, length_px = _fit_noise(unknown, fixed, tile_px, lengths_px=(0.0, tile_px / _TILE_LENGTHS))
     white, shared = parts[:2] + parts[2:]  # of one image it makes no difference what changes
     return CameraNoise(
@@ -249,28 +218,22 @@ def image_noise(counts: Uint16Array, camera: DepthCamera) -> CameraNoise:
     )
 
 
-@dataclass(frozen=True)
-class Autocovariances:
-    """Autocovariances at `_LAGS` and their standard errors, m^2."""
-
-    values: Float64Array
-    errors: Float64Array
+#: Autocovariances at `_LAGS` and their standard errors, m^2.
+Autocovariances = tuple[Float64Array, Float64Array]
 
 
 def _camera_noise(
     role: CameraRole,
     images: Sequence[Uint16Array],
     camera: DepthCamera,
-    membrane_m: float | None = None,
-    report: Callable[[float], None] = lambda share: None,
+    membrane_m: float | None,
+    report: Callable[[float], None],
 ) -> CameraNoise:
-    """Measure one camera; ``membrane_m`` is the membrane's distance for a time-of-flight camera, None for stereo.
-
-    All noise is that at one distance: it is divided by its growth with the depth. For stereo that is z^2, and the mean
-    frame becomes ``d - d^2 / z``, a depth with the same noise everywhere (the noise of disparity).
-    """
+    """Measure one camera; ``membrane_m`` is the membrane's distance for a time-of-flight camera, None for stereo."""
     depths = _metres(images, camera)
-    mean, count = _mean_over_frames(depths)
+    count = np.isfinite(depths).sum(axis=0)
+    with np.errstate(invalid="ignore"):
+        mean = np.asarray(np.nansum(depths, axis=0, dtype=np.float64) / count, np.float32)
     seen = count >= _MIN_SEEN * len(depths)
     if seen.mean() < _MIN_USABLE:
         raise FrameError(
@@ -280,20 +243,22 @@ def _camera_noise(
     if membrane_m is None:
         distance_m = float(np.median(mean[seen]))
         growth = np.asarray((mean / distance_m) ** 2, np.float32)
+        surface, divisor = distance_m - distance_m**2 / mean, np.ones_like(growth)  # a disparity's noise is the same
     else:
-        distance_m, growth = _growth_with_depth(mean, deviation, seen, membrane_m)
+        near = seen & (np.abs(mean - membrane_m) < _NEAR_SHARE * membrane_m)
+        distance_m = membrane_m if near.sum() >= _NEAR_PIXELS else float(np.median(mean[seen]))
+        growth = _growth(mean, deviation, seen, distance_m)
+        surface, divisor = mean, growth
     at_distance = deviation / growth
     good = seen & (at_distance <= _FLYING * max(float(np.median(at_distance[seen])), camera.depth_unit_m / 4))
-    growth[~good] = np.nan
 
     # What changes tells the length first: the windows over which surfaces are fitted must be larger.
-    changing = _changing_autocovariances(depths, growth, report)
+    changing = _changing_autocovariances(depths, np.where(good, growth, np.float32(np.nan)), report)
     (white_changing, shared_changing, *_), length_px = _fit_noise(changing)
     if shared_changing <= _MIN_CORRELATED * (white_changing + shared_changing):
         length_px = 0.0
-    surface = distance_m - distance_m**2 / mean if membrane_m is None else mean
-    divisor = np.ones_like(growth) if membrane_m is None else growth
     fixed, tile_px = _fixed_autocovariances(role, surface, divisor, good, length_px)
+    # Where only what stays is correlated, shape is not told from lengths beyond a share of the window.
     lengths = (length_px / _LENGTH_RANGE, length_px * _LENGTH_RANGE) if length_px else (0.0, tile_px / _TILE_LENGTHS)
     parts, length_px = _fit_noise(changing, fixed, tile_px, len(depths), lengths)
     white_changing, shared_changing, white_fixed, shared_fixed = parts
@@ -320,54 +285,26 @@ def _metres(images: Sequence[Uint16Array], camera: DepthCamera) -> Float32Array:
     return depths
 
 
-def _mean_over_frames(depths: Float32Array) -> tuple[Float32Array, Float32Array]:
-    """Return each pixel's mean depth, nan without any, and its number of depths."""
-    total, count = np.zeros(depths.shape[1:]), np.zeros(depths.shape[1:], np.float32)
-    for depth in depths:
-        known = np.isfinite(depth)
-        total += np.where(known, depth, 0.0)
-        count += known
-    with np.errstate(invalid="ignore"):
-        return np.asarray(total / count, np.float32), count
-
-
-def _differences(depths: Float32Array) -> Iterator[Float32Array]:
-    for before, after in pairwise(depths):
-        yield after - before
-
-
 def _temporal_deviation(depths: Float32Array) -> Float32Array:
     """Return each pixel's standard deviation over the frames, from the differences of successive frames, metres."""
     total, count = (np.zeros(depths.shape[1:], np.float32) for _ in range(2))
-    for difference in _differences(depths):
+    for before, after in pairwise(depths):
+        difference = after - before
         known = np.isfinite(difference)
         total += np.where(known, difference, 0) ** 2
         count += known
     return np.asarray(np.sqrt(total / np.maximum(2 * count, 1)), np.float32)
 
 
-def _growth_with_depth(
-    mean: Float32Array, deviation: Float32Array, seen: BoolArray, membrane_m: float
-) -> tuple[float, Float32Array]:
-    """Return a distance, and each pixel's noise as a multiple of that there: a straight line over the depth.
-
-    The distance is the membrane's where the camera sees enough there (prints, objects), else the median depth.
-    """
-    near = seen & (np.abs(mean - membrane_m) < _NEAR_SHARE * membrane_m)
-    distance_m = membrane_m if near.sum() >= _NEAR_PIXELS else float(np.median(mean[seen]))
-    bins = np.floor(mean[seen] / (0.1 * distance_m)).astype(int)
-    edges, inverse, counts = np.unique(bins, return_inverse=True, return_counts=True)
-    used = np.flatnonzero(counts >= _NEAR_PIXELS // 2)
-    depth, noise = (
-        np.array([np.median(image[seen][inverse == index]) for index in used]) for image in (mean, deviation)
-    )
-    if len(edges[used]) < 2 or np.ptp(depth) < 0.2 * distance_m:
-        return distance_m, np.ones_like(mean)
-    slope, start = np.polyfit(depth, noise, 1, w=np.sqrt(counts[used]))
+def _growth(mean: Float32Array, deviation: Float32Array, seen: BoolArray, distance_m: float) -> Float32Array:
+    """Return each pixel's noise as a multiple of that at a distance, by a straight line over the depth."""
+    parts = np.array_split(np.argsort(mean[seen]), 12)
+    depth, noise = (np.array([np.median(image[seen][part]) for part in parts]) for image in (mean, deviation))
+    slope, start = np.polyfit(depth, noise, 1) if np.ptp(depth) >= 0.2 * distance_m else (0.0, 1.0)
     there = start + slope * distance_m
     if there <= 0:
-        return distance_m, np.ones_like(mean)
-    return distance_m, np.asarray(np.clip((start + slope * mean) / there, 0.2, 20.0), np.float32)
+        return np.ones_like(mean)
+    return np.asarray(np.clip((start + slope * mean) / there, 0.2, 20.0), np.float32)
 
 
 def _changing_autocovariances(
@@ -375,16 +312,15 @@ def _changing_autocovariances(
 ) -> Autocovariances:
     """Return the autocovariances of the part that changes; ``growth`` is nan where pixels are left out."""
     rows = []
-    for number, difference in enumerate(_differences(depths)):
+    for number, (before, after) in enumerate(pairwise(depths)):
         report(number / len(depths))
-        noise = difference / growth
+        noise = (after - before) / growth
         if not np.isfinite(noise).any():
             continue  # a frame without depth
         noise -= np.nanmedian(noise)
         limit = _TRIM * spread(noise) + 1e-9
         rows.append(_autocovariances(np.where(np.abs(noise) <= limit, noise, np.nan)) / 2)
-    values = np.asarray(rows)
-    return _with_errors(values)
+    return _with_errors(np.asarray(rows))
 
 
 def _autocovariances(image: Float32Array) -> Float64Array:
@@ -407,7 +343,7 @@ def _with_errors(rows: Float64Array) -> Autocovariances:
     with np.errstate(invalid="ignore"):
         values = np.nansum(rows, axis=0) / counts  # nan where there is none
         errors = np.sqrt(np.nansum((rows - values) ** 2, axis=0) / counts) / np.sqrt(np.maximum(counts, 1))
-    return Autocovariances(values, np.maximum(errors, _MIN_ERROR * abs(values[0])))
+    return values, np.maximum(errors, _MIN_ERROR * abs(values[0]))
 
 
 def _fixed_autocovariances(
@@ -430,7 +366,8 @@ def _residual_autocovariances(
 ) -> Float64Array:
     """Return the autocovariances of the residual of a quadratic surface, one row for each of the smoothest windows.
 
-    The smoothest half is chosen by the curvature of the fitted surface, of which the residual is independent.
+    The smoothest half is chosen by the curvature of the fitted surface, of which the residual is independent. The fit
+    is repeated without outliers.
     """
     basis = _quadratics(tile_px).reshape(-1, 6)
     windows = []
@@ -439,11 +376,16 @@ def _residual_autocovariances(
         for left in range(0, surface.shape[1] - tile_px + 1, step):
             place = np.s_[top : top + tile_px, left : left + tile_px]
             known = good[place].reshape(-1)
-            if known.mean() >= _MIN_FILLED:
-                values = surface[place].reshape(-1).astype(np.float64)
-                weights, residual = _fit_smooth(basis, values, known)
-                residual /= divisor[place].reshape(-1)
-                windows.append((float(np.linalg.norm(weights[3:])), residual.reshape(tile_px, tile_px)))
+            if known.mean() < _MIN_FILLED:
+                continue
+            values = surface[place].reshape(-1).astype(np.float64)
+            for _ in range(2):
+                used = basis[known]
+                weights = np.linalg.solve(used.T @ used, used.T @ values[known])
+                residual = values - basis @ weights
+                known = known & (np.abs(residual) <= _TRIM * spread(residual[known]) + 1e-9)
+            residual = np.where(known, residual, np.nan) / divisor[place].reshape(-1)
+            windows.append((float(np.linalg.norm(weights[3:])), residual.reshape(tile_px, tile_px)))
     windows.sort(key=lambda window: window[0])
     smoothest = [residual for _, residual in windows[: (len(windows) + 1) // 2]]
     variances = np.array([np.nanvar(residual) for residual in smoothest])
@@ -451,23 +393,6 @@ def _residual_autocovariances(
     return np.array(
         [_autocovariances(residual.astype(np.float32)) for residual, keep in zip(smoothest, kept, strict=True) if keep]
     )
-
-
-def _fit_smooth(basis: Float64Array, values: Float64Array, known: BoolArray) -> tuple[Float64Array, Float64Array]:
-    """Return coefficients and residual, nan at outliers and unknown pixels, of a robust fit."""
-    weights: Float64Array = np.zeros(basis.shape[1])
-    residual = values
-    for _ in range(2):
-        used = basis[known]
-        weights = np.asarray(
-            np.linalg.solve(used.T @ used, used.T @ values[known])
-        )  # orthonormal but for the unknown pixels
-        residual = values - basis @ weights
-        known = known & (np.abs(residual) <= _TRIM * spread(residual[known]) + 1e-9)
-    return weights, np.where(known, residual, np.nan)
-
-
-# The model of the autocovariances
 
 
 def _fit_noise(
@@ -483,8 +408,7 @@ def _fit_noise(
     frames still contains 1 / N of what changes. ``lengths_px`` are the shortest and longest length that are tried.
     """
     best: tuple[float, Float64Array, float] = (np.inf, np.zeros(4), 0.0)
-    values = np.concatenate([changing.values, *([fixed.values] if fixed else [])])
-    errors = np.concatenate([changing.errors, *([fixed.errors] if fixed else [])])
+    values, errors = changing if fixed is None else (np.concatenate(both) for both in zip(changing, fixed, strict=True))
     used = np.isfinite(values) & (errors > 0)
     if not used.any():
         return best[1], 0.0
@@ -501,7 +425,7 @@ def _fit_noise(
     return best[1], best[2]
 
 
-@lru_cache(maxsize=512)
+@lru_cache(maxsize=256)
 def _seen_covariances(length_px: float, tile_px: int) -> Float64Array:
     """Return the autocovariances at `_LAGS` of noise of variance 1 after a quadratic surface is fitted and subtracted.
 
@@ -538,16 +462,14 @@ def _quadratics(tile_px: int) -> Float64Array:
     return np.linalg.qr(columns)[0].reshape(tile_px, tile_px, 6)
 
 
-# Movement, frames, words
-
-
 def _refuse_movement(frames: Sequence[SensorFrame], rig: Rig) -> None:
     """Raise if the depth of either camera differs between the frames by more than noise."""
     for role, camera, images in (
         ("tactile", rig.tactile, [frame.tactile_depth for frame in frames]),
         ("proximity", rig.proximity, [frame.proximity_depth for frame in frames]),
     ):
-        found = np.ma.masked_invalid([_resting_depth(part) for part in _split(images, _PARTS)])
+        bounds = np.linspace(0, len(images), _PARTS + 1).astype(int)
+        found = np.ma.masked_invalid([_resting_depth(images[first:last]) for first, last in pairwise(bounds)])
         parts, errors, deviations = found.swapaxes(0, 1)
         known = parts.count(axis=0) > _PARTS // 2
         if not known.any():
@@ -556,8 +478,7 @@ def _refuse_movement(frames: Sequence[SensorFrame], rig: Rig) -> None:
         deviation = np.sqrt(np.mean(deviations**2, axis=0))
         noise = _MOVED_SIGMAS * np.sqrt(np.mean(errors**2, axis=0))
         moved = (change > np.maximum(_MOVED_SHARE * depth, noise))[known]
-        restless = (deviation > _RESTLESS_SHARE * depth)[known]
-        share = max(moved.mean(), restless.mean())
+        share = max(moved.mean(), (deviation > _RESTLESS_SHARE * depth)[known].mean())
         if share > _MOVED_TILES:
             most = np.ma.maximum(change, deviation)
             row, column = divmod(int(most.argmax()), camera.intrinsics.width // TILE_PX)
@@ -567,17 +488,6 @@ def _refuse_movement(frames: Sequence[SensorFrame], rig: Rig) -> None:
                 f"({TILE_PX * column + TILE_PX // 2}, {TILE_PX * row + TILE_PX // 2}); "
                 "hold everything still and measure again"
             )
-
-
-def _same_depth(first: SensorFrame, second: SensorFrame) -> bool:
-    return np.array_equal(first.proximity_depth, second.proximity_depth) and np.array_equal(
-        first.tactile_depth, second.tactile_depth
-    )
-
-
-def _split(images: Sequence[Uint16Array], parts: int) -> list[Sequence[Uint16Array]]:
-    bounds = np.linspace(0, len(images), parts + 1).astype(int)
-    return [images[first:last] for first, last in pairwise(bounds)]
 
 
 def _resting_depth(images: Sequence[Uint16Array]) -> Float64Array:
@@ -591,14 +501,14 @@ def _resting_depth(images: Sequence[Uint16Array]) -> Float64Array:
     found = np.full((3, some.shape[1]), np.nan)
     found[0, seen] = np.nanmedian(some[:, seen], axis=0)
     found[2, seen] = np.nanstd(some[:, seen], axis=0)
-    found[1] = _MEDIAN_ERROR * found[2] / np.sqrt(np.maximum(count - 1, 1))
+    found[1] = 1.25 * found[2] / np.sqrt(np.maximum(count - 1, 1))  # of a median
     return found
 
 
-def _spread_out(frames: Sequence[SensorFrame], untouched: SensorFrame | None = None) -> list[SensorFrame]:
-    """Return the untouched frame, if there is one, and some live frames over the whole time."""
-    some = list(frames[:: max(len(frames) // 10, 1)])
-    return some if untouched is None else [untouched, *some]
+def _same_depth(first: SensorFrame, second: SensorFrame) -> bool:
+    return np.array_equal(first.proximity_depth, second.proximity_depth) and np.array_equal(
+        first.tactile_depth, second.tactile_depth
+    )
 
 
 def _describe_camera(name: str, noise: CameraNoise) -> str:

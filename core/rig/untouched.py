@@ -24,24 +24,18 @@ from ..model.untouched_archive import frame_from_bytes, untouched_bytes
 from ..preset import Preset, UntouchedRecord
 from ..sources.base import FrameSource, Progress
 
-#: Upper limit of averaged frames. More take minutes and reduce the noise no further.
+#: Default and largest number of averaged frames. More take minutes and reduce the noise no further.
+UNTOUCHED_FRAMES: Final = 15
 MAX_FRAMES: Final = 1000
-
 #: Frames per block. When 2 blocks are held, the older one is replaced by its median.
 _BLOCK: Final = 30
-#: Movement test: the median depth of image tiles of this side length, pixels, ...
+#: Movement: the median depth of image tiles of this side length, pixels, changes by more than a share of the depth
+#: (2 mm at 300 mm) and by more than a number of robust standard deviations of all tiles, in more than a share of them.
 TILE_PX: Final = 16
-#: ... changes by more than this share of the depth (2 mm at 300 mm) ...
-_MOVED_SHARE: Final = 0.0067
-#: ... and by more than this number of standard deviations of its noise, each this median deviation, ...
-_MOVED_SIGMAS = 5.0
-#: ... in more than this share of all tiles.
-_MOVED_TILES: Final = 0.005
+_MOVED_SHARE, _MOVED_SIGMAS, _MOVED_TILES = 0.0067, 5.0, 0.005
 #: Size limit of the file. Images of 1280 x 720 with colour take 15 MB.
 _MAX_BYTES: Final = 100_000_000
 _REMEDY: Final = "capture the untouched frame again"
-#: Default number of frames that are averaged.
-UNTOUCHED_FRAMES: Final = 15
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,12 +86,11 @@ def average_untouched(frames: Iterable[SensorFrame]) -> UntouchedAverage:
     held: list[SensorFrame] = []
     first: SensorFrame | None = None
     count = 0
-    for frame in frames:
-        first = frame if first is None else first
-        _refuse_movement(first, frame)
-        count += 1
+    for count, frame in enumerate(frames, start=1):
         if count > MAX_FRAMES:
             raise CalibrationError(f"an untouched frame is averaged from at most {MAX_FRAMES} frames; ask for fewer")
+        first = first or frame
+        _refuse_movement(first, frame, count)
         held.append(frame)
         if len(held) == 2 * _BLOCK:
             blocks.append(take_snapshot(held[:_BLOCK]).frame)
@@ -109,24 +102,10 @@ def average_untouched(frames: Iterable[SensorFrame]) -> UntouchedAverage:
 
 
 def save_untouched(frame: SensorFrame, frames: int, preset_path: Path) -> UntouchedRecord:
-    """Write an untouched frame beside a preset file and return its record for the preset.
+    """Write an average of ``frames`` frames beside a preset file and return its record for the preset.
 
-    The file name contains the hash of the content, ``untouched-HASH.npz``, so no file of another preset in the same
-    folder is overwritten. Save the preset afterwards: preset and untouched frame on disk then match at any moment.
-
-    Parameters
-    ----------
-    frame : SensorFrame
-        From `average_untouched`.
-    frames : int
-        Number of averaged frames.
-    preset_path : Path
-        The preset's own file.
-
-    Raises
-    ------
-    ExportError
-        The file cannot be written.
+    The file's name is its content's hash, so no file of another preset in the same folder is overwritten. Save the
+    preset afterwards: preset and untouched frame on disk then match at any moment. Raises an `ExportError`.
     """
     sha256 = content_hash(frame)
     record = UntouchedRecord(file=f"untouched-{sha256[:12]}.npz", sha256=sha256, frames=frames)
@@ -136,13 +115,7 @@ def save_untouched(frame: SensorFrame, frames: int, preset_path: Path) -> Untouc
 
 
 def load_untouched(record: UntouchedRecord, preset_path: Path) -> SensorFrame:
-    """Read the untouched frame that a preset names.
-
-    Parameters
-    ----------
-    record : UntouchedRecord
-    preset_path : Path
-        The preset's file, or the recording (``.mcap``) that holds both.
+    """Read the untouched frame that a preset names; its path may also be that of a recording that holds both.
 
     Raises
     ------
@@ -165,14 +138,6 @@ def load_untouched(record: UntouchedRecord, preset_path: Path) -> SensorFrame:
 
 def copy_untouched(record: UntouchedRecord, preset_path: Path, to: Path) -> None:
     """Copy a preset's untouched frame beside another preset file, unless it is already there.
-
-    Parameters
-    ----------
-    record : UntouchedRecord
-    preset_path : Path
-        The preset it belongs to now; see `load_untouched`.
-    to : Path
-        The other preset's file.
 
     Raises
     ------
@@ -200,25 +165,9 @@ def find_untouched(
 ) -> FoundUntouched:
     """Return the untouched frame that methods compare with: the preset's own, otherwise the source's.
 
-    Parameters
-    ----------
-    preset : Preset
-    preset_path : path, str or None
-        Origin of the preset, as for `load_preset`; None if it came with the source.
-    source : FrameSource
-        The simulator renders its frames with the object removed.
-    progress : callable, optional
-        Called with the finished share, 0 to 1, and a description.
-
-    Returns
-    -------
-    FoundUntouched
-        The warnings say why the preset's own untouched frame is not used.
-
-    Raises
-    ------
-    SourceError
-        The source's untouched frame cannot be read.
+    ``preset_path`` is the preset's origin as for `load_preset`; None if it came with the source. The simulator renders
+    its frames without the object. The warnings say why the preset's own untouched frame is not used. Raises a
+    `SourceError` if the source's cannot be read.
     """
     found = kept_untouched(preset, preset_path, source)
     if found.frame is not None:
@@ -227,14 +176,14 @@ def find_untouched(
 
 
 def kept_untouched(preset: Preset | None, preset_path: Path | str | None, source: FrameSource) -> FoundUntouched:
-    """Return the stored untouched frame: the preset's own, otherwise the source's. Nothing is captured or simulated.
-
-    Parameters and errors are those of `find_untouched`.
-    """
+    """Return what `find_untouched` returns, but capture and simulate nothing."""
     warnings: tuple[str, ...] = ()
     if preset is not None and preset.untouched is not None:
         try:
-            frame = _own_untouched(preset.untouched, preset_path, source)
+            if preset_path is not None:
+                frame = load_untouched(preset.untouched, Path(preset_path))
+            else:
+                frame = _checked(source.untouched(), preset.untouched, f"the untouched frame in {source.name}")
             frame.check_against(source.rig)
             return FoundUntouched(frame)
         except (PresetError, FrameError) as error:
@@ -242,88 +191,11 @@ def kept_untouched(preset: Preset | None, preset_path: Path | str | None, source
     return FoundUntouched(source.untouched(), warnings)
 
 
-def _own_untouched(record: UntouchedRecord, preset_path: Path | str | None, source: FrameSource) -> SensorFrame:
-    if preset_path is not None:
-        return load_untouched(record, Path(preset_path))
-    return _checked(source.untouched(), record, f"the untouched frame in {source.name}")
-
-
-def _recorded(path: Path) -> SensorFrame | None:
-    from ..sources.mcap.source import McapSource
-
-    try:
-        with McapSource(path) as recording:
-            return recording.untouched()
-    except SourceError as error:
-        raise PresetError(f"the untouched frame of the preset cannot be read: {error}") from error
-
-
-def _checked(frame: SensorFrame | None, record: UntouchedRecord, what: str) -> SensorFrame:
-    if frame is None or content_hash(frame) != record.sha256:
-        raise PresetError(f"{what} is not the one that the preset was saved with; {_REMEDY}")
-    return frame
-
-
-def _refuse_movement(first: SensorFrame, frame: SensorFrame) -> None:
-    """Raise if the tactile depth differs from the first frame's. The proximity depth may change."""
-    if frame is first or frame.tactile_depth.shape != first.tactile_depth.shape:
-        return  # take_snapshot refuses other sizes
-    before, after = tile_medians(first.tactile_depth), tile_medians(frame.tactile_depth)
-    change = after - before
-    noise = spread(change, float(np.nanmedian(change))) if np.isfinite(change).any() else 0.0
-    moved = np.abs(change) > np.maximum(_MOVED_SHARE * before, _MOVED_SIGMAS * noise)
-    if moved.mean() > _MOVED_TILES:
-        farthest = float(np.abs(change)[moved].max() / np.median(before[moved]))
-        raise CalibrationError(
-            f"the membrane moved while the untouched frame was captured: frame {frame.sequence} differs from frame "
-            f"{first.sequence} by up to {100 * farthest:.1f} % of the depth; remove what touches it, "
-            "wait until its pressure is constant, and capture again"
-        )
-
-
-def tile_medians(counts: Uint16Array) -> Float64Array:
-    """Return the median of the valid counts of each image tile, shape (M,); nan where most pixels have no depth."""
-    height, width = (size // TILE_PX * TILE_PX for size in counts.shape)
-    tiles = counts[:height, :width].reshape(height // TILE_PX, TILE_PX, width // TILE_PX, TILE_PX)
-    pixels = tiles.swapaxes(1, 2).reshape(-1, TILE_PX**2)
-    valid = valid_depth(pixels)
-    ordered = np.sort(np.where(valid, pixels, np.uint16(65535)), axis=1)
-    known = valid.sum(axis=1)
-    medians = ordered[np.arange(len(ordered)), np.maximum(known - 1, 0) // 2].astype(np.float64)
-    return np.where(known >= TILE_PX**2 // 2, medians, np.nan)
-
-
-def _noise(single: list[SensorFrame], parts: list[SensorFrame]) -> tuple[float, float]:
-    """Return the noise of one frame and of the median of all parts, counts; nan for a single part.
-
-    The difference of two frames with noise s has noise sqrt(2) s. The medians of two halves each have sqrt(2) times
-    the noise of the whole, so their difference has twice the noise of the whole.
-    """
-    if len(parts) < 2:
-        return float("nan"), float("nan")
-    halves = [take_snapshot(parts[start::2]).frame for start in (0, 1)]
-    return _difference(single[0], single[1]) / math.sqrt(2.0), _difference(*halves) / 2.0
-
-
-def _difference(a: SensorFrame, b: SensorFrame) -> float:
-    """Return the RMS difference in tactile depth, counts, without the largest 1 % of differences."""
-    valid = valid_depth(a.tactile_depth) & valid_depth(b.tactile_depth)
-    if not valid.any():
-        return float("nan")
-    change = np.abs(a.tactile_depth[valid].astype(np.float64) - b.tactile_depth[valid])
-    return float(np.sqrt(np.mean(change[change <= np.quantile(change, 0.99)] ** 2)))
-
-
 def untouched_frame(source: FrameSource, progress: Progress | None = None) -> SensorFrame | None:
     """Return the source's untouched frame, or None if it has none.
 
     The simulator's is a measurement, not the ground truth: the median of `UNTOUCHED_FRAMES` noisy frames with the
-    object removed.
-
-    Raises
-    ------
-    SourceError
-        The source's untouched frame cannot be read.
+    object removed. Raises a `SourceError` if it cannot be read.
     """
     from ..sources.simulator.source import SimulatorSource  # on demand: other sources need not wait for it
 
@@ -349,3 +221,69 @@ def frames_to_average(
         return
     with source.with_object_away(progress) as away:
         yield (away.read(number % away.length) for number in range(count))
+
+
+def tile_medians(counts: Uint16Array) -> Float64Array:
+    """Return the median of the valid counts of each image tile, shape (M,); nan where most pixels have no depth."""
+    height, width = (size // TILE_PX * TILE_PX for size in counts.shape)
+    tiles = counts[:height, :width].reshape(height // TILE_PX, TILE_PX, width // TILE_PX, TILE_PX)
+    pixels = tiles.swapaxes(1, 2).reshape(-1, TILE_PX**2)
+    valid = valid_depth(pixels)
+    ordered = np.sort(np.where(valid, pixels, np.uint16(65535)), axis=1)
+    known = valid.sum(axis=1)
+    medians = ordered[np.arange(len(ordered)), np.maximum(known - 1, 0) // 2].astype(np.float64)
+    return np.where(known >= TILE_PX**2 // 2, medians, np.nan)
+
+
+def _recorded(path: Path) -> SensorFrame | None:
+    from ..sources.mcap.source import McapSource
+
+    try:
+        with McapSource(path) as recording:
+            return recording.untouched()
+    except SourceError as error:
+        raise PresetError(f"the untouched frame of the preset cannot be read: {error}") from error
+
+
+def _checked(frame: SensorFrame | None, record: UntouchedRecord, what: str) -> SensorFrame:
+    if frame is None or content_hash(frame) != record.sha256:
+        raise PresetError(f"{what} is not the one that the preset was saved with; {_REMEDY}")
+    return frame
+
+
+def _refuse_movement(first: SensorFrame, frame: SensorFrame, number: int) -> None:
+    """Raise if the tactile depth differs from the first frame's. The proximity depth may change."""
+    if frame is first or frame.tactile_depth.shape != first.tactile_depth.shape:
+        return  # take_snapshot refuses other sizes
+    before, after = tile_medians(first.tactile_depth), tile_medians(frame.tactile_depth)
+    change = after - before
+    noise = spread(change, float(np.nanmedian(change))) if np.isfinite(change).any() else 0.0
+    moved = np.abs(change) > np.maximum(_MOVED_SHARE * before, _MOVED_SIGMAS * noise)
+    if moved.mean() > _MOVED_TILES:
+        farthest = float(np.abs(change)[moved].max() / np.median(before[moved]))
+        raise CalibrationError(
+            f"the membrane moved while the untouched frame was captured: frame {number} of the capture differs from "
+            f"the first by up to {100 * farthest:.1f} % of the depth; remove what touches it, wait until its pressure "
+            "is constant, and capture again"
+        )
+
+
+def _noise(single: list[SensorFrame], parts: list[SensorFrame]) -> tuple[float, float]:
+    """Return the noise of one frame and of the median of all parts, counts; nan for a single part.
+
+    The difference of two frames with noise s has noise sqrt(2) s. The medians of two halves each have sqrt(2) times
+    the noise of the whole, so their difference has twice the noise of the whole.
+    """
+    if len(parts) < 2:
+        return math.nan, math.nan
+    halves = [take_snapshot(parts[start::2]).frame for start in (0, 1)]
+    return _difference(single[0], single[1]) / math.sqrt(2.0), _difference(*halves) / 2.0
+
+
+def _difference(a: SensorFrame, b: SensorFrame) -> float:
+    """Return the RMS difference in tactile depth, counts, without the largest 1 % of differences."""
+    valid = valid_depth(a.tactile_depth) & valid_depth(b.tactile_depth)
+    if not valid.any():
+        return math.nan
+    change = np.abs(a.tactile_depth[valid].astype(np.float64) - b.tactile_depth[valid])
+    return float(np.sqrt(np.mean(change[change <= np.quantile(change, 0.99)] ** 2)))

@@ -1,4 +1,4 @@
-"""The mask from an untouched frame: the colours of the prints on which the proximity camera measures the membrane."""
+"""The colours of the prints, on which the proximity camera measures the membrane, and the mask that covers them."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from ...model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array
 from ...model.clouds import ray_table
 from ...model.frames import Rig, SensorFrame
 from ...preset import MaskSection, Preset
+from ...rig.bias import depth_differences
 from ...sources.base import Progress
-from .disagreement import depth_differences
 from .proposal import Evidence, MaskLabel, Proposal
 
 #: Largest bias between the cameras at which prints are recognised, metres.
@@ -74,13 +74,8 @@ class _Colours:
 def suggest_mask(evidence: Evidence, progress: Progress) -> Proposal:
     """Propose the mask that covers the prints.
 
-    They are found in the untouched frame and in examples of the untouched membrane; without any, apart from painted
+    They are found in the untouched frame and in examples of the untouched membrane; without any, apart from marked
     contact; without that, among small groups of the present frame that are near the membrane, if they have one colour.
-
-    Raises
-    ------
-    AdviceError
-        No print reflects infrared, prints can't be told from contact, or they have the colour of the bare membrane.
     """
     known: list[tuple[SensorFrame, BoolArray | None]] = []
     if evidence.untouched is not None:
@@ -96,7 +91,7 @@ def suggest_mask(evidence: Evidence, progress: Progress) -> Proposal:
         found.append(_colours(frame, contact, evidence.preset, evidence.rig))
     if weak and not _one_colour(found[0].prints):
         raise AdviceError(
-            "mask: in this frame prints can't be told from contact; capture an untouched frame, or paint the contact "
+            "mask: in this frame prints can't be told from contact; capture an untouched frame, or mark the contact "
             "in a frame"
         )
     prints = np.concatenate([colours.prints for colours in found])
@@ -115,12 +110,13 @@ def suggest_mask(evidence: Evidence, progress: Progress) -> Proposal:
     return _proposal(evidence.preset, section, _labelled(found[0], section), covered, lost, found, weak)
 
 
-def _difference(frame: SensorFrame, preset: Preset, rig: Rig) -> tuple[Float32Array, Float32Array]:
+def _behind(frame: SensorFrame, preset: Preset, rig: Rig) -> tuple[Float32Array, Float32Array]:
     """Return the tactile depth of each proximity pixel, and how far it sees behind the prints, metres."""
     frame.check_against(rig)
-    expected, difference = depth_differences(frame, preset, rig)
+    expected_m, difference_m = depth_differences(frame, preset, rig)
     with np.errstate(invalid="ignore"):
-        return expected - difference, difference - most_frequent_m(difference[np.abs(difference) < _MAX_BIAS_M])
+        prints_m = most_frequent_m(difference_m[np.abs(difference_m) < _MAX_BIAS_M])
+    return expected_m - difference_m, difference_m - prints_m
 
 
 def _near(behind_m: Float32Array) -> Uint8Array:
@@ -132,7 +128,7 @@ def _near(behind_m: Float32Array) -> Uint8Array:
 
 def _large_groups(evidence: Evidence) -> BoolArray:
     """Return what may be contact in the present frame: groups near the membrane that are much larger than most."""
-    near = _near(_difference(evidence.frame, evidence.preset, evidence.rig)[1])
+    near = _near(_behind(evidence.frame, evidence.preset, evidence.rig)[1])
     _, groups, stats, _ = cv2.connectedComponentsWithStats(near, connectivity=8)
     areas = stats[:, cv2.CC_STAT_AREA]
     prints = np.flatnonzero(areas[1:] >= _MIN_GROUP_PIXELS) + 1
@@ -161,7 +157,7 @@ def _colours(frame: SensorFrame, contact: BoolArray | None, preset: Preset, rig:
     contact : bool, shape (H, W), or None
         Where something touches. What is near the membrane and connected with contact is no print.
     """
-    membrane_m, behind_m = _difference(frame, preset, rig)
+    membrane_m, behind_m = _behind(frame, preset, rig)
     on_print = _near(behind_m)
     if contact is not None:
         _, groups = cv2.connectedComponents(on_print | contact.view(np.uint8), connectivity=8)

@@ -1,15 +1,24 @@
-"""A proposed change of the preset, with its evidence; a finding that says what is wrong with the present frame."""
+"""What suggestions and findings are made of: evidence, proposals and findings."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from ...errors import AdviceError, FrameError
 from ...model.arrays import BoolArray, Uint8Array
+from ...model.files import atomic_path
 from ...model.frames import Rig, SensorFrame
+from ...model.loading import parse_npz, read_file
+from ...model.untouched_archive import frame_arrays, frame_from_bytes
 from ...preset import Preset
+
+_MASKS = ("contact", "known")
 
 
 class MaskLabel(IntEnum):
@@ -58,13 +67,7 @@ class Proposal:
     picture: Uint8Array | None = field(default=None, compare=False)
 
     def apply(self, preset: Preset) -> Preset:
-        """Return the preset with the changes.
-
-        Raises
-        ------
-        PresetError
-            The preset does not allow a value.
-        """
+        """Return the preset with the changes; raise a `PresetError` if it does not allow a value."""
         return preset.with_values(dict(self.changes))
 
 
@@ -113,6 +116,36 @@ class Example:
     contact: BoolArray | None = None
     known: BoolArray | None = None
 
+    @property
+    def known_contact(self) -> BoolArray:
+        """The pixels of known contact, (H, W)."""
+        if self.contact is None:
+            return np.zeros(self.frame.proximity_depth.shape, bool)
+        return self.contact if self.known is None else self.contact & self.known
+
+    def save(self, path: Path) -> None:
+        """Write an ``.npz`` with the images and masks; raise an `ExportError` if that fails."""
+        masks = {name: mask for name in _MASKS if (mask := getattr(self, name)) is not None}
+        with atomic_path(path) as temporary:
+            np.savez(temporary, allow_pickle=False, **frame_arrays(self.frame), **masks)
+
+    @classmethod
+    def load(cls, path: Path) -> Example:
+        """Read an example; raise an `AdviceError` if it is missing or damaged, or a mask does not fit the frame."""
+        try:
+            data = read_file(path)
+            frame, stored = frame_from_bytes(data), parse_npz(data)
+        except (OSError, ValueError, FrameError) as error:
+            raise AdviceError(f"{path}: the example cannot be read ({error}); mark it again") from error
+        masks: dict[str, BoolArray] = {name: stored[name] for name in _MASKS if name in stored}
+        for name, mask in masks.items():
+            if mask.dtype != np.bool_ or mask.shape != frame.proximity_depth.shape:
+                raise AdviceError(
+                    f"{path}: {name} is {mask.dtype} {mask.shape}, not a bool mask of the frame's "
+                    f"{frame.proximity_depth.shape} pixels; mark the example again"
+                )
+        return cls(frame, masks.get("contact"), masks.get("known"))
+
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
@@ -140,3 +173,13 @@ class Evidence:
     def frame(self) -> SensorFrame:
         """The present frame."""
         return self.frames[-1]
+
+    @property
+    def all_examples(self) -> tuple[Example, ...]:
+        """The examples, the untouched frame among them."""
+        return self.examples if self.untouched is None else (*self.examples, Example(self.untouched))
+
+    @property
+    def marked(self) -> list[tuple[SensorFrame, BoolArray]]:
+        """Frames with marked contact, and the pixels of it."""
+        return [(example.frame, example.known_contact) for example in self.examples if example.contact is not None]

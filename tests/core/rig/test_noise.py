@@ -287,7 +287,7 @@ def check(name):
         assert noise.bias_from != "unknown"
         bias_m = model.tof_offset_m + (model.tof_scale - 1) * 0.285
         assert abs(noise.bias_m - bias_m) < max(0.0003, 2 * noise.bias_sigma_m)
-        assert noise.bias_sigma_m < 0.002
+        assert noise.bias_sigma_m < 0.0025
 
 
 @pytest.mark.parametrize("name", ["l515-d405", "far-offset"])

@@ -10,7 +10,6 @@ from tactune.core.preset import now
 from tactune.core.rig.bias import MeasuredBias
 from tactune.core.sources.presets import load_preset
 from tactune.core.tuning.advice.alignment import propose_alignment
-from tactune.core.tuning.advice.disagreement import DepthPeak, Disagreement
 from tactune.core.tuning.advice.suggest import suggest
 
 SHIPPED = load_preset("simulator")
@@ -28,7 +27,7 @@ def test_prints_tell_the_offset(evidence, spoiled_m):
 
 
 def test_a_scale_that_no_preset_allows_is_not_proposed(evidence):
-    constant = Disagreement.in_peak(DepthPeak(MeasuredBias(0.02, 0.0001, "unknown", 1.0 - 1e-14, 1e-6, 0.3), 0.7, 0.3))
+    constant = MeasuredBias(0.02, 0.0001, "scene", 1.0 - 1e-14, 1e-6, 0.3, 0.7)
     proposal = propose_alignment(evidence(TOLERANCE, "sim:hover?gap=5"), constant)
     assert not proposal.changes and "No depth offset and scale" in proposal.expected
 
@@ -43,7 +42,7 @@ def test_painted_contact_tells_the_offset(evidence):
     shown = evidence(NO_MASK.with_value("alignment.depth_offset_m", 0.012), "sim:cup?press=low", painted=True)
     proposal = suggest("alignment", shown)
     assert proposal.changes["alignment.depth_offset_m"] == pytest.approx(0, abs=0.0015)
-    assert "painted" in proposal.evidence
+    assert "in firm contact" in proposal.evidence
 
 
 @pytest.mark.parametrize("gap", [1, 5, 20])

@@ -1,0 +1,236 @@
+"""The measurements of the window Check cameras that take frames: noise and bias, and the delay between the cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyqtgraph as pg
+from PyQt6.QtCore import Qt
+from PyQt6.QtWidgets import QDoubleSpinBox, QLabel
+
+from ...core.model.frames import SensorFrame
+from ...core.preset import Preset, RigNoise
+from ...core.rig.noise import (
+    MAX_FRAMES,
+    MIN_FRAMES,
+    NOISE_FRAMES,
+    describe,
+    frames_at_rest,
+    measure_noise,
+    object_moves,
+)
+from ...core.rig.skew import MAX_GAP_S, MIN_TIME_S, Sample, Skew, measure_skew
+from ...core.sources.registry import open_source
+from ...widgets.basics.controls import frame_count, make_verdict, push_button, wrapped_label
+from ...widgets.basics.layouts import STRETCH, vbox
+from ...widgets.basics.theme import theme_colors
+from ...widgets.plots.plot import Plot
+from ..context import Context
+from ..worker.jobs import Progress, Work
+from ..worker.results import SourceInfo
+from .gather import Gather
+
+_NOISE_INTRO: Final = (
+    "Hold the sensor and what it sees still. The noise is measured from the differences of successive frames and from "
+    "the mean frame on smooth surfaces. The bias is measured on prints of the mask's colour, which both cameras see, "
+    "and where an object is pressed firmly into the membrane (10 cm² or more)."
+)
+_SKEW_INTRO: Final = (
+    "Press an object into the membrane and pull it out, several times, a few centimetres deep and irregularly. "
+    "Both cameras see this motion. The delay at which they agree best is their skew, independent of their time stamps."
+)
+DELAY_PATH: Final = "cameras.tactile_delay_s"
+#: A second colour that is readable in both themes.
+_TACTILE_HUE: Final = "#d9730d"
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A measurement of the noise, and further sentences to show below it."""
+
+    noise: RigNoise
+    remarks: tuple[str, ...]
+
+
+class NoiseTab(Gather):
+    """The noise of both cameras and the bias between them: what the preset holds, and a new measurement."""
+
+    min_frames = MIN_FRAMES
+
+    def __init__(self, context: Context) -> None:
+        self.frames = frame_count(MAX_FRAMES, "Number of frames to measure; more are more accurate", NOISE_FRAMES)
+        self.frames.setMinimum(MIN_FRAMES)
+        self.frames.setAccessibleName("Frames to measure")
+        start = push_button("Measure", "Measure noise and bias on the current source (Ctrl+M)", "Ctrl+M")
+        use = push_button("Use in preset", "Store this measurement in the preset (Ctrl+U)", "Ctrl+U")
+        super().__init__(context, start, self.frames, use)
+        self.stored = wrapped_label(selectable=True)
+        self.stored.setAccessibleName("Noise and bias in the preset")
+        self.sentence.setAccessibleName("Measured noise and bias")
+        titles = QLabel("In the preset"), QLabel("New measurement")
+        for title in titles:
+            make_verdict(title)
+        vbox(
+            wrapped_label(_NOISE_INTRO), 8, titles[0], self.stored, 8, titles[1], self.taking_row(), self.sentence,
+            self.applying_row(), STRETCH, within=self,
+        )  # fmt: skip
+        self._document.presetChanged.connect(self._show_stored)
+        self._show_stored()
+        self._show_busy()
+
+    def takes_frames(self, info: SourceInfo) -> bool:
+        """Return whether this is no simulator, whose object may have to be removed."""
+        return not info.name.startswith("sim:")
+
+    def share(self, kept: Sequence[Any]) -> float:
+        """Return which share of the frames has arrived."""
+        return len(kept) / self.frames.value()
+
+    def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
+        """Measure the frames; those of the simulator are made here."""
+        count, preset, home = self.frames.value(), self._document.preset, self._document.untouched_home
+        if kept:
+            return partial(_measure, kept[:count], info, preset, home, ())
+        return partial(_measure_simulator, info, count, preset, home)
+
+    def show_found(self, found: Measured | None) -> None:
+        """Show a measurement."""
+        if found is not None:
+            self.sentence.setText("\n".join([*describe(found.noise), *found.remarks]))
+
+    def change(self) -> tuple[str, Any]:
+        """Return the field and its value."""
+        return "noise", self.found.noise.model_dump()
+
+    def _show_stored(self, *_: object) -> None:
+        noise = self._document.preset.noise
+        if noise is None:
+            self.stored.setText("The rig was not measured: the preset holds no noise and no bias.")
+            return
+        day = noise.measured.astimezone().strftime("%Y-%m-%d %H:%M")
+        self.stored.setText("\n".join([*describe(noise), f"Measured {day} on {noise.frames} frames."]))
+
+
+def _measure(
+    frames: Sequence[SensorFrame],
+    info: SourceInfo,
+    preset: Preset,
+    home: Path | None,
+    remarks: Sequence[str],
+    progress: Progress,
+) -> Measured:
+    found = info.find_untouched(preset, home, lambda share, words: progress(0.3 * share, words))
+    said = [*remarks, *found.warnings]
+
+    def report(share: float, words: str) -> None:
+        progress(0.3 + 0.7 * share, words)
+
+    return Measured(measure_noise(frames, info.rig, preset, found.frame, report, warn=said.append), tuple(said))
+
+
+def _measure_simulator(info: SourceInfo, count: int, preset: Preset, home: Path | None, progress: Progress) -> Measured:
+    """Measure frames of the simulator, without an object that moves."""
+    with open_source(info.name, lambda share, words: progress(0.1 * share, words)) as source:
+        removed = "The simulator's object moves, so it was removed for the measurement."
+        remarks = [removed] if object_moves(source) else []
+        with frames_at_rest(source, count, lambda share, words: progress(0.2 * share, words)) as shown:
+            frames: list[SensorFrame] = []
+            for frame in shown:
+                progress(0.2, f"Frame {len(frames) + 1} of {count}")
+                frames.append(frame)
+    return _measure(frames, info, preset, home, remarks, progress)
+
+
+class SkewTab(Gather):
+    """The delay between both cameras, measured from motion that both see, and its compensation."""
+
+    min_frames = 2
+    prompt = "Press in and pull out now"
+
+    def __init__(self, context: Context) -> None:
+        self.seconds = QDoubleSpinBox()
+        self.seconds.setRange(MIN_TIME_S, 30.0)
+        self.seconds.setValue(6.0)
+        self.seconds.setDecimals(0)
+        self.seconds.setSuffix(" s")
+        self.seconds.setAccessibleName("Duration")
+        self.seconds.setToolTip("Duration of the measurement in seconds; longer is more accurate")
+        start = push_button("Measure skew", "Observe the motion and measure the delay (Ctrl+M)", "Ctrl+M")
+        use = push_button("Compensate", "Set the preset's tactile delay; it takes effect when cameras are opened again")
+        super().__init__(context, start, self.seconds, use)
+        make_verdict(self.sentence)
+        self.curve = Plot("Delay of the tactile camera, ms", "Correlation", movable=True)
+        self.motion = Plot("Time, s (tactile moved by the delay)", "Pressed in, mm", movable=True)
+        for plot, name in ((self.curve, "Correlation against delay"), (self.motion, "Motion of both cameras")):
+            plot.getPlotItem().showGrid(x=True, y=True, alpha=0.2)
+            plot.setAccessibleName(name)
+        self.motion.add_legend(2)
+        vbox(
+            wrapped_label(_SKEW_INTRO), self.taking_row(QLabel("Watch for")), self.sentence, self.applying_row(),
+            (self.curve, 100), (self.motion, 100), STRETCH, within=self,
+        )  # fmt: skip
+        self.skew: Skew | None = None
+        self._show_busy()
+        self.curve.follow_theme()
+        self.motion.follow_theme(lambda _colors: self._draw())
+
+    def keep(self, frame: SensorFrame) -> Sample:
+        """Return the frame, subsampled."""
+        return Sample.of(frame)
+
+    def share(self, kept: Sequence[Sample]) -> float:
+        """Return which share of the duration the frames cover according to their own stamps."""
+        steps = np.diff([sample.proximity_time_s for sample in kept])
+        return float(steps[(steps > 0) & (steps <= MAX_GAP_S)].sum()) / self.seconds.value()
+
+    def work(self, kept: list[Sample], info: SourceInfo) -> Work:
+        """Measure the delay; a loop may have begun anywhere."""
+        ordered = sorted(kept, key=lambda sample: sample.proximity_time_s)
+        return partial(measure_skew, ordered, info.rig, self._document.preset.alignment)
+
+    def show_found(self, found: Skew | None) -> None:
+        """Show a measurement."""
+        if found is not None or self.busy:
+            self.skew = found
+            self._draw()
+        if found is not None:
+            self.sentence.setText(found.sentence)
+            self.apply.setText(f"Set the tactile delay to {1e3 * self.change()[1]:.1f} ms")
+            self.apply.setEnabled(found.significant)
+
+    def change(self) -> tuple[str, Any]:
+        """Return the field and its value. Live time stamps are already corrected by the present one."""
+        live = self.info is not None and self.info.length is None
+        present = self._document.preset.cameras.tactile_delay_s if live else 0.0
+        return DELAY_PATH, round(self.found.delay_s + present, 4)
+
+    def _show_busy(self) -> None:
+        super()._show_busy()
+        if self.found is not None and not self.found.significant:
+            self.apply.setEnabled(False)
+
+    def _draw(self) -> None:
+        """Plot the curve and both series."""
+        skew = self.skew
+        for plot in (self.curve, self.motion):
+            plot.clear()
+            plot.setVisible(skew is not None)
+        if skew is None:
+            return
+        accent = theme_colors().accent_text
+        known = np.isfinite(skew.correlations)
+        self.curve.plot(1e3 * skew.delays_s[known], skew.correlations[known], pen=pg.mkPen(accent, width=2))
+        line = pg.InfiniteLine(1e3 * skew.delay_s, pen=pg.mkPen(theme_colors().text, style=Qt.PenStyle.DashLine))
+        self.curve.addItem(line)
+        start_s = float(skew.proximity.time_s[0])
+        for name, series, hue, shift_s in (
+            ("proximity camera", skew.proximity, accent, 0.0),
+            ("tactile camera", skew.tactile, _TACTILE_HUE, skew.delay_s),
+        ):
+            time_s = series.time_s - start_s - shift_s
+            self.motion.plot(time_s, 1e3 * series.depth_m, pen=pg.mkPen(hue, width=2), name=name)

@@ -1,0 +1,272 @@
+"""What is wrong with the present frame or preset: plain functions, each of which looks for one thing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+
+from ...contact.masking import masked_share
+from ...contact.membrane.bias import rig_bias
+from ...contact.membrane.steps import firm_contact_bias
+from ...contact.membrane.tension import LIMITS_PER_M, measured_curvature_per_m
+from ...contact.pipeline import ContactPipeline
+from ...errors import AdviceError, FrameError, RigMismatchError, TactuneError, counted, minus
+from ...model.clouds import valid_depth
+from ...model.frames import Rig, SensorFrame
+from ...model.patch import ContactPatch
+from ...preset import Preset
+from ...rig.bias import UNKNOWN_BIAS_M, MeasuredBias, pressed_bias, print_bias, scene_bias
+from .alignment import propose_alignment
+from .fields import tolerance_for
+from .mask import suggest_mask
+from .no_depth import depth_missing
+from .proposal import Evidence, Finding, MaskLabel, Proposal
+
+#: Step between the rows and columns that are read where every pixel is not needed.
+_STRIDE: Final = 4
+#: Largest share of the colour image that prints cover.
+_MAX_MASKED: Final = 0.5
+#: A bias of less than this number of standard deviations is not certain. For small contact the membrane test assumes a
+#: bias of up to the second, metres; one of an uncalibrated depth offset is reported from the third on, as it displaces
+#: the patch. The depth of a scene must vary by this multiple of the bias, or it may be a gap.
+_CERTAIN, _MAX_ASSUMED_M, _MAX_OWN_M, _MIN_RELIEF = 3.0, 2 * UNKNOWN_BIAS_M, 0.003, 1.5
+#: Prints: fewest groups of contact, fewest pixels of one, and share of a group's pixels with the prints' colour.
+_MIN_PRINTS, _MIN_GROUP_PX, _MIN_COLORED = 3, 25, 0.8
+#: Least share of the pixels in contact that should pass the tolerance.
+_MIN_PASSING: Final = 0.8
+#: False contact below this area is not reported; a smallest contact above the second would drop what people press; the
+#: proposed one exceeds the largest false contact by the third, mm2.
+_MIN_FALSE_MM2, _MAX_SMALLEST_MM2, _MARGIN = 10.0, 100.0, 1.2
+#: An object in contact dents the membrane. Curvature of a slightly bulged membrane, 1/m, and the smallest dent that can
+#: be told from noise, metres.
+_BULGE_PER_M, _MIN_DENT_M = 10.0, 0.001
+_SMALLEST: Final = {"membrane": "membrane.min_area_mm2", "tolerance": "outliers.min_cluster_area_mm2"}
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """The present frame, its patch with the present preset, and the stored untouched frame with its patch."""
+
+    frame: SensorFrame
+    patch: ContactPatch
+    preset: Preset
+    rig: Rig
+    untouched: SensorFrame | None = None
+    untouched_patch: ContactPatch | None = None
+
+    @property
+    def distance_m(self) -> float:
+        """Median distance of the membrane from the tactile camera, metres; nan without depth."""
+        counts = self.frame.tactile_depth[::_STRIDE, ::_STRIDE]
+        counts = counts[valid_depth(counts)]
+        section = self.preset.alignment
+        if not len(counts):
+            return math.nan
+        return float(np.median(counts)) * self.rig.tactile.depth_unit_m * section.depth_scale + section.depth_offset_m
+
+
+def no_depth(it: Situation) -> Finding | None:
+    """A camera measures hardly any depth, or the tactile depth is implausible."""
+    return depth_missing(it.frame, it.rig)
+
+
+def covering_mask(it: Situation) -> Finding | None:
+    """The mask covers most of the colour image."""
+    mask = it.preset.mask
+    if not mask.enabled or (share := masked_share(it.frame.proximity_color, mask)) <= _MAX_MASKED:
+        return None
+    sentence = f"The mask covers {100 * share:.1f} % of the colour image, and nothing under it counts as contact."
+    expected = "All colours count. Then pick the colour of the prints."
+    proposal = Proposal("mask", {"mask.enabled": False}, "Mask off", sentence, expected)
+    return Finding("covering_mask", "mask.hue", sentence, proposal, explains_empty=True)
+
+
+def peak(it: Situation) -> Finding | None:
+    """The bias between the cameras is larger than the contact test stands."""
+    preset, distance_m = it.preset, it.distance_m
+    if it.rig.tactile.model == "none" or not distance_m > 0 or (found := _bias(it)) is None:
+        return None
+    limits = preset.test.bias_limits(preset, distance_m)
+    largest_m = min((limits.good_m + limits.fair_m) / 2, _MAX_ASSUMED_M)  # half of what leaves no contact
+    noise = preset.noise
+    corrects = preset.contact_test == "membrane" and preset.membrane.bias
+    expected_m = noise.bias_m if corrects and noise is not None and noise.bias_from != "unknown" else 0.0
+    own_m = 0.0 if preset.alignment.calibration is not None else preset.alignment.depth_offset_m
+    excess_m = found.bias_m - expected_m
+    if abs(excess_m + own_m) < abs(excess_m):  # the cameras agree better without the offset
+        largest_m = min(largest_m, _MAX_OWN_M)
+    if abs(excess_m) <= max(largest_m, _CERTAIN * found.sigma_m):
+        return None
+    proposal = propose_alignment(Evidence(preset, it.rig, (it.frame,), it.untouched), found)
+    place = minus(f"{100 * found.bias_m / distance_m:+.1f} %, {1e3 * found.bias_m:+.1f} mm")
+    sentence, field = f"Peak of the differences at {place}: the cameras disagree.", "alignment.depth_offset_m"
+    if proposal.changes:
+        return Finding("peak", field, sentence, proposal, explains_empty=True)
+    return Finding("peak", field, sentence, action="measure_noise", explains_empty=True)
+
+
+def _bias(it: Situation) -> MeasuredBias | None:
+    """Return the bias in the present frame, where it can be told from a gap."""
+    preset, rig, aligned = it.preset, it.rig, it.patch.aligned
+    difference_m = aligned.expected_m - aligned.measured_m
+    if (scene := scene_bias(aligned.expected_m, difference_m, _MIN_RELIEF)) is not None:
+        return scene
+    known, facts = rig_bias(preset.noise, rig), it.patch.membrane
+    try:
+        prints = print_bias([it.frame], rig, preset, known.noise_m4, difference_m)
+        if prints is not None:
+            return prints
+        if facts is not None:
+            contact = (facts.bias_m, facts.firm_m2) if facts.firm_m2 > 0 and len(it.patch.points) else None
+        elif LIMITS_PER_M[0] <= measured_curvature_per_m(it.frame, preset.alignment, rig) <= LIMITS_PER_M[1]:
+            contact = firm_contact_bias(preset, rig)(it.frame)
+        else:
+            return None  # without an inflated membrane nothing tells firm contact from a flat gap
+    except RigMismatchError:  # a homography without a pose
+        return None
+    return pressed_bias([it.frame], lambda _: contact, known.noise_m4, known.gap_sigma_m)
+
+
+def prints(it: Situation) -> Finding | None:
+    """Several groups of contact have the colour of prints, and wherever it is, both cameras measure the membrane."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(it.patch.mask.view(np.uint8))
+    large = [label for label in range(1, count) if stats[label, cv2.CC_STAT_AREA] >= _MIN_GROUP_PX]
+    if len(large) < _MIN_PRINTS:
+        return None
+    try:
+        proposal = suggest_mask(Evidence(it.preset, it.rig, (it.frame,)), lambda share, words: None)
+    except (AdviceError, FrameError, RigMismatchError):
+        return None
+    if not proposal.changes or proposal.picture is None:
+        return None
+    covered = proposal.picture == MaskLabel.COVERED
+    found = sum(covered[labels == label].mean() >= _MIN_COLORED for label in large)
+    if found < 2:
+        return None
+    hue = proposal.apply(it.preset).mask.hue
+    sentence = f"{found} groups of contact have one colour (hue {hue[0]} to {hue[1]}): probably prints."
+    return Finding("prints", "mask.enabled", sentence, proposal)
+
+
+def small_tolerance(it: Situation) -> Finding | None:
+    """Noise alone makes many pixels in contact fail the tolerance test."""
+    noise, t, distance_m = it.preset.noise, it.preset.tolerance.t, it.distance_m
+    if it.preset.contact_test != "tolerance" or noise is None or not distance_m > 0:
+        return None
+    sigma_m = math.hypot(noise.proximity.total_m, noise.tactile.total_m)
+    if sigma_m == 0 or (passing := math.erf(t * distance_m / (sigma_m * math.sqrt(2)))) >= _MIN_PASSING:
+        return None
+    better = tolerance_for(sigma_m, distance_m)
+    measured = f"the noise of both cameras is {1e3 * sigma_m:.1f} mm"
+    proposal = Proposal(
+        "tolerance",
+        {"tolerance.t": better},
+        f"t = {better:g}",
+        f"Measured with the rig: {measured}, one standard deviation.",
+        "95 % of the pixels in contact pass.",
+        weak=True,
+    )
+    sentence = f"t is {1e3 * t * distance_m:.1f} mm here, but {measured}: only {100 * passing:.0f} % of contact passes."
+    return Finding("small_tolerance", "tolerance.t", sentence, proposal)
+
+
+def unknown_bias(it: Situation) -> Finding | None:
+    """Contact is too small to tell the bias from a gap, on a rig whose bias was not measured."""
+    facts = it.patch.membrane
+    if facts is None or not it.preset.membrane.bias or facts.bias_known or not len(it.patch.points):
+        return None
+    sentence = "This contact is too small to tell a bias from a gap, and the bias of this rig is not measured."
+    if not it.preset.mask.enabled:
+        sentence += " The mask is off, so the contact may be prints; switch the mask on first."
+    return Finding("unknown_bias", "membrane.bias", sentence, action="measure_noise")
+
+
+def bulge(it: Situation) -> Finding | None:
+    """The membrane test uses another curvature of the free membrane than the measured one."""
+    facts = it.patch.membrane
+    if facts is None or LIMITS_PER_M[0] <= facts.curvature_per_m <= LIMITS_PER_M[1]:
+        return None
+    seen = "The tactile camera sees too little of the membrane to measure its bulge"
+    if not math.isnan(facts.curvature_per_m):
+        seen = f"The membrane has no usual bulge: its curvature measures {facts.curvature_per_m:.1f} per m"
+    sentence = f"{seen}; the membrane test assumes {facts.used_curvature_per_m:g} per m."
+    proposal = Proposal(
+        "contact_test",
+        {"contact_test": "tolerance"},
+        "Use the tolerance test",
+        "The membrane test needs the curvature of the free membrane, its pressure over its tension.",
+        "Contact no longer depends on the curvature of the membrane.",
+        weak=True,
+    )
+    return Finding("bulge", "contact_test", sentence, proposal)
+
+
+def false_contact(it: Situation) -> Finding | None:
+    """The preset finds contact on the untouched membrane, or on one that is where it was in the untouched frame."""
+    patch, where = it.untouched_patch, "The untouched frame has"
+    if patch is None or patch.area_mm2 < _MIN_FALSE_MM2:
+        patch, where = it.patch, "The membrane is where it was in the untouched frame, but there is"
+        # A flat object that touches a membrane of twice the mean curvature c over the area A dents it by at least
+        # A c / (4 pi), the height of a sphere's cap.
+        dent_m = 1e-6 * patch.area_mm2 * _BULGE_PER_M / (4 * math.pi)
+        if it.untouched_patch is None or patch.area_mm2 < _MIN_FALSE_MM2 or dent_m < _MIN_DENT_M:
+            return None
+        change_m = (patch.aligned.measured_m - it.untouched_patch.aligned.measured_m)[patch.mask]
+        if not abs(float(np.nanmedian(change_m))) < dent_m / 2:
+            return None
+    _, _, stats, _ = cv2.connectedComponentsWithStats(patch.mask.view(np.uint8))
+    lens, depth_m = it.rig.proximity.intrinsics, float(np.median(patch.points[:, 2]))
+    largest_mm2 = 1e6 * float(stats[1:, cv2.CC_STAT_AREA].max()) * depth_m**2 / (lens.fx * lens.fy)
+    places = counted(len(stats) - 1, "place")
+    sentence = f"{where} {patch.area_mm2:.0f} mm² of contact in {places} with this preset."
+    field = _SMALLEST[it.preset.contact_test]
+    smallest_mm2 = float(math.ceil(_MARGIN * largest_mm2))
+    if smallest_mm2 > _MAX_SMALLEST_MM2:
+        return Finding("false_contact", field, sentence, action="measure_noise")
+    proposal = Proposal(
+        field.partition(".")[0],
+        {field: smallest_mm2},
+        f"Smallest contact {smallest_mm2:g} mm²",
+        f"The largest false contact has {largest_mm2:.0f} mm².",
+        "The untouched membrane gives no contact. True contact below that area is dropped too.",
+    )
+    return Finding("false_contact", field, sentence, proposal)
+
+
+#: The checks in the order in which their findings are shown: causes before consequences.
+CHECKS: Final[tuple[Callable[[Situation], Finding | None], ...]] = (
+    no_depth, covering_mask, peak, prints, small_tolerance, unknown_bias, bulge, false_contact,
+)  # fmt: skip
+
+
+class Examiner:
+    """Runs all checks on frames of one rig. For one thread at a time."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+        self._pipeline: ContactPipeline | None = None
+
+    def findings(
+        self, frame: SensorFrame, patch: ContactPatch, preset: Preset, untouched: SensorFrame | None = None
+    ) -> tuple[Finding, ...]:
+        """Return what is wrong with a frame, whose patch this is, and a preset.
+
+        The preset is applied to the stored untouched frame again only after a change of either.
+        """
+        before: ContactPatch | None = None
+        if untouched is not None:
+            try:
+                if self._pipeline is None:
+                    self._pipeline = ContactPipeline(preset, self._rig)
+                elif self._pipeline.preset is not preset:
+                    self._pipeline.update(preset)
+                before = self._pipeline.process(untouched)
+            except TactuneError:  # it does not fit the rig
+                self._pipeline = None
+        situation = Situation(frame, patch, preset, self._rig, untouched, before)
+        return tuple(finding for check in CHECKS if (finding := check(situation)) is not None)

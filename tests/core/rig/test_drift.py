@@ -1,0 +1,114 @@
+"""Drift since the untouched frame: what is found, what is left alone, and when a warning is withdrawn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from drifted import Drift
+from drifting import AVERAGED, drifted, untouched
+from tactune.core.calibration.snapshots import take_snapshot
+from tactune.core.errors import CalibrationError, FrameError
+from tactune.core.model.frames import SensorFrame
+from tactune.core.preset import Preset
+from tactune.core.rig.drift import INTERVAL_S, Watch, WatchReport, compare_with_untouched, touch_doubts
+from tactune.core.sources.presets import load_preset
+from tactune.core.sources.registry import open_source
+
+PRESET = load_preset("simulator")
+LATER = range(AVERAGED, AVERAGED + 8)
+
+
+@cache
+def at_rest(index: int) -> SensorFrame:
+    return drifted().read(index)
+
+
+@pytest.fixture
+def watch() -> Watch:
+    return Watch(PRESET, drifted().rig, untouched())
+
+
+def reports(watch: Watch, frames: Iterable[SensorFrame], start: int = 0) -> list[tuple[int, WatchReport]]:
+    """Return the reports with the number of the look that made each."""
+    looks = ((look, watch.look(frame, (start + look) * INTERVAL_S)) for look, frame in enumerate(frames, 1))
+    return [(look, report) for look, report in looks if report is not None]
+
+
+@pytest.mark.parametrize(
+    ("drift", "verdict", "what", "value_m", "said"),
+    [
+        (Drift(), "fine", "tactile", 0.0, "as in the untouched frame"),
+        (Drift("tactile", (0.0006, 0, 0)), "camera", "tactile", 0.0006, "The tactile camera has moved by 0.6 mm"),
+        (Drift("tactile", (0, 0, 0.005)), "camera", "tactile", 0.0030, "The tactile camera has moved by"),
+        (Drift("tactile", turn_deg=(0, 2, 0)), "camera", "tactile", 0.010, "The tactile camera has moved by"),
+        (Drift("proximity", (0, 0.001, 0)), "camera", "proximity", 0.001, "The proximity camera has moved by"),
+        (Drift(apex_m=-0.0025), "inflation", "inflation", -0.0024, "farther in"),
+        (Drift(apex_m=0.0076), "inflation", "inflation", 0.0070, "farther out"),
+    ],
+)
+def test_a_change_is_found_with_its_size(drift: Drift, verdict: str, what: str, value_m: float, said: str) -> None:
+    now = take_snapshot([drifted(drift).read(index) for index in LATER]).frame
+    found = compare_with_untouched(PRESET, drifted().rig, now, untouched())
+    assert found.verdict == verdict
+    value = found.inflation_m if what == "inflation" else found.moved_m[what]
+    assert value == pytest.approx(value_m, rel=0.25, abs=0.0002)
+    assert said in found.sentence
+
+
+@pytest.mark.parametrize("drift", [Drift("tactile", (0.002, 0, 0)), Drift(apex_m=0.0076)])
+def test_a_change_is_told_once_and_withdrawn(watch: Watch, drift: Drift) -> None:
+    after = drifted(drift)
+    assert not reports(watch, map(at_rest, LATER[:3]))
+    [(look, report)] = reports(watch, map(after.read, LATER[:5]), 3)
+    assert look == 3
+    assert (report.verdict, report.state) == (watch.told, "told")
+    [(_, back)] = reports(watch, map(at_rest, LATER), 8)
+    assert (back.verdict, back.state) == (report.verdict, "withdrawn")
+    assert watch.told == "fine"
+
+
+def test_a_single_odd_frame_is_not_told(watch: Watch) -> None:
+    frames = [at_rest(index) for index in LATER]
+    frames[6] = drifted(Drift("tactile", (0.005, 0, 0))).read(21)
+    assert reports(watch, frames) == []
+
+
+def test_ordinary_use_raises_no_alarm(watch: Watch) -> None:
+    """Presses, releases, and an object that hovers, with the light dimmed for a while."""
+    bright, dim = open_source("sim:cup"), open_source("sim:cup?light=dim")
+    order = np.random.default_rng(3).integers(bright.length, size=30)
+    frames = ((dim if 10 <= look < 20 else bright).read(int(index)) for look, index in enumerate(order))
+    assert reports(watch, frames) == []
+
+
+def test_a_look_is_due_every_ten_seconds_and_after_the_clock_was_set_back(watch: Watch) -> None:
+    assert watch.due(100.0)
+    watch.look(drifted().read(20), 100.0)
+    assert not watch.due(109.9)
+    assert watch.due(110.0)
+    assert watch.due(0.0)
+
+
+def test_a_touch_is_doubted() -> None:
+    rig, pressed = drifted().rig, drifted(press="medium").read(20)
+    assert touch_doubts(PRESET, rig, untouched(), untouched()) == []
+    [(sentence, certain), *_] = touch_doubts(PRESET, rig, pressed, None)
+    assert certain and "cm2" in sentence
+    assert compare_with_untouched(PRESET, rig, pressed, untouched()).verdict == "touched"
+
+
+def test_what_cannot_be_compared_is_refused(watch: Watch) -> None:
+    with pytest.raises(CalibrationError, match="untouched frame"):
+        Watch(Preset(), drifted().rig, None)
+    frame = drifted().read(20)
+    small = replace(frame, tactile_depth=frame.tactile_depth[::2, ::2].copy(), tactile_color=None)
+    with pytest.raises(FrameError):
+        watch.look(small, 0.0)
+    blind = replace(frame, tactile_depth=np.zeros_like(frame.tactile_depth))
+    with pytest.raises(CalibrationError, match="tactile camera"):
+        compare_with_untouched(PRESET, drifted().rig, blind, untouched())
