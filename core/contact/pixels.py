@@ -69,6 +69,7 @@ class Pixels:
         near, far = preset.range.limits_m if preset.range.enabled else (0.0, np.inf)
         self.limits = kernels.DepthLimits(np.float32(near), np.float32(far), np.float32(0))
         self._region = region_bounds(preset.region, rig.proximity.intrinsics.shape)
+        self._rays = _ray_planes(rig.proximity.intrinsics)
         self._lookup = color_lookup_of(rig)
         self._hsv = hsv_limits(preset.mask) if preset.mask.enabled else _NO_LIMITS
 
@@ -79,9 +80,7 @@ class Pixels:
     def test(self, tolerance: float = np.inf) -> kernels.PixelTest:
         """Return the test of single pixels, for kernels; with the default any two depths agree."""
         limits = self.limits._replace(tolerance=np.float32(tolerance))
-        return kernels.PixelTest(
-            self.alignment.tables, self._region, limits, _ray_planes(self.rig.proximity.intrinsics)
-        )
+        return kernels.PixelTest(self.alignment.tables, self._region, limits, self._rays)
 
     def color_test(self, frame: SensorFrame) -> kernels.ColorTest:
         """Return the colour mask of a frame, for kernels."""

@@ -37,6 +37,17 @@ print("numba" in sys.modules)
     assert done.stdout == "False\n", done.stderr
 
 
+def test_every_exported_name_is_there_without_window_or_extras() -> None:
+    program = """
+import sys
+import tactune.core
+print(all(getattr(tactune.core, name) is not None for name in tactune.core.__all__), len(tactune.core.__all__))
+print(sorted({name.partition(".")[0] for name in sys.modules} & {"PyQt6", "OpenGL", "open3d", "optuna", "trimesh"}))
+"""
+    done = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True, text=True)
+    assert done.stdout.splitlines() == ["True 17", "[]"], done.stderr
+
+
 def test_the_commands_that_need_no_window_import_none() -> None:
     program = """
 import sys

@@ -85,10 +85,7 @@ def test_near_means_are_as_near_as_they_say(seed, k, share, noise):
     exact = exact_means(points, k)
     near, precise = (means(points, pixels, lens, k, NeighbourMemory()) for means in (near_means, precise_means))
     assert np.abs(near / exact - 1).max() <= statistical.UNCERTAINTY
-    assert (
-        np.abs(precise_means(points, pixels, lens, k, NeighbourMemory()) / exact - 1).max()
-        <= statistical.PRECISE_UNCERTAINTY / 100
-    )
+    assert np.abs(precise / exact - 1).max() <= statistical.PRECISE_UNCERTAINTY / 100
 
 
 def test_a_point_too_near_to_the_threshold_is_decided_in_float64_and_then_exactly(monkeypatch):
