@@ -103,7 +103,7 @@ class ParameterPanel(QScrollArea):
         self.setFrameShape(QScrollArea.Shape.NoFrame)
         self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        self.setMinimumWidth(360)
+        self.setMinimumWidth(364)
         self.setAccessibleName("Parameters")
 
         self._escape = QShortcut(QKeySequence(Qt.Key.Key_Escape), self)
