@@ -58,7 +58,7 @@ def _ask_driver() -> tuple[list[dict[str, Any]], list[str]]:
 
 def _notes(found: Sequence[dict[str, Any]]) -> list[str]:
     """Return sentences on missing cameras and their causes."""
-    from ...core.sources.realsense.driver import driver_version, no_l515_sentence
+    from ...core.sources.cameras.realsense import driver_version, no_l515_sentence
     from ..doctor.cameras import usb_cameras
 
     notes = []

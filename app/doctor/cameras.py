@@ -34,7 +34,7 @@ print(json.dumps(wrong))
 _DRIVER = """
 import json
 from tactune.core.errors import TactuneError
-from tactune.core.sources.realsense.driver import driver_version, load_driver, no_l515_sentence
+from tactune.core.sources.cameras.realsense import driver_version, load_driver, no_l515_sentence
 try:
     load_driver()
     print(json.dumps({"version": driver_version(), "no_l515": no_l515_sentence(driver_version())}))

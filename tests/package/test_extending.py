@@ -139,7 +139,7 @@ def test_the_method_needs_no_untouched_frame(found: None) -> None:
 def test_an_acme_camera_stands_beside_a_realsense_one(found: None) -> None:
     pytest.importorskip("pyrealsense2", reason="the camera driver is not installed", exc_type=ImportError)
     from software_rig import PROXIMITY_SERIAL, SoftwareRig
-    from tactune.core.sources.realsense.driver import RealSenseDriver
+    from tactune.core.sources.cameras.realsense import RealSenseDriver
 
     rig = SoftwareRig()
     (acme_driver,), _ = camera_drivers("acme")

@@ -13,8 +13,8 @@ from .camera import Calibration, Camera, CameraDriver, DeviceInfo, Image, Kind
 
 #: Periods without an image after which a stream counts as stalled.
 SILENT_PERIODS: Final = 10
-#: A stalled camera is reopened this long after its last image; also the interval of further attempts, seconds.
-_REVIVE_S: Final = (3.0, 6.0, 12.0, 30.0)
+#: A stalled camera is reopened this long after its last image, and again in such intervals, seconds.
+_REVIVE_S: Final = 4.0
 #: Longest wait for the first image of a camera that was just opened.
 _WARM_UP_S: Final = 3.0
 _POLL_S: Final = 0.5
@@ -24,14 +24,10 @@ _TOLD_S: Final = 5.0
 
 
 class CameraThread:
-    """One camera of the rig on a thread of its own.
+    """One camera of the rig on a thread of its own; the device is found again by its serial number.
 
     Parameters
     ----------
-    role : {"proximity", "tactile"}
-    driver : CameraDriver
-    info : DeviceInfo
-        The device; it is found again by its serial number.
     stored : mapping
         Camera options of the preset.
     take_image : callable
@@ -65,7 +61,6 @@ class CameraThread:
         self._told_until_s = 0.0
         self._problem = ""
         self._last_number: int | None = None
-        self._attempts = 0
         self._poll_at_s = 0.0
         self.dropped = 0
         self.alive_s = time.monotonic()
@@ -168,7 +163,7 @@ class CameraThread:
     def _note_opened(self) -> None:
         now_s = time.monotonic()
         self._seen_s: dict[Kind, float] = dict.fromkeys(self._kinds, now_s + _WARM_UP_S)
-        self._revive_at_s = now_s + _WARM_UP_S + _REVIVE_S[0]
+        self._revive_at_s = now_s + _WARM_UP_S + _REVIVE_S
         self._last_number = None
 
     def _read(self, camera: Camera) -> None:
@@ -178,64 +173,35 @@ class CameraThread:
             if image.kind not in self._kinds:
                 continue
             self._seen_s[image.kind] = now_s
-            if self._fits(image):
-                self._count_gap(image)
-                self._take_image(self.role, image, arrival_s)
+            if image.kind == "depth":
+                if self._last_number is not None:
+                    self.dropped += max(image.number - self._last_number - 1, 0)
+                self._last_number = image.number
+            self._take_image(self.role, image, arrival_s)
         if now_s - self._seen_s["depth"] > self.silent_s and now_s > self._poll_at_s:
             self._poll_at_s = now_s + _POLL_S
-            self._check_plugged_in()
-        self._revive_if_silent(now_s)
-
-    def _fits(self, image: Image) -> bool:
-        lens = self.calibration.color if image.kind == "color" else None
-        expected = (lens or self.calibration.depth.intrinsics).shape
-        if image.pixels.shape[:2] == expected:
-            return True
-        height, width = image.pixels.shape[:2]
-        self.tell(
-            f"The {self.info.title} sent a {image.kind} image of {width} x {height} pixels instead of "
-            f"{expected[1]} x {expected[0]}; it was ignored."
-        )
-        return False
-
-    def _count_gap(self, image: Image) -> None:
-        if image.kind == "depth":
-            if self._last_number is not None:
-                self.dropped += max(image.number - self._last_number - 1, 0)
-            self._last_number = image.number
-
-    def _check_plugged_in(self) -> None:
-        if self.info.serial not in self._driver.serials():
-            self._lose(f"The {self.info.title} is unplugged: plug it in again and it continues automatically.")
-
-    def _revive_if_silent(self, now_s: float) -> None:
+            if self.info.serial not in self._driver.serials():
+                self._lose(self._unplugged)
         needed = self._kinds if self.role == "proximity" else ("depth",)
         if all(now_s - self._seen_s[kind] <= self.silent_s for kind in needed):
-            self._attempts = 0
-            self._revive_at_s = now_s + _REVIVE_S[0]
+            self._revive_at_s = now_s + _REVIVE_S
         elif now_s > self._revive_at_s:
-            attempts = self._attempts + 1
             self._close_camera()
             self._find_again()
             if self._camera is not None:
                 self.tell(f"The {self.info.title} had stopped sending and was started again.")
-            self._attempts = attempts
-            self._revive_at_s = time.monotonic() + _REVIVE_S[min(attempts, len(_REVIVE_S) - 1)]
+
+    @property
+    def _unplugged(self) -> str:
+        return f"The {self.info.title} is unplugged: plug it in again and it continues automatically."
 
     def _find_again(self) -> None:
-        """Open the camera if it is connected, else wait a little; report a different camera in its place."""
+        """Open the camera if it is connected, else wait a little."""
         if self.info.serial in self._driver.serials():
             self._reopen()
-            return
-        others = [info for info in self._driver.devices() if info.model == self.info.model]
-        if others:
-            self._problem = (
-                f"The {self.info.title} is unplugged and another {others[0].model} with the serial "
-                f"{others[0].serial} is connected: plug the first one in again, or choose the cameras again."
-            )
-        elif self._camera is None and not self._problem:
-            self._problem = f"The {self.info.title} is unplugged: plug it in again and it continues automatically."
-        self._quit.wait(_POLL_S)
+        else:
+            self._problem = self._problem or self._unplugged
+            self._quit.wait(_POLL_S)
 
     def _reopen(self) -> None:
         self._note_reopened(self.role)

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from typing import Final
 
 from ...errors import PluginError, SourceError, TactuneError
-from ...model.plugins import load_plugin_class, load_plugins
+from ...model.plugins import added_by_others
 from ...preset import CamerasSection
 from ..base import CameraRole
 from .camera import CameraDriver, DeviceInfo, StreamLens
+from .realsense import RealSenseDriver
 
-GROUP = "tactune.cameras"
+#: Entry points of other packages: classes of camera drivers.
+GROUP: Final = "tactune.cameras"
 
 
 def camera_drivers(name: str = "") -> tuple[list[CameraDriver], list[str]]:
@@ -22,10 +25,19 @@ def camera_drivers(name: str = "") -> tuple[list[CameraDriver], list[str]]:
     PluginError
         The named driver cannot be loaded.
     """
-    if name:
-        return [_load(name)], []
-    plugins = load_plugins(GROUP, _load)
-    return list(plugins.found.values()), list(plugins.problems.values())
+    found, failed = added_by_others(GROUP, CameraDriver)
+    known = {**found, "realsense": RealSenseDriver}
+    if name and name not in known:
+        raise PluginError(failed.get(name, f"there is no camera driver {name!r}; known are {', '.join(known)}"))
+    drivers, problems = [], [] if name else list(failed.values())
+    for each in [name] if name else sorted(known):
+        try:
+            drivers.append(known[each]())
+        except Exception as error:  # another package's driver may raise anything
+            problems.append(f"the camera driver {each!r} failed ({error}); update or uninstall its package")
+    if name and problems:
+        raise PluginError(problems[0])
+    return drivers, problems
 
 
 def connected_devices(drivers: Sequence[CameraDriver]) -> tuple[list[tuple[CameraDriver, DeviceInfo]], list[str]]:
@@ -51,16 +63,7 @@ def connected_devices(drivers: Sequence[CameraDriver]) -> tuple[list[tuple[Camer
 
 
 def list_devices() -> tuple[list[DeviceInfo], str, list[str]]:
-    """Return all connected devices, why others may be missing, and what is wrong with drivers.
-
-    Returns
-    -------
-    devices : list of DeviceInfo
-        Proximity cameras first.
-    hint : str
-        What the drivers say about cameras that they cannot find; empty if nothing.
-    problems : list of str
-        One sentence for each driver that cannot be loaded or fails.
+    """Return all connected devices, proximity cameras first; why others may be missing; what is wrong with drivers.
 
     Raises
     ------
@@ -90,86 +93,43 @@ def choose(
 ) -> dict[CameraRole, DeviceInfo]:
     """Decide which device gets which role: by serial number where the preset names one, else by `DeviceInfo.role`.
 
-    Parameters
-    ----------
-    devices : sequence of DeviceInfo
-        The connected devices.
-    cameras : CamerasSection
-    source : str
-        Name of the source, such as ``"realsense:"``; messages begin with it.
-    what : str
-        How messages call a camera if none is connected.
-    hint : str
-        Why the driver may not list a camera; empty if there is no reason.
-
-    Raises
-    ------
-    SourceError
-        A camera is missing, or several would fit; the message says what to do.
+    Messages begin with ``source``, such as ``"realsense:"``, call a camera ``what`` if none is connected, and give
+    ``hint`` as the reason why the driver may not list one. `SourceError` if a camera is missing, or several would fit.
     """
     if not devices:
         note = f"; note that {hint}" if hint else ""
         raise SourceError(
             f"{source} finds no {what} connected: plug both into USB 3 ports; tactune doctor finds other causes{note}"
         )
-    named = {cameras.proximity.serial, cameras.tactile.serial} - {""}
-    if cameras.proximity.serial and cameras.proximity.serial == cameras.tactile.serial:
-        raise SourceError(f"{source} both cameras have the serial {cameras.proximity.serial}; name two different ones")
-    free = [device for device in devices if device.serial not in named]
-    proximity = _find(devices, cameras.proximity.serial, free, "proximity", source)
-    tactile = _find(devices, cameras.tactile.serial, free, "tactile", source)
-    if proximity is None:
-        raise SourceError(_missing("proximity", "an L515", devices, source, hint))
-    if tactile is None:
-        raise SourceError(_missing("tactile", "a D405", devices, source))
-    return {"proximity": proximity, "tactile": tactile}
-
-
-def _load(name: str) -> CameraDriver:
-    kind = load_plugin_class(GROUP, name, CameraDriver)  # type: ignore[type-abstract]
-    try:
-        return kind()
-    except Exception as error:
-        raise PluginError(
-            f"the entry point {name!r} ({GROUP}) failed ({error}); update or uninstall its package"
-        ) from error
-
-
-def _find(
-    devices: Sequence[DeviceInfo], serial: str, free: Sequence[DeviceInfo], role: CameraRole, source: str
-) -> DeviceInfo | None:
-    if serial:
-        for device in devices:
-            if device.serial == serial:
-                return device
-        raise SourceError(
-            f"{source} the {role} camera with the serial {serial} is not connected, "
-            f"but {_titles(devices)} {_is_or_are(devices)}; plug it in, or name another one in the camera dialog or as "
-            f"{_form(source)}"
-        )
-    fitting = [device for device in free if device.role == role]
-    best = [device for device in fitting if not device.is_second_choice] or fitting
-    if len(best) > 1:
-        raise SourceError(
-            f"{source} {_titles(best)} may each be the {role} camera; "
-            f"choose in the camera dialog, or name both serials as {_form(source)}"
-        )
-    return best[0] if best else None
-
-
-def _missing(role: str, model: str, devices: Sequence[DeviceInfo], source: str, reason: str = "") -> str:
-    only = f"only {_titles(devices)} {_is_or_are(devices)} connected"
-    remedy = reason or f"plug {model} into a USB 3 port, or name a camera in its place as {_form(source)}"
-    return f"{source} there is no {role} camera, {only}; {remedy}"
-
-
-def _form(source: str) -> str:
-    return f"{source.partition(':')[0]}:PROXIMITY,TACTILE"
+    serials: dict[CameraRole, str] = {"proximity": cameras.proximity.serial, "tactile": cameras.tactile.serial}
+    if serials["proximity"] and serials["proximity"] == serials["tactile"]:
+        raise SourceError(f"{source} both cameras have the serial {serials['tactile']}; name two different ones")
+    form = f"{source.partition(':')[0]}:PROXIMITY,TACTILE"
+    connected = f"{_titles(devices)} {'is' if len(devices) == 1 else 'are'}"
+    chosen: dict[CameraRole, DeviceInfo] = {}
+    for role, serial in serials.items():
+        if serial:
+            fitting = [device for device in devices if device.serial == serial]
+            if not fitting:
+                raise SourceError(
+                    f"{source} the {role} camera with the serial {serial} is not connected, but {connected}; "
+                    f"plug it in, or name another one in the camera dialog or as {form}"
+                )
+        else:
+            free = [device for device in devices if device.role == role and device.serial not in serials.values()]
+            fitting = [device for device in free if not device.is_second_choice] or free
+        if not fitting:
+            model = "an L515" if role == "proximity" else "a D405"
+            remedy = hint or f"plug {model} into a USB 3 port, or name a camera in its place as {form}"
+            raise SourceError(f"{source} there is no {role} camera, only {connected} connected; {remedy}")
+        if len(fitting) > 1:
+            raise SourceError(
+                f"{source} {_titles(fitting)} may each be the {role} camera; "
+                f"choose in the camera dialog, or name both serials as {form}"
+            )
+        chosen[role] = fitting[0]
+    return chosen
 
 
 def _titles(devices: Sequence[DeviceInfo]) -> str:
     return " and ".join(device.title for device in devices)
-
-
-def _is_or_are(devices: Sequence[DeviceInfo]) -> str:
-    return "is" if len(devices) == 1 else "are"

@@ -13,10 +13,10 @@ from ...errors import SourceError
 from ...model.frames import Rig, SensorFrame
 from ...preset import CamerasSection
 from ..base import CameraOption, CameraRole, FrameSource, Health, Progress
-from .assembler import Assembler
 from .camera import CameraDriver, Image
 from .camera_thread import CameraThread
 from .drivers import camera_drivers, choose, connected_devices
+from .pairing import Assembler
 
 _ANY_CAMERAS: Final = CamerasSection()
 #: A driver call that takes longer than this counts as hung.
@@ -34,27 +34,8 @@ class CameraSource(FrameSource):
 
     Frames are numbered from 0 and carry the cameras' time stamps on the computer's clock; the tactile camera's
     are reduced by ``cameras.tactile_delay_s``. While a camera stalls or is missing there are no frames and `health`
-    says why; frames continue by themselves when it is back.
-
-    Parameters
-    ----------
-    drivers : sequence of CameraDriver
-        Drivers that are searched for the cameras; the two cameras may have different drivers.
-    cameras : CamerasSection, optional
-        Serial numbers and options of both cameras, and the delay of the tactile one.
-    progress : callable, optional
-        Receives the fraction done, 0 to 1, and the current step.
-    scheme : str
-        How the source was named, for messages.
-    problems : sequence of str
-        Sentences about drivers that cannot be used; added to the message if a camera is missing.
-
-    Raises
-    ------
-    MissingExtraError
-        A driver is not installed, and no other one finds a camera.
-    SourceError
-        A driver fails, or the cameras cannot be found or opened; the message says what to do.
+    says why; frames continue by themselves when it is back. The two cameras may have different drivers. Messages begin
+    with ``scheme``; ``problems`` are sentences about drivers that cannot be used.
     """
 
     def __init__(
@@ -81,7 +62,7 @@ class CameraSource(FrameSource):
                 tell(share, f"opening the {info.title}")
                 driver = next(driver for driver, known in connected if known is info)
                 self._feeds[role] = CameraThread(
-                    role, driver, info, getattr(cameras, role).options, self._add_image, self._restart_clock
+                    role, driver, info, getattr(cameras, role).options, self._add_image, self._forget_images
                 )
             self._check_rates()
         except SourceError as error:
@@ -110,14 +91,10 @@ class CameraSource(FrameSource):
         return self._feeds["proximity"].rate_hz
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait for a pair of images, at most ``timeout_s``.
-
-        Raises
-        ------
-        SourceError
-            The driver hangs; only a new process helps.
-        """
-        self._refuse_hung_driver()
+        """Wait for a pair of images, at most ``timeout_s``; `SourceError` if a driver hangs."""
+        for feed in self._feeds.values():
+            if not self._assembler.closed and time.monotonic() - feed.alive_s > HUNG_S:
+                raise SourceError(f"{self.name} the driver does not come back from the {feed.info.title}")
         return self._assembler.wait(timeout_s)
 
     def next_frame(self) -> SensorFrame | None:
@@ -175,13 +152,11 @@ class CameraSource(FrameSource):
 
     def _add_image(self, role: CameraRole, image: Image, arrival_s: float) -> None:
         """Take an image from a camera, on its thread."""
-        feed = self._feeds[role]
-        event = self._assembler.add(role, image, arrival_s)
-        if event:
-            feed.tell(f"The {feed.info.title}'s {event}")
+        if self._assembler.add(role, image, arrival_s):
+            feed = self._feeds[role]
+            feed.tell(f"The {feed.info.title}'s clock is not the computer's; images are timed by their arrival.")
 
-    def _restart_clock(self, role: CameraRole) -> None:
-        """Forget the clock and the waiting images of a camera."""
+    def _forget_images(self, role: CameraRole) -> None:
         self._assembler.restart(role)
 
     def _check_rates(self) -> None:
@@ -195,8 +170,3 @@ class CameraSource(FrameSource):
     def _close_feeds(self) -> None:
         for feed in self._feeds.values():
             feed.close()
-
-    def _refuse_hung_driver(self) -> None:
-        for feed in self._feeds.values():
-            if not self._assembler.closed and time.monotonic() - feed.alive_s > HUNG_S:
-                raise SourceError(f"{self.name} the driver does not come back from the {feed.info.title}")

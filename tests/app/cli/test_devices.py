@@ -14,8 +14,8 @@ from tactune.app.doctor.cameras import UsbCamera
 from tactune.app.doctor.checks import Child
 from tactune.app.sources import list_devices
 from tactune.core.sources.cameras import drivers
+from tactune.core.sources.cameras import realsense as driver
 from tactune.core.sources.cameras.camera import DeviceInfo, StreamMode
-from tactune.core.sources.realsense import driver
 
 
 def mode(stream, width, height, rate_hz, format_="z16"):

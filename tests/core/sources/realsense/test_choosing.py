@@ -9,9 +9,9 @@ import pytest
 
 from tactune.core.errors import MissingExtraError, SourceError
 from tactune.core.preset import CameraSection, CamerasSection
+from tactune.core.sources.cameras import realsense as driver
 from tactune.core.sources.cameras.camera import DeviceInfo
 from tactune.core.sources.cameras.drivers import choose
-from tactune.core.sources.realsense import driver
 
 L515, L515_TOO = DeviceInfo("L515", "f1", "proximity"), DeviceInfo("L515", "f2", "proximity")
 D405, D405_TOO = DeviceInfo("D405", "d1", "tactile"), DeviceInfo("D405", "d2", "tactile")

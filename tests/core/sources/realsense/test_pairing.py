@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import itertools
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactune.core.sources.cameras.assembler import SETTLING, Pairer, StreamClock, Timed
+from tactune.core.sources.cameras.camera import Image
+from tactune.core.sources.cameras.pairing import ODD_STAMPS, Assembler, Pairer, Timed
 
 PERIOD_S = 1 / 30
 START_S = 1.7e9
@@ -94,58 +96,39 @@ def test_an_image_of_an_optional_stream_is_not_waited_for_long():
     assert (depth.item, color, pairer.unmatched) == ("depth", None, 0)
 
 
-lateness = st.lists(st.floats(0, 0.5), min_size=40, max_size=80)
+def paired(stamps: list[tuple[float, float]], *, on_host_clock: bool = True) -> tuple[list[tuple[float, float]], int]:
+    """Give depth images of both cameras with these stamps to an assembler; they arrive 30 ms after their moment.
+
+    Return the times of the pairs, and how often images were said to be timed by their arrival.
+    """
+    assembler = Assembler(PERIOD_S, 0.0, ("proximity", "tactile"))
+    times, told = [], 0
+    for number, pair in enumerate(stamps):
+        arrival_s = START_S + number * PERIOD_S + 0.03
+        for role, stamp_s in zip(("proximity", "tactile"), pair, strict=True):
+            image = Image("depth", number, np.zeros((1, 1), np.uint16), stamp_s, on_host_clock or role == "proximity")
+            told += assembler.add(role, image, arrival_s)
+        while (found := assembler.take()) is not None:
+            times.append((found.proximity_time_s, found.tactile_time_s))
+    return times, told
 
 
-def arrivals(stamps: list[float], late: list[float]) -> list[float]:
-    return list(itertools.accumulate((stamp + wait for stamp, wait in zip(stamps, late, strict=False)), max))
+def test_stamps_on_the_computers_clock_are_taken_as_they_are():
+    stamps = [(START_S + n * PERIOD_S, START_S + n * PERIOD_S + 0.002) for n in range(20)]
+    assert paired(stamps) == (stamps, 0)
 
 
-@given(late=lateness, lost=st.sets(st.integers(1, 79)), jitter=st.lists(st.floats(-0.2, 0.2), min_size=80, max_size=80))
-def test_stamps_on_the_computers_clock_are_taken_as_they_are_however_late_images_are(late, lost, jitter):
-    clock = StreamClock(PERIOD_S)
-    numbers = [number for number in range(len(late)) if number not in lost]
-    stamps = [START_S + (number + jitter[number]) * PERIOD_S for number in numbers]
-    for number, stamp, arrival in zip(numbers, stamps, arrivals(stamps, late), strict=True):
-        assert clock.place(number, stamp, arrival, on_host_clock=True) == stamp
-        assert not clock.settling
+def test_a_camera_with_a_clock_of_its_own_lets_both_count_by_arrival():
+    times, told = paired([(START_S + n * PERIOD_S, 5.0 + n * PERIOD_S) for n in range(20)], on_host_clock=False)
+    assert (len(times) >= 19, told) == (True, 1)
+    assert all(one == other for one, other in times)
 
 
-@given(
-    jump=st.floats(0.7, 60.0).flatmap(lambda periods: st.sampled_from([periods, -periods])),
-    late=st.lists(st.floats(0, 0.004), min_size=200, max_size=200),
-    at=st.integers(1, 60),
-)
-def test_after_a_jump_images_are_placed_where_they_were_taken(jump, late, at):
-    clock = StreamClock(PERIOD_S)
-    truths = [START_S + number * PERIOD_S for number in range(200)]
-    for number, (truth, arrival) in enumerate(zip(truths, arrivals(truths, late), strict=True)):
-        stamp = truth + (jump * PERIOD_S if at <= number < 120 else 0.0)
-        placed = clock.place(number, stamp, arrival + 0.03, on_host_clock=True)
-        assert abs(placed - truth) < 0.25 * PERIOD_S
-        if number == at:
-            assert clock.settling
-            assert clock.jumped_by_s == pytest.approx(jump * PERIOD_S, abs=0.005)
-        if number >= 120 + SETTLING:  # jumped back
-            assert placed == stamp
-
-
-def test_a_camera_that_pauses_has_not_jumped():
-    clock = StreamClock(PERIOD_S)
-    for number, pause_s in enumerate([0.0] * 20 + [1.0] * 20):
-        stamp = START_S + number * PERIOD_S + pause_s
-        assert clock.place(number, stamp, stamp + 0.03, on_host_clock=True) == stamp
-        assert not clock.settling
-
-
-def test_a_clock_of_its_own_is_followed_by_the_arrivals_even_if_it_drifts():
-    clock = StreamClock(PERIOD_S)
-    for number in range(3000):
-        truth = START_S + number * PERIOD_S
-        placed = clock.place(number, 5.0 + number * PERIOD_S * 1.0005, truth + 0.03, on_host_clock=False)
-        assert placed - truth == pytest.approx(0.03, abs=0.002)
-    assert not clock.is_shared
-    assert clock.usual_delay_s == 0.0
-    misled = StreamClock(PERIOD_S)
-    misled.place(0, 5.0, START_S, on_host_clock=True)  # the driver says so, but the stamps do not bear it out
-    assert not misled.is_shared
+@pytest.mark.parametrize("jump_s", [7.0, -7.0])
+def test_a_clock_that_jumps_counts_no_more(jump_s):
+    moments = [START_S + n * PERIOD_S for n in range(200)]
+    times, told = paired([(each, each + (jump_s if n >= 50 else 0.0)) for n, each in enumerate(moments)])
+    assert told == 1
+    assert len(times) >= 200 - ODD_STAMPS - 2
+    assert all(abs(one - other) < PERIOD_S / 2 for one, other in times)
+    assert times == sorted(times)

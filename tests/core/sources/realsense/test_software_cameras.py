@@ -19,8 +19,8 @@ from tactune.core.errors import SourceError
 from tactune.core.model.intrinsics import Distortion
 from tactune.core.preset import CameraSection, CamerasSection
 from tactune.core.sources.cameras.camera import Calibration, StreamMode
+from tactune.core.sources.cameras.realsense import RealSenseDriver, describe
 from tactune.core.sources.cameras.source import CameraSource
-from tactune.core.sources.realsense.driver import RealSenseDriver, describe
 
 IMAGES = 90
 
@@ -150,7 +150,7 @@ def test_a_device_in_use_is_said_to_be():
 
 
 def test_a_missing_mode_is_said_with_those_that_are_there(monkeypatch):
-    monkeypatch.setattr("tactune.core.sources.realsense.camera.WIDTH", 1280)
+    monkeypatch.setattr("tactune.core.sources.cameras.realsense_camera.WIDTH", 1280)
     with pytest.raises(
         SourceError, match=r"no depth stream of 1280 x 480.*depth 320 x 240 at 30 Hz \(z16\), depth 640"
     ):
@@ -188,7 +188,9 @@ def test_color_of_another_lens_is_brought_to_the_depth_pixels(session):
 def test_a_driver_that_does_not_come_back_is_told_where_frames_are_asked_for(session, monkeypatch):
     released = threading.Event()
     monkeypatch.setattr("tactune.core.sources.cameras.source.HUNG_S", 0.5)
-    monkeypatch.setattr("tactune.core.sources.realsense.camera.RealSenseCamera.read", lambda *_: released.wait() and ())
+    monkeypatch.setattr(
+        "tactune.core.sources.cameras.realsense_camera.RealSenseCamera.read", lambda *_: released.wait() and ()
+    )
     try:
         with pytest.raises(SourceError, match=r"driver does not come back from the (L515|D405)"):
             session.read(1_000)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from pydantic import ValidationError
@@ -14,7 +13,7 @@ from ...errors import SourceError
 from ...model.frames import DepthCamera, Matrix4, camera_pose
 from ...model.intrinsics import Distortion, Intrinsics
 from ..base import CameraOption, CameraRole
-from ..cameras.camera import Calibration, Camera, DeviceInfo, Image, StreamLens
+from .camera import Calibration, Camera, DeviceInfo, Image, StreamLens
 
 WIDTH, HEIGHT, RATE_HZ = 640, 480, 30
 _FORMATS = {"depth": "z16", "color": "rgb8"}
@@ -51,8 +50,7 @@ _SET_BY_PRESET: Final = frozenset(_OFFERED) - {VISUAL_PRESET, _AUTO_EXPOSURE, "e
 _SHORT_RANGE: Final = 5.0
 
 
-@dataclass(frozen=True)
-class _Stream:
+class _Stream(NamedTuple):
     """One stream of a device: the driver's sensor and profile."""
 
     sensor: Any
@@ -64,19 +62,6 @@ class RealSenseCamera(Camera):
 
     The sensors are opened directly, without the driver's pipeline, which waits for devices by itself and drops images
     that it cannot pair. The driver puts images into its own queue, so none of its threads waits for Python.
-
-    Parameters
-    ----------
-    driver : module
-        pyrealsense2.
-    device : the driver's device
-    info : DeviceInfo
-    role : {"proximity", "tactile"}
-
-    Raises
-    ------
-    SourceError
-        The device lacks a mode, is in use, may not be used or does not answer.
     """
 
     def __init__(self, driver: Any, device: Any, info: DeviceInfo, role: CameraRole) -> None:
@@ -86,8 +71,10 @@ class RealSenseCamera(Camera):
             super().__init__(info, role, _read_calibration(streams, info), float(RATE_HZ))
             self._depth_sensor = streams["depth"].sensor
             self._sensors = _by_sensor(streams)
+            option = driver.option.global_time_enabled
             for sensor, _ in self._sensors:
-                self._use_host_clock(sensor)
+                if sensor.supports(option) and not sensor.get_option(option):
+                    sensor.set_option(option, 1.0)
         except RuntimeError as error:
             raise SourceError(_explain(info, error)) from error
         self._queue = self._driver.frame_queue(_QUEUE, True)
@@ -213,11 +200,6 @@ class RealSenseCamera(Camera):
     @property
     def _is_l500(self) -> bool:
         return self.info.model.startswith("L5")
-
-    def _use_host_clock(self, sensor: Any) -> None:
-        option = self._driver.option.global_time_enabled
-        if sensor.supports(option) and not sensor.get_option(option):
-            sensor.set_option(option, 1.0)
 
 
 def _find_streams(device: Any, info: DeviceInfo) -> dict[str, _Stream]:

@@ -11,7 +11,7 @@ from typing import Any
 
 from ...errors import MissingExtraError, SourceError
 from ..base import CameraRole
-from ..cameras.camera import Camera, CameraDriver, DeviceInfo, StreamLens, StreamMode
+from .camera import Camera, CameraDriver, DeviceInfo, StreamLens, StreamMode
 
 #: Returns the driver's objects of the connected devices.
 DeviceQuery = Callable[[], list[Any]]
@@ -26,10 +26,7 @@ _PACKAGES = {"libusb-1.0": "libusb-1.0-0", "libudev": "libudev1"}
 class RealSenseDriver(CameraDriver):
     """The RealSense cameras: L515, D405 and others of the D400 line.
 
-    Parameters
-    ----------
-    query : callable, optional
-        Returns the driver's objects of the connected devices; by default those on this machine's USB.
+    ``query`` returns the driver's objects of the connected devices; by default those on this machine's USB.
     """
 
     title = "RealSense"
@@ -47,7 +44,7 @@ class RealSenseDriver(CameraDriver):
 
     def open(self, serial: str, role: CameraRole) -> Camera:
         """Open a device."""
-        from .camera import RealSenseCamera
+        from .realsense_camera import RealSenseCamera
 
         for device in self._query():
             if _serial(device) == serial:
@@ -56,7 +53,7 @@ class RealSenseDriver(CameraDriver):
 
     def lenses(self, serial: str) -> list[StreamLens]:
         """Return the lens of every size of depth and colour images."""
-        from .camera import read_lenses
+        from .realsense_camera import read_lenses
 
         return [lens for device in self._query() if _serial(device) == serial for lens in read_lenses(device)]
 
@@ -71,15 +68,7 @@ class RealSenseDriver(CameraDriver):
 
 
 def load_driver() -> Any:
-    """Import pyrealsense2 and return it.
-
-    Raises
-    ------
-    MissingExtraError
-        It is not installed.
-    SourceError
-        It is installed but cannot be loaded; the message names the system library that is missing.
-    """
+    """Import pyrealsense2; `MissingExtraError` if it is not installed, `SourceError` if it cannot be loaded."""
     try:
         return importlib.import_module("pyrealsense2")
     except ModuleNotFoundError as error:
@@ -87,7 +76,13 @@ def load_driver() -> Any:
             "live cameras need the camera driver pyrealsense2, which is not installed: pip install 'tactune[realsense]'"
         ) from error
     except ImportError as error:
-        raise SourceError(_cannot_load(str(error))) from error
+        missing = next((package for library, package in _PACKAGES.items() if library in str(error)), "")
+        raise SourceError(
+            f"the camera driver pyrealsense2 needs a system library ({error}): sudo apt-get install {missing}"
+            if missing
+            else f"the camera driver pyrealsense2 cannot be loaded ({error}): "
+            "reinstall it with pip install --force-reinstall 'tactune[realsense]'"
+        ) from error
 
 
 def driver_version() -> str:
@@ -164,16 +159,6 @@ def _mode(profile: Any) -> StreamMode | None:
 
 def _numbers(text: str) -> tuple[int, ...]:
     return tuple(int(number) for number in re.findall(r"\d+", text))
-
-
-def _cannot_load(message: str) -> str:
-    for library, package in _PACKAGES.items():
-        if library in message:
-            return f"the camera driver pyrealsense2 needs the system library {library}: sudo apt-get install {package}"
-    return (
-        f"the camera driver pyrealsense2 cannot be loaded ({message}): "
-        "reinstall it with pip install --force-reinstall 'tactune[realsense]'"
-    )
 
 
 def _role(model: str) -> CameraRole | None:
