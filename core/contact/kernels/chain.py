@@ -28,9 +28,11 @@ from .simd import (
     floor,
     gather,
     gather_colors,
+    greater,
     int_scratch,
     ints,
     lane_numbers,
+    lesser,
     load,
     load_colors,
     store,
@@ -47,6 +49,8 @@ _int_vector = int_scratch(LANES)
 #: Rows of an image tile; it is `LANES` columns wide.
 TILE_ROWS: Final = 8
 
+#: Bound of the rounding error of a sum, as a share of its terms; at least ten times as large.
+SLACK = np.float32(1e-5)
 _HALF = np.float32(0.5)
 _ZERO = np.float32(0.0)
 _NAN = np.float32(np.nan)
@@ -316,6 +320,16 @@ def both_depths(place: Any, depth: Any, valid: Any, tactile: Any, alignment: Any
 def agree(dp: Any, dt: Any, tolerance: Any) -> Any:
     """Return in which lanes the expected and the measured depth pass the tolerance test, |dp - dt| <= t |dp|."""
     return absolute(dp - dt) <= floats(tolerance) * absolute(dp)
+
+
+@inline
+def accepted_range(low: Any, high: Any, tolerance: Any, margin: Any) -> Any:
+    """Return the range of measured depths that `agree` with an expected one from low to high, widened by a margin."""
+    share = floats(tolerance)
+    slack = floats(SLACK) * greater(absolute(low), absolute(high)) + floats(margin)
+    lowest = lesser(low - share * absolute(low), high - share * absolute(high)) - slack
+    highest = greater(low + share * absolute(low), high + share * absolute(high)) + slack
+    return lowest, highest
 
 
 @inline

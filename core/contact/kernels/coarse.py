@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...model.arrays import AnyArray, BoolArray, Float32Array, Int32Array
-from .chain import TILE_ROWS, Alignment, DepthImages, DepthLimits
+from .chain import SLACK, TILE_ROWS, Alignment, DepthImages, DepthLimits, accepted_range
 from .compiling import inline, kernel
 from .lenses import PINHOLE
 from .simd import (
@@ -49,9 +49,8 @@ _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
 _ONE_COUNT = np.uint16(1)
 _NO_COUNT, _ALL_COUNTS = np.uint16(0), np.uint16(65535)
-#: At least ten times the rounding error: in pixels, and as a share of the terms of a sum.
+#: At least ten times the rounding error, in pixels.
 _PIXEL_SLACK = np.float32(0.05)
-_SLACK = np.float32(1e-5)
 #: A tile with points nearer to the plane of the tactile camera is never ruled out, metres.
 _MIN_Z = np.float32(1e-6)
 _FARTHEST_PIXEL = np.float32(1e6)
@@ -218,7 +217,7 @@ def _ranges_of_tiles(image: Any, width: Any, height: Any, lows: Any, highs: Any)
 def _widen(low: Any, high: Any, a: Any, b: Any) -> Any:
     """Extend a range by the sum of two terms and its rounding error."""
     both = a + b
-    slack = floats(_SLACK) * (absolute(a) + absolute(b))
+    slack = floats(SLACK) * (absolute(a) + absolute(b))
     return lesser(low, both - slack), greater(high, both + slack)
 
 
@@ -237,7 +236,7 @@ def _pixel_range(low: Any, high: Any, near_z: Any, far_z: Any, focal: Any, centr
     first = lesser(low / near_z, low / far_z) * floats(focal) + floats(centre)
     last = greater(high / near_z, high / far_z) * floats(focal) + floats(centre)
     slack = floats(_PIXEL_SLACK)
-    return first - slack - floats(_SLACK) * absolute(first), last + slack + floats(_SLACK) * absolute(last)
+    return first - slack - floats(SLACK) * absolute(first), last + slack + floats(SLACK) * absolute(last)
 
 
 @inline
@@ -254,16 +253,6 @@ def _rectangle_at(depth: Any, tables: Any, start: Any, alignment: Any) -> Any:
     left, right = _pixel_range(x_low, x_high, z_low, z_high, camera[0], camera[2])
     top, bottom = _pixel_range(y_low, y_high, z_low, z_high, camera[1], camera[3])
     return left, right, top, bottom, z_low, z_high
-
-
-@inline
-def _accepted_range(low: Any, high: Any, tolerance: Any, margin: Any) -> Any:
-    """Return the range of tactile depths that pass the tolerance test for expected depths from low to high."""
-    share = floats(tolerance)
-    slack = floats(_SLACK) * greater(absolute(low), absolute(high)) + floats(margin)
-    lowest = lesser(low - share * absolute(low), high - share * absolute(high)) - slack
-    highest = greater(low + share * absolute(low), high + share * absolute(high)) + slack
-    return lowest, highest
 
 
 @inline
@@ -379,7 +368,7 @@ def _mark_tiles(images: Any, alignment: Any, tables: Any, limits: Any, margin: A
         too_near = has_depth & (expected_low < floats(_MIN_Z)) if alignment.rigid else flags(0)
         sees = (right >= floats(-_HALF)) & (left < floats(np.float32(size.tactile_width) - _HALF)) & (left <= right)
         sees = sees & (bottom >= floats(-_HALF)) & (top < floats(np.float32(size.tactile_height) - _HALF))
-        lowest, highest = _accepted_range(expected_low, expected_high, limits.tolerance, margin)
+        lowest, highest = accepted_range(expected_low, expected_high, limits.tolerance, margin)
 
         # First all lanes at once, by the range of depths over a square of tiles that holds the rectangle.
         first_column, last_column = _tile_of(left, LANES, tactile_columns), _tile_of(right, LANES, tactile_columns)

@@ -116,17 +116,6 @@ def test_a_point_too_near_to_the_threshold_is_decided_in_float64_and_then_exactl
     assert calls.count("exact for all") == 1
 
 
-def test_equal_distances_everywhere_have_no_inliers():
-    """Where the standard deviation is nothing but rounding, float32 must not decide."""
-    lens = Intrinsics(width=64, height=48, fx=50.0, fy=50.0, cx=32.0, cy=24.0)
-    pixels = np.arange(64 * 48)
-    points = deproject(np.full((48, 64), 3000, np.uint16), DepthCamera(intrinsics=lens, depth_unit_m=1e-4), pixels)
-    for k in (2, 3, 5, 20):
-        assert np.array_equal(statistical_inliers(points, pixels, lens, k, 1e-9), open3d_inliers(points, k, 1e-9))
-    coinciding = np.repeat(points[:1], 100, axis=0)
-    assert not statistical_inliers(coinciding, pixels[:100], lens, 20, 2.0).any()
-
-
 def test_clouds_without_a_near_neighbour_go_to_the_tree(monkeypatch):
     points, pixels, lens = scene(3, 640, 480, 0.0008, 0.001)
     calls = []

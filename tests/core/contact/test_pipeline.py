@@ -188,16 +188,6 @@ def test_the_homography_lookup_is_opencvs_nearest_warp():
     assert (ours > 0).mean() > 0.8
 
 
-def test_a_point_outside_the_colour_image_is_kept(make_rig, make_frame):
-    rig = make_rig()
-    frame = make_frame(rig)
-    turned = Rig.model_validate(rig.model_dump() | {"proximity_color": rig.proximity_color.model_dump() | {
-        "T_color_depth": [[1, 0, 0, 0.99], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}})  # fmt: skip
-    everything = PRESET.with_values({"mask.enabled": True, "tolerance.t": 0.05})
-    assert (ContactPipeline(everything, rig).process(frame).provenance == Provenance.MASKED).any()
-    assert not (ContactPipeline(everything, turned).process(frame).provenance == Provenance.MASKED).any()
-
-
 def test_area_and_centroid_of_a_known_patch(make_rig):
     rig = make_rig(color=False)
     counts = np.zeros((60, 80), np.uint16)
@@ -222,24 +212,6 @@ def test_a_preset_of_another_size_is_refused_and_of_another_serial_warned_of(mak
     assert ContactPipeline(Preset(rig=rig), rig).warnings == []
 
 
-def test_another_lens_or_colour_camera_is_warned_of_and_rounding_is_not(make_rig):
-    rig = make_rig()
-
-    def with_focal(factor, role="proximity"):
-        camera = getattr(rig, role)
-        lens = camera.intrinsics.model_copy(update={"fx": camera.intrinsics.fx * factor})
-        return rig.model_copy(update={role: camera.model_copy(update={"intrinsics": lens})})
-
-    preset = Preset(name="mine", rig=rig)
-    assert ContactPipeline(preset, with_focal(1 + 1e-7)).warnings == []
-    (lens,) = ContactPipeline(preset, with_focal(1.01)).warnings
-    assert "proximity intrinsics (fx" in lens
-    (color,) = ContactPipeline(preset, with_focal(1.01, "proximity_color")).warnings
-    assert "colour intrinsics (fx" in color
-    (missing,) = ContactPipeline(preset, rig.model_copy(update={"proximity_color": None})).warnings
-    assert "only the rig it was made for" in missing
-
-
 def test_a_refused_update_leaves_the_old_preset_in_force(make_rig, make_frame):
     rig = make_rig()
     contact = ContactPipeline(PRESET, rig)
@@ -248,15 +220,6 @@ def test_a_refused_update_leaves_the_old_preset_in_force(make_rig, make_frame):
         contact.update(Preset(rig=make_rig(width=100)))
     assert contact.preset == PRESET
     assert same_patch(contact.process(make_frame(rig)), before)
-
-
-def test_a_plane_through_the_tactile_camera_is_refused(make_rig):
-    pose = np.eye(4)
-    pose[2, 3] = 0.3
-    rig = make_rig().model_copy(update={"T_proximity_tactile": rigid_transform(pose)})
-    preset = PRESET.with_values({"alignment.model": "homography", "alignment.homography.plane_distance_m": 0.3})
-    with pytest.raises(RigMismatchError, match=r"plane_distance_m is 0\.3"):
-        ContactPipeline(preset, rig)
 
 
 @pytest.mark.parametrize(

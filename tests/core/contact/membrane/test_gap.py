@@ -23,10 +23,3 @@ def test_the_gap_is_zero_in_contact_and_grows_outside_its_edge():
     assert np.isnan(gap[patch.provenance == Provenance.OUTSIDE_REGION]).all()
     assert np.isnan(gap[:5]).all()  # far from the object
     assert patch.membrane.firm_m2 > 0.001
-
-
-def test_another_contact_test_has_none():
-    preset = load_preset("simulator").with_value("contact_test", "tolerance")
-    with open_source("sim:cup?press=medium") as source:
-        frame, rig = source.next_frame(), source.rig
-    assert ContactPipeline(preset, rig).process(frame).membrane is None

@@ -130,28 +130,6 @@ def test_images_without_depth_have_no_contact(bias, proximity, tactile):
     assert set(np.unique(patch.provenance)) == {wanted}
 
 
-@pytest.mark.parametrize(
-    ("width", "height"), [(1, 1), (2, 3), (3, 3), (8, 8), (9, 9), (40, 3), (4, 40), (17, 9), (31, 33), (97, 65)]
-)
-@pytest.mark.parametrize("kind", ["flat", "zero", "saturated", "random"])
-@pytest.mark.parametrize("bias", [True, False])
-def test_images_of_any_size_and_content_are_judged(width, height, kind, bias):
-    rig = flat_rig(width, height)
-    image = np.full((height, width), {"flat": 30_000, "saturated": 65_535}.get(kind, 0), np.uint16)
-    if kind == "random":
-        image = np.random.default_rng(0).integers(0, 65_536, image.shape).astype(np.uint16)
-    frame = SensorFrame(0, image, image, np.zeros((height, width, 3), np.uint8))
-    pipeline = ContactPipeline(PLAIN.with_values({"membrane.frames": 2, "membrane.bias": bias}), rig)
-    for _ in range(2):
-        patch = pipeline.process(replace(frame))
-        assert patch.mask.shape == patch.provenance.shape == (height, width)
-        assert np.isfinite(patch.points).all()
-        np.testing.assert_array_equal(patch.mask, patch.provenance == Provenance.CONTACT)
-        assert len(patch.points) == np.count_nonzero(patch.mask)
-        if min(width, height) < 9:
-            assert len(patch.points) == 0, "smaller than three cells"
-
-
 def test_one_and_four_threads_and_a_used_pipeline_give_the_same_bits():
     source = SimulatorSource("cup", seed=1, cells=CELLS, variant=Variant(press="medium"), sensor="datasheet")
     first, second = (replace(source.read(index), truth=None) for index in (0, 1))
