@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Self
 
 from ..errors import SourceError
+from ..model.files import recording_files, user_path
 from ..model.frames import Rig, SensorFrame
 
 if TYPE_CHECKING:
-    from ..preset import Preset
+    from ..preset import CamerasSection, Preset
 
 #: Called with the fraction done of a long task, 0 to 1, and the current step.
 Progress = Callable[[float, str], None]
@@ -230,3 +231,57 @@ class SeekableSource(FrameSource):
         if not 0 <= index < self._length:
             raise SourceError(f"{self.name}: there is no frame {index}; frames run from 0 to {self._length - 1}")
         self._position = index
+
+
+@dataclass(frozen=True)
+class SourceKind:
+    """One kind of source: its names, what the user must choose, and how it is opened.
+
+    Attributes
+    ----------
+    scheme : str
+        Text before the colon of a name.
+    title : str
+        Name in menus and dialogs.
+    form : str
+        How a name is written, such as ``"folder:PATH"``.
+    description : str
+        A sentence for help texts and tooltips.
+    open : callable
+        ``open(rest, progress, cameras)`` returns the source. ``rest`` is the name after the colon, ``progress`` is
+        called with the fraction done and the current step, or is None, ``cameras`` is the preset's section
+        ``cameras``, or None. Raises `SourceError`. A heavy module is best imported inside.
+    needs : {"nothing", "folder", "file"}
+        What the user must choose to open a source.
+    pattern : str
+        File names that it opens, such as ``"*.bag *.db3"``, or the file that makes a folder one, such as
+        ``"rig.json"``; empty if it opens none.
+    examples : tuple of str
+        Example names for menus.
+    files : int
+        How many files, with commas between them, may make one source.
+    """
+
+    scheme: str
+    title: str
+    form: str
+    description: str
+    open: Callable[[str, Progress | None, CamerasSection | None], FrameSource]
+    needs: Literal["nothing", "folder", "file"] = "nothing"
+    pattern: str = ""
+    examples: tuple[str, ...] = ()
+    files: int = 1
+
+    def claim(self, name: str) -> str | None:
+        """Return what to open where a name without a scheme is a path of this kind, else None."""
+        path = user_path(name)
+        if self.needs == "file":
+            files = recording_files(name)
+            fits = all(any(file.match(each) for each in self.pattern.split()) for file in files)
+            return name if 0 < len(files) <= self.files and fits else None
+        if self.needs == "folder" and self.pattern:
+            if (path / self.pattern).is_file():
+                return name
+            if path.name == self.pattern and path.is_file():
+                return str(path.parent)
+        return None

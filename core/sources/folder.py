@@ -39,8 +39,7 @@ from ..model.files import remove_leftovers, user_path
 from ..model.frames import MAX_TIME_S, NO_DEPTH_COUNTS, GroundTruth, Rig, SensorFrame, note_number
 from ..model.loading import decode_image, parse_npy, read_file
 from ..model.rig_file import json_text, load_rig, read_json_object, rig_to_json, validation_sentence
-from .base import FrameSource, Progress, SeekableSource
-from .registry import SourceKind
+from .base import FrameSource, Progress, SeekableSource, SourceKind
 
 _NOMINAL_RATE_HZ = 30.0
 #: The images of a frame: whether it needs each, its bits and its channels.
@@ -390,5 +389,4 @@ KIND = SourceKind(
     needs="folder",
     pattern="rig.json",
     open=lambda rest, progress, cameras: FolderSource(rest),
-    rank=1,
 )

@@ -1,84 +1,69 @@
 """Sources by name: ``sim:cup``, ``folder:PATH``, ``bag:PATH`` or just a path.
 
-A kind of source is one `SourceKind` object that an entry point in the group ``tactune.sources`` names; the built-in
-ones are declared in Tactune's ``pyproject.toml``, others in their own packages.
+A kind of source is one `SourceKind`. Other packages add theirs by an entry point in the group ``tactune.sources``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
-from ..errors import PluginError, SourceError
+from ..errors import SourceError
 from ..model.files import path_exists, recording_files, user_path
-from ..model.plugins import NOT_INSTALLED, load_plugin, load_plugins, plugin_names
-from .base import FrameSource, Progress
+from ..model.plugins import added_by_others
+from .base import FrameSource, Progress, SourceKind
 
 if TYPE_CHECKING:
     from ..preset import CamerasSection
 
-    Opener = Callable[[str, Progress | None, CamerasSection | None], FrameSource]
-
 GROUP = "tactune.sources"
 
 
-@dataclass(frozen=True)
-class SourceKind:
-    """One kind of source: its names, what the user must choose, and how it is opened.
+def _open_live(rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:
+    from .capture.source import ProcessSource
 
-    Attributes
-    ----------
-    scheme : str
-        Text before the colon of a name; the entry point has the same name.
-    title : str
-        Name in menus and dialogs.
-    form : str
-        How a name is written, such as ``"folder:PATH"``.
-    description : str
-        A sentence for help texts and tooltips.
-    open : callable
-        ``open(rest, progress, cameras)`` returns the source. ``rest`` is the name after the colon, ``progress`` is
-        called with the fraction done and the current step, or is None, ``cameras`` is the preset's section
-        ``cameras``, or None. Raises `SourceError`. A heavy module is best imported inside.
-    needs : {"nothing", "folder", "file"}
-        What the user must choose to open a source.
-    pattern : str
-        File names that it opens, such as ``"*.bag *.db3"``, or the file that makes a folder one, such as
-        ``"rig.json"``; empty if it opens none.
-    examples : tuple of str
-        Example names for menus.
-    rank : int
-        Position in lists, lower first; built-in kinds have ranks below 100.
-    """
+    if not rest:
+        raise SourceError("live: needs another source, as in live:sim")
+    return ProcessSource(partial(_play_live, rest), progress)
 
-    scheme: str
-    title: str
-    form: str
-    description: str
-    open: Opener
-    needs: Literal["nothing", "folder", "file"] = "nothing"
-    pattern: str = ""
-    examples: tuple[str, ...] = ()
-    rank: int = 100
 
-    def claim(self, name: str) -> str | None:
-        """Return what to open where a name without a scheme is a path of this kind, else None."""
-        path = user_path(name)
-        if self.needs == "file":
-            return name if path.is_file() and any(path.match(each) for each in self.pattern.split()) else None
-        if self.needs == "folder" and self.pattern:
-            if (path / self.pattern).is_file():
-                return name
-            if path.name == self.pattern and path.is_file():
-                return str(path.parent)
-        return None
+def _play_live(name: str, progress: Progress) -> FrameSource:
+    """Open a recording in the capture process and play it as if it were live."""
+    from .capture.live import LiveLoop
+
+    source = open_source(name, progress)
+    try:
+        return LiveLoop(source)
+    except SourceError:
+        source.close()
+        raise
+
+
+_LIVE = SourceKind(
+    scheme="live",
+    title="Any source, played live",
+    form="live:SOURCE",
+    description="Plays a recording or the simulator repeatedly in real time, like a live camera.",
+    examples=("live:sim:cup",),
+    open=_open_live,
+)
+
+
+@cache
+def _own_kinds() -> dict[str, SourceKind]:
+    from . import cameras, folder, mcap, realsense_files, simulator
+
+    files = (folder.KIND, realsense_files.KIND, mcap.KIND)
+    kinds = (simulator.KIND, *files, cameras.KIND, cameras.REALSENSE, _LIVE)
+    return {kind.scheme: kind for kind in kinds}
 
 
 def source_kinds() -> tuple[SourceKind, ...]:
-    """Return every kind of source that can be loaded, the default first."""
-    return _all_kinds()[0]
+    """Return every kind of source that can be loaded: our own, then those of other packages."""
+    own = _own_kinds()
+    added = [kind for kind in added_by_others(GROUP, SourceKind)[0].values() if kind.scheme not in own]
+    return (*own.values(), *added)
 
 
 def open_source(name: str, progress: Progress | None = None, cameras: CamerasSection | None = None) -> FrameSource:
@@ -100,24 +85,21 @@ def open_source(name: str, progress: Progress | None = None, cameras: CamerasSec
     SourceError
         Unknown kind, scene or option, nothing at that path, or unreadable; the message says what to do.
     """
+    scheme, _, rest = name.partition(":")
     try:
-        scheme, _, rest = name.partition(":")
-        if scheme in plugin_names(GROUP):
-            kind = _load(scheme)
-        else:
+        kind = _kind(scheme)
+        if kind is None:
             kind, rest = _guess(name)
         if kind.needs != "nothing" and not rest:
             raise SourceError(f"{kind.scheme}: needs a path, as in {kind.form}")
         return kind.open(rest, progress, cameras)
-    except PluginError as error:
-        raise SourceError(str(error)) from error
     except OSError as error:
         raise SourceError(f"cannot open {name}: {error.strerror or error}; check the path") from error
 
 
 def opens_by_name(name: str) -> bool:
     """Return whether `open_source` knows the kind of a source's name; a program may make sources of its own."""
-    return name.partition(":")[0] in plugin_names(GROUP)
+    return _kind(name.partition(":")[0]) is not None
 
 
 def missing_path(name: str) -> Path | None:
@@ -125,7 +107,7 @@ def missing_path(name: str) -> Path | None:
     scheme, colon, rest = name.partition(":")
     if scheme == "live" and colon:
         return missing_path(rest)
-    kind = next((kind for kind in source_kinds() if kind.scheme == scheme), None)
+    kind = _kind(scheme)
     if kind is None:
         return None if path_exists(name) or recording_files(name) else user_path(name)
     if kind.needs == "nothing" or path_exists(rest) or recording_files(rest):
@@ -135,37 +117,25 @@ def missing_path(name: str) -> Path | None:
 
 def is_recording(name: str) -> bool:
     """Return whether a source's name means files, which are read at once, not cameras or what is computed."""
-    scheme = name.partition(":")[0]
-    return next((kind.needs != "nothing" for kind in source_kinds() if kind.scheme == scheme), path_exists(name))
+    kind = _kind(name.partition(":")[0])
+    return path_exists(name) if kind is None else kind.needs != "nothing"
 
 
-def _load(scheme: str) -> SourceKind:
-    kind = load_plugin(GROUP, scheme, SourceKind)
-    if kind.scheme != scheme:
-        raise PluginError(
-            f"the entry point {scheme!r} ({GROUP}) has the scheme {kind.scheme!r}; both names must be the same"
-        )
-    return kind
-
-
-def _all_kinds() -> tuple[tuple[SourceKind, ...], list[str]]:
-    """Return all kinds in the order of lists, and a sentence for each one that cannot be loaded."""
-    plugins = load_plugins(GROUP, _load)
-    kinds = sorted(plugins.found.values(), key=lambda kind: (kind.rank, kind.scheme))
-    return tuple(kinds), list(plugins.problems.values())
+def _kind(scheme: str) -> SourceKind | None:
+    return next((kind for kind in source_kinds() if kind.scheme == scheme), None)
 
 
 def _guess(name: str) -> tuple[SourceKind, str]:
     """Return the kind of a name without a scheme, and what to open."""
-    kinds, problems = _all_kinds()
-    if not kinds:
-        raise SourceError(NOT_INSTALLED)
+    kinds, problems = source_kinds(), added_by_others(GROUP, SourceKind)[1]
     for kind in kinds:
         if name and (rest := kind.claim(name)) is not None:
             return kind, rest
-    forms = "; ".join([", ".join(kind.form for kind in kinds), *problems])
+    forms = "; ".join([", ".join(kind.form for kind in kinds), *problems.values()])
     if not name or not user_path(name).exists():
         scheme, colon, _ = name.partition(":")
+        if scheme in problems:
+            raise SourceError(problems[scheme])
         if colon and scheme.isalnum() and len(scheme) > 1:
             raise SourceError(f"{name!r}: there is no kind of source called {scheme!r}; known are {forms}")
         raise SourceError(f"{name!r} is no source: nothing is at that path; give an existing path or one of {forms}")

@@ -10,8 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from ...errors import SourceError
-from ..base import FrameSource, Progress
-from ..registry import SourceKind
+from ..base import FrameSource, Progress, SourceKind
 
 if TYPE_CHECKING:
     from ...preset import CamerasSection
@@ -49,7 +48,6 @@ KIND = SourceKind(
     description="Two live cameras of any installed drivers; serial numbers select the devices.",
     examples=("cameras:",),
     open=open_in_process,
-    rank=4,
 )
 REALSENSE = SourceKind(
     scheme="realsense",
@@ -57,5 +55,4 @@ REALSENSE = SourceKind(
     form="realsense:[PROXIMITY,TACTILE]",
     description="A live L515 and a D405, captured in a separate process; serial numbers select the devices.",
     open=partial(open_in_process, driver="realsense"),
-    rank=5,
 )

@@ -4,17 +4,10 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from functools import partial
-from typing import TYPE_CHECKING
 
 from ...errors import SourceError
 from ...model.frames import Rig, SensorFrame
-from ..base import FrameSource, Health, Progress
-from ..registry import SourceKind, open_source
-from .source import ProcessSource
-
-if TYPE_CHECKING:
-    from ...preset import CamerasSection
+from ..base import FrameSource, Health
 
 
 class LiveLoop(FrameSource):
@@ -117,30 +110,3 @@ class LiveLoop(FrameSource):
         if frame is None:
             raise SourceError(f"{self.name}: frame {index} is missing; record again")
         return frame
-
-
-def _open(rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:
-    if not rest:
-        raise SourceError("live: needs another source, as in live:sim")
-    return ProcessSource(partial(_play, rest), progress)
-
-
-def _play(name: str, progress: Progress) -> FrameSource:
-    """Open a recording in the capture process and play it as if it were live."""
-    source = open_source(name, progress)
-    try:
-        return LiveLoop(source)
-    except SourceError:
-        source.close()
-        raise
-
-
-KIND = SourceKind(
-    scheme="live",
-    title="Any source, played live",
-    form="live:SOURCE",
-    description="Plays a recording or the simulator repeatedly in real time, like a live camera.",
-    examples=("live:sim:cup",),
-    open=_open,
-    rank=6,
-)

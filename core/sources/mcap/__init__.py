@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ..base import FrameSource, Progress
-from ..registry import SourceKind
+from ..base import FrameSource, Progress, SourceKind
 
 if TYPE_CHECKING:
     from ...preset import CamerasSection
@@ -25,5 +24,4 @@ KIND = SourceKind(
     needs="file",
     pattern="*.mcap",
     open=_open,
-    rank=3,
 )

@@ -41,7 +41,7 @@ _LARGEST_BYTES: Final = 128 * 2**20
 class Db3File:
     """An open ``.db3``, read without the camera driver."""
 
-    is_complete: Final = True
+    is_complete = True
 
     def __init__(self, path: Path, progress: Progress | None) -> None:
         self._name, self._progress = path.name, progress

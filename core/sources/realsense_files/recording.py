@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from pydantic import ValidationError
@@ -17,12 +18,10 @@ from ...errors import SourceError
 from ...model.arrays import Float64Array, Int64Array, Uint8Array, Uint16Array
 from ...model.frames import DepthCamera, Matrix4, camera_pose
 from ...model.intrinsics import Distortion, Intrinsics
-from ..base import Progress
 from ..cameras.camera import Calibration
 from ..ros_image import DamagedFileError, RawImage
 
 HARDWARE_CLOCK = "Hardware Clock"
-MAGIC_BAG, MAGIC_DB3 = b"#ROSBAG V2.0\n", b"SQLite format 3\x00"
 _STREAM = re.compile(r"(/device_(\d{1,4})/sensor_\d{1,4}/(Depth|Color)_\d{1,4})/image/data(/compressed(?:Depth)?)?")
 
 
@@ -133,8 +132,20 @@ class Camera:
             return self.color.read(index).color(self.color.intrinsics.shape)
 
 
+class RecordingFile(Protocol):
+    """One file format."""
+
+    is_complete: bool
+
+    def devices(self) -> Iterator[DeviceFacts]:
+        """Yield the devices with depth, in the order of their numbers."""
+
+    def close(self) -> None:
+        """Close the file; twice is harmless."""
+
+
 class Recording:
-    """An open recording; its cameras are in the order of their device numbers.
+    """An open recording and its cameras; `is_complete` is False where its recorder was killed.
 
     Raises
     ------
@@ -142,32 +153,13 @@ class Recording:
         The file is damaged or no RealSense recording with depth.
     """
 
-    def __init__(self, path: Path, progress: Progress | None) -> None:
-        from .bag import BagFile
-        from .db3 import Db3File
-
-        self.path = path
-        with damage_told(path, "this is no readable RealSense recording"):
-            with path.open("rb") as file:
-                start = file.read(32)
-            # Decided by content, because a .bag may have been renamed.
-            if not start.startswith((MAGIC_BAG, MAGIC_DB3)):
-                raise DamagedFileError("it begins neither as a .bag nor as a .db3 does" if start else "it is empty")
-            self._file = (BagFile if start.startswith(MAGIC_BAG) else Db3File)(path, progress)
-        try:
-            with damage_told(path, "this is no readable RealSense recording"):
-                devices = list(self._file.devices())
-                if not devices:
-                    raise DamagedFileError("it holds no depth images")
-                self.cameras = [_camera(self, device) for device in devices]
-        except BaseException:
-            self.close()
-            raise
-
-    @property
-    def is_complete(self) -> bool:
-        """False where the recorder was killed; the recording then ends with its last complete part."""
-        return self._file.is_complete
+    def __init__(self, path: Path, file: RecordingFile) -> None:
+        self.path, self._file = path, file
+        self.is_complete = file.is_complete
+        devices = list(file.devices())
+        if not devices:
+            raise DamagedFileError("it holds no depth images")
+        self.cameras = [_camera(self, device) for device in devices]
 
     def close(self) -> None:
         """Close the file; twice is harmless."""

@@ -13,11 +13,15 @@ from ...model.arrays import Float64Array, IndexArray, Uint8Array, Uint16Array
 from ...model.files import recording_files, user_path
 from ...model.frames import Rig, SensorFrame, rigid_transform
 from ..base import Health, Progress, SeekableSource, part_of
-from .recording import HARDWARE_CLOCK, Camera, Recording, Stream
+from ..ros_image import DamagedFileError
+from .bag import BagFile
+from .db3 import Db3File
+from .recording import HARDWARE_CLOCK, Camera, Recording, Stream, damage_told
 
 #: Seconds in this range are a date; smaller ones count from an arbitrary start.
 _FIRST_DATE_S = 1e9
 _LAST_DATE_S = 1e11
+_OPENERS: dict[bytes, type[BagFile | Db3File]] = {b"#ROSBAG V2.0\n": BagFile, b"SQLite format 3\x00": Db3File}
 _IDENTITY = rigid_transform(np.eye(4))
 
 
@@ -278,12 +282,28 @@ def open_recordings(text: str, progress: Progress | None) -> list[Recording]:
     try:
         for number, path in enumerate(paths):
             within = None if progress is None else part_of(progress, number, len(paths))
-            opened.append(Recording(path, within))
+            opened.append(_open(path, within))
     except BaseException:
         for recording in opened:
             recording.close()
         raise
     return opened
+
+
+def _open(path: Path, progress: Progress | None) -> Recording:
+    with damage_told(path, "this is no readable RealSense recording"):
+        with path.open("rb") as file:
+            start = file.read(32)
+        # Decided by content, because a .bag may have been renamed.
+        opener = next((opener for magic, opener in _OPENERS.items() if start.startswith(magic)), None)
+        if opener is None:
+            raise DamagedFileError("it begins neither as a .bag nor as a .db3 does" if start else "it is empty")
+        opened = opener(path, progress)
+        try:
+            return Recording(path, opened)
+        except BaseException:
+            opened.close()
+            raise
 
 
 def _missing(text: str) -> str:

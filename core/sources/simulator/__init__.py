@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ..base import FrameSource, Progress
-from ..registry import SourceKind
+from ..base import FrameSource, Progress, SourceKind
 from .membranes import MEMBRANES
 from .scene_list import SCENES
 from .sensors import DEFAULT_SENSOR, SENSORS
@@ -51,5 +50,4 @@ KIND = SourceKind(
     needs="nothing",
     examples=tuple(f"sim:{scene}" for scene in SCENES),
     open=_open,
-    rank=0,
 )
