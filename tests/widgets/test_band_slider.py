@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import pytest
 from PyQt6.QtCore import QPoint, Qt
-from PyQt6.QtGui import QColor
 from PyQt6.QtTest import QTest
 
 from tactune.widgets.parameters.slider import Scale, Slider
@@ -88,14 +87,6 @@ def test_two_handles_on_one_spot_come_apart_both_ways(qtbot) -> None:
     assert slider.values() == (150, 179)
 
 
-def test_a_press_beside_the_band_brings_the_nearer_handle(qtbot) -> None:
-    slider = make(qtbot, wraps=False, low=50, high=100)
-    edits = record(slider)
-    QTest.mouseClick(slider, LEFT, pos=at(slider, 20))
-    QTest.mouseClick(slider, LEFT, pos=at(slider, 150))
-    assert [(low, high) for low, high, _ in edits] == [(20, 100), (20, 150)]
-
-
 def test_the_keyboard_reaches_both_handles(qtbot) -> None:
     slider = make(qtbot, wraps=False, low=50, high=100)
     edits = record(slider)
@@ -114,25 +105,3 @@ def test_the_keyboard_reaches_both_handles(qtbot) -> None:
     QTest.keyClick(slider, Qt.Key.Key_Tab, Qt.KeyboardModifier.ShiftModifier)
     QTest.keyClick(slider, Qt.Key.Key_Home)
     assert slider.values() == (0, 179)
-
-
-def test_a_handle_that_is_not_moved_keeps_its_exact_value(qtbot) -> None:
-    slider = make(qtbot, wraps=False, low=20.123456, high=99.87)
-    drag(slider, 100, 120)
-    assert slider.values()[0] == 20.123456
-    assert slider.values()[1] == pytest.approx(120, abs=1)
-
-
-@pytest.mark.parametrize(("low", "high", "inside", "outside"), [(40, 100, 70, 150), (150, 20, 170, 90)])
-def test_the_groove_shows_the_selected_colors_brightest(
-    qtbot, low: float, high: float, inside: float, outside: float
-) -> None:
-    slider = make(qtbot, wraps=True, low=low, high=high)
-    slider.set_colors([QColor("#ff0000"), QColor("#ff0000")])
-    image = slider.grab().toImage()
-
-    def saturation(value: float) -> int:
-        return image.pixelColor(at(slider, value)).saturation()
-
-    assert saturation(inside) > 240
-    assert saturation(outside) < 160

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from PyQt6.QtCore import QPoint, QPointF, Qt
-from PyQt6.QtGui import QPalette, QShortcut, QWheelEvent
+from PyQt6.QtGui import QShortcut, QWheelEvent
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
@@ -38,28 +38,6 @@ def test_orbiting_one_view_turns_all_and_each_says_so_once(qtbot: QtBot) -> None
         for view, old in zip(views, pictures, strict=True):
             assert (picture(view) != old).any()
             view.cameraChanged.disconnect()
-
-
-@pytest.mark.parametrize("way", ["middle", "shift"])
-def test_panning_moves_the_scene_with_the_hand(view: CloudView, way: str) -> None:
-    view.set_camera(FRONT)
-    button = Qt.MouseButton.MiddleButton if way == "middle" else Qt.MouseButton.LeftButton
-    shift = Qt.KeyboardModifier.NoModifier if way == "middle" else Qt.KeyboardModifier.ShiftModifier
-    drag(view, (100, 100), (130, 90), button, modifier=shift)
-    canvas = canvas_of(view)
-    u, v, _ = view.camera().project([FRONT.target], canvas.width(), canvas.height())[0]
-    assert (u - canvas.width() / 2, v - canvas.height() / 2) == pytest.approx((30, -10), abs=0.01)
-    assert view.camera().azimuth == 0
-
-
-def test_moving_without_a_button_does_nothing(view: CloudView) -> None:
-    drag(view, (100, 100), (140, 100), Qt.MouseButton.LeftButton)
-    camera = view.camera()
-    drag(view, (100, 100), (140, 100), Qt.MouseButton.RightButton)
-    handle = view.windowHandle()
-    assert handle is not None
-    QTest.mouseMove(handle, QPoint(200, 150))
-    assert view.camera() == camera
 
 
 def turn_wheel(view: CloudView, at: QPointF, steps: float) -> None:
@@ -123,28 +101,6 @@ def test_focused_keys_win_over_shortcuts_of_the_application(qtbot: QtBot) -> Non
     assert pressed == ["Ctrl+T"]
 
 
-def test_a_double_click_resets(view: CloudView) -> None:
-    view.set_cloud(cloud_of(wall()))
-    framed = view.camera()
-    drag(view, (100, 100), (180, 140), Qt.MouseButton.LeftButton)
-    turn_wheel(view, QPointF(50, 50), 5)
-    assert view.camera() != framed
-    QTest.mouseDClick(canvas_of(view), Qt.MouseButton.LeftButton)
-    assert view.camera() == framed
-
-
-def test_the_focus_ring_is_seen(qtbot: QtBot) -> None:
-    view = shown(qtbot, CloudView("Focus"))
-    view.clearFocus()
-    plain = view.grab().toImage()
-    drag(view, (60, 60), (60, 60), Qt.MouseButton.LeftButton)
-    assert view.hasFocus(), "a click gives focus"
-    ring = view.grab().toImage()
-    corner = canvas_of(view).geometry().topLeft() - QPoint(1, -40)
-    assert ring.pixelColor(corner) != plain.pixelColor(corner)
-    assert ring.pixelColor(corner) == view.palette().color(QPalette.ColorRole.Highlight)
-
-
 # Framing
 
 
@@ -175,15 +131,6 @@ def test_the_first_cloud_is_framed_and_stays_so_when_resized_until_somebody_stee
     assert view.camera() == FRONT
 
 
-def test_a_new_frame_does_not_move_the_camera(view: CloudView) -> None:
-    view.set_cloud(cloud_of(wall(300)))
-    camera = view.camera()
-    view.set_cloud(cloud_of(wall(500)))
-    assert view.camera() == camera
-    view.fit()
-    assert view.camera() != camera
-
-
 def test_linked_views_frame_all_their_clouds(qtbot: QtBot) -> None:
     window = three_linked(qtbot)
     views = window.findChildren(CloudView)
@@ -195,8 +142,3 @@ def test_linked_views_frame_all_their_clouds(qtbot: QtBot) -> None:
     views[1].set_cloud(cloud_of(right))
     assert views[0].camera() == views[1].camera() == views[2].camera()
     assert views[0].camera().distance > alone.distance
-
-
-def test_an_unknown_viewpoint_is_refused(qtbot: QtBot) -> None:
-    with pytest.raises(ValueError, match="choose one of reset, front, top, side"):
-        shown(qtbot, CloudView("V")).look_from("bottom")  # type: ignore[arg-type]

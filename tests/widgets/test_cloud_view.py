@@ -4,26 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from PyQt6.QtCore import QBuffer
 from PyQt6.QtGui import QColor, QPalette
-from PyQt6.QtSvg import QSvgGenerator
-from PyQt6.QtWidgets import QApplication, QLabel, QWidget
+from PyQt6.QtWidgets import QApplication, QLabel
 from pytestqt.qtbot import QtBot
 
 from seen_clouds import BLUE, FRONT, GREEN, RED, canvas_of, cloud_of, colored, picture, pixels_of, red_wall, shown, wall
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.model.provenance import Provenance
-from tactune.widgets.basics.colormaps import depth_lut, provenance_legend
+from tactune.widgets.basics.colormaps import provenance_legend
 from tactune.widgets.basics.style import apply_theme
 from tactune.widgets.basics.theme import theme_colors
 from tactune.widgets.basics.wipe import Wipe
 from tactune.widgets.clouds.cloud_data import DepthCloud
-from tactune.widgets.clouds.cloud_labels import CloudHeader, LegendLine, short_count
+from tactune.widgets.clouds.cloud_labels import CloudHeader, LegendLine
 from tactune.widgets.clouds.cloud_view import CloudView
 from tactune.widgets.clouds.software_backend import CloudCanvas, SoftwareRenderer
 from tactune.widgets.clouds.view_camera import ViewCamera
@@ -112,17 +109,6 @@ def test_no_depth_is_not_drawn(view: CloudView, counts: int) -> None:
     assert len(pixels_of(picture(view), RED)) > 2 * drawn
 
 
-def test_every_row_of_the_table_reaches_its_points(view: CloudView) -> None:
-    lut = np.full((256, 4), 255, np.uint8)
-    lut[:, 0], lut[:, 1], lut[:, 2] = np.arange(256), 255 - np.arange(256), 77
-    index = np.kron(np.arange(256, dtype=np.uint8).reshape(16, 16), np.ones((3, 4), np.uint8))
-    view.set_cloud(cloud_of(wall(), index=index, lut=lut))
-    view.set_camera(FRONT)
-    view.set_point_size(3)
-    image = picture(view)
-    assert [row for row in range(256) if len(pixels_of(image, (row, 255 - row, 77))) == 0] == []
-
-
 def test_hidden_colours_are_not_drawn(view: CloudView) -> None:
     index = np.zeros((48, 64), np.uint8)
     index[:, 32:] = 1
@@ -157,32 +143,6 @@ def test_the_nearer_point_wins(view: CloudView, nearer_first: bool, behind: bool
     assert len(pixels_of(image, covered)) == 0
 
 
-def test_points_behind_the_eye_are_not_drawn(view: CloudView) -> None:
-    depth = np.zeros((48, 64), np.uint16)
-    depth[24, 32] = 300
-    view.set_cloud(cloud_of(depth, index=np.zeros((48, 64), np.uint8), lut=colored(RED)))
-    view.set_camera(ViewCamera((0.0, 0.0, 0.9), 0.3, 0.0, 0.0))
-    assert len(pixels_of(picture(view), RED)) == 0
-    view.set_camera(ViewCamera((0.0, 0.0, 0.35), 0.3, 0.0, 0.0))
-    assert len(pixels_of(picture(view), RED)) == 4
-
-
-def test_every_new_frame_is_drawn(view: CloudView) -> None:
-    index = np.zeros((48, 64), np.uint8)
-    view.set_camera(FRONT)
-    for color in (RED, GREEN, BLUE):
-        view.set_cloud(cloud_of(wall(), index=index, lut=colored(color)))
-        assert len(pixels_of(picture(view), color)) > 1000
-    view.set_cloud(cloud_of(wall(), index=index + 1, lut=colored(color)))
-    assert len(pixels_of(picture(view), color)) == 0
-    smaller = Intrinsics(width=32, height=24, fx=23.0, fy=23.0, cx=15.5, cy=11.5)
-    view.set_cloud(cloud_of(np.full((24, 32), 300, np.uint16), rays=smaller.rays(), depth_range_m=(0.3, 0.4)))
-    near = tuple(int(channel) for channel in depth_lut()[0, :3])
-    assert len(pixels_of(picture(view), near)) >= 24 * 32  # type: ignore[arg-type]
-    view.set_cloud(None)
-    assert len(pixels_of(picture(view), near)) == 0  # type: ignore[arg-type]
-
-
 def test_the_background_follows_the_theme(view: CloudView, qapp: QApplication) -> None:
     view.setPalette(QPalette())  # the one of the application
     for name in ("dark", "light"):
@@ -191,17 +151,6 @@ def test_the_background_follows_the_theme(view: CloudView, qapp: QApplication) -
 
 
 # Words around it
-
-
-@pytest.mark.parametrize(
-    ("count", "short"),
-    [
-        *[(0, "0"), (999, "999"), (1000, "1.0k"), (9949, "9.9k"), (9951, "10k"), (222_102, "222k")],
-        *[(999_499, "999k"), (999_500, "1.0M"), (1_310_720, "1.3M"), (12_345_678, "12M")],
-    ],
-)
-def test_short_count(count: int, short: str) -> None:
-    assert short_count(count) == short
 
 
 @pytest.mark.parametrize("width", [60, 90, 130, 160, 200, 260, 420])
@@ -222,37 +171,6 @@ def test_the_header_never_cuts_the_count(qtbot: QtBot, width: int) -> None:
     assert title.geometry().left() >= 0
 
 
-def test_title_count_and_message(view: CloudView) -> None:
-    count = view.findChild(QLabel, "count")
-    assert count is not None
-    view.set_message("No contact yet: press the object")
-    assert (count.text(), view.message()) == ("0 points", "No contact yet: press the object")
-    with_message = picture(view)
-    view.set_cloud(cloud_of(wall()))
-    assert (count.text(), view.message()) == ("3,072 points", "")
-    view.set_cloud(cloud_of(wall(), count=1))
-    assert count.text() == "1 point"
-    view.set_cloud(cloud_of(wall(), count=0))
-    assert (count.text(), view.message()) == ("0 points", "No contact yet: press the object")
-    view.set_cloud(None)
-    view.set_message("")
-    height, width = with_message.shape[:2]
-    middle = np.s_[height // 2 - 20 : height // 2 + 20, width // 4 : 3 * width // 4]
-    assert (with_message[middle] != picture(view)[middle]).any(), "the message is painted in the middle"
-
-
-def test_the_legend_shows_what_fits_and_lists_all(qtbot: QtBot) -> None:
-    view = shown(qtbot, CloudView("Legend"))
-    entries = [(f"reason number {i}", QColor(20 * i, 0, 0)) for i in range(9)]
-    view.set_legend(entries)
-    assert view.legend() == entries
-    line = view.findChild(LegendLine)
-    assert 1 <= line.fitting() < 9
-    assert all(text in line.toolTip() for text, _ in entries)
-    view.set_legend(entries[:1])
-    assert line.fitting() == 1
-
-
 @pytest.mark.parametrize(("width", "lines"), [(297, 4), (600, 2), (1600, 1)])
 def test_a_legend_with_enough_lines_shows_all_names(qtbot: QtBot, width: int, lines: int) -> None:
     legend = LegendLine()
@@ -268,35 +186,6 @@ def test_a_legend_with_enough_lines_shows_all_names(qtbot: QtBot, width: int, li
     seen = legend.grab().toImage()
     rgb = {seen.pixelColor(x, y).rgb() for x in range(seen.width()) for y in range(seen.height())}
     assert all(color.rgb() in rgb for _, color in legend.value()), "each swatch is painted"
-
-
-def test_a_legend_beyond_its_lines_counts_the_rest_on_the_last_one(qtbot: QtBot) -> None:
-    legend = LegendLine()
-    qtbot.addWidget(legend)
-    legend.setValue(provenance_legend("light"))
-    legend.set_lines(2)
-    legend.resize(204, legend.sizeHint().height())
-    assert 2 <= legend.fitting() < len(Provenance)
-    said = painted_texts(legend)
-    assert said[-1][1] == f"+{len(Provenance) - legend.fitting()}"
-    assert said[-1][0] > legend.height() / 2 > said[0][0], "it stands on the second line"
-    assert len(said) == legend.fitting() + 1
-
-
-def painted_texts(widget: QWidget) -> list[tuple[float, str]]:
-    """Height of the base line and words of each text that a widget paints, in order."""
-    drawing, file = QSvgGenerator(), QBuffer()
-    drawing.setOutputDevice(file)
-    drawing.setResolution(widget.logicalDpiX())
-    widget.render(drawing)
-    elements = ElementTree.fromstring(file.data().data()).iter("{http://www.w3.org/2000/svg}text")
-    return [(float(element.attrib["y"]), element.text or "") for element in elements]
-
-
-def test_the_tooltip_explains_mouse_and_keys(qtbot: QtBot) -> None:
-    tip = shown(qtbot, CloudView("Help")).toolTip()
-    for word in ("Drag", "Shift", "wheel", "double click", "arrows", "R", "T", "S"):
-        assert word in tip
 
 
 # What is not drawn
@@ -331,15 +220,6 @@ def test_running_frames_leave_out_points_that_the_screen_cannot_tell_apart(qtbot
     assert (picture(view) == whole).all(), "a frame that stands still has all its points"
     view.set_cloud(dense_cloud(every=2, holes=False))
     assert (running == picture(view)).all(), "every other row and column, and no holes from single pixels without depth"
-
-
-def test_running_frames_keep_points_that_the_screen_can_tell_apart(qtbot: QtBot) -> None:
-    view = shown(qtbot, CloudView("V"))
-    view.set_camera(replace(FRONT, distance=0.2))
-    view.set_cloud(dense_cloud())
-    whole = picture(view)
-    view.set_running(True)
-    assert (picture(view) == whole).all()
 
 
 def test_a_cloud_that_did_not_change_is_not_drawn_again(qtbot: QtBot, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,6 @@ from PyQt6.QtGui import QColor, QImage, QPalette
 from PyQt6.QtWidgets import QWidget
 from pytestqt.qtbot import QtBot
 
-from tactune.core.errors import FrameError
 from tactune.widgets.clouds.cloud_data import free_cloud
 from tactune.widgets.clouds.cloud_view import CloudView
 from tactune.widgets.clouds.view_camera import ViewCamera
@@ -51,16 +50,3 @@ def test_points_survive_the_image() -> None:
     points = rng.uniform(-0.15, 0.15, (5000, 3)) + np.array([0.3, -0.1, 0.0])
     cloud = free_cloud(points, np.zeros(5000, np.uint8), lut())
     np.testing.assert_allclose(cloud.points(), points, atol=3e-6)
-
-
-@pytest.mark.parametrize("points", [np.empty((0, 3)), np.full((1, 3), 0.2), np.full((7, 3), -0.2)])
-def test_few_and_flat_points(points: np.ndarray) -> None:
-    cloud = free_cloud(points, np.zeros(len(points), np.uint8), lut())
-    np.testing.assert_allclose(cloud.points(), points, atol=3e-6)
-
-
-def test_what_cannot_be_shown_is_said() -> None:
-    with pytest.raises(FrameError, match="4 points but 3 rows"):
-        free_cloud(POINTS, np.zeros(3, np.uint8), lut())
-    with pytest.raises(FrameError, match="not finite"):
-        free_cloud(np.full((1, 3), np.nan), np.zeros(1, np.uint8), lut())

@@ -2,14 +2,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from PyQt6.QtCore import QPoint, QPointF, Qt
 from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
-from tactune.widgets.plots.histogram import GAP, RELATIVE_DIFFERENCE, LimitHistogram, split_at
+from tactune.widgets.plots.histogram import GAP, RELATIVE_DIFFERENCE, LimitHistogram
 
 LEFT = Qt.MouseButton.LeftButton
 EDGES = np.linspace(-0.1, 0.1, 41)
@@ -30,10 +28,6 @@ def histogram(qtbot, qapp) -> LimitHistogram:
 def at(histogram: LimitHistogram, percent: float) -> QPoint:
     box = histogram.plot_widget.getPlotItem().getViewBox()
     return histogram.plot_widget.mapFromScene(box.mapViewToScene(QPointF(percent, 15.0)))
-
-
-def tallest(histogram: LimitHistogram) -> float:
-    return max(curve.getData()[1].max() for curve in histogram.plot_widget.getPlotItem().listDataItems())
 
 
 def drag(histogram: LimitHistogram, start: float, *targets: float) -> None:
@@ -70,29 +64,6 @@ def test_dragging_a_line_moves_both_in_one_gesture(histogram: LimitHistogram, st
     assert edits[-1][1] != first
 
 
-def test_programmatic_changes_do_not_emit(histogram: LimitHistogram) -> None:
-    edits: list[float] = []
-    histogram.limitEdited.connect(lambda t, _: edits.append(t))
-    histogram.set_limit(0.05)
-    histogram.set_data(np.ones(40), EDGES, 0.02)
-    assert histogram.limit() == 0.02
-    assert sorted(line.value() for line in histogram.lines) == [-2.0, 2.0]
-    assert edits == []
-
-
-def test_what_arrives_while_hidden_is_drawn_when_shown(qtbot, histogram: LimitHistogram) -> None:
-    histogram.hide()
-    histogram.set_data(np.full(40, 7), EDGES)
-    assert tallest(histogram) == 39
-    histogram.show()
-    assert tallest(histogram) == 7
-
-
-def test_an_empty_histogram_is_no_error(histogram: LimitHistogram) -> None:
-    histogram.set_data(np.zeros(40), EDGES, 0.0)
-    assert histogram.limit() == 0.0
-
-
 def test_the_line_of_the_gaps_is_dragged_in_millimetres(qtbot, qapp) -> None:
     gaps = LimitHistogram(GAP, 0.00005)
     qtbot.addWidget(gaps)
@@ -112,22 +83,6 @@ def test_the_line_of_the_gaps_is_dragged_in_millimetres(qtbot, qapp) -> None:
     assert edits[-1] == pytest.approx(0.0002, abs=0.00001)
     drag(gaps, 0.2, 0.1, -0.1)
     assert edits[-1] == 0.0
-
-
-@given(
-    counts=st.lists(st.integers(0, 1000), min_size=1, max_size=30),
-    cut=st.one_of(st.just(0.0), st.floats(1e-6, 2.0)),
-)
-def test_splitting_keeps_the_outline(counts: list[int], cut: float) -> None:
-    edges = np.linspace(-1.0, 1.0, len(counts) + 1)
-    split_edges, split_counts = split_at(edges, np.array(counts, float), (-cut, cut))
-    assert len(split_edges) == len(split_counts) + 1
-    assert (np.diff(split_edges) > 0).all()
-    if cut < 1.0:
-        assert {-cut + 0.0, cut} <= set(split_edges + 0.0)
-    middles = (split_edges[:-1] + split_edges[1:]) / 2
-    index = np.clip(np.searchsorted(edges, middles) - 1, 0, len(counts) - 1)
-    np.testing.assert_array_equal(split_counts, np.array(counts, float)[index])
 
 
 @pytest.mark.parametrize("place", [0.3, 0.95])

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from PyQt6.QtCore import QEvent, QPoint, QPointF, Qt
+from PyQt6.QtCore import QPoint, QPointF, Qt
 from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
@@ -91,38 +91,6 @@ def test_hover_tells_the_exact_pixel_in_every_pane(strip: ImageStrip, pane: str)
     assert found == expected
 
 
-def test_a_pixel_reaches_half_a_pixel_around_its_centre(strip: ImageStrip) -> None:
-    zoom_in(strip, "color", 100, 100, notches=12)
-    found: list[tuple[int, int]] = []
-    strip.hovered.connect(lambda u, v: found.append((u, v)))
-    for du, dv, expected in ((-0.4, 0.4, (100, 100)), (0.6, 0.0, (101, 100)), (0.0, -0.6, (100, 99))):
-        QTest.mouseMove(viewport(strip, "color"), at(strip, "color", 100 + du, 100 + dv))
-        assert found[-1] == expected
-
-
-def test_corners_are_inside_and_beyond_is_not(strip: ImageStrip) -> None:
-    found: list[tuple[int, int]] = []
-    strip.hovered.connect(lambda u, v: found.append((u, v)))
-    QTest.mouseMove(viewport(strip, "tactile"), at(strip, "tactile", 1, 1))
-    QTest.mouseMove(viewport(strip, "tactile"), at(strip, "tactile", -8, 200))
-    QTest.mouseMove(viewport(strip, "tactile"), at(strip, "tactile", WIDTH - 2, HEIGHT - 2))
-    QTest.mouseMove(viewport(strip, "tactile"), at(strip, "tactile", WIDTH + 8, 200))
-    assert found[1] == found[3] == (-1, -1)
-    assert max(found[0]) <= 3
-    assert found[2][0] >= WIDTH - 5
-    assert found[2][1] >= HEIGHT - 5
-
-
-def test_leaving_clears_the_crosshair(strip: ImageStrip) -> None:
-    found: list[tuple[int, int]] = []
-    strip.hovered.connect(lambda u, v: found.append((u, v)))
-    QTest.mouseMove(viewport(strip, "color"), at(strip, "color", 300, 200))
-    assert all(pane.cross.isVisible() for pane in strip.panes.values())
-    QApplication.sendEvent(strip.panes["color"].view, QEvent(QEvent.Type.Leave))
-    assert found[-1] == (-1, -1)
-    assert not any(pane.cross.isVisible() for pane in strip.panes.values())
-
-
 @pytest.mark.parametrize("pane", PANES)
 def test_a_click_tells_pane_pixel_and_modifiers(strip: ImageStrip, pane: str) -> None:
     zoom_in(strip, pane, 150, 350)
@@ -131,13 +99,6 @@ def test_a_click_tells_pane_pixel_and_modifiers(strip: ImageStrip, pane: str) ->
     QTest.mouseClick(viewport(strip, pane), LEFT, pos=at(strip, pane, 150, 350))
     QTest.mouseClick(viewport(strip, pane), LEFT, Qt.KeyboardModifier.ShiftModifier, at(strip, pane, 152, 349))
     assert clicks == [(pane, 150, 350, NONE), (pane, 152, 349, Qt.KeyboardModifier.ShiftModifier)]
-
-
-def test_a_click_beside_the_image_is_none(strip: ImageStrip) -> None:
-    clicks: list[tuple[object, ...]] = []
-    strip.clicked.connect(lambda *click: clicks.append(click))
-    QTest.mouseClick(viewport(strip, "color"), LEFT, pos=at(strip, "color", -8, 100))
-    assert clicks == []
 
 
 def test_all_panes_zoom_and_pan_together_and_0_shows_them_whole(strip: ImageStrip, qapp: QApplication) -> None:
@@ -163,36 +124,6 @@ def test_all_panes_zoom_and_pan_together_and_0_shows_them_whole(strip: ImageStri
     assert {pane: seen_rect(strip, pane) for pane in PANES} == whole
 
 
-def test_zooming_ends_at_a_few_pixels(strip: ImageStrip) -> None:
-    zoom_in(strip, "color", 200, 100, notches=60)
-    for pane in PANES:
-        assert 5.0 <= min(seen_rect(strip, pane)[2:]) <= 10.0
-
-
-def test_the_whole_image_stays_in_view_when_resized(strip: ImageStrip, qapp: QApplication) -> None:
-    for size in ((900, 200), (1500, 400)):
-        strip.resize(*size)
-        qapp.processEvents()
-        for pane in PANES:
-            left, top, width, height = seen_rect(strip, pane)
-            assert left <= 0
-            assert top <= 0
-            assert left + width >= WIDTH - 1
-            assert top + height >= HEIGHT - 1
-
-
-def test_zooming_asks_for_more_resolution(strip: ImageStrip) -> None:
-    hints: list[int] = []
-    strip.widthHintChanged.connect(hints.append)
-    before = strip.width_hint()
-    assert before < WIDTH / 2 * 1.1
-    assert rendered(hint=before).stride == 2
-    zoom_in(strip, "color", 320, 240)
-    assert hints
-    assert hints[-1] == strip.width_hint() > 2 * before
-    assert rendered(hint=strip.width_hint()).stride == 1
-
-
 @pytest.mark.parametrize("hint", [0, 300])
 def test_the_pixels_on_the_screen_are_those_of_the_image(strip: ImageStrip, qapp: QApplication, hint: int) -> None:
     strip.set_images(rendered(hint=hint))
@@ -201,18 +132,6 @@ def test_the_pixels_on_the_screen_are_those_of_the_image(strip: ImageStrip, qapp
     for u, v in ((200, 100), (202, 102), (198, 98)):
         color = grabbed.pixelColor(at(strip, "color", u, v))
         assert (color.red(), color.green(), color.blue()) == (u % 256, v % 256, 0)
-
-
-def test_images_of_another_size_and_none_at_all(strip: ImageStrip, qapp: QApplication) -> None:
-    strip.set_images(rendered(240, 424))
-    qapp.processEvents()
-    assert strip.width_hint() > 0
-    left, _, width, _ = seen_rect(strip, "color")
-    assert left + width >= 423
-    strip.set_images(None)
-    assert strip.panes["proximity"].empty_label.text() == "No frame yet"
-    strip.set_images(rendered(240, 424))
-    assert strip.panes["proximity"].empty_label.text() == ""
 
 
 def test_the_keyboard_points_clicks_and_zooms(strip: ImageStrip, qapp: QApplication) -> None:
@@ -255,69 +174,6 @@ def test_the_region_is_dragged_by_its_corner_in_one_gesture(strip: ImageStrip, q
     assert len({gesture for _, gesture in edits}) == 1
     for region in strip.regions.values():
         assert region.rectangle == rectangle
-
-
-def test_a_region_beyond_the_image_is_cut_to_it(strip: ImageStrip, qapp: QApplication) -> None:
-    strip.set_region((100, 80, 400, 300))
-    qapp.processEvents()
-    edits: list[tuple[int, ...]] = []
-    strip.regionEdited.connect(lambda rectangle, _: edits.append(rectangle))
-    port = viewport(strip, "color")
-    start, end = at(strip, "color", 499.5, 379.5), at(strip, "color", 660, 475)
-    QTest.mouseMove(port, start)
-    QTest.mousePress(port, LEFT, pos=start)
-    for share in (0.5, 1.0):
-        QTest.mouseMove(port, start + (end - start) * share)
-    QTest.mouseRelease(port, LEFT, pos=end)
-    left, top, width, height = edits[-1]
-    assert left + width == WIDTH
-    assert top + height <= HEIGHT
-
-
-def test_showing_a_region_is_silent(strip: ImageStrip) -> None:
-    edits: list[object] = []
-    strip.regionEdited.connect(lambda *edit: edits.append(edit))
-    strip.set_region((10, 20, 30, 40))
-    assert all(region.roi.isVisible() for region in strip.regions.values())
-    strip.set_region((0, 0, 640, 480))
-    strip.set_region(None)
-    assert not any(region.roi.isVisible() for region in strip.regions.values())
-    assert edits == []
-
-
-def test_a_region_over_everything_does_not_stop_panning_and_clicks(strip: ImageStrip, qapp: QApplication) -> None:
-    strip.set_region((0, 0, 640, 480))
-    qapp.processEvents()
-    clicks: list[tuple[object, ...]] = []
-    strip.clicked.connect(lambda *click: clicks.append(click))
-    QTest.mouseClick(viewport(strip, "color"), LEFT, pos=at(strip, "color", 150, 100))
-    assert len(clicks) == 1
-    start = at(strip, "color", 150, 100)
-    before = seen_rect(strip, "color")
-    QTest.mouseMove(viewport(strip, "color"), start)
-    QTest.mousePress(viewport(strip, "color"), LEFT, pos=start)
-    for step in (10, 20, 30):
-        QTest.mouseMove(viewport(strip, "color"), start + QPoint(step, step))
-    QTest.mouseRelease(viewport(strip, "color"), LEFT, pos=start + QPoint(30, 30))
-    qapp.processEvents()
-    assert seen_rect(strip, "color")[0] < before[0] - 10
-
-
-def test_the_readout_is_elided_with_the_whole_in_the_tooltip(strip: ImageStrip) -> None:
-    strip.resize(700, 260)
-    sentence = "pixel (312, 240) " + "very long " * 40
-    strip.set_readout(sentence)
-    strip.grab()
-    assert strip.readout.toolTip() == sentence
-    strip.set_readout("short")
-    strip.grab()
-    assert strip.readout.toolTip() == ""
-
-
-def test_legends_say_range_and_band(strip: ImageStrip) -> None:
-    assert strip.panes["proximity"].header.accessibleDescription() == "200 to 310 mm, no depth"
-    assert "±3 %" in strip.panes["difference"].header.accessibleDescription()
-    assert "contact" in strip.panes["color"].header.toolTip()
 
 
 def test_a_narrow_strip_puts_all_legends_on_a_second_line(strip: ImageStrip, qapp: QApplication) -> None:

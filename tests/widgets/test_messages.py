@@ -6,7 +6,6 @@ from PyQt6.QtGui import QEnterEvent
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QFrame, QToolButton, QVBoxLayout, QWidget
 
-from hands import press
 from tactune.widgets.basics import messages as module
 from tactune.widgets.basics.messages import MessageHistory, Messages, Severity
 
@@ -44,18 +43,6 @@ def test_messages_push_nothing_aside_and_stay_inside(views):
     assert views.over.rect().contains(views.messages.geometry())
     for message in map(views.messages.message, "abcde"):
         assert not message.isVisible() or message.height() >= message.heightForWidth(message.width())
-
-
-@pytest.mark.parametrize("sentence", ["word " * 20_000, "x" * 20_000], ids=["words", "one word"])
-def test_a_very_long_sentence_can_be_dismissed(views, sentence):
-    views.messages.show_message("long", Severity.ERROR, sentence)
-    QApplication.processEvents()
-    message = views.messages.message("long")
-    [dismiss] = [button for button in message.findChildren(QToolButton) if button.accessibleName() == "Dismiss"]
-    assert views.over.rect().contains(views.messages.geometry())
-    assert message.rect().contains(dismiss.geometry())
-    QTest.mouseClick(dismiss, LEFT)
-    assert views.messages.sentences() == []
 
 
 def test_the_newest_three_are_on_the_screen_the_newest_on_top_and_errors_before_notes(views):
@@ -105,16 +92,6 @@ def test_a_message_is_dismissed_by_its_cross_by_escape_and_with_its_subject(view
     [cross] = views.messages.message("cross").findChildren(QToolButton)
     QTest.mouseClick(cross, LEFT, pos=QPoint(4, 4))
     assert views.messages.sentences() == [] and not views.messages.isVisible()
-
-
-def test_a_message_that_waited_comes_when_there_is_room(views):
-    for key in "abcd":
-        views.messages.show_message(key, Severity.WARNING, key, [("Mend", lambda: None)])
-    QApplication.processEvents()
-    assert not views.messages.message("a").isVisible()
-    press(views.messages.message("d"), "Mend")
-    QApplication.processEvents()
-    assert views.messages.message("a").isVisible()
 
 
 def test_the_progress_of_a_job_stands_below_the_messages(views):

@@ -30,24 +30,6 @@ def test_a_folded_section_unfolds_for_an_error(panel: ParameterPanel) -> None:
     assert panel.collapsed_sections() == ["alignment", "region"]
 
 
-def test_a_section_that_is_off_is_grey(panel: ParameterPanel, seen: Recorder) -> None:
-    panel.set_preset(Preset(mask=MaskSection(enabled=True)))
-    assert panel.rows["mask.hue"].widget.isEnabled()
-    QTest.mouseClick(panel.rows["mask.enabled"].widget, LEFT, pos=QPoint(8, 8))
-    assert seen.edits[-1][:2] == ("mask.enabled", False)
-    assert not panel.rows["mask.hue"].widget.isEnabled()
-    assert panel.rows["tolerance.t"].widget.isEnabled()
-    assert not panel.eyedroppers["expand"].isEnabled()
-    assert panel.eyedroppers["set"].isEnabled(), "Pick turns the mask on"
-
-
-def test_without_a_frame_no_eyedropper_can_be_used(panel: ParameterPanel) -> None:
-    panel.set_preset(Preset(mask=MaskSection(enabled=True)))
-    for frame in (False, True):
-        panel.enable_measuring(frame)
-        assert [button.isEnabled() for button in panel.eyedroppers.values()] == [frame] * 3
-
-
 def test_only_the_chosen_alignment_is_shown(panel: ParameterPanel, seen: Recorder) -> None:
     pose, plane = (
         panel.rows[f"alignment.{name}"].widget for name in ("rigid.T_proximity_tactile", "homography.plane_distance_m")

@@ -9,10 +9,9 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 
-from contrast import contrast_ratio
 from tactune.widgets.basics.stale_badge import BADGE_COLORS
 from tactune.widgets.basics.style import apply_theme
-from tactune.widgets.basics.theme import ThemeName, theme_colors
+from tactune.widgets.basics.theme import ThemeName
 from tactune.widgets.clouds.cloud_view import CloudView
 from tactune.widgets.images.image_pane import ImagePane
 
@@ -64,10 +63,3 @@ def test_an_image_keeps_its_mouse_under_the_mark(qtbot: QtBot, theme: ThemeName)
     assert len(clicks) == 1
     pane.set_badge("")
     assert plate not in colors_of(pane.grab().toImage())
-
-
-def test_the_mark_can_be_read_in_both_themes() -> None:
-    for name, (plate, border, ink) in BADGE_COLORS.items():
-        assert contrast_ratio(plate, ink) > 7
-        base = theme_colors(name).base  # type: ignore[arg-type]
-        assert contrast_ratio(border, base) > 3

@@ -31,19 +31,6 @@ def rgb(pane: np.ndarray) -> np.ndarray:
     return pane[:, :, 2::-1].astype(int)
 
 
-def test_the_color_image_is_shown_as_it_is() -> None:
-    scene = images()
-    np.testing.assert_array_equal(rgb(render_strip(scene).panes[0]), scene.color)
-
-
-def test_panes_are_opaque_bytes_for_qt() -> None:
-    for pane in render_strip(images()).panes:
-        assert pane.dtype == np.uint8
-        assert pane.shape == (HEIGHT, WIDTH, 4)
-        assert pane.flags.c_contiguous
-        assert (pane[:, :, 3] == 255).all()
-
-
 def test_masked_pixels_are_tinted_and_others_are_not() -> None:
     mask = np.zeros((HEIGHT, WIDTH), bool)
     mask[10:20, 30:40] = True
@@ -69,11 +56,6 @@ def test_depth_has_the_colors_of_the_table_and_none_is_flat() -> None:
     assert np.abs(shown[0] - lut[np.rint(rows).astype(int)]).max() <= 3
     assert (shown[5:9, 7:13] == NO_VALUE_RGB).all()
     assert not (lut == NO_VALUE_RGB).all(axis=1).any()
-
-
-def test_both_depths_share_one_range() -> None:
-    rendered = render_strip(images(tactile_m=images().proximity_m))
-    np.testing.assert_array_equal(rendered.panes[1], rendered.panes[2])
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 0.01, 0.03, 0.2])
@@ -113,20 +95,3 @@ def test_a_small_pane_gets_every_nth_pixel(hint: int) -> None:
     assert (small.size, small.stride) == ((WIDTH, HEIGHT), stride)
     for large, reduced in zip(full.panes, small.panes, strict=True):
         np.testing.assert_array_equal(reduced, large[::stride, ::stride])
-
-
-def test_a_scene_without_anything_is_no_error() -> None:
-    nothing = np.full((HEIGHT, WIDTH), np.nan, np.float32)
-    rendered = render_strip(images(proximity_m=nothing, tactile_m=nothing, relative=nothing))
-    for pane in rendered.panes[1:]:
-        assert (rgb(pane) == NO_VALUE_RGB).all()
-
-
-def test_a_porous_patch_shows_its_rim_and_not_every_pore() -> None:
-    contact = np.zeros((HEIGHT, WIDTH), bool)
-    contact[10:40, 10:50] = True
-    contact[12:38:3, 12:48:3] = False
-    shown = rgb(render_strip(images(contact=contact)).panes[1])
-    orange = (shown == CONTACT_RGB).all(axis=2)
-    assert orange[10, 10:50].all()
-    assert not orange[15:35, 15:45].any()

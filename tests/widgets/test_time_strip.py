@@ -84,23 +84,6 @@ def test_a_source_without_truth_says_so(strip):
     assert strip.words == ""
 
 
-def test_a_value_that_is_not_known_is_told(strip):
-    strip.choose_curve("iou")
-    QTest.mouseMove(strip.plot_widget.viewport(), strip.position_of(30).toPoint())
-    assert strip.words == "1.0 s, frame 31: not known"
-
-
-def test_frames_that_turn_out_to_be_later_stay_in_view(strip):
-    values = {curve.key: np.arange(N, dtype=float) for curve in CURVES}
-    strip.set_series(np.arange(N) / 20, values, np.ones(N, np.bool_))
-    QApplication.processEvents()
-    assert strip.position_of(N - 1).x() <= strip.plot_widget.width()
-    turn_wheel(strip, 150, 10)
-    before = pixels_per_frame(strip)
-    strip.set_series(np.arange(N) / 20 + 1e-6, values, np.ones(N, np.bool_))
-    assert pixels_per_frame(strip) == pytest.approx(before), "it stays zoomed in"
-
-
 def test_names_of_neighbouring_markers_do_not_overlap(strip):
     strip.set_markers([(104, "Marker 2"), (100, "Marker 1")])
     QApplication.processEvents()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtGui import QHelpEvent
-from PyQt6.QtWidgets import QApplication, QLabel, QMenu, QTableWidget, QTableWidgetItem, QToolTip
+from PyQt6.QtWidgets import QApplication, QLabel, QToolTip
 
 from tactune.widgets.basics.style import apply_theme
 
@@ -60,36 +60,3 @@ def test_a_name_that_looks_like_markup_is_shown_as_it_is(qtbot):
         label.show()
         formats.append(tip_at(qtbot, label, QPoint(2, 2)).textFormat())
     assert formats == [Qt.TextFormat.RichText, Qt.TextFormat.PlainText]
-
-
-def test_a_menu_entry(qtbot):
-    menu = QMenu()
-    qtbot.addWidget(menu)
-    menu.setToolTipsVisible(True)
-    menu.addAction("Watch").setToolTip(LONG)
-    menu.popup(QPoint(20, 20))
-    assert_readable(tip_at(qtbot, menu, QPoint(12, 12)), LONG)
-    menu.close()
-
-
-def test_a_table_header_and_a_cell(qtbot):
-    table = QTableWidget(1, 1)
-    qtbot.addWidget(table)
-    for item in (header := QTableWidgetItem("Error"), cell := QTableWidgetItem("0.1")):
-        item.setToolTip(LONG)
-    table.setHorizontalHeaderItem(0, header)
-    table.setItem(0, 0, cell)
-    table.show()
-    assert_readable(tip_at(qtbot, table.horizontalHeader().viewport(), QPoint(10, 5)), LONG)
-    QToolTip.hideText()
-    assert_readable(tip_at(qtbot, table.viewport(), QPoint(10, 5)), LONG)
-
-
-def test_at_the_lower_edge_of_the_screen_it_stays_inside(qtbot):
-    label = QLabel("value")
-    qtbot.addWidget(label)
-    label.setToolTip(LONG * 2)
-    screen = QApplication.primaryScreen().geometry()
-    label.setGeometry(screen.right() - 60, screen.bottom() - 40, 50, 30)
-    label.show()
-    assert_readable(tip_at(qtbot, label, QPoint(2, 20)), LONG * 2)

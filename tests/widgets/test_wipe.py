@@ -65,16 +65,6 @@ def test_the_line_is_dragged_and_the_camera_stays(view: CloudView) -> None:
     assert view.camera() != before, "beside the line a drag orbits"
 
 
-def test_a_side_without_points_says_why_while_it_is_alone(view: CloudView) -> None:
-    empty = cloud_of(wall(0), index=np.zeros((48, 64), np.uint8), lut=colored(RED))
-    view.set_wipe(Wipe(0.5, "A", "B"))
-    view.set_right(empty, "Nothing in contact")
-    assert view.message() == ""
-    view.set_wipe(Wipe(0.0, "A", "B"))
-    assert view.message() == "Nothing in contact"
-    assert view.point_count() == 0
-
-
 def flat(rgb: tuple[int, int, int]) -> RenderedStrip:
     red, green, blue = rgb
     pixels = np.full((48, 64, 4), (blue, green, red, 255), np.uint8)
