@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 from collections import OrderedDict
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from io import BytesIO
 from itertools import groupby
@@ -22,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from ...model.arrays import Float64Array
 from ..base import Progress
 from ..ros_image import DamagedFileError, RawImage
-from .recording import DeviceFacts, ImageTimes, StreamFacts, find_streams, milliseconds
+from .recording import Camera, ImageTimes, Stream, find_streams, make_camera, make_stream, milliseconds
 
 _CACHED_CHUNKS: Final = 4
 _INDEXING_THREADS: Final = 4
@@ -38,7 +37,7 @@ class BagFile:
     """An open ``.bag``, read without the camera driver."""
 
     def __init__(self, path: Path, progress: Progress | None) -> None:
-        self._path, self._progress = path, progress
+        self.path, self._progress = path, progress
         self.is_complete = True
         self._reader = Reader(path)
         try:
@@ -50,49 +49,48 @@ class BagFile:
         self._topics = {each.topic: each for each in self._reader.connections if each.msgcount}
         self._lock = Lock()
         self._chunks: OrderedDict[int, bytes] = OrderedDict()
+        try:
+            self.cameras = self._find_cameras()
+        except BaseException:
+            self.close()
+            raise
 
     def close(self) -> None:
         """Close the file; twice is harmless."""
         if self._reader.bio is not None:
             self._reader.close()
 
-    def devices(self) -> Iterator[DeviceFacts]:
-        """Yield the devices with depth; every image's time stamp is read for this, no image is decoded."""
+    def _find_cameras(self) -> list[Camera]:
+        """Return the devices with depth; every image's time stamp is read for this, no image is decoded."""
         streams = find_streams(self._topics)
-        depths = sorted(number for number, kind in streams if kind == "Depth")
-        times = self._times([topic for topic, _ in streams.values()]) if depths else {}
-        for number in depths:
-            topic, _ = streams[number, "Depth"]
-            color = streams.get((number, "Color"))
+        numbers = sorted(number for number, kind in streams if kind == "Depth")
+        times = self._times([topic for topic, _ in streams.values()]) if numbers else {}
+        cameras = []
+        for number in numbers:
+            topic, color = streams[number, "Depth"][0], streams.get((number, "Color"))
             names = f"/device_{number}/info"
             pairs = [self._parsed(entry, names) for entry in self._index(names)]
             options = [f"{topic.rpartition('/')[0]}/option/{word}/value" for word in ("Depth Units", "Depth_Units")]
-            unit = next((name for name in options if name in self._topics), None)
-            yield DeviceFacts(
-                names={pair.key: pair.value for pair in pairs},
-                depth_unit_m=None if unit is None else float(self._first(unit).data),
-                depth=self._stream(topic, times[topic]),
-                color=None if color is None else self._stream(color[0], times[color[0]]),
+            unit = next((float(self._first(name).data) for name in options if name in self._topics), None)
+            depth_stream = self._stream(topic, times[topic])
+            color_stream = None if color is None else self._stream(color[0], times[color[0]])
+            cameras.append(
+                make_camera(self.path, {pair.key: pair.value for pair in pairs}, unit, depth_stream, color_stream)
             )
+        return cameras
 
-    def _stream(self, topic: str, times: ImageTimes) -> StreamFacts:
-        lens = self._first(f"{topic}/info/camera_info")
-        prefix = f"{topic}/tf/"
-        entries = self._index(f"{topic}/image/data")
-        return StreamFacts(
-            topic=topic,
-            size=(lens.width, lens.height),
-            matrix=(lens.K[0], lens.K[4], lens.K[2], lens.K[5]),
-            lens_model=lens.distortion_model,
-            coefficients=tuple(map(float, lens.D)),
-            rate_hz=float(self._first(f"{topic}/info").fps),
-            times=times,
-            poses={
-                name.removeprefix(prefix): _matrix(self._first(name))
-                for name in self._topics
-                if name.startswith(prefix)
-            },
-            read=lambda index: _image(self._message(entries[index])),
+    def _stream(self, topic: str, times: ImageTimes) -> Stream:
+        lens: Any = self._first(f"{topic}/info/camera_info")
+        prefix, entries = f"{topic}/tf/", self._index(f"{topic}/image/data")
+        return make_stream(
+            topic,
+            (lens.width, lens.height, lens.K[0], lens.K[4], lens.K[2], lens.K[5]),
+            lens.distortion_model,
+            [float(value) for value in lens.D],
+            float(self._first(f"{topic}/info").fps),
+            times,
+            {name.removeprefix(prefix): _matrix(self._first(name)) for name in self._topics if name.startswith(prefix)},
+            lambda index: _image(self._message(entries[index])),
         )
 
     def _times(self, topics: list[str]) -> dict[str, ImageTimes]:
@@ -124,7 +122,7 @@ class BagFile:
         with ThreadPoolExecutor(_INDEXING_THREADS, thread_name_prefix="bag") as threads:
             for done, _ in enumerate(threads.map(look, groups), start=1):
                 if self._progress is not None:
-                    words = f"indexing {self._path.name}: part {done} of {len(groups)}"
+                    words = f"indexing {self.path.name}: part {done} of {len(groups)}"
                     self._progress(done / len(groups), words)
         return {
             topic: ImageTimes(

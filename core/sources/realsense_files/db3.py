@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import sqlite3
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from threading import Lock
 from typing import Any, Final
@@ -21,7 +21,7 @@ from ...model.loading import decode_image
 from ..base import Progress
 from ..mcap.messages import IMAGE, TEXT, TYPES
 from ..ros_image import DamagedFileError, RawImage
-from .recording import DeviceFacts, ImageTimes, StreamFacts, find_streams, milliseconds
+from .recording import Camera, ImageTimes, Stream, find_streams, make_camera, make_stream, milliseconds
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -44,13 +44,14 @@ class Db3File:
     is_complete = True
 
     def __init__(self, path: Path, progress: Progress | None) -> None:
-        self._name, self._progress = path.name, progress
+        self.path, self._progress = path, progress
         uri = path.resolve().as_uri() + "?mode=ro&immutable=1"
         self._database = sqlite3.connect(uri, uri=True, check_same_thread=False)
         self._lock = Lock()
         try:
             self._ids = dict(self._database.execute("SELECT name, id FROM topics"))
-        except sqlite3.Error:
+            self.cameras = self._find_cameras()
+        except BaseException:
             self.close()
             raise
 
@@ -58,23 +59,27 @@ class Db3File:
         """Close the file; twice is harmless."""
         self._database.close()
 
-    def devices(self) -> Iterator[DeviceFacts]:
-        """Yield the devices with depth."""
+    def _find_cameras(self) -> list[Camera]:
         streams = find_streams(name for name in self._ids if len(self._rows(name)))
-        depths = sorted(number for number, kind in streams if kind == "Depth")
-        for done, number in enumerate(depths, start=1):
+        numbers = sorted(number for number, kind in streams if kind == "Depth")
+        cameras = []
+        for done, number in enumerate(numbers, start=1):
             depth, color = streams[number, "Depth"], streams.get((number, "Color"))
             unit = self._facts(f"{depth[0].rpartition('/')[0]}/option/Depth_Units/value")
-            yield DeviceFacts(
-                names=self._facts(f"/device_{number}/info"),
-                depth_unit_m=_numbers({"unit": next(iter(unit))}, "unit")[0] if unit else None,
-                depth=self._stream(*depth),
-                color=None if color is None else self._stream(*color),
+            cameras.append(
+                make_camera(
+                    self.path,
+                    self._facts(f"/device_{number}/info"),
+                    _numbers({"unit": next(iter(unit))}, "unit")[0] if unit else None,
+                    self._stream(*depth),
+                    None if color is None else self._stream(*color),
+                )
             )
             if self._progress is not None:
-                self._progress(done / len(depths), f"indexing {self._name}: camera {done} of {len(depths)}")
+                self._progress(done / len(numbers), f"indexing {self.path.name}: camera {done} of {len(numbers)}")
+        return cameras
 
-    def _stream(self, topic: str, images: str) -> StreamFacts:
+    def _stream(self, topic: str, images: str) -> Stream:
         info, lens = self._facts(f"{topic}/info"), self._facts(f"{topic}/camera_info")
         for name, found in (("info", info), ("camera_info", lens)):
             if not found:
@@ -83,18 +88,15 @@ class Db3File:
             _numbers(lens, key)[0] for key in ("width", "height", "fx", "fy", "ppx", "ppy")
         )
         prefix, rows = f"{topic}/tf/", self._rows(images)
-        return StreamFacts(
-            topic=topic,
-            size=(int(width), int(height)),
-            matrix=(fx, fy, cx, cy),
-            lens_model=lens.get("model", ""),
-            coefficients=_numbers(lens, "coeffs"),
-            rate_hz=_numbers(info, "fps")[0],
-            times=self._times(topic, rows),
-            poses={
-                name.removeprefix(prefix): _matrix(self._facts(name)) for name in self._ids if name.startswith(prefix)
-            },
-            read=lambda index: self._image(int(rows[index, 1]), images),
+        return make_stream(
+            topic,
+            (int(width), int(height), fx, fy, cx, cy),
+            lens.get("model", ""),
+            _numbers(lens, "coeffs"),
+            _numbers(info, "fps")[0],
+            self._times(topic, rows),
+            {name.removeprefix(prefix): _matrix(self._facts(name)) for name in self._ids if name.startswith(prefix)},
+            lambda index: self._image(int(rows[index, 1]), images),
         )
 
     def _times(self, topic: str, rows: Int64Array) -> ImageTimes:

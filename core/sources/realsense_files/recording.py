@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from ...errors import SourceError
 from ...model.arrays import Float64Array, Int64Array, Uint8Array, Uint16Array
-from ...model.frames import DepthCamera, Matrix4, camera_pose
+from ...model.frames import DepthCamera, camera_pose
 from ...model.intrinsics import Distortion, Intrinsics
 from ..cameras.camera import Calibration
 from ..ros_image import DamagedFileError, RawImage
@@ -39,45 +39,6 @@ class ImageTimes:
 
 
 @dataclass(frozen=True, eq=False)
-class StreamFacts:
-    """One image stream as in the file, unchecked.
-
-    Attributes
-    ----------
-    topic : str
-        Prefix of all its topics, such as ``"/device_0/sensor_0/Depth_0"``.
-    size : (int, int)
-        Width and height.
-    matrix : tuple of float
-        fx, fy, cx, cy.
-    poses : dict of str to 4 x 4
-        From a named reference to the stream, by the reference's name.
-    read : callable
-        Returns an image by its number.
-    """
-
-    topic: str
-    size: tuple[int, int]
-    matrix: tuple[float, float, float, float]
-    lens_model: str
-    coefficients: tuple[float, ...]
-    rate_hz: float
-    times: ImageTimes
-    poses: Mapping[str, Float64Array]
-    read: Callable[[int], RawImage]
-
-
-@dataclass(frozen=True, eq=False)
-class DeviceFacts:
-    """One device as in the file, unchecked; ``names`` holds its model and serial number."""
-
-    names: Mapping[str, str]
-    depth_unit_m: float | None
-    depth: StreamFacts
-    color: StreamFacts | None
-
-
-@dataclass(frozen=True, eq=False)
 class Stream:
     """One image stream: its lens, time stamps and images.
 
@@ -91,6 +52,10 @@ class Stream:
         When each was recorded, seconds on the one clock of the whole recording.
     arrived_s : float64, shape (N,), or None
         When each reached the computer, seconds of its system time; None if the recording does not say.
+    poses : dict of str to 4 x 4
+        From a named reference to the stream, by the reference's name.
+    read : callable
+        Returns an image by its number.
     """
 
     topic: str
@@ -100,6 +65,7 @@ class Stream:
     stamps_s: Float64Array
     recorded_s: Float64Array
     arrived_s: Float64Array | None
+    poses: Mapping[str, Float64Array]
     read: Callable[[int], RawImage]
 
     def __len__(self) -> int:
@@ -108,9 +74,9 @@ class Stream:
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """One device: its depth stream and, where recorded, its colour stream."""
+    """One device of a file at ``path``: its depth stream and, where recorded, its colour stream."""
 
-    recording: Recording
+    path: Path
     calibration: Calibration
     depth: Stream
     color: Stream | None
@@ -122,48 +88,25 @@ class Camera:
 
     def depth_image(self, index: int) -> Uint16Array:
         """Return raw counts: uint16, shape (H, W)."""
-        with damage_told(self.recording.path, f"image {index} of {self.depth.topic} cannot be read"):
+        with damage_told(self.path, f"image {index} of {self.depth.topic} cannot be read"):
             return self.depth.read(index).depth(self.depth.intrinsics.shape)
 
     def color_image(self, index: int) -> Uint8Array:
         """Return a colour image: RGB uint8, shape (H, W, 3)."""
         assert self.color is not None
-        with damage_told(self.recording.path, f"image {index} of {self.color.topic} cannot be read"):
+        with damage_told(self.path, f"image {index} of {self.color.topic} cannot be read"):
             return self.color.read(index).color(self.color.intrinsics.shape)
 
 
 class RecordingFile(Protocol):
-    """One file format."""
+    """An open recording; `is_complete` is False where its recorder was killed."""
 
+    path: Path
     is_complete: bool
-
-    def devices(self) -> Iterator[DeviceFacts]:
-        """Yield the devices with depth, in the order of their numbers."""
+    cameras: list[Camera]
 
     def close(self) -> None:
         """Close the file; twice is harmless."""
-
-
-class Recording:
-    """An open recording and its cameras; `is_complete` is False where its recorder was killed.
-
-    Raises
-    ------
-    SourceError
-        The file is damaged or no RealSense recording with depth.
-    """
-
-    def __init__(self, path: Path, file: RecordingFile) -> None:
-        self.path, self._file = path, file
-        self.is_complete = file.is_complete
-        devices = list(file.devices())
-        if not devices:
-            raise DamagedFileError("it holds no depth images")
-        self.cameras = [_camera(self, device) for device in devices]
-
-    def close(self) -> None:
-        """Close the file; twice is harmless."""
-        self._file.close()
 
 
 def find_streams(topics: Iterable[str]) -> dict[tuple[int, str], tuple[str, str]]:
@@ -189,72 +132,56 @@ def damage_told(path: Path, what: str) -> Iterator[None]:
         raise SourceError(f"{path}: {what} ({detail}); copy or record it again") from error
 
 
-def _camera(recording: Recording, device: DeviceFacts) -> Camera:
-    depth = _stream(device.depth)
-    unit_m = device.depth_unit_m
-    if unit_m is None:
+def make_camera(
+    path: Path, names: Mapping[str, str], depth_unit_m: float | None, depth: Stream, color: Stream | None
+) -> Camera:
+    """Return a device of what a file says; ``names`` holds its model and serial number."""
+    if depth_unit_m is None:
         raise DamagedFileError("the depth unit is missing (topic …/option/Depth_Units/value)")
-    if not 1e-7 <= unit_m <= 1.0:
-        raise DamagedFileError(f"the depth unit is {unit_m} m, but it must be above 0 and at most 1")
+    if not 1e-7 <= depth_unit_m <= 1.0:
+        raise DamagedFileError(f"the depth unit is {depth_unit_m} m, but it must be above 0 and at most 1")
     info = DepthCamera(
-        model=_plain(device.names.get("Name", "unknown")),
-        serial=_plain(device.names.get("Serial Number", "")),
+        model=_plain(names.get("Name", "unknown")),
+        serial=_plain(names.get("Serial Number", "")),
         intrinsics=depth.intrinsics,
-        depth_unit_m=unit_m,
+        depth_unit_m=depth_unit_m,
     )
-    if device.color is None:
-        return Camera(recording, Calibration(info), depth, None)
-    color = _stream(device.color)
-    pose = _pose(device.color, device.depth)
-    return Camera(recording, Calibration(info, color.intrinsics, pose), depth, color)
-
-
-def _stream(facts: StreamFacts) -> Stream:
-    clock, stamps_s, arrived_s = on_one_clock(facts.times)
-    return Stream(
-        topic=facts.topic,
-        intrinsics=_intrinsics(facts),
-        rate_hz=facts.rate_hz,
-        clock=clock,
-        stamps_s=stamps_s,
-        recorded_s=np.asarray(facts.times.recorded_ns * 1e-9, np.float64),
-        arrived_s=arrived_s,
-        read=facts.read,
-    )
-
-
-def _intrinsics(facts: StreamFacts) -> Intrinsics:
-    try:
-        distortion = Distortion(facts.lens_model.lower().replace(" ", "_"))
-    except ValueError as error:
-        known = ", ".join(Distortion)
-        raise DamagedFileError(
-            f"{facts.topic} has the lens model {_plain(facts.lens_model)!r}; known are {known}"
-        ) from error
-    (width, height), (fx, fy, cx, cy) = facts.size, facts.matrix
-    try:
-        return Intrinsics(
-            width=width,
-            height=height,
-            fx=fx,
-            fy=fy,
-            cx=cx,
-            cy=cy,
-            distortion=distortion,
-            coefficients=facts.coefficients,
-        )
-    except ValidationError as error:
-        field = ".".join(str(part) for part in error.errors()[0]["loc"])
-        raise DamagedFileError(f"{facts.topic}: {field} of the lens is out of range") from error
-
-
-def _pose(color: StreamFacts, depth: StreamFacts) -> Matrix4:
-    """Return the transform from depth to colour coordinates, via a reference frame of both."""
+    if color is None:
+        return Camera(path, Calibration(info), depth, None)
     common = color.poses.keys() & depth.poses.keys()
     if not common:
         raise DamagedFileError(f"the pose of {color.topic} to {depth.topic} is missing (topics such as …/tf/0)")
     reference = min(common)
-    return camera_pose(color.poses[reference] @ np.linalg.inv(depth.poses[reference]))
+    pose = camera_pose(color.poses[reference] @ np.linalg.inv(depth.poses[reference]))
+    return Camera(path, Calibration(info, color.intrinsics, pose), depth, color)
+
+
+def make_stream(
+    topic: str,
+    lens: tuple[int, int, float, float, float, float],
+    lens_model: str,
+    coefficients: Sequence[float],
+    rate_hz: float,
+    times: ImageTimes,
+    poses: Mapping[str, Float64Array],
+    read: Callable[[int], RawImage],
+) -> Stream:
+    """Return an image stream of what a file says; ``lens`` is width, height, fx, fy, cx, cy."""
+    try:
+        distortion = Distortion(lens_model.lower().replace(" ", "_"))
+    except ValueError as error:
+        known = ", ".join(Distortion)
+        raise DamagedFileError(f"{topic} has the lens model {_plain(lens_model)!r}; known are {known}") from error
+    names = ("width", "height", "fx", "fy", "cx", "cy")
+    values = {**dict(zip(names, lens, strict=True)), "distortion": distortion, "coefficients": tuple(coefficients)}
+    try:
+        intrinsics = Intrinsics.model_validate(values)
+    except ValidationError as error:
+        field = ".".join(str(part) for part in error.errors()[0]["loc"])
+        raise DamagedFileError(f"{topic}: {field} of the lens is out of range") from error
+    clock, stamps_s, arrived_s = on_one_clock(times)
+    recorded_s = np.asarray(times.recorded_ns * 1e-9, np.float64)
+    return Stream(topic, intrinsics, rate_hz, clock, stamps_s, recorded_s, arrived_s, poses, read)
 
 
 def on_one_clock(times: ImageTimes) -> tuple[str, Float64Array, Float64Array | None]:

@@ -16,7 +16,7 @@ from ..base import Health, Progress, SeekableSource, part_of
 from ..ros_image import DamagedFileError
 from .bag import BagFile
 from .db3 import Db3File
-from .recording import HARDWARE_CLOCK, Camera, Recording, Stream, damage_told
+from .recording import HARDWARE_CLOCK, Camera, RecordingFile, Stream, damage_told
 
 #: Seconds in this range are a date; smaller ones count from an arbitrary start.
 _FIRST_DATE_S = 1e9
@@ -61,7 +61,7 @@ class BagSource(SeekableSource):
                 recording.close()
             raise
 
-    def _set_up(self, name: str, recordings: list[Recording]) -> None:
+    def _set_up(self, name: str, recordings: list[RecordingFile]) -> None:
         self._recordings = recordings
         self._is_open = True
         # PNG and LZ4 take most of a frame's time, and both release the interpreter lock.
@@ -139,9 +139,7 @@ class BagSource(SeekableSource):
     def _pair(self, name: str, tactile: Camera) -> None:
         """Pair the depth images; raise `SourceError` if no pair is found."""
         first, second = self._proximity, tactile
-        times = common_times(
-            first.depth, second.depth, same_recording=first.recording is second.recording, same_device=False
-        )
+        times = common_times(first.depth, second.depth, same_recording=first.path == second.path, same_device=False)
         if times is None:
             raise SourceError(
                 f"{name}: the cameras' clocks cannot be compared ({_clock(first)} and {_clock(second)}, and not both "
@@ -172,7 +170,7 @@ class BagSource(SeekableSource):
             )
 
 
-def _roles(name: str, recordings: list[Recording]) -> tuple[Camera, Camera | None]:
+def _roles(name: str, recordings: list[RecordingFile]) -> tuple[Camera, Camera | None]:
     """Return the proximity and the tactile camera; the latter is None if there is only one."""
     cameras = [camera for recording in recordings for camera in recording.cameras]
     models = ", ".join(camera.info.model for camera in cameras)
@@ -267,7 +265,7 @@ def _moment(time_s: float) -> str:
     return f"{time_s:.3f} s"
 
 
-def open_recordings(text: str, progress: Progress | None) -> list[Recording]:
+def open_recordings(text: str, progress: Progress | None) -> list[RecordingFile]:
     """Open one recording, or two whose paths are separated by a comma.
 
     Raises
@@ -278,7 +276,7 @@ def open_recordings(text: str, progress: Progress | None) -> list[Recording]:
     paths = recording_files(text)
     if not paths:
         raise SourceError(f"bag:{text}: there is no file {_missing(text)}; check the path")
-    opened: list[Recording] = []
+    opened: list[RecordingFile] = []
     try:
         for number, path in enumerate(paths):
             within = None if progress is None else part_of(progress, number, len(paths))
@@ -290,7 +288,7 @@ def open_recordings(text: str, progress: Progress | None) -> list[Recording]:
     return opened
 
 
-def _open(path: Path, progress: Progress | None) -> Recording:
+def _open(path: Path, progress: Progress | None) -> RecordingFile:
     with damage_told(path, "this is no readable RealSense recording"):
         with path.open("rb") as file:
             start = file.read(32)
@@ -299,11 +297,10 @@ def _open(path: Path, progress: Progress | None) -> Recording:
         if opener is None:
             raise DamagedFileError("it begins neither as a .bag nor as a .db3 does" if start else "it is empty")
         opened = opener(path, progress)
-        try:
-            return Recording(path, opened)
-        except BaseException:
+        if not opened.cameras:
             opened.close()
-            raise
+            raise DamagedFileError("it holds no depth images")
+        return opened
 
 
 def _missing(text: str) -> str:

@@ -14,7 +14,7 @@ from tactune.core.contact.pixels import Pixels
 from tactune.core.contact.tolerance import ToleranceTest
 from tactune.core.errors import FrameError, RigMismatchError
 from tactune.core.model.clouds import deproject, valid_depth
-from tactune.core.model.frames import Rig, SensorFrame, rigid_transform
+from tactune.core.model.frames import SensorFrame
 from tactune.core.model.provenance import Provenance
 from tactune.core.preset import Preset
 
