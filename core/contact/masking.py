@@ -14,17 +14,7 @@ from .kernels.simd import LANES
 
 
 def in_hsv_range(colors: Uint8Array, section: MaskSection) -> BoolArray:
-    """Tell which colours lie in the preset's range, OpenCV's 8-bit HSV, a low hue above the high wraps.
-
-    Parameters
-    ----------
-    colors : uint8, shape (..., 3)
-        RGB.
-
-    Returns
-    -------
-    bool, shape (...)
-    """
+    """Return which RGB colours (..., 3) lie in the mask's range of OpenCV's HSV; a low hue above the high wraps."""
     inside = np.empty(colors.shape[:-1], bool)
     colors_in_range(flat(colors, 3 * LANES), hsv_limits(section), inside.reshape(-1))
     return inside
@@ -38,35 +28,18 @@ def masked_share(image: Uint8Array, section: MaskSection) -> float:
 
 
 def colors_at(points: Float32Array, pixels: IndexArray, image: Uint8Array, rig: Rig) -> tuple[Uint8Array, BoolArray]:
-    """Return the proximity colour of each point and whether the colour camera sees it.
+    """Return the colour of each point (N, 3) in the proximity colour image, and whether the colour camera sees it.
 
-    Parameters
-    ----------
-    points : float32, shape (N, 3)
-        Metres, proximity depth frame.
-    pixels : int, shape (N,)
-        Flat proximity depth pixel of each point.
-    image : uint8, shape (H, W, 3)
-        The proximity colour image.
-    rig : Rig
-        Its colour camera, or None for an image that is aligned to depth already.
+    ``pixels`` are the points' flat depth pixels, for an image that is aligned to depth already.
     """
     if rig.proximity_color is None:
         return image.reshape(-1, 3)[pixels], np.ones(len(pixels), bool)
     T_c_d = np.asarray(rig.proximity_color.T_color_depth, dtype=np.float32)
-    lens, camera = lens_parameters(rig.proximity_color.intrinsics)
-    colors = np.zeros((len(points), 3), np.uint8)
-    seen = np.empty(len(points), bool)
+    rotation, translation = np.ascontiguousarray(T_c_d[:3, :3]), np.ascontiguousarray(T_c_d[:3, 3])
+    colors, seen = np.zeros((len(points), 3), np.uint8), np.empty(len(points), bool)
     color_lookup(
-        points,
-        np.ascontiguousarray(T_c_d[:3, :3]),
-        np.ascontiguousarray(T_c_d[:3, 3]),
-        lens,
-        camera,
-        image,
-        colors,
-        seen,
-    )
+        points, rotation, translation, *lens_parameters(rig.proximity_color.intrinsics), image, colors, seen
+    )  # fmt: skip
     return colors, seen
 
 

@@ -19,20 +19,11 @@ _MAX_FOLDED = 0.9
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """Points with optional colours and per-point attributes.
+    """Points with optional colours and per-point attributes."""
 
-    Attributes
-    ----------
-    points : float32, shape (N, 3)
-        Metres, proximity depth frame.
-    colors : uint8, shape (N, 3), or None
-        RGB.
-    attributes : dict of str to 1-D array of length N
-    """
-
-    points: Float32Array
-    colors: Uint8Array | None = None
-    attributes: dict[str, npt.NDArray[np.generic]] = field(default_factory=dict)
+    points: Float32Array  # (N, 3): Metres, proximity depth frame
+    colors: Uint8Array | None = None  # (N, 3), or None: RGB
+    attributes: dict[str, npt.NDArray[np.generic]] = field(default_factory=dict)  # dict of str to 1-D array of length N
 
     def __len__(self) -> int:
         return len(self.points)

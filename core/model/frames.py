@@ -154,45 +154,27 @@ class Rig(_Frozen):
 
 @dataclass(frozen=True)
 class TrueStrain:
-    """Largest in-plane strain of the membrane, relative to the flat clamped state.
+    """Largest in-plane strain of the membrane, relative to the flat clamped state."""
 
-    Attributes
-    ----------
-    largest : float
-        In any direction anywhere on the membrane; it increases with a finer solver mesh.
-    length, width : float
-        Along the membrane's length and width between neighbours of a grid of 10 mm.
-    length_seen, width_seen : float
-        The same over neighbours that the tactile camera sees completely, at least 90 % of each dot.
-    """
-
-    largest: float
+    largest: float  # In any direction anywhere on the membrane; it increases with a finer solver mesh
+    #: Along the membrane's length and width between neighbours of a grid of 10 mm.
     length: float
     width: float
+    #: The same over neighbours that the tactile camera sees completely, at least 90 % of each dot.
     length_seen: float
     width_seen: float
 
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """Ground truth of a frame, from the simulator or a labelled recording, in proximity pixels.
+    """Ground truth of a frame, from the simulator or a labelled recording, in proximity pixels."""
 
-    Attributes
-    ----------
-    contact : bool, shape (H, W)
-        Where the membrane touches an object.
-    depth_m : float32, shape (H, W), or None
-        True depth of the membrane in the proximity depth frame, metres; nan where unknown.
-    strain : TrueStrain or None
-        Not stored in recordings.
-    T_proximity_object : 4 x 4 or None
-        Pose of the object in the proximity depth frame, metres; of a pair of objects as a whole. The object's own
-        frame is that of `simulated_mesh`. Not stored in recordings.
-    """
-
-    contact: BoolArray
+    contact: BoolArray  # (H, W): Where the membrane touches an object
+    #: (H, W), or None: True depth of the membrane in the proximity depth frame, metres; nan where unknown.
     depth_m: Float32Array | None = None
-    strain: TrueStrain | None = None
+    strain: TrueStrain | None = None  # Not stored in recordings
+    #: 4 x 4 or None: Pose of the object in the proximity depth frame, metres; of a pair of objects as a whole. The
+    #: object's own frame is that of `simulated_mesh`. Not stored in recordings.
     T_proximity_object: Matrix4 | None = None
 
 

@@ -36,19 +36,12 @@ class Lazy(Generic[T]):
 
 @dataclass(frozen=True, eq=False)
 class AlignedDepth:
-    """Both sides of the tolerance test, per proximity pixel; nan where there is none.
+    """Both sides of the tolerance test, per proximity pixel; nan where there is none."""
 
-    Attributes
-    ----------
-    expected_m : float32, shape (H, W)
-        dp: where the tactile camera would see the proximity point (rigid), or the proximity depth
-        itself (homography), metres.
-    measured_m : float32, shape (H, W)
-        dt: the tactile depth there, after scale and offset, metres.
-    """
-
+    #: (H, W): dp: where the tactile camera would see the proximity point (rigid), or the proximity depth itself
+    #: (homography), metres.
     expected_m: Float32Array
-    measured_m: Float32Array
+    measured_m: Float32Array  # (H, W): dt: the tactile depth there, after scale and offset, metres
 
     @classmethod
     def empty(cls, shape: tuple[int, int]) -> AlignedDepth:
@@ -58,18 +51,10 @@ class AlignedDepth:
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Pixels that may be contact, with their points.
+    """Pixels that may be contact, with their points."""
 
-    Attributes
-    ----------
-    pixels : int, shape (N,)
-        Flat proximity pixel numbers, ascending.
-    points : float32, shape (N, 3)
-        Metres, proximity depth frame.
-    """
-
-    pixels: IndexArray
-    points: Float32Array
+    pixels: IndexArray  # (N,): Flat proximity pixel numbers, ascending
+    points: Float32Array  # (N, 3): Metres, proximity depth frame
 
     def __len__(self) -> int:
         return len(self.pixels)
@@ -86,75 +71,39 @@ NO_CANDIDATES: Final = Candidates(np.empty(0, np.intp), np.empty((0, 3), np.floa
 
 @dataclass(frozen=True)
 class Contact:
-    """One connected part of a patch.
+    """One connected part of a patch."""
 
-    Attributes
-    ----------
-    area_mm2 : float
-        Projected on the plane across the optical axis.
-    centroid_m : (float, float, float)
-        Mean of its points, metres, proximity depth frame.
-    pixel : (int, int)
-        Column and row of its point nearest to the centroid.
-    """
-
-    area_mm2: float
-    centroid_m: tuple[float, float, float]
-    pixel: tuple[int, int]
+    area_mm2: float  # Projected on the plane across the optical axis
+    centroid_m: tuple[float, float, float]  # Mean of its points, metres, proximity depth frame
+    pixel: tuple[int, int]  # Column and row of its point nearest to the centroid
 
 
 @dataclass(frozen=True, eq=False)
 class MembraneFacts:
-    """What the membrane test measured in a frame besides contact.
+    """What the membrane test measured in a frame besides contact."""
 
-    Attributes
-    ----------
-    bias_m : float
-        Proximity less tactile depth on the same surface, as the test subtracted it, metres.
-    firm_m2 : float
-        Area of firm contact that proves the bias; 0 if it follows from the rig or from prints.
-    bias_known : bool
-        Whether firm contact, the measured rig or prints tell the bias; without them it is assumed.
-    curvature_per_m : float
-        Twice the mean curvature of the free membrane as measured; nan if it cannot be measured.
-    used_curvature_per_m : float
-        The one that the test used.
-    gap_m : float32, shape (H, W)
-        The membrane's gap to the object in equilibrium, along the normal; nan where it is not computed.
-    difference_m : float32, shape (N,)
-        Proximity less tactile depth as measured at each point of the patch, less ``bias_m``; nan where one is missing.
-    tactile_weight : float
-        Weight of the tactile depth in the depth of the points, 0 to 1; the proximity depth has the rest.
-    """
-
-    bias_m: float
-    firm_m2: float
-    bias_known: bool
-    curvature_per_m: float
-    used_curvature_per_m: float
+    bias_m: float  # Proximity less tactile depth on the same surface, as the test subtracted it, metres
+    firm_m2: float  # Area of firm contact that proves the bias; 0 if it follows from the rig or from prints
+    bias_known: bool  # Whether firm contact, the measured rig or prints tell the bias; without them it is assumed
+    curvature_per_m: float  # Twice the mean curvature of the free membrane as measured; nan if it cannot be measured
+    used_curvature_per_m: float  # The one that the test used
+    #: (H, W): The membrane's gap to the object in equilibrium, along the normal; nan where it is not computed.
     gap_m: Lazy[Float32Array]
+    #: (N,): Proximity less tactile depth as measured at each point of the patch, less ``bias_m``; nan where one is
+    #: missing.
     difference_m: Lazy[Float32Array]
+    #: Weight of the tactile depth in the depth of the points, 0 to 1; the proximity depth has the rest.
     tactile_weight: float
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What a contact test found in a frame.
-
-    Attributes
-    ----------
-    contact : Candidates
-    make_provenance : callable
-        Computes the verdict on each pixel, uint8 (H, W), when it is read.
-    skipped : tuple of str
-    membrane : MembraneFacts or None
-        Both as in `ContactPatch`.
-    """
+    """What a contact test found in a frame."""
 
     contact: Candidates
-    make_provenance: Callable[[], Uint8Array]
+    make_provenance: Callable[[], Uint8Array]  # Computes the verdict on each pixel, uint8 (H, W), when it is read
     skipped: tuple[str, ...] = ()
-    membrane: MembraneFacts | None = None
+    membrane: MembraneFacts | None = None  # Both as in `ContactPatch`
 
 
 class ContactPatch:

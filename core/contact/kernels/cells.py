@@ -28,123 +28,66 @@ _MIN_FACING, _MIN_TURN = np.float32(0.25), 0.25
 
 
 class DifferenceWindow(NamedTuple):
-    """What `average_cells` averages, and which pixels take part.
+    """What `average_cells` averages, and which pixels take part."""
 
-    Attributes
-    ----------
-    differences : float32, shape (H, W)
-        Proximity minus tactile depth, metres.
-    usable, excluded : bool, shape (H, W)
-        Where both depths count; outside the region or range.
-    counts : uint16, shape (H, W)
-        Raw proximity depth.
-    unit_m, bias_m : float32
-        Metres of a count; subtracted from the proximity depth.
-    centre_m, limit_m : float32
-        Only differences nearer than the limit to the centre are averaged.
-    """
-
-    differences: Float32Array
+    differences: Float32Array  # (H, W): Proximity minus tactile depth, metres
+    #: (H, W): Where both depths count; outside the region or range.
     usable: BoolArray
     excluded: BoolArray
-    counts: Uint16Array
+    counts: Uint16Array  # (H, W): Raw proximity depth
+    #: Metres of a count; subtracted from the proximity depth.
     unit_m: np.float32
     bias_m: np.float32
+    #: Only differences nearer than the limit to the centre are averaged.
     centre_m: np.float32
     limit_m: np.float32
 
 
 class CellSums(NamedTuple):
-    """What `average_cells` writes; images are (H, W), with a frame of cells that is not written.
+    """What `average_cells` writes; images are (H, W), with a frame of cells that is not written."""
 
-    Attributes
-    ----------
-    differences : float32
-        Mean difference.
-    excluded : float32
-        Excluded share.
-    points : float32, shape (H, W, 4)
-        Mean x, y and z, metres, times the share of the pixels that take part, and that share.
-    """
-
-    differences: Float32Array
-    excluded: Float32Array
+    differences: Float32Array  # Mean difference
+    excluded: Float32Array  # Excluded share
+    #: (H, W, 4): Mean x, y and z, metres, times the share of the pixels that take part, and that share.
     points: Float32Array
 
 
 class Surface(NamedTuple):
-    """What `measure_cells` writes; images are (H, W).
+    """What `measure_cells` writes; images are (H, W)."""
 
-    Attributes
-    ----------
-    bulges : float32
-        Twice the mean curvature, 1/m; nan where it is not known.
-    sides : float32, shape (2, H, W)
-        Length of a cell along the surface, to the right and down, metres.
-    facing : float32
-        Share of a depth difference along the ray that is along the surface normal.
-    """
-
-    bulges: Float32Array
-    sides: Float32Array
-    facing: Float32Array
+    bulges: Float32Array  # Twice the mean curvature, 1/m; nan where it is not known
+    sides: Float32Array  # (2, H, W): Length of a cell along the surface, to the right and down, metres
+    facing: Float32Array  # Share of a depth difference along the ray that is along the surface normal
 
 
 class CellGrid(NamedTuple):
-    """Where cells lie in the proximity image.
+    """Where cells lie in the proximity image."""
 
-    Attributes
-    ----------
-    rays : float32, shape (H, W, 2)
-        x / z and y / z of each pixel of the whole image.
-    top, left : int
-        Pixel at which the first cell begins; may lie outside the image.
-    side : int
-        Of a cell, pixels.
-    """
-
-    rays: Float32Array
+    rays: Float32Array  # (H, W, 2): x / z and y / z of each pixel of the whole image
+    #: Pixel at which the first cell begins; may lie outside the image.
     top: int
     left: int
-    side: int
+    side: int  # Of a cell, pixels
 
 
 class MembraneImage(NamedTuple):
-    """The tactile depth image, and how it is aligned.
+    """The tactile depth image, and how it is aligned."""
 
-    Attributes
-    ----------
-    counts : uint16, flat
-    alignment : Alignment
-    """
-
-    counts: Uint16Array
+    counts: Uint16Array  # flat
     alignment: Alignment
 
 
 class BesideCells(NamedTuple):
-    """What `continue_beside` writes; images are (H, W).
+    """What `continue_beside` writes; images are (H, W)."""
 
-    Attributes
-    ----------
-    linked : bool
-        Cells of the object at first; then also those beside it.
-    differences : float32
-        Depth of the tangent plane minus that of the membrane, metres; written beside the object only.
-    weights : float32
-        1 where the membrane is seen, 0 elsewhere; written beside the object only.
-    sources, queue : int32, flat, H * W elements
-        Scratch.
-    planes : float32, shape (3, H * W)
-        Scratch.
-    """
-
-    linked: BoolArray
+    linked: BoolArray  # Cells of the object at first; then also those beside it
+    #: Depth of the tangent plane minus that of the membrane, metres; written beside the object only.
     differences: Float32Array
-    weights: Float32Array
+    weights: Float32Array  # 1 where the membrane is seen, 0 elsewhere; written beside the object only
+    #: flat, H * W elements: Scratch.
     sources: Int32Array
     queue: Int32Array
-    planes: Float32Array
+    planes: Float32Array  # (3, H * W): Scratch
 
 
 @kernel

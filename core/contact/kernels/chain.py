@@ -78,14 +78,9 @@ def planes_of(table: Float32Array) -> Float32Array:
 
 
 class DepthImages(NamedTuple):
-    """Raw depth images of one frame.
+    """Raw depth images of one frame."""
 
-    Attributes
-    ----------
-    proximity, tactile : uint16, flat
-        Counts; 0 and 65535 are no depth.
-    """
-
+    #: flat: Counts; 0 and 65535 are no depth.
     proximity: Uint16Array
     tactile: Uint16Array
 
@@ -100,39 +95,21 @@ class ImageSizes(NamedTuple):
 
 
 class Alignment(NamedTuple):
-    """An alignment model: the tactile pixel and the expected tactile depth of each proximity pixel.
+    """An alignment model: the tactile pixel and the expected tactile depth of each proximity pixel."""
 
-    Attributes
-    ----------
-    rigid : bool
-        Whether the rigid model applies, which uses ``planes``, ``lens`` and ``camera``; otherwise ``table`` applies.
-    size : ImageSizes
-    proximity_unit_m : float32
-        Metres of one proximity count.
-    tactile_unit_m, tactile_offset_m : float32
-        Metres of one tactile count, and the offset added to it, both after depth correction.
-    translation_m : float32, shape (3,)
-        Of ``T_t_p``, metres.
-    planes : float32, flat
-        x, then y, then z of each proximity ray rotated into the tactile frame. Empty for a homography.
-    table : int32, flat
-        Tactile pixel of each proximity pixel, -1 for none. Empty for the rigid model.
-    lens : int
-        Lens model of the tactile camera, as in `lenses`.
-    camera : float32, shape (9,)
-        Its parameters, from `lenses.lens_parameters`.
-    """
-
+    #: Whether the rigid model applies, which uses ``planes``, ``lens`` and ``camera``; otherwise ``table`` applies.
     rigid: bool
     size: ImageSizes
-    proximity_unit_m: np.float32
+    proximity_unit_m: np.float32  # Metres of one proximity count
+    #: Metres of one tactile count, and the offset added to it, both after depth correction.
     tactile_unit_m: np.float32
     tactile_offset_m: np.float32
-    translation_m: Float32Array
+    translation_m: Float32Array  # (3,): Of ``T_t_p``, metres
+    #: flat: x, then y, then z of each proximity ray rotated into the tactile frame. Empty for a homography.
     planes: Float32Array
-    table: Int32Array
-    lens: int
-    camera: Float32Array
+    table: Int32Array  # flat: Tactile pixel of each proximity pixel, -1 for none. Empty for the rigid model
+    lens: int  # Lens model of the tactile camera, as in `lenses`
+    camera: Float32Array  # (9,): Its parameters, from `lenses.lens_parameters`
 
 
 class Region(NamedTuple):
@@ -153,80 +130,43 @@ class DepthLimits(NamedTuple):
 
 
 class PixelTest(NamedTuple):
-    """Everything but the colour that decides about a pixel.
-
-    Attributes
-    ----------
-    alignment : Alignment
-    region : Region
-    limits : DepthLimits
-    rays : float32, flat
-        x / z, then y / z of each proximity ray.
-    """
+    """Everything but the colour that decides about a pixel."""
 
     alignment: Alignment
     region: Region
     limits: DepthLimits
-    rays: Float32Array
+    rays: Float32Array  # flat: x / z, then y / z of each proximity ray
 
 
 class ColorLookup(NamedTuple):
-    """Where the colour of a proximity point is looked up.
+    """Where the colour of a proximity point is looked up."""
 
-    Attributes
-    ----------
-    separate : bool
-        Whether the colour camera stands apart from the depth camera. Otherwise both images share their pixels, and
-        the other fields are not used.
-    transform : float32, shape (12,)
-        Rotation (row by row) and translation (metres) from the depth to the colour frame.
-    lens, camera
-        Lens model of the colour camera, as in `Alignment`.
-    width, height : int
-        Of the colour image.
-    """
-
+    #: Whether the colour camera stands apart from the depth camera. Otherwise both images share their pixels, and the
+    #: other fields are not used.
     separate: bool
-    transform: Float32Array
+    transform: Float32Array  # (12,): Rotation (row by row) and translation (metres) from the depth to the colour frame
+    #: Lens model of the colour camera, as in `Alignment`.
     lens: int
     camera: Float32Array
+    #: Of the colour image.
     width: int
     height: int
 
 
 class ColorTest(NamedTuple):
-    """The colour mask of one frame.
-
-    Attributes
-    ----------
-    lookup : ColorLookup
-    image : uint8, flat
-        Proximity colours, RGB.
-    hsv : int64, shape (6,) or (0,)
-        Range of colours that are masked, from `colors.hsv_limits`; empty for no mask.
-    """
+    """The colour mask of one frame."""
 
     lookup: ColorLookup
-    image: Uint8Array
-    hsv: Int64Array
+    image: Uint8Array  # flat: Proximity colours, RGB
+    hsv: Int64Array  # (6,) or (0,): Range of colours that are masked, from `colors.hsv_limits`; empty for no mask
 
 
 class CandidateArrays(NamedTuple):
-    """Where `find_candidates` writes.
+    """Where `find_candidates` writes."""
 
-    Attributes
-    ----------
-    pixels : int64, shape (H * W,)
-        Flat pixels.
-    points : float32, shape (H * W * 3,)
-        Their points x, y, z, metres.
-    counts : int64, shape (H,)
-        Number of candidates from a row on.
-    """
-
-    pixels: Int64Array
-    points: Float32Array
-    counts: Int64Array
+    pixels: Int64Array  # (H * W,): Flat pixels
+    points: Float32Array  # (H * W * 3,): Their points x, y, z, metres
+    counts: Int64Array  # (H,): Number of candidates from a row on
 
 
 @inline

@@ -59,20 +59,11 @@ _NOTHING, _ONE = np.int32(0), np.int32(1)
 
 
 class TileBuffers(NamedTuple):
-    """Ranges of raw counts by tile: least, then largest; the least is larger where there is no depth.
+    """Ranges of raw counts by tile: least, then largest; the least is larger where there is no depth."""
 
-    Attributes
-    ----------
-    proximity : int32, shape (2, N)
-        N is the number of proximity tiles, filled up to whole vectors.
-    tactile : int32, shape (2, M)
-        M is the number of tactile tiles and a margin without depth.
-    spread : int32, shape (4, M)
-        Least and largest over `_SPAN` tiles to the right, then over a square of `_SPAN` x `_SPAN` tiles.
-    """
-
-    proximity: Int32Array
-    tactile: Int32Array
+    proximity: Int32Array  # (2, N): N is the number of proximity tiles, filled up to whole vectors
+    tactile: Int32Array  # (2, M): M is the number of tactile tiles and a margin without depth
+    #: (4, M): Least and largest over `_SPAN` tiles to the right, then over a square of `_SPAN` x `_SPAN` tiles.
     spread: Int32Array
 
 

@@ -72,19 +72,12 @@ def source_files(module_name: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Compiled:
-    """State of the kernels in this process.
+    """State of the kernels in this process."""
 
-    Attributes
-    ----------
-    loaded, compiled : int
-        Number of kernels loaded from the cache, and compiled in this process.
-    folders : tuple of Path
-        Cache folders; empty if none is writable.
-    """
-
+    #: Number of kernels loaded from the cache, and compiled in this process.
     loaded: int
     compiled: int
-    folders: tuple[Path, ...]
+    folders: tuple[Path, ...]  # tuple of Path: Cache folders; empty if none is writable
 
 
 def compiled_so_far() -> Compiled:

@@ -20,65 +20,34 @@ class Equations(NamedTuple):
 
     For a cell with the gap g: the sum of link * (neighbour - g), minus weight * area / trust_m^2 * (g - measured), is
     push * area. Only linked cells are neighbours.
-
-    Attributes
-    ----------
-    places : int32, shape (N,)
-        Flat places of the cells in their image.
-    links : float32, shape (6, N)
-        To the left, right, upper and lower neighbour; to the measured gap; and the reciprocal of the sum of these.
-    floors : float32, shape (N,)
-        Smallest gap: 0 where there is an object.
-    even : int
-        Number of cells of even row plus column. No two of them are neighbours, and no two of the others.
     """
 
-    places: Int32Array
+    places: Int32Array  # (N,): Flat places of the cells in their image
+    #: (6, N): To the left, right, upper and lower neighbour; to the measured gap; and the reciprocal of the sum of
+    #: these.
     links: Float32Array
-    floors: Float32Array
-    even: int
+    floors: Float32Array  # (N,): Smallest gap: 0 where there is an object
+    even: int  # Number of cells of even row plus column. No two of them are neighbours, and no two of the others
 
 
 class Relaxation(NamedTuple):
-    """How `settle` iterates.
+    """How `settle` iterates."""
 
-    Attributes
-    ----------
-    factor : float32
-        Over-relaxation, 1 to 2.
-    tolerance_m : float32
-        Iteration ends when no gap changes by more, metres.
-    max_sweeps : int
-    """
-
-    factor: np.float32
-    tolerance_m: np.float32
+    factor: np.float32  # Over-relaxation, 1 to 2
+    tolerance_m: np.float32  # Iteration ends when no gap changes by more, metres
     max_sweeps: int
 
 
 class CellImages(NamedTuple):
-    """What the equations of cells depend on; images are (H, W).
+    """What the equations of cells depend on; images are (H, W)."""
 
-    Attributes
-    ----------
-    measured : float32
-        Gaps, metres.
-    known, linked : bool
-        Cells of the object; these and those beside it.
-    push : float32
-        p / T - k, 1/m.
-    sides : float32, shape (2, H, W)
-        From `measure_cells`.
-    weight : float32
-        Of the measured gap.
-    """
-
-    measured: Float32Array
+    measured: Float32Array  # Gaps, metres
+    #: Cells of the object; these and those beside it.
     known: BoolArray
     linked: BoolArray
-    push: Float32Array
-    sides: Float32Array
-    weight: Float32Array
+    push: Float32Array  # p / T - k, 1/m
+    sides: Float32Array  # (2, H, W): From `measure_cells`
+    weight: Float32Array  # Of the measured gap
 
 
 @kernel

@@ -37,54 +37,31 @@ _float_vector, _int_vector = float_scratch(LANES), int_scratch(LANES)
 
 
 class RayWindow(NamedTuple):
-    """Rays of a part of the image.
+    """Rays of a part of the image."""
 
-    Attributes
-    ----------
-    rays : float32, shape (H, W, 2)
-        x / z and y / z of each pixel of the whole image.
-    top, left : int
-        Row and column of the whole image at which the images of the part begin.
-    """
-
-    rays: Float32Array
+    rays: Float32Array  # (H, W, 2): x / z and y / z of each pixel of the whole image
+    #: Row and column of the whole image at which the images of the part begin.
     top: int
     left: int
 
 
 class Rectangle(NamedTuple):
-    """Part of the image that `find_differences` writes about, the bias, and the largest difference it accepts.
+    """Part of the image that `find_differences` writes about, the bias, and the largest difference it accepts."""
 
-    Attributes
-    ----------
-    left, top, right : int
-        Proximity pixels; ``left`` is a multiple of `LANES`, ``right`` is exclusive.
-    bias_m : float32
-        Subtracted from the proximity depth, metres.
-    largest_m : float32
-        Differences must be smaller, metres.
-    """
-
+    #: Proximity pixels; ``left`` is a multiple of `LANES`, ``right`` is exclusive.
     left: int
     top: int
     right: int
-    bias_m: np.float32
-    largest_m: np.float32
+    bias_m: np.float32  # Subtracted from the proximity depth, metres
+    largest_m: np.float32  # Differences must be smaller, metres
 
 
 class DifferenceImages(NamedTuple):
-    """What `find_differences` writes, by pixel of the rectangle.
+    """What `find_differences` writes, by pixel of the rectangle."""
 
-    Attributes
-    ----------
-    differences : float32, flat
-        Proximity minus tactile depth, metres; 0 where it is not smaller than the largest.
-    states : uint8, flat
-        `USABLE`, `MASKED` (the colour is the mask's), `EXCLUDED` (outside the region or range), or
-        `TAKES_NO_PART`.
-    """
-
-    differences: Float32Array
+    differences: Float32Array  # flat: Proximity minus tactile depth, metres; 0 where it is not smaller than the largest
+    #: flat: `USABLE`, `MASKED` (the colour is the mask's), `EXCLUDED` (outside the region or range), or
+    #: `TAKES_NO_PART`.
     states: Uint8Array
 
 

@@ -30,20 +30,9 @@ _JUMP_SHARE = np.float32(0.02)
 
 
 class AveragedDepth:
-    """The running mean of both depth images.
+    """The running mean of both depth images, in which each new frame weighs at least 1 / ``max_frames``.
 
-    Parameters
-    ----------
-    rig : Rig
-    frames : int
-        Window of the running mean: each new frame weighs at least 1 / ``frames``.
-    noise : RigNoise, optional
-        Measured noise; where it is large, a larger change counts as movement.
-
-    Attributes
-    ----------
-    max_frames : int
-        As ``frames``; may be changed.
+    Where the measured noise is large, a larger change counts as movement.
     """
 
     def __init__(self, rig: Rig, frames: int, noise: RigNoise | None = None) -> None:
@@ -90,15 +79,9 @@ def _largest_change(noise: CameraNoise, focal_px: float) -> np.float32:
 
 
 class _Means:
-    """The mean of one camera's depth, in counts, and its number of frames per pixel; 0 without depth.
+    """The mean of one camera's depth, in counts, and its number of frames per pixel; 0 without depth."""
 
-    Attributes
-    ----------
-    moved_share : float32
-        A block has moved if its mean depth has changed by more than this share.
-    """
-
-    moved_share: np.float32
+    moved_share: np.float32  # A block has moved if its mean depth has changed by more than this share
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self._mean, self._frames = np.zeros(shape, np.float32), np.zeros(shape, np.float32)

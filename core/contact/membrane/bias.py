@@ -69,32 +69,18 @@ _MAX_LEAN_SIGMA_M: Final = 0.001
 
 @dataclass(frozen=True)
 class RigBias:
-    """What is known of the bias before a frame is seen.
+    """What is known of the bias before a frame is seen."""
 
-    Attributes
-    ----------
-    mean_m, sigma_m : float
-        Proximity less tactile depth.
-    noise_m4 : float
-        Noise power of both cameras per area, at low spatial frequency: the variance of a mean over an area is this
-        over the area.
-    measured : bool
-        Whether the rig's noise and bias were measured.
-    tactile_weight : float
-        Weight of the tactile depth in a mean of both depths, from both cameras' noise.
-    gap_sigma_m : float
-        Standard deviation of a gap averaged over a window of `GUESS_PX`.
-    pixel_sigma_m : float
-        Standard deviation of the gap of one pixel.
-    """
-
+    #: Proximity less tactile depth.
     mean_m: float
     sigma_m: float
+    #: Noise power of both cameras per area, at low spatial frequency: the variance of a mean over an area is this over
+    #: the area.
     noise_m4: float
-    measured: bool
-    tactile_weight: float = 0.5
-    gap_sigma_m: float = 0.0011
-    pixel_sigma_m: float = 0.0013
+    measured: bool  # Whether the rig's noise and bias were measured
+    tactile_weight: float = 0.5  # Weight of the tactile depth in a mean of both depths, from both cameras' noise
+    gap_sigma_m: float = 0.0011  # Standard deviation of a gap averaged over a window of `GUESS_PX`
+    pixel_sigma_m: float = 0.0013  # Standard deviation of the gap of one pixel
 
     def length_m(self, usual_m: float) -> float:
         """Return the length over which equilibrium is trusted, from that at the usual noise.
@@ -107,21 +93,11 @@ class RigBias:
 
 @dataclass(frozen=True)
 class FrameBias:
-    """The bias in one frame.
+    """The bias in one frame."""
 
-    Attributes
-    ----------
-    bias_m : float
-        Bias of the differences, beyond the `Differences.bias_m` that was subtracted.
-    firm_m2 : float
-        Area of the firm contact that it was measured in; 0 if it follows from the rig's bias.
-    known : bool
-        Whether firm contact, the measured rig or prints tell it.
-    """
-
-    bias_m: float = 0.0
-    firm_m2: float = 0.0
-    known: bool = True
+    bias_m: float = 0.0  # Bias of the differences, beyond the `Differences.bias_m` that was subtracted
+    firm_m2: float = 0.0  # Area of the firm contact that it was measured in; 0 if it follows from the rig's bias
+    known: bool = True  # Whether firm contact, the measured rig or prints tell it
 
 
 def rig_bias(noise: RigNoise | None, rig: Rig) -> RigBias:
@@ -151,16 +127,7 @@ def frame_bias(
 ) -> tuple[FrameBias, Differences | None]:
     """Return the bias in a frame, and the part of the differences with all pixels near it or near the search's start.
 
-    The part is None if there are no such pixels.
-
-    Parameters
-    ----------
-    differences : Differences
-        With a wide limit, as the bias may be large.
-    membrane : MembraneImage
-    known : RigBias
-    free_per_m : float
-        Twice the mean curvature of the free membrane.
+    The part is None if there are no such pixels. The differences have a wide limit, as the bias may be large.
     """
 
     def cells_near(part: Differences | None, centre_m: float) -> Cells | None:

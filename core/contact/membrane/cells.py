@@ -42,40 +42,19 @@ INNER: Final = (slice(FRAME, -FRAME),) * 2
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Square cells of pixels with what the obstacle problem needs; images are (H, W), with a `FRAME` of unknown cells.
+    """Square cells of pixels for the obstacle problem; images are (H, W), with a `FRAME` of unknown cells."""
 
-    Attributes
-    ----------
-    difference_m : float32
-        Mean difference of both depths along the ray. Beside the object: that of its tangent plane and the membrane.
-    share : float32
-        Share of pixels that take part.
-    weight : float32
-        Of the difference in the obstacle problem: that share; beside the object 1 where the membrane is seen.
-    near_share : float32
-        That share averaged over the window of the first guess, from `over_window`.
-    known : bool
-        Whether enough pixels near it take part.
-    linked : bool
-        Known, or beside known cells.
-    push_per_m : float32
-        p / T - k: twice the mean curvature of the free membrane less that of the object.
-    sides_m : float32, shape (2, H, W)
-        Length along the surface to the right and down.
-    facing : float32
-        Ratio of a gap along the normal to the difference along the ray.
-    size_px : int
-    """
-
+    #: Mean difference of both depths along the ray. Beside the object: that of its tangent plane and the membrane.
     difference_m: Float32Array
-    share: Float32Array
+    share: Float32Array  # Share of pixels that take part
+    #: Of the difference in the obstacle problem: that share; beside the object 1 where the membrane is seen.
     weight: Float32Array
-    near_share: Float32Array
-    known: BoolArray
-    linked: BoolArray
-    push_per_m: Float32Array
-    sides_m: Float32Array
-    facing: Float32Array
+    near_share: Float32Array  # That share averaged over the window of the first guess, from `over_window`
+    known: BoolArray  # Whether enough pixels near it take part
+    linked: BoolArray  # Known, or beside known cells
+    push_per_m: Float32Array  # p / T - k: twice the mean curvature of the free membrane less that of the object
+    sides_m: Float32Array  # (2, H, W): Length along the surface to the right and down
+    facing: Float32Array  # Ratio of a gap along the normal to the difference along the ray
     size_px: int
 
     @property
@@ -95,18 +74,8 @@ def cells_of(
 ) -> Cells | None:
     """Average differences and the object's shape over cells; None if the image is smaller than three cells.
 
-    Parameters
-    ----------
-    membrane : MembraneImage
-        Tells the membrane's depth beside the object.
-    size_px : int
-        Side of a cell.
-    shape_px : float
-        Sigma of the window over which the object's shape is averaged, pixels.
-    free_per_m : float
-        Twice the mean curvature of the free membrane.
-    near_m : tuple of float
-        Centre and limit: only differences nearer than the limit to the centre take part.
+    Only differences near the bias take part: ``near_m`` is centre and limit. The object's shape is averaged over a
+    window of sigma ``shape_px``; ``free_per_m`` is twice the mean curvature of the free membrane.
     """
     import cv2
 
@@ -160,12 +129,7 @@ def to_pixels(
 ) -> tuple[Float32Array, BoolArray]:
     """Interpolate an image of the cells, or of a part of them, to pixels; ``box`` does not count the frame.
 
-    Returns
-    -------
-    pixels : float32, shape (H, W)
-        Interpolated between known cells; far in the others.
-    border : bool, shape (H, W)
-        Whether a cell near the pixel is unknown.
+    Return the pixels, far in unknown cells, and whether a cell near the pixel is unknown, both (H, W).
     """
     import cv2
 

@@ -11,35 +11,16 @@ from ...model.arrays import BoolArray, Float32Array, Uint16Array
 
 @dataclass(frozen=True, eq=False)
 class Differences:
-    """Both depths in a rectangle of the proximity image; images are (H, W).
+    """Both depths in a rectangle of the proximity image; images are (H, W)."""
 
-    Attributes
-    ----------
-    place : tuple of slice
-        Rows and columns of the rectangle.
-    difference_m : float32
-        Proximity less tactile depth, less ``bias_m``; 0 where it is too large.
-    counts : uint16
-        Raw proximity depth.
-    unit_m : float32
-        Metres of a count.
-    usable : bool
-        Has both depths, less than the largest difference between them, and not the mask's colour.
-    excluded : bool
-        Outside the region or range.
-    bias_m : float
-        The bias that was subtracted from the proximity depth before it was aligned.
-    on_prints_m : float32, shape (N,)
-        The differences of pixels with the mask's colour; empty where the rig's bias was measured.
-    """
-
-    place: tuple[slice, slice]
-    difference_m: Float32Array
-    counts: Uint16Array
-    unit_m: np.float32
-    usable: BoolArray
-    excluded: BoolArray
-    bias_m: float
+    place: tuple[slice, slice]  # Rows and columns of the rectangle
+    difference_m: Float32Array  # Proximity less tactile depth, less ``bias_m``; 0 where it is too large
+    counts: Uint16Array  # Raw proximity depth
+    unit_m: np.float32  # Metres of a count
+    usable: BoolArray  # Has both depths, less than the largest difference between them, and not the mask's colour
+    excluded: BoolArray  # Outside the region or range
+    bias_m: float  # The bias that was subtracted from the proximity depth before it was aligned
+    #: (N,): The differences of pixels with the mask's colour; empty where the rig's bias was measured.
     on_prints_m: Float32Array
 
     def depth_m(self, counts: Uint16Array) -> Float32Array:

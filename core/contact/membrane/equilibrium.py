@@ -36,37 +36,16 @@ _RELAXATION: Final = kernels.Relaxation(np.float32(1.7), np.float32(1e-5), 300)
 
 @dataclass(frozen=True, eq=False)
 class Equilibrium:
-    """The solution: gaps along the normal in the cells, with their frame.
+    """The solution: gaps along the normal in the cells, with their frame."""
 
-    Attributes
-    ----------
-    gap_m : float32, shape (H, W)
-        0 in contact; large where nothing is known.
-    guess_m : float32, shape (H, W)
-        The local mean of the measured gap.
-    residual_m : float32, shape (H, W)
-        The measured gap less the solution.
-    touching : bool, shape (H, W)
-    """
-
-    gap_m: Float32Array
-    guess_m: Float32Array
-    residual_m: Float32Array
-    touching: BoolArray
+    gap_m: Float32Array  # (H, W): 0 in contact; large where nothing is known
+    guess_m: Float32Array  # (H, W): The local mean of the measured gap
+    residual_m: Float32Array  # (H, W): The measured gap less the solution
+    touching: BoolArray  # (H, W)
 
 
 def settle(cells: Cells, bias_m: float, trust_m: float, start: Equilibrium | None = None) -> Equilibrium:
-    """Solve the obstacle problem.
-
-    Parameters
-    ----------
-    bias_m : float
-        Subtracted from the differences.
-    trust_m : float
-        Length over which equilibrium is trusted more than the measured gap.
-    start : Equilibrium, optional
-        That of the same cells with another bias.
-    """
+    """Solve the obstacle problem for a bias and the length L, starting from the solution for another bias if given."""
     measured = (cells.difference_m - np.float32(bias_m)) * cells.facing
     total = over_window(cells.share * measured, cells.size_px)
     guess, gap, inside = np.empty_like(total), np.empty_like(total), np.empty(total.shape, np.bool_)

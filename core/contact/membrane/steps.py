@@ -53,22 +53,12 @@ _MIN_SHARE: Final = np.float32(0.05)
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """What the first step measures in a frame.
-
-    Attributes
-    ----------
-    differences : Differences
-    known : RigBias
-        What is known of the rig.
-    bias : FrameBias
-        That of the frame, beyond the bias of its differences.
-    curvature_per_m, free_per_m : float
-        Twice the mean curvature of the free membrane as measured (nan if it cannot be), and as used.
-    """
+    """What the first step measures in a frame."""
 
     differences: Differences
-    known: RigBias
-    bias: FrameBias
+    known: RigBias  # What is known of the rig
+    bias: FrameBias  # That of the frame, beyond the bias of its differences
+    #: Twice the mean curvature of the free membrane as measured (nan if it cannot be), and as used.
     curvature_per_m: float
     free_per_m: float
 

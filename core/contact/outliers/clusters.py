@@ -21,14 +21,7 @@ def without_small_clusters(candidates: Candidates, camera: Intrinsics, min_area_
 def in_large_cluster(
     depth_m: Float32Array, pixels: IndexArray, intrinsics: Intrinsics, min_area_mm2: float
 ) -> BoolArray:
-    """Return which pixels belong to an 8-connected group of at least the given area.
-
-    Parameters
-    ----------
-    depth_m : float32, shape (N,)
-    pixels : int, shape (N,)
-        Flat pixel numbers, ascending.
-    """
+    """Return which pixels (flat, ascending) with these depths belong to an 8-connected group of at least the area."""
     if min_area_mm2 <= 0 or len(depth_m) == 0:
         return np.ones(len(depth_m), bool)
     large = np.empty(len(depth_m), np.bool_)

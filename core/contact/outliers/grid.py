@@ -31,26 +31,17 @@ ROW, COLUMN, MASK, NUMBER, PLACE = range(5)
 
 
 class GridPlanes(NamedTuple):
-    """What the searches read of a `Grid`.
+    """What the searches read of a `Grid`."""
 
-    Attributes
-    ----------
-    width, stride : int
-        Pixels in a row of the image, and elements in a row of the planes.
-    xs, ys, zs : float32, flat
-        Coordinates of the point in each pixel, metres, with `MARGIN` pixels around the image.
-    offsets : int64
-        Offsets in the planes from a pixel to all pixels of a square around it, ring by ring.
-    columns, rows : float32, flat
-        Side planes from `padded_planes`.
-    """
-
+    #: Pixels in a row of the image, and elements in a row of the planes.
     width: int
     stride: int
+    #: flat: Coordinates of the point in each pixel, metres, with `MARGIN` pixels around the image.
     xs: Float32Array
     ys: Float32Array
     zs: Float32Array
-    offsets: Int64Array
+    offsets: Int64Array  # Offsets in the planes from a pixel to all pixels of a square around it, ring by ring
+    #: flat: Side planes from `padded_planes`.
     columns: Float32Array
     rows: Float32Array
 

@@ -133,17 +133,7 @@ def statistical_inliers(
 
 
 def exact_means(points: Float32Array, k: int, chosen: IndexArray | None = None) -> Float64Array:
-    """Return the mean distance of points to their k nearest, with the same bits as Open3D.
-
-    Parameters
-    ----------
-    points : float32, shape (N, 3)
-        Metres.
-    k : int
-        At most N.
-    chosen : int, shape (M,), optional
-        Numbers of the points whose means are returned; all by default.
-    """
+    """Return the mean distance of points, or of chosen ones, to their k <= N nearest, with the same bits as Open3D."""
     wide = points.astype(np.float64)
     queries = wide if chosen is None else wide[chosen]
     if len(points) <= _FEW_POINTS:
