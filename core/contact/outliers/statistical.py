@@ -1,8 +1,12 @@
 """Statistical outlier removal on an organised cloud, with the same inliers as Open3D, point for point.
 
-Neighbours in space are neighbours in the image. The mean distances are computed in float32 from the image grid
-(`row_search`, then `point_search`), with a known error bound. Only if a point lies so close to the threshold that
-rounding could decide are they computed in float64. Only if that is uncertain, too, a k-d tree computes them exactly.
+Neighbours in space are neighbours in the image. A window around a pixel grows until nothing outside can be among the k
+nearest: it is farther than the four planes through the camera centre along the outermost rays of the next column or
+row, also with lens distortion (`grid.side_planes`). Sixteen neighbouring pixels are searched together (`row_search`),
+those at edges one by one (`point_search`), the rest against all points. Counting below a threshold and interpolating
+encloses the k-th distance. Each float32 mean is within 4 x 2^-24 of the exact one, which bounds the error of the
+threshold. Only if a point lies within that margin are the means computed in float64, and only if that is uncertain too,
+by a k-d tree with Open3D's bits.
 """
 
 from __future__ import annotations
