@@ -1,7 +1,7 @@
 """The contact pipeline: one frame and a preset in, the contact patch out.
 
-Follow a frame: `ContactPipeline.process` calls `find` of the preset's contact test (`tolerance`, `membrane.test`), whose
-steps call the kernels.
+Follow a frame: `ContactPipeline.process` calls `find` of the preset's contact test (`tolerance`, `membrane.test`),
+whose steps call the kernels.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """The tolerance test, as published by Yin et al.: both distances agree within a share of the distance.
 
-Depth ranges of image tiles exclude those that cannot hold contact (`kernels.coarse`). In the others one pass over sixteen
-pixels at once aligns, tests region, range, |dp - dt| <= t |dp| and colour, and deprojects (`kernels.chain`). Rigid
-alignment projects each proximity point into the tactile image and reads the depth there: no holes, exact at contact. Then
-statistical outliers and small clusters are dropped.
+Depth ranges of image tiles exclude those that cannot hold contact (`kernels.coarse`). In the others one pass over
+sixteen pixels at once aligns, tests region, range, |dp - dt| <= t |dp| and colour, and deprojects (`kernels.chain`).
+Rigid alignment projects each proximity point into the tactile image and reads the depth there: no holes, exact at
+contact. Then statistical outliers and small clusters are dropped.
 """
 
 from __future__ import annotations
