@@ -14,8 +14,8 @@ from ...widgets.clouds.cloud_data import DepthCloud
 from ...widgets.clouds.cloud_view import Place, as_place
 from ...widgets.images.image_strip import ImageStrip
 from ..context import TASK, Context
-from ..worker.point_colors import alignment_model
 from ..worker.results import CloudName, Result, SourceInfo
+from ..worker.tactile_use import alignment_model
 from .view_area import ViewArea
 
 Pixel = tuple[int, int]

@@ -31,7 +31,6 @@ from ...widgets.basics.colormaps import (
     overlap_legend,
     patch_legend,
     provenance_legend,
-    real_color_legend,
     tactile_use_legend,
 )
 from ...widgets.basics.controls import ChoiceBox, caption
@@ -110,7 +109,6 @@ _COLOR_TIPS = {
     ColorBy.DIFFERENCE: "(dp - dt) / dp: how closely both cameras agree",
     ColorBy.PROVENANCE: "Proximity: why each point was kept or dropped. Tactile: what each point was used for. "
     "Patch: contact, and what the last steps dropped",
-    ColorBy.REAL: "The colours of both cameras' own images; in the patch view on contact only",
 }
 
 
@@ -342,13 +340,6 @@ def legend_of(
             CloudName.PROXIMITY: provenance_legend(theme, verdicts - {Provenance.NO_PROXIMITY_DEPTH}),
             CloudName.TACTILE: tactile_use_legend(theme),
             CloudName.PATCH: provenance_legend(theme, verdicts & {*LATE_VERDICTS}) + around,
-        }[name]
-    if color_by is ColorBy.REAL:
-        unknown, behind = real_color_legend()
-        return {
-            CloudName.PROXIMITY: [unknown, behind],
-            CloudName.TACTILE: [unknown],
-            CloudName.PATCH: [unknown, *around],
         }[name]
     if name is CloudName.TACTILE:
         return depth_legend(near, far)

@@ -33,7 +33,6 @@ class BackgroundCompiler:
 
     @property
     def busy(self) -> bool:
-        """Whether a test is being compiled."""
         return self._thread is not None
 
     def missing(self, preset: Preset) -> str:

@@ -32,13 +32,11 @@ class ErrorHook(QObject):
         self._previous: ExceptionHook | None = None
 
     def install(self) -> None:
-        """Become `sys.excepthook`."""
         if self._previous is None:
             self._previous = sys.excepthook
             sys.excepthook = self._handle
 
     def remove(self) -> None:
-        """Restore the previous `sys.excepthook`."""
         if self._previous is not None:
             if sys.excepthook == self._handle:
                 sys.excepthook = self._previous

@@ -34,7 +34,6 @@ class Examination:
         self._result, self._home = result, home
 
     def forget(self) -> None:
-        """Discard everything before another source."""
         self._result, self._examiner, self._info, self._untouched_key = None, None, None, None
 
     def wait_s(self) -> float | None:

@@ -40,7 +40,6 @@ class FrameFeed(QObject):
 
     @property
     def rig(self) -> Rig:
-        """The rig of the source."""
         return self.info.rig
 
     def show_result(self, result: Result) -> None:
@@ -54,7 +53,6 @@ class FrameFeed(QObject):
         self.deliver(result.frame, replace(self.playback, index=result.playback.index, length=result.playback.length))
 
     def deliver(self, frame: SensorFrame, playback: PlaybackState) -> None:
-        """Pass a frame on."""
         self.frame, self.playback = frame, playback
         self.frameArrived.emit(frame)
 

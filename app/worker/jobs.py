@@ -32,7 +32,6 @@ class _Thread(QThread):
         self.sentence = ""
 
     def run(self) -> None:
-        """Do the work and turn an error into a sentence."""
         try:
             self.result = self._work(self._report)
         except _CancelledError:
@@ -72,7 +71,6 @@ class Job(QObject):
 
     @property
     def busy(self) -> bool:
-        """Whether work is running."""
         return self._thread is not None
 
     def start(self, work: Work) -> None:

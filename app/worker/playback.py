@@ -57,7 +57,6 @@ class Playback:
 
     @property
     def state(self) -> PlaybackState:
-        """A snapshot for the controls."""
         return PlaybackState(self.index, self.length, self.playing, self.loop, self.frozen, self.speed)
 
     @property
@@ -66,7 +65,6 @@ class Playback:
         return 1.0 / (self._frame_rate_hz * self.speed)
 
     def start_source(self, length: int | None, frame_rate_hz: float) -> None:
-        """Start playing a source that was just opened."""
         self.index = -1
         self.length = length
         self._frame_rate_hz = max(frame_rate_hz, 1e-3)
@@ -84,7 +82,6 @@ class Playback:
         self.frozen = False
 
     def pause(self) -> None:
-        """Stay at the present frame."""
         self.playing = False
 
     def wait_s(self, now_s: float) -> float | None:

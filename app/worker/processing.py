@@ -93,7 +93,6 @@ class FrameProcessor:
         self._rate = RateMeter()
 
     def forget(self) -> None:
-        """Discard the pipelines before another source."""
         self._present, self._others = PatchFinder(self._missing), []
         self._counted_s, self._strip_s = -COUNTING_INTERVAL_S, -STRIP_INTERVAL_S
 

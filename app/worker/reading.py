@@ -168,7 +168,6 @@ class LiveReader:
         return self._frames.dropped
 
     def take(self) -> SensorFrame | None:
-        """Take the newest frame, or None."""
         return self._frames.take()
 
     def set_option(self, camera: CameraRole, name: str, value: float, at_close: float | None = None) -> None:
@@ -184,7 +183,6 @@ class LiveReader:
                 self._at_close[camera, name] = at_close
 
     def close(self) -> None:
-        """Stop reading and release the source."""
         self._closing.set()
         self._thread.join(PATIENCE_S)
 

@@ -63,7 +63,6 @@ class _Watcher:
 
 
 def open_writer(request: RecordingRequest) -> Writer:
-    """Start a file."""
     return SessionWriter(
         request.path,
         request.rig,
@@ -100,7 +99,6 @@ class Recorder:
 
     @property
     def running(self) -> bool:
-        """Whether frames are being recorded."""
         return self._writer is not None
 
     def status(self) -> RecordingStatus | None:
@@ -138,11 +136,9 @@ class Recorder:
 
     @property
     def watched(self) -> bool:
-        """Whether somebody watches the frames."""
         return self._watcher is not None
 
     def unwatch(self) -> None:
-        """Stop passing frames to `watch`'s listener."""
         self._watcher = None
 
     def put(self, frame: SensorFrame, number: int | None = None, *, wait: bool = False) -> None:
@@ -173,7 +169,6 @@ class Recorder:
             self.stop(problem)
 
     def put_pose(self, pose: PoseEstimate) -> None:
-        """Record the pose of a tracked object if a recording runs."""
         with self._lock:
             if self._writer is not None:
                 self._writer.put_pose(pose.T_proximity_object, pose.covariance, pose.sequence, pose.time_s)

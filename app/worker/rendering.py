@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, lru_cache
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
 
 import cv2
 import numpy as np
@@ -19,12 +19,9 @@ from ...core.model.frames import Rig, SensorFrame
 from ...core.model.intrinsics import Intrinsics
 from ...core.model.provenance import Provenance
 from ...core.preset import Preset
-from ...core.sources.base import CameraRole
 from ...core.tuning.advice.no_depth import depth_missing
 from ...widgets.basics.colormaps import (
-    BEHIND_ROW,
     LATE_VERDICTS,
-    NO_COLOR_ROW,
     Theme,
     depth_lut,
     depth_lut_faint_behind,
@@ -35,13 +32,12 @@ from ...widgets.basics.colormaps import (
     patch_index,
     patch_lut,
     provenance_lut,
-    real_color_lut,
     tactile_use_lut,
 )
 from ...widgets.clouds.cloud_data import DepthCloud
 from ...widgets.images.strip_render import MaskView, RenderedStrip, StripImages, render_strip, stride_for
-from .point_colors import Palette, tactile_use
 from .results import CloudName, ColorBy, Histogram, Rendered, Wanted
+from .tactile_use import tactile_use
 
 
 def draw_strip(
@@ -105,15 +101,8 @@ def aligned_color(
     A pixel without depth is looked up at the depth ``typical_m``, so its colour is slightly displaced;
     pixels outside the colour camera's view are black.
     """
-    return _seen_color(frame, rig, depth_m, valid, typical_m, stride)[0]
-
-
-def _seen_color(
-    frame: SensorFrame, rig: Rig, depth_m: Float32Array, valid: BoolArray, typical_m: float, stride: int = 1
-) -> tuple[Uint8Array, BoolArray]:
-    """Return `aligned_color`, and whether the colour camera sees each pixel: bool (h, w)."""
     if rig.proximity_color is None:
-        return frame.proximity_color[::stride, ::stride], np.ones(depth_m.shape, np.bool_)
+        return frame.proximity_color[::stride, ::stride]
     return _colors_along(_rays_of_every(rig.proximity.intrinsics, stride), frame, rig, depth_m, valid, typical_m)
 
 
@@ -125,19 +114,19 @@ def colors_around(frame: SensorFrame, rig: Rig, u: int, v: int, radius: int, typ
     counts = frame.proximity_depth[part]
     depth_m = counts * np.float32(rig.proximity.depth_unit_m)
     rays = ray_table(rig.proximity.intrinsics)[part]
-    return _colors_along(rays, frame, rig, depth_m, valid_depth(counts), typical_m)[0]
+    return _colors_along(rays, frame, rig, depth_m, valid_depth(counts), typical_m)
 
 
 def _colors_along(
     rays: Float32Array, frame: SensorFrame, rig: Rig, depth_m: Float32Array, valid: BoolArray, typical_m: float
-) -> tuple[Uint8Array, BoolArray]:
+) -> Uint8Array:
     points = np.empty((*depth_m.shape, 3), np.float32)
     z = np.where(valid, depth_m, np.float32(typical_m))
     for axis, along in enumerate((rays[..., 0] * z, rays[..., 1] * z, z)):
         points[..., axis] = along
     pixels = _pixels(depth_m.size)
-    colors, seen = colors_at(points.reshape(-1, 3), pixels, frame.proximity_color, rig)
-    return colors.reshape(*depth_m.shape, 3), seen.reshape(depth_m.shape)
+    colors, _ = colors_at(points.reshape(-1, 3), pixels, frame.proximity_color, rig)
+    return colors.reshape(*depth_m.shape, 3)
 
 
 @lru_cache(maxsize=8)
@@ -165,16 +154,12 @@ _NEARER, _FARTHER = 0.1, 0.75
 _SMALLEST_SPAN_M = 0.02
 
 
-def _new_palettes() -> dict[CameraRole, Palette]:
-    return {"proximity": Palette(), "tactile": Palette()}
-
-
 @dataclass(frozen=True, eq=False)
 class Scene:
     """One frame with everything that decides how it is drawn.
 
     ``depth_range_m`` are the ends of the depth colours along the proximity camera's axis, ``tactile_range_m`` those
-    along the tactile camera's axis; None stands for the same. ``palettes`` hold real colours.
+    along the tactile camera's axis; None stands for the same.
     """
 
     frame: SensorFrame
@@ -185,24 +170,10 @@ class Scene:
     theme: Theme
     depth_range_m: tuple[float, float]
     tactile_range_m: tuple[float, float] | None = None
-    palettes: dict[CameraRole, Palette] = field(default_factory=_new_palettes)
 
     @property
     def accepted(self) -> float:
-        """See `accepted_difference`."""
         return accepted_difference(self.preset, self.depth_range_m)
-
-    @cached_property
-    def proximity_colors(self) -> tuple[Uint8Array, Uint8Array]:
-        """The row of a table of real colours for every proximity pixel, and the table; two views show them."""
-        near_m, far_m = self.depth_range_m
-        counts = self.frame.proximity_depth
-        depth_m = counts * np.float32(self.rig.proximity.depth_unit_m)
-        colors, seen = _seen_color(self.frame, self.rig, depth_m, valid_depth(counts), (near_m + far_m) / 2)
-        rows, lut = self.palettes["proximity"].index(colors)
-        rows[~seen] = NO_COLOR_ROW
-        rows[depth_m > far_m] = BEHIND_ROW
-        return rows, lut
 
 
 class Renderer:
@@ -212,7 +183,6 @@ class Renderer:
         self._rig: Rig | None = None
         self._ranges_m: dict[str, tuple[float, float]] = {}
         self._median_m = float("nan")
-        self._palettes = _new_palettes()
         self._last_clouds: dict[CloudName, DepthCloud | None] = {}
         self._counts: dict[CloudName, int] = {}
         self._no_contact = "", ""
@@ -282,7 +252,7 @@ class Renderer:
     def measure(self, frame: SensorFrame, preset: Preset, rig: Rig) -> None:
         """Take a frame's depths into the ranges of the colours, and keep the membrane's median distance."""
         if rig is not self._rig:
-            self._rig, self._ranges_m, self._palettes = rig, {}, _new_palettes()
+            self._rig, self._ranges_m = rig, {}
         sample_m = membrane_sample_m(frame, preset, rig)
         self._median_m = float("nan")
         if not len(sample_m):
@@ -320,9 +290,7 @@ class Renderer:
     ) -> Scene:
         theme: Theme = "dark" if wanted.dark else "light"
         along_proximity, along_tactile = (self._ranges_m.get(role, (0.0, 1.0)) for role in ("proximity", "tactile"))
-        return Scene(
-            frame, patch, preset, rig, wanted.color_by, theme, along_proximity, along_tactile, palettes=self._palettes
-        )
+        return Scene(frame, patch, preset, rig, wanted.color_by, theme, along_proximity, along_tactile)
 
 
 def _quantiles(sample: Float32Array, *shares: float) -> tuple[float, ...]:
@@ -372,22 +340,19 @@ def membrane_along_proximity_m(frame: SensorFrame, preset: Preset, rig: Rig, sam
 
 
 def proximity_view(scene: Scene) -> DepthCloud:
-    """Return the proximity cloud, coloured by depth, relative difference, provenance or the camera's colours."""
     patch, index, lut = scene.patch, None, depth_lut_faint_behind()
     if patch is not None and scene.color_by is ColorBy.DIFFERENCE:
         index, lut = difference_index(patch.relative_difference), difference_lut(scene.accepted)
     elif patch is not None and scene.color_by is ColorBy.PROVENANCE:
         cloud = _proximity_cloud(scene, patch.provenance, provenance_lut(scene.theme))
         return replace(cloud, depth=_depth_with_patch(scene, patch))
-    elif scene.color_by is ColorBy.REAL:
-        index, lut = scene.proximity_colors
     return _proximity_cloud(scene, index, lut)
 
 
 def tactile_view(scene: Scene) -> DepthCloud | None:
     """Return the tactile cloud in the proximity frame, depth correction included; None without a pose.
 
-    It is coloured by depth, by what its pixels were used for, or by the camera's colours.
+    It is coloured by depth, or by what its pixels were used for.
     """
     alignment, camera = scene.preset.alignment, scene.rig.tactile
     try:
@@ -398,8 +363,6 @@ def tactile_view(scene: Scene) -> DepthCloud | None:
     if scene.color_by is ColorBy.PROVENANCE and scene.patch is not None:
         index = tactile_use(scene.frame, scene.patch, alignment, scene.rig)
         lut = tactile_use_lut(scene.theme)
-    elif scene.color_by is ColorBy.REAL:
-        index, lut = _tactile_colors(scene)
     return DepthCloud(
         depth=scene.frame.tactile_depth,
         depth_unit_m=camera.depth_unit_m,
@@ -423,9 +386,6 @@ def patch_view(scene: Scene) -> DepthCloud | None:
     elif scene.color_by is ColorBy.PROVENANCE:
         late = np.isin(patch.provenance, LATE_VERDICTS)
         index, lut = _over_relief(scene, patch.provenance, late), patch_provenance_lut(scene.theme)
-    elif scene.color_by is ColorBy.REAL:
-        rows, colors = scene.proximity_colors
-        index, lut = _over_relief(scene, rows, patch.mask), _half_relief(colors[:VALUE_ROWS], scene.theme)
     elif scene.color_by is ColorBy.DIFFERENCE:
         limit = patch_difference_limit(scene.accepted)
         index = _over_relief(scene, difference_index(patch.relative_difference, limit) >> np.uint8(1), patch.mask)
@@ -433,14 +393,6 @@ def patch_view(scene: Scene) -> DepthCloud | None:
     else:
         index, lut = _over_relief(scene, _depth_rows(scene) >> np.uint8(1), patch.mask), patch_depth_lut(scene.theme)
     return replace(_proximity_cloud(scene, index, lut, count=len(patch.points)), depth=_depth_with_patch(scene, patch))
-
-
-def _tactile_colors(scene: Scene) -> tuple[Uint8Array, Uint8Array]:
-    """Return the row of a table of real colours for every tactile pixel, and the table."""
-    image, shape = scene.frame.tactile_color, scene.frame.tactile_depth.shape
-    if image is None or image.shape[:2] != shape:
-        return np.full(shape, NO_COLOR_ROW, np.uint8), real_color_lut(np.empty((0, 3), np.uint8))
-    return scene.palettes["tactile"].index(image)
 
 
 def patch_difference_view(a: Scene, b: Scene) -> DepthCloud:
@@ -485,7 +437,6 @@ def _depth_with_patch(scene: Scene, patch: ContactPatch) -> Uint16Array:
 
 
 def verdicts_of(patch: ContactPatch) -> frozenset[Provenance]:
-    """Return the provenance values that occur in a frame."""
     counts = np.bincount(patch.provenance.ravel(), minlength=len(Provenance))
     return frozenset(verdict for verdict in Provenance if counts[verdict])
 
@@ -520,7 +471,6 @@ def _counted(field: str, image: Float32Array, low: float, high: float, bins: int
 
 
 def _depth_rows(scene: Scene) -> Uint8Array:
-    """Return the row of a depth table for every proximity pixel."""
     near, far = scene.depth_range_m
     step = np.float32(scene.rig.proximity.depth_unit_m * 255 / (far - near))
     rows = scene.frame.proximity_depth * step - np.float32(near * 255 / (far - near))

@@ -33,7 +33,6 @@ FindUntouched = Callable[[Preset, Path | None, Progress], FoundUntouched]
 
 
 def no_untouched(_preset: Preset, _path: Path | None, _progress: Progress) -> FoundUntouched:
-    """Find nothing."""
     return FoundUntouched(None)
 
 
@@ -72,7 +71,6 @@ class _Kept(FrameSource):
 
     @property
     def rig(self) -> Rig:
-        """The rig that took the frames."""
         return self._rig
 
     def next_frame(self) -> SensorFrame | None:
@@ -80,7 +78,6 @@ class _Kept(FrameSource):
         return None
 
     def untouched(self) -> SensorFrame | None:
-        """Return the untouched frame that the source had when it was opened."""
         if self._problem is not None:
             raise self._problem
         return self._untouched
@@ -105,7 +102,6 @@ class ColorBy(StrEnum):
     DEPTH = "depth"
     DIFFERENCE = "relative difference"
     PROVENANCE = "provenance"
-    REAL = "real colour"
 
 
 @dataclass(frozen=True)
@@ -316,7 +312,6 @@ class RateMeter:
         self._times: deque[float] = deque()
 
     def tick(self) -> None:
-        """Note an event now."""
         self._times.append(time.perf_counter())
 
     def rate(self) -> float:

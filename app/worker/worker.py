@@ -116,7 +116,6 @@ class Worker(QThread):
     # Orders, from any thread
 
     def take(self) -> Result | None:
-        """Return the newest result once; None if there is no new one."""
         return self._mailbox.take()
 
     def open(self, request: SourceRequest) -> None:
@@ -128,7 +127,6 @@ class Worker(QThread):
         self._orders.put(lambda: self._open(request))
 
     def cancel_open(self) -> None:
-        """Cancel opening; the present source continues."""
         self._request = None
 
     def set_preset(self, preset: Preset, untouched_home: Path | None = None) -> None:
@@ -144,7 +142,6 @@ class Worker(QThread):
         self._orders.put(lambda: self._change("_compared", sides))
 
     def set_publisher(self, publisher: Publisher | None) -> None:
-        """Publish every processed frame from now on, or with None no more."""
         self._publisher = publisher
 
     def put_pose(self, pose: PoseEstimate) -> None:
@@ -154,11 +151,9 @@ class Worker(QThread):
         self.recorder.put_pose(pose)  # last: it waits where the disk is slow
 
     def set_wanted(self, wanted: Wanted) -> None:
-        """Set what is visible; a paused frame is drawn again."""
         self._orders.put(lambda: self._change("_wanted", wanted))
 
     def play(self) -> None:
-        """Continue from the present frame."""
         self._orders.put(self._playback.play)
 
     def pause(self) -> None:
@@ -166,7 +161,6 @@ class Worker(QThread):
         self._orders.put(self._stand_still)
 
     def step(self, by: int) -> None:
-        """Pause and show the frame ``by`` frames away."""
         self._orders.put(lambda: self._step(by))
 
     def seek(self, index: int) -> None:
@@ -174,7 +168,6 @@ class Worker(QThread):
         self._orders.put(lambda: self._show(index))
 
     def set_loop(self, loop: bool) -> None:
-        """Start again at the end of a recording, or stop there."""
         self._orders.put(lambda: setattr(self._playback, "loop", loop))
 
     def set_trim(self, trim: tuple[int, int] | None) -> None:
@@ -182,7 +175,6 @@ class Worker(QThread):
         self._orders.put(lambda: setattr(self, "_trim", trim))
 
     def set_speed(self, speed: float) -> None:
-        """Play a recording faster or slower than it was taken."""
         self._orders.put(lambda: setattr(self._playback, "speed", speed))
 
     def set_frozen(self, frozen: bool) -> None:
@@ -219,7 +211,6 @@ class Worker(QThread):
     # The thread
 
     def run(self) -> None:
-        """Obey orders and play frames until told to stop."""
         leave_room_for_the_window()
         try:
             while True:
@@ -250,12 +241,10 @@ class Worker(QThread):
             self._advance()
 
     def _examine(self) -> None:
-        """Look for findings if that is due."""
         if self._examination.wait_s() == 0.0:
             guarded(lambda: self.examined.emit(*self._examination.findings()))
 
     def _tell_playback(self) -> None:
-        """Emit `playbackChanged` if anything but the frame number changed."""
         mode = replace(self._playback.state, index=-1)
         if mode != self._told:
             self._told = mode
@@ -318,7 +307,6 @@ class Worker(QThread):
             self._show(0)
 
     def _close_source(self, reason: str = "") -> None:
-        """Close the present source and finish its recording."""
         self.recorder.stop(reason)
         for reader in (self._live, self._reader):
             if reader is not None:
@@ -329,19 +317,15 @@ class Worker(QThread):
     # Events of the live reader, on its thread
 
     def frame_arrived(self, reader: LiveReader) -> None:
-        """Take the newest frame when the worker has time."""
         self._orders.put(lambda: self._take_newest(reader))
 
     def state_changed(self, reader: LiveReader, state: SourceState) -> None:
-        """Pass on the state of the source."""
         self._orders.put(lambda: self._tell_state(state) if reader is self._live else None)
 
     def options_changed(self, reader: LiveReader, options: tuple[CameraOption, ...]) -> None:
-        """Pass on the settings of the cameras."""
         self._orders.put(lambda: self.optionsChanged.emit(options) if reader is self._live else None)
 
     def option_refused(self, reader: LiveReader, sentence: str) -> None:
-        """Pass on that a setting could not be changed."""
         self._orders.put(lambda: self.optionRefused.emit(sentence) if reader is self._live else None)
 
     # Steps

@@ -100,7 +100,6 @@ def test_colours_have_a_legend(window, qtbot):
         ColorBy.DEPTH: [" m", "not touching"],
         ColorBy.DIFFERENCE: ["−3.0%", "below 0", "+3.0%"],
         ColorBy.PROVENANCE: ["contact", "not touching"],
-        ColorBy.REAL: ["no colour known", "not touching"],
         ColorBy.CONTACT: ["contact", "not touching"],
     }
     assert set(legends) == set(ColorBy)

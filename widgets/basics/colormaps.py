@@ -40,10 +40,6 @@ UNDEFINED_ROW: Final = 0
 CONTACT_ROW: Final = 255
 BOTH_ROW, ONLY_A_ROW, ONLY_B_ROW = 253, 254, 255
 
-#: The rows of a table of real colours after those of the palette: no colour known, behind the depth range.
-NO_COLOR_ROW: Final = 126
-BEHIND_ROW: Final = 127
-
 #: The rows of what a tactile pixel was used for; row 0: not compared.
 USED_ROW, AGREED_ROW, TOUCHING_ROW = 1, 2, 3
 
@@ -66,7 +62,6 @@ _REASON_RGB: dict[Provenance, tuple[int, int, int]] = {
     Provenance.RIM: (147, 53, 32),
     Provenance.CONTACT: CONTACT_RGB,
 }
-_NO_COLOR_RGB = (128, 128, 132)
 _CONTEXT_RGB: dict[str, dict[Provenance, tuple[int, int, int]]] = {
     "light": {
         Provenance.NO_PROXIMITY_DEPTH: (242, 242, 242),
@@ -210,20 +205,6 @@ def tactile_use_lut(theme: Theme) -> Uint8Array:
 
 def tactile_use_legend(theme: Theme) -> Legend:
     return [(name, _color(tactile_use_lut(theme), row)) for row, name in _USE_NAMES.items()]
-
-
-def real_color_lut(palette: Uint8Array) -> Uint8Array:
-    """Return up to 126 colours, RGB (N, 3), with the rows for *no colour* and *behind*: uint8 (256, 4)."""
-    lut = np.zeros((256, 4), np.uint8)
-    lut[: len(palette), :3], lut[: len(palette), 3] = palette, 255
-    lut[NO_COLOR_ROW] = (*_NO_COLOR_RGB, 255)
-    lut[BEHIND_ROW] = (*_NO_COLOR_RGB, _BEHIND_ALPHA)
-    return _frozen(lut)
-
-
-def real_color_legend() -> Legend:
-    """Return the legend of the two rows of `real_color_lut` that are no colour of the scene."""
-    return [("no colour known", QColor(*_NO_COLOR_RGB)), ("behind", QColor(*_NO_COLOR_RGB, _BEHIND_ALPHA))]
 
 
 def patch_index(contact: BoolArray, depth: Uint16Array, near: float, far: float) -> Uint8Array:

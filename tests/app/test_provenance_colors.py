@@ -1,39 +1,17 @@
-"""Real colours and provenance in the three views, chosen by keys as a person does."""
+"""Provenance in the three views, chosen by keys as a person does."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
-from fakes import FakeSource, tiny_frame
-from hands import show_source
-from tactune.app.worker.point_colors import Palette
 from tactune.app.worker.results import CloudName, ColorBy
 from tactune.core.model.provenance import Provenance
 from tactune.widgets.basics.colormaps import CONTACT_RGB
 
 PATCH, TACTILE, PROXIMITY = CloudName.PATCH, CloudName.TACTILE, CloudName.PROXIMITY
-OBJECT_RGB = (200, 40, 40)
-
-
-class ColoredSource(FakeSource):
-    """The tactile camera has colours, too: green left, yellow right. A wall stands behind the upper rows."""
-
-    def __init__(self):
-        super().__init__()
-        self.name = "colored"
-
-    def read(self, index):
-        frame = tiny_frame(index, self.rig)
-        color = np.zeros((*frame.tactile_depth.shape, 3), np.uint8)
-        color[:, :32], color[:, 32:] = (20, 160, 30), (230, 220, 20)
-        depth = frame.proximity_depth.copy()
-        depth[:8] = round(2.0 / self.rig.proximity.depth_unit_m)
-        return replace(frame, proximity_depth=depth, tactile_color=color)
 
 
 def choose(window, qtbot, color_by):
@@ -66,47 +44,6 @@ def colors_of(window, name):
     """The colour of every pixel of a cloud, RGBA: int (H, W, 4)."""
     cloud = window.views.views[name].cloud()
     return cloud.lut[cloud.rows()].astype(int)
-
-
-def test_real_colours_are_those_of_each_camera(make_window, qtbot):
-    window = make_window()
-    show_source(qtbot, window, ColoredSource(), 3)
-    choose(window, qtbot, ColorBy.REAL)
-    proximity, tactile, patch = (colors_of(window, name) for name in (PROXIMITY, TACTILE, PATCH))
-    contact = window.result.patch.mask
-    assert np.abs(tactile[:, :32, :3] - (20, 160, 30)).max() <= 8
-    assert np.abs(tactile[:, 32:, :3] - (230, 220, 20)).max() <= 8
-    assert np.abs(proximity[contact][:, :3] - OBJECT_RGB).max() <= 8
-    assert np.abs(patch[contact][:, :3] - OBJECT_RGB).max() <= 8
-    red, green, blue = patch[24, 20, :3]
-    assert red == green == blue, "around the patch is a grey relief"
-    assert proximity[3, 30, 3] < 128, "the wall behind is faint"
-    assert "behind" in [text for text, _ in window.views.views[PROXIMITY].legend()]
-
-
-def test_a_camera_without_colours_is_grey_and_the_legend_says_so(window, qtbot):
-    choose(window, qtbot, ColorBy.REAL)
-    (name, gray), *_ = window.views.views[TACTILE].legend()
-    assert name == "no colour known"
-    assert (colors_of(window, TACTILE)[..., :3] == gray.getRgb()[:3]).all()
-
-
-def test_a_palette_follows_a_change_of_light_but_not_noise():
-    random = np.random.default_rng(0)
-    scene = random.integers(0, 256, (6, 6, 3)).astype(np.uint8).repeat(20, axis=0).repeat(20, axis=1)
-    palette = Palette()
-
-    def error(image):
-        rows, lut = palette.index(image)
-        return np.abs(lut[rows, :3].astype(int) - image).mean()
-
-    assert error(scene) < 6
-    learnt = palette.index(scene)[1]
-    noisy = np.clip(scene + random.normal(0, 3, scene.shape), 0, 255).astype(np.uint8)
-    assert error(noisy) < 8
-    assert palette.index(noisy)[1] is learnt
-    assert error(255 - scene) < 10
-    assert palette.index(255 - scene)[1] is not learnt
 
 
 def test_in_provenance_each_view_answers_its_own_question(window, qtbot):
