@@ -127,13 +127,7 @@ def format_number(value: float, digits: int = 6) -> str:
 
 
 def section_fields(model: type[BaseModel], prefix: str) -> Iterator[FieldSpec]:
-    """Yield the fields of a preset section, nested models included, in their order; hidden ones are left out.
-
-    Raises
-    ------
-    TypeError
-        A field of a type that has no widget yet.
-    """
+    """Yield the fields of a preset section, nested models included, in their order; hidden ones are left out."""
     for name, info in model.model_fields.items():
         path = f"{prefix}.{name}"
         if isinstance(info.json_schema_extra, dict) and info.json_schema_extra.get("hidden"):

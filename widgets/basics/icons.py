@@ -16,19 +16,9 @@ _FOLDER = Path(__file__).parents[1] / "icons"
 
 
 def icon(name: str, color: str = "") -> QIcon:
-    """Return an icon that follows the theme.
+    """Return an icon that follows the theme: a file in ``widgets/icons``, named as in its set.
 
-    Parameters
-    ----------
-    name : str
-        A file in ``widgets/icons`` without its suffix; the files keep the names of the set.
-    color : str
-        A field of `ThemeColors`; empty: the text colour of buttons, or its disabled shade.
-
-    Raises
-    ------
-    FileNotFoundError
-        There is no such file.
+    ``color`` is a field of `ThemeColors`; empty: the text colour of buttons, or its disabled shade.
     """
     _svg(name)
     return QIcon(_ThemeIcon(name, color))

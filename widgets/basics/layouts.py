@@ -30,16 +30,7 @@ _Layout = TypeVar("_Layout", bound=QBoxLayout)
 def hbox(
     *parts: Part, within: QWidget | None = None, margins: Margins | None = None, spacing: int | None = None
 ) -> QHBoxLayout:
-    """Return a layout with its parts side by side.
-
-    Parameters
-    ----------
-    *parts : Part
-    within : QWidget, optional
-        The widget that gets this layout.
-    margins, spacing : optional
-        Pixels around and between the parts; the style's own by default.
-    """
+    """Return a layout with its parts side by side; margins and spacing in pixels, by default the style's own."""
     return _filled(QHBoxLayout(within), parts, margins, spacing)
 
 
@@ -53,15 +44,7 @@ def vbox(
 def splitter(
     orientation: Qt.Orientation, *parts: QWidget | tuple[QWidget, int], sizes: Sequence[int] = ()
 ) -> QSplitter:
-    """Return widgets whose shares of the room a person can change; none can be hidden.
-
-    Parameters
-    ----------
-    orientation : Qt.Orientation
-    *parts : QWidget, or QWidget and stretch factor
-    sizes : sequence of int
-        Pixels of each part at first.
-    """
+    """Return widgets whose shares of the room, ``sizes`` at first, a person can change; none can be hidden."""
     made = QSplitter(orientation)
     for number, part in enumerate(parts):
         widget, stretch = part if isinstance(part, tuple) else (part, 0)

@@ -192,18 +192,9 @@ class Messages(QWidget):
     ) -> None:
         """Show a sentence until it is dismissed, answered or replaced; a note without buttons also goes by itself.
 
-        Parameters
-        ----------
-        key : str
-            Identifies the matter; a newer message of the same key replaces this one.
-        severity : Severity
-        sentence : str
-        offers : sequence of (button text, action)
-            Buttons; pressing one dismisses the message.
-        details : str
-            Shown on request, such as a traceback.
-        subject : str
-            What the message speaks of, such as "source"; `clear_subject` dismisses all messages of a subject.
+        A newer message of the same ``key`` replaces this one; pressing one of the ``offers`` dismisses it. ``details``
+        are shown on request, such as a traceback. ``subject`` is what the message speaks of, such as "source", for
+        `clear_subject`.
         """
         old = self._messages.get(key)
         if old is not None and old.sentence == sentence:

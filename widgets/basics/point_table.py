@@ -13,24 +13,10 @@ from .record_table import Column, RecordTable
 
 @dataclass(frozen=True)
 class PointRow:
-    """One pair as the table shows it; nan is shown as a dash.
+    """One pair as the table shows it: places and residuals in pixels; nan is shown as a dash.
 
-    Attributes
-    ----------
-    left, right : (float, float)
-        Places in pixels.
-    depth_m : float
-        Tactile depth in metres.
-    dx, dy, residual_px : float
-        Residual in the left image, pixels.
-    residual_mm : float
-        The same at the point's depth.
-    left_out_px : float
-        Residual when the fit was made without this pair.
-    note : str
-        Where the pair comes from.
-    hint : str
-        What to do about it, as a tooltip.
+    ``left_out_px`` is the residual when the fit was made without this pair, ``note`` says where the pair comes from,
+    ``hint`` what to do about it.
     """
 
     key: int

@@ -125,16 +125,9 @@ class _Model(QAbstractTableModel):
 class RecordTable(QTableView):
     """Shows records in columns. Whoever listens to its signals changes the records and calls `set_records`.
 
-    Ctrl+C copies the selected rows, or all, as tab-separated text; space ticks the selected rows.
-
-    Parameters
-    ----------
-    key : callable
-        What stays the same of a record while it changes, so that it stays selected.
-    marked : callable
-        Whether a record's row is highlighted.
-    wraps : bool
-        Long texts take several lines.
+    Ctrl+C copies the selected rows, or all, as tab-separated text; space ticks the selected rows. ``key`` is what stays
+    the same of a record while it changes, so that it stays selected; the rows of ``marked`` records are highlighted;
+    ``wraps`` lets long texts take several lines.
     """
 
     ticked = pyqtSignal(object, bool)  # record, on

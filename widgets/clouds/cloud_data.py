@@ -142,13 +142,7 @@ class DepthCloud:
         return np.asarray(in_camera @ self.pose[:3, :3].T + self.pose[:3, 3])
 
     def points(self, step: int = 1) -> Float64Array:
-        """Deproject the drawn pixels of every ``step``-th row and column.
-
-        Returns
-        -------
-        float64, shape (N, 3)
-            Metres, in the frame of the view, in row-major pixel order.
-        """
+        """Return the drawn pixels of every ``step``-th row and column in the frame of the view: (N, 3), metres."""
         chosen = np.zeros(self.depth.shape, np.bool_)
         chosen[::step, ::step] = self.drawn()[::step, ::step]
         return self.places(np.flatnonzero(chosen))
@@ -179,23 +173,11 @@ def free_cloud(
     *,
     count: int | None = None,
 ) -> DepthCloud:
-    """Return a cloud of arbitrary points: an image of one row whose rays and depths give these points.
+    """Return a cloud of arbitrary points, float (N, 3), metres, in the frame of the view: an image of one row.
 
-    Depth is 16 bits, so along z points move by up to half of 1 / 65533 of the cloud's depth (2.3 um for 300 mm).
-
-    Parameters
-    ----------
-    points : float, shape (N, 3)
-        Metres, in the frame of the view; finite. Pixel (0, i) of the cloud is point i.
-    rows : uint8, shape (N,)
-        Row of ``lut`` for every point.
-    lut, count
-        As in `DepthCloud`.
-
-    Raises
-    ------
-    FrameError
-        There are not as many rows as points, or a coordinate is not finite.
+    ``rows``, uint8 (N,), are the rows of ``lut``; pixel (0, i) is point i. Depth is 16 bits, so along z points move by
+    up to half of 1 / 65533 of the cloud's depth (2.3 um for 300 mm). Raises `FrameError` for another number of rows or
+    a coordinate that is not finite.
     """
     places, rows = np.asarray(points, np.float64).reshape(-1, 3), np.asarray(rows, np.uint8)
     if len(rows) != len(places):

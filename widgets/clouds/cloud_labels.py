@@ -105,7 +105,7 @@ class LegendLine(QWidget):
         rows = "".join(
             f'<tr><td style="color:{color.name()}">■&nbsp;</td><td>{escape(text)}</td></tr>' for text, color in entries
         )
-        self.setToolTip(f"<table>{rows}</table>" if rows else "")
+        self.setToolTip(f"<p><table>{rows}</table></p>" if rows else "")
         self.update()
 
     def sizeHint(self) -> QSize:

@@ -19,15 +19,16 @@ from PyQt6.QtGui import (
     QResizeEvent,
     QWheelEvent,
 )
-from PyQt6.QtWidgets import QPushButton, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QPushButton, QWidget
 
 from ...core.model.arrays import Float64Array
+from ..basics.layouts import vbox
 from ..basics.wipe import Wipe
 from .cloud_data import DepthCloud
 from .cloud_labels import CloudHeader, LegendLine
 from .cloud_scene import CloudScene, message_rect
 from .software_backend import CloudCanvas
-from .view_camera import VIEWPOINTS, ViewCamera, Viewpoint
+from .view_camera import ViewCamera, Viewpoint
 
 Place = tuple[float, float, float]
 
@@ -107,22 +108,16 @@ class CloudView(QWidget):
         self._offer.setObjectName("offer")
         self._offer.hide()
         self._offer.clicked.connect(self.offerPressed)
-        self._lay_out()
+        self._canvas.setObjectName("canvas")
+        vbox(
+            self._header, (self._canvas, 1), self._legend, within=self, margins=(_RING, 0, _RING, 0), spacing=_RING + 1
+        )
         for widget in (self, self._canvas):
             widget.setMouseTracking(self.FOLLOWS_MOUSE)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAccessibleName(f"3D view: {title}")
         self.setToolTip(self.HELP)
         self._show_count()
-
-    def _lay_out(self) -> None:
-        self._body = QVBoxLayout(self)
-        self._body.setContentsMargins(_RING, 0, _RING, 0)
-        self._body.setSpacing(_RING + 1)
-        self._body.addWidget(self._header)
-        self._body.addWidget(self._canvas, 1)
-        self._canvas.setObjectName("canvas")
-        self._body.addWidget(self._legend)
 
     # What is shown
 
@@ -277,12 +272,10 @@ class CloudView(QWidget):
 
     def zoom_to(self, points: Float64Array, fill: float) -> None:
         """Let points (N, 3), in metres, take a share of this view, keeping the direction; automatic framing ends."""
-        self.set_camera(self.camera().framing(points, self._canvas.width(), self._canvas.height(), fill))
+        self.set_camera(self.camera().framing(points, *self._size(), fill))
 
     def look_from(self, viewpoint: Viewpoint) -> None:
         """Turn to a named viewpoint and frame the cloud."""
-        if viewpoint not in VIEWPOINTS:
-            raise ValueError(f"there is no viewpoint {viewpoint!r}; choose one of {', '.join(VIEWPOINTS)}")
         if viewpoint == "reset":
             self._look_for_focus()
         self._frame(self.camera().looking_from(viewpoint), steered=viewpoint != "reset")
@@ -294,11 +287,14 @@ class CloudView(QWidget):
     def _frame(self, camera: ViewCamera, steered: bool) -> None:
         clouds = [cloud for view in (self, *self._companions) if (cloud := view.cloud()) is not None]
         if self._focus is not None and len(self._focus):
-            camera = camera.framing(self._focus, self._canvas.width(), self._canvas.height())
+            camera = camera.framing(self._focus, *self._size())
         elif clouds:
             points = np.concatenate([cloud.points(_FRAMING_STEP) for cloud in clouds])
-            camera = camera.framing(points, self._canvas.width(), self._canvas.height())
+            camera = camera.framing(points, *self._size())
         self._move(camera, steered)
+
+    def _size(self) -> tuple[int, int]:
+        return max(1, self._canvas.width()), max(1, self._canvas.height())
 
     def _move(self, camera: ViewCamera, steered: bool) -> None:
         for view in (self, *self._companions):
@@ -317,7 +313,7 @@ class CloudView(QWidget):
         That is the point nearest to the eye among those drawn there, or else the nearest beside it. ``pixels`` allows
         only the first pixels of the cloud.
         """
-        width, height = max(1, self._canvas.width()), max(1, self._canvas.height())
+        width, height = self._size()
         wipe = self._scene.wipe
         right = wipe is not None and at.x() >= wipe.column(width)
         cloud = self._scene.right if right else self._scene.cloud
@@ -399,18 +395,16 @@ class CloudView(QWidget):
             return
         if event is None or self._drag_from is None:
             if event is not None and self._scene.wipe is not None:
-                self._canvas.setCursor(
-                    Qt.CursorShape.SplitHCursor if self._at_wipe(event) else Qt.CursorShape.ArrowCursor
-                )
+                shape = Qt.CursorShape.SplitHCursor if self._at_wipe(event) else Qt.CursorShape.ArrowCursor
+                self._canvas.setCursor(shape)
             super().mouseMoveEvent(event)
             return
         moved = event.position() - self._drag_from
         self._drag_from = event.position()
-        width, height = self._canvas.width(), self._canvas.height()
         if self._drag_pans:
-            self.set_camera(self.camera().panned(moved.x(), moved.y(), width, height))
+            self.set_camera(self.camera().panned(moved.x(), moved.y(), *self._size()))
         else:
-            turn = pi / max(1, min(width, height))
+            turn = pi / min(self._size())
             self.set_camera(self.camera().orbited(-moved.x() * turn, moved.y() * turn))
 
     def mouseReleaseEvent(self, event: QMouseEvent | None) -> None:
@@ -435,8 +429,7 @@ class CloudView(QWidget):
         event.accept()
 
     def _zoom(self, factor: float, at: QPointF) -> None:
-        size = self._canvas.width(), self._canvas.height()
-        self.set_camera(self.camera().zoomed(factor, (at.x(), at.y()), *size))
+        self.set_camera(self.camera().zoomed(factor, (at.x(), at.y()), *self._size()))
 
     def paintEvent(self, _event: QPaintEvent | None) -> None:
         role = QPalette.ColorRole.Highlight if self.hasFocus() else QPalette.ColorRole.Mid

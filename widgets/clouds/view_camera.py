@@ -36,23 +36,11 @@ _SHORTEST_M, _LONGEST_M = 0.005, 100.0
 
 @dataclass(frozen=True)
 class ViewCamera:
-    """A camera that orbits a target, in the proximity depth frame (x right, y down, z forward).
+    """A camera that orbits a target, in the proximity depth frame (x right, y down, z forward); image up stays up.
 
-    Image up stays up. At azimuth 0 and elevation 0 the eye stands behind the depth cameras and looks
-    along +z as they do.
-
-    Attributes
-    ----------
-    target : tuple of 3 floats
-        The point that it orbits, metres.
-    distance : float
-        Metres from the eye to the target.
-    azimuth : float
-        Radians to the right, around the vertical axis through the target.
-    elevation : float
-        Radians above the horizontal plane, from -pi/2 to pi/2.
-    field_of_view : float
-        Opening angle over the shorter side of the view, radians.
+    At azimuth 0 and elevation 0 the eye stands behind the depth cameras, ``distance`` metres from the target, and looks
+    along +z as they do. Azimuth is counted in radians to the right, around the vertical axis through the target,
+    elevation above the horizontal plane, from -pi/2 to pi/2; ``field_of_view`` over the shorter side of the view.
     """
 
     target: tuple[float, float, float] = (0.0, 0.0, 0.25)
@@ -120,16 +108,9 @@ class ViewCamera:
         return replace(self, azimuth=azimuth, elevation=elevation)
 
     def framing(self, points: npt.ArrayLike, width: int, height: int, fill: float = FILL) -> Self:
-        """Move so that the points fill the view, keeping the direction of view.
+        """Move so that points, (N, 3) in metres, take the share ``fill`` of the view, keeping the direction of view.
 
-        Parameters
-        ----------
-        points : array_like, shape (N, 3)
-            Metres. With none the camera stays where it is.
-        width, height : int
-            Size of the view; only their ratio matters.
-        fill : float
-            Share of the view that the points take.
+        Of ``width`` and ``height`` only the ratio matters. Without points the camera stays where it is.
         """
         points = np.asarray(points, dtype=np.float64)
         if len(points) == 0:

@@ -53,22 +53,11 @@ class Sample:
 
 
 def new_ranges(rgb: Uint8Array, present: MaskSection, mode: Mode) -> MaskSection:
-    """Return ranges that a sample sets, expands or shrinks.
+    """Return ranges that a sample, uint8 (h, w, 3) RGB, sets, expands or shrinks.
 
-    Parameters
-    ----------
-    rgb : uint8 (h, w, 3)
-        The sampled pixels.
-    present : MaskSection
-    mode : "set", "expand" or "shrink"
-        set: the core of the sample and a margin. expand: the smallest ranges that cover both the present ones
-        and what set gives. shrink: one channel is cut so that the sample's median colour is outside; the channel
-        that loses the smallest share of its range.
-
-    Raises
-    ------
-    EyedropperError
-        Nothing is left to cut.
+    set: the core of the sample and a margin. expand: the smallest ranges that cover both the present ones and what set
+    gives. shrink: one channel is cut so that the sample's median colour is outside; the channel that loses the smallest
+    share of its range. Raises `EyedropperError` if nothing is left to cut.
     """
     sample = take_sample(rgb)
     if mode == "shrink":

@@ -47,16 +47,9 @@ _ARROW = QColor(255, 255, 255)
 
 @dataclass(frozen=True)
 class Mark:
-    """One mark.
+    """One mark at a place in image pixels; ``key`` is what it is called when it is clicked or dragged.
 
-    Attributes
-    ----------
-    key : int
-        What the mark is called when it is clicked or dragged.
-    u, v : float
-        Place in image pixels.
-    arrow : (float, float) or None
-        Residual in image pixels, drawn from the mark, enlarged by the pane's factor.
+    ``arrow`` is the residual in image pixels, drawn from the mark, enlarged by the layer's factor.
     """
 
     key: int

@@ -45,26 +45,9 @@ class MaskView(StrEnum):
 class StripImages:
     """One frame's images, all in every ``stride``-th proximity depth pixel, (H, W).
 
-    Attributes
-    ----------
-    color : uint8 (H, W, 3)
-        RGB, already aligned to depth.
-    mask_overlay : bool (H, W) or None
-        Where the colour is the mask's.
-    mask_view : MaskView
-    proximity_m, tactile_m : float32 (H, W)
-        Depth in metres; nan where there is none.
-    relative : float32 (H, W)
-        (dp - dt) / dp; nan where undefined.
-    tolerance : float
-        Relative differences within plus or minus this are shown as a band.
-    contact : bool (H, W) or None
-        Outlined in the contact colour.
-    depth_range_m : (float, float)
-        Ends of the depth colours of both depth panes.
-    size : (int, int)
-        Width and height of the proximity depth image.
-    stride : int
+    ``mask_overlay`` is where the colour is the mask's. Depths are in metres, ``relative`` is (dp - dt) / dp; nan where
+    there is none. Relative differences within ``tolerance`` are shown as a band, ``contact`` is outlined. ``size`` is
+    width and height of the proximity depth image.
     """
 
     color: Uint8Array
@@ -84,15 +67,9 @@ class StripImages:
 class RenderedStrip:
     """What the strip shows.
 
-    Attributes
-    ----------
-    panes : four arrays uint8 (h, w, 4)
-        Colour, proximity depth, tactile depth, relative difference, as ``QImage.Format_RGB32`` has them in
-        memory. Pixel (i, j) shows image pixel (i, j) times ``stride``.
-    size : (int, int)
-        Width and height of the image itself.
-    masked_share : float or None
-        Share of the colour image that the mask covers, None without a mask; `render_strip` leaves it to its caller.
+    ``panes`` are colour, proximity depth, tactile depth and relative difference, uint8 (h, w, 4) as
+    ``QImage.Format_RGB32``; pixel (i, j) shows image pixel (i, j) times ``stride``. ``size`` is width and height of the
+    image itself. ``masked_share`` is left to the caller of `render_strip`; None without a mask.
     """
 
     panes: tuple[Uint8Array, ...]
@@ -128,15 +105,7 @@ def render_strip(images: StripImages) -> RenderedStrip:
 
 
 def stride_for(width: int, width_hint: int) -> int:
-    """Return the step at which an image is drawn.
-
-    Parameters
-    ----------
-    width : int
-        Of the image, pixels.
-    width_hint : int
-        `ImageStrip.width_hint`: how many screen pixels the whole width takes; 0 draws all pixels.
-    """
+    """Return the step at which an image is drawn whose whole width takes ``width_hint`` screen pixels; 0 draws all."""
     return max(1, int(width / width_hint + 0.1)) if width_hint > 0 else 1
 
 

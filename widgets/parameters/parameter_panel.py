@@ -174,20 +174,7 @@ class ParameterPanel(QScrollArea):
     def set_histogram(
         self, path: str, counts: AnyArray, edges: npt.NDArray[np.floating], limit: float, known: int
     ) -> None:
-        """Show what a field limits in the latest frame.
-
-        Parameters
-        ----------
-        path : str
-            The field: ``"tolerance.t"`` or ``"membrane.gap_m"``.
-        counts : array, shape (N,)
-        edges : array, shape (N + 1,)
-            In the unit of the field.
-        limit : float
-            The value in force; a line that is being dragged stays with the mouse.
-        known : int
-            Number of all values, with those beyond the edges.
-        """
+        """Show what the field at ``path`` limits in the latest frame; parameters as of `LimitHistogram.set_data`."""
         self.histograms[path].set_data(counts, edges, limit, known)
 
     def open_histograms(self) -> frozenset[str]:

@@ -23,18 +23,10 @@ from .plot import Plot
 
 @dataclass(frozen=True)
 class Quantity:
-    """What a histogram counts.
+    """What a histogram counts. A value times ``factor`` is what the axis shows, in ``unit``.
 
-    Attributes
-    ----------
-    name, caption, tip : str
-        For screen readers, in the plot, and as tooltip.
-    factor, unit : float, str
-        A value times the factor is what the axis shows, in this unit.
-    limits : (float, float)
-        Smallest and largest limit that can be dragged.
-    symmetric : bool
-        Whether the limit holds on both sides of zero; else values begin at zero.
+    ``limits`` are the smallest and largest limit that can be dragged. ``symmetric``: the limit holds on both sides of
+    zero; else values begin at zero.
     """
 
     name: str
@@ -119,17 +111,10 @@ class LimitHistogram(QWidget):
     def set_data(
         self, counts: AnyArray, edges: npt.NDArray[np.floating], limit: float | None = None, known: int = 0
     ) -> None:
-        """Show other counts.
+        """Show other counts, (N,), between increasing edges, (N + 1,).
 
-        Parameters
-        ----------
-        counts : array, shape (N,)
-        edges : array, shape (N + 1,)
-            Increasing.
-        limit : float, optional
-            Moves the lines too, unless one is being dragged.
-        known : int
-            Number of all values, with those beyond the edges; then the caption tells the share within the lines.
+        ``limit`` moves the lines too, unless one is being dragged. ``known`` is the number of all values, with those
+        beyond the edges; then the caption tells the share within the lines.
         """
         self._known = known
         self._counts = np.asarray(counts, dtype=np.float64)
@@ -210,13 +195,7 @@ class LimitHistogram(QWidget):
 
 
 def split_at(edges: Float64Array, counts: Float64Array, cuts: tuple[float, ...]) -> tuple[Float64Array, Float64Array]:
-    """Split the bars of a histogram at given positions, so that each part can have its own colour.
-
-    Returns
-    -------
-    edges, counts
-        With one bar more per cut inside the range; both parts of a bar keep its height.
-    """
+    """Split the bars of a histogram at the cuts inside its range; both parts of a bar keep its height."""
     for cut in cuts:
         index = int(np.searchsorted(edges, cut))
         if 0 < index < len(edges) and edges[index] != cut:

@@ -20,14 +20,7 @@ class _Axis(pg.AxisItem):  # type: ignore[misc]
 class Plot(pg.PlotWidget):  # type: ignore[misc]  # pyqtgraph has no types
     """A plot without a menu and buttons whose background, axes and legend follow the theme.
 
-    Parameters
-    ----------
-    bottom, left : str, optional
-        Titles of the axes, with their units.
-    movable : bool
-        Whether the mouse moves and scales the plot.
-    axes : dict of str to AxisItem, optional
-        Other axes than the usual ones.
+    ``bottom`` and ``left`` are titles of the axes, with their units. Only if ``movable`` the mouse moves and scales it.
     """
 
     def __init__(

@@ -197,15 +197,8 @@ class TimeStrip(QWidget):
     ) -> None:
         """Show the frames of a recording.
 
-        Parameters
-        ----------
-        seconds : float64, shape (N,)
-            Time of each frame since the first one, increasing.
-        values : dict of str to float64, shape (N,)
-            By the keys of `CURVES`; nan where unknown.
-        computed : bool, shape (N,)
-        former : as ``values``, optional
-            An older series, drawn behind in grey.
+        ``seconds``, float64 (N,), is the time of each frame since the first one; ``values``, by the keys of `CURVES`,
+        are nan where unknown. ``former`` is an older series, drawn behind in grey.
         """
         whole = self._live or len(seconds) != len(self._seconds) or self._box.viewRange()[0] == [0.0, self._end_s()]
         self._live = False

@@ -20,16 +20,7 @@ _DOT_PX, _RING_PX = 9, 17
 
 @dataclass(frozen=True)
 class Dot:
-    """One trial.
-
-    Attributes
-    ----------
-    number : int
-    x, y : float
-        In the units of the axes.
-    words : str
-        Shown while the pointer is over the dot.
-    """
+    """One trial, in the units of the axes; ``words`` are shown while the pointer is over the dot."""
 
     number: int
     x: float
@@ -71,16 +62,7 @@ class TradeOffPlot(QWidget):
             self._plot.setLabel(axis, text)
 
     def set_dots(self, dots: Sequence[Dot], front: Sequence[int], present: int = -1) -> None:
-        """Show other dots.
-
-        Parameters
-        ----------
-        dots : sequence of Dot
-        front : sequence of int
-            Numbers of the dots that no other beats.
-        present : int
-            Number of the dot of the present preset; -1 for none.
-        """
+        """Show other dots, with the numbers of those that no other beats, and of the present preset, -1 for none."""
         self._dots = {dot.number: dot for dot in dots}
         self._front = tuple(sorted((n for n in front if n in self._dots), key=lambda n: self._dots[n].x))
         self._present = present
