@@ -95,7 +95,6 @@ _SHORT_NAMES: dict[Provenance, str] = {
 
 
 def palette_theme(palette: QPalette) -> Theme:
-    """Tell whether a palette is light or dark."""
     return "dark" if palette.color(QPalette.ColorRole.Base).lightness() < 128 else "light"
 
 
@@ -120,7 +119,6 @@ def behind_legend() -> Legend:
 
 
 def depth_legend(near_m: float, far_m: float) -> Legend:
-    """Return the near, central and far depth colours, labelled in millimetres."""
     span_mm = 1e3 * (far_m - near_m)
     return [(f"{1e3 * near_m + share * span_mm:.0f} mm", _color(depth_lut(), 255 * share)) for share in (0.0, 0.5, 1.0)]
 
@@ -154,7 +152,6 @@ def difference_lut(t: float = 0.03, limit: float = DIFFERENCE_LIMIT) -> Uint8Arr
 
 
 def difference_legend(t: float) -> Legend:
-    """Return both ends and the band of the difference colours."""
     lut = difference_lut(t, DIFFERENCE_LIMIT)
     return [
         (f"−{DIFFERENCE_LIMIT:.0%}", _color(lut, 1)),
@@ -257,7 +254,6 @@ def overlap_lut(theme: Theme) -> Uint8Array:
 
 
 def overlap_legend(theme: Theme) -> Legend:
-    """Return the legend of `overlap_lut`."""
     lut = overlap_lut(theme)
     return [
         (name, _color(lut, row)) for name, row in (("both", BOTH_ROW), ("only A", ONLY_A_ROW), ("only B", ONLY_B_ROW))
@@ -271,7 +267,6 @@ def provenance_legend(theme: Theme, occurring: Container[Provenance] = frozenset
 
 
 def patch_legend(theme: Theme) -> Legend:
-    """Return the legend of `patch_lut`."""
     lut = patch_lut(theme)
     return [("contact", CONTACT_COLOR), ("not touching", _color(lut, CONTACT_ROW / 2))]
 

@@ -32,7 +32,6 @@ def shortened(sentence: str) -> str:
 
 
 def copy_text(text: str) -> None:
-    """Put a text on the clipboard."""
     clipboard = QApplication.clipboard()
     assert clipboard is not None
     clipboard.setText(text)
@@ -99,7 +98,6 @@ class FoldButton(QToolButton):
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
 
     def show_folded(self, folded: bool) -> None:
-        """Turn the arrow."""
         self.setArrowType(Qt.ArrowType.RightArrow if folded else Qt.ArrowType.DownArrow)
 
 
@@ -147,7 +145,6 @@ class TintedLabel(QLabel):
         self.tint(color)
 
     def tint(self, color: str) -> None:
-        """Use another colour."""
         if color or self._color:
             palette = QPalette()
             if color:
@@ -216,7 +213,6 @@ class ElidedLabel(QLabel):
 
 
 def frame_count(most: int, tip: str, value: int = 1) -> QSpinBox:
-    """Return an entry of 1 to ``most`` frames."""
     box = QSpinBox()
     box.setRange(1, most)
     box.setValue(value)
@@ -339,7 +335,6 @@ class CollapsibleSection(QFrame):
         self._header_layout.addWidget(widget)
 
     def set_collapsed(self, collapsed: bool) -> None:
-        """Fold or unfold the body."""
         if collapsed == self.collapsed:
             return
         self.collapsed = collapsed

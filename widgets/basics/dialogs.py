@@ -52,7 +52,6 @@ class Dialogs:
         self._parent, self._memory, self._native = parent, memory, native
 
     def over(self, parent: QWidget) -> Dialogs:
-        """Return dialogs over another window."""
         return Dialogs(parent, self._memory, self._native)
 
     def ask_unsaved(self, name: str, save: Callable[[], object], discard: Callable[[], object]) -> None:
@@ -71,7 +70,6 @@ class Dialogs:
         _open(box, lambda clicked: use if clicked is agree else None)
 
     def ask_details(self, name: str, notes: str, use: Callable[[str, str], object]) -> None:
-        """Ask for the name and the notes of a preset."""
         dialog = QDialog(self._parent)
         dialog.setWindowTitle("Name and notes")
         name_entry, notes_entry = QLineEdit(name), QPlainTextEdit(notes)
@@ -108,19 +106,16 @@ class Dialogs:
         self._memory.set(f"folder/{kind}", str(folder))
 
     def open_file(self, kind: str, title: str, name_filter: str, use: Callable[[Path], object]) -> None:
-        """Ask for an existing file."""
         dialog = self._dialog(title, self.folder(kind), QFileDialog.FileMode.ExistingFile)
         dialog.setNameFilters([name_filter, "All files (*)"])
         self._run(kind, dialog, lambda paths: use(paths[0]))
 
     def open_files(self, kind: str, title: str, name_filters: list[str], use: Callable[[list[Path]], object]) -> None:
-        """Ask for one or more existing files."""
         dialog = self._dialog(title, self.folder(kind), QFileDialog.FileMode.ExistingFiles)
         dialog.setNameFilters([*name_filters, "All files (*)"])
         self._run(kind, dialog, use)
 
     def open_folder(self, kind: str, title: str, use: Callable[[Path], object]) -> None:
-        """Ask for an existing folder."""
         dialog = self._dialog(title, self.folder(kind), QFileDialog.FileMode.Directory)
         dialog.setOption(QFileDialog.Option.ShowDirsOnly)
         self._run(kind, dialog, lambda paths: use(paths[0]))

@@ -71,7 +71,6 @@ class FieldSpec:
 
     @property
     def tooltip(self) -> str:
-        """The meaning, the unit and the allowed values, for a tooltip."""
         parts = [self.description]
         if self.unit in _UNIT_WORDS and self.kind != "matrix":
             parts.append(f"In {_UNIT_WORDS[self.unit]}.")
@@ -100,7 +99,6 @@ class FieldSpec:
         return format_number(rounded or float(f"{number:.2g}"), 15)
 
     def describe(self, value: Any) -> str:
-        """Format a value of this field for display."""
         if value is None:
             return "the rig's own"
         if self.kind == "number":
@@ -114,7 +112,6 @@ class FieldSpec:
         return "the saved matrix" if self.kind == "matrix" else str(value)
 
     def from_shown(self, number: float) -> float | int:
-        """Convert a typed number to the model's unit."""
         if self.integer:
             return round(number)
         return number if self.factor == 1.0 else float(f"{number / self.factor:.12g}")

@@ -39,7 +39,6 @@ class GestureClock:
         return self._held
 
     def number(self) -> int:
-        """Return the number for an edit that happens now."""
         now_s = time.monotonic()
         if not self._held and (self._number == 0 or now_s - self._last_s > BURST_S):
             self._number = new_gesture()

@@ -26,7 +26,6 @@ def icon(name: str, color: str = "") -> QIcon:
 
 @lru_cache
 def app_icon() -> QIcon:
-    """Return the application's icon: a membrane that bends over an object."""
     drawn = QIcon()
     renderer = QSvgRenderer((_FOLDER / "tactune.svg").read_bytes())
     for side in (16, 24, 32, 48, 64, 128, 256):

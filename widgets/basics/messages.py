@@ -215,7 +215,6 @@ class Messages(QWidget):
             self.clear(key)
 
     def clear(self, key: str) -> None:
-        """Dismiss the message of a key, if there is one."""
         self._remove(key)
         self.arrange()
 
@@ -259,7 +258,6 @@ class Messages(QWidget):
         return list(self._messages)
 
     def message(self, key: str) -> Message | None:
-        """Return the message of a key, if there is one."""
         return self._messages.get(key)
 
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
@@ -344,7 +342,6 @@ class MessageHistory(QDialog):
             self.refresh()
 
     def refresh(self) -> None:
-        """List the messages, with their details."""
         lines = []
         for said in reversed(HISTORY):
             details = "".join(f"\n    {line}" for line in said.details.splitlines())

@@ -53,7 +53,6 @@ class Column:
     stretch: bool = False
 
     def text(self, record: Any) -> str:
-        """Return the cell of a record as it is shown."""
         value = self.value(record)
         if isinstance(value, str):
             return value
@@ -247,7 +246,6 @@ class RecordTable(QTableView):
         self.copied.emit(len(records))
 
     def full_height(self) -> int:
-        """Return the height at which all rows are visible."""
         across, down = self.horizontalHeader(), self.verticalHeader()
         assert across is not None and down is not None
         return across.sizeHint().height() + down.length() + 2 * self.frameWidth()

@@ -50,7 +50,6 @@ class StaleBadge(QWidget):
         return self._text
 
     def set_text(self, text: str) -> None:
-        """Set the reason; an empty text hides the badge."""
         if text == self._text:
             return
         self._text = text

@@ -104,7 +104,6 @@ def theme_colors(name: ThemeName | None = None) -> ThemeColors:
 
 
 def text_font(size: TextSize, *, bold: bool = False) -> QFont:
-    """Return the application's font in one of the three sizes."""
     font = QApplication.font()
     font.setPointSizeF(font.pointSizeF() * _TEXT_SIZES[size])
     font.setBold(bold)
@@ -112,13 +111,11 @@ def text_font(size: TextSize, *, bold: bool = False) -> QFont:
 
 
 def set_theme(name: ThemeName) -> ThemeColors:
-    """Make a theme the current one and return its colours."""
     _state["name"] = name
     return _THEMES[name]
 
 
 def make_palette(colors: ThemeColors) -> QPalette:
-    """Build the palette of a theme."""
     role = QPalette.ColorRole
     palette = QPalette()
     for target, value in {

@@ -12,7 +12,6 @@ MAX_WIDTH_PX: Final = 400
 
 
 def is_tip(widget: QWidget) -> bool:
-    """Tell whether a widget is the label in which Qt shows a tooltip."""
     return widget.inherits("QTipLabel")
 
 

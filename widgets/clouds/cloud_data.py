@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import cv2
 import numpy as np
@@ -20,59 +19,25 @@ HIGHEST_COUNT = 65534
 class DepthCloud:
     """A depth image with everything needed to draw it as a coloured point cloud.
 
-    Arrays are shared, not copied, and must not change afterwards. Views recognise arrays by identity:
-    hand over the same ``rays``, ``depth``, ``index`` or ``lut`` object and it is not uploaded again.
-
-    Attributes
-    ----------
-    depth : uint16, shape (H, W)
-        Raw counts; 0 and 65535 are *no depth* and never drawn.
-    depth_unit_m : float
-        Length of one count in metres.
-    rays : float32, shape (H, W, 2)
-        ``(x / z, y / z)`` of every pixel, as `Intrinsics.rays` returns it.
-    lut : uint8, shape (256, 4)
-        RGBA. Alpha 0 hides a point; in between, the colour is mixed with the view's background.
-    pose : float64, shape (4, 4)
-        Takes points of the camera to the frame of the view, metres. Views show the proximity depth frame.
-    depth_scale, depth_offset_m : float
-        Corrected depth = ``depth_scale * depth_unit_m * counts + depth_offset_m``. Points whose
-        corrected depth is not positive are not drawn.
-    index : uint8, shape (H, W), or None
-        Row of ``lut`` for every pixel. None: from the corrected depth, ``depth_range_m`` over rows 0 to 255.
-    depth_range_m : tuple of float
-        Nearest and farthest depth of the colour scale, metres.
-    count : int or None
-        The number of points that a view states, where it is not the number of points drawn
-        (a patch over its context). None: the number of points drawn.
-
-    Raises
-    ------
-    FrameError
-        An array has the wrong type or size, or the depth range is empty.
+    Arrays are shared, not copied, and must not change afterwards: views recognise them by identity. Corrected
+    depth is ``depth_scale * depth_unit_m * counts + depth_offset_m``, metres; points where it is not positive are not
+    drawn.
     """
 
-    depth: Uint16Array
+    depth: Uint16Array  # (H, W) raw counts; 0 and 65535 are no depth and never drawn
     depth_unit_m: float
-    rays: Float32Array
-    lut: Uint8Array
-    pose: Float64Array
+    rays: Float32Array  # (H, W, 2): x / z and y / z of every pixel, as `Intrinsics.rays` returns it
+    lut: Uint8Array  # (256, 4) RGBA; alpha 0 hides a point; in between, the background shows through
+    pose: Float64Array  # (4, 4): takes points of the camera to the frame of the view, the proximity depth frame
     depth_scale: float = 1.0
     depth_offset_m: float = 0.0
+    #: (H, W) rows of ``lut``; None: from the corrected depth, ``depth_range_m`` over rows 0 to 255.
     index: Uint8Array | None = None
     depth_range_m: tuple[float, float] = (0.0, 1.0)
+    #: The number of points that a view states, where it is not the number of points drawn (a patch over its context).
     count: int | None = None
 
     def __post_init__(self) -> None:
-        _check("depth", self.depth, np.uint16, (None, None))
-        height, width = self.depth.shape
-        _check("rays", self.rays, np.float32, (height, width, 2))
-        _check("lut", self.lut, np.uint8, (256, 4))
-        _check("pose", self.pose, np.float64, (4, 4))
-        if self.index is not None:
-            _check("index", self.index, np.uint8, (height, width))
-        if not self.depth_range_m[0] < self.depth_range_m[1]:
-            raise FrameError(f"cloud: depth_range_m must go from near to far, got {self.depth_range_m}")
         for name in ("depth", "rays", "lut", "pose", "index"):
             array = getattr(self, name)
             if array is not None and not array.flags.c_contiguous:
@@ -80,7 +45,6 @@ class DepthCloud:
 
     @property
     def metres_per_count(self) -> float:
-        """Corrected metres that one raw count stands for."""
         return self.depth_unit_m * self.depth_scale
 
     @property
@@ -150,16 +114,6 @@ class DepthCloud:
     @cached_property
     def point_count(self) -> int:
         return int(np.count_nonzero(self.drawn())) if self.count is None else self.count
-
-
-def _check(name: str, array: Any, dtype: type[np.generic], shape: tuple[int | None, ...]) -> None:
-    if isinstance(array, np.ndarray) and array.dtype == dtype and len(array.shape) == len(shape):
-        wrong = [have for have, want in zip(array.shape, shape, strict=True) if want is not None and have != want]
-        if not wrong:
-            return
-    found = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
-    wanted = " x ".join("any" if size is None else str(size) for size in shape)
-    raise FrameError(f"cloud: {name} must be a {np.dtype(dtype).name} array of {wanted}, got {found}")
 
 
 _LEVELS = 65533

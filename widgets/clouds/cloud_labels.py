@@ -49,7 +49,6 @@ class CloudHeader(QWidget):
         self._place()
 
     def set_count(self, count: int) -> None:
-        """Show another number of points."""
         if count != self._value:
             self._value = count
             self._place()
@@ -117,7 +116,6 @@ class LegendLine(QWidget):
         return min(places[-1][0] + 1, _MAX_LINES) if places else 1
 
     def set_lines(self, lines: int) -> None:
-        """Set the number of lines."""
         if lines != self._lines:
             self._lines = lines
             self.updateGeometry()

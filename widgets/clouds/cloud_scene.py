@@ -57,7 +57,6 @@ class CloudScene:
 
     @staticmethod
     def background(widget: QWidget) -> tuple[int, int, int]:
-        """Return the background of the theme as RGB."""
         color = widget.palette().color(QPalette.ColorRole.Base)
         return color.red(), color.green(), color.blue()
 

@@ -122,7 +122,6 @@ class CloudView(QWidget):
     # What is shown
 
     def set_cloud(self, cloud: DepthCloud | None) -> None:
-        """Show another cloud, or none."""
         arrives = cloud is not None and self._scene.cloud is None
         self._scene.cloud = cloud
         self._show_count()
@@ -192,7 +191,6 @@ class CloudView(QWidget):
             self._resized.start()
 
     def set_message(self, message: str) -> None:
-        """Set the message that is shown while there are no points."""
         if message != self._message:
             self._message = message
             self._show_count()
@@ -442,7 +440,6 @@ class CloudView(QWidget):
 
 
 def as_place(point: npt.ArrayLike) -> Place:
-    """Return a point as a plain tuple."""
     x, y, z = (float(value) for value in np.asarray(point))
     return x, y, z
 

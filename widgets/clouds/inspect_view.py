@@ -92,7 +92,6 @@ class InspectView(CloudView):
                 self.endChosen.emit(found[1])
 
     def _point(self) -> None:
-        """Tell which point is under the mouse."""
         self.pointHovered.emit(self.pick(self._mouse))
 
     def leaveEvent(self, event: QEvent | None) -> None:

@@ -55,7 +55,6 @@ class ViewCamera:
         return np.array([[ca, 0.0, sa], [-se * sa, -ce, se * ca], [sa * ce, -se, -ca * ce]])
 
     def eye(self) -> Float64Array:
-        """Return where the camera stands, metres: float64 (3,)."""
         eye: Float64Array = np.array(self.target) + self.distance * self.axes()[2]
         return eye
 

@@ -69,7 +69,6 @@ class PaneHeader(QWidget):
         self.set_legend(None)
 
     def set_legend(self, bar: ColorBar | None, swatches: tuple[Swatch, ...] = ()) -> None:
-        """Show a colour bar, swatches, or both."""
         self._bar, self._swatches = bar, swatches
         words = ([] if bar is None else [f"{bar.low} to {bar.high}"]) + [swatch.text for swatch in swatches]
         self.setToolTip(f"{self._title}: {', '.join(words)}" if words else self._title)
@@ -174,7 +173,6 @@ class PixelItem(pg.GraphicsObject):  # type: ignore[misc]  # pyqtgraph has no ty
         return self._rect
 
     def paint(self, painter: QPainter, *_: Any) -> None:
-        """Draw the pixels."""
         if not self._image.isNull():
             painter.drawImage(self._rect, self._image)
         if self._split is not None and not self._right.isNull():
@@ -310,13 +308,11 @@ class ImagePane(QWidget):
             self._pixels.set_split(self.wipe_line.value())
 
     def set_message(self, text: str) -> None:
-        """Set the message that is shown while there is no image."""
         self.empty_label.setText(text)
         self.empty_label.setVisible(bool(text))
         self.empty_label.setGeometry(self.view.rect())
 
     def set_badge(self, text: str) -> None:
-        """Mark the image as old with this text; an empty text removes the mark."""
         self.badge.set_text(text)
 
     def set_cross(self, u: int, v: int) -> None:
@@ -328,7 +324,6 @@ class ImagePane(QWidget):
         self.cross.setVisible(inside)
 
     def show_rect(self, rect: QRectF) -> None:
-        """Zoom to a rectangle in image coordinates."""
         self.box.setRange(rect, padding=0)
 
     def image_rect(self) -> QRectF:

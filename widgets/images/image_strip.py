@@ -125,17 +125,14 @@ class ImageStrip(QWidget):
             pane.set_wipe(wipe)
 
     def right_of_wipe(self, u: int) -> bool:
-        """Whether a pixel column shows the right side."""
         line = self.panes["color"].wipe_line
         return bool(line.isVisible() and u > line.value())
 
     def set_badge(self, text: str) -> None:
-        """Mark the images as old with this text; an empty text removes the mark."""
         for pane in self.panes.values():
             pane.set_badge(text)
 
     def set_readout(self, text: str) -> None:
-        """Show the readout of the pixel under the crosshair."""
         self.readout.setText(text)
 
     def set_region(self, rectangle: Rectangle | None) -> None:
@@ -162,7 +159,6 @@ class ImageStrip(QWidget):
         return shown or list(self.panes.values())
 
     def reset_view(self) -> None:
-        """Show the whole images."""
         self._fitted = True
         self._linking = True
         for pane in self.panes.values():

@@ -78,7 +78,6 @@ class MarkLayer(QWidget):
 
     @property
     def marks(self) -> tuple[Mark, ...]:
-        """What is drawn."""
         return self._marks
 
     @property
@@ -86,7 +85,6 @@ class MarkLayer(QWidget):
         return self._ghost
 
     def set_marks(self, marks: Sequence[Mark]) -> None:
-        """Replace the marks."""
         self._marks = tuple(marks)
         self.update()
 

@@ -184,22 +184,18 @@ class PointImage(ImagePane):
             self.show_all()
 
     def set_marks(self, marks: Sequence[Mark]) -> None:
-        """Replace the marks."""
         self.layer.set_marks(marks)
 
     def set_loupe_wanted(self, wanted: bool) -> None:
-        """Show a magnifier at the cursor, or not."""
         self._loupe_wanted = wanted
         if not wanted:
             self.loupe.hide()
 
     def show_all(self) -> None:
-        """Show the whole image."""
         self._touched = False
         self.show_rect(self.image_rect())
 
     def zoom(self, factor: float) -> None:
-        """Zoom about the centre."""
         rect = self.box.viewRect()
         width, height = rect.width() / factor, rect.height() / factor
         self.show_rect(QRectF(rect.center().x() - width / 2, rect.center().y() - height / 2, width, height))

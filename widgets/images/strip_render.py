@@ -82,7 +82,6 @@ class RenderedStrip:
 
 
 def render_strip(images: StripImages) -> RenderedStrip:
-    """Colour all four images."""
     limit = max(DIFFERENCE_LIMIT, 2.0 * images.tolerance)
     packed = (
         _colored(images.color, images.mask_overlay, images.mask_view),

@@ -56,7 +56,6 @@ class NumberEntry(QAbstractSpinBox):
         return self._value
 
     def setValue(self, value: float | int) -> None:
-        """Show a value; never emits. Typed text stays unless the value differs."""
         if value == self._value and type(value) is type(self._value):
             return
         self._value = value
@@ -75,7 +74,6 @@ class NumberEntry(QAbstractSpinBox):
         self.selectAll()
 
     def stepEnabled(self) -> QAbstractSpinBox.StepEnabledFlag:
-        """Which arrows can still move."""
         flags = _Step.StepNone
         if self._value < self._spec.maximum:
             flags |= _Step.StepUpEnabled
@@ -241,7 +239,6 @@ class NumbersEditor(QWidget):
 
     @property
     def tab_stops(self) -> list[QWidget]:
-        """Focusable widgets, in tab order."""
         stops: list[QWidget] = list(self.entries)
         if self.slider is not None:
             stops.insert(len(stops) - 1, self.slider)
@@ -251,7 +248,6 @@ class NumbersEditor(QWidget):
         return self.entry.value() if self.spec.kind == "number" else tuple(entry.value() for entry in self.entries)
 
     def setValue(self, value: Any) -> None:
-        """Show a number or numbers."""
         numbers = (value,) if self.spec.kind == "number" else tuple(value)
         for entry, number in zip(self.entries, numbers, strict=True):
             entry.setValue(number)
@@ -281,7 +277,6 @@ class ChoiceEditor(QComboBox):
         return self.currentText()
 
     def setValue(self, value: str) -> None:
-        """Show a choice; `edited` is not emitted."""
         self.setCurrentText(value)
         self._shown = value
 
@@ -309,7 +304,6 @@ class FlagEditor(QCheckBox):
         return self.isChecked()
 
     def setValue(self, value: bool) -> None:
-        """Show a state; `edited` is not emitted."""
         self.setChecked(value)
 
 
@@ -332,7 +326,6 @@ class MatrixView(QLabel):
         return self._value
 
     def setValue(self, value: Any) -> None:
-        """Show a matrix or None."""
         if value != self._value:
             self._value = value
             self._show()
@@ -364,7 +357,6 @@ _EDITORS: dict[str, Any] = {
 
 
 def make_editor(spec: FieldSpec) -> Any:
-    """Return the widget that edits a field."""
     widget: QWidget = _EDITORS[spec.kind](spec)
     if spec.kind != "matrix":
         widget.setAccessibleName(spec.title)

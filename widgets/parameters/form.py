@@ -51,7 +51,6 @@ class FindingLine(QWidget):
         return self._sentence.text()
 
     def show_finding(self, finding: ShownFinding | None) -> None:
-        """Show a finding, or hide with None."""
         shown = finding or ShownFinding("")
         self._sentence.setText(shown.sentence)
         self.button.setText(shown.button)
@@ -100,7 +99,6 @@ class ParameterRow(QObject):
 
     @property
     def tab_stops(self) -> list[QWidget]:
-        """Focusable widgets, in tab order."""
         return list(getattr(self.widget, "tab_stops", [self.widget]))
 
     def add_to(self, grid: QGridLayout) -> None:
@@ -116,7 +114,6 @@ class ParameterRow(QObject):
         self._update_reset()
 
     def set_shown(self, shown: bool) -> None:
-        """Show or hide the whole row."""
         self._is_shown = shown
         for widget in (self.label, self.widget, self.unit):
             widget.setVisible(shown)
@@ -125,7 +122,6 @@ class ParameterRow(QObject):
         self._update_reset()
 
     def set_editable(self, editable: bool) -> None:
-        """Grey the row, or not."""
         for widget in (self.label, self.widget, self.unit):
             widget.setEnabled(editable)
         self._update_reset()
@@ -236,7 +232,6 @@ class Form(QWidget):
         return bool(self.advanced) and not self._body.isHidden()
 
     def set_open(self, opened: bool) -> None:
-        """Show or hide the rows behind the fold."""
         self._body.setVisible(opened)
         self.more.show_folded(not opened)
 

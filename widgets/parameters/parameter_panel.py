@@ -115,7 +115,6 @@ class ParameterPanel(QScrollArea):
     # What is shown
 
     def set_preset(self, preset: Preset) -> None:
-        """Show a preset; never emits."""
         self._preset = preset
         for path, row in self.rows.items():
             row.show_value(preset.value(path))
@@ -139,7 +138,6 @@ class ParameterPanel(QScrollArea):
         self._refresh()
 
     def clear_errors(self) -> None:
-        """Remove the sentences on refused values."""
         for row in self.rows.values():
             row.refuse("")
 
@@ -161,7 +159,6 @@ class ParameterPanel(QScrollArea):
             row.finding.show_finding(findings.get(path))
 
     def _unfold(self, path: str) -> None:
-        """Open the fold of an advanced field."""
         if self.rows[path].spec.advanced:
             self.forms[_section_of(path)].set_open(True)
 
@@ -199,7 +196,6 @@ class ParameterPanel(QScrollArea):
         return [name for name, section in self.sections.items() if section.collapsed]
 
     def set_collapsed_sections(self, names: list[str]) -> None:
-        """Fold these sections and unfold the others."""
         for name, section in self.sections.items():
             section.set_collapsed(name in names)
 
@@ -273,7 +269,6 @@ class ParameterPanel(QScrollArea):
         return section
 
     def _add_below(self, spec: FieldSpec, form: Form) -> None:
-        """Place what belongs to a field below its row."""
         if spec.path == "alignment.model":
             form.add_line(self.alignment_info)
         if spec.path == "tolerance.t":
@@ -394,7 +389,6 @@ class ParameterPanel(QScrollArea):
 
 
 def fields_of(section: str) -> list[FieldSpec]:
-    """Return the fields that a section of the panel edits."""
     model = Preset.model_fields[section].annotation
     if isinstance(model, type) and issubclass(model, BaseModel):
         return list(section_fields(model, section))
@@ -408,14 +402,12 @@ def _bar_button(text: str, tip: str, name: str) -> QToolButton:
 
 
 def _bar(buttons: Iterable[QToolButton]) -> QWidget:
-    """Put buttons side by side."""
     bar = QWidget()
     hbox(*((button, 1) for button in buttons), within=bar, margins=0, spacing=4)
     return bar
 
 
 def _note() -> QLabel:
-    """Make an empty line of secondary text."""
     label = wrapped_label()
     label.setForegroundRole(QPalette.ColorRole.PlaceholderText)
     label.hide()

@@ -47,14 +47,12 @@ class Scale:
     log: bool = False
 
     def fraction(self, value: float) -> float:
-        """Return the position of a value, clamped to the ends."""
         value = min(max(value, self.low), self.high)
         if self.log:
             return math.log(value / self.low) / math.log(self.high / self.low)
         return (value - self.low) / (self.high - self.low)
 
     def value(self, fraction: float) -> float:
-        """Return the snapped value at a position."""
         fraction = min(max(fraction, 0.0), 1.0)
         if self.log:
             exact = float(f"{self.low * (self.high / self.low) ** fraction:.3g}")
@@ -66,7 +64,6 @@ class Scale:
 
     @property
     def positions(self) -> int:
-        """Number of steps between the ends."""
         if self.log:
             return round(100 * math.log10(self.high / self.low))
         return max(1, round((self.high - self.low) / self.step))
@@ -132,7 +129,6 @@ class Slider(QWidget):
         return _RADIUS + 1, max(1.0, self.width() - 2 * _RADIUS - 2)
 
     def handle_x(self, handle: int) -> float:
-        """Return the x of a handle's centre in pixels."""
         left, length = self.travel()
         return left + length * self._scale.fraction(self._values[handle])
 

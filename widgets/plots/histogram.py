@@ -125,7 +125,6 @@ class LimitHistogram(QWidget):
         self._draw()
 
     def set_limit(self, limit: float) -> None:
-        """Move the lines; never emits."""
         if limit != self._limit:
             self._limit = limit
             self._place_lines()

@@ -60,7 +60,6 @@ class PosePlot(QWidget):
         return any(np.isfinite(residual_mm) for _, residual_mm, _, _ in self._rows)
 
     def clear(self) -> None:
-        """Forget all frames."""
         self._rows.clear()
         self._show()
 

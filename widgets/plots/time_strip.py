@@ -231,7 +231,6 @@ class TimeStrip(QWidget):
         self._place_marks()
 
     def set_markers(self, markers: Sequence[tuple[int, str]]) -> None:
-        """Show markers: frame and name of each."""
         self._markers = tuple(markers)
         self._place_marks()
 
@@ -245,7 +244,6 @@ class TimeStrip(QWidget):
         return str(self._text.toPlainText())
 
     def show_all(self) -> None:
-        """Zoom out to the whole recording."""
         if len(self._seconds) and not self._live:
             self._box.setXRange(0.0, self._end_s(), padding=0)
 

@@ -57,7 +57,6 @@ class TradeOffPlot(QWidget):
         self.plot_widget.follow_theme(lambda _colors: self._draw())
 
     def set_axes(self, x: str, y: str) -> None:
-        """Name the axes, with their units."""
         for axis, text in (("bottom", x), ("left", y)):
             self._plot.setLabel(axis, text)
 
@@ -79,7 +78,6 @@ class TradeOffPlot(QWidget):
         return self._number
 
     def choose(self, number: int) -> None:
-        """Mark a dot; -1 marks none. Emits nothing."""
         self._number = number
         self._draw()
 
