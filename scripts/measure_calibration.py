@@ -426,7 +426,7 @@ def measure_patch():
     """
     from tactune.core.calibration import calibrate
     from tactune.core.contact.pipeline import ContactPipeline
-    from tactune.core.evaluation.metrics import compare_with_truth
+    from tactune.core.model.metrics import compare_with_truth
     from tactune.core.sources.presets import load_preset
     from tactune.core.sources.registry import open_source
 

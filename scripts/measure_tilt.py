@@ -13,7 +13,7 @@ import argparse
 import numpy as np
 
 from tactune.core import ContactPipeline, TiltEstimator, load_preset
-from tactune.core.evaluation.sensor_table import measured_rig
+from tactune.core.lab.table import measured_rig
 from tactune.core.sources.simulator.scenes import TRAY_ROLLS_DEG
 from tactune.core.sources.simulator.sensors import SENSORS
 from tactune.core.sources.simulator.source import SimulatorSource

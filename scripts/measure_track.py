@@ -29,7 +29,7 @@ from tactune.core.contact.alignment import tactile_pose
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.estimation.object_mesh import ObjectMesh, simulated_mesh
 from tactune.core.estimation.pose import PoseEstimate, PoseTracker, pose_error
-from tactune.core.evaluation.sensor_table import measured_rig
+from tactune.core.lab.table import measured_rig
 from tactune.core.model.clouds import deproject_image
 from tactune.core.preset import Preset
 from tactune.core.sources.presets import load_preset

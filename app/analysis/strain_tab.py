@@ -2,286 +2,202 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from functools import partial
-from pathlib import Path
+from typing import Final
 
-from PyQt6.QtCore import Qt, pyqtSignal
-from PyQt6.QtWidgets import (
-    QComboBox,
-    QDoubleSpinBox,
-    QHBoxLayout,
-    QLabel,
-    QWidget,
+import numpy as np
+import pyqtgraph as pg
+from PyQt6.QtCore import Qt
+from PyQt6.QtWidgets import QComboBox, QDoubleSpinBox, QLabel, QWidget
+
+from ...core.lab.strain import (
+    SPACING_M,
+    SPACING_RANGE_M,
+    AxisStrain,
+    StrainError,
+    average_still,
+    indentation_m,
+    measure_strain,
 )
-
-from ...core.errors import counted
-from ...core.evaluation.strain.strain import SPACING_M, SPACING_RANGE_M
 from ...core.model.frames import SensorFrame
-from ...widgets.basics.controls import caption, frame_count, push_button
-from ...widgets.basics.layouts import STRETCH, hbox, splitter, vbox
-from ...widgets.basics.messages import Severity
+from ...widgets.basics.controls import caption, frame_count, wrapped_label
+from ...widgets.basics.layouts import splitter, vbox
+from ...widgets.basics.theme import ThemeColors
+from ...widgets.plots.plot import Plot
 from ..context import Context
-from ..worker.jobs import Job
-from ..worker.results import Result, SourceInfo
-from .measuring_tab import MeasuringTab
-from .strain_views import StrainCurve, StrainMap, StrainNumbers
-from .strain_work import MapOf, StrainTask, StrainView, examine
+from ..worker.jobs import Progress, Work
+from ..worker.results import Result
+from .live_tab import LiveTab, Row
+from .strain_views import LENGTH_RGB, WIDTH_RGB, StrainMap, StrainView, largest_pair
 
 _SPACING, _AVERAGE, _MAP = "strain/spacing_mm", "strain/average", "strain/map"
-_MAX_AVERAGED = 30
-_WAITING = "Waiting for a frame: open a source in the main window, such as sim:cup?grid=dots."
-_FIRST = "Measuring the first frame…"
-_NO_UNTOUCHED = (
-    "No displacement: the untouched membrane is not known. Show it without contact, then press “Take as untouched”."
-)
-_FILTERS = ["PNG picture, CSV beside it (*.png)", "Curve only (*.csv)"]
+_MAPS: Final = ("Largest", "Along length", "Along width")
+_MAX_AVERAGED: Final = 30
+#: Smallest range of both axes of the curve, in mm and percent.
+_MIN_RANGE: Final = 10.0
 
 
-class StrainTab(MeasuringTab):
-    """Measures the newest frame on another thread, as often as possible.
+class StrainTab(LiveTab):
+    """Measures the newest frame as often as possible."""
 
-    Signals
-    -------
-    shown(StrainView)
-    """
-
-    shown = pyqtSignal(object)
+    COLUMNS = (
+        *("sequence", "displacement_mm", "strain_length_percent", "strain_width_percent", "dots", "averaged_frames"),
+        *("spacing_mm", "true_strain_length_percent", "true_strain_width_percent"),
+        *("true_strain_length_seen_percent", "true_strain_width_seen_percent"),
+    )
+    EXPORT = "strain"
 
     def __init__(self, context: Context) -> None:
-        super().__init__(context, _WAITING)
-        self._source: SourceInfo | None = None
+        super().__init__(context)
         self._frames: deque[SensorFrame] = deque(maxlen=_MAX_AVERAGED)
-        self._captured: SensorFrame | None = None
-        self._last: SensorFrame | None = None
-        self.view: StrainView | None = None
-        self.map, self.curve, self.numbers = StrainMap(), StrainCurve(), StrainNumbers()
+        self.map, self.numbers, self.pointed = StrainMap(), wrapped_label(verdict=True), QLabel(" ")
         self.spacing, self.map_of = QDoubleSpinBox(), QComboBox()
         self.average = frame_count(
             _MAX_AVERAGED,
             "Number of recent frames to average while the membrane does not move. "
             "10 is more accurate at steep places; 1 follows a moving press",
-            round(context.settings.number(_AVERAGE, 1)),
+            round(self.settings.number(_AVERAGE, 1)),
         )
-        self.capture = push_button(
-            "Take as &untouched",
-            "Measure displacement from the current membrane; press it while nothing touches the membrane",
-        )
-        self.reset = push_button("&Reset curve", "Start a new curve; the old one can be restored")
-        self.pointed = QLabel(" ")
-        self._job = Job(self)
-        self._set_up_entries()
+        self.plot = Plot("Displacement, mm", "Largest strain, %", movable=True)
+        self.plot.getViewBox().setLimits(minXRange=_MIN_RANGE, minYRange=_MIN_RANGE)
+        self.plot.getPlotItem().showGrid(x=True, y=True, alpha=0.2)
+        self.plot.setToolTip("Largest strain along length and width against the displacement of the membrane")
+        self.plot.setAccessibleName("Strain against displacement")
+        legend = self.plot.add_legend(3)
+        self._truths = [self.plot.plot(pen=None, symbol="+", symbolSize=11) for _ in range(2)]
+        self._curves = [
+            self.plot.plot(name=name, symbol=symbol, symbolSize=6) for name, symbol in (("length", "o"), ("width", "s"))
+        ]
+        legend.addItem(self._truths[0], "solver, dots seen")
+        self.plot.follow_theme(self._recolor)
         self._lay_out()
-        self._connect()
-        self.map.show_view(None, MapOf.LARGEST, _WAITING)
+        self.map.show_view(None, _MAPS[0], self.status.text())
+        self.spacing.valueChanged.connect(self._entries_changed)
+        self.average.valueChanged.connect(self._entries_changed)
+        self.map_of.currentTextChanged.connect(self._map_changed)
+        self.map.pointed.connect(lambda text: self.pointed.setText(text or " "))
 
-    # What the window calls
-
-    def show_result(self, result: Result) -> None:
-        """Measure this frame next."""
-        if result.source is not self._source:
-            self._begin(result.source)
-        self._result = result
-        if not self._frames or result.frame is not self._frames[-1]:
-            self._frames.append(result.frame)
-        self.untouched.look(result)
-        self._measure()
-
-    def shut_down(self) -> None:
-        """Stop all threads, for good."""
-        super().shut_down()
-        self._job.stop()
-
-    # Building
-
-    def _set_up_entries(self) -> None:
+    def _lay_out(self) -> None:
         low, high = (1e3 * end for end in SPACING_RANGE_M)
         self.spacing.setRange(low, high)
         self.spacing.setDecimals(2)
-        self.spacing.setSingleStep(0.5)
         self.spacing.setSuffix(" mm")
         self.spacing.setKeyboardTracking(False)
-        self.spacing.setValue(self._settings.number(_SPACING, 1e3 * SPACING_M))
-        self.curve.set_spacing_mm(self.spacing.value())
-        self.spacing.setToolTip("Distance between neighbouring dots on the flat, unstretched sheet, in millimetres")
-        self.map_of.addItems([str(choice) for choice in MapOf])
-        self.map_of.setCurrentText(self._settings.text(_MAP, MapOf.LARGEST))
-        self.map_of.setToolTip("Strain that the colours show: along the length, along the width, or the larger one")
-        self.export.setToolTip(
-            "Save map and curve as a picture, and the curve's points as CSV beside it (Ctrl+E); files count from 0"
-        )
-        self.progress.setToolTip("The origin of the displacement; strain does not need it")
-        self.capture.setEnabled(False)
-        self.reset.setEnabled(False)
-
-    def _lay_out(self) -> None:
-        row = QHBoxLayout()
-        for text, entry in (("Dot &spacing", self.spacing), ("&Average", self.average), ("&Map", self.map_of)):
-            entry.setAccessibleName(text.replace("&", ""))
-            row.addWidget(caption(text, entry))
-            row.addWidget(entry)
-            row.addSpacing(8)
-        row.addWidget(self.status, 1)
-        row.addWidget(self.progress)
-        row.addWidget(self.capture)
+        self.spacing.setToolTip("Distance of neighbouring dots on the flat sheet, as printed")
+        self.spacing.setValue(self.settings.number(_SPACING, 1e3 * SPACING_M))
+        self.map_of.addItems(_MAPS)
+        self.map_of.setCurrentText(self.settings.text(_MAP, _MAPS[0]))
+        self.map_of.setToolTip("Strain that colours each square of the grid")
+        self.reset.setText("&Reset curve")
+        for words, entry in (
+            ("Dots every", self.spacing), ("A&verage", self.average), ("&Map", self.map_of),
+        ):  # fmt: skip
+            entry.setAccessibleName(words.replace("&", ""))
+            self.top.addWidget(caption(words, entry))
+            self.top.addWidget(entry)
+        self.top.addStretch(1)
         side = QWidget()
-        right = vbox(self.numbers, (self.curve, 1), within=side, margins=0)
-        buttons = hbox(STRETCH, self.reset, self.export)
-        right.addLayout(buttons)
+        vbox(self.numbers, (self.plot, 1), within=side, margins=0)
         left = QWidget()
         vbox((self.map, 1), self.pointed, within=left, margins=0)
-        self.sheet = splitter(Qt.Orientation.Horizontal, (left, 3), (side, 2), sizes=(640, 480))
-        self._lay_out_around(self.sheet, row)
+        self.sheet = splitter(Qt.Orientation.Horizontal, (left, 3), (side, 2))
+        self.column.addWidget(self.sheet, 1)
 
-    def _connect(self) -> None:
-        self._job.done.connect(self._show)
-        self._job.failed.connect(self._complain)
-        self.untouched.changed.connect(self._untouched_changed)
-        self.untouched.progress.connect(self._show_progress)
-        self.spacing.valueChanged.connect(self._spacing_changed)
-        self.average.valueChanged.connect(self._average_changed)
-        self.map_of.currentTextChanged.connect(self._map_changed)
-        self.map.pointed.connect(lambda text: self.pointed.setText(text or " "))
-        self.capture.clicked.connect(self._capture)
-        self.reset.clicked.connect(self._reset)
-        self.export.clicked.connect(partial(self._ask_where, ""))
+    # What the base asks
 
-    # Frames
-
-    def _begin(self, source: SourceInfo) -> None:
-        """Discard the former source; its curve can still be saved."""
-        former, points = self._source, self.curve.points
-        self._source, self._captured, self._last = source, None, None
+    def begin(self, result: Result) -> None:
+        """Forget the frames of the former source."""
         self._frames.clear()
-        self._job.cancel()
-        self.messages.clear("reset")  # its points belong to the former source
-        if former is not None and points:
-            text = self.curve.as_csv()
-            sentence = (
-                f"The curve of {former.name} ({counted(len(points), 'point')}) ended because {source.name} was opened."
-            )
-            self.messages.show_message(
-                "former", Severity.INFO, sentence, [("Save it…", partial(self._ask_where, text))]
-            )
-        self.curve.reset()
-        self._offer_curve()
+        self.map.show_view(None, self.map_of.currentText(), "Measuring the first frame…")
+        self.numbers.setText("")
 
-    def _measure(self) -> None:
-        """Measure the newest frame with the present entries."""
-        if self._result is None or not self._frames:
-            return
-        if self.view is None:
-            self.status.setText(_FIRST)
-            self.map.show_view(None, MapOf.LARGEST, _FIRST)
-        frames = list(self._frames)[-self.average.value() :]
-        untouched = self._captured or self.untouched.frame
-        result, spacing_m = self._result, self.spacing.value() / 1e3
-        task = StrainTask(frames, result.frame_number, result.source.rig, spacing_m, untouched)
-        self._job.start(lambda _: examine(task))
+    def work(self, result: Result) -> Work:
+        """Return the measurement of the newest frame, averaged with those before it."""
+        if not self._frames or result.frame is not self._frames[-1]:
+            self._frames.append(result.frame)
+        frames, rig = list(self._frames)[-self.average.value() :], result.source.rig
+        spacing_m, home = self.spacing.value() / 1e3, self.context.document.untouched_home
 
-    def _show(self, view: StrainView) -> None:
-        if self._result is None or view.task.rig != self._result.source.rig:
-            return
-        self.view = view
-        fresh = view.task.frame is not self._last
-        self._last = view.task.frame
-        if view.measured is not None and fresh:
-            self._rate.tick()
-            self.curve.add(view)
-        elif view.measured is not None:
-            self.curve.complete(view)
-        self.capture.setEnabled(True)
-        self._offer_curve()
-        self.map.show_view(view, MapOf(self.map_of.currentText()), view.problem or _WAITING)
-        self.numbers.show_view(view)
-        self._show_status()
-        self.shown.emit(view)
+        def measure(progress: Progress) -> StrainView:
+            untouched = self.untouched(result, home, progress).frame
+            frame, averaged = average_still(frames, rig)
+            truth = frame.truth.strain if frame.truth is not None else None
+            displacement_mm = math.nan
+            try:
+                if untouched is not None:
+                    displacement_mm = 1e3 * indentation_m(frame, untouched, rig)
+                measured = measure_strain(frame, rig, spacing_m)
+            except StrainError as error:
+                words = str(error)
+                return StrainView(spacing_m, averaged, frame.tactile_color, displacement_mm, truth, problem=words)
+            return StrainView(spacing_m, averaged, frame.tactile_color, displacement_mm, truth, measured)
 
-    def _show_status(self) -> None:
-        view, result = self.view, self._result
-        if view is None or result is None:
-            return
-        parts = [f"Frame {view.task.number} of {result.source.name}"]
-        if view.averaged > 1:
-            parts.append(f"{view.averaged} frames averaged")
-        if result.playback.running and (rate := self._rate.rate()):
-            parts.append(f"{rate:.1f} measured per second")
-        if view.task.untouched is None and not self.untouched.searching:
-            parts.append(_NO_UNTOUCHED)
-        if self.untouched.warning and self._captured is None:
-            parts.append(self.untouched.warning)
-        self.status.setText(" · ".join(parts))
+        return measure
 
-    # Entries and buttons
-
-    def _spacing_changed(self, spacing_mm: float) -> None:
-        self._settings.set(_SPACING, spacing_mm)
-        self.curve.set_spacing_mm(spacing_mm)
-        self._measure()
-
-    def _average_changed(self, frames: int) -> None:
-        self._settings.set(_AVERAGE, frames)
-        self._measure()
-
-    def _map_changed(self, choice: str) -> None:
-        self._settings.set(_MAP, choice)
-        if self.view is not None:
-            self.map.show_view(self.view, MapOf(choice), self.view.problem)
-
-    def _capture(self) -> None:
-        """Use the present frame as the untouched frame, and start a new curve."""
-        if self.view is None:
-            return
-        self._captured = self.view.task.frame
-        self._reset()
-        self._last = None  # this frame is the first point of the curve
-        self._say(f"Displacement is now measured from frame {self.view.task.number}.")
-        self._measure()
-
-    def _reset(self) -> None:
-        points = self.curve.points
-        if not points:
-            return
-        self.curve.reset()
-        self._offer_curve()
-
-        def bring_back() -> None:
-            self.curve.merge(points)
-            self._offer_curve()
-
-        self.messages.show_message(
-            "reset",
-            Severity.INFO,
-            f"The curve of {counted(len(points), 'point')} was removed.",
-            [("Bring it back", bring_back)],
+    def show_found(self, result: Result, found: StrainView) -> Row | None:
+        """Show the map and the numbers."""
+        self.map.show_view(found, self.map_of.currentText(), found.problem)
+        measured = found.measured
+        if measured is None:
+            self.numbers.setText(f"{found.problem[:1].upper()}{found.problem[1:]}.")
+            return None
+        lines = [f"{len(measured.pixels)} dots, {found.averaged} frames averaged"]
+        if math.isfinite(found.displacement_mm):
+            lines[0] += f", {found.displacement_mm:.1f} mm displacement"
+        else:
+            lines.append("No displacement: the untouched membrane is not known.")
+        for name, axis in (("length", measured.length), ("width", measured.width)):
+            lines.append(_axis_words(name, axis, found))
+        self.numbers.setText("\n".join(lines))
+        known = found.truth
+        truths = (known.length, known.width, known.length_seen, known.width_seen) if known is not None else (None,) * 4
+        strains = (found.displacement_mm, 100 * measured.length.largest, 100 * measured.width.largest)
+        return (
+            result.frame.sequence,
+            *(round(value, 3) if math.isfinite(value) else None for value in strains),
+            *(len(measured.pixels), found.averaged, round(1e3 * found.spacing_m, 4)),
+            *(None if value is None else round(100 * value, 3) for value in truths),
         )
 
-    def _offer_curve(self) -> None:
-        for button in (self.reset, self.export):
-            button.setEnabled(bool(self.curve.points))
+    def rows_changed(self) -> None:
+        """Draw the frames whose displacement is known, in their order."""
+        rows = [row for row in sorted(self.rows.values(), key=lambda row: row[0]) if row[1] is not None]
+        table = np.array([row[1:4] for row in rows], np.float64).reshape(-1, 3)
+        seen = np.array([[row[1], *row[9:11]] for row in rows if row[9] is not None], np.float64).reshape(-1, 3)
+        for axis, (curve, truth) in enumerate(zip(self._curves, self._truths, strict=True), start=1):
+            curve.setData(table[:, 0], table[:, axis])
+            truth.setData(seen[:, 0], seen[:, axis])
 
-    def _ask_where(self, text: str, _checked: bool = False) -> None:
-        """Ask for a file for the present curve and map, or for the CSV text of a former curve."""
-        if not text and not self.curve.points:
-            return
-        name, filters = ("strain.csv", _FILTERS[1:]) if text else ("strain.png", _FILTERS)
-        self._dialogs.save_file("export", "Save strain", name, filters, partial(self.save_to, text=text))
+    def picture(self) -> QWidget | None:
+        """Return map, numbers and curve."""
+        return self.sheet
 
-    def save_to(self, path: Path, text: str = "") -> None:
-        """Write map and curve as a picture with the points as CSV; into a .csv file, only the points."""
-        points = text or self.curve.as_csv()
-        if text or path.suffix.lower() == ".csv":
-            self._write(None, points, path, "The curve was")
-        else:
-            self._write(self.sheet.grab().toImage(), points, path, "Map and curve were")
+    # Entries
 
-    # Untouched frame
+    def _entries_changed(self) -> None:
+        self.settings.set(_SPACING, self.spacing.value())
+        self.settings.set(_AVERAGE, self.average.value())
+        self.again()
 
-    def _show_progress(self, share: float) -> None:
-        self.progress.show_share(share)
-        self.progress.setVisible(self.untouched.searching)
+    def _map_changed(self, shown: str) -> None:
+        self.settings.set(_MAP, shown)
+        if self.found is not None:
+            self.map.show_view(self.found, shown, self.found.problem)
 
-    def _untouched_changed(self) -> None:
-        if not self.untouched.searching:
-            self.progress.hide()
-            self._measure()
+    def _recolor(self, colors: ThemeColors) -> None:
+        for curve, marks, rgb in zip(self._curves, self._truths, (LENGTH_RGB, WIDTH_RGB), strict=True):
+            curve.setPen(pg.mkPen(rgb, width=1.5))
+            curve.setSymbolBrush(pg.mkBrush(rgb))
+            curve.setSymbolPen(None)
+            marks.setSymbolPen(pg.mkPen(colors.text))
+
+
+def _axis_words(name: str, axis: AxisStrain, found: StrainView) -> str:
+    assert found.measured is not None
+    u, v = largest_pair(axis, found.measured.pixels).mean(axis=0)
+    words = f"Along the {name}: {100 * axis.largest:.1f} % at ({u:.0f}, {v:.0f}) px"
+    if found.truth is not None:
+        seen, every = getattr(found.truth, f"{name}_seen"), getattr(found.truth, name)
+        words += f"; solver {100 * seen:.1f} % at the dots seen, {100 * every:.1f} % at all"
+    return words

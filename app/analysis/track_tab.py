@@ -22,7 +22,7 @@ from ...core.errors import MissingExtraError
 from ...core.estimation.object_mesh import SUFFIXES, import_open3d
 from ...core.estimation.pose import PoseEstimate
 from ...core.estimation.pose_files import error_record, pose_record, save_poses
-from ...core.evaluation.scan.pose import pair_errors_m
+from ...core.estimation.start_pose import pair_errors_m
 from ...core.model.arrays import Float64Array
 from ...core.model.units import UNITS_M
 from ...widgets.basics.controls import (

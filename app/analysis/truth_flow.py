@@ -11,8 +11,8 @@ import numpy as np
 from PyQt6.QtCore import QObject, QTimer, pyqtSignal
 
 from ...core.errors import TactuneError
-from ...core.evaluation.scan.paint import PaintSettings
-from ...core.evaluation.scan.pose import load_transform, pair_errors_m, save_transform
+from ...core.estimation.start_pose import load_transform, pair_errors_m, save_transform
+from ...core.lab.scan import PaintSettings
 from ...core.model.arrays import Float64Array
 from ...core.model.frames import Matrix4
 from ...core.model.units import UNITS_M

@@ -26,7 +26,7 @@ from PyQt6.QtWidgets import (
 from scipy.spatial.transform import Rotation
 
 from ...core.errors import minus
-from ...core.evaluation.scan.paint import PaintSettings
+from ...core.lab.scan import PaintSettings
 from ...core.model.arrays import Float64Array, Uint8Array
 from ...core.model.frames import Matrix4
 from ...core.preset import MaskSection

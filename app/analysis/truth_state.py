@@ -14,8 +14,8 @@ import numpy.typing as npt
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from ...core.errors import CalibrationError
-from ...core.evaluation.scan.paint import PaintSettings
-from ...core.evaluation.scan.pose import pose_from_pairs, save_transform
+from ...core.estimation.start_pose import pose_from_pairs, save_transform
+from ...core.lab.scan import PaintSettings
 from ...core.model.arrays import Float32Array, Float64Array
 from ...core.model.clouds import deproject, valid_depth
 from ...core.model.files import atomic_path

@@ -8,16 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
-from ...core.evaluation.scan.paint import (
+from ...core.estimation.start_pose import transformed
+from ...core.lab.scan import (
     PaintSettings,
+    RefinedPose,
+    Scan,
     ScanTruth,
-    contact_points,
+    load_scan,
     painted_contact,
+    refine_pose,
     scan_truth,
     score_against_scan,
+    surface_points,
 )
-from ...core.evaluation.scan.pose import ICP_ROUNDS, RefinedPose, refine_pose, transformed
-from ...core.evaluation.scan.scan import Scan, load_scan
 from ...core.model.arrays import AnyArray, BoolArray, Float32Array, Float64Array, IndexArray, Uint8Array
 from ...core.model.frames import Matrix4
 from ..worker.jobs import Progress
@@ -119,19 +122,16 @@ def find_contact(loaded: LoadedScan, paint: PaintSettings, progress: Progress) -
     area_m2 = float((scan.areas_m2 * shares).sum())
     fine = next((step for step in _SPACINGS_M if area_m2 <= _MAX_POINTS * step**2), _SPACINGS_M[-1])
     progress(0.6, "Spreading points")
-    return ScanContact(loaded, paint, vertices, contact_points(scan, vertices, fine), 1e6 * area_m2)
+    return ScanContact(
+        loaded, paint, vertices, surface_points(scan, vertices, fine)[0].astype(np.float32), 1e6 * area_m2
+    )
 
 
 def refine(contact: ScanContact, patch: Float32Array, start: Matrix4, reach_m: float, progress: Progress) -> Refinement:
     """Refine a pose by ICP; raises as `refine_pose` does."""
     before: list[float] = []
 
-    def go_on(done: int, rmse_m: float) -> bool:
-        before.append(rmse_m)
-        progress(done / ICP_ROUNDS, f"Refining: {1e3 * rmse_m:.2f} mm")
-        return True
-
-    found = refine_pose(contact.points, patch, start, farthest_m=reach_m, go_on=go_on)
+    found = refine_pose(contact.points, patch, start)
     return Refinement(start, before[0], found)
 
 

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Annotated, Any, Final, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import typer
 from rich.console import Console
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
 #: The default source.
 SOURCE = "sim"
-#: The method that is the preset's own pipeline, with its contact test and alignment.
-FUSION: Final = "fusion"
 #: Interval at which a command that waits for a live source checks for Ctrl+C, seconds.
 WAIT_S = 0.2
 

@@ -17,17 +17,15 @@ from typing import Annotated, Literal
 import typer
 
 from ...core.errors import MissingExtraError, TactuneError
-from .bench import bench_commands
 from .calibrate import calibrate, recheck
 from .common import SOURCE, PresetOption, SourceOption, default_preset
 from .create_rig import create_rig
 from .doctor import devices, doctor, warmup
-from .evaluate import evaluate_commands
+from .lab import lab_commands
 from .preset import preset_commands
 from .record import convert, record
 from .run import run
 from .serve import serve
-from .strain import strain
 from .suggest import check, suggest
 from .track import track
 from .tune import tune
@@ -51,8 +49,7 @@ commands = typer.Typer(
 preset_commands.command()(suggest)
 preset_commands.command()(check)
 commands.add_typer(preset_commands, name="preset")
-commands.add_typer(bench_commands, name="bench")
-commands.add_typer(evaluate_commands, name="evaluate")
+commands.add_typer(lab_commands, name="lab")
 commands.command()(run)
 commands.command()(calibrate)
 commands.command("create-rig")(create_rig)
@@ -62,7 +59,6 @@ commands.command()(recheck)
 commands.command()(record)
 commands.command()(serve)
 commands.command()(convert)
-commands.command()(strain)
 commands.command()(track)
 commands.command()(tune)
 commands.command()(warmup)

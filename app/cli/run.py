@@ -17,7 +17,6 @@ import typer
 from ...core.errors import ExportError, SourceError, counted
 from ...core.model.files import finite_or_none
 from .common import (
-    FUSION,
     SOURCE,
     CliProgress,
     FrameCount,
@@ -35,18 +34,15 @@ from .common import (
 )
 
 if TYPE_CHECKING:
-    from ...core.contact.pipeline import ContactPatch
+    from ...core.contact.pipeline import ContactPatch, ContactPipeline
     from ...core.estimation.tilt import Tilt
-    from ...core.methods.method import MethodPatch
-    from ...core.model.clouds import PointCloud
     from ...core.model.frames import GroundTruth, Rig, SensorFrame
     from ...core.preset import Preset
     from ...core.sources import FrameSource
-    from .methods import Step
     from .watching import Watching
 
-    SavePatch = Callable[[ContactPatch | MethodPatch, SensorFrame], None]
-    Estimator = Callable[[ContactPatch | MethodPatch, SensorFrame], Tilt]
+    SavePatch = Callable[[ContactPatch, SensorFrame], None]
+    Estimator = Callable[[ContactPatch, SensorFrame], Tilt]
 
 Record = dict[str, Any]
 
@@ -101,18 +97,6 @@ def run(
     truth: Annotated[
         bool, typer.Option("--truth", help="Compare with the ground truth of the source (simulator, labels).")
     ] = False,
-    method: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME", help="fusion (the preset's own pipeline) or another method; a wrong name lists all."
-        ),
-    ] = FUSION,
-    untouched: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SOURCE", help="A source or path whose first frame shows the untouched membrane; for other methods."
-        ),
-    ] = None,
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -137,20 +121,18 @@ def run(
             "--watch for the drift watchdog, or --estimate tilt"
         )
     from ...core.contact.checks import check_rig
+    from ...core.contact.pipeline import ContactPipeline
     from ...core.sources.presets import load_preset
     from ...core.warmup import warm_up_if_needed
-    from .methods import make_step, read_untouched
 
     origin = preset or default_preset(source)
     chosen = load_preset(origin).with_values(parse_settings(settings or []))
-    compared_with = read_untouched(method, untouched)
     if out is not None and out.suffix != MCAP_SUFFIX:
         make_folder(out)
     with open_with_progress(source, chosen.cameras) as opened:
-        if method == FUSION:
-            with CliProgress() as progress:
-                warm_up_if_needed(progress.preparing, chosen)
-        step = make_step(method, chosen, origin, opened, compared_with)
+        with CliProgress() as progress:
+            warm_up_if_needed(progress.preparing, chosen)
+        pipeline = ContactPipeline(chosen, opened.rig)
         warn(*check_rig(chosen, opened.rig))
         lost_before = opened.health().dropped
         with (
@@ -161,7 +143,7 @@ def run(
             lines = LineOutput(stopped) if json_lines else None
             tilt = make_tilt(estimate, chosen, opened.rig)
             done, records = process_frames(
-                opened, step, frames, save, stopped, truth=truth, look=look, lines=lines, tilt=tilt
+                opened, pipeline, frames, save, stopped, truth=truth, look=look, lines=lines, tilt=tilt
             )
         if lines is not None and lines.reader_gone:
             raise typer.Exit(READER_GONE_STATUS)
@@ -198,24 +180,15 @@ def patch_output(out: Path | None, file_format: str, source: FrameSource, preset
             yield lambda patch, frame: writer.write(patch.points, frame.sequence, frame.proximity_time_s)
     else:
         from ...core.model.frames import note_number
-        from ...core.output.cloud_files import write_cloud
+        from ...core.output.cloud_files import patch_cloud, write_cloud
 
         seen: set[int] = set()
 
-        def save(patch: ContactPatch | MethodPatch, frame: SensorFrame) -> None:
+        def save(patch: ContactPatch, frame: SensorFrame) -> None:
             note_number(seen, frame)
-            write_cloud(patch_path(out, frame.sequence, file_format), _cloud(patch, frame, source.rig))
+            write_cloud(patch_path(out, frame.sequence, file_format), patch_cloud(patch, frame, source.rig))
 
         yield save
-
-
-def _cloud(patch: ContactPatch | MethodPatch, frame: SensorFrame, rig: Rig) -> PointCloud:
-    """Return a patch's cloud; methods other than fusion have points only, without pixels."""
-    from ...core.contact.pipeline import ContactPatch
-    from ...core.model.clouds import PointCloud
-    from ...core.output.cloud_files import patch_cloud
-
-    return patch_cloud(patch, frame, rig) if isinstance(patch, ContactPatch) else PointCloud(patch.points)
 
 
 def tell_of_stop(source: FrameSource, done: int, asked: int | None) -> None:
@@ -233,7 +206,7 @@ def tell_of_stop(source: FrameSource, done: int, asked: int | None) -> None:
 
 def process_frames(
     source: FrameSource,
-    step: Step,
+    pipeline: ContactPipeline,
     frames: int | None,
     save: SavePatch,
     stopped: Event,
@@ -257,7 +230,8 @@ def process_frames(
     total = number_of_frames(source, frames)
     with CliProgress(quiet=lines is not None and sys.stdout.isatty()) as progress:
         for frame in live_frames(source, total, stopped, idle=(lambda: None) if lines is None else lines.look):
-            record, patch = step(frame)
+            patch = pipeline.process(frame)
+            record = patch_record(patch)
             record["time_s"] = finite_or_none(frame.proximity_time_s)
             if truth:
                 record |= truth_record(patch, frame.truth, source.rig)
@@ -288,7 +262,7 @@ def make_tilt(estimate: Estimate | None, preset: Preset, rig: Rig) -> Estimator 
     estimator = TiltEstimator(preset, rig, "pca" if estimate == "tilt-pca" else "noise")
     filtered = TiltFilter() if estimate == "tilt-filtered" else None
 
-    def tilt(patch: ContactPatch | MethodPatch, frame: SensorFrame) -> Tilt:
+    def tilt(patch: ContactPatch, frame: SensorFrame) -> Tilt:
         found = estimator.estimate(patch, frame.sequence, frame.proximity_time_s)
         return found if filtered is None else filtered.update(found)
 
@@ -311,11 +285,23 @@ def patch_path(folder: Path, sequence: int, file_format: str) -> Path:
     return folder / f"patch_{sequence:06d}.{file_format}"
 
 
-def truth_record(patch: ContactPatch | MethodPatch, truth: GroundTruth | None, rig: Rig) -> Record:
+def patch_record(patch: ContactPatch) -> Record:
+    """Return the numbers of a patch, ready for JSON (an empty patch has the centroid None)."""
+    return {
+        "sequence": int(patch.sequence),
+        "points": len(patch.points),
+        "area_mm2": finite_or_none(patch.area_mm2),
+        "centroid_m": patch.centroid_m,
+        "averaged_frames": patch.averaged_frames,
+        "stage_ms": {stage: round(ms, 4) for stage, ms in patch.stage_ms.items()},
+    }
+
+
+def truth_record(patch: ContactPatch, truth: GroundTruth | None, rig: Rig) -> Record:
     """Return the scores against the truth; all are None if the source has no truth."""
     if truth is None:
         return dict.fromkeys(("touched", *TRUTH_KEYS, *STRAIN_KEYS))
-    from ...core.evaluation.metrics import compare_with_truth
+    from ...core.model.metrics import compare_with_truth
 
     scores = compare_with_truth(patch, truth, rig)
     known = truth.strain
@@ -333,9 +319,7 @@ def summary(records: list[Record], source: str, preset: str) -> list[str]:
     touched = [record["area_mm2"] for record in records if record["points"]]
     # Medians, because the first frame also loads the compiled code and makes the tables.
     stages = {stage: median(record["stage_ms"][stage] for record in records) for stage in records[0]["stage_ms"]}
-    method = records[0]["method"]
-    by = "" if method == FUSION else f", method {method}"
-    lines = [f"{counted(len(records), 'frame')} of {source} with preset {preset!r}{by}"]
+    lines = [f"{counted(len(records), 'frame')} of {source} with preset {preset!r}"]
     if touched:
         lines.append(
             f"contact in {len(touched)} of them, patch {min(touched) / 100:.1f} to {max(touched) / 100:.1f} cm2, "
@@ -343,8 +327,6 @@ def summary(records: list[Record], source: str, preset: str) -> list[str]:
         )
     else:
         lines.append("no contact in any of them")
-    if failures := [record["failure"] for record in records if record["failure"]]:
-        lines.append(f"{method} failed in {len(failures)} of them, such as: {failures[0]}")
     details = ", ".join(f"{stage} {ms:.1f}" for stage, ms in stages.items())
     lines.append(f"{sum(stages.values()):.1f} ms per frame ({details})")
     if "tilt" in records[0]:

@@ -144,7 +144,7 @@ def read_mesh(path: Path, unit: str | None) -> ObjectMesh:
 
 
 def _start(tracker: PoseTracker, start: Path | None, pairs: Path | None, mesh: ObjectMesh) -> None:
-    from ...core.evaluation.scan.pose import load_transform, pose_from_pairs, read_pairs
+    from ...core.estimation.start_pose import load_transform, pose_from_pairs, read_pairs
 
     if start is not None:
         tracker.start(load_transform(start))

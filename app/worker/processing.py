@@ -9,8 +9,8 @@ from dataclasses import replace
 from ...core.contact.checks import rig_in_use
 from ...core.contact.pipeline import ContactPatch, ContactPipeline
 from ...core.errors import TactuneError
-from ...core.evaluation.metrics import patch_overlap
 from ...core.model.frames import Rig, SensorFrame
+from ...core.model.metrics import patch_overlap
 from ...core.preset import Preset
 from ..document.comparison import Sides
 from .playback import PlaybackState

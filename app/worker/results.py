@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 from ...core.contact.pipeline import ContactPatch
 from ...core.errors import PresetError, SourceError
-from ...core.evaluation.metrics import PatchOverlap
 from ...core.model.arrays import Float64Array, Int64Array
 from ...core.model.frames import Rig, SensorFrame
+from ...core.model.metrics import PatchOverlap
 from ...core.model.patch import Contact
 from ...core.model.provenance import Provenance
 from ...core.preset import Preset

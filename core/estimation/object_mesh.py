@@ -13,10 +13,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..errors import MissingExtraError, SourceError
-from ..evaluation.scan.scan import read_triangles, triangle_areas
 from ..model.arrays import BoolArray, Float64Array, Int32Array
 from ..model.units import UNITS_M
 from ..sources.simulator.scenes import Scene
+from .mesh_files import read_triangles, triangle_areas
 
 #: Suffixes of meshes.
 SUFFIXES: Final = (".obj", ".ply", ".stl")

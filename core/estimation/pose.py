@@ -190,7 +190,7 @@ class PoseTracker:
         self._due_s = {False: -math.inf, True: -math.inf}
 
     def start(self, T_proximity_object: npt.ArrayLike) -> None:
-        """Begin with a pose, 4 x 4, metres, such as one of `tactune.core.evaluation.scan.pose.pose_from_pairs`.
+        """Begin with a pose, 4 x 4, metres, such as one of `tactune.core.estimation.start_pose.pose_from_pairs`.
 
         Raises
         ------

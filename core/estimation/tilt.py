@@ -27,7 +27,6 @@ import numpy as np
 from scipy.special import erf
 
 from ..contact.checks import rig_in_use
-from ..methods.method import MethodPatch
 from ..model.arrays import Float32Array, Float64Array, IndexArray
 from ..model.frames import Rig
 from ..model.intrinsics import Intrinsics
@@ -161,7 +160,7 @@ class TiltEstimator:
             self._tactile = _DepthNoise.of(preset.noise.tactile, pixels, power=2)
         self._slow = _DepthNoise(0.0, _SLOW_M, _SLOW_LENGTH * self._lens.width, 1.0, 1.0, power=0)
 
-    def estimate(self, patch: ContactPatch | MethodPatch, sequence: int = 0, time_s: float = 0.0) -> Tilt:
+    def estimate(self, patch: ContactPatch, sequence: int = 0, time_s: float = 0.0) -> Tilt:
         """Return the tilt of a patch.
 
         Parameters

@@ -1,4 +1,4 @@
-"""Figures drawn with matplotlib, which only the extra ``bench`` installs."""
+"""Figures drawn with matplotlib, which only the extra ``lab`` installs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def pyplot() -> Any:
     try:
         import matplotlib
     except ImportError as error:
-        raise MissingExtraError("the figure needs matplotlib: install it with pip install 'tactune[bench]'") from error
+        raise MissingExtraError("the figure needs matplotlib: install it with pip install 'tactune[lab]'") from error
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import glob
+import hashlib
 import math
 import os
 import secrets
@@ -11,6 +12,7 @@ import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -156,3 +158,13 @@ def path_exists(path: Path | str) -> bool:
 
 def _is_file(path: Path) -> bool:
     return path_exists(path) and path.is_file()
+
+
+@cache
+def code_version() -> str:
+    """Return a hash of the core's source code, on which every result depends."""
+    digest = hashlib.sha256()
+    core = Path(__file__).parents[1]
+    for file in sorted(core.rglob("*.py")):
+        digest.update(str(file.relative_to(core)).encode() + b"\0" + file.read_bytes())
+    return digest.hexdigest()

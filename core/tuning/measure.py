@@ -22,10 +22,10 @@ import numpy as np
 from ..contact.kernels.threads import set_threads
 from ..contact.pipeline import ContactPipeline
 from ..errors import TactuneError
-from ..evaluation.metrics import TruthTree, pixel_scores
-from ..evaluation.table_cell import code_version, true_contact
 from ..model.arrays import BoolArray, Float32Array
+from ..model.files import code_version
 from ..model.frames import Rig, SensorFrame
+from ..model.metrics import TruthTree, pixel_scores, true_contact
 from ..model.patch import ContactPatch
 from ..preset import Preset
 from ..sources.base import SeekableSource

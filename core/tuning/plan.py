@@ -17,8 +17,7 @@ import numpy as np
 from ..calibration.snapshots import content_hash
 from ..contact.checks import check_rig
 from ..errors import TactuneError
-from ..evaluation.table_cell import code_version
-from ..model.files import path_exists, recording_files, user_path
+from ..model.files import code_version, path_exists, recording_files, user_path
 from ..preset import CONTACT_TESTS, Preset
 from ..preset.preset import json_or_word, preset_paths, set_path
 from ..sources.base import FrameSource, SeekableSource

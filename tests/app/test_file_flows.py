@@ -29,8 +29,8 @@ from tactune.app.cli.common import default_preset
 from tactune.app.document.recovery import Autosave
 from tactune.app.window import files
 from tactune.app.worker.results import SourceInfo
-from tactune.core.bench.scenes import synthetic_scene
 from tactune.core.errors import PresetError
+from tactune.core.lab.bench_scenes import synthetic_scene
 from tactune.core.output import SessionWriter
 from tactune.core.preset.file import save_preset
 from tactune.core.sources.mcap.source import McapSource

@@ -25,7 +25,7 @@ from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.reading import SourceRequest
 from tactune.core.errors import SourceError
-from tactune.core.methods.registry import make_method, method_kinds, method_names
+from tactune.core.lab.methods import make_method, method_names, method_tip
 from tactune.core.model import plugins
 from tactune.core.preset import CameraSection, CamerasSection, Preset
 from tactune.core.sources.cameras.drivers import camera_drivers
@@ -126,13 +126,13 @@ def test_the_cameras_are_listed_and_recorded(acme: Path, tmp_path: Path) -> None
         assert (recording.length, recording.rig.proximity.model, recording.rig.tactile.model) == (3, "A2", "A1")
 
 
-def test_the_method_needs_no_untouched_frame(found: None) -> None:
+def test_the_method_stands_beside_our_own(found: None) -> None:
     source = FakeSource(length=1)
     frame = source.next_frame()
     assert frame is not None
-    assert "nearest" in method_names()
-    assert not method_kinds()["nearest"].needs_untouched
-    patch = make_method("nearest", Preset(), source.rig, None).find(frame)
+    assert {"nearest", "mechanics"} <= set(method_names())
+    assert "nearest" in method_tip("nearest")
+    patch = make_method("nearest", Preset(), source.rig, frame)(frame)
     assert len(patch.points) == np.count_nonzero(patch.mask) > 0
 
 
@@ -164,7 +164,7 @@ def test_an_acme_camera_stands_beside_a_realsense_one(found: None) -> None:
 
 def test_the_tab_stands_in_the_analysis_menu(found: None, qtbot, tmp_path: Path) -> None:
     preset = Preset.model_validate({"outliers": {"enabled": False}})
-    window = MainWindow(preset, Settings(tmp_path / "window.json"), tmp_path, False, "software")
+    window = MainWindow(preset, Settings(tmp_path / "window.json"), tmp_path, False)
     qtbot.addWidget(window)
     window.show()
     window.open_request(SourceRequest("tiny", lambda progress: FakeSource()))

@@ -22,8 +22,7 @@ import pytest
 from attacks import SECONDS, bounded
 from tactune.core.calibration.lens import fit_lens
 from tactune.core.errors import TactuneError
-from tactune.core.evaluation.scan.pose import load_transform
-from tactune.core.evaluation.scan.scan import load_scan
+from tactune.core.estimation.start_pose import load_transform
 from tactune.core.model.loading import parse_json, read_file
 from tactune.core.model.rig_file import load_rig
 from tactune.core.output.cloud_files import read_points
@@ -93,19 +92,6 @@ def mcap_of_large_chunks(path: Path) -> None:
 def mcap_of_tiny_messages(path: Path) -> None:
     content = record(5, struct.pack("<H", 0) + bytes(22)) * 1_200_000
     path.write_bytes(b"\x89MCAP0\r\n" + 12 * chunk(lz4.frame.compress(content), len(content)))
-
-
-def textured(path: Path) -> None:
-    """Twelve squares with a texture each."""
-    texture = png(4096, 4096, zeros(4096 * (3 * 4096 + 1) // 2**24 * 2**24 + 2**24))
-    lines = ["mtllib a.mtl"]
-    for n in range(12):
-        (path.parent / f"{n}.png").write_bytes(texture)
-        lines += [f"v {x / 10} {y / 10} {n / 100}" for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))]
-        lines += [f"vt {x} {y}" for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))] + [f"usemtl m{n}"]
-        lines += ["f " + " ".join(f"{4 * n + k}/{4 * n + k}" for k in corners) for corners in ((1, 2, 3), (1, 3, 4))]
-    path.write_text("\n".join(lines) + "\n")
-    (path.parent / "a.mtl").write_text("".join(f"newmtl m{n}\nmap_Kd {n}.png\n" for n in range(12)))
 
 
 def folder(path: Path, name: str, put: Callable[[Path], None]) -> None:
@@ -178,12 +164,6 @@ def test_a_picture_that_claims_gigapixels_is_not_decoded(tmp_path: Path) -> None
 
 
 @pytest.mark.long
-def test_a_scan_of_many_textures_takes_little_memory(tmp_path: Path) -> None:
-    textured(tmp_path / "a.obj")
-    with bounded(sum(file.stat().st_size for file in tmp_path.iterdir())), pytest.raises(TactuneError, match="texture"):
-        load_scan(tmp_path / "a.obj")
-
-
 @pytest.mark.parametrize(
     "text", [DEEP, '{"a":' * 50_000, "[" * 50_000, "1" * 5000, '{"a": 1, "a": 2}', b"\xff", " " * 13_000_000]
 )

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from rigs import one_place_rig
-from tactune.core.bench.reference_pipeline import reference_patch
-from tactune.core.bench.scenes import synthetic_scene
 from tactune.core.contact.outliers.statistical import statistical_inliers
 from tactune.core.contact.pipeline import ContactPatch, ContactPipeline
 from tactune.core.errors import TactuneError
+from tactune.core.lab.bench_scenes import synthetic_scene
+from tactune.core.lab.reference import reference_patch
 from tactune.core.model.frames import ColorCamera, Rig, SensorFrame, rigid_transform
 from tactune.core.model.intrinsics import Distortion
 from tactune.core.preset import Preset

@@ -7,8 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactune.core.bench.reference_pipeline import reference_patch
-from tactune.core.bench.stability import (
+from tactune.core.contact.kernels import chain as kernels
+from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.lab.reference import reference_patch
+from tactune.core.lab.stability import (
     BOUND_ULPS,
     check_long_run,
     check_stability,
@@ -16,8 +18,6 @@ from tactune.core.bench.stability import (
     random_case,
     ulps_to_thresholds,
 )
-from tactune.core.contact.kernels import chain as kernels
-from tactune.core.contact.pipeline import ContactPipeline
 
 
 @pytest.mark.long

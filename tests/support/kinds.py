@@ -37,10 +37,10 @@ from tactune.core.calibration.snapshots import content_hash
 from tactune.core.errors import ExportError, SourceError
 from tactune.core.estimation.object_mesh import load_mesh
 from tactune.core.estimation.pose_files import save_poses
-from tactune.core.evaluation.scan.pose import load_transform, save_transform
-from tactune.core.evaluation.scan.pose import read_pairs as read_scan_pairs
-from tactune.core.evaluation.scan.scan import load_scan
-from tactune.core.evaluation.table_cell import PlannedScene, TableCell, TableCellFolder
+from tactune.core.estimation.start_pose import load_transform, save_transform
+from tactune.core.estimation.start_pose import read_pairs as read_scan_pairs
+from tactune.core.lab import table
+from tactune.core.lab.scan import load_scan
 from tactune.core.model.clouds import PointCloud
 from tactune.core.model.files import write_csv
 from tactune.core.model.rig_file import load_rig
@@ -318,8 +318,13 @@ def cloud(name: str) -> Kind:
 PICTURE = QImage(64, 64, QImage.Format.Format_RGB32)
 MARKS = [Marks(markers=tuple(Marker(frame=k, name=f"{n} {k}", time_s=0.1) for k in range(99))) for n in range(2)]
 POINTS = [Correspondence(str(k), 1.0, 2.0, 4.0, 5.0, 0.3) for k in range(50)]
-SCENE = PlannedScene("still", "cup", "low")
-CELL = TableCell("fusion", "cup", "cup", "low", "", "main", SCENE.source, 0, rmse_mm=0.5)
+SCENE = table.Scene("cup", "low")
+CELL = table.Cell("usual", "standard", "cup", "low", "", 0, "straight", rmse_mm=0.5)
+
+
+def table_plan(folder: Path) -> table.Plan:
+    return table.Plan((SCENE,), (0,), ("straight",), Preset(), folder)
+
 
 KINDS: dict[str, Kind] = {
     "preset": Kind(
@@ -343,8 +348,8 @@ KINDS: dict[str, Kind] = {
     "layout": Kind(lambda f, n: save_layout(f / "a.json")),
     "table.csv": Kind(lambda f, n: write_csv(f / "a.csv", [{"a": n}] * 999)),
     "table cell": Kind(
-        lambda f, n: TableCellFolder(f, Preset()).save([CELL], SCENE),
-        lambda f: TableCellFolder(f, Preset()).load(["fusion"], SCENE, 0) is not None,
+        lambda f, n: table.save_cells(table_plan(f), SCENE, 0, [CELL]),
+        lambda f: table.load_cells(table_plan(f), SCENE, 0) is not None,
     ),
     "example": Kind(
         lambda f, n: save_example(Example(FRAMES[n], None, None), f / "a.npz"), lambda f: load_example(f / "a.npz")

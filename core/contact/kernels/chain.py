@@ -1,6 +1,6 @@
 """The per-pixel chain, compiled: sixteen pixels at once, in float32 with one fixed order of operations.
 
-`tactune.core.bench.reference_pipeline` repeats that order in NumPy, so both give the same bits on every input. Nothing
+`tactune.core.lab.reference` repeats that order in NumPy, so both give the same bits on every input. Nothing
 here uses fast-math, and threads split the work by rows only.
 
 The arguments of the kernels are grouped in the tuples below. Flat arrays of pixels have at least `LANES` elements.

@@ -17,7 +17,9 @@ import zlib
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
+from copy import deepcopy
 from dataclasses import asdict, dataclass, fields, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, get_args
 from weakref import WeakValueDictionary
@@ -35,6 +37,7 @@ from ...model.loading import decode_image, open_regular, parse_json
 from ..base import Health, Progress, SeekableSource
 from .between import facts_between, state_between
 from .membrane import Membrane
+from .mesh import MembraneDesign
 from .names import write_name
 from .noise import NoiseModel
 from .render import CLEAN_UNIT_M, CONTACT_FLAG
@@ -213,7 +216,7 @@ class SimulatorSource(SeekableSource):
 
     def _press(self, scene: Scene) -> Press:
         """Return the press that is solved and drawn."""
-        return Press(scene, Membrane(scene.design), self.rig)
+        return Press(scene, deepcopy(_inflated(scene.design)), self.rig)
 
     def _compute(self, scene: Scene, progress: Progress) -> SolvedScene:
         """Solve the states in turn while a second thread draws the solved ones."""
@@ -230,6 +233,12 @@ class SimulatorSource(SeekableSource):
             return SolvedScene([future.result() for future in drawn], facts)
         finally:
             pool.shutdown(cancel_futures=True)
+
+
+@lru_cache(maxsize=8)
+def _inflated(design: MembraneDesign) -> Membrane:
+    """Return the untouched membrane; inflating it takes most of the time of a still press."""
+    return Membrane(design)
 
 
 def _true_strain(facts: PressFacts) -> TrueStrain:

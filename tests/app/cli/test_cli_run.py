@@ -28,7 +28,6 @@ from mcap.reader import make_reader
 from commands import read_line
 from small_recordings import GrowingPress, small_rig
 from tactune.app.cli.common import LineOutput
-from tactune.app.cli.methods import make_step
 from tactune.app.cli.run import process_frames
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.model.frames import SensorFrame
@@ -86,7 +85,7 @@ def test_json_lines_say_what_the_patch_is(tactune: Tactune, recording: Path) -> 
     assert finished.status == 0
     assert [line["sequence"] for line in lines] == [0, 1, 2, 3]
     numbers = {"sequence", "time_s", "points", "area_mm2", "centroid_m", "averaged_frames"}
-    assert set(lines[0]) == numbers | {"stage_ms", "method", "failure"}
+    assert set(lines[0]) == numbers | {"stage_ms"}
     assert lines[0]["points"] == 0
     assert lines[0]["centroid_m"] is None
     assert lines[0]["area_mm2"] == 0
@@ -340,7 +339,7 @@ def test_json_lines_of_hours_need_no_memory(monkeypatch: pytest.MonkeyPatch, tmp
             return replace(super().read(index % 4), sequence=index)
 
     source, stopped, memory = Endless(small_rig(64), 10**9, True), threading.Event(), []
-    step = make_step("fusion", load_preset("default"), "default", source, None)
+    step = ContactPipeline(load_preset("default"), source.rig)
 
     def look(patch: object, frame: SensorFrame) -> None:
         if frame.sequence in (100, 400):

@@ -20,7 +20,7 @@ from tactune.app.cli import track
 from tactune.core.estimation.object_mesh import simulated_mesh
 from tactune.core.estimation.pose import PoseEstimate, PoseTracker
 from tactune.core.estimation.pose_files import pose_record, save_poses
-from tactune.core.evaluation.scan.pose import save_transform
+from tactune.core.estimation.start_pose import save_transform
 from tactune.core.sources.simulator.source import SimulatorSource
 
 FRAMES = 20

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numba.core.runtime import _nrt_python, rtsys
 
-from tactune.core.bench.measure import allocation
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.model.provenance import Provenance
 from tactune.core.preset import Preset
+from traced import allocation
 
 PRESET = Preset(contact_test="tolerance")
 

@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactune.core.bench.reference_pipeline import reference_patch
 from tactune.core.contact.alignment import homography_table, tactile_homography
 from tactune.core.contact.outliers import clusters, statistical
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.contact.pixels import Pixels
 from tactune.core.contact.tolerance import ToleranceTest
 from tactune.core.errors import FrameError, RigMismatchError
+from tactune.core.lab.reference import reference_patch
 from tactune.core.model.clouds import deproject, valid_depth
 from tactune.core.model.frames import SensorFrame
 from tactune.core.model.provenance import Provenance

@@ -13,7 +13,7 @@ from tactune.core.errors import CalibrationError
 from tactune.core.estimation.object_mesh import ObjectMesh, simulated_mesh
 from tactune.core.estimation.pose import PoseTracker, pose_error
 from tactune.core.estimation.pose_fit import patch_points
-from tactune.core.evaluation.scan.pose import pose_from_pairs
+from tactune.core.estimation.start_pose import pose_from_pairs
 from tactune.core.model.clouds import ray_table
 from tactune.core.model.patch import AlignedDepth, ContactPatch
 from tactune.core.preset import CameraNoise, RigNoise, now

@@ -9,7 +9,7 @@ import pytest
 
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import TactuneError
-from tactune.core.evaluation.metrics import compare_with_truth
+from tactune.core.model.metrics import compare_with_truth
 from tactune.core.sources.folder import FolderSource
 from tactune.core.sources.presets import load_preset
 from tactune.core.tuning.measure import measure

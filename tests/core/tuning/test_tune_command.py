@@ -12,7 +12,7 @@ import pytest
 
 from long_search import front_of, lines_of, trials_of
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.evaluation.metrics import pixel_scores
+from tactune.core.model.metrics import pixel_scores
 from tactune.core.preset.file import save_preset
 from tactune.core.rig.untouched import load_untouched, save_untouched
 from tactune.core.sources.folder import FolderSource

@@ -11,8 +11,8 @@ import pytest
 from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.kernels.chain import Region
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.evaluation.metrics import pixel_scores
 from tactune.core.model.frames import SensorFrame
+from tactune.core.model.metrics import pixel_scores
 from tactune.core.preset import Preset
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scenes import Variant

@@ -11,10 +11,10 @@ import pytest
 from tactune.core.contact.kernels.threads import set_threads
 from tactune.core.contact.membrane.bias import FIRM_M2
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.evaluation.metrics import symmetric_rmse_m, truth_cloud
-from tactune.core.evaluation.sensor_cases import MAX_OVER_ORACLE
+from tactune.core.lab.table import MAX_OVER_BEST_T
 from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.model.metrics import symmetric_rmse_m, truth_cloud
 from tactune.core.model.provenance import Provenance
 from tactune.core.preset import Preset
 from tactune.core.sources.presets import load_preset
@@ -40,7 +40,7 @@ def test_the_error_is_hardly_above_that_of_the_best_tolerance(scene, sensor):
         pipeline.update(TOLERANCE.with_value("tolerance.t", t))
         points = pipeline.process(seen).points
         best = min(best, symmetric_rmse_m(points, truth)) if len(points) else best
-    assert ours < MAX_OVER_ORACLE * best
+    assert ours < MAX_OVER_BEST_T * best
     assert best < 0.01
 
 

@@ -9,8 +9,8 @@ import pytest
 
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import AdviceError
-from tactune.core.evaluation.metrics import compare_with_truth
 from tactune.core.model.clouds import pixel_areas_m2
+from tactune.core.model.metrics import compare_with_truth
 from tactune.core.sources.presets import load_preset
 from tactune.core.tuning.advice.fields import TRIED, error_curve
 from tactune.core.tuning.advice.proposal import Example

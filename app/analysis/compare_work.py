@@ -1,0 +1,263 @@
+"""Runs the chosen methods on a frame, on another thread: patches, times, scores against the truth, and their clouds."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from statistics import median
+from typing import Any, Final
+
+import numpy as np
+from PyQt6.QtGui import QColor
+
+from ...core.contact.pipeline import ContactPipeline
+from ...core.errors import TactuneError
+from ...core.lab.methods import PIPELINES, make_method, patch_area_mm2
+from ...core.lab.single_camera import Find
+from ...core.model.arrays import BoolArray, Uint8Array
+from ...core.model.clouds import ray_table
+from ...core.model.frames import SensorFrame
+from ...core.model.metrics import compare_with_truth, truth_cloud
+from ...core.preset import Preset
+from ...widgets.basics.colormaps import Theme, patch_index, patch_lut
+from ...widgets.clouds.cloud_data import DepthCloud
+from ..worker.errors import explain
+from ..worker.results import Result
+from ..worker.threads import leave_room_for_the_window
+
+TRUTH: Final = "truth"
+#: Number of frames over which the median time is taken.
+TIMED_FRAMES: Final = 15
+NO_CONTACT: Final = "No contact found in this frame"
+#: Longest rest after a comparison while frames play, seconds.
+_MAX_REST_S: Final = 0.5
+
+#: Okabe and Ito's colours, which colour-blind people can tell apart; two of them change on a dark background.
+_RGB: Final = {
+    TRUTH: (20, 20, 20),
+    "straight": (148, 148, 148),
+    "fusion-rigid": (213, 94, 0),
+    "fusion-homography": (230, 159, 0),
+    "fusion-membrane": (0, 158, 115),
+    "fusion-averaged": (119, 68, 255),
+    "proximity-only": (0, 114, 178),
+    "tactile-only": (86, 180, 233),
+    "tactile-threshold": (105, 60, 90),
+    "mechanics": (110, 40, 0),
+}
+_DARK_RGB: Final = {TRUTH: (250, 250, 250), "tactile-threshold": (240, 228, 66), "mechanics": (210, 180, 110)}
+_OTHER_RGB: Final = (204, 121, 167)
+#: Pixels that a method and the truth share, that only the method has, and that only the truth has.
+RIGHT_RGB, FALSE_RGB, MISSED_RGB = (0, 158, 115), (213, 94, 0), (0, 114, 178)
+#: Rows of the clouds' colours after those of the context; the farthest shade is hidden.
+CONTACT_ROW, FALSE_ROW, MISSED_ROW, HIDDEN_ROW = 255, 254, 253, 252
+
+
+def method_color(name: str, theme: Theme) -> QColor:
+    """Return the colour of a method, or of the truth."""
+    rgb = _RGB.get(name, _OTHER_RGB)
+    return QColor(*(_DARK_RGB.get(name, rgb) if theme == "dark" else rgb))
+
+
+@cache
+def _lut(contact: tuple[int, int, int], theme: Theme) -> Uint8Array:
+    """Return the colours of a patch over the relief of the scene: uint8 (256, 4)."""
+    lut = patch_lut(theme).copy()
+    for row, rgb in ((CONTACT_ROW, contact), (FALSE_ROW, FALSE_RGB), (MISSED_ROW, MISSED_RGB)):
+        lut[row] = (*rgb, 255)
+    lut[HIDDEN_ROW] = 0
+    lut.flags.writeable = False
+    return lut
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """One method, or the truth, on one frame; numbers that do not exist are nan.
+
+    ``ms`` is the median time of the last frames. ``note`` says why there is no patch. ``averaged`` counts the frames
+    that the method averaged.
+    """
+
+    name: str
+    cloud: DepthCloud
+    points: float = math.nan
+    area_mm2: float = math.nan
+    ms: float = math.nan
+    rmse_mm: float = math.nan
+    iou: float = math.nan
+    note: str = ""
+    averaged: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """The outcomes on one frame; the truth comes first if it is known."""
+
+    result: Result
+    methods: tuple[str, ...]
+    by_truth: bool
+    outcomes: tuple[Outcome, ...]
+
+
+@dataclass(eq=False)
+class _Entrant:
+    """A method as it was made, and its times; or why it could not be made."""
+
+    made_for: tuple[Any, ...]
+    preset: Preset
+    find: Find | None = None
+    problem: str = ""
+    pipeline: ContactPipeline | None = None
+    warm: bool = False
+    newest: SensorFrame | None = None
+    times_ms: deque[float] = field(default_factory=lambda: deque(maxlen=TIMED_FRAMES))
+    outcome: Outcome | None = None
+    mask: BoolArray | None = None
+
+
+class Comparer:
+    """Keeps the methods from frame to frame; belongs to one thread at a time."""
+
+    def __init__(self) -> None:
+        self._entrants: dict[str, _Entrant] = {}
+        self._rest_s = 0.0
+
+    def compare(
+        self,
+        result: Result,
+        methods: Sequence[str],
+        untouched: SensorFrame | None,
+        no_untouched: str,
+        theme: Theme,
+        by_truth: bool,
+        tell: Callable[[str], None] = lambda name: None,
+    ) -> Comparison:
+        """Run the methods on a frame, except those that have already run on it.
+
+        Parameters
+        ----------
+        untouched : SensorFrame or None
+            For rivals; ``no_untouched`` says why there is none.
+        by_truth : bool
+            Colour points by their agreement with the truth.
+        tell : callable
+            Called with the name of a method before it is set up, which may take seconds.
+        """
+        leave_room_for_the_window()
+        if result.playback.running:  # window and worker share the processor
+            time.sleep(min(self._rest_s, _MAX_REST_S))
+        started = time.perf_counter()
+        truth = result.frame.truth
+        by_truth = by_truth and truth is not None
+        outcomes = []
+        if truth is not None:
+            points = truth_cloud(truth, result.source.rig).points
+            lens = result.source.rig.proximity.intrinsics
+            area_mm2 = 1e6 * float(np.square(points[:, 2], dtype=np.float64).sum()) / (lens.fx * lens.fy)
+            note = "" if truth.contact.any() else "Nothing touches the membrane in this frame"
+            cloud = _cloud(TRUTH, truth.contact, result, theme, by_truth)
+            count = int(np.count_nonzero(truth.contact))
+            outcomes.append(Outcome(TRUTH, cloud, count, area_mm2 if len(points) else math.nan, note=note))
+        for name in methods:
+            entrant = self._entrant(name, result, untouched, no_untouched, tell)
+            outcome = self._run(name, entrant, result, theme, by_truth)
+            ms = median(entrant.times_ms) if entrant.times_ms else math.nan
+            outcomes.append(replace(outcome, ms=ms))
+        self._rest_s = time.perf_counter() - started
+        return Comparison(result, tuple(methods), by_truth, tuple(outcomes))
+
+    def _entrant(
+        self,
+        name: str,
+        result: Result,
+        untouched: SensorFrame | None,
+        no_untouched: str,
+        tell: Callable[[str], None],
+    ) -> _Entrant:
+        """Return a method that fits the frame; a changed preset updates a pipeline in place."""
+        preset, rig = result.preset, result.source.rig
+        rival = name not in PIPELINES
+        made_for = (id(result.source), *((id(untouched), no_untouched, preset.alignment) if rival else ()))
+        known = self._entrants.get(name)
+        if known is not None and known.made_for == made_for and (rival or known.preset is preset):
+            return known
+        fresh = self._entrants[name] = _Entrant(made_for, preset)
+        try:
+            if known is not None and known.made_for == made_for and known.pipeline is not None:
+                known.pipeline.update(preset.with_values(PIPELINES[name]))
+                fresh.pipeline, fresh.find, fresh.warm = known.pipeline, known.find, known.warm
+            elif not rival:
+                tell(name)
+                fresh.pipeline = ContactPipeline(preset.with_values(PIPELINES[name]), rig)
+                fresh.find = fresh.pipeline.process
+            elif untouched is None and no_untouched:
+                fresh.problem = no_untouched
+            else:
+                tell(name)
+                fresh.find = make_method(name, preset, rig, untouched)
+        except Exception as error:  # another package's method may raise anything
+            fresh.problem = explain(error, f"{name} cannot be set up")
+        return fresh
+
+    def _run(self, name: str, entrant: _Entrant, result: Result, theme: Theme, by_truth: bool) -> Outcome:
+        frame = result.frame
+        if entrant.outcome is None or entrant.newest is not frame:
+            outcome = Outcome(name, _cloud(name, None, result, theme, by_truth), note=entrant.problem)
+            entrant.mask = None
+            if entrant.find is not None:
+                try:
+                    outcome, entrant.mask = self._timed(outcome, entrant, entrant.find, result)
+                except TactuneError as error:
+                    outcome = replace(outcome, note=str(error))
+                except Exception as error:
+                    outcome = replace(outcome, note=explain(error, f"{name} failed on frame {result.frame_number}"))
+            entrant.outcome, entrant.newest, entrant.warm = outcome, frame, True
+        return replace(entrant.outcome, cloud=_cloud(name, entrant.mask, result, theme, by_truth))
+
+    def _timed(self, empty: Outcome, entrant: _Entrant, find: Find, result: Result) -> tuple[Outcome, BoolArray]:
+        """Run a method on a frame and note its time, except that of its first run."""
+        frame = result.frame
+        averages = entrant.pipeline is not None and entrant.pipeline.preset.averaged_frames > 1
+        # A copy, since a pipeline skips steps for a known frame; one that averages must not see a frame twice.
+        asked = frame if averages else replace(frame)
+        if not entrant.warm and not averages:
+            find(replace(frame))
+        started = time.perf_counter_ns()
+        patch = find(asked)
+        if entrant.warm or not averages:
+            entrant.times_ms.append((time.perf_counter_ns() - started) / 1e6)
+        note = "" if len(patch.points) else NO_CONTACT
+        size = len(patch.points), patch_area_mm2(patch)
+        found = replace(empty, points=size[0], area_mm2=size[1], note=note, averaged=patch.averaged_frames)
+        if frame.truth is not None:
+            known = compare_with_truth(patch, frame.truth, result.source.rig)
+            found = replace(found, rmse_mm=known["rmse_mm"], iou=known["iou"])
+        return found, patch.mask
+
+
+def _cloud(name: str, mask: BoolArray | None, result: Result, theme: Theme, by_truth: bool) -> DepthCloud:
+    """Return a patch over the scene within the range of the depth colours."""
+    frame, camera = result.frame, result.source.rig.proximity
+    near, far = (limit / camera.depth_unit_m for limit in result.rendered.depth_range_m)
+    rows = patch_index(np.zeros(frame.proximity_depth.shape, bool), frame.proximity_depth, near, far)
+    rows = np.minimum(rows, np.uint8(HIDDEN_ROW))
+    contact = np.zeros(rows.shape, bool) if mask is None else mask
+    rows[contact] = CONTACT_ROW
+    if by_truth and frame.truth is not None:
+        rows[contact & ~frame.truth.contact] = FALSE_ROW
+        rows[frame.truth.contact & ~contact] = MISSED_ROW
+    rgb = RIGHT_RGB if by_truth else method_color(name, theme).getRgb()[:3]
+    return DepthCloud(
+        depth=frame.proximity_depth,
+        depth_unit_m=camera.depth_unit_m,
+        rays=ray_table(camera.intrinsics),
+        lut=_lut(rgb, theme),
+        pose=np.eye(4),
+        index=rows,
+        depth_range_m=result.rendered.depth_range_m,
+        count=int(np.count_nonzero(contact)),
+    )

@@ -1,0 +1,504 @@
+"""The commands ``tactune lab``: what a paper needs. Everything of the lab is imported inside the commands."""
+
+from __future__ import annotations
+
+import itertools
+import sys
+from collections import deque
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+
+import typer
+
+from ...core.errors import SourceError, TactuneError, counted
+from ...core.model.files import check_writable, finite_or_none, write_csv
+from ...core.model.units import UNITS_M, MeshUnit
+from .common import (
+    SOURCE,
+    CliProgress,
+    FrameCount,
+    JsonOption,
+    PresetOption,
+    SourceOption,
+    default_preset,
+    emit,
+    number_of_frames,
+    open_with_progress,
+    tell_notes,
+    warn,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from ...core.lab.scan import PaintSettings
+    from ...core.lab.single_camera import Find
+    from ...core.lab.strain import StrainMeasurement
+    from ...core.lab.table import Cell
+    from ...core.model.frames import Matrix4, SensorFrame
+    from ...core.preset import Preset
+    from ...core.sources import FrameSource
+
+Record = dict[str, Any]
+
+CsvOption = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Also write the lines to a CSV file.")]
+
+lab_commands = typer.Typer(
+    help="For papers (extra lab): methods beside the truth, strain, truth from a scan, speed.",
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    no_args_is_help=True,
+)
+
+
+@lab_commands.command()
+def table(
+    *,
+    methods: Annotated[
+        str, typer.Option(metavar="A,B", help="Methods, or 'all'; a wrong name lists all methods.")
+    ] = "all",
+    objects: Annotated[
+        str, typer.Option(metavar="A,B", help="Objects, or 'all': octopus, cup, cube; with --held-out mug, hand.")
+    ] = "all",
+    presses: Annotated[str, typer.Option(metavar="A,B", help="Presses: low, medium, high.")] = "low,medium,high",
+    sensors: Annotated[
+        str | None,
+        typer.Option(metavar="A,B", help="Sensors of the simulator, or 'all'; default: the usual one."),
+    ] = None,
+    membranes: Annotated[str, typer.Option(metavar="A,B", help="Membranes of the simulator, or 'all'.")] = "all",
+    seeds: Annotated[int, typer.Option(min=1, max=1000, metavar="N", help="Noise seeds per press.")] = 2,
+    held_out: Annotated[
+        bool,
+        typer.Option("--held-out", help="Use sensors, a membrane, objects and seeds that no method was developed on."),
+    ] = False,
+    rig: Annotated[
+        Literal["measured", "unmeasured"], typer.Option(help="Measure noise and bias of each rig first, or not.")
+    ] = "measured",
+    preset: Annotated[
+        str, typer.Option("--preset", "-p", metavar="FILE|NAME", help="The preset of all methods.")
+    ] = "simulator",
+    work: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for finished cells, so that the command can go on; default: cache."),
+    ] = None,
+    csv_file: CsvOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compare methods on simulated presses with known truth, on one or more sensors."""
+    from platformdirs import user_cache_dir
+
+    from ...core.lab.table import cell_line, measure_table, plan_table, table_json, table_text, time_table
+    from ...core.sources.presets import load_preset
+    from ...core.sources.simulator.sensors import DEFAULT_SENSOR
+
+    chosen = load_preset(preset)
+    plan = plan_table(
+        chosen,
+        work or Path(user_cache_dir("tactune")) / "table",
+        methods=_names(methods),
+        objects=_names(objects),
+        presses=_names(presses),
+        sensors=_names(sensors) if sensors is not None else (() if held_out else (DEFAULT_SENSOR,)),
+        membranes=_names(membranes),
+        seeds=seeds,
+        held_out=held_out,
+        rig_measured=rig == "measured",
+    )
+    tell_notes(chosen)
+    cells: list[Cell] = []
+    done = 0
+    try:
+        for press in measure_table(plan):
+            done += 1
+            cells += press
+            typer.echo(f"{done}/{plan.presses} {cell_line(press)}", err=True)
+        times = time_table(plan)
+    except KeyboardInterrupt:
+        warn(f"{done} of {counted(plan.presses, 'press')} are kept in {plan.work}; the same command goes on from there")
+        raise
+    if csv_file is not None:
+        write_csv(csv_file, [asdict(cell) for cell in cells])
+    order = {name: place for place, name in enumerate(plan.methods)}
+    cells.sort(key=lambda cell: order[cell.method])
+    emit(table_json(cells, times), table_text(cells, times), as_json)
+
+
+def _names(text: str) -> tuple[str, ...]:
+    """Return the names of an option, separated by commas; none for ``all``."""
+    if text == "all":
+        return ()
+    names = tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
+    if not names:
+        raise typer.BadParameter(f"{text!r} has no name; give names, separated by commas")
+    return names
+
+
+# Strain
+
+
+@lab_commands.command()
+def strain(
+    *,
+    source: SourceOption = "sim:cup?grid=dots",
+    preset: PresetOption = None,
+    spacing_mm: Annotated[
+        float, typer.Option("--spacing-mm", metavar="MM", help="Distance between neighbouring dots on the flat sheet.")
+    ] = 10.0,
+    frames: FrameCount = None,
+    average: Annotated[
+        int,
+        typer.Option(
+            "--average", "-a", min=1, max=30, metavar="N",
+            help="Average up to N of the last frames while the membrane does not move.",
+        ),
+    ] = 1,
+    csv_file: CsvOption = None,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE.png", help="Draw strain against displacement.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:  # fmt: skip
+    """Measure membrane strain from a printed grid of dots.
+
+    The displacement is relative to the untouched frame of the preset or the source, else to the first frame. On the
+    simulator the solver's strain is shown beside: between dots that the camera sees, in brackets between all dots.
+    """
+    from ...core.lab.strain import StrainError, average_still, check_spacing, indentation_m, measure_strain
+    from ...core.rig.untouched import kept_untouched
+    from ...core.sources.presets import load_preset
+
+    if plot is not None and plot.suffix.lower() != ".png":
+        raise typer.BadParameter(f"--plot is {plot}; give a file that ends in .png")
+    for target in filter(None, (csv_file, plot)):
+        check_writable(target)
+    check_spacing(spacing_mm / 1e3)
+    origin = preset or default_preset(source)
+    chosen = load_preset(origin)
+    records: list[Record] = []
+    latest: deque[SensorFrame] = deque(maxlen=average)
+    with (
+        open_with_progress(source, chosen.cameras) as opened,
+        CliProgress(quiet=as_json and sys.stdout.isatty()) as progress,
+    ):
+        total, kept = number_of_frames(opened, frames), kept_untouched(chosen, origin, opened)
+        untouched = kept.frame
+        warn(*kept.warnings)
+        for frame in itertools.islice(opened, total):
+            untouched = untouched or frame
+            latest.append(frame)
+            still, averaged = average_still(list(latest), opened.rig)
+            try:
+                displacement = indentation_m(still, untouched, opened.rig)
+                measured = measure_strain(still, opened.rig, spacing_mm / 1e3)
+                record = _strain_record(still, displacement, measured, averaged)
+            except StrainError as error:
+                record = {"sequence": frame.sequence, "problem": str(error)}
+            records.append(record)
+            progress.frames(len(records), total)
+    if not records:
+        raise SourceError(f"{source} gave no frames; check the source")
+    if all(record["problem"] for record in records):
+        raise StrainError(records[0]["problem"])
+    if csv_file is not None:
+        write_csv(csv_file, [_STRAIN_COLUMNS | record for record in records])
+    if plot is not None:
+        _draw_strain([record for record in records if not record["problem"]], plot)
+    emit({"frames": records}, "\n".join([_STRAIN_HEAD, *map(_strain_line, records)]), as_json)
+
+
+_STRAIN_HEAD: Final = (
+    "frame  displacement mm  along length %  along width %  dots  solver: length % (all)  width % (all)"
+)
+#: Of a line of the CSV file; a solver's strain is known on the simulator only, once for the dots that the camera sees.
+_STRAIN_COLUMNS: Final[Record] = dict.fromkeys(
+    (
+        "sequence", "displacement_mm", "length_percent", "width_percent", "dots", "averaged_frames", "problem",
+        "solver_length_percent", "solver_width_percent", "solver_length_all_percent", "solver_width_all_percent",
+    )
+)  # fmt: skip
+
+
+def _strain_record(frame: SensorFrame, displacement_m: float, measured: StrainMeasurement, averaged: int) -> Record:
+    record: Record = {
+        "sequence": frame.sequence,
+        "displacement_mm": round(1e3 * displacement_m, 3),
+        "length_percent": round(100 * measured.length.largest, 2),
+        "width_percent": round(100 * measured.width.largest, 2),
+        "dots": len(measured.pixels),
+        "averaged_frames": averaged,
+        "problem": "",
+    }
+    known = frame.truth.strain if frame.truth is not None else None
+    if known is not None:
+        names = ("length", "width", "length_all", "width_all")
+        strains = (known.length_seen, known.width_seen, known.length, known.width)
+        record |= {f"solver_{name}_percent": round(100 * value, 2) for name, value in zip(names, strains, strict=True)}
+    return record
+
+
+def _strain_line(record: Record) -> str:
+    if record["problem"]:
+        return f"{record['sequence']:5d}  {record['problem']}"
+    solver = ""
+    if "solver_length_percent" in record:
+        seen = [
+            f"{record[f'solver_{name}_percent']:.1f} ({record[f'solver_{name}_all_percent']:.1f})"
+            for name in ("length", "width")
+        ]
+        solver = f"  {seen[0]:>22}  {seen[1]:>13}"
+    return (
+        f"{record['sequence']:5d}  {record['displacement_mm']:15.1f}  {record['length_percent']:14.1f}  "
+        f"{record['width_percent']:13.1f}  {record['dots']:4d}{solver}"
+    )
+
+
+def _draw_strain(records: list[Record], path: Path) -> None:
+    from ...core.model.figures import pyplot, save_figure
+
+    figure, axes = pyplot().subplots(figsize=(7, 4.2))
+    along = [record["displacement_mm"] for record in records]
+    for name, style in (("length", "C0o-"), ("width", "C1s-")):
+        axes.plot(along, [record[f"{name}_percent"] for record in records], style, markersize=4, label=f"{name}")
+        if "solver_length_percent" in records[0]:
+            solver = [record[f"solver_{name}_percent"] for record in records]
+            axes.plot(along, solver, f"{style[:2]}--", label=f"{name}, solver at the dots seen")
+    axes.set(xlabel="displacement, mm", ylabel="largest strain, %", title="Strain against displacement")
+    axes.legend(fontsize=9)
+    save_figure(figure, path, dpi=110)
+
+
+# Truth from a painted scan
+
+
+@lab_commands.command()
+def scan(  # noqa: PLR0915  # one thought: options, pose, frames, words
+    *,
+    source: SourceOption = SOURCE,
+    scan: Annotated[
+        Path, typer.Option(metavar="FILE", help="The object's painted scan: .ply or .obj, coloured or textured.")
+    ],
+    transform: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help='Pose of the scan: JSON {"T_proximity_scan": 4 x 4}, or four lines of four.'),
+    ] = None,
+    pairs: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.csv",
+            help="Or point pairs picked on both: scan_x,scan_y,scan_z (the scan's unit),patch_x_m,patch_y_m,patch_z_m.",
+        ),
+    ] = None,
+    refine: Annotated[
+        bool, typer.Option("--refine", help="Refine the pose by ICP to the first method's patch in the first frame.")
+    ] = False,
+    methods: Annotated[
+        str, typer.Option("--methods", metavar="A,B", help="Methods, or 'all'; default: the preset's own test.")
+    ] = "",
+    frame: Annotated[int, typer.Option(min=0, metavar="N", help="The first frame, from 0.")] = 0,
+    frames: FrameCount = None,
+    preset: PresetOption = None,
+    unit: Annotated[MeshUnit | None, typer.Option(help="Unit of the scan's numbers; default: m.")] = None,
+    paint: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE",
+            help="Colour of touched paint and filter of its spots: hue=150:179 (0-179; may wrap), "
+            "saturation=40:255, value=60:255, least_area_mm2=20, largest=0. May be repeated.",
+        ),
+    ] = None,
+    save_transform: Annotated[
+        Path | None, typer.Option(metavar="FILE.json", help="Write the pose that was used, refined or not.")
+    ] = None,
+    csv_file: CsvOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compare methods with the contact that thermochromic paint shows on the object's 3D scan.
+
+    --refine hides errors that all patch points share; a pose that was measured without the patch is fairer.
+    """
+    from ...core.estimation import start_pose
+    from ...core.lab.methods import check_methods, method_names, patch_area_mm2
+    from ...core.lab.scan import (
+        load_scan,
+        painted_contact,
+        refine_pose,
+        scan_truth,
+        score_against_scan,
+        surface_points,
+    )
+    from ...core.sources.presets import load_preset
+
+    settings, unit_m = _paint(paint or []), UNITS_M[unit or MeshUnit.M]
+    names = () if not methods else _names(methods) or method_names()
+    check_methods(names)
+    pose = _start_pose(transform, pairs, unit_m)
+    origin = preset or default_preset(source)
+    chosen = load_preset(origin)
+    loaded = load_scan(scan, unit_m)
+    if unit is None:
+        sides = " x ".join(f"{1e3 * side:.0f}" for side in loaded.sides_m)
+        warn(f"{scan.name} was read in m: {sides} mm; say --unit if that is wrong")
+    contact = painted_contact(loaded, settings)
+    if not contact.any():
+        raise TactuneError(f"{scan} has no spot of the touched paint's colour ({settings}); change it with --paint")
+    truth, refined = scan_truth(loaded, contact, pose), None
+    records: list[Record] = []
+    with open_with_progress(source, chosen.cameras) as opened:
+        if opened.length is None and frames is None:
+            raise TactuneError(f"{source} is endless; say how many frames to compare, such as --frames 30")
+        finds = _finds(names, chosen, origin, opened)
+        for each in itertools.islice(opened, frame, None if frames is None else frame + frames):
+            for name, find in finds.items():
+                record: Record = {"sequence": each.sequence, "method": name, "points": 0}
+                try:
+                    patch = find(each)
+                    if refine and refined is None:
+                        refined = refine_pose(surface_points(loaded, contact)[0], patch.points, pose)
+                        pose = refined.T_proximity_scan
+                        truth = scan_truth(loaded, contact, pose)
+                    scores = score_against_scan(patch.points, patch_area_mm2(patch), truth)
+                    record |= {"points": len(patch.points)}
+                    record |= {key: finite_or_none(value) for key, value in scores.items()} | {"failure": ""}
+                except TactuneError as error:
+                    record |= dict.fromkeys(_SCAN_COLUMNS) | {"failure": str(error)}
+                records.append(record)
+    if not records:
+        raise SourceError(f"{source} has no frame {frame}; check --frame and the source")
+    if save_transform is not None:
+        start_pose.save_transform(save_transform, pose)
+    if csv_file is not None:
+        write_csv(csv_file, records)
+    icp = None if refined is None else {key: value for key, value in asdict(refined).items() if key[0] != "T"}
+    whole = {"contact_mm2": truth.area_mm2, "T_proximity_scan": pose, "refined": icp, "results": records}
+    head = f"painted contact: {truth.area_mm2:.0f} mm2"
+    if icp is not None:
+        head += f"\nICP: {1e3 * icp['rmse_m']:.3f} mm over {icp['pairs']} pairs, {icp['iterations']} rounds"
+        head += "" if icp["converged"] else ", not converged"
+    columns = "frame  method             points  " + "  ".join(_SCAN_COLUMNS.values())
+    emit(whole, "\n".join([head, columns, *map(_scan_line, records)]), as_json)
+
+
+def _finds(names: tuple[str, ...], preset: Preset, origin: str, source: FrameSource) -> dict[str, Find]:
+    """Return the methods by name, without those that cannot work here; without a name, the preset's own pipeline."""
+    from ...core.contact.pipeline import ContactPipeline
+    from ...core.lab.methods import make_method
+    from ...core.rig.untouched import find_untouched
+
+    if not names:
+        return {"preset": ContactPipeline(preset, source.rig).process}
+    found = find_untouched(preset, origin, source)
+    finds = {}
+    for name in names:
+        try:
+            finds[name] = make_method(name, preset, source.rig, found.frame)
+        except TactuneError as error:
+            warn(f"skipped: {error}")
+    return finds
+
+
+#: Numbers of a line and their titles.
+_SCAN_COLUMNS: Final = {"rmse_mm": "RMSE mm", "hausdorff_mm": "Hausdorff mm", "area_error_mm2": "area error mm2"}
+
+
+def _scan_line(record: Record) -> str:
+    numbers = [
+        ("-" if record[name] is None else f"{record[name]:.3f}").rjust(len(title))
+        for name, title in _SCAN_COLUMNS.items()
+    ]
+    return f"{record['sequence']:5d}  {record['method']:17s}  {record['points']:6d}  " + (
+        record["failure"] or "  ".join(numbers)
+    )
+
+
+def _paint(words: list[str]) -> PaintSettings:
+    """Turn ``NAME=VALUE`` texts such as ``hue=150:179`` into settings; the others keep their defaults."""
+    from ...core.lab.scan import PaintSettings
+
+    readers: dict[str, Callable[[str], Any]] = {"least_area_mm2": float, "largest": int}
+    for channel in ("hue", "saturation", "value"):
+        readers[channel] = lambda text: tuple(int(end) for end in text.split(":", 1))
+    values: Record = {}
+    for word in words:
+        name, _, text = word.partition("=")
+        if name not in readers:
+            raise TactuneError(f"--paint knows no {name!r}; known are {', '.join(readers)}")
+        try:
+            values[name] = readers[name](text)
+        except ValueError as error:
+            raise TactuneError(f"--paint {word!r} cannot be read; write hue=150:179, largest=2 and the like") from error
+    settings = PaintSettings(**values)
+    settings.color_range()
+    return settings
+
+
+def _start_pose(transform: Path | None, pairs: Path | None, unit_m: float) -> Matrix4:
+    from ...core.estimation.start_pose import load_transform, pose_from_pairs, read_pairs
+
+    if (transform is None) == (pairs is None):
+        raise TactuneError("give the pose of the scan: either --transform FILE or --pairs FILE.csv")
+    return load_transform(transform) if transform is not None else pose_from_pairs(*read_pairs(pairs, unit_m))  # type: ignore[arg-type]
+
+
+# Speed
+
+
+@lab_commands.command()
+def bench(
+    *,
+    scenes: Annotated[str, typer.Option("--scenes", metavar="A,B", help="Scenes, or 'all'.")] = "all",
+    engines: Annotated[
+        str, typer.Option("--engines", metavar="A,B", help="Engines besides the baseline, or 'all'.")
+    ] = "all",
+    rounds: Annotated[int, typer.Option("--rounds", min=3, metavar="N", help="Rounds per engine.")] = 15,
+    gate: Annotated[
+        bool, typer.Option("--gate", help="Check only the promised speed; exit status 1 if a check fails.")
+    ] = False,
+    stability: Annotated[
+        int, typer.Option("--stability", min=0, metavar="N", help="Instead compare N random frames with float64.")
+    ] = 0,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure run time and error of the pipeline beside NumPy, OpenCV and Open3D; with --gate check the promised speed.
+
+    --stability also changes parameters and frames N times and compares with a new pipeline; exit status 1 for a
+    difference that rounding does not explain.
+    """
+    from ...core.lab import bench as lab_bench
+    from ...core.lab.bench_scenes import scene_names
+    from ...core.lab.stability import check_long_run, check_stability
+
+    if stability:
+        with CliProgress(quiet=as_json) as progress:
+            report = check_stability(stability, 0, lambda share: progress.preparing(share, "comparing frames"))
+            run = check_long_run(stability, 0, lambda share: progress.preparing(share, "changing parameters"))
+        record: Record = {"stability": asdict(report), "long_run": asdict(run)}
+        emit(record, f"{report.words()}\n{run.words()}", as_json)
+        raise typer.Exit(1 if report.unexplained or run.different else 0)
+    facts = lab_bench.machine_facts()
+    if "open3d" not in facts["packages"]:
+        raise TactuneError("the benchmark compares with open3d, which is not installed: pip install 'tactune[lab]'")
+    head = f"{facts['processor']}, {facts['cores']} cores, {facts['memory_gib']} GiB, load {facts['load_1min']}; "
+    head += ", ".join(f"{name} {number}" for name, number in facts["packages"].items())
+    with CliProgress(quiet=as_json) as progress:
+        if gate:
+            checks = lab_bench.run_gate(rounds, progress.preparing)
+        else:
+            chosen = [_known("engine", engines, list(lab_bench.ENGINES)), _known("scene", scenes, scene_names())]
+            rows = lab_bench.compare_engines(chosen[1], chosen[0], rounds, progress.preparing)
+    if gate:
+        record = {"machine": facts, "checks": [asdict(check) | {"holds": check.holds} for check in checks]}
+        emit(record, "\n".join([head, *map(str, checks)]), as_json)
+        raise typer.Exit(0 if all(check.holds for check in checks) else 1)
+    numbers = [
+        {key: finite_or_none(v) if isinstance(v, float) else v for key, v in asdict(row).items()} for row in rows
+    ]
+    emit({"machine": facts, "rows": numbers}, f"{head}\n\n{lab_bench.rows_text(rows)}", as_json)
+
+
+def _known(what: str, text: str, known: list[str] | tuple[str, ...]) -> list[str]:
+    names = _names(text) or known
+    for name in names:
+        if name not in known:
+            raise TactuneError(f"there is no {what} {name!r}; known are {', '.join(known)}")
+    return list(names)

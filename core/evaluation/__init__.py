@@ -1,1 +1,0 @@
-"""Ground truth and the metrics that compare a patch with it."""

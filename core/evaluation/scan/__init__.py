@@ -1,1 +1,0 @@
-"""Painted 3D scans of the object as ground truth."""

@@ -1,1 +1,0 @@
-"""Membrane strain from a grid of printed dots."""

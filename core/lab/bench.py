@@ -1,0 +1,415 @@
+"""Run time against error: three engines do the same job on the same frames, in turns, in one run.
+
+An engine is a function from a scene to the function that is timed; everything that can be prepared is prepared. That
+returns the points of the contact patch, and a function for its flat pixels, which is called when the clock has stopped,
+because most consumers need the points only. The gate checks the promised speed.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import platform
+import random
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from itertools import cycle
+from pathlib import Path
+from statistics import median
+from typing import Any, Final
+
+import numpy as np
+
+from ..contact.alignment import tactile_pose
+from ..contact.outliers.statistical import NeighbourMemory, statistical_inliers
+from ..contact.pipeline import ContactPipeline
+from ..model.arrays import AnyArray, BoolArray, IndexArray
+from ..model.clouds import nearest_pixels
+from ..model.frames import DepthCamera
+from ..model.metrics import pixel_scores, symmetric_rmse_m, truth_cloud
+from ..sources.base import Progress
+from .bench_scenes import BenchScene, make_scene, synthetic_scene
+from .reference import Reference, membrane_colored, open3d_inliers
+from .table import aligned
+
+Found = tuple[AnyArray, Callable[[], IndexArray]]
+Run = Callable[[], Found]
+#: Length of a turn, seconds: a fast engine runs many times in it, a slow one once.
+_TURN_S: Final = 0.02
+_MAX_CALLS_PER_TURN: Final = 25
+#: Import statements of a program that finds contact patches, and of the library compared with.
+OURS: Final = "import tactune.core; from tactune.core import ContactPipeline"
+THEIRS: Final = "import open3d"
+
+
+# Engines
+
+
+def numpy_engine(scene: BenchScene) -> Run:
+    """The baseline: the paper's pipeline with NumPy in float64, OpenCV, and Open3D's outlier removal."""
+    reference = Reference(scene.preset, scene.rig, np.float64, open3d_inliers)
+
+    def run() -> Found:
+        points, pixels = reference.find(scene.frame)
+        return points, lambda: pixels
+
+    return run
+
+
+def open3d_engine(scene: BenchScene) -> Run:
+    """Open3D's own point-cloud calls: without a pixel grid, tolerance is a distance to the nearest tactile point."""
+    import open3d as o3d
+
+    preset, rig, frame = scene.preset, scene.rig, scene.frame
+    T_p_t = tactile_pose(preset.alignment, rig)
+    lens, color = rig.proximity.intrinsics, rig.proximity_color
+
+    def cloud(counts: np.ndarray, camera: DepthCamera, factor: float) -> Any:
+        lens = camera.intrinsics
+        image = o3d.geometry.Image(np.where(counts == 65535, 0, counts).astype(np.uint16))
+        pinhole = o3d.camera.PinholeCameraIntrinsic(lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy)
+        return o3d.geometry.PointCloud.create_from_depth_image(
+            image, pinhole, depth_scale=1.0 / factor, depth_trunc=100.0
+        )
+
+    def bare(points: AnyArray) -> BoolArray:
+        colored = membrane_colored(frame.proximity_color, preset.mask)
+        T = np.eye(4) if color is None else np.asarray(color.T_color_depth)
+        row, column, inside = nearest_pixels(
+            points @ T[:3, :3].T + T[:3, 3], lens if color is None else color.intrinsics
+        )
+        return np.asarray(inside & colored[row, column])
+
+    def run() -> Found:
+        proximity = cloud(frame.proximity_depth, rig.proximity, rig.proximity.depth_unit_m)
+        factor = rig.tactile.depth_unit_m * preset.alignment.depth_scale
+        tactile = cloud(frame.tactile_depth, rig.tactile, factor).transform(T_p_t)
+        distances = np.asarray(proximity.compute_point_cloud_distance(tactile))
+        points = np.asarray(proximity.points)
+        points = points[distances <= preset.tolerance.t * points[:, 2]]
+        if preset.mask.enabled and len(points):
+            points = points[~bare(points)]
+        if preset.outliers.enabled and len(points):
+            points = points[open3d_inliers(points, preset.outliers.k, preset.outliers.ratio)]
+        row, column, _ = nearest_pixels(points, lens)
+        return points, lambda: row * lens.width + column
+
+    return run
+
+
+def tactune_engine(scene: BenchScene) -> Run:
+    """Tactune's pipeline, called as a robot program calls it."""
+    pipeline = ContactPipeline(scene.preset, scene.rig)
+    # two frame objects alternate, because the pipeline caches the results of the last frame
+    frames = cycle((scene.frame, replace(scene.frame)))
+
+    def run() -> Found:
+        patch = pipeline.process(next(frames))
+        return patch.points, lambda: np.flatnonzero(patch.mask)
+
+    return run
+
+
+#: The first is the baseline.
+ENGINES: Final[dict[str, Callable[[BenchScene], Run]]] = {
+    "numpy": numpy_engine,
+    "open3d": open3d_engine,
+    "tactune": tactune_engine,
+}
+
+
+# Measuring side by side
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Median and quartiles of one engine's run times in one run, milliseconds."""
+
+    median_ms: float
+    lower_ms: float
+    upper_ms: float
+
+
+def time_in_turns(
+    runners: Mapping[str, Callable[[], Any]], rounds: int, progress: Callable[[float], None] = lambda share: None
+) -> dict[str, Timing]:
+    """Run all in turns, in a random order each round, so that a disturbance affects all alike.
+
+    Each is called once before the clock starts.
+    """
+    for run in runners.values():
+        run()
+    taken: dict[str, list[float]] = {name: [] for name in runners}
+    order = list(runners)
+    shuffle = random.Random(0)  # noqa: S311  # an order, no secret
+    for done in range(rounds):
+        shuffle.shuffle(order)
+        for name in order:
+            turn: list[float] = []
+            while len(turn) < _MAX_CALLS_PER_TURN and sum(turn) < _TURN_S:
+                start = time.perf_counter()
+                runners[name]()
+                turn.append(time.perf_counter() - start)
+            taken[name] += turn
+        progress((done + 1) / rounds)
+    quartiles = {name: np.percentile(np.array(seconds) * 1e3, (50, 25, 75)) for name, seconds in taken.items()}
+    return {name: Timing(*map(float, numbers)) for name, numbers in quartiles.items()}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One engine on one scene.
+
+    Attributes
+    ----------
+    ratio : float
+        Median of the baseline divided by this engine's median, both from this run.
+    differing_px : int
+        Pixels whose verdict differs from the float64 reference.
+    iou, rmse_mm : float
+        Compared with the ground truth of the scene; nan without ground truth or with an empty cloud.
+    """
+
+    scene: str
+    engine: str
+    timing: Timing
+    ratio: float
+    points: int
+    differing_px: int
+    iou: float
+    rmse_mm: float
+
+
+def compare_engines(
+    scenes: Sequence[str], engines: Sequence[str], rounds: int, progress: Progress = lambda share, words: None
+) -> list[Row]:
+    """Measure engines, by name, on scenes, by name; the baseline is always one of them."""
+    names = [name for name in ENGINES if name in engines or name == "numpy"]
+    rows: list[Row] = []
+    for done, title in enumerate(scenes):
+        scene = make_scene(title)
+
+        def tell(share: float, title: str = title, done: int = done) -> None:
+            progress((done + share) / len(scenes), title)
+
+        tell(0.0)
+        runners = {name: ENGINES[name](scene) for name in names}
+        found = {name: run() for name, run in runners.items()}
+        timings = time_in_turns(runners, rounds, tell)
+        expected = _mask(scene, Reference(scene.preset, scene.rig).find(scene.frame)[1])
+        for name, (points, pixels) in found.items():
+            mask, truth, iou, rmse_mm = _mask(scene, pixels()), scene.frame.truth, math.nan, math.nan
+            if truth is not None:
+                iou = pixel_scores(mask, truth.contact).iou
+                rmse_mm = 1e3 * symmetric_rmse_m(points, truth_cloud(truth, scene.rig).points)
+            ratio = timings["numpy"].median_ms / timings[name].median_ms
+            differing = int(np.count_nonzero(mask != expected))
+            rows.append(Row(title, name, timings[name], ratio, len(points), differing, iou, rmse_mm))
+    progress(1.0, "done")
+    return rows
+
+
+def _mask(scene: BenchScene, pixels: IndexArray) -> BoolArray:
+    mask = np.zeros(scene.frame.proximity_depth.shape, bool)
+    mask.reshape(-1)[pixels] = True
+    return mask
+
+
+def rows_text(rows: Sequence[Row]) -> str:
+    """Return a table as text."""
+    lines = [("scene", "engine", "ms", "quartiles", "ratio", "points", "differ", "IoU", "RMSE mm")]
+    for row in rows:
+        ms, quartiles = f"{row.timing.median_ms:.3f}", f"{row.timing.lower_ms:.2f}-{row.timing.upper_ms:.2f}"
+        iou, rmse = ("-" if math.isnan(number) else f"{number:.3f}" for number in (row.iou, row.rmse_mm))
+        ratio = f"{row.ratio:.1f}x"
+        lines.append((row.scene, row.engine, ms, quartiles, ratio, str(row.points), str(row.differing_px), iou, rmse))
+    return aligned(lines)
+
+
+# The gate
+
+
+@dataclass(frozen=True)
+class Check:
+    """One line of the gate: a measured number and its limit."""
+
+    words: str
+    measured: float
+    wanted: float
+    at_least: bool = True
+
+    @property
+    def holds(self) -> bool:
+        """Whether the measured number is within the limit."""
+        return self.measured >= self.wanted if self.at_least else self.measured <= self.wanted
+
+    def __str__(self) -> str:
+        must = f"must be {'>=' if self.at_least else '<='} {self.wanted:g}"
+        return f"{'ok   ' if self.holds else 'SHORT'} {self.words}: {self.measured:.2f} ({must})"
+
+
+def run_gate(rounds: int = 15, progress: Progress = lambda share, words: None) -> list[Check]:
+    """Measure everything that the gate requires; each engine has ``rounds`` turns."""
+    checks: list[Check] = []
+    steps = (whole_pipeline, _outlier_removal, _empty_scene, _bandwidth, _cold_start)
+    for done, step in enumerate(steps):
+        progress(done / len(steps), step.__name__.strip("_").replace("_", " "))
+        checks += step(rounds)
+    progress(1.0, "done")
+    return checks
+
+
+_WHOLE: Final = ("cup-medium", "octopus-high", "noisy-51k")
+
+
+def whole_pipeline(rounds: int, scenes: Sequence[str] = _WHOLE) -> list[Check]:
+    """Compare speed and result of the whole pipeline with the baseline's on these scenes."""
+    checks = []
+    for row in compare_engines(scenes, ["tactune"], rounds):
+        if row.engine == "tactune":
+            checks.append(Check(f"whole pipeline on {row.scene}, times the baseline's speed", row.ratio, 10))
+            checks.append(Check(f"pixels unlike the float64 reference on {row.scene}", row.differing_px, 0, False))
+    return checks
+
+
+def _outlier_removal(rounds: int) -> list[Check]:
+    checks = []
+    for count in (50_000, 300_000):
+        scene = synthetic_scene(count, noise_m=0.001)
+        # float64 coordinates that float32 can represent, so that both get the same points
+        found, pixels = _candidates(scene)
+        points = found.astype(np.float32)
+        lens, ratio = scene.rig.proximity.intrinsics, scene.preset.outliers.ratio
+        clouds = cycle((points, points.copy()))  # two arrays: the results of one are remembered
+        for k, wanted in ((20, 6.0), (50, 4.0)):
+            ours = partial(statistical_inliers, intrinsics=lens, k=k, ratio=ratio, memory=NeighbourMemory())
+            runners: dict[str, Callable[[], Any]] = {
+                "open3d": partial(open3d_inliers, points.astype(np.float64), k, ratio),
+                "tactune": lambda ours=ours, clouds=clouds, pixels=pixels: ours(next(clouds), pixels),  # type: ignore[misc]
+            }
+            timings = time_in_turns(runners, rounds)
+            words = f"outlier removal, {count:,} points, k = {k}"
+            times = timings["open3d"].median_ms / timings["tactune"].median_ms
+            differing = int(np.count_nonzero(runners["tactune"]() != runners["open3d"]()))
+            checks.append(Check(f"{words}, times Open3D's speed", times, wanted))
+            checks.append(Check(f"{words}, points unlike Open3D's inliers", differing, 0, False))
+    return checks
+
+
+def _candidates(scene: BenchScene) -> tuple[AnyArray, IndexArray]:
+    """Return the points and pixels that outlier removal starts from."""
+    return Reference(_without_outliers(scene).preset, scene.rig).find(scene.frame)
+
+
+def _without_outliers(scene: BenchScene) -> BenchScene:
+    values = {"outliers.enabled": False, "outliers.min_cluster_area_mm2": 0.0}
+    return replace(scene, preset=scene.preset.with_values(values))
+
+
+def _empty_scene(rounds: int) -> list[Check]:
+    scene = make_scene("empty")
+    images = scene.frame.proximity_depth, scene.frame.tactile_depth
+    targets = [np.empty_like(image) for image in images]
+
+    def copy_depths() -> None:
+        for target, image in zip(targets, images, strict=True):
+            np.copyto(target, image)
+
+    runners = {"numpy": numpy_engine(scene), "tactune": tactune_engine(scene), "copy": copy_depths}
+    ms = {name: timing.median_ms for name, timing in time_in_turns(runners, 2 * rounds).items()}
+    return [
+        Check("empty scene, times the baseline's speed", ms["numpy"] / ms["tactune"], 6),
+        Check("empty scene, time over copying both depth images", ms["tactune"] / ms["copy"], 3, False),
+    ]
+
+
+def _bandwidth(rounds: int) -> list[Check]:
+    bandwidth = bandwidth_bytes_per_s()
+    checks = []
+    for name in _WHOLE:
+        scene = _without_outliers(make_scene(name))
+        timing = time_in_turns({"mine": tactune_engine(scene)}, rounds)["mine"]
+        must_bytes = least_bytes(scene, len(_candidates(scene)[0]))
+        limit_ms = 1e3 * must_bytes / bandwidth
+        words = (
+            f"without outlier removal on {name}, time over the limit ({must_bytes / 1e6:.2f} MB at "
+            f"{bandwidth / 1e9:.1f} GB/s: {limit_ms:.3f} ms)"
+        )
+        checks.append(Check(words, timing.median_ms / limit_ms, 4, False))
+    return checks
+
+
+def least_bytes(scene: BenchScene, contacts: int) -> int:
+    """Return the least memory traffic of the per-pixel chain, bytes.
+
+    Each input and each result counts once: both depth images, a verdict per pixel, and a colour and a point for each of
+    the ``contacts``. Tables do not count.
+    """
+    frame = scene.frame
+    must = frame.proximity_depth.nbytes + frame.tactile_depth.nbytes + frame.proximity_depth.size
+    return must + contacts * (12 + 3 * scene.preset.mask.enabled)
+
+
+def bandwidth_bytes_per_s(size_bytes: int = 256 << 20) -> float:
+    """Measure memory bandwidth by copying arrays far larger than any cache; counts bytes read plus bytes written."""
+    workers = os.cpu_count() or 1
+    parts = [np.ones(size_bytes // workers // 8) for _ in range(workers)]
+    targets = [np.zeros_like(part) for part in parts]
+    best_s = np.inf
+    with ThreadPoolExecutor(workers) as pool:
+        for _ in range(7):
+            start = time.perf_counter()
+            list(pool.map(np.copyto, targets, parts))
+            best_s = min(best_s, time.perf_counter() - start)
+    return 2 * sum(part.nbytes for part in parts) / best_s
+
+
+def _cold_start(rounds: int) -> list[Check]:
+    ours, theirs = import_seconds((OURS, THEIRS), max(3, rounds // 3))
+    words = f"import of the pipeline ({ours:.2f} s), time over import open3d ({theirs:.2f} s)"
+    return [Check(words, ours / theirs, 0.33, False)]
+
+
+def import_seconds(statements: Sequence[str], rounds: int) -> list[float]:
+    """Return the median run time of each statement, each run in a new process, in turns, after one untimed run."""
+    program = "import time; start = time.perf_counter(); {}; print(time.perf_counter() - start)"
+    taken: list[list[float]] = [[] for _ in statements]
+    for done in range(rounds + 1):
+        for times, statement in zip(taken, statements, strict=True):
+            command = [sys.executable, "-P", "-c", program.format(statement)]
+            ran = subprocess.run(command, check=True, capture_output=True, text=True)  # noqa: S603  # our own statements
+            if done:
+                times.append(float(ran.stdout.splitlines()[-1]))
+    return [median(times) for times in taken]
+
+
+def machine_facts() -> dict[str, Any]:
+    """Return processor, cores, memory, system, load and the versions of the compared packages."""
+    packages: dict[str, str] = {}
+    for name in ("numpy", "numba", "scipy", "opencv-contrib-python-headless", "open3d"):
+        try:
+            packages[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return {
+        "processor": _from_proc("cpuinfo", "model name") or platform.processor() or platform.machine(),
+        "cores": os.cpu_count() or 1,
+        "memory_gib": round(int((_from_proc("meminfo", "MemTotal") or "0 kB").split()[0]) / 2**20, 1),
+        "system": f"{platform.system()} {platform.release()}",
+        "python": platform.python_version(),
+        "load_1min": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
+        "packages": packages,
+    }
+
+
+def _from_proc(file: str, field: str) -> str:
+    """Return a field of a file in /proc; empty where there is none."""
+    path = Path("/proc") / file
+    lines = path.read_text().splitlines() if path.exists() else []
+    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith(field)), "")

@@ -1,0 +1,137 @@
+"""The methods that are compared: settings of the contact pipeline, and rivals as plain functions.
+
+A rival is a function from a preset, a rig and a frame of the untouched membrane to the function that finds the contact
+patch of a frame. The first line of its docstring is its tooltip. Another package adds one by an entry point of the
+group ``tactune.methods``.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from ..contact.pipeline import ContactPipeline
+from ..errors import PluginError, TactuneError
+from ..model.frames import Rig, SensorFrame
+from ..model.patch import ContactPatch
+from ..model.plugins import added_by_others
+from ..preset import Preset
+from .single_camera import Find, proximity_only, tactile_only, tactile_threshold
+
+MakeRival = Callable[[Preset, Rig, SensorFrame], Find]
+
+#: The paper's method: homography alignment and the paper's tolerance.
+STRAIGHT: Final = "straight"
+MEMBRANE: Final = "fusion-membrane"
+AVERAGED: Final = "fusion-averaged"
+
+#: Contact pipelines by name: the preset fields that each sets.
+PIPELINES: Final[dict[str, dict[str, Any]]] = {
+    STRAIGHT: {"contact_test": "tolerance", "alignment.model": "homography", "tolerance.t": 0.03},
+    "fusion-rigid": {"contact_test": "tolerance", "alignment.model": "rigid"},
+    "fusion-homography": {"contact_test": "tolerance", "alignment.model": "homography"},
+    MEMBRANE: {"contact_test": "membrane", "alignment.model": "rigid", "membrane.frames": 1},
+    AVERAGED: {"contact_test": "membrane", "alignment.model": "rigid", "membrane.frames": 15},
+}
+_PIPELINE_TIPS: Final = {
+    STRAIGHT: "As published: aligned by a homography, tolerance 0.03",
+    "fusion-rigid": "Contact where both cameras measure the same distance, aligned by the tactile camera's pose",
+    "fusion-homography": "Contact where both cameras measure the same distance, aligned by a homography",
+    MEMBRANE: "Both cameras: where a membrane in equilibrium of tension and pressure touches the object",
+    AVERAGED: "fusion-membrane on the mean of up to 15 frames while the membrane is still",
+}
+
+_GROUP: Final = "tactune.methods"
+
+
+def mechanics(preset: Preset, rig: Rig, untouched: SensorFrame) -> Find:
+    """Tactile camera: where something must press to explain the membrane's shape, by an elastic model."""
+    from .mechanics import MembraneMechanics  # its solver is in the extra lab
+
+    return MembraneMechanics(preset, rig, untouched).find
+
+
+RIVALS: Final[dict[str, MakeRival]] = {
+    "proximity-only": proximity_only,
+    "tactile-only": tactile_only,
+    "tactile-threshold": tactile_threshold,
+    "mechanics": mechanics,
+}
+
+
+def patch_area_mm2(patch: ContactPatch) -> float:
+    """Return a patch's area, projected on the plane across the optical axis: its pixels at the mean square depth."""
+    if len(patch.points) == 0:
+        return 0.0
+    lens = patch.rig.proximity.intrinsics
+    square_m2 = float(np.mean(np.square(patch.points[:, 2], dtype=np.float64)))
+    return float(1e6 * np.count_nonzero(patch.mask) * square_m2 / (lens.fx * lens.fy))
+
+
+def _added() -> tuple[dict[str, MakeRival], dict[str, str]]:
+    return added_by_others(_GROUP, Callable)
+
+
+def rivals() -> dict[str, MakeRival]:
+    """Return all rivals, those of other packages included."""
+    return {**_added()[0], **RIVALS}
+
+
+def method_names() -> tuple[str, ...]:
+    """Return the names that `make_method` knows, pipelines first."""
+    return (*PIPELINES, *RIVALS, *(name for name in _added()[0] if name not in RIVALS))
+
+
+def method_problems() -> dict[str, str]:
+    """Return one sentence for each method of another package that cannot be loaded."""
+    return _added()[1]
+
+
+def method_tip(name: str) -> str:
+    """Return one sentence that says what a method does."""
+    if name in _PIPELINE_TIPS:
+        return _PIPELINE_TIPS[name]
+    return (inspect.getdoc(rivals()[name]) or name).partition("\n")[0].removesuffix(".")
+
+
+def check_methods(names: Sequence[str], known: Sequence[str] | None = None) -> None:
+    """Check that each name is one of the known ones, by default all.
+
+    Raises
+    ------
+    TactuneError
+        There is no such method, or its package cannot be loaded.
+    """
+    known = method_names() if known is None else known
+    for name in names:
+        if name in method_problems():
+            raise PluginError(method_problems()[name])
+        if name not in known:
+            raise TactuneError(f"there is no method {name!r}; known are {', '.join(known)}")
+
+
+def needed_frames(name: str) -> int:
+    """Return how many frames a method has to see, up to and including the one that is judged."""
+    return int(PIPELINES.get(name, {}).get("membrane.frames", 1))
+
+
+def make_method(name: str, preset: Preset, rig: Rig, untouched: SensorFrame | None = None) -> Find:
+    """Build a method by its name.
+
+    Raises
+    ------
+    TactuneError
+        There is no such method, a rival has no untouched frame, or the method cannot work with these.
+    """
+    check_methods([name])
+    if name in PIPELINES:
+        return ContactPipeline(preset.with_values(PIPELINES[name]), rig).process
+    if untouched is None:
+        raise TactuneError(
+            f"{name} compares with the untouched membrane, but there is no untouched frame; "
+            "capture one while nothing touches the membrane"
+        )
+    return rivals()[name](preset, rig, untouched)

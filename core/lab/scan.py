@@ -1,0 +1,323 @@
+"""True contact from a painted 3D scan of the object: thermochromic paint shows where the membrane touched it.
+
+A texture usually has more detail than the vertices, so a textured mesh is subdivided when it is read; afterwards only
+vertex colours are used.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import ValidationError
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from ..contact.masking import in_hsv_range
+from ..errors import CalibrationError, MissingExtraError, SourceError, TactuneError
+from ..estimation.mesh_files import load_meshes, merge, triangle_areas
+from ..estimation.start_pose import fit_pose, transformed
+from ..model.arrays import AnyArray, BoolArray, Float64Array, Int32Array, Uint8Array
+from ..model.frames import Matrix4, rigid_transform
+from ..model.metrics import nearest_distances
+from ..preset import MaskSection
+
+SUFFIXES: Final = (".ply", ".obj")
+#: Plausible sizes of an object that a hand-sized sensor can touch.
+_MIN_SIZE_M, _MAX_SIZE_M = 0.002, 1.0
+#: Textured triangles are subdivided to this edge length, metres, or a longer one within this number of triangles.
+_TEXTURE_EDGE_M: Final = 0.0008
+_MAX_TRIANGLES: Final = 1_000_000
+_MAX_CUTS: Final = 24
+
+#: Each point on the surface represents a square of this side length, metres.
+SPACING_M: Final = 0.0005
+_MAX_POINTS: Final = 5_000_000
+#: Steps of the R2 low-discrepancy sequence (Roberts 2018): powers of 1 / x, where x^3 = x + 1.
+_PLASTIC: Final = 1.3247179572447460
+_STEPS: Final = (1 / _PLASTIC, 1 / _PLASTIC**2)
+
+#: ICP: iterations and points of each cloud, at most; the reach of a pair; it has converged if no point moves farther.
+_ICP_ROUNDS: Final = 300
+_ICP_POINTS: Final = 20_000
+_ICP_REACH_M: Final = 0.010
+_CONVERGED_M: Final = 1e-7
+_MIN_PAIRS: Final = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """A coloured mesh in its own frame: vertices (N, 3) in metres, triangles (M, 3), and RGB of the vertices (N, 3)."""
+
+    vertices_m: Float64Array
+    triangles: Int32Array
+    colors: Uint8Array
+
+    @cached_property
+    def areas_m2(self) -> Float64Array:
+        """Area of each triangle, float64, shape (M,)."""
+        return triangle_areas(self.vertices_m, self.triangles)
+
+    @property
+    def sides_m(self) -> Float64Array:
+        """Sides of the bounding box, metres, float64 (3,)."""
+        return np.asarray(np.ptp(self.vertices_m, axis=0))
+
+
+def load_scan(path: Path | str, unit_m: float = 1.0) -> Scan:
+    """Read a ``.ply`` or ``.obj`` with colours of the vertices, or with a texture beside it.
+
+    Raises
+    ------
+    SourceError
+        The file cannot be read, has no triangles or no colours, or the size is implausible, probably because of a wrong
+        unit.
+    MissingExtraError
+        trimesh or Pillow is not installed.
+    """
+    try:
+        import PIL.Image  # noqa: F401  # without Pillow, trimesh silently loads no texture
+    except ImportError as error:
+        raise MissingExtraError("a scan needs Pillow: install it with pip install 'tactune[lab]'") from error
+    parts, colors = [], []
+    for mesh in load_meshes(path, SUFFIXES):
+        mesh.apply_scale(unit_m)
+        size_m = float(np.ptp(np.asarray(mesh.vertices)[np.unique(mesh.faces)], axis=0).max())
+        if size_m > _MAX_SIZE_M:
+            raise SourceError(f"{path} is {size_m:.3g} m across; give the unit of its numbers: m, mm or in")
+        if mesh.visual.kind is None:
+            raise SourceError(f"{path} has no colours; export it with vertex colours, or with its texture beside it")
+        finer = _subdivided(mesh, path) if mesh.visual.kind == "texture" else mesh
+        parts.append((np.asarray(finer.vertices), np.asarray(finer.faces)))
+        colors.append(np.asarray(finer.visual.vertex_colors, np.uint8)[:, :3])
+    vertices, triangles, origin = merge(parts, path)
+    scan = Scan(vertices, triangles, np.ascontiguousarray(np.concatenate(colors)[origin]))
+    if scan.sides_m.max() < _MIN_SIZE_M:
+        raise SourceError(
+            f"{path} is {1e3 * scan.sides_m.max():.3g} mm across; give the unit of its numbers: m, mm or in"
+        )
+    return scan
+
+
+def _subdivided(mesh: Any, path: Path | str) -> Any:
+    """Subdivide a mesh to the detail of its texture, and colour its vertices."""
+    material = mesh.visual.material
+    image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
+    if image is None or image.format is None or mesh.visual.uv is None:  # trimesh's placeholder has no format
+        raise SourceError(
+            f"{path} has a texture that is missing or cannot be read; "
+            "put its image (and an .obj's .mtl) into the same folder"
+        )
+    corners = np.asarray(mesh.vertices)[mesh.faces]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    edge = _TEXTURE_EDGE_M
+    # each subdivision halves the edges of a triangle and makes at most four of it
+    while (4.0 ** np.ceil(np.log2(np.maximum(longest / edge, 1)))).sum() > max(_MAX_TRIANGLES, len(longest)):
+        edge *= 1.2
+    finer = mesh.subdivide_to_size(edge, max_iter=_MAX_CUTS)
+    finer.visual = finer.visual.to_color()
+    return finer
+
+
+# Paint
+
+
+@dataclass(frozen=True)
+class PaintSettings:
+    """Colour of the touched paint as in `MaskSection`, and the clean-up of its spots.
+
+    Smaller spots than ``least_area_mm2`` are removed and smaller holes filled; ``largest`` is the number of spots to
+    keep, largest first, 0 for all.
+    """
+
+    hue: tuple[int, int] = (150, 179)
+    saturation: tuple[int, int] = (40, 255)
+    value: tuple[int, int] = (60, 255)
+    least_area_mm2: float = 20.0
+    largest: int = 0
+
+    def color_range(self) -> MaskSection:
+        """Return the colour range; raises a `TactuneError` for an invalid one."""
+        try:
+            return MaskSection(hue=self.hue, saturation=self.saturation, value=self.value)
+        except ValidationError as error:
+            first = error.errors()[0]
+            name = ".".join(map(str, first["loc"])) or "range"
+            raise TactuneError(f"the paint's {name} is invalid: {first['msg']}; it is {first['input']!r}") from error
+
+
+def painted_contact(scan: Scan, paint: PaintSettings) -> BoolArray:
+    """Tell which vertices have the colour of touched paint, after the clean-up, bool, shape (N,).
+
+    First holes below the least area are filled, then spots below it are removed, then the largest spots are kept. Spots
+    are connected along mesh edges. The area of a vertex is a third of the area of its triangles.
+    """
+    contact = in_hsv_range(scan.colors[None], paint.color_range())[0]
+    least_m2 = 1e-6 * paint.least_area_mm2
+    thirds = np.repeat(scan.areas_m2 / 3, 3)
+    shares: Float64Array = np.bincount(scan.triangles.ravel(), thirds, minlength=len(scan.vertices_m)).astype(
+        np.float64
+    )
+    holes, areas = _spots(scan, ~contact, shares)
+    contact = contact | (~contact & (areas[holes] < least_m2))
+    spots, areas = _spots(scan, contact, shares)
+    contact = contact & (areas[spots] >= least_m2)
+    if paint.largest:
+        spots, areas = _spots(scan, contact, shares)
+        contact = contact & np.isin(spots, np.argsort(-areas, kind="stable")[: paint.largest])
+    return np.asarray(contact)
+
+
+def _spots(scan: Scan, marked: BoolArray, shares: Float64Array) -> tuple[AnyArray, Float64Array]:
+    """Return the connected group of each vertex, and the marked area of each group, m^2."""
+    t = scan.triangles
+    edges = np.concatenate([t[:, (0, 1)], t[:, (1, 2)], t[:, (2, 0)]])
+    edges = edges[marked[edges].all(axis=1)]
+    graph = coo_array((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), (len(marked), len(marked)))
+    count, labels = connected_components(graph, directed=False)
+    return labels, np.bincount(labels, shares * marked, minlength=count).astype(np.float64)
+
+
+def surface_points(scan: Scan, contact: BoolArray, spacing_m: float = SPACING_M) -> tuple[Float64Array, Float64Array]:
+    """Return evenly spread points on the surface in contact, and the unit normals of their triangles, each (K, 3).
+
+    Contact is interpolated linearly between vertices and ends at 0.5. The result is deterministic.
+
+    Raises
+    ------
+    TactuneError
+        The contact is too large.
+    """
+    touching = np.flatnonzero(contact[scan.triangles].any(axis=1))
+    areas = scan.areas_m2[touching]
+    if areas.sum() / spacing_m**2 > _MAX_POINTS:
+        raise TactuneError(
+            f"the painted contact is {1e4 * areas.sum():.3g} cm2, too large for points {1e3 * spacing_m:g} mm apart; "
+            "check the scan's unit and the paint's colour"
+        )
+    if len(touching) == 0:
+        return np.empty((0, 3)), np.empty((0, 3))
+    count = max(round(areas.sum() / spacing_m**2), 1)
+    ends = np.cumsum(areas)
+    places = (np.arange(count) + 0.5) / count * ends[-1]
+    chosen = np.minimum(np.searchsorted(ends, places, side="right"), len(touching) - 1)
+    corners = scan.triangles[touching[chosen]]
+    s, t = ((0.5 + step * np.arange(1, count + 1)) % 1.0 for step in _STEPS)
+    s, t = np.where(s + t > 1.0, 1 - s, s), np.where(s + t > 1.0, 1 - t, t)
+    weights = np.column_stack([1 - s - t, s, t])
+    inside = (weights * contact[corners]).sum(axis=1) >= 0.5
+    a, b, c = (scan.vertices_m[corners[inside, k]] for k in range(3))
+    w = weights[inside]
+    across = np.cross(b - a, c - a)
+    points = w[:, :1] * a + w[:, 1:2] * b + w[:, 2:] * c
+    return points, across / np.linalg.norm(across, axis=1, keepdims=True)
+
+
+# Pose and scores
+
+
+@dataclass(frozen=True)
+class RefinedPose:
+    """Result of ICP: the pose, the root mean square distance of the pairs under it, and whether it converged."""
+
+    T_proximity_scan: Matrix4
+    rmse_m: float
+    pairs: int
+    iterations: int
+    converged: bool
+
+
+def refine_pose(contact_points: npt.ArrayLike, patch_points: npt.ArrayLike, start: Matrix4) -> RefinedPose:
+    """Refine ``T_proximity_scan`` by ICP, point to point (Besl and McKay 1992).
+
+    Each contact point (scan's frame) is paired with the nearest patch point (proximity frame), and each patch point
+    with the nearest contact point. Contact is smooth, so mainly its outline determines the lateral position. If one
+    cloud lies within the other, only the pairs that start at the larger cloud show the offset.
+
+    Raises
+    ------
+    CalibrationError
+        A cloud is too small, or the clouds are out of reach of each other.
+    """
+    contact, patch = (_thinned(points) for points in (contact_points, patch_points))
+    trees = cKDTree(contact), cKDTree(patch)
+    pose, shift, iteration = rigid_transform(start), math.inf, 0
+    while True:
+        on_patch, patch_used = _nearest(trees[1], transformed(pose, contact))
+        on_contact, contact_used = _nearest(trees[0], transformed(rigid_transform(np.linalg.inv(pose)), patch))
+        from_scan = np.concatenate([contact[patch_used], contact[on_contact]])
+        to_patch = np.concatenate([patch[on_patch], patch[contact_used]])
+        if len(from_scan) < _MIN_PAIRS:
+            raise CalibrationError(
+                f"the scan's contact is nowhere within {1e3 * _ICP_REACH_M:g} mm of the patch; give a better pose"
+            )
+        if shift < _CONVERGED_M or iteration == _ICP_ROUNDS:
+            apart = np.linalg.norm(transformed(pose, from_scan) - to_patch, axis=1)
+            rmse_m = math.sqrt(float(np.mean(apart**2)))
+            return RefinedPose(pose, rmse_m, len(from_scan), iteration, shift < _CONVERGED_M)
+        better = fit_pose(from_scan, to_patch)
+        shift = float(np.abs(transformed(better, contact) - transformed(pose, contact)).max())
+        pose, iteration = better, iteration + 1
+
+
+def _nearest(tree: cKDTree, points: Float64Array) -> tuple[AnyArray, AnyArray]:
+    """Return the nearest points of a tree within reach, and the numbers of the points that have one."""
+    distances, nearest = tree.query(points, distance_upper_bound=_ICP_REACH_M)
+    used = np.flatnonzero(np.isfinite(distances))
+    return np.asarray(nearest)[used], used
+
+
+def _thinned(points: npt.ArrayLike) -> Float64Array:
+    array = np.asarray(points, np.float64).reshape(-1, 3)
+    if len(array) < _MIN_PAIRS:
+        raise CalibrationError(f"a cloud has {len(array)} points, too few to align; check the paint or the patch")
+    return array[:: max(math.ceil(len(array) / _ICP_POINTS), 1)]
+
+
+@dataclass(frozen=True, eq=False)
+class ScanTruth:
+    """True contact: points (K, 3) in the proximity depth frame, metres, and the area as projected for patches."""
+
+    points: Float64Array
+    area_mm2: float
+
+
+def scan_truth(scan: Scan, contact: BoolArray, pose: Matrix4) -> ScanTruth:
+    """Transform a scan's contact to the proximity frame by ``T_proximity_scan``.
+
+    Raises
+    ------
+    TactuneError
+        The pose puts contact behind the camera; also see `surface_points`.
+    """
+    found, normals = surface_points(scan, contact)
+    points = transformed(pose, found)
+    if len(points) and points[:, 2].min() <= 0:
+        raise TactuneError(
+            "the transform puts the scan's contact behind the proximity camera; it must take the scan's frame, in "
+            "metres, to the proximity depth frame"
+        )
+    # projected area of a surface element with normal n seen along ray p: |n . p| / p_z
+    projected = np.abs((normals @ np.asarray(pose)[:3, :3].T * points).sum(axis=1)) / points[:, 2]
+    return ScanTruth(points, float(projected.sum()) * 1e6 * SPACING_M**2)
+
+
+def score_against_scan(patch: npt.ArrayLike, area_mm2: float, truth: ScanTruth) -> dict[str, float]:
+    """Score a patch, (N, 3) in metres, and its area against the true contact; distances in mm, nan if either is empty.
+
+    ``rmse_mm`` is the symmetric RMSE, the mean of both directed ones; ``hausdorff_mm`` the largest directed distance.
+    """
+    points = np.asarray(patch, np.float64).reshape(-1, 3)
+    area = {"area_error_mm2": area_mm2 - truth.area_mm2}
+    if len(points) == 0 or len(truth.points) == 0:
+        return {"rmse_mm": math.nan, "hausdorff_mm": math.nan} | area
+    there = 1e3 * nearest_distances(cKDTree(truth.points), points)
+    back = 1e3 * nearest_distances(cKDTree(points), truth.points)
+    rmse_mm = sum(math.sqrt(float(np.mean(apart**2))) for apart in (there, back)) / 2
+    return {"rmse_mm": rmse_mm, "hausdorff_mm": float(max(there.max(), back.max()))} | area

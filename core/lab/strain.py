@@ -1,0 +1,470 @@
+"""Membrane strain from a printed grid of dots, seen in one colour and depth image (Yin et al.).
+
+Dots are dark spots against the bare sheet; their centroids are ordered to rows and columns, and lifted to space by the
+smoothed depth image. The strain of a neighbour pair is the median over the pairs around it. In single frames the
+largest strains are within 4 points (RMS) of the simulator's, in averages of still frames within 2.5.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..calibration.snapshots import take_snapshot
+from ..errors import TactuneError
+from ..model.arrays import AnyArray, BoolArray, Float64Array, IndexArray, Int64Array
+from ..model.clouds import valid_depth
+from ..model.frames import DepthCamera, Rig, SensorFrame
+
+#: Default distance of neighbouring dots on the flat sheet, metres, and the range of possible ones.
+SPACING_M: Final = 0.010
+SPACING_RANGE_M: Final = (0.001, 0.1)
+#: Largest diameters of dots that are tried, pixels; the one that orders most dots is used.
+_DOT_WIDTHS_PX: Final = (11, 21, 41)
+#: A dot is darker than the sheet around it by more than this, 0 to 255, and by this share of the darkest dots.
+_LEAST_CONTRAST, _CONTRAST_SHARE = 12.0, 0.4
+#: A dot has at least this many pixels, and its sides differ by at most this factor.
+_LEAST_AREA_PX, _LONGEST_SHAPE = 3, 4.0
+#: A grid has at least this many ordered dots.
+_MIN_DOTS: Final = 16
+#: Sigma of the Gaussian that smooths depth, pixels, and the least share of its weight that has depth.
+_SIGMA_PX, _SEEN_SHARE = 4.0, 0.3
+#: Neighbours differ in depth by less than this, relative to their distance across the image: else a step lies between.
+_STEEPEST: Final = 2.0
+#: Strains beyond these do not come from a pair of neighbours.
+_LEAST_STRAIN, _MOST_STRAIN = -0.5, 2.0
+
+#: The membrane has moved if more tiles of this side length, pixels, change their mean depth by more than this, metres.
+_TILE_PX, _MOVED_M, _MOVED_TILES = 32, 0.0006, 3
+
+Cell = tuple[int, int]
+#: Largest distance of a dot from its predicted place, in lattice steps.
+_REACH: Final = 0.38
+#: Expected places of a seed's neighbours, in lattice steps, and the largest distance from them. Dots that are not
+#: ordered by the first pattern, such as the few on top of a pressed object, are tried with the four nearest alone.
+_SEEDS: Final = (
+    (((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)), 0.16),
+    (((-1, 0), (0, -1), (0, 1), (1, 0)), 0.16),
+)
+#: Pieces with fewer dots are dropped.
+_MIN_PIECE: Final = 9
+_NEIGHBOURS: Final = 12
+_STEPS: Final = ((0, 1), (0, -1), (1, 0), (-1, 0))
+#: Tells whether two dots, given by index, may be neighbours.
+Linked = Callable[[int, int], bool]
+
+
+class StrainError(TactuneError):
+    """A frame in which strain cannot be measured."""
+
+
+@dataclass(frozen=True, eq=False)
+class AxisStrain:
+    """Strain along one direction of the grid: neighbour pairs (M, 2), their strain (M,), and the largest one."""
+
+    pairs: Int64Array
+    strain: Float64Array
+
+    @property
+    def largest(self) -> float:
+        """Largest strain."""
+        return float(self.strain.max())
+
+
+@dataclass(frozen=True, eq=False)
+class StrainMeasurement:
+    """Strain of one frame, measured at dots seen by the tactile camera.
+
+    Attributes
+    ----------
+    pixels : float64, shape (N, 2)
+        Centroids of the dots that have a place in the grid, ``(u, v)``.
+    length, width : AxisStrain
+        Strain along the rows (the direction nearer to the image's u axis) and along the columns.
+    cells : int64, shape (K, 4)
+        Grid cells: the four dots of each, in order around it.
+    cell_strain : float64, shape (K, 2)
+        Mean strain of both sides of a grid cell along the length, and along the width.
+    """
+
+    pixels: Float64Array
+    length: AxisStrain
+    width: AxisStrain
+    cells: Int64Array
+    cell_strain: Float64Array
+
+
+def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -> StrainMeasurement:
+    """Measure strain from the grid of dots in a frame.
+
+    Parameters
+    ----------
+    frame : SensorFrame
+        With a tactile colour image.
+    rig : Rig
+    spacing_m : float
+        Distance of neighbouring dots on the flat sheet, metres.
+
+    Raises
+    ------
+    StrainError
+        The frame has no tactile colour image, no grid is found, or there is too little depth.
+    FrameError
+        The frame belongs to another rig.
+    """
+    check_spacing(spacing_m)
+    frame.check_against(rig)
+    if frame.tactile_color is None or frame.tactile_color.shape[:2] != frame.tactile_depth.shape:
+        raise StrainError(
+            f"frame {frame.sequence} has no tactile colour image of the depth image's size; record the tactile camera "
+            "with its colour image, aligned to depth"
+        )
+    depth_m = _smooth_depth_m(frame, rig.tactile)
+    if not np.isfinite(depth_m).any():
+        raise StrainError(f"frame {frame.sequence} has no tactile depth; check the tactile camera and its range")
+    pixels, lattice = _find_grid(frame, depth_m, rig.tactile)
+    points_m = _lift(pixels, depth_m, rig.tactile)
+    axes = [_axis_strain(lattice, axis, points_m, spacing_m) for axis in (1, 0)]
+    for axis, name in zip(axes, ("length", "width"), strict=True):
+        if len(axis.pairs) == 0:
+            raise StrainError(f"frame {frame.sequence}: no neighbouring dots along the {name} have depth")
+    length, width = axes
+    return StrainMeasurement(pixels, length, width, *_cells(length, width))
+
+
+def check_spacing(spacing_m: float) -> None:
+    """Raise a `StrainError` unless the spacing is between 1 and 100 mm."""
+    low, high = SPACING_RANGE_M
+    if not (math.isfinite(spacing_m) and low <= spacing_m <= high):
+        raise StrainError(
+            f"the dots' spacing is {1e3 * spacing_m:g} mm; give the distance of neighbours on the flat sheet, "
+            f"{1e3 * low:g} to {1e3 * high:g} mm"
+        )
+
+
+def indentation_m(frame: SensorFrame, untouched: SensorFrame, rig: Rig) -> float:
+    """Return the largest displacement of the membrane towards the tactile camera, metres, at least 0.
+
+    Raises
+    ------
+    StrainError
+        The frames have no pixel with depth in common.
+    """
+    moved = _smooth_depth_m(untouched, rig.tactile) - _smooth_depth_m(frame, rig.tactile)
+    if not np.isfinite(moved).any():
+        raise StrainError(f"frame {frame.sequence} and the untouched membrane have no pixel with depth in common")
+    return max(float(np.nanmax(moved)), 0.0)
+
+
+def average_still(frames: Sequence[SensorFrame], rig: Rig) -> tuple[SensorFrame, int]:
+    """Return the pixelwise median of the newest frame and the frames before it in which the membrane is at rest.
+
+    Parameters
+    ----------
+    frames : sequence of SensorFrame
+        At least one, oldest first.
+
+    Returns
+    -------
+    frame : SensorFrame
+        With the sequence number, time stamps and truth of the newest frame.
+    count : int
+        Number of averaged frames.
+    """
+    newest, still = frames[-1], [frames[-1]]
+    for frame in reversed(frames[:-1]):
+        if (frame.tactile_color is None) != (newest.tactile_color is None) or _moved(frame, newest, rig.tactile):
+            break
+        still.append(frame)
+    if len(still) == 1:
+        return newest, 1
+    median = take_snapshot(still).frame
+    return (
+        SensorFrame(
+            newest.sequence, median.proximity_depth, median.tactile_depth, median.proximity_color, median.tactile_color,
+            newest.proximity_time_s, newest.tactile_time_s, newest.truth,
+        ),
+        len(still),
+    )  # fmt: skip
+
+
+def _moved(frame: SensorFrame, newest: SensorFrame, camera: DepthCamera) -> bool:
+    known = valid_depth(frame.tactile_depth) & valid_depth(newest.tactile_depth)
+    change_m = np.where(known, newest.tactile_depth.astype(np.float64) - frame.tactile_depth, 0.0) * camera.depth_unit_m
+    height, width = (size // _TILE_PX for size in known.shape)
+    count, total = (
+        cv2.resize(image[: height * _TILE_PX, : width * _TILE_PX], (width, height), interpolation=cv2.INTER_AREA)
+        for image in (known.astype(np.float64), change_m)
+    )
+    moved = (count > 0.5) & (np.abs(total) > _MOVED_M * count)
+    return bool(np.count_nonzero(moved) > _MOVED_TILES)
+
+
+def _smooth_depth_m(frame: SensorFrame, camera: DepthCamera) -> Float64Array:
+    """Return the tactile depth, smoothed by a Gaussian over the pixels that have one; nan where few have."""
+    known = valid_depth(frame.tactile_depth)
+    depth_m = np.where(known, frame.tactile_depth * camera.depth_unit_m, 0.0)
+    weight, total = (cv2.GaussianBlur(image.astype(np.float64), (0, 0), _SIGMA_PX) for image in (known, depth_m))
+    return np.where(weight >= _SEEN_SHARE, total / np.maximum(weight, 1e-9), np.nan)
+
+
+def _lift(pixels: Float64Array, depth_m: Float64Array, camera: DepthCamera) -> Float64Array:
+    """Return the points of pixels (N, 2) in the camera's frame, metres, (N, 3)."""
+    column, row = np.rint(pixels).astype(np.intp).T
+    return np.column_stack([camera.intrinsics.normalise(pixels), np.ones(len(pixels))]) * depth_m[row, column, None]
+
+
+def _find_grid(frame: SensorFrame, depth_m: Float64Array, camera: DepthCamera) -> tuple[Float64Array, DotLattice]:
+    """Return the centroids of the dots that have a place in the grid, and their places."""
+    assert frame.tactile_color is not None  # `measure_strain` has checked
+    gray = cv2.cvtColor(np.ascontiguousarray(frame.tactile_color), cv2.COLOR_RGB2GRAY)
+    best, most = None, _MIN_DOTS - 1
+    for width_px in _DOT_WIDTHS_PX:
+        pixels = _dark_spots(gray, width_px)
+        if len(pixels) < _MIN_DOTS:
+            continue
+        points_m = _lift(pixels, depth_m, camera)
+        lattice = order_dots(pixels, lambda a, b, points_m=points_m: _same_surface(points_m[a], points_m[b]))  # type: ignore[misc]
+        placed = lattice.piece >= 0
+        if np.count_nonzero(placed) > most:
+            most = int(np.count_nonzero(placed))
+            best = pixels[placed], DotLattice(lattice.cells[placed], lattice.piece[placed])
+    if best is None:
+        raise StrainError(
+            f"frame {frame.sequence} shows no grid of dots; the membrane needs dark dots on a bright sheet, sharp and "
+            "at least 3 pixels wide"
+        )
+    return best
+
+
+def _dark_spots(gray: AnyArray, width_px: int) -> Float64Array:
+    """Return the centroids, (N, 2), of spots up to this wide that are darker than what is around them."""
+    shape = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width_px, width_px))
+    darker = cv2.GaussianBlur(cv2.morphologyEx(gray, cv2.MORPH_BLACKHAT, shape).astype(np.float32), (0, 0), 0.8)
+    least = max(_LEAST_CONTRAST, _CONTRAST_SHARE * float(np.percentile(darker, 99)))
+    count, labels, stats, _ = cv2.connectedComponentsWithStats((darker > least).astype(np.uint8))
+    v, u = np.indices(gray.shape)
+    total, sum_u, sum_v = (np.bincount(labels.ravel(), (darker * by).ravel(), count) for by in (1.0, u, v))
+    sides = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]]
+    dots = (stats[:, cv2.CC_STAT_AREA] >= _LEAST_AREA_PX) & (sides.max(axis=1) <= width_px)
+    dots &= sides.max(axis=1) <= _LONGEST_SHAPE * sides.min(axis=1)
+    dots[0] = False
+    return np.column_stack([sum_u[dots] / total[dots], sum_v[dots] / total[dots]])
+
+
+def _same_surface(a: Float64Array, b: Float64Array) -> bool:
+    return bool(abs(a[2] - b[2]) < _STEEPEST * math.hypot(a[0] - b[0], a[1] - b[1]))
+
+
+def _axis_strain(lattice: DotLattice, axis: int, points_m: Float64Array, spacing_m: float) -> AxisStrain:
+    """Return the strain of neighbour pairs, each the median over the pairs at most one step away."""
+    pairs = lattice.neighbours(axis)
+    raw = np.linalg.norm(points_m[pairs[:, 1]] - points_m[pairs[:, 0]], axis=1) / spacing_m - 1.0
+    with np.errstate(invalid="ignore"):
+        possible = (raw > _LEAST_STRAIN) & (raw < _MOST_STRAIN)
+    pairs, raw = pairs[possible], raw[possible]
+    places = np.column_stack([lattice.piece, lattice.cells])[pairs[:, 0]]
+    known = {tuple(place): strain for place, strain in zip(places.tolist(), raw.tolist(), strict=True)}
+    around = [(0, down, right) for down in (-1, 0, 1) for right in (-1, 0, 1)]
+    smooth = [
+        np.median([known[at] for step in around if (at := tuple(place + step)) in known]) for place in places
+    ]  # fmt: skip
+    return AxisStrain(pairs, np.array(smooth, np.float64))
+
+
+def _cells(length: AxisStrain, width: AxisStrain) -> tuple[Int64Array, Float64Array]:
+    """Return the grid cells whose four sides are measured: their corners, and their mean strains."""
+    along, across = (
+        {(int(a), int(b)): float(strain) for (a, b), strain in zip(axis.pairs, axis.strain, strict=True)}
+        for axis in (length, width)
+    )
+    below = dict(across.keys())
+    corners = [
+        (a, b, below[b], below[a]) for a, b in along if a in below and b in below and (below[a], below[b]) in along
+    ]
+    strain = [((along[a, b] + along[d, c]) / 2, (across[a, d] + across[b, c]) / 2) for a, b, c, d in corners]
+    return np.array(corners, np.int64).reshape(-1, 4), np.array(strain, np.float64).reshape(-1, 2)
+
+
+# Rows and columns: region growing from seeds along local lattice vectors
+
+
+@dataclass
+class DotLattice:
+    """Rows and columns of a grid. Steep walls may cut it into pieces, each with its own row and column numbers.
+
+    Attributes
+    ----------
+    cells : int64, shape (N, 2)
+        Row and column of each dot within its piece.
+    piece : int64, shape (N,)
+        Piece of each dot, numbered by descending size from 0; -1 for dots without a piece.
+    """
+
+    cells: Int64Array
+    piece: Int64Array
+
+    def neighbours(self, axis: int) -> Int64Array:
+        """Return the indices of neighbouring dots, int64, shape (M, 2).
+
+        Parameters
+        ----------
+        axis : int
+            1: along the rows, from each column to the next; 0: along the columns.
+        """
+        places = {
+            (int(piece), int(row), int(column)): number
+            for number, (piece, (row, column)) in enumerate(zip(self.piece, self.cells, strict=True))
+            if piece >= 0
+        }
+        down, right = (1, 0) if axis == 0 else (0, 1)
+        pairs = [
+            (number, places[piece, row + down, column + right])
+            for (piece, row, column), number in places.items()
+            if (piece, row + down, column + right) in places
+        ]
+        return np.array(pairs, np.int64).reshape(-1, 2)
+
+
+@dataclass
+class _Piece:
+    """A growing piece: dot by cell, and cell by dot."""
+
+    dots: dict[Cell, int] = field(default_factory=dict)
+    cells: dict[int, Cell] = field(default_factory=dict)
+
+    def put(self, cell: Cell, dot: int) -> None:
+        self.dots[cell] = dot
+        self.cells[dot] = cell
+
+
+def order_dots(pixels: Float64Array, linked: Linked = lambda a, b: True) -> DotLattice:
+    """Find rows and columns.
+
+    A piece starts at a dot with eight symmetric neighbours. It then grows by the dot nearest to its predicted place;
+    the prediction is the mean step between ordered dots nearby. Growth passes around missing dots. Rows are the
+    direction nearer to the image's u axis.
+
+    Parameters
+    ----------
+    pixels : float64, shape (N, 2)
+    linked : callable
+        Called with two indices; returns False if part of the surface between the dots is hidden.
+    """
+    cells, piece = np.zeros((len(pixels), 2), np.int64), np.full(len(pixels), -1, np.int64)
+    free = np.ones(len(pixels), bool)
+    axes: list[tuple[Float64Array, Float64Array]] = []
+    found: list[_Piece] = []
+    for looked, (steps, reach) in enumerate(_SEEDS):
+        left = np.flatnonzero(free)
+        if len(left) < _MIN_PIECE or (looked and len(left) > len(pixels) / 2):  # chance alone orders a few spots
+            break
+        tree = cKDTree(pixels[left])
+        for _, number, right, down in sorted(_seeds(pixels[left], tree, steps, reach), key=lambda entry: entry[0]):
+            if not free[left[number]]:
+                continue
+            vectors = _like(axes[0], right, down) if axes else (right, down)
+            grown = _grow(pixels, left, tree, free, linked, int(left[number]), vectors)
+            if len(grown.dots) >= _MIN_PIECE:
+                free[list(grown.cells)] = False
+                axes.append(vectors)
+                found.append(grown)
+    for number, grown in enumerate(sorted(found, key=lambda grown: -len(grown.dots))):
+        for dot, cell in grown.cells.items():
+            cells[dot], piece[dot] = cell, number
+    return DotLattice(cells, piece)
+
+
+def _seeds(
+    pixels: Float64Array, tree: cKDTree, steps: Sequence[Cell], reach: float
+) -> Iterator[tuple[float, int, Float64Array, Float64Array]]:
+    """Yield seeds: irregularity of the neighbours in lattice steps, index of the dot, and both lattice vectors."""
+    near = np.asarray(tree.query(pixels, min(_NEIGHBOURS + 1, len(pixels)))[1])
+    for dot in range(len(pixels)):
+        around = pixels[near[dot, 1:]] - pixels[dot]
+        first = around[0]
+        crossing = np.abs(first[0] * around[:, 1] - first[1] * around[:, 0])
+        aside = crossing > 0.6 * np.hypot(*first) * np.hypot(*around.T)
+        if not aside.any():
+            continue
+        right, down = _upright(first, around[np.argmax(aside)])
+        wanted = np.array([i * right + j * down for i, j in steps])
+        gaps = np.hypot(*(wanted[:, None] - around[None]).transpose(2, 0, 1)).min(axis=1)
+        error = float(gaps.max()) / min(np.hypot(*right), np.hypot(*down))
+        if error <= reach:
+            yield error, dot, right, down
+
+
+def _upright(first: Float64Array, second: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Return both vectors ordered and signed: the one that points right, and the one that points down."""
+    right, down = (
+        (first, second) if abs(first[0]) * np.hypot(*second) >= abs(second[0]) * np.hypot(*first) else (second, first)
+    )
+    return right * (1 if right[0] >= 0 else -1), down * (1 if down[1] >= 0 else -1)
+
+
+def _like(
+    axes: tuple[Float64Array, Float64Array], right: Float64Array, down: Float64Array
+) -> tuple[Float64Array, Float64Array]:
+    """Return both vectors ordered and signed like those of another piece."""
+    if abs(float(right @ axes[0])) / np.hypot(*right) < abs(float(down @ axes[0])) / np.hypot(*down):
+        right, down = down, right
+    return right * (1 if right @ axes[0] >= 0 else -1), down * (1 if down @ axes[1] >= 0 else -1)
+
+
+def _grow(
+    pixels: Float64Array,
+    left: IndexArray,
+    tree: cKDTree,
+    free: BoolArray,
+    linked: Linked,
+    seed: int,
+    vectors: tuple[Float64Array, Float64Array],
+) -> _Piece:
+    """Grow a piece from a seed, always by the dot nearest to its prediction. ``left`` maps tree indices to dots."""
+    piece = _Piece()
+    waiting: list[tuple[float, int, Cell, int]] = [(0.0, seed, (0, 0), seed)]
+    while waiting:
+        _, dot, cell, _ = heapq.heappop(waiting)
+        if dot in piece.cells or cell in piece.dots:
+            continue
+        piece.put(cell, dot)
+        for step in _STEPS:
+            beside = cell[0] + step[0], cell[1] + step[1]
+            if beside in piece.dots:
+                continue
+            vector = _vector(pixels, piece, cell, step, vectors)
+            gap, number = tree.query(pixels[dot] + vector)
+            candidate = int(left[number])
+            error = float(gap) / float(np.hypot(*vector))
+            if error <= _REACH and free[candidate] and linked(dot, candidate):
+                heapq.heappush(waiting, (error, candidate, beside, dot))
+    return piece
+
+
+def _vector(
+    pixels: Float64Array, piece: _Piece, cell: Cell, step: Cell, vectors: tuple[Float64Array, Float64Array]
+) -> Float64Array:
+    """Return the predicted step from a cell to its neighbour: the mean of parallel steps nearby."""
+    row, column = cell
+    aside = (step[1], step[0])
+    ways = []
+    for start in (
+        (row - step[0], column - step[1]),
+        (row + aside[0], column + aside[1]),
+        (row - aside[0], column - aside[1]),
+    ):
+        end = start[0] + step[0], start[1] + step[1]
+        if start in piece.dots and end in piece.dots:
+            ways.append(pixels[piece.dots[end]] - pixels[piece.dots[start]])
+    if ways:
+        return np.asarray(np.mean(ways, axis=0))
+    right, down = vectors
+    return step[1] * right + step[0] * down

@@ -1,0 +1,549 @@
+"""The table of methods: every method on simulated presses with known truth, on any sensor of the simulator.
+
+A *cell* is one method on one press, with one sensor, membrane and seed. Cells are measured by several processes, each
+of which solves the presses of some membranes, and are stored, so that an interrupted table goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import math
+import time
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import asdict, dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+from queue import Empty
+from statistics import fmean, median
+from typing import Any, Final
+
+import cv2
+
+from ..contact.kernels.threads import available_threads, set_threads
+from ..contact.pipeline import ContactPipeline
+from ..errors import TactuneError
+from ..model.files import atomic_path, code_version, finite_or_none
+from ..model.frames import SensorFrame
+from ..model.loading import read_json
+from ..model.metrics import TruthTree, pixel_scores, true_contact
+from ..model.patch import ContactPatch
+from ..preset import Preset
+from ..rig.noise import NOISE_FRAMES, measure_noise
+from ..rig.untouched import untouched_frame
+from ..sources.base import FrameSource
+from ..sources.registry import open_source
+from ..sources.simulator.membranes import MEMBRANES
+from ..sources.simulator.scenes import HELD_OUT
+from ..sources.simulator.sensors import DEFAULT_SENSOR, SENSORS
+from .methods import AVERAGED, MEMBRANE, PIPELINES, check_methods, make_method, method_names, needed_frames
+
+PRESSES: Final = ("low", "medium", "high")
+OBJECTS: Final = ("octopus", "cup", "cube")
+#: First seed of held-out tables; development uses smaller seeds only.
+FIRST_HELD_OUT_SEED: Final = 100
+
+#: The tolerance test with the tolerance of each frame that is best, which only the truth tells, of `TOLERANCES`.
+BEST_T: Final = "best-t"
+TOLERANCES: Final = (0.003, 0.004, 0.005, 0.006, 0.007, 0.008, 0.010, 0.012, 0.015, 0.018, 0.022, 0.026, 0.030)
+
+#: A method gets the last frames of this many, the last of which is scored.
+FRAMES: Final = 16
+#: Frames that are timed, and the seed of the scene whose frames they are.
+_TIMED_FRAMES: Final = 5
+
+NO_CONTACT_FOUND: Final = "it found no contact although there is one"
+#: Smallest contact in which an empty patch counts as a failure, mm^2, and the error over the best tolerance's that a
+#: contact test may have, as a factor.
+MIN_TOUCHED_MM2: Final = 200.0
+MAX_OVER_BEST_T: Final = 1.05
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A simulated press. Presses with ``press="high"`` are off-centre: at ``side`` left and right."""
+
+    object: str
+    press: str
+    side: str = ""
+    sensor: str = DEFAULT_SENSOR
+    membrane: str = "standard"
+
+    def source(self, seed: int) -> str:
+        """Return the name of the source."""
+        side = f"&side={self.side}" if self.side else ""
+        return f"sim:{self.object}?press={self.press}{side}&membrane={self.membrane}&sensor={self.sensor}&seed={seed}"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One method on one press.
+
+    Attributes
+    ----------
+    rmse_mm : float or None
+        Average symmetric RMSE to the true contact, see `TruthTree`; None without a patch.
+    iou : float or None
+        Over proximity pixels.
+    points : int
+    true_mm2 : float
+        Area of the true contact.
+    failure : str
+        Why there is no patch; empty if there is one.
+    """
+
+    sensor: str
+    membrane: str
+    object: str
+    press: str
+    side: str
+    seed: int
+    method: str
+    rmse_mm: float | None = None
+    iou: float | None = None
+    points: int = 0
+    true_mm2: float = 0.0
+    failure: str = ""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a table compares.
+
+    Attributes
+    ----------
+    scenes : tuple of Scene
+    seeds : tuple of int
+        Noise seeds.
+    methods : tuple of str
+        Names of `table_methods`.
+    preset : Preset
+        Of all methods; `PIPELINES` sets some of its fields.
+    work : Path
+        Folder of the finished cells.
+    rig_measured : bool
+        Whether noise and bias of each rig are measured first, on the untouched membrane.
+    """
+
+    scenes: tuple[Scene, ...]
+    seeds: tuple[int, ...]
+    methods: tuple[str, ...]
+    preset: Preset
+    work: Path
+    rig_measured: bool = True
+
+    @property
+    def presses(self) -> int:
+        """Number of presses with a seed; each has one cell for each method."""
+        return len(self.scenes) * len(self.seeds)
+
+
+def table_methods() -> tuple[str, ...]:
+    """Return the names of all methods of the table."""
+    first, *others = method_names()
+    return (first, BEST_T, *others)
+
+
+def plan_table(
+    preset: Preset,
+    work: Path,
+    *,
+    methods: Sequence[str] = (),
+    objects: Sequence[str] = (),
+    presses: Sequence[str] = PRESSES,
+    sensors: Sequence[str] = (DEFAULT_SENSOR,),
+    membranes: Sequence[str] = (),
+    seeds: int = 2,
+    held_out: bool = False,
+    rig_measured: bool = True,
+) -> Plan:
+    """Choose the cells of a table. Empty names: all that methods are developed on; with ``held_out``, all others.
+
+    Raises
+    ------
+    TactuneError
+        A name is unknown, or held out of development without ``held_out``.
+    """
+    chosen = methods or table_methods()
+    check_methods(chosen, table_methods())
+    held = {name: name in HELD_OUT for name in (*OBJECTS, *HELD_OUT)}
+    found = [
+        _chosen(what, names, known, held_out)
+        for what, names, known in (
+            ("membrane", membranes, {name: entry.held_out for name, entry in MEMBRANES.items()}),
+            ("object", objects, held),
+            ("press", presses, dict.fromkeys(PRESSES, held_out)),
+            ("sensor", sensors, {name: entry.held_out for name, entry in SENSORS.items()}),
+        )
+    ]
+    scenes = [
+        Scene(thing, press, side, sensor, membrane)
+        for membrane, thing, press, sensor in itertools.product(*found)
+        for side in (("right", "left") if press == "high" else ("",))
+    ]
+    first = FIRST_HELD_OUT_SEED if held_out else 0
+    return Plan(tuple(scenes), tuple(range(first, first + seeds)), tuple(chosen), preset, work, rig_measured)
+
+
+def _chosen(what: str, names: Sequence[str], known: dict[str, bool], held_out: bool) -> tuple[str, ...]:
+    """Return the given names, or all that are held out or not; ``known`` tells which are."""
+    for name in names:
+        if name not in known or (known[name] and not held_out):
+            allowed = ", ".join(name for name in known if held_out or not known[name])
+            is_held = f"; {name!r} is held out: add --held-out" if known.get(name) else ""
+            raise TactuneError(f"the table has no {what} {name!r}; choose from {allowed}{is_held}")
+    return tuple(dict.fromkeys(names)) or tuple(name for name in known if known[name] == held_out)
+
+
+# Measuring
+
+
+def measure_table(plan: Plan, processes: int = 0) -> Iterator[list[Cell]]:
+    """Yield the cells of one press after another, the stored ones first; stop iterating to cancel.
+
+    Parameters
+    ----------
+    plan : Plan
+    processes : int
+        How many measure at once; by default as many as there are processors, 1 for this process alone.
+
+    Raises
+    ------
+    TactuneError
+        A scene cannot be opened, a cell cannot be stored, or a process has ended.
+    """
+    missing: list[tuple[Scene, int]] = []
+    for scene, seed in itertools.product(plan.scenes, plan.seeds):
+        known = load_cells(plan, scene, seed)
+        if known is None:
+            missing.append((scene, seed))
+        else:
+            yield known
+    parts = _split(missing, processes or available_threads())
+    if len(parts) <= 1:
+        yield from _measure(plan, missing)
+        return
+    context = get_context("spawn")
+    found: Any = context.Queue()
+    workers = [context.Process(target=_work, args=(plan, part, found), daemon=True) for part in parts]
+    try:
+        for worker in workers:
+            worker.start()
+        for _ in missing:
+            yield _next(found, workers)
+    finally:
+        for worker in workers:
+            worker.terminate()
+        for worker in workers:
+            worker.join()
+
+
+def _next(found: Any, workers: list[Any]) -> list[Cell]:
+    while True:
+        with suppress(Empty):
+            result: list[Cell] | TactuneError = found.get(timeout=1.0)
+            if isinstance(result, TactuneError):
+                raise result
+            return result
+        if all(worker.exitcode is not None for worker in workers) and found.empty():
+            raise TactuneError("a process that measured the table has ended; give the same command again")
+
+
+def _split(presses: list[tuple[Scene, int]], parts: int) -> list[list[tuple[Scene, int]]]:
+    """Split presses into consecutive parts of about equal work, so that most membranes belong to one process."""
+    solved = list(dict.fromkeys(replace(scene, sensor="") for scene, _ in presses))
+    # A high press takes four times as long to solve as the others.
+    ends = list(itertools.accumulate(4 if scene.press == "high" else 1 for scene in solved))
+    part_of = {scene: (end - 1) * parts // ends[-1] for scene, end in zip(solved, ends, strict=True)}
+    split: dict[int, list[tuple[Scene, int]]] = {}
+    for scene, seed in presses:
+        split.setdefault(part_of[replace(scene, sensor="")], []).append((scene, seed))
+    return list(split.values())
+
+
+def _work(plan: Plan, presses: list[tuple[Scene, int]], found: Any) -> None:
+    """Measure presses in a process of its own, on one core."""
+    set_threads(1)
+    cv2.setNumThreads(1)
+    try:
+        for cells in _measure(plan, presses):
+            found.put(cells)
+    except KeyboardInterrupt:
+        pass  # the main process says so
+    except TactuneError as error:
+        found.put(error)
+
+
+def _measure(plan: Plan, presses: list[tuple[Scene, int]]) -> Iterator[list[Cell]]:
+    rigs: dict[tuple[str, str, int], _Rig] = {}
+    for _, group in itertools.groupby(presses, key=lambda press: replace(press[0], sensor="")):
+        with ExitStack() as still_open:  # the sources of a solved scene share its images while one is open
+            for scene, seed in group:
+                source = still_open.enter_context(open_source(scene.source(seed)))
+                key = scene.sensor, scene.membrane, seed  # each seed has a bias of its own
+                if key not in rigs:
+                    rigs[key] = _Rig.measured(plan, source)
+                cells = score(plan, scene, seed, source, rigs[key])
+                save_cells(plan, scene, seed, cells)
+                yield cells
+
+
+@dataclass(frozen=True, eq=False)
+class _Rig:
+    """What is known of a rig: the preset with its measured noise, or why there is none, and an untouched frame."""
+
+    preset: Preset | TactuneError
+    untouched: SensorFrame | None
+
+    @classmethod
+    def measured(cls, plan: Plan, source: FrameSource) -> _Rig:
+        rivals = any(name not in PIPELINES and name != BEST_T for name in plan.methods)
+        untouched = untouched_frame(source) if rivals else None
+        try:
+            return cls(measured_rig(plan.preset, source) if plan.rig_measured else plan.preset, untouched)
+        except TactuneError as error:
+            return cls(error, untouched)
+
+
+def measured_rig(preset: Preset, source: FrameSource) -> Preset:
+    """Return the preset with noise and bias of a simulated rig, measured while nothing touches the membrane.
+
+    Raises
+    ------
+    TactuneError
+        The source is no simulator, or the noise cannot be measured.
+    """
+    from ..sources.simulator.source import SimulatorSource  # on demand: it loads the solver
+
+    if not isinstance(source, SimulatorSource):
+        raise TactuneError(f"{source.name} has no frames without the object; choose a simulated source")
+    with source.with_object_away() as away:
+        frames = list(itertools.islice(away, NOISE_FRAMES))
+        return preset.model_copy(update={"noise": measure_noise(frames, away.rig, preset)})
+
+
+def score(plan: Plan, scene: Scene, seed: int, source: FrameSource, rig: _Rig) -> list[Cell]:
+    """Return the cells of all methods on one press."""
+    frames = list(itertools.islice(source, FRAMES))
+    truth, true_mm2 = true_contact(frames[-1], source.rig)
+    known = frames[-1].truth
+    assert known is not None  # `true_contact` has checked
+    patches: dict[str, list[ContactPatch]] = {}
+    failures: dict[str, str] = {}
+    for name in plan.methods:
+        try:
+            patches[name] = _patches(name, plan.preset, rig, source, frames)
+        except TactuneError as error:
+            failures[name] = str(error)
+    rmses = iter(TruthTree(truth).symmetric_rmses_m([patch.points for found in patches.values() for patch in found]))
+    base = Cell(scene.sensor, scene.membrane, scene.object, scene.press, scene.side, seed, "", true_mm2=true_mm2)
+    cells = []
+    for name in plan.methods:
+        scored = [(next(rmses), patch) for patch in patches.get(name, ())]
+        whole = [pair for pair in scored if len(pair[1].points)]
+        if not whole:
+            cells.append(replace(base, method=name, failure=failures.get(name, NO_CONTACT_FOUND)))
+            continue
+        rmse_m, patch = min(whole, key=lambda pair: pair[0])
+        iou = pixel_scores(patch.mask, known.contact).iou
+        rmse_mm = finite_or_none(1e3 * rmse_m)
+        cells.append(replace(base, method=name, rmse_mm=rmse_mm, iou=iou, points=len(patch.points)))
+    return cells
+
+
+def _patches(
+    name: str, preset: Preset, rig: _Rig, source: FrameSource, frames: Sequence[SensorFrame]
+) -> list[ContactPatch]:
+    """Return the patches of a method in the last frame: one, or one for each tolerance."""
+    if name == BEST_T:
+        pipeline = ContactPipeline(preset.with_values(PIPELINES["fusion-rigid"]), source.rig)
+        found = []
+        for t in TOLERANCES:
+            pipeline.update(preset.with_values({**PIPELINES["fusion-rigid"], "tolerance.t": t}))
+            found.append(pipeline.process(frames[-1]))
+        return found
+    if name in (MEMBRANE, AVERAGED):  # only they use the measured noise
+        if isinstance(rig.preset, TactuneError):
+            raise rig.preset
+        preset = rig.preset
+    find = make_method(name, preset, source.rig, rig.untouched)
+    return [[find(frame) for frame in frames[-needed_frames(name) :]][-1]]
+
+
+def time_table(plan: Plan) -> dict[tuple[str, str, str], float]:
+    """Return each method's time per frame by (sensor, method, press), milliseconds.
+
+    Measured in turn, on all cores, on the frames of the first object and membrane.
+    """
+    times: dict[tuple[str, str, str], float] = {}
+    first, seed = plan.scenes[0], plan.seeds[0]
+    for scene in plan.scenes:
+        if (scene.object, scene.membrane, scene.side) != (
+            first.object,
+            first.membrane,
+            "right" * (scene.press == "high"),
+        ):
+            continue
+        with open_source(scene.source(seed)) as source:
+            rig = _Rig.measured(plan, source)
+            frames = list(itertools.islice(source, FRAMES))
+            for name in plan.methods:
+                with suppress(TactuneError):
+                    preset = rig.preset if name in (MEMBRANE, AVERAGED) else plan.preset
+                    if name == BEST_T or isinstance(preset, TactuneError):
+                        continue
+                    find = make_method(name, preset, source.rig, rig.untouched)
+                    for frame in frames[:-_TIMED_FRAMES]:
+                        find(frame)
+                    taken = [_ms(find, frame) for frame in frames[-_TIMED_FRAMES:]]
+                    times[scene.sensor, name, scene.press] = median(taken)
+    return times
+
+
+def _ms(find: Callable[[SensorFrame], ContactPatch], frame: SensorFrame) -> float:
+    started = time.perf_counter_ns()
+    find(frame)
+    return (time.perf_counter_ns() - started) / 1e6
+
+
+# Finished cells
+
+
+def _path(plan: Plan, scene: Scene, seed: int) -> Path:
+    settings = plan.preset.model_dump(mode="json", exclude={"name", "notes", "created", "modified"})
+    key = json.dumps([asdict(scene), seed, plan.rig_measured, settings, code_version()], sort_keys=True)
+    digest = hashlib.sha256(key.encode()).hexdigest()[:20]
+    return plan.work / f"{scene.sensor}-{scene.membrane}-{scene.object}-{scene.press}-{digest}.json"
+
+
+def load_cells(plan: Plan, scene: Scene, seed: int) -> list[Cell] | None:
+    """Return the stored cells of a press; None if one is missing or the file is damaged."""
+    try:
+        cells = {found["method"]: Cell(**found) for found in read_json(_path(plan, scene, seed))}
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+    return [cells[name] for name in plan.methods] if cells.keys() >= set(plan.methods) else None
+
+
+def save_cells(plan: Plan, scene: Scene, seed: int, cells: Sequence[Cell]) -> None:
+    """Store the cells of a press; raises `ExportError`."""
+    with atomic_path(_path(plan, scene, seed)) as temporary:
+        temporary.write_text(json.dumps([asdict(cell) for cell in cells], allow_nan=False), encoding="utf-8")
+
+
+# Averages and text
+
+
+def mean_rmse_mm(cells: Iterable[Cell]) -> float:
+    """Return the mean over membranes of the mean over seeds of that over objects of that over sides; nan for none.
+
+    Cells without a patch are left out.
+    """
+
+    def mean(cells: list[Cell], keys: Sequence[str]) -> float:
+        if not keys:
+            return fmean(cell.rmse_mm for cell in cells if cell.rmse_mm is not None)
+        groups: dict[Any, list[Cell]] = {}
+        for cell in cells:
+            groups.setdefault(getattr(cell, keys[0]), []).append(cell)
+        return fmean(mean(group, keys[1:]) for group in groups.values())
+
+    known = [cell for cell in cells if cell.rmse_mm is not None]
+    return mean(known, ("membrane", "seed", "object")) if known else math.nan
+
+
+def cell_line(cells: Sequence[Cell]) -> str:
+    """Return the cells of one press as a line of text."""
+    first = cells[0]
+    where = " ".join(filter(None, (first.sensor, first.membrane, first.object, first.press, first.side)))
+    rmses = ", ".join(f"{cell.method} {_number(cell.rmse_mm, 2)}" for cell in cells)
+    return f"{where} seed {first.seed}, RMSE in mm: {rmses}"
+
+
+def table_text(cells: Sequence[Cell], times: dict[tuple[str, str, str], float]) -> str:
+    """Return the table: a line for each sensor and method."""
+    presses = [press for press in PRESSES if any(cell.press == press for cell in cells)]
+    lines = [["sensor", "method", *presses, "IoU", "empty", *(f"ms {press}" for press in presses)]]
+    for sensor, method in _names(cells, "sensor", "method"):
+        mine = [cell for cell in cells if (cell.sensor, cell.method) == (sensor, method)]
+        ious = [cell.iou for cell in mine if cell.iou is not None]
+        empty = sum(1 for cell in mine if cell.failure and cell.true_mm2 >= MIN_TOUCHED_MM2)
+        rmses = [_number(mean_rmse_mm(cell for cell in mine if cell.press == press), 2) for press in presses]
+        ms = [_number(times.get((sensor, method, press)), 1) for press in presses]
+        lines.append([sensor, method, *rmses, _number(fmean(ious) if ious else None, 3), str(empty), *ms])
+    note = (
+        "RMSE to the true contact in mm (symmetric), mean over membranes, seeds and objects. best-t: the tolerance\n"
+        f"test with the best t of each frame. empty: presses without a patch although {MIN_TOUCHED_MM2:g} mm2 or more\n"
+        "touch. ms: per frame, on all cores, first object and membrane."
+    )
+    return "\n".join([aligned(lines), note, *_verdict(cells), *_failures(cells)])
+
+
+def _verdict(cells: Sequence[Cell]) -> Iterator[str]:
+    """Yield how the membrane test compares with the best tolerance of each frame, case by case."""
+    by_frame = {
+        (cell.sensor, cell.membrane, cell.object, cell.press, cell.side, cell.seed, cell.method): cell for cell in cells
+    }
+    over: dict[tuple[str, ...], float] = {}
+    for case in _names(cells, "sensor", "membrane", "press"):
+        mine = [cell for cell in cells if (cell.sensor, cell.membrane, cell.press, cell.method) == (*case, MEMBRANE)]
+        best = [by_frame.get((c.sensor, c.membrane, c.object, c.press, c.side, c.seed, BEST_T)) for c in mine]
+        both = [(a, b) for a, b in zip(mine, best, strict=True) if b is not None and None not in (a.rmse_mm, b.rmse_mm)]
+        if both:
+            over[case] = mean_rmse_mm(a for a, _ in both) / mean_rmse_mm(b for _, b in both)
+    if over:
+        good = sum(1 for ratio in over.values() if ratio <= MAX_OVER_BEST_T)
+        worst = max(over, key=lambda case: over[case])
+        yield (
+            f"{MEMBRANE} has at most {MAX_OVER_BEST_T:g} times the RMSE of {BEST_T} in {good} of {len(over)} cases of "
+            f"a sensor, a membrane and a press; most in {' '.join(worst)}: {over[worst]:.2f} times"
+        )
+
+
+def _press_of(cell: Cell) -> tuple[Any, ...]:
+    return cell.sensor, cell.membrane, cell.object, cell.press, cell.side, cell.seed
+
+
+def _failures(cells: Sequence[Cell]) -> list[str]:
+    """Return the failures of each method other than empty patches, equal ones once."""
+    found = {f"{c.method}: {c.failure}": None for c in cells if c.failure not in ("", NO_CONTACT_FOUND)}
+    return list(found)
+
+
+def _names(cells: Sequence[Cell], *fields: str) -> Collection[Any]:
+    return dict.fromkeys(tuple(getattr(cell, field) for field in fields) for cell in cells)
+
+
+def table_json(cells: Sequence[Cell], times: dict[tuple[str, str, str], float]) -> dict[str, Any]:
+    """Return averages and cells as JSON values; missing numbers are None."""
+    averages = [
+        {
+            "sensor": sensor,
+            "method": method,
+            "press": press,
+            "rmse_mm": finite_or_none(
+                mean_rmse_mm(c for c in cells if (c.sensor, c.method, c.press) == (sensor, method, press))
+            ),
+            "ms": times.get((sensor, method, press)),
+        }
+        for sensor, method, press in _names(cells, "sensor", "method", "press")
+    ]
+    return {"averages": averages, "cells": [asdict(cell) for cell in cells]}
+
+
+def _number(number: float | None, digits: int) -> str:
+    return "-" if number is None or not math.isfinite(number) else f"{number:.{digits}f}"
+
+
+def aligned(lines: Sequence[Sequence[str]]) -> str:
+    """Return lines of text cells as text: the first two columns to the left, the others to the right."""
+    widths = [max(len(line[column]) for line in lines) for column in range(len(lines[0]))]
+    return "\n".join(
+        "  ".join(
+            text.ljust(width) if column < 2 else text.rjust(width)
+            for column, (text, width) in enumerate(zip(line, widths, strict=True))
+        ).rstrip()
+        for line in lines
+    )
