@@ -98,12 +98,12 @@ class MembraneFacts:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What a contact test found in a frame."""
+    """What a contact test found in a frame; the last two fields are those of `ContactPatch`."""
 
     contact: Candidates
     make_provenance: Callable[[], Uint8Array]  # Computes the verdict on each pixel, uint8 (H, W), when it is read
     skipped: tuple[str, ...] = ()
-    membrane: MembraneFacts | None = None  # Both as in `ContactPatch`
+    membrane: MembraneFacts | None = None
 
 
 class ContactPatch:
@@ -117,7 +117,7 @@ class ContactPatch:
     sequence : int
         The frame's number.
     points, provenance, aligned, mask
-        As the attributes of these names, or `Lazy`; without a mask it follows from the provenance.
+        As the attributes of these names, or `Lazy` but for the points; without a mask it follows from the provenance.
     rig : Rig
     stage_ms : mapping of str to float
         Milliseconds of each step of the contact test; 0 for a step that was cached or skipped.
@@ -132,7 +132,7 @@ class ContactPatch:
     def __init__(
         self,
         sequence: int,
-        points: Float32Array | Lazy[Float32Array],
+        points: Float32Array,
         provenance: Uint8Array | Lazy[Uint8Array],
         aligned: AlignedDepth | Lazy[AlignedDepth],
         rig: Rig,
@@ -143,12 +143,12 @@ class ContactPatch:
         membrane: MembraneFacts | None = None,
     ) -> None:
         self.sequence = sequence
+        self._points = points
         self.rig = rig
         self.stage_ms = dict(stage_ms)
         self.skipped = skipped
         self.averaged_frames = averaged_frames
         self.membrane = membrane
-        self._points = points
         self._provenance = provenance
         self._aligned = aligned
         self._mask = mask
@@ -167,7 +167,7 @@ class ContactPatch:
         Reading copies nothing. A later frame does not overwrite the array: it lives as long as somebody holds it. Do
         not write into it, because the same array is returned again for an unchanged frame.
         """
-        return self._points.get() if isinstance(self._points, Lazy) else self._points
+        return self._points
 
     @property
     def provenance(self) -> Uint8Array:
