@@ -129,16 +129,3 @@ def test_the_first_cloud_is_framed_and_stays_so_when_resized_until_somebody_stee
     view.set_cloud(None)
     view.set_cloud(cloud_of(wall(500)))
     assert view.camera() == FRONT
-
-
-def test_linked_views_frame_all_their_clouds(qtbot: QtBot) -> None:
-    window = three_linked(qtbot)
-    views = window.findChildren(CloudView)
-    left, right = wall(), wall()
-    left[:, 40:] = 0
-    right[:, :24] = 0
-    views[0].set_cloud(cloud_of(left))
-    alone = views[0].camera()
-    views[1].set_cloud(cloud_of(right))
-    assert views[0].camera() == views[1].camera() == views[2].camera()
-    assert views[0].camera().distance > alone.distance

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from PyQt6.QtGui import QColor, QPalette
-from PyQt6.QtWidgets import QApplication, QLabel
+from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
 from seen_clouds import BLUE, FRONT, GREEN, RED, canvas_of, cloud_of, colored, picture, pixels_of, red_wall, shown, wall
@@ -20,7 +20,7 @@ from tactune.widgets.basics.style import apply_theme
 from tactune.widgets.basics.theme import theme_colors
 from tactune.widgets.basics.wipe import Wipe
 from tactune.widgets.clouds.cloud_data import DepthCloud
-from tactune.widgets.clouds.cloud_labels import CloudHeader, LegendLine
+from tactune.widgets.clouds.cloud_labels import LegendLine
 from tactune.widgets.clouds.cloud_view import CloudView
 from tactune.widgets.clouds.software_backend import CloudCanvas, SoftwareRenderer
 from tactune.widgets.clouds.view_camera import ViewCamera
@@ -109,26 +109,6 @@ def test_no_depth_is_not_drawn(view: CloudView, counts: int) -> None:
     assert len(pixels_of(picture(view), RED)) > 2 * drawn
 
 
-def test_hidden_colours_are_not_drawn(view: CloudView) -> None:
-    index = np.zeros((48, 64), np.uint8)
-    index[:, 32:] = 1
-    lut = colored(RED, GREEN)
-    view.set_cloud(cloud_of(wall(), index=index, lut=lut))
-    view.set_camera(FRONT)
-    before = picture(view)
-    assert len(pixels_of(before, RED)) > 100
-    assert len(pixels_of(before, GREEN)) > 100
-    lut = lut.copy()
-    lut[1, 3] = 0
-    view.set_cloud(cloud_of(wall(), index=index, lut=lut))
-    after = picture(view)
-    assert len(pixels_of(after, GREEN)) == 0
-    assert len(pixels_of(after, RED)) == len(pixels_of(before, RED))
-    where = pixels_of(before, GREEN)
-    assert (after[where[:, 1], where[:, 0]] == 255).all(), "the background is seen instead"
-    assert view.point_count() == 48 * 32
-
-
 @pytest.mark.parametrize("nearer_first", [True, False])
 @pytest.mark.parametrize("behind", [True, False])
 def test_the_nearer_point_wins(view: CloudView, nearer_first: bool, behind: bool) -> None:
@@ -151,24 +131,6 @@ def test_the_background_follows_the_theme(view: CloudView, qapp: QApplication) -
 
 
 # Words around it
-
-
-@pytest.mark.parametrize("width", [60, 90, 130, 160, 200, 260, 420])
-def test_the_header_never_cuts_the_count(qtbot: QtBot, width: int) -> None:
-    header = CloudHeader("Contact patch")
-    qtbot.addWidget(header)
-    header.resize(width, header.sizeHint().height())
-    header.set_count(222_102)
-    title, count = header.findChild(QLabel, "title"), header.findChild(QLabel, "count")
-    assert title is not None and count is not None
-    wide = width >= 260
-    assert count.text() == ("222,102 points" if wide else "222k")
-    assert count.accessibleName() == "222,102 points"
-    assert count.toolTip() == ("" if wide else "222,102 points")
-    assert count.width() >= count.sizeHint().width()
-    assert not title.geometry().intersects(count.geometry())
-    assert header.rect().contains(count.geometry())
-    assert title.geometry().left() >= 0
 
 
 @pytest.mark.parametrize(("width", "lines"), [(297, 4), (600, 2), (1600, 1)])

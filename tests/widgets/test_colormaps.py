@@ -4,27 +4,19 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
-from PyQt6.QtGui import QColor
 
 from colour_vision import EYES, nearest
-from contrast import contrast_ratio
 from tactune.core.model.provenance import Provenance
 from tactune.widgets.basics import colormaps
 from tactune.widgets.basics.colormaps import Theme
 
 THEMES: tuple[Theme, Theme] = ("light", "dark")
-BACKGROUND = {"light": (255, 255, 255), "dark": (30, 31, 34)}
 
 
 def lab(colors: npt.ArrayLike) -> npt.NDArray[np.float32]:
     """CIE L*a*b* of RGB rows."""
     rgb = (np.asarray(colors, dtype=np.float32) / 255).reshape(-1, 1, 3)
     return np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB)).reshape(-1, 3)
-
-
-def contrast(a: npt.ArrayLike, b: npt.ArrayLike) -> float:
-    first, second = (QColor(*(int(channel) for channel in np.asarray(color))).name() for color in (a, b))
-    return contrast_ratio(first, second)
 
 
 def test_depth_colours_are_perceptually_uniform_and_get_darker() -> None:
@@ -78,17 +70,6 @@ def test_drop_reasons_and_contact_are_told_apart_with_any_colour_vision(theme: T
 
 
 @pytest.mark.parametrize("theme", THEMES)
-def test_context_is_faint_and_contact_strong(theme: Theme) -> None:
-    background, lut = BACKGROUND[theme], colormaps.provenance_lut(theme)
-    assert contrast(lut[Provenance.CONTACT, :3], background) > 3
-    assert 1.1 < contrast(lut[Provenance.OUTSIDE_TOLERANCE, :3], background) < 2.5
-    patch = colormaps.patch_lut(theme)
-    for row in (0, 127, 254):
-        assert 1.1 < contrast(patch[row, :3], background) < 4
-        assert contrast(patch[row, :3], background) < contrast(patch[colormaps.CONTACT_ROW, :3], background)
-
-
-@pytest.mark.parametrize("theme", THEMES)
 def test_contact_has_the_same_colour_everywhere(theme: Theme) -> None:
     contact = colormaps.CONTACT_RGB
     assert tuple(colormaps.provenance_lut(theme)[Provenance.CONTACT, :3]) == contact
@@ -96,13 +77,6 @@ def test_contact_has_the_same_colour_everywhere(theme: Theme) -> None:
     assert colormaps.CONTACT_COLOR.getRgb()[:3] == contact
     assert dict(colormaps.patch_legend(theme))["contact"].getRgb()[:3] == contact
     assert dict(colormaps.provenance_legend(theme))["contact"].getRgb()[:3] == contact
-
-
-def test_patch_index_shades_the_context_by_depth_and_marks_contact() -> None:
-    depth = np.array([[0, 1000, 1500, 2000, 65535, 1500]], np.uint16)
-    contact = np.array([[False, False, False, False, False, True]])
-    rows = colormaps.patch_index(contact, depth, near=1000, far=2000)
-    assert rows.tolist() == [[0, 0, 127, 254, 254, colormaps.CONTACT_ROW]]
 
 
 @pytest.mark.parametrize("eye", EYES)

@@ -7,7 +7,7 @@ from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
-from tactune.widgets.plots.histogram import GAP, RELATIVE_DIFFERENCE, LimitHistogram
+from tactune.widgets.plots.histogram import RELATIVE_DIFFERENCE, LimitHistogram
 
 LEFT = Qt.MouseButton.LeftButton
 EDGES = np.linspace(-0.1, 0.1, 41)
@@ -62,27 +62,6 @@ def test_dragging_a_line_moves_both_in_one_gesture(histogram: LimitHistogram, st
     first = edits[0][1]
     drag(histogram, high, 2.0)
     assert edits[-1][1] != first
-
-
-def test_the_line_of_the_gaps_is_dragged_in_millimetres(qtbot, qapp) -> None:
-    gaps = LimitHistogram(GAP, 0.00005)
-    qtbot.addWidget(gaps)
-    gaps.resize(320, 120)
-    gaps.show()
-    qtbot.waitExposed(gaps)
-    counts = np.r_[9000, np.arange(49, 0, -1)]
-    gaps.set_data(counts, np.linspace(0, 0.0005, 51), 0.00005)
-    qapp.processEvents()
-    (line,) = gaps.lines
-    assert line.value() == pytest.approx(0.05)
-    box = gaps.plot_widget.getPlotItem().getViewBox()
-    assert box.viewRange()[1][1] < 100, "the bar at 0 does not flatten the others"
-    edits: list[float] = []
-    gaps.limitEdited.connect(lambda limit, _: edits.append(limit))
-    drag(gaps, 0.05, 0.1, 0.2)
-    assert edits[-1] == pytest.approx(0.0002, abs=0.00001)
-    drag(gaps, 0.2, 0.1, -0.1)
-    assert edits[-1] == 0.0
 
 
 @pytest.mark.parametrize("place", [0.3, 0.95])

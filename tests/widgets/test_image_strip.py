@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, QPointF, Qt
@@ -174,18 +172,3 @@ def test_the_region_is_dragged_by_its_corner_in_one_gesture(strip: ImageStrip, q
     assert len({gesture for _, gesture in edits}) == 1
     for region in strip.regions.values():
         assert region.rectangle == rectangle
-
-
-def test_a_narrow_strip_puts_all_legends_on_a_second_line(strip: ImageStrip, qapp: QApplication) -> None:
-    line = strip.panes["tactile"].header.height()
-    seen = []
-    for width in range(1200, 1640, 8):
-        strip.resize(width, 260)
-        heights = set()
-        for far_m in (0.31, 1.04):
-            strip.set_images(replace(rendered(), depth_range_m=(0.09, far_m)))
-            qapp.processEvents()
-            heights |= {pane.header.height() for pane in strip.panes.values()}
-        [height] = heights  # another number moves nothing
-        seen.append(height // line)
-    assert (seen[0], seen[-1]) == (2, 1) and sorted(seen, reverse=True) == seen

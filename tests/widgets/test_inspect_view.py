@@ -75,10 +75,3 @@ def test_marks_and_distances_are_painted_and_go(view: InspectView) -> None:
     assert columns.max() - columns.min() > 0.1 / 0.6 * height
     view.set_ends(())
     assert (picture(view) == bare).all()
-
-
-def test_a_double_click_asks_to_be_enlarged_and_the_camera_stays(view: InspectView, qtbot: QtBot) -> None:
-    with qtbot.waitSignal(view.enlargeRequested):
-        QTest.mouseDClick(canvas_of(view), LEFT)
-        QTest.mouseRelease(canvas_of(view), LEFT)
-    assert view.camera() == FRONT

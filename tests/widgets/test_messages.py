@@ -92,18 +92,3 @@ def test_a_message_is_dismissed_by_its_cross_by_escape_and_with_its_subject(view
     [cross] = views.messages.message("cross").findChildren(QToolButton)
     QTest.mouseClick(cross, LEFT, pos=QPoint(4, 4))
     assert views.messages.sentences() == [] and not views.messages.isVisible()
-
-
-def test_the_progress_of_a_job_stands_below_the_messages(views):
-    job = QFrame()
-    job.hide()
-    job.setMinimumHeight(30)
-    views.messages.pin(job)
-    job.show()
-    views.messages.show_message("a", Severity.INFO, "a")
-    QApplication.processEvents()
-    assert job.isVisible() and job.y() > views.messages.message("a").y()
-    views.messages.clear("a")
-    job.hide()
-    QApplication.processEvents()
-    assert not views.messages.isVisible()

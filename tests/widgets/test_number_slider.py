@@ -4,7 +4,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PyQt6.QtCore import QPoint, Qt
-from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtTest import QTest
 
 from hands import type_into
@@ -143,26 +142,6 @@ def test_arrows_step_without_rounding_noise_and_stop_at_the_bounds(qtbot) -> Non
     assert widget.value() == 0.2
 
 
-def test_an_out_of_focus_slider_leaves_the_wheel_to_the_page(qtbot) -> None:
-    widget = make_slider(qtbot, "outliers.k")
-    edits = record(widget)
-    widget.entry.setFocus()
-    point = widget.slider.rect().center().toPointF()
-    wheel = QWheelEvent(
-        point,
-        widget.slider.mapToGlobal(point),
-        QPoint(),
-        QPoint(0, 120),
-        Qt.MouseButton.NoButton,
-        Qt.KeyboardModifier.NoModifier,
-        Qt.ScrollPhase.NoScrollPhase,
-        False,
-    )
-    widget.slider.wheelEvent(wheel)
-    assert not wheel.isAccepted()
-    assert edits == []
-
-
 @given(value=st.floats(0.0, 1.0))
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=80)
 def test_showing_a_value_never_changes_it(qtbot, value: float) -> None:
@@ -177,18 +156,6 @@ def test_showing_a_value_never_changes_it(qtbot, value: float) -> None:
     assert widget.value() == value
     assert edits == []
     widget.deleteLater()
-
-
-@given(low=st.floats(1e-3, 1.0), decades=st.floats(0.5, 4.0), fraction=st.floats(0.0, 1.0), step=st.floats(0.001, 0.2))
-def test_scales_take_positions_to_values_and_back(low: float, decades: float, fraction: float, step: float) -> None:
-    high = low * 10**decades
-    log = Scale(low, high, log=True)
-    assert low <= log.value(fraction) <= high
-    assert log.fraction(log.value(fraction)) == pytest.approx(fraction, abs=0.01)
-    linear = Scale(low, high, step=step)
-    assert abs(linear.value(fraction) - (low + fraction * (high - low))) <= step / 2 + 1e-9 or (
-        linear.value(fraction) == high
-    )
 
 
 @pytest.mark.parametrize(

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QComboBox, QLabel, QWidget
+from PyQt6.QtWidgets import QComboBox, QLabel
 
 from hands import type_into
 from panel_steering import EYE3, EYE4, LEFT, Recorder
 from tactune.core.preset import (
     AlignmentSection,
     HomographyAlignment,
-    MaskSection,
     MembraneSection,
     Preset,
     RigidAlignment,
@@ -74,41 +73,6 @@ def test_advanced_fields_are_folded_until_they_matter(panel: ParameterPanel) -> 
     QTest.mouseClick(panel.forms["alignment"].more, LEFT)
     panel.show_findings(finding)
     assert panel.open_folds() == [], "the same finding again"
-
-
-def test_columns_are_aligned_over_sections_and_resets_are_seen_where_something_changed(
-    panel: ParameterPanel, seen: Recorder
-) -> None:
-    panel.resize(400, 1000)
-    preset = Preset(mask=MaskSection(enabled=True))
-    panel.set_preset(preset)
-    panel.set_baseline(preset)
-    panel.set_open_folds(["alignment", "membrane"])
-    QApplication.processEvents()
-
-    def left(widget: QWidget) -> int:
-        return widget.mapTo(panel, QPoint(0, 0)).x()
-
-    rows = [panel.rows[path] for path in ("alignment.depth_offset_m", "alignment.depth_scale", "membrane.gap_m")]
-    rows += [panel.rows[path] for path in ("membrane.trust_m", "membrane.min_area_mm2", "membrane.frames")]
-    for places in ({left(row.label) for row in rows}, {left(row.widget.slider) for row in rows}):
-        assert len(places) == 1
-    assert len({(left(row.widget.entry), row.widget.entry.width()) for row in rows}) == 1
-    ends = {left(row.widget) + row.widget.width() for row in (*rows, panel.rows["mask.hue"])}
-    assert len(ends) == 1
-    assert [row.unit.text() for row in rows] == ["mm", "", "mm", "mm", "mm²", ""]
-    assert not any(row.reset.isVisible() for row in panel.rows.values())
-    height = panel.sections["membrane"].height()
-    type_into(panel.rows["membrane.gap_m"].widget.entry, "0.1")
-    QApplication.processEvents()
-    assert [path for path, row in panel.rows.items() if row.reset.isVisible()] == ["membrane.gap_m"]
-    assert [name for name, reset in panel.section_resets.items() if reset.isVisible()] == ["membrane"]
-    assert panel.sections["membrane"].height() == height, "nothing jumps"
-    panel.rows["membrane.gap_m"].reset.setFocus()
-    QTest.keyClick(panel.rows["membrane.gap_m"].reset, Qt.Key.Key_Space)
-    assert seen.edits[-1][:2] == ("membrane.gap_m", 0.00005)
-    assert not panel.rows["membrane.gap_m"].reset.isVisible()
-    assert panel.rows["membrane.gap_m"].widget.slider.hasFocus(), "the focus stays in the row"
 
 
 def test_the_contact_test_decides_which_sections_are_shown(panel: ParameterPanel, seen: Recorder) -> None:

@@ -145,14 +145,6 @@ def test_typing_and_reset(panel: ParameterPanel, seen: Recorder) -> None:
     assert seen.edits[-1][:2] == ("tolerance.t", Preset().tolerance.t)
 
 
-def test_a_section_is_reset_at_once(panel: ParameterPanel, seen: Recorder) -> None:
-    panel.set_preset(Preset(contact_test="tolerance", outliers=OutlierSection(k=33, ratio=1.5)))
-    QTest.mouseClick(panel.section_resets["outliers"], LEFT)
-    assert [values for values, _ in seen.resets] == [{"outliers.k": 20, "outliers.ratio": 2.0}]
-    assert seen.edits == []
-    assert not panel.section_resets["outliers"].isVisible()
-
-
 def test_a_refused_value_is_explained_and_taken_back(panel: ParameterPanel, seen: Recorder) -> None:
     panel.set_preset(Preset(mask=MaskSection(enabled=True, saturation=(10, 100))))
     row = panel.rows["mask.saturation"]

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtGui import QImage
-from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 
@@ -13,7 +11,6 @@ from tactune.widgets.basics.stale_badge import BADGE_COLORS
 from tactune.widgets.basics.style import apply_theme
 from tactune.widgets.basics.theme import ThemeName
 from tactune.widgets.clouds.cloud_view import CloudView
-from tactune.widgets.images.image_pane import ImagePane
 
 TEXT = "Tactile camera D405 (serial 1) is not connected: plug it in. Shown is the last frame, 3 s old."
 
@@ -46,20 +43,3 @@ def test_a_cloud_view_shows_and_drops_the_mark(qtbot: QtBot, theme: ThemeName) -
     assert {plate, ink} <= colors_of(view.grab().toImage())
     view.set_badge("")
     assert plate not in colors_of(view.grab().toImage())
-
-
-def test_an_image_keeps_its_mouse_under_the_mark(qtbot: QtBot, theme: ThemeName) -> None:
-    pane = ImagePane("Tactile depth")
-    shown(qtbot, pane)
-    clicks: list[tuple[int, int]] = []
-    pane.clicked.connect(lambda u, v, _: clicks.append((u, v)))
-    pane.set_badge("3 s old")
-    plate, _, _ = BADGE_COLORS[theme]
-    assert plate in colors_of(pane.grab().toImage())
-    middle = QPoint(pane.view.width() // 2, pane.view.height() // 2)
-    over = pane.childAt(pane.view.mapTo(pane, middle))
-    assert over is pane.view.viewport()
-    QTest.mouseClick(pane.view.viewport(), Qt.MouseButton.LeftButton, pos=middle)
-    assert len(clicks) == 1
-    pane.set_badge("")
-    assert plate not in colors_of(pane.grab().toImage())

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactune.widgets.basics.colormaps import CONTACT_RGB, MASKED_RGB, depth_lut, difference_lut
-from tactune.widgets.images.strip_render import NO_VALUE_RGB, MaskView, StripImages, render_strip, stride_for
+from tactune.widgets.basics.colormaps import CONTACT_RGB, depth_lut, difference_lut
+from tactune.widgets.images.strip_render import NO_VALUE_RGB, StripImages, render_strip, stride_for
 
 HEIGHT, WIDTH = 48, 64
 
@@ -29,20 +29,6 @@ def images(**changes) -> StripImages:
 
 def rgb(pane: np.ndarray) -> np.ndarray:
     return pane[:, :, 2::-1].astype(int)
-
-
-def test_masked_pixels_are_tinted_and_others_are_not() -> None:
-    mask = np.zeros((HEIGHT, WIDTH), bool)
-    mask[10:20, 30:40] = True
-    scene = images(mask_overlay=mask)
-    shown = rgb(render_strip(scene).panes[0])
-    np.testing.assert_array_equal(shown[~mask], scene.color[~mask])
-    expected = 0.4 * scene.color[mask] + 0.6 * np.array(MASKED_RGB)
-    assert np.abs(shown[mask] - expected).max() <= 1.0
-    plain = images(mask_overlay=mask, mask_view=MaskView.COLOR)
-    np.testing.assert_array_equal(rgb(render_strip(plain).panes[0]), scene.color)
-    black_white = render_strip(images(mask_overlay=mask, mask_view=MaskView.BLACK_WHITE))
-    np.testing.assert_array_equal(rgb(black_white.panes[0]), np.where(mask, 255, 0)[..., None].repeat(3, 2))
 
 
 def test_depth_has_the_colors_of_the_table_and_none_is_flat() -> None:

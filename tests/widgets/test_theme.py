@@ -4,14 +4,11 @@ import pyqtgraph as pg
 import pytest
 from PyQt6.QtCore import QRect, Qt
 from PyQt6.QtGui import QPalette
-from PyQt6.QtWidgets import QApplication, QCheckBox, QPushButton, QRadioButton, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QApplication, QPushButton, QVBoxLayout, QWidget
 
 from contrast import contrast_ratio
-from tactune.widgets.basics.controls import NoteLabel
 from tactune.widgets.basics.style import apply_theme
 from tactune.widgets.basics.theme import ACCENT, theme_colors, theme_name
-from tactune.widgets.images.image_pane import ImagePane
-from tactune.widgets.plots.histogram import RELATIVE_DIFFERENCE, LimitHistogram
 
 NAMES = ("light", "dark")
 
@@ -46,21 +43,6 @@ def test_a_theme_reaches_qt_and_pyqtgraph(qapp: QApplication, qtbot, name: str) 
     assert pg.getConfigOption("background") == colors.base
 
 
-def test_what_paints_itself_follows_a_change_of_theme(qapp: QApplication, qtbot) -> None:
-    histogram, message = LimitHistogram(RELATIVE_DIFFERENCE, 0.03), NoteLabel()
-    pane = ImagePane("Proximity depth")
-    message.say("out of range", error=True)
-    for widget in (histogram, message, pane):
-        qtbot.addWidget(widget)
-    for name in ("dark", "light", "dark"):
-        apply_theme(qapp, name)
-        qapp.processEvents()
-        colors = theme_colors(name)
-        assert histogram.plot_widget.backgroundBrush().color().name() == colors.base
-        assert pane.view.backgroundBrush().color().name() == colors.base
-        assert message.palette().color(QPalette.ColorRole.WindowText).name() == colors.error
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_a_ring_shows_where_the_keyboard_acts(qapp: QApplication, qtbot, name: str) -> None:
     apply_theme(qapp, name)
@@ -85,18 +67,4 @@ def test_a_ring_shows_where_the_keyboard_acts(qapp: QApplication, qtbot, name: s
     qtbot.waitUntil(lambda: edges() == {colors.focus})
     qtbot.keyClick(two, Qt.Key.Key_Backtab)
     qtbot.waitUntil(lambda: edges() == {colors.window})
-    apply_theme(qapp, "light")
-
-
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("kind", [QCheckBox, QRadioButton])
-def test_a_box_to_tick_is_seen(qapp: QApplication, qtbot, name: str, kind: type[QWidget]) -> None:
-    apply_theme(qapp, name)
-    box = kind()
-    qtbot.addWidget(box)
-    box.show()
-    image, colors = box.grab().toImage(), theme_colors(name)
-    across = {image.pixelColor(x, image.height() // 2).name() for x in range(image.width())}
-    for background in (colors.window, colors.base):
-        assert max(contrast_ratio(pixel, background) for pixel in across) > 3
     apply_theme(qapp, "light")

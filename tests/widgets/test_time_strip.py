@@ -76,14 +76,6 @@ def test_the_zoomed_strip_follows_the_cursor(strip):
     assert 0 < strip.position_of(280).x() < strip.plot_widget.width()
 
 
-def test_a_source_without_truth_says_so(strip):
-    assert strip.words == ""
-    strip.choose_curve("iou")
-    assert strip.words == "This source does not know the true contact"
-    strip.choose_curve("ms")
-    assert strip.words == ""
-
-
 def test_names_of_neighbouring_markers_do_not_overlap(strip):
     strip.set_markers([(104, "Marker 2"), (100, "Marker 1")])
     QApplication.processEvents()

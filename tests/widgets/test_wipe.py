@@ -98,25 +98,3 @@ def test_all_images_are_divided_at_the_same_share_also_when_zoomed(qtbot: QtBot)
     assert not strip.right_of_wipe(2)
     strip.set_wipe(None)
     assert rgb_at(pane, QPoint(viewport.width() // 2 + 8, middle)) == RED
-
-
-def test_the_line_is_dragged_in_an_image(qtbot: QtBot) -> None:
-    strip = ImageStrip()
-    strip.resize(1000, 260)
-    qtbot.addWidget(strip)
-    with qtbot.waitExposed(strip):
-        strip.show()
-    strip.set_images(flat(RED), flat(GREEN))
-    strip.set_wipe(Wipe(0.5, "A", "B"))
-    shares: list[float] = []
-    strip.wipeDragged.connect(shares.append)
-    viewport = strip.panes["tactile"].view.viewport()
-    middle = viewport.height() // 2
-    start = QPoint(viewport.width() // 2, middle)
-    QTest.mouseMove(viewport, start)
-    QTest.mousePress(viewport, LEFT, pos=start)
-    for step in range(1, 6):
-        QTest.mouseMove(viewport, start + QPoint(step * viewport.width() // 20, 0))
-    QTest.mouseRelease(viewport, LEFT, pos=start + QPoint(viewport.width() // 4, 0))
-    assert shares
-    assert shares[-1] == pytest.approx(0.75, abs=0.03)
