@@ -7,7 +7,8 @@ Needed whenever the code or the parameters of the clean images change; a test sa
 
 from __future__ import annotations
 
-from tactune.core.sources.simulator.source import SHIPPED, SimulatorSource, cache_file, save_shipped
+from tactune.core.sources.simulator.cache import SHIPPED, cache_file, save_scene
+from tactune.core.sources.simulator.source import SimulatorSource
 
 
 def main() -> None:
@@ -15,10 +16,9 @@ def main() -> None:
     simulator = SimulatorSource()
     path = SHIPPED / cache_file(simulator.scene.name, f"{simulator.scene.key} {simulator.rig.model_dump_json()}").name
     solved = simulator.solve_anew(lambda share, words: None)
-    SHIPPED.mkdir(exist_ok=True)
     for older in SHIPPED.glob("*.zip"):
         older.unlink()
-    save_shipped(path, solved)
+    save_scene(path, solved, small=True)
     print(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
 
 

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tactune.core.sources.simulator.source import SHIPPED, SimulatorSource, load_shipped
+from tactune.core.sources.simulator.cache import SHIPPED, load_scene
+from tactune.core.sources.simulator.source import SimulatorSource
 
 
 @pytest.mark.long
@@ -16,7 +17,7 @@ def test_the_shipped_scene_is_the_solver_s():
     (path,) = SHIPPED.glob("*.zip")
     simulator = SimulatorSource()
     solved = simulator.solve_anew(lambda share, words: None)
-    shipped = load_shipped(path, len(solved.states))
+    shipped = load_scene(path, len(solved.states))
     for ours, theirs in zip(
         shipped.facts, solved.facts, strict=True
     ):  # other processors round the last digits otherwise

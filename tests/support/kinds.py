@@ -56,8 +56,8 @@ from tactune.core.rig.untouched import load_untouched, save_untouched
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.folder_rig import write_rig
 from tactune.core.sources.presets import load_preset
+from tactune.core.sources.simulator.cache import SolvedScene, load_scene, save_scene
 from tactune.core.sources.simulator.scene import CleanState, PressFacts, simulator_rig
-from tactune.core.sources.simulator.source import SolvedScene, load_scene, save_scene
 from tactune.core.tuning.advice.example_file import load_example, save_example
 from tactune.core.tuning.advice.proposal import Example
 from tactune.core.tuning.measure import Measured

@@ -37,15 +37,12 @@ KIND = SourceKind(
     title="Simulator",
     form="sim:SCENE[?press=medium&membrane=NAME&sensor=NAME&seed=N&noise=X]",
     description=(
-        f"A simulated sensor with ground truth, pressed by an object: {', '.join(SCENES)}, two; mug and hand, "
-        "held out for judging methods. hover (gap=1...20 mm away), stiff (regions 8 times as stiff), wrinkled "
-        "(folds of a twist) and slide take object=cup. tray: books roll a flat tray. press=low, medium "
-        "or high holds a press, high at side=right or left, press=none shows the untouched "
-        "membrane; move=slide turns and slides an object across folds for 5 s, move=lift also takes the cup's handle "
-        "off the membrane; grid=dots prints dots 10 mm apart; "
-        f"membrane={', '.join(MEMBRANES)}; "
-        f"light=bright or dim; noise=0, 1 or 2 times the errors of sensor= "
-        f"({DEFAULT_SENSOR} by default): {', '.join(SENSORS)}."
+        f"A simulated sensor with ground truth, pressed by an object: {', '.join(SCENES)}; mug and hand, held out for "
+        "judging methods. hover stays gap=1...20 mm away and takes object=cup; tray: books roll a tray. press=low, "
+        "medium or high holds a press, high at side=right or left, press=none shows the untouched membrane; move=slide "
+        "turns and slides an object across folds for 5 s, move=lift also takes the cup's handle off the membrane; "
+        f"grid=dots prints dots 10 mm apart; membrane={', '.join(MEMBRANES)}; light=bright or dim; noise=0, 1 or 2 "
+        f"times the errors of sensor= ({DEFAULT_SENSOR} by default): {', '.join(SENSORS)}."
     ),
     needs="nothing",
     examples=tuple(f"sim:{scene}" for scene in SCENES),

@@ -13,9 +13,6 @@ import numpy as np
 
 from ...model.arrays import BoolArray, Float64Array, Int32Array
 
-#: Round regions of a membrane of varied stiffness: centre x and y, and radius, metres.
-STIFF_REGIONS: Final = ((0.035, 0.020, 0.028), (-0.060, -0.025, 0.034), (0.105, -0.035, 0.025), (-0.020, 0.065, 0.022))
-STIFF_FACTOR: Final = 8.0
 #: Number of folds round the turned part of a twisted membrane, and its radius, metres.
 _FOLDS: Final = 18
 _FOLD_INNER_M: Final = 0.018
@@ -37,8 +34,6 @@ class MembraneDesign:
         Shear modulus times thickness.
     stiffening : float
         Strain stiffening of the rubber: c in W = mu/2 (I + c I^2), I = tr C - 3.
-    stiff_regions : bool
-        Whether some regions are 8 times as stiff as the rest, see `STIFF_REGIONS`.
     fold_m : float
         Height of the folds of a twisted membrane, crest over mean; 0 for a smooth one, see `folds`.
     prestretch : float
@@ -60,7 +55,6 @@ class MembraneDesign:
     dead_volume_m3: float = 0.0090
     stiffness_n_m: float = 220.0
     stiffening: float = 0.05
-    stiff_regions: bool = False
     fold_m: float = 0.0
     prestretch: float = 1.04
     stiffness_slope: float = 0.0
@@ -128,9 +122,6 @@ def build_mesh(design: MembraneDesign) -> Mesh:
         centred = np.exp(-((np.hypot(middle[:, 0], middle[:, 1]) / (design.height_m / 3)) ** 2))
         stiffness *= 1.0 + design.stiffness_slope * middle[:, 0] / design.width_m
         stiffness *= 1.0 + (design.centre_stiffness - 1.0) * centred
-    if design.stiff_regions:
-        for x, y, radius in STIFF_REGIONS:
-            stiffness[np.hypot(middle[:, 0] - x, middle[:, 1] - y) < radius] *= STIFF_FACTOR
     return Mesh(flat, triangles, inverse, area, stiffness, folds(flat, design.fold_m) * free, free)
 
 

@@ -24,13 +24,10 @@ NO_OBJECT: Final = -1
 CUBE: Final = 0
 CUP: Final = 1
 OCTOPUS: Final = 2
-PAIR: Final = 3
-MUG: Final = 4
-HAND: Final = 5
-BALL: Final = 6
-KNOBS: Final = 7
-STAR: Final = 8
-TRAY: Final = 9
+MUG: Final = 3
+HAND: Final = 4
+BALL: Final = 5
+TRAY: Final = 6
 
 #: Radius of ``BALL``, which serves the analytic checks, metres.
 BALL_RADIUS_M: Final = 0.040
@@ -75,7 +72,7 @@ class PressedObject:
     Attributes
     ----------
     kind : int
-        ``CUBE``, ``CUP``, ``OCTOPUS``, ``PAIR``, ``MUG``, ``HAND``, ``BALL``, ``KNOBS``, ``STAR`` or ``TRAY``.
+        ``CUBE``, ``CUP``, ``OCTOPUS``, ``MUG``, ``HAND``, ``BALL`` or ``TRAY``.
     rotation_deg : tuple of float
         Turns about x, y and z of the membrane's frame, applied in that order, degrees.
     offset_m : tuple of float
@@ -101,9 +98,6 @@ OBJECTS: Final[dict[str, PressedObject]] = {
     "cube": PressedObject(CUBE, (5.0, -4.0, 24.0), (0.004, -0.003), (0.95, 0.62, 0.06)),
     "cup": PressedObject(CUP, (0.0, 0.0, 8.0), (-0.030, 0.0), (0.05, 0.62, 0.66)),
     "octopus": PressedObject(OCTOPUS, (3.0, 4.0, 10.0), (0.003, 0.004), (0.92, 0.80, 0.30)),
-    "two": PressedObject(PAIR, (0.0, 2.0, 12.0), (0.0, 0.002), (0.55, 0.85, 0.15)),
-    "knobs": PressedObject(KNOBS, (1.0, 0.8, 15.0), (-0.005, 0.006), (0.80, 0.30, 0.55)),
-    "star": PressedObject(STAR, (-0.8, -1.0, 20.0), (0.005, 0.004), (0.90, 0.45, 0.10)),
     "tray": PressedObject(TRAY, (0.0, 0.0, 0.0), (0.0, 0.0), (0.55, 0.36, 0.18)),
     "mug": PressedObject(MUG, (10.0, -8.0, 35.0), (0.006, 0.004), (0.20, 0.45, 0.90), held_out=True),
     "hand": PressedObject(HAND, (-4.0, 5.0, 60.0), (0.010, -0.006), (0.88, 0.52, 0.36), held_out=True),
@@ -170,16 +164,6 @@ def _octopus(x: float, y: float, z: float) -> float:
 
 
 @compiled
-def _pair(x: float, y: float, z: float) -> float:
-    """Return the distance to a ball and a small cube side by side."""
-    ball = math.sqrt((x + 0.046) ** 2 + y * y + z * z) - 0.026
-    half, rounding = 0.020, 0.005
-    qx, qy, qz = abs(x - 0.046) - half + rounding, abs(y) - half + rounding, abs(z + 0.004) - half + rounding
-    outside = math.sqrt(max(qx, 0.0) ** 2 + max(qy, 0.0) ** 2 + max(qz, 0.0) ** 2)
-    return min(ball, outside + min(max(qx, qy, qz), 0.0) - rounding)
-
-
-@compiled
 def _capsule(
     x: float, y: float, z: float, ax: float, ay: float, az: float, bx: float, by: float, bz: float, radius: float
 ) -> float:
@@ -187,34 +171,6 @@ def _capsule(
     share = ((x - ax) * dx + (y - ay) * dy + (z - az) * dz) / (dx * dx + dy * dy + dz * dz)
     share = min(max(share, 0.0), 1.0)
     return math.sqrt((x - ax - share * dx) ** 2 + (y - ay - share * dy) ** 2 + (z - az - share * dz) ** 2) - radius
-
-
-@compiled
-def _knobs(x: float, y: float, z: float) -> float:
-    """Return the distance to a round plate with a ring of six round knobs of two heights and one in its centre."""
-    radius, half_height, rounding, fillet = 0.044, 0.009, 0.006, 0.005
-    qr, qz = math.sqrt(x * x + y * y) - radius + rounding, abs(z - 0.010) - half_height + rounding
-    knobs = math.sqrt(max(qr, 0.0) ** 2 + max(qz, 0.0) ** 2) + min(max(qr, qz), 0.0) - rounding
-    knobs = _smooth_min(knobs, math.sqrt(x * x + y * y + (z + 0.003) ** 2) - 0.0095, fillet)
-    for place in range(6):
-        angle = math.pi / 3 * place
-        sunk = 0.0012 * (place % 2)
-        px, py, pz = x - 0.034 * math.cos(angle), y - 0.034 * math.sin(angle), z + 0.0060 - sunk
-        knobs = _smooth_min(knobs, math.sqrt(px * px + py * py + pz * pz) - 0.0085, fillet)
-    return knobs
-
-
-@compiled
-def _star(x: float, y: float, z: float) -> float:
-    """Return the distance to a starfish: five round arms that bend towards the membrane."""
-    star = math.sqrt(x * x + y * y + (z - 0.003) ** 2) - 0.0135
-    for arm in range(5):
-        angle = 2 * math.pi / 5 * arm
-        c, s = math.cos(angle), math.sin(angle)
-        inner = _capsule(x, y, z, 0.008 * c, 0.008 * s, 0.000, 0.034 * c, 0.034 * s, -0.002, 0.0095)
-        outer = _capsule(x, y, z, 0.034 * c, 0.034 * s, -0.002, 0.058 * c, 0.058 * s, -0.007, 0.0085)
-        star = _smooth_min(star, min(inner, outer), 0.008)
-    return star
 
 
 @compiled
@@ -279,16 +235,10 @@ def distance(kind: int, pose: Float64Array, x: float, y: float, z: float) -> flo
         gap = _cup(px, py, pz)
     elif kind == OCTOPUS:
         gap = _octopus(px, py, pz)
-    elif kind == PAIR:
-        gap = _pair(px, py, pz)
     elif kind == MUG:
         gap = _mug(px, py, pz)
     elif kind == HAND:
         gap = _hand(px, py, pz)
-    elif kind == KNOBS:
-        gap = _knobs(px, py, pz)
-    elif kind == STAR:
-        gap = _star(px, py, pz)
     elif kind == TRAY:
         gap = _tray(px, py, pz)
     elif kind == BALL:

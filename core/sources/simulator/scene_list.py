@@ -2,6 +2,6 @@
 
 SCENES = ("cube", "cup", "octopus")
 #: Further scenes, and the options of all scenes.
-MORE_SCENES = ("two", "knobs", "star", "tray", "mug", "hand", "hover", "stiff", "wrinkled", "slide")
+MORE_SCENES = ("tray", "mug", "hand", "hover")
 SCENE_OPTIONS = ("press", "move", "side", "object", "gap", "membrane", "grid", "light", "sensor", "seed", "noise")
 DEFAULT_SCENE = "cup"

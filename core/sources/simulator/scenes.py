@@ -18,7 +18,7 @@ from ...errors import SourceError
 from ...model.arrays import Uint8Array
 from .membranes import MEMBRANES, STANDARD
 from .mesh import MembraneDesign
-from .objects import CUP, OBJECTS, TRAY, PressedObject
+from .objects import CUP, OBJECTS, PressedObject
 from .sheet import Print
 
 Press = Literal["", "none", "low", "medium", "high"]
@@ -28,12 +28,7 @@ Light = Literal["normal", "bright", "dim"]
 
 #: Scenes that are named after their object, and scenes that take any object.
 OBJECT_SCENES: Final = tuple(OBJECTS)
-SPECIAL_SCENES: Final = {
-    "hover": "the object stays gap=1...20 mm away from the membrane",
-    "stiff": "regions of the membrane are 8 times as stiff as the rest",
-    "wrinkled": "a torque has drawn the membrane into folds of a millimetre",
-    "slide": "the object slides over the membrane, 24 mm deep",
-}
+SPECIAL_SCENES: Final = {"hover": "the object stays gap=1...20 mm away from the membrane"}
 SCENES: Final = (*OBJECT_SCENES, *SPECIAL_SCENES)
 HELD_OUT: Final = tuple(name for name, pressed in OBJECTS.items() if pressed.held_out)
 
@@ -53,17 +48,14 @@ _HIGH: Final = {
     "cube": ((0.060, 0.020), 0.105),
     "cup": ((0.060, 0.020), 0.105),
     "octopus": ((0.060, 0.020), 0.105),
-    "two": ((0.050, 0.010), 0.070),
-    "knobs": ((0.060, 0.010), 0.085),
-    "star": ((0.050, 0.005), 0.060),
     "tray": ((0.050, 0.005), 0.040),
     "mug": ((0.060, 0.010), 0.095),
     "hand": ((0.065, -0.005), 0.080),
 }
+#: Largest gap of an object that hovers, millimetres.
+MAX_GAP_MM: Final = 100.0
 #: Gap of an object that is far from the membrane, metres.
 _AWAY_M: Final = 0.060
-_SLIDE_M: Final = 0.045
-_SLIDE_STEP_M: Final = 0.003
 #: How deep the tray's roll axis is, metres, and the rolls at which its scene is solved, degrees.
 _TRAY_DEPTH_M: Final = 0.016
 TRAY_ROLLS_DEG: Final = tuple(0.5 * n for n in range(-16, 17))
@@ -84,7 +76,7 @@ _HANDLE_M: Final = (0.043, 0.0)
 #: Cells of the mesh of a still press, which is ground truth, and of a press that resolves the folds.
 _FINE_CELLS: Final = (236, 136)
 _MOVE_CELLS: Final = (176, 102)
-#: Height of the folds, metres.
+#: Height of the folds across which an object moves, metres.
 _FOLD_M: Final = 0.0012
 
 
@@ -180,24 +172,16 @@ class Scene:
 
 
 def read_options(name: str, options: Mapping[str, str]) -> tuple[Variant, Light]:
-    """Turn the options of a source's name into a variant and a light; `resolve_scene` checks them further.
-
-    Raises
-    ------
-    SourceError
-        The gap is not a number.
-    """
+    """Turn the options of a source's name into a variant and a light; `resolve_scene` checks them further."""
     try:
         gap_mm = float(options.get("gap", Variant.gap_mm))
     except ValueError as error:
         raise SourceError(f"{name}: gap is {options['gap']!r}, but it must be millimetres, such as gap=5") from error
-    press: Any = options.get("press", "")
-    grid: Any = options.get("grid", Variant.grid)
+    given: dict[str, Any] = {
+        key: options[key] for key in ("press", "side", "object", "grid", "membrane", "move") if key in options
+    }
     light: Any = options.get("light", "normal")
-    side: Any = options.get("side", Variant.side)
-    membrane = options.get("membrane", STANDARD)
-    move: Any = options.get("move", "")
-    return Variant(press, side, options.get("object", Variant.object), gap_mm, grid, membrane, move), light
+    return Variant(**given, gap_mm=gap_mm), light
 
 
 def resolve_scene(name: str, variant: Variant | None = None, cells: tuple[int, int] | None = None) -> Scene:
@@ -211,8 +195,7 @@ def resolve_scene(name: str, variant: Variant | None = None, cells: tuple[int, i
     variant = variant or Variant()
     _check(name, variant)
     shape = variant.object if name in SPECIAL_SCENES else name
-    press = variant.press or ("medium" if name in ("stiff", "wrinkled") else "")
-    design = _design(name, variant, press, cells)
+    press = variant.press
     pressed = OBJECTS[shape]
     if press == "none":
         way = _still(-_AWAY_M)
@@ -226,21 +209,13 @@ def resolve_scene(name: str, variant: Variant | None = None, cells: tuple[int, i
     elif name == "hover":
         way = _still(-variant.gap_mm / 1e3)
     else:
-        way = {"slide": _slide, "tray": _roll}.get(name, _approach)()
+        way = _roll() if name == "tray" else _approach()
+    design = MEMBRANES[variant.membrane].design
+    usual = _FINE_CELLS if press not in ("", "none") else _MOVE_CELLS if variant.move else design.cells
+    design = replace(design, fold_m=_FOLD_M if variant.move else 0.0, cells=cells or usual)
     title = _title(name, variant, press, design)
     held_out = pressed.held_out or MEMBRANES[variant.membrane].held_out
     return Scene(title, pressed, design, variant.grid, *way, held_out, loaded=name == "tray" and not press)
-
-
-def _design(name: str, variant: Variant, press: Press, cells: tuple[int, int] | None) -> MembraneDesign:
-    """Return the membrane of a scene, with fine cells for still presses, which serve as ground truth."""
-    design = MEMBRANES[variant.membrane].design
-    folds_m = _FOLD_M if name == "wrinkled" or variant.move else 0.0
-    if press not in ("", "none") or name == "wrinkled":
-        cells = cells or _FINE_CELLS
-    elif variant.move:
-        cells = cells or _MOVE_CELLS
-    return replace(design, stiff_regions=name == "stiff", fold_m=folds_m, cells=cells or design.cells)
 
 
 def _title(name: str, variant: Variant, press: Press, design: MembraneDesign) -> str:
@@ -272,44 +247,38 @@ def still_press(shape: str, press: Press, side: Side = "right") -> tuple[Pressed
 
 
 def _check(name: str, variant: Variant) -> None:
+    """Raise `SourceError` if the scene does not exist or does not have these options."""
     if name not in SCENES:
         raise SourceError(f"the simulator has no scene {name!r}; choose one of {', '.join(SCENES)}")
-    if variant.membrane not in MEMBRANES:
-        known = ", ".join(MEMBRANES)
-        raise SourceError(f"sim:{name}: there is no membrane {variant.membrane!r}; choose one of {known}")
-    if name == "slide" and MEMBRANES[variant.membrane].design.sticks:
-        raise SourceError(f"sim:slide: the membrane {variant.membrane} sticks and cannot slide; choose another one")
-    if variant.object not in OBJECTS:
-        raise SourceError(f"sim:{name}: there is no object {variant.object!r}; choose one of {', '.join(OBJECTS)}")
-    if variant.object != Variant.object and name not in SPECIAL_SCENES:
-        raise SourceError(f"sim:{name}: only {', '.join(SPECIAL_SCENES)} take another object; leave object out")
-    if variant.press not in get_args(Press):
-        raise SourceError(f"sim:{name}: press is {variant.press!r}; choose none, low, medium or high, or leave it out")
-    if variant.press not in ("", "none") and name in ("hover", "slide"):
-        raise SourceError(f"sim:{name}: press is for scenes with a still press; choose none, or leave it out")
-    if variant.move:
-        _check_move(name, variant)
-    if variant.side not in get_args(Side) or (variant.side != "right" and variant.press != "high"):
-        raise SourceError(f"sim:{name}: side is {variant.side!r}; choose left or right, with press=high only")
-    if variant.gap_mm != Variant.gap_mm and name != "hover":
-        raise SourceError(f"sim:{name}: gap is for the scene hover; leave it out")
-    if not 0.0 < variant.gap_mm <= 100.0:
+    choices: dict[str, tuple[str, ...]] = {
+        "membrane": tuple(MEMBRANES),
+        "object": tuple(OBJECTS),
+        "press": get_args(Press),
+        "move": get_args(Move),
+        "side": get_args(Side),
+        "grid": get_args(Print),
+    }
+    for option, known in choices.items():
+        given = getattr(variant, option)
+        if given not in known:
+            raise SourceError(f"sim:{name}: {option} is {given!r}; choose one of {', '.join(filter(None, known))}")
+    is_pressed, is_object = variant.press not in ("", "none"), name in OBJECTS
+    misfits = {
+        "object is for hover": variant.object != Variant.object and name != "hover",
+        "gap is for hover": variant.gap_mm != Variant.gap_mm and name != "hover",
+        "press is for scenes of an object": is_pressed and not is_object,
+        "side is for press=high": variant.side != Variant.side and variant.press != "high",
+        "move is for scenes of an object": bool(variant.move) and (not is_object or name == "tray"),
+        "a press is held, a move is not": bool(variant.move) and is_pressed,
+        "only the cup's handle can be lifted": variant.move == "lift" and name != "cup",
+        f"on the membrane {variant.membrane} nothing slides": bool(variant.move)
+        and MEMBRANES[variant.membrane].design.sticks,
+    }
+    for sentence, applies in misfits.items():
+        if applies:
+            raise SourceError(f"sim:{name}: {sentence}; leave out what does not fit")
+    if not 0.0 < variant.gap_mm <= MAX_GAP_MM:
         raise SourceError(f"sim:{name}: gap is {variant.gap_mm:g}, but it must be more than 0 and at most 100 mm")
-    if variant.grid not in get_args(Print):
-        raise SourceError(f"sim:{name}: grid is {variant.grid!r}; choose dots, or leave it out for droplets")
-
-
-def _check_move(name: str, variant: Variant) -> None:
-    if variant.move not in get_args(Move):
-        raise SourceError(f"sim:{name}: move is {variant.move!r}; choose slide or lift, or leave it out")
-    if name not in OBJECTS or OBJECTS[name].kind == TRAY:
-        raise SourceError(f"sim:{name}: move is for scenes of an object, such as sim:cup; leave it out")
-    if variant.move == "lift" and OBJECTS[name].kind != CUP:
-        raise SourceError(f"sim:{name}: only the cup's handle can be lifted, sim:cup?move=lift; choose slide")
-    if variant.press not in ("", "none"):
-        raise SourceError(f"sim:{name}: a press is held, with move={variant.move} it is not; leave one of them out")
-    if MEMBRANES[variant.membrane].design.sticks:
-        raise SourceError(f"sim:{name}: on the membrane {variant.membrane} nothing slides; choose another one")
 
 
 Way = tuple[tuple[Step, ...], tuple[int, ...], tuple[float, ...]]
@@ -328,18 +297,6 @@ def _still(depth_m: float) -> Way:
     steps = max(int(np.ceil(depth_m / _WAY_STEP_M)), 1)
     way = tuple(Step(0.0, 0.0, depth_m * (n + 1) / steps) for n in range(steps))
     return way, (len(way) - 1,), (0,) * _STILL_FRAMES
-
-
-def _slide() -> Way:
-    """Press at one side, slide along the length and back."""
-    depth = _PRESS_DEPTH_M["medium"]
-    inward, _, _ = _still(depth)
-    shifts = np.linspace(-_SLIDE_M, _SLIDE_M, round(2 * _SLIDE_M / _SLIDE_STEP_M) + 1)
-    way = [Step(-_SLIDE_M, 0.0, step.depth_m) for step in inward]
-    way += [Step(float(shift), 0.0, depth) for shift in shifts[1:]]
-    drawn = list(range(len(inward) - 1, len(way)))
-    there = list(range(len(drawn)))
-    return tuple(way), tuple(drawn), tuple(there + there[::-1])
 
 
 def _move(move: Move, heading_deg: float, centre_m: tuple[float, float]) -> Way:

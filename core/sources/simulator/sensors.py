@@ -7,7 +7,7 @@ image 640 pixels wide.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 from ...errors import SourceError
 
@@ -131,174 +131,107 @@ _DATASHEET: Final = replace(
     stereo_correlated_px=0.03 * 2**0.5,
     stereo_length_px=2.4,
 )
+_HALF: Final = replace(
+    _DATASHEET,
+    name="half",
+    about="half the errors of datasheet",
+    tof_white_m=0.0005,
+    tof_offset_m=0.0002,
+    tof_slow_bias_m=0.0003,
+    tof_drift_m=0.00015,
+    tof_flying_share=0.3,
+    tof_dropout_share=0.00125,
+    tof_grazing_dropout_share=0.25,
+    stereo_correlated_px=0.015 * 2**0.5,
+    stereo_hole_share=0.003,
+    stereo_saturated_share=0.0005,
+    colour_levels=1.1,
+)
+_REAL: Final = replace(
+    _DATASHEET,
+    name="l515-d405",
+    about="the noise of a real L515 and a real D405, which neighbouring pixels share",
+    tof_white_m=0.0001,
+    tof_correlated_m=0.00086,
+    tof_correlated_px=2.0,
+    stereo_correlated_px=0.09,
+    stereo_length_px=5.0,
+    stereo_white_px=0.02,
+)
+
+#: The other sensors differ from the usual one by these columns: time of flight white and shared noise in m, its length
+#: in px, offset in m; stereo noise and its length in px.
+_COLUMNS: Final = (
+    *("tof_white_m", "tof_correlated_m", "tof_correlated_px", "tof_offset_m"),
+    *("stereo_correlated_px", "stereo_length_px"),
+)
+_TABLE: Final[dict[str, tuple[tuple[float, ...], str]]] = {
+    "bias": (
+        (0.0006, 0.0007, 9.0, 0.0008, 0.05, 5.5),
+        "time-of-flight errors that neighbours share over 9 px, and an offset of 0.8 mm",
+    ),
+    "wide": (
+        (0.0006, 0.0009, 30.0, 0.0008, 0.05, 5.0),
+        "time-of-flight errors that neighbours share over 30 px, and an offset of 0.8 mm",
+    ),
+    "stereo": ((0.0006, 0.0002, 4.0, 0.0008, 0.12, 5.0), "large stereo errors, 0.12 px"),
+    "offset": ((0.0005, 0.0003, 4.0, 0.003, 0.06, 5.0), "the proximity camera reads 3 mm too far"),
+    "far-offset": (
+        (0.0005, 0.0003, 4.0, 0.017, 0.08, 5.0),
+        "the proximity camera reads 17 mm and 1 % too far, as a real one did",
+    ),
+    "heavy": ((0.0012, 0.0010, 8.0, 0.0012, 0.15, 5.0), "large errors of both cameras that neighbours share"),
+    "worn": (
+        (0.0011, 0.0009, 7.0, 0.0012, 0.13, 5.0),
+        "large errors, a slope of 2 mm over the image, holes, flying pixels, coarse disparities",
+    ),
+    "held-tof": ((0.0009, 0.0005, 14.0, 0.0005, 0.05, 4.0), "time-of-flight errors, white and shared"),
+    "held-stereo": ((0.0006, 0.0003, 3.0, 0.0006, 0.10, 8.0), "stereo errors that neighbours share over 8 px"),
+    "held-offset": ((0.0007, 0.0004, 6.0, -0.005, 0.07, 4.0), "the proximity camera reads 5 mm too near"),
+    "held-mixed": ((0.0008, 0.0007, 18.0, -0.0015, 0.09, 6.5), "errors of every kind"),
+}
+#: What further differs.
+_MORE: Final[dict[str, dict[str, float]]] = {
+    "far-offset": {"tof_scale": 1.01},
+    "worn": {
+        "tof_slope_m": 0.002,
+        "tof_slow_bias_m": 0.0006,
+        "tof_drift_m": 0.0003,
+        "tof_flying_share": 1.0,
+        "tof_dropout_share": 0.01,
+        "stereo_white_px": 0.02,
+        "stereo_hole_share": 0.03,
+        "stereo_saturated_share": 0.005,
+        "stereo_subpixel_steps": 8.0,
+    },
+    "held-mixed": {
+        "tof_correlated_fixed_share": 0.7,
+        "tof_scale": 0.996,
+        "tof_slope_m": 0.0015,
+        "tof_slope_deg": 200.0,
+        "tof_slow_bias_m": 0.0004,
+        "tof_flying_share": 0.8,
+        "stereo_fixed_share": 0.35,
+        "stereo_white_px": 0.03,
+        "stereo_hole_share": 0.015,
+        "stereo_subpixel_steps": 16.0,
+    },
+}
+
+
+def _of_table(name: str) -> SensorModel:
+    numbers, about = _TABLE[name]
+    columns: dict[str, Any] = dict(zip(_COLUMNS, numbers, strict=True)) | _MORE.get(name, {})
+    return replace(_USUAL, name=name, about=about, held_out=name.startswith("held-"), **columns)
+
 
 _ALL: Final = (
     _CLEAN,
     SensorModel("white", "0.6 mm of white time-of-flight noise and nothing else", tof_white_m=0.0006),
-    replace(
-        _DATASHEET,
-        name="half",
-        about="half the errors of datasheet",
-        tof_white_m=0.0005,
-        tof_offset_m=0.0002,
-        tof_slow_bias_m=0.0003,
-        tof_drift_m=0.00015,
-        tof_flying_share=0.3,
-        tof_dropout_share=0.00125,
-        tof_grazing_dropout_share=0.25,
-        stereo_correlated_px=0.015 * 2**0.5,
-        stereo_hole_share=0.003,
-        stereo_saturated_share=0.0005,
-        colour_levels=1.1,
-    ),
+    _HALF,
     _DATASHEET,
-    replace(
-        _DATASHEET,
-        name="l515-d405",
-        about="the noise of a real L515 and a real D405, which neighbouring pixels share",
-        tof_white_m=0.0001,
-        tof_correlated_m=0.00086,
-        tof_correlated_px=2.0,
-        stereo_correlated_px=0.09,
-        stereo_length_px=5.0,
-        stereo_white_px=0.02,
-    ),
-    replace(
-        _USUAL,
-        name="bias",
-        about="time-of-flight errors that neighbours share over 9 px, and an offset of 0.8 mm",
-        tof_white_m=0.0006,
-        tof_correlated_m=0.0007,
-        tof_correlated_px=9.0,
-        tof_offset_m=0.0008,
-        stereo_correlated_px=0.05,
-        stereo_length_px=5.5,
-    ),
-    replace(
-        _USUAL,
-        name="wide",
-        about="time-of-flight errors that neighbours share over 30 px, and an offset of 0.8 mm",
-        tof_white_m=0.0006,
-        tof_correlated_m=0.0009,
-        tof_correlated_px=30.0,
-        tof_offset_m=0.0008,
-        stereo_correlated_px=0.05,
-    ),
-    replace(
-        _USUAL,
-        name="stereo",
-        about="large stereo errors, 0.12 px",
-        tof_white_m=0.0006,
-        tof_correlated_m=0.0002,
-        tof_offset_m=0.0008,
-        stereo_correlated_px=0.12,
-    ),
-    replace(
-        _USUAL,
-        name="offset",
-        about="the proximity camera reads 3 mm too far",
-        tof_white_m=0.0005,
-        tof_correlated_m=0.0003,
-        tof_offset_m=0.003,
-        stereo_correlated_px=0.06,
-    ),
-    replace(
-        _USUAL,
-        name="far-offset",
-        about="the proximity camera reads 17 mm and 1 % too far, as a real one did",
-        tof_white_m=0.0005,
-        tof_correlated_m=0.0003,
-        tof_offset_m=0.017,
-        tof_scale=1.01,
-        stereo_correlated_px=0.08,
-    ),
-    replace(
-        _USUAL,
-        name="heavy",
-        about="large errors of both cameras that neighbours share",
-        tof_white_m=0.0012,
-        tof_correlated_m=0.0010,
-        tof_correlated_px=8.0,
-        tof_offset_m=0.0012,
-        stereo_correlated_px=0.15,
-    ),
-    replace(
-        _USUAL,
-        name="worn",
-        about="large errors, a slope of 2 mm over the image, holes, flying pixels, coarse disparities",
-        tof_white_m=0.0011,
-        tof_correlated_m=0.0009,
-        tof_correlated_px=7.0,
-        tof_offset_m=0.0012,
-        tof_slope_m=0.002,
-        tof_slow_bias_m=0.0006,
-        tof_drift_m=0.0003,
-        tof_flying_share=1.0,
-        tof_dropout_share=0.01,
-        stereo_correlated_px=0.13,
-        stereo_white_px=0.02,
-        stereo_hole_share=0.03,
-        stereo_saturated_share=0.005,
-        stereo_subpixel_steps=8.0,
-    ),
-    replace(
-        _USUAL,
-        name="held-tof",
-        about="time-of-flight errors, white and shared",
-        held_out=True,
-        tof_white_m=0.0009,
-        tof_correlated_m=0.0005,
-        tof_correlated_px=14.0,
-        tof_offset_m=0.0005,
-        stereo_correlated_px=0.05,
-        stereo_length_px=4.0,
-    ),
-    replace(
-        _USUAL,
-        name="held-stereo",
-        about="stereo errors that neighbours share over 8 px",
-        held_out=True,
-        tof_white_m=0.0006,
-        tof_correlated_m=0.0003,
-        tof_correlated_px=3.0,
-        tof_offset_m=0.0006,
-        stereo_correlated_px=0.10,
-        stereo_length_px=8.0,
-    ),
-    replace(
-        _USUAL,
-        name="held-offset",
-        about="the proximity camera reads 5 mm too near",
-        held_out=True,
-        tof_white_m=0.0007,
-        tof_correlated_m=0.0004,
-        tof_correlated_px=6.0,
-        tof_offset_m=-0.005,
-        stereo_correlated_px=0.07,
-        stereo_length_px=4.0,
-    ),
-    replace(
-        _USUAL,
-        name="held-mixed",
-        about="errors of every kind",
-        held_out=True,
-        tof_white_m=0.0008,
-        tof_correlated_m=0.0007,
-        tof_correlated_px=18.0,
-        tof_correlated_fixed_share=0.7,
-        tof_offset_m=-0.0015,
-        tof_scale=0.996,
-        tof_slope_m=0.0015,
-        tof_slope_deg=200.0,
-        tof_slow_bias_m=0.0004,
-        tof_flying_share=0.8,
-        stereo_correlated_px=0.09,
-        stereo_length_px=6.5,
-        stereo_fixed_share=0.35,
-        stereo_white_px=0.03,
-        stereo_hole_share=0.015,
-        stereo_subpixel_steps=16.0,
-    ),
+    _REAL,
+    *map(_of_table, _TABLE),
 )
 
 #: All sensors by name: from clean to worn, then those held out.
@@ -307,13 +240,7 @@ DEFAULT_SENSOR: Final = "l515-d405"
 
 
 def find_sensor(name: str) -> SensorModel:
-    """Return a sensor by its name.
-
-    Raises
-    ------
-    SourceError
-        No such sensor.
-    """
+    """Return a sensor by its name; `SourceError` if there is none."""
     if name not in SENSORS:
         raise SourceError(f"sim: there is no sensor {name!r}; choose one of {', '.join(SENSORS)}")
     return SENSORS[name]

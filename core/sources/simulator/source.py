@@ -1,41 +1,26 @@
-"""The simulator as a source of frames, the cache of solved scenes on disk, and the solved scene of the package.
-
-A cache file is a zip of PNG images. Its name contains a hash of everything that the images depend on, their code
-included. The errors of the cameras are added later, so their code is not. A damaged or unreadable file counts as
-missing; one that cannot be written is reported.
-"""
+"""The simulator as a source of frames."""
 
 from __future__ import annotations
 
-import hashlib
-import json
-import lzma
 import math
-import os
-import zipfile
-import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
 from copy import deepcopy
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final, get_args
+from typing import Final, get_args
 from weakref import WeakValueDictionary
 
 import cv2
 import numpy as np
-from platformdirs import user_cache_dir
-from pydantic import TypeAdapter
 
 from ...errors import ExportError, SourceError
 from ...model.arrays import Uint8Array
-from ...model.files import atomic_path
-from ...model.frames import GroundTruth, SensorFrame, TrueStrain, rigid_transform
-from ...model.loading import decode_image, open_regular, parse_json
+from ...model.frames import GroundTruth, SensorFrame, TrueStrain
 from ..base import Health, Progress, SeekableSource
 from .between import facts_between, state_between
+from .cache import SolvedScene, cache_file, find_solved, save_scene
 from .membrane import Membrane
 from .mesh import MembraneDesign
 from .names import write_name
@@ -52,35 +37,8 @@ _SKEW_S: Final = 0.0021
 #: Added to the seed of frames that need other noise than those that are judged.
 _OTHER_SEEDS: Final = 1_000_000
 
-#: Cached versions of a scene, and size of the whole cache, bytes.
-_VERSIONS: Final = 3
-MAX_CACHE_BYTES: Final = 4_000_000_000
-
-#: Files of this folder on which the clean images depend beyond `Scene.key`.
-CLEAN_CODE: Final = ("grid_strain.py", "membrane.py", "mesh.py", "objects.py", "render.py", "scene.py", "sheet.py")
-
-#: Folder of the solved scenes in the package; ``scripts/ship_scene.py`` writes them.
-SHIPPED: Final = Path(__file__).with_name("solved")
-_LOSSLESS: Final = (cv2.IMWRITE_WEBP_QUALITY, 101)
-
-_NAMES = tuple(field.name for field in fields(CleanState))
-_FACTS = TypeAdapter(list[PressFacts])
-#: What a damaged archive raises; `OSError` also where there is none.
-_DAMAGED: Final = (
-    *(OSError, EOFError, KeyError, IndexError, TypeError, ValueError, RuntimeError),
-    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, cv2.error),
-)
-
 #: Open scenes of this process, shared because each takes some 200 MB.
 _open_scenes: WeakValueDictionary[Path, SolvedScene] = WeakValueDictionary()
-
-
-@dataclass(frozen=True)
-class SolvedScene:
-    """The clean states of a scene in the order of ``Scene.drawn``, and their ground truth."""
-
-    states: Sequence[CleanState]
-    facts: Sequence[PressFacts]
 
 
 class SimulatorSource(SeekableSource):
@@ -265,146 +223,3 @@ def _name(scene: str, seed: int, noise: float, variant: Variant, light: Light, s
         "sensor": sensor,
     }
     return write_name(options | {"scene": scene, "seed": str(seed), "noise": f"{noise:g}"})
-
-
-def cache_file(scene: str, key: str) -> Path:
-    """Return the cache file of a scene; ``key`` is text with all its parameters."""
-    digest = hashlib.sha256(key.encode())
-    for name in CLEAN_CODE:
-        digest.update(Path(__file__).with_name(name).read_bytes())
-    return Path(user_cache_dir("tactune")) / "simulator" / f"{scene}-{digest.hexdigest()[:16]}.zip"
-
-
-def find_solved(path: Path, count: int) -> SolvedScene | None:
-    """Return the ``count`` states of a cache file from the package or from the cache; None if neither has them."""
-    return load_shipped(SHIPPED / path.name, count) or load_scene(path, count)
-
-
-def load_scene(path: Path, count: int) -> SolvedScene | None:
-    """Return ``count`` states from a file of the cache, or None where the file is missing or damaged."""
-    scene = _load(path, count, _unpack_cached)
-    if scene is not None:
-        with suppress(OSError):
-            path.touch()
-    return scene
-
-
-def _load(path: Path, count: int, unpack: Callable[[zipfile.ZipFile, int], list[CleanState]]) -> SolvedScene | None:
-    try:
-        with open_regular(path) as file, zipfile.ZipFile(file) as archive:
-            states = unpack(archive, count)
-            facts = _FACTS.validate_python(parse_json(archive.read("facts.json")))
-            for fact in facts:
-                rigid_transform(fact.T_proximity_object)
-    except _DAMAGED:
-        return None
-    return SolvedScene(states, facts) if len(facts) == count and all(map(_is_whole, states)) else None
-
-
-def _is_whole(state: CleanState) -> bool:
-    """Return whether all images have the size of the cameras and their types."""
-    rig = simulator_rig()
-    for name, image in state.arrays().items():
-        camera = rig.tactile if name.startswith("tactile") else rig.proximity
-        colours = (3,) if name.endswith("color") else ()
-        counts = np.uint16 if name in ("behind", "membrane", "tactile") else np.uint8
-        if image.shape != camera.intrinsics.shape + colours or image.dtype != counts:
-            return False
-    return True
-
-
-def _unpack_cached(archive: zipfile.ZipFile, count: int) -> list[CleanState]:
-    entries, size = archive.infolist(), os.fstat(archive.fp.fileno()).st_size  # type: ignore[union-attr]
-    packed_bytes = sum(entry.file_size for entry in entries)
-    if packed_bytes > size or any(entry.compress_type != zipfile.ZIP_STORED for entry in entries):
-        raise ValueError("its entries are not those of a cache file")  # they could unpack to any size
-    packed = [{name: archive.read(f"{n}/{name}.png") for name in _NAMES} for n in range(count)]
-    with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(_unpack, packed))
-
-
-def save_scene(path: Path, scene: SolvedScene) -> None:
-    """Write a scene to a file, whole or not at all, and remove the files that were used least recently.
-
-    Raises
-    ------
-    ExportError
-        The operating system refuses.
-    """
-    with ThreadPoolExecutor(2) as pool:
-        packed = list(pool.map(_pack, scene.states))
-    with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
-        archive.writestr("facts.json", json.dumps([asdict(entry) for entry in scene.facts]))
-        for n, images in enumerate(packed):
-            for name, data in images.items():
-                archive.writestr(f"{n}/{name}.png", data)
-    _clean_up(path)
-
-
-def save_shipped(path: Path, scene: SolvedScene) -> None:
-    """Write a scene as the package holds it: lossless, a third of a cache file's size, but slow to write.
-
-    Images of one channel are kept as differences between successive states, byte by byte, compressed with LZMA; colour
-    images as WebP.
-    """
-    images = {name: np.stack([getattr(state, name) for state in scene.states]) for name in _NAMES}
-    with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
-        archive.writestr("facts.json", json.dumps([asdict(entry) for entry in scene.facts]))
-        for name, stack in images.items():
-            if stack.ndim == 4:
-                for n, image in enumerate(stack):
-                    archive.writestr(f"{n}/{name}.webp", cv2.imencode(".webp", image, _LOSSLESS)[1].tobytes())
-            else:
-                changes = stack.copy()
-                changes[1:] -= stack[:-1]
-                low_and_high = np.moveaxis(changes[..., None].view(np.uint8), -1, 0)
-                archive.writestr(f"{name}.changes", low_and_high.tobytes(), zipfile.ZIP_LZMA)
-
-
-def load_shipped(path: Path, count: int) -> SolvedScene | None:
-    """Return ``count`` states from a file of `save_shipped`; None if the package has no whole one for this code."""
-    return _load(path, count, _unpack_shipped)
-
-
-def _unpack_shipped(archive: zipfile.ZipFile, count: int) -> list[CleanState]:
-    images: dict[str, Any] = {}
-    for name in ("proximity_color", "tactile_color"):
-        packed = [np.frombuffer(archive.read(f"{n}/{name}.webp"), np.uint8) for n in range(count)]
-        images[name] = [np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8) for data in packed]
-    shape = count, *images["tactile_color"][0].shape[:2]
-    for name in set(_NAMES) - set(images):
-        low_and_high = np.frombuffer(archive.read(f"{name}.changes"), np.uint8).reshape(-1, *shape)
-        counts = np.ascontiguousarray(np.moveaxis(low_and_high, 0, -1)).view(f"<u{len(low_and_high)}")[..., 0]
-        images[name] = np.cumsum(counts, axis=0, dtype=counts.dtype)
-    return [CleanState(**{name: images[name][n] for name in _NAMES}) for n in range(count)]
-
-
-def _clean_up(path: Path) -> None:
-    """Keep the most recently used versions of this scene, and of all scenes as many as fit."""
-    last_used = sorted(path.parent.glob("*.zip"), key=_last_used, reverse=True)
-    versions = [file for file in last_used if file.name.rpartition("-")[0] == path.name.rpartition("-")[0]]
-    total, spare = 0, set(versions[_VERSIONS:])
-    for file in last_used:
-        with suppress(OSError):
-            total += 0 if file in spare else file.stat().st_size
-        if total > MAX_CACHE_BYTES:
-            spare.add(file)
-    for file in spare - {path}:
-        with suppress(OSError):  # another user's, or already removed
-            file.unlink()
-
-
-def _last_used(file: Path) -> float:
-    try:
-        return file.stat().st_mtime
-    except OSError:
-        return 0.0
-
-
-def _pack(state: CleanState) -> dict[str, bytes]:
-    fast = [cv2.IMWRITE_PNG_COMPRESSION, 1]
-    return {name: cv2.imencode(".png", image, fast)[1].tobytes() for name, image in state.arrays().items()}
-
-
-def _unpack(packed: dict[str, bytes]) -> CleanState:
-    return CleanState(**{name: decode_image(data) for name, data in packed.items()})

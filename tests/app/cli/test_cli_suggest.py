@@ -61,12 +61,12 @@ def test_a_file_is_replaced_only_by_force(tactune: Tactune, spoiled: Path, tmp_p
 
 
 def test_a_section_without_evidence_is_refused_with_the_remedy(tactune: Tactune, tmp_path: Path) -> None:
-    with open_source("sim:knobs?press=medium") as source:
+    with open_source("sim:octopus?press=low") as source:
         export_folder(source, tmp_path / "pressed", frames=1)
     named = ("preset", "suggest", "--source", f"folder:{tmp_path / 'pressed'}", "--preset", "simulator")
     assert "capture an untouched frame" in tactune(*named, "--section", "mask").sentence
     # another source can show the untouched membrane
-    finished = tactune(*named, "--section", "mask", "--untouched", "sim:knobs?press=medium")
+    finished = tactune(*named, "--section", "mask", "--untouched", "sim:octopus?press=low")
     assert finished.status == 0
     assert "Keep the mask" in finished.out
 

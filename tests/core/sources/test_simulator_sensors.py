@@ -11,12 +11,13 @@ import pytest
 from tactune.core.errors import SourceError
 from tactune.core.sources import simulator
 from tactune.core.sources.registry import open_source
+from tactune.core.sources.simulator.cache import CLEAN_CODE
 from tactune.core.sources.simulator.noise import NoiseModel
 from tactune.core.sources.simulator.render import CLEAN_UNIT_M, EDGE_FLAG
 from tactune.core.sources.simulator.scene import simulator_rig
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.sensors import DEFAULT_SENSOR, SENSORS, SensorModel, find_sensor
-from tactune.core.sources.simulator.source import CLEAN_CODE, SimulatorSource
+from tactune.core.sources.simulator.source import SimulatorSource
 
 RIG = simulator_rig()
 MEDIUM = Variant(press="medium")
@@ -234,6 +235,7 @@ def test_the_cache_key_covers_every_file_that_clean_images_depend_on():
         "noise.py",
         "sensors.py",
         "source.py",
+        "cache.py",
         "object_surface.py",
     } | in_key
     later |= {"between.py", "tray.py"}  # what is between the solved states, and when
