@@ -9,7 +9,7 @@ from ...core.errors import as_sentence
 from ...core.preset import CamerasSection
 from ...widgets.basics.controls import caption, push_button
 from ...widgets.basics.layouts import vbox
-from .page import SourcePage
+from .pages import SourcePage
 from .search import CameraSearch, FoundCamera
 
 CAMERAS = "cameras:"

@@ -17,7 +17,7 @@ from PyQt6.QtWidgets import (
 from ...core.errors import SourceError
 from ...widgets.basics.controls import NoteLabel, ProgressBar, caption, dialog_buttons
 from ...widgets.basics.layouts import hbox, vbox
-from .page import SourcePage
+from .pages import SourcePage
 
 _SIZE = (820, 560)
 

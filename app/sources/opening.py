@@ -1,31 +1,25 @@
-"""Opens the dialog *Open…* and what belongs to it: pictures of sources, and rigs of folders that lack one."""
+"""Opens the dialog *Open…* and answers it."""
 
 from __future__ import annotations
 
 from PyQt6.QtCore import QObject
 
 from ..context import Context
-from ..worker.results import SourceInfo
 from .cameras_page import CamerasPage
-from .files_page import FilesPage
 from .open_dialog import OpenDialog
-from .recent_page import RecentPage
+from .pages import FilesPage, RecentPage
 from .search import CameraSearch
 from .simulator_page import SimulatorPage
-from .thumbnails import Thumbnails, default_folder
 
 
 class OpenControl(QObject):
-    """Opens at most one dialog, and keeps a picture of every source that is shown."""
+    """Opens at most one dialog."""
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._context = context
-        self._thumbnails = Thumbnails(default_folder())
-        self._pictured: SourceInfo | None = None
         self.dialog: OpenDialog | None = None
         self._opening = ""
-        context.frameShown.connect(self._frame_shown)
         context.worker.opening.connect(self._show_progress)
         context.worker.opened.connect(self._opened)
 
@@ -49,17 +43,15 @@ class OpenControl(QObject):
         return True
 
     def close(self) -> None:
-        """Close the dialog, and keep a picture of the present source."""
+        """Close the dialog."""
         if self.dialog is not None:
             self.dialog.reject()
-        self._keep_picture()
 
     def _make_dialog(self) -> OpenDialog:
         context = self._context
         self._cameras = CamerasPage(context.document.preset.cameras, CameraSearch(self))
-        recent = RecentPage(context.settings, self._thumbnails)
-        files = FilesPage(context.dialogs)
-        self.dialog = OpenDialog([self._cameras, recent, SimulatorPage(), files], context.window)
+        pages = [self._cameras, RecentPage(context.settings), SimulatorPage(), FilesPage(context.dialogs)]
+        self.dialog = OpenDialog(pages, context.window)
         self.dialog.requested.connect(self._request)
         self.dialog.finished.connect(self._closed)
         self.dialog.open()
@@ -76,10 +68,7 @@ class OpenControl(QObject):
         if self.dialog is not None and name == self._opening:
             self.dialog.show_progress(share, words)
 
-    def _opened(self, info: SourceInfo) -> None:
-        result = self._context.result
-        if result is not None and result.source is not info:
-            self._keep_picture()
+    def _opened(self) -> None:
         if self.dialog is not None and self._opening:
             self._opening = ""
             self.dialog.accept()
@@ -91,15 +80,3 @@ class OpenControl(QObject):
         if self.dialog is not None:
             self.dialog.deleteLater()
             self.dialog = None
-
-    def _frame_shown(self) -> None:
-        """Keep a picture of the first frame, in case that the program does not end in order."""
-        result = self._context.result
-        if result is not None and result.source is not self._pictured:
-            self._pictured = result.source
-            self._keep_picture()
-
-    def _keep_picture(self) -> None:
-        result = self._context.result
-        if result is not None:
-            self._thumbnails.keep(result.source.name, result.frame.proximity_color)

@@ -5,14 +5,12 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 from PyQt6.QtCore import QObject, QProcess, QTimer, pyqtSignal
 
 from ...core.errors import as_sentence
-from ...core.model.intrinsics import Intrinsics
-from ...core.sources.cameras.camera import StreamLens
 from .list_devices import PROGRAM
 
 #: Time limit of the search, ms. Loading the driver takes a second or two; it may hang.
@@ -25,10 +23,7 @@ _DOCTOR = "see Help > Check this computer for the cause and its remedy"
 
 @dataclass(frozen=True)
 class FoundCamera:
-    """A connected camera; fields that it does not report are empty.
-
-    ``lenses`` is found only if the search asks for it.
-    """
+    """A connected camera; fields that it does not report are empty."""
 
     model: str
     serial: str
@@ -36,7 +31,6 @@ class FoundCamera:
     usb: str = ""
     problem: str = ""
     role: str = ""
-    lenses: tuple[StreamLens, ...] = ()
 
 
 class CameraSearch(QObject):
@@ -139,11 +133,4 @@ class CameraSearch(QObject):
 
 
 def _camera(device: dict[str, Any]) -> FoundCamera:
-    texts = {
-        name: str(device.get(name, "") or "") for name in ("model", "serial", "firmware", "usb", "problem", "role")
-    }
-    lenses = []
-    for lens in device.get("lenses", []):
-        fields = {name: lens[name] for name in Intrinsics.model_fields}
-        lenses.append(StreamLens(lens["kind"], Intrinsics(**fields), float(lens["depth_unit_m"])))
-    return FoundCamera(**texts, lenses=tuple(lenses))
+    return FoundCamera(**{field.name: str(device.get(field.name, "") or "") for field in fields(FoundCamera)})

@@ -16,7 +16,7 @@ from ...core.sources.simulator.names import (
     write_name,
 )
 from ...widgets.basics.controls import caption
-from .page import SourcePage
+from .pages import SourcePage
 
 _SCHEME = "sim"
 #: What an empty choice means, by its field.

@@ -36,7 +36,7 @@ from ..settings import Settings
 from ..sources.cameras_page import CAMERA_SCHEMES
 from ..sources.control import CameraControl
 from ..sources.opening import OpenControl
-from ..sources.recent_page import RECENT
+from ..sources.pages import RECENT
 from ..timeline.control import Timeline
 from ..timeline.export import FrameExport
 from ..worker.errors import ErrorHook

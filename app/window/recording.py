@@ -21,7 +21,7 @@ from ...widgets.basics.layouts import vbox
 from ...widgets.basics.messages import Offer, Severity
 from ..context import TASK, Context
 from ..settings import default_recordings_folder
-from ..sources.recent_page import RECENT
+from ..sources.pages import RECENT
 from ..worker.playback import PlaybackState
 from ..worker.recorder import RecordingEnd
 from ..worker.results import SourceState

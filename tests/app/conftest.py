@@ -12,7 +12,6 @@ from PyQt6.QtWidgets import QApplication
 from fakes import FakeCameras, FakeSource, tiny_frame, tiny_rig
 from hands import show_source
 from tactune.app.settings import Settings
-from tactune.app.sources import opening
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.processing import FrameProcessor
@@ -57,7 +56,6 @@ def settings_file(tmp_path) -> Path:
 def make_window(qtbot, preset, tmp_path, settings_file, monkeypatch) -> Iterator[Callable[..., MainWindow]]:
     """Open windows that use nothing of the person's own folders, and close them whatever happened."""
     pg.setConfigOptions(mouseRateLimit=-1)
-    monkeypatch.setattr(opening, "default_folder", lambda: tmp_path / "thumbnails")
     windows = []
 
     def make(start: Preset = preset, size: tuple[int, int] | None = (1280, 800)) -> MainWindow:

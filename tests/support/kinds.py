@@ -29,7 +29,6 @@ from tactune.app.document.document import Document
 from tactune.app.document.keeping import KeptState
 from tactune.app.document.recovery import Autosave, unsaved_work
 from tactune.app.settings import Settings
-from tactune.app.sources.thumbnails import Thumbnails
 from tactune.core import ContactPipeline, open_source
 from tactune.core.calibration.correspondences import Correspondence, write_points
 from tactune.core.calibration.correspondences import read_points as read_pairs
@@ -280,10 +279,6 @@ def read_settings(folder: Path) -> bool:
     return settings.text("theme") == "dark"
 
 
-def picture(folder: Path, n: int) -> None:
-    Thumbnails(folder).keep("a", np.full((90, 160, 3), n, np.uint8))
-
-
 # Files of other programs
 
 SCAN_PAIRS = "scan_x,scan_y,scan_z,patch_x_m,patch_y_m,patch_z_m\n1,2,3,0.1,0.2,0.3\n4,5,6,0.1,0.3,0.2\n"
@@ -360,7 +355,6 @@ KINDS: dict[str, Kind] = {
     "calibration": Kind(calibrate, restore_calibration, keeps_state=True),
     "alignment": Kind(align, restore_alignment, keeps_state=True),
     "settings": Kind(remember, read_settings, silent=True),
-    "thumbnail": Kind(picture, lambda f: Thumbnails(f).load("a") is not None, silent=True),
     "scan's pairs": Kind(text("a.csv", SCAN_PAIRS), lambda f: read_scan_pairs(f / "a.csv"), ours=False),
     "scan": Kind(text("a.obj", OBJ), lambda f: load_scan(f / "a.obj"), 200, ours=False),
     "textured scan": Kind(textured, lambda f: load_scan(f / "a.obj"), ours=False),

@@ -1,0 +1,177 @@
+"""Pages of the dialog *Open…*: what a page is, the recent sources, and files and other kinds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtGui import QKeyEvent, QPalette
+from PyQt6.QtWidgets import QListWidget, QListWidgetItem, QWidget
+
+from ...core.errors import SourceError
+from ...core.sources.registry import missing_path, source_kinds
+from ...widgets.basics.controls import push_button, wrapped_label
+from ...widgets.basics.dialogs import Dialogs
+from ...widgets.basics.layouts import STRETCH, hbox, vbox
+from ...widgets.basics.record_table import Column, RecordTable
+from ..settings import Settings
+from .paths import recording_filters, recording_name
+
+RECENT = "sources"
+_MISSING = "There is nothing at {} any more: it was moved or deleted. Delete removes it from this list."
+_SIMULATOR = "sim:cup"
+
+
+class SourcePage(QWidget):
+    """Base of the pages: each offers sources of one kind and knows the name of the chosen one.
+
+    Attributes
+    ----------
+    title : str
+        In the list of pages.
+    name : str
+        Name of the chosen source, as `open_source` takes it; empty if none is chosen.
+    note : str
+        A sentence about the choice; empty if there is nothing to say.
+
+    Signals
+    -------
+    changed()
+        The name or the note has changed.
+    activated()
+        The choice was double-clicked, or Enter was pressed on it: open it.
+    """
+
+    changed = pyqtSignal()
+    activated = pyqtSignal()
+    title = ""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.name = self.note = ""
+
+    def show_name(self, name: str) -> bool:
+        """Show a name that was typed and return whether it belongs to this page; `SourceError` if it is wrong."""
+        return False
+
+    def come_up(self) -> None:
+        """The page is shown."""
+
+    def stop(self) -> None:
+        """End what runs; the dialog is closed."""
+
+    def _choose(self, name: str, note: str = "") -> None:
+        self.name, self.note = name, note
+        self.changed.emit()
+
+
+class RecentPage(SourcePage):
+    """Lists the recent sources, newest first. Those that are gone are grey."""
+
+    title = "Recent"
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__()
+        self._settings = settings
+        self.list = QListWidget()
+        self.list.setAccessibleName("Recent sources")
+        self.list.setToolTip("Sources that were open before; double-click one to open it, Delete removes it")
+        self.list.setWordWrap(True)
+        self.list.setSpacing(2)
+        self.list.setTextElideMode(Qt.TextElideMode.ElideMiddle)
+        self.none = wrapped_label("Sources that you open will be listed here.")
+        self.simulator = push_button("Open simulator", f"Open {_SIMULATOR}, a sensor that needs no cameras")
+        self._empty = QWidget()
+        vbox(self.none, hbox(self.simulator, STRETCH), STRETCH, within=self._empty, margins=0)
+        vbox(self.list, self._empty, within=self, margins=0)
+        for name in settings.recent(RECENT):
+            item = QListWidgetItem(name)
+            item.setData(Qt.ItemDataRole.UserRole, name)
+            if (missing := missing_path(name)) is not None:
+                item.setText(f"{name}\n{_MISSING.format(missing)}")
+                item.setForeground(self.palette().color(QPalette.ColorGroup.Disabled, QPalette.ColorRole.Text))
+            item.setToolTip(item.text())
+            self.list.addItem(item)
+        self._show_list()
+        self.list.currentItemChanged.connect(lambda item, _: self._selected(item))
+        self.list.itemActivated.connect(lambda _: self.activated.emit())
+        self.simulator.clicked.connect(self._open_simulator)
+
+    def show_name(self, name: str) -> bool:
+        """Select a name if it is in the list."""
+        for row in range(self.list.count()):
+            item = self.list.item(row)
+            if item is not None and item.data(Qt.ItemDataRole.UserRole) == name:
+                self.list.setCurrentItem(item)
+                return True
+        return False
+
+    def come_up(self) -> None:
+        """Choose what is selected, the newest at first."""
+        if self.list.currentItem() is None:
+            self.list.setCurrentRow(0)
+        self._selected(self.list.currentItem())
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:
+        """Remove the selected source from the list."""
+        item = self.list.currentItem()
+        if event is None or event.key() != Qt.Key.Key_Delete or item is None:
+            super().keyPressEvent(event)
+            return
+        self._settings.remove_recent(RECENT, item.data(Qt.ItemDataRole.UserRole))
+        self.list.takeItem(self.list.row(item))
+        self._show_list()
+
+    def _show_list(self) -> None:
+        """Show the list; while it is empty, what it is for."""
+        self.list.setVisible(self.list.count() > 0)
+        self._empty.setVisible(self.list.count() == 0)
+
+    def _open_simulator(self) -> None:
+        self._choose(_SIMULATOR)
+        self.activated.emit()
+
+    def _selected(self, item: QListWidgetItem | None) -> None:
+        name = "" if item is None else item.data(Qt.ItemDataRole.UserRole)
+        missing = missing_path(name) if name else None
+        self._choose(name, "" if missing is None else _MISSING.format(missing))
+
+
+class FilesPage(SourcePage):
+    """Asks for a file or folder, and lists every kind of source with its form."""
+
+    title = "Files and others"
+
+    def __init__(self, dialogs: Dialogs) -> None:
+        super().__init__()
+        self._dialogs = dialogs.over(self)
+        self.file = push_button("Choose fi&le…", "Choose a recording, or the two .bag files of two cameras")
+        self.folder = push_button("Choose fol&der…", "Choose a recording stored as a folder of images")
+        tip = "All kinds of sources, also those of other packages; double-click one to begin its name"
+        columns = [
+            Column("Name", lambda kind: kind.form.partition("[")[0], hint=lambda kind: kind.form),
+            Column("What it opens", lambda kind: kind.description, stretch=True),
+        ]
+        self.kinds = RecordTable(columns, "Kinds of sources", tip, key=lambda kind: kind.scheme, wraps=True)
+        self.kinds.set_records(source_kinds())
+        buttons = hbox(self.file, self.folder, STRETCH)
+        vbox(buttons, wrapped_label("Or type a name below:"), (self.kinds, 1), within=self, margins=0)
+        self.file.clicked.connect(self._ask_file)
+        self.folder.clicked.connect(self._ask_folder)
+        self.kinds.activated.connect(lambda _: self._kind_chosen())
+
+    def _kind_chosen(self) -> None:
+        for scheme in self.kinds.selected_keys()[:1]:
+            self._choose(f"{scheme}:")
+
+    def _ask_file(self) -> None:
+        self._dialogs.open_files("source", "Open a recording", recording_filters(), self._chosen)
+
+    def _ask_folder(self) -> None:
+        self._dialogs.open_folder("source", "Open a recorded folder", lambda path: self._chosen([path]))
+
+    def _chosen(self, paths: list[Path]) -> None:
+        try:
+            self._choose(recording_name(paths))
+        except SourceError as error:
+            self._choose("", str(error))
