@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from PyQt6.QtCore import QObject, QTimer, pyqtSignal
 from PyQt6.QtGui import QAction
@@ -14,7 +14,6 @@ from PyQt6.QtWidgets import (
     QDialog,
     QDialogButtonBox,
     QGridLayout,
-    QLabel,
     QLineEdit,
     QPushButton,
     QSpinBox,
@@ -22,7 +21,7 @@ from PyQt6.QtWidgets import (
 )
 
 from ...core.errors import PresetError, counted
-from ...core.output.connections import FOXGLOVE_PORT, LOOPBACK, Connections
+from ...core.output.connections import LOOPBACK, Connections
 from ...widgets.basics.controls import AccentButton, NoteLabel, caption, dialog_buttons, push_button
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.layouts import STRETCH, vbox
@@ -38,43 +37,48 @@ if TYPE_CHECKING:
 
 #: Interval at which clients and rates are shown, ms.
 _INTERVAL_MS = 500
+_Widget = TypeVar("_Widget", bound=QWidget)
 _OFF = "Nothing is published. Tick Foxglove or ROS 2, then press Start publishing."
 
 
 class PublishWindow(QDialog):
-    """What is published where, the switch, and who listens.
-
-    Signals
-    -------
-    switched(on: bool)
-        The button was pressed.
-    layoutRequested()
-    """
-
-    switched = pyqtSignal(bool)
-    layoutRequested = pyqtSignal()
+    """What is published where, the switch, and who listens."""
 
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
         self.setWindowTitle("Publish")
-        self.foxglove = QCheckBox("&Foxglove")
-        self.foxglove.setToolTip("A WebSocket server: the Foxglove app and its clients read topics and parameters")
-        self.port = _number(1, 65535, FOXGLOVE_PORT, "Foxglove's port", "TCP port of the Foxglove server, 1 to 65535")
-        self.ros2 = QCheckBox("&ROS 2")
-        self.ros2.setToolTip("ROS 2 topics by DDS; neither side needs anything but its own middleware")
-        self.domain = _number(
-            0, 232, 0, "ROS 2 domain", "ROS 2 domain id, 0 to 232, as ROS_DOMAIN_ID of the subscribers"
+        self.foxglove = _with_tip(
+            QCheckBox("&Foxglove"), "A WebSocket server: the Foxglove app and its clients read topics and parameters"
         )
-        self.namespace = _entry(
-            "tactune", "ROS 2 namespace", "Put before every ROS 2 topic, as in /tactune/contact/patch"
+        self.ros2 = _with_tip(
+            QCheckBox("&ROS 2"), "ROS 2 topics by DDS; neither side needs anything but its own middleware"
         )
-        self.host = _entry(
-            LOOPBACK, "Address", f"The address to listen on. {LOOPBACK}: this computer only. 0.0.0.0: every network"
+        self.port, self.domain, self.namespace, self.host = QSpinBox(), QSpinBox(), QLineEdit(), QLineEdit(LOOPBACK)
+        self.port.setRange(1, 65535)
+        self.domain.setRange(0, 232)
+        rows = (
+            (self.foxglove, "&Port", self.port, "TCP port of the Foxglove server, 1 to 65535"),
+            (self.ros2, "&Domain", self.domain, "ROS 2 domain id, 0 to 232, as ROS_DOMAIN_ID of the subscribers"),
+            (None, "&Namespace", self.namespace, "Put before every ROS 2 topic, as in /tactune/contact/patch"),
+            (
+                None,
+                "&Address",
+                self.host,
+                f"The address to listen on. {LOOPBACK}: this computer only. 0.0.0.0: every network",
+            ),
         )
-        self.settable = QCheckBox("Let &clients set parameters")
-        self.settable.setToolTip(
+        grid = QGridLayout()
+        for row, (box, title, editor, tip) in enumerate(rows):
+            if box is not None:
+                grid.addWidget(box, row, 0)
+            grid.addWidget(caption(title, editor), row, 1)
+            grid.addWidget(_with_tip(editor, tip), row, 2)
+            editor.setAccessibleName(title.replace("&", ""))
+        grid.setColumnStretch(2, 1)
+        self.settable = _with_tip(
+            QCheckBox("Let &clients set parameters"),
             "Foxglove clients may change the preset, each value as an undo step; so may every web page that is open on "
-            "this computer. Off: they read only. It is off at every start"
+            "this computer. Off: they read only. It is off at every start",
         )
         self.note = NoteLabel(lines=2)
         self.start = AccentButton("&Start publishing", "Let clients connect, or disconnect them all and stop listening")
@@ -83,14 +87,15 @@ class PublishWindow(QDialog):
         self.layout_file = push_button(
             "Save Foxglove &layout…", "Save the layout that shows all topics in the Foxglove app"
         )
+        buttons = dialog_buttons(QDialogButtonBox.StandardButton.Close)
+        buttons.addButton(self.layout_file, QDialogButtonBox.ButtonRole.ActionRole)
+        buttons.rejected.connect(self.close)
+        vbox(grid, self.settable, self.note, self.start, self.state, STRETCH, buttons, within=self)
+        self.resize(460, 340)
         self._settings = (self.foxglove, self.port, self.ros2, self.domain, self.namespace, self.host, self.settable)
-        self._lay_out()
-        self.start.clicked.connect(self.switched)
-        self.layout_file.clicked.connect(self.layoutRequested)
-        for box in (self.foxglove, self.ros2, self.settable):
-            box.toggled.connect(self._check)
+        for each in (self.foxglove, self.ros2, self.settable):
+            each.toggled.connect(self._check)
         self.host.textChanged.connect(self._check)
-        self._check()
 
     @property
     def connections(self) -> Connections:
@@ -109,46 +114,24 @@ class PublishWindow(QDialog):
         """Enter connections."""
         self.foxglove.setChecked(connections.foxglove)
         self.ros2.setChecked(connections.ros2)
-        self.host.setText(connections.host)
         self.port.setValue(connections.port)
         self.domain.setValue(connections.domain)
         self.namespace.setText(connections.namespace)
+        self._check()
 
-    def show_running(self, running: bool) -> None:
-        """Show whether something is published; the settings rest meanwhile."""
+    def show_state(self, running: bool, sentence: str = _OFF, error: bool = False) -> None:
+        """Show whether something is published, who listens or why nothing is published; the settings rest meanwhile."""
         self.start.setChecked(running)
         self.start.setText("&Stop publishing" if running else "&Start publishing")
         for control in self._settings:
             control.setEnabled(not running)
+        self.state.say(sentence, error)
         self._check()
-
-    def show_state(self, sentence: str, error: bool = False) -> None:
-        """Show who listens, or why nothing is published."""
-        self.state.say(sentence or _OFF, error)
 
     def _check(self) -> None:
         self.start.setEnabled(self.start.isChecked() or self.foxglove.isChecked() or self.ros2.isChecked())
         warning = self.connections.warning
         self.note.say(f"{warning[0].upper()}{warning[1:]}." if warning else "")
-
-    def _lay_out(self) -> None:
-        grid = QGridLayout()
-        rows: tuple[tuple[QWidget, ...], ...] = (
-            (self.foxglove, caption("&Port", self.port), self.port),
-            (self.ros2, caption("&Domain", self.domain), self.domain),
-            (QLabel(), caption("&Namespace", self.namespace), self.namespace),
-            (QLabel(), caption("&Address", self.host), self.host),
-        )
-        grid.addWidget(self.settable, len(rows), 0, 1, 3)
-        for row, widgets in enumerate(rows):
-            for column, widget in enumerate(widgets):
-                grid.addWidget(widget, row, column)
-        grid.setColumnStretch(2, 1)
-        buttons = dialog_buttons(QDialogButtonBox.StandardButton.Close)
-        buttons.addButton(self.layout_file, QDialogButtonBox.ButtonRole.ActionRole)
-        buttons.rejected.connect(self.close)
-        vbox(grid, self.note, self.start, self.state, STRETCH, buttons, within=self)
-        self.resize(460, 340)
 
 
 class _Start:
@@ -210,8 +193,8 @@ class PublishControl(QObject):
         self._timer.timeout.connect(self._show)
         action.triggered.connect(self.open)
         indicator.clicked.connect(self.open)
-        self.window.switched.connect(self._switch)
-        self.window.layoutRequested.connect(self._ask_layout)
+        self.window.start.clicked.connect(self._switch)
+        self.window.layout_file.clicked.connect(self._ask_layout)
         self._set_by_client.connect(self._edit)  # from a thread of the server
         context.document.presetChanged.connect(self._pass_on)
 
@@ -229,8 +212,7 @@ class PublishControl(QObject):
         if not on:
             self._stop()
             return
-        self.window.show_running(True)
-        self.window.show_state("Starting…")
+        self.window.show_state(True, "Starting…")
         connections, preset = self.window.connections, self._context.document.preset
         self._remember(connections)
         pressed = self._start = _Start()
@@ -257,7 +239,7 @@ class PublishControl(QObject):
     def _refuse(self, sentence: str) -> None:
         if not self._start.cancelled:
             self._stop()
-            self.window.show_state(sentence, error=True)
+            self.window.show_state(False, sentence, error=True)
 
     def _stop(self) -> None:
         self._timer.stop()
@@ -265,15 +247,14 @@ class PublishControl(QObject):
         self._start.cancel()
         self._publisher = self._parameters = None
         self._indicator.hide()
-        self.window.show_running(False)
-        self.window.show_state("")
+        self.window.show_state(False)
 
     def _show(self) -> None:
         """Show clients and rates."""
         if self._publisher is None:
             return
         states = self._publisher.status()
-        self.window.show_state("\n".join(map(_in_words, states)))
+        self.window.show_state(True, "\n".join(map(_in_words, states)))
         clients = sum(state.sink.clients for state in states)
         self._indicator.setText(f"Publishing, {counted(clients, 'client')}")
         self._indicator.show()
@@ -338,17 +319,6 @@ def _in_words(state: OutputStatus) -> str:
     return f"{sink.name}, {sink.place}: {counts}{'. ' if state.error else ''}{state.error}"
 
 
-def _number(least: int, most: int, value: int, name: str, tip: str) -> QSpinBox:
-    box = QSpinBox()
-    box.setRange(least, most)
-    box.setValue(value)
-    box.setAccessibleName(name)
-    box.setToolTip(tip)
-    return box
-
-
-def _entry(text: str, name: str, tip: str) -> QLineEdit:
-    entry = QLineEdit(text)
-    entry.setAccessibleName(name)
-    entry.setToolTip(tip)
-    return entry
+def _with_tip(widget: _Widget, tip: str) -> _Widget:
+    widget.setToolTip(tip)
+    return widget

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import shutil
 import time
 from collections.abc import Callable
@@ -10,7 +11,7 @@ from datetime import datetime
 from pathlib import Path
 from threading import Thread
 
-from PyQt6.QtCore import QObject, QTimer, QUrl, pyqtSignal
+from PyQt6.QtCore import QObject, QTimer, QUrl
 from PyQt6.QtGui import QAction, QDesktopServices
 from PyQt6.QtWidgets import QFrame, QHBoxLayout, QPushButton
 
@@ -31,14 +32,7 @@ _MIN_RATE = 1e5
 
 
 class RecordingBar(QFrame):
-    """The numbers of a recording and a Stop button; hidden while nothing is being recorded.
-
-    Signals
-    -------
-    stopRequested()
-    """
-
-    stopRequested = pyqtSignal()
+    """The numbers of a recording and a Stop button; hidden while nothing is being recorded."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -56,7 +50,6 @@ class RecordingBar(QFrame):
         self._room = number_label("000 GB free, 00 h 00 min", "Free disk space, and the recording time that it allows")
         self.stop = QPushButton("Stop")
         self.stop.setToolTip("Finish the recording (F9)")
-        self.stop.clicked.connect(self.stopRequested)
         title, numbers = QHBoxLayout(), QHBoxLayout()
         title.addWidget(self._dot)
         title.addWidget(self._name, 1)
@@ -66,9 +59,8 @@ class RecordingBar(QFrame):
         vbox(title, numbers, self._room, within=self, margins=(8, 4, 4, 4), spacing=4)
         self.hide()
 
-    def show_start(self, name: str) -> None:
+    def show_start(self) -> None:
         """Show that a recording has begun."""
-        self._name.setText(f"Recording {name}")
         self.stop.setEnabled(True)
         for label in (self._time, self._frames, self._size, self._dropped, self._room):
             label.setText("")
@@ -134,15 +126,7 @@ _STANDS_STILL = "playback is paused, press Space to continue"
 
 
 class RecordingControl(QObject):
-    """Starts and stops recordings with one action, and shows their state.
-
-    Parameters
-    ----------
-    context : Context
-    action : QAction
-        Starts and stops a recording.
-    bar : RecordingBar
-    """
+    """Starts and stops recordings with one action, and shows their state in the bar."""
 
     def __init__(self, context: Context, action: QAction, bar: RecordingBar) -> None:
         super().__init__(context)
@@ -158,7 +142,7 @@ class RecordingControl(QObject):
         self._refresh.timeout.connect(self._show_progress)
         worker = self._worker
         action.triggered.connect(self._toggle)
-        bar.stopRequested.connect(self.stop)
+        bar.stop.clicked.connect(self.stop)
         worker.recordingStarted.connect(self._started)
         worker.recordingFailed.connect(self._failed)
         worker.recordingEnded.connect(self._ended)
@@ -222,7 +206,7 @@ class RecordingControl(QObject):
 
     def _started(self, path: Path) -> None:
         self._path, self._started_s, self._lost_before = path, time.monotonic(), self._lost
-        self._bar.show_start(path.name)
+        self._bar.show_start()
         self._bar.show_hint(path.name, self._hint)
         self._show_action()
         self._refresh.start()
@@ -305,25 +289,15 @@ class RecordingControl(QObject):
 
 
 def free_bytes(folder: Path) -> int:
-    """Return the free bytes on the disk of a folder.
-
-    Raises
-    ------
-    OSError
-        The folder does not exist any more.
-    """
+    """Return the free bytes on the disk of a folder; `OSError` if it does not exist any more."""
     return shutil.disk_usage(folder).free
 
 
 def new_name(folder: Path, moment: datetime) -> Path:
     """Return an unused file name by date and time."""
     stem = f"session_{moment:%Y-%m-%d_%H-%M-%S}"
-    path = folder / f"{stem}.mcap"
-    number = 2
-    while path.exists():
-        path = folder / f"{stem}_{number}.mcap"
-        number += 1
-    return path
+    names = (f"{stem}{'' if number == 1 else f'_{number}'}.mcap" for number in itertools.count(1))
+    return next(path for path in map(folder.joinpath, names) if not path.exists())
 
 
 def show_in_folder(path: Path) -> None:

@@ -6,10 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock, Thread
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from ...core.errors import FrameError, TactuneError
-from ...core.model.arrays import Float64Array
 from ...core.model.frames import Rig, SensorFrame
 from ...core.output.writer import RecordingStatus, SessionWriter
 from ...core.preset import Preset
@@ -17,22 +16,6 @@ from .errors import explain
 
 if TYPE_CHECKING:
     from ...core.estimation.pose import PoseEstimate
-
-
-class Writer(Protocol):
-    """A file that is being written; see `SessionWriter`."""
-
-    def put(self, frame: SensorFrame, *, wait: bool) -> bool:
-        """Write a frame; False if the queue is full."""
-
-    def put_pose(self, pose: Float64Array, covariance: Float64Array, sequence: int, time_s: float) -> None:
-        """Write the pose of a tracked object in a frame."""
-
-    def status(self) -> RecordingStatus:
-        """Return the frames and bytes written so far."""
-
-    def close(self) -> RecordingStatus:
-        """Finish the file."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +45,7 @@ class _Watcher:
     failed: Callable[[str], object]
 
 
-def open_writer(request: RecordingRequest) -> Writer:
+def open_writer(request: RecordingRequest) -> SessionWriter:
     return SessionWriter(
         request.path,
         request.rig,
@@ -76,21 +59,16 @@ def open_writer(request: RecordingRequest) -> Writer:
 class Recorder:
     """Writes at most one file at a time; every method may be called from any thread.
 
-    Parameters
-    ----------
-    ended : callable
-        Called for each finished file, on its own thread, because the disk may be slow.
-    writer : callable
-        Makes the writer of a file.
+    ``ended`` is called for each finished file, on its own thread, because the disk may be slow.
     """
 
     def __init__(
-        self, ended: Callable[[RecordingEnd], None], writer: Callable[[RecordingRequest], Writer] = open_writer
+        self, ended: Callable[[RecordingEnd], None], writer: Callable[[RecordingRequest], SessionWriter] = open_writer
     ) -> None:
         self._ended = ended
         self._open = writer
         self._lock = Lock()
-        self._writer: Writer | None = None
+        self._writer: SessionWriter | None = None
         self._refused = 0
         self._watcher: _Watcher | None = None
         #: The preset's untouched frame; recordings store it instead of the source's.
@@ -107,13 +85,7 @@ class Recorder:
         return None if writer is None else self._with_refused(writer.status())
 
     def start(self, request: RecordingRequest) -> None:
-        """Start a file; does nothing while a recording runs.
-
-        Raises
-        ------
-        TactuneError
-            The file cannot be written.
-        """
+        """Start a file; does nothing while a recording runs. Raises `TactuneError` if it cannot be written."""
         with self._lock:
             if self._writer is not None:
                 return
@@ -142,15 +114,9 @@ class Recorder:
         self._watcher = None
 
     def put(self, frame: SensorFrame, number: int | None = None, *, wait: bool = False) -> None:
-        """Record a frame if a recording runs; a frame that does not fit its rig counts as dropped.
+        """Record a frame if a recording runs; one that does not fit its rig counts as dropped.
 
-        Parameters
-        ----------
-        frame : SensorFrame
-        number : int, optional
-            Frame number for messages, counted from 1. Default: ``frame.sequence + 1``.
-        wait : bool
-            Wait while the queue is full. Live frames do not wait; if the queue is full they are dropped and counted.
+        ``number``, for messages, counts from 1. Live frames do not ``wait``: if the queue is full they are dropped.
         """
         number = frame.sequence + 1 if number is None else number
         self._show(frame, number)
@@ -202,7 +168,7 @@ class Recorder:
                 self._watcher = None
             watcher.failed(explain(error, f"frame {number} could not be used"))
 
-    def _finish(self, writer: Writer, reason: str) -> None:
+    def _finish(self, writer: SessionWriter, reason: str) -> None:
         try:
             status = writer.close()
         except Exception as error:

@@ -54,15 +54,7 @@ class Connections:
         return "every program and web page on this computer can set parameters" if self.settable else ""
 
     def make_sinks(self, parameters: PresetParameters) -> list[Sink]:
-        """Return a sink for each connection, not started yet.
-
-        Raises
-        ------
-        PublishError
-            A value is not valid.
-        MissingExtraError
-            A package is not installed.
-        """
+        """Return a sink for each connection, not started yet; `PublishError` if a value is not valid."""
         sinks: list[Sink] = []
         if self.foxglove:
             from .foxglove import FoxgloveSink

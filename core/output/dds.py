@@ -75,20 +75,9 @@ _LOOPBACK: Final = {
 class DdsSink:
     """ROS 2 topics by DDS; a `tactune.core.output.publisher.Sink`.
 
-    Parameters
-    ----------
-    domain : int, optional
-        Domain id, ``ROS_DOMAIN_ID`` of the subscribers.
-    namespace : str, optional
-        Put before every topic but ``/tf`` and ``/tf_static``, such as ``"left_finger"``.
-    host : str, optional
-        Address of the network interface. With ``127.0.0.1`` nothing leaves this computer and nothing from outside is
-        received; with ``0.0.0.0`` Cyclone DDS chooses the interface, and ``CYCLONEDDS_URI`` applies.
-
-    Raises
-    ------
-    PublishError
-        One of them is not valid.
+    ``namespace`` is put before every topic but ``/tf`` and ``/tf_static``. ``host`` is the address of the network
+    interface: with ``127.0.0.1`` nothing leaves this computer and nothing from outside is received; with ``0.0.0.0``
+    Cyclone DDS chooses the interface, and ``CYCLONEDDS_URI`` applies. Raises `PublishError` if one is not valid.
     """
 
     def __init__(self, domain: int = 0, namespace: str = "", host: str = "127.0.0.1") -> None:
@@ -109,18 +98,7 @@ class DdsSink:
         self._clients = 0
 
     def start(self, topics: Mapping[str, str]) -> None:
-        """Announce topics, given with their types.
-
-        Parameters
-        ----------
-        topics : mapping of str to str
-            ROS 2 type of each topic.
-
-        Raises
-        ------
-        PublishError
-            No network interface has the address, or another connection of this program uses the domain.
-        """
+        """Announce topics, given with their types; see `Sink`."""
         try:
             self._entities.append(Domain(self._domain, self._config()))
         except DDSException as error:
@@ -145,13 +123,7 @@ class DdsSink:
         return [topic for topic, count in counts.items() if count]
 
     def send(self, messages: Sequence[LiveMessage]) -> None:
-        """Send messages; subscribers that are too slow lose them.
-
-        Raises
-        ------
-        PublishError
-            Cyclone DDS refuses a message.
-        """
+        """Send messages; subscribers that are too slow lose them."""
         for message in messages:
             _write(self._writers[message.topic], message.data)
 

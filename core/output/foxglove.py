@@ -34,16 +34,7 @@ def save_layout(path: Path) -> None:
 
 
 class FoxgloveSink:
-    """A `Sink` that Foxglove clients connect to.
-
-    Parameters
-    ----------
-    parameters : PresetParameters
-    host : str
-        The address to listen on.
-    port : int
-        0 for any free one.
-    """
+    """A `Sink` that Foxglove clients connect to; port 0 is any free one."""
 
     def __init__(self, parameters: PresetParameters, host: str, port: int) -> None:
         self._parameters = parameters

@@ -29,14 +29,9 @@ class Marker(BaseModel):
 
 
 class Marks(BaseModel):
-    """What a person marked in a recording.
+    """What a person marked in a recording: markers in the order of their frames, and the in and out marks.
 
-    Attributes
-    ----------
-    markers : tuple of Marker
-        In the order of their frames.
-    trim : (int, int) or None
-        The frames between the in and out marks: the first, and the one behind the last.
+    ``trim`` holds the first frame between the marks, and the one behind the last.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -58,13 +53,10 @@ class Marks(BaseModel):
 
 
 def markers_file(source: str) -> Path | None:
-    """Return the file for the marks of a source: beside a file, inside a folder; None if the source is neither.
+    """Return the file for the marks of a source, by its name; None if the source is neither a file nor a folder.
 
-    Parameters
-    ----------
-    source : str
-        The source's name, such as ``mcap:press.mcap`` (``press.mcap.markers.json``) or ``folder:press``
-        (``press/markers.json``). A recording in two files has it beside the first.
+    ``mcap:press.mcap`` has ``press.mcap.markers.json``, ``folder:press`` has ``press/markers.json``; a recording in
+    two files has it beside the first.
     """
     rest = source.partition(":")[2]
     if files := recording_files(rest):
@@ -74,13 +66,7 @@ def markers_file(source: str) -> Path | None:
 
 
 def load_marks(path: Path) -> Marks:
-    """Read marks; none if there is no such file.
-
-    Raises
-    ------
-    SourceError
-        The file cannot be read or is damaged; it is unchanged.
-    """
+    """Read marks; none if there is no such file. Raises `SourceError` if it cannot be read or is damaged."""
     try:
         return Marks.model_validate_json(read_file(path, MAX_JSON_BYTES))
     except FileNotFoundError:
@@ -94,12 +80,6 @@ def load_marks(path: Path) -> Marks:
 
 
 def save_marks(path: Path, marks: Marks) -> None:
-    """Write marks atomically.
-
-    Raises
-    ------
-    ExportError
-        The file cannot be written; what was there before is unchanged.
-    """
+    """Write marks atomically; `ExportError` if they cannot be written."""
     with atomic_path(path) as temporary:
         temporary.write_text(marks.model_dump_json(indent=1) + "\n", encoding="utf-8")

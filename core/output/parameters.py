@@ -20,15 +20,8 @@ _EXCLUDED: Final = ("cameras.", "name", "notes", "created", "modified")
 class PresetParameters:
     """The preset's numbers, switches and words, by their dotted paths, such as ``"tolerance.t"``; for any thread.
 
-    Parameters
-    ----------
-    preset : Preset
-    check : callable, optional
-        Raises `TactuneError` for a preset that cannot be used, such as with the present rig.
-    on_set : callable, optional
-        Told the path and the value that a client has set, on the client's thread.
-    settable : bool
-        Clients may set values; otherwise they read only.
+    ``check`` raises `TactuneError` for a preset that cannot be used, such as with the present rig. ``on_set`` is told
+    the path and the value that a client has set, on the client's thread. Unless ``settable``, clients read only.
     """
 
     def __init__(
@@ -65,14 +58,7 @@ class PresetParameters:
         return _values(self._preset)
 
     def set(self, path: str, value: object) -> None:
-        """Set one value.
-
-        Raises
-        ------
-        TactuneError
-            Clients may not set values, there is no such parameter, or the preset does not allow the value; nothing
-            changed.
-        """
+        """Set one value; `TactuneError` if clients may not, there is no such parameter, or the value is not allowed."""
         if not self._settable:
             raise PresetError(
                 f"{path} was not set: clients may read only; start tactune serve with --settable, or tick "

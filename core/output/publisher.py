@@ -66,24 +66,20 @@ _REPEAT_NS: Final = 10**9
 #: A source whose clock is farther than this from the computer's gets time stamps of now: a recording, a simulator.
 _MAX_CLOCK_ERROR_NS: Final = 10**9
 
+#: The rate is that of the last seconds, from at most this many frames.
+_RATE_OVER_S: Final = 2.0
+_RATE_FRAMES: Final = 2000
+#: Longest wait for a sink that is still sending when it is closed.
+_CLOSE_S: Final = 5.0
 #: Frames whose time stamps are kept for poses that come later.
 _KEPT_STAMPS: Final = 100
 
 
 @dataclass(frozen=True, eq=False)
 class LiveMessage:
-    """One message on its way out.
+    """One message on its way out: ``data`` is all of it in CDR, little-endian, with its four-byte header.
 
-    Attributes
-    ----------
-    topic : str
-        Such as ``"/contact/patch"``, without a namespace.
-    type : str
-        ROS 2 type, such as ``"sensor_msgs/msg/PointCloud2"``.
-    data : bytes
-        The whole message in CDR, little-endian, with its four-byte header.
-    stamp_ns : int
-        When the frame was taken, nanoseconds since 1970; also in the header of messages that have one.
+    ``topic`` is without a namespace; ``stamp_ns`` says when the frame was taken, nanoseconds since 1970.
     """
 
     topic: str
@@ -94,17 +90,7 @@ class LiveMessage:
 
 @dataclass(frozen=True)
 class SinkStatus:
-    """State of a sink.
-
-    Attributes
-    ----------
-    name : str
-        Such as ``"Foxglove"``.
-    place : str
-        Where it can be reached, such as ``"ws://127.0.0.1:8765"``.
-    clients : int
-        Clients connected.
-    """
+    """State of a sink: its name, where it can be reached, such as ``"ws://127.0.0.1:8765"``, and its clients."""
 
     name: str
     place: str
@@ -166,12 +152,7 @@ class OutputStatus:
 class Messages:
     """The messages of one frame, or of one pose, each built when it is first asked for; for any thread.
 
-    Parameters
-    ----------
-    builders : mapping of topic to callable
-        Each returns the bytes of a message, or None if there is none this time.
-    stamp_ns : int
-        Time stamp of the frame, nanoseconds since 1970.
+    A builder returns the bytes of its topic's message, or None if there is none this time.
     """
 
     def __init__(self, builders: Mapping[str, Callable[[], bytes | None]], stamp_ns: int) -> None:
@@ -448,10 +429,3 @@ class _Output:
             return False
         self._repeated_ns[topic] = stamp_ns
         return True
-
-
-#: The rate is that of the last seconds, from at most this many frames.
-_RATE_OVER_S: Final = 2.0
-_RATE_FRAMES: Final = 2000
-#: Longest wait for a sink that is still sending when it is closed.
-_CLOSE_S: Final = 5.0

@@ -47,20 +47,9 @@ _SYNC_EVERY_S = 2.0
 
 @dataclass(frozen=True)
 class RecordingStatus:
-    """State of a recording.
+    """State of a recording: frames in the file, its size in bytes and its length in seconds, as a player shows it.
 
-    Attributes
-    ----------
-    frames : int
-        Frames in the file.
-    dropped : int
-        Frames that found the queue full or came after an error.
-    bytes : int
-        Size of the file.
-    seconds : float
-        Length of the recording, as a player shows it.
-    error : str
-        A sentence for the user; empty where there is no problem.
+    ``dropped`` counts frames that found the queue full or came after an error; ``error`` is a sentence, or empty.
     """
 
     path: Path
@@ -299,35 +288,11 @@ def export_mcap(
     untouched: SensorFrame | None = None,
     progress: Progress | None = None,
 ) -> int:
-    """Write a source's frames as a recording that `McapSource` reads back bit for bit.
+    """Write a source's frames, from its present position, as a recording that `McapSource` reads back bit for bit.
 
-    The file gets its name when it is complete; one that was there is replaced.
-
-    Parameters
-    ----------
-    source : FrameSource
-        Read from its present position.
-    path : path of the file
-    frames : int, optional
-        At most this many frames; a live source needs it. None: all up to the end.
-    preset : Preset, optional
-        Kept in the file.
-    untouched : SensorFrame, optional
-        The untouched membrane, kept in the file; by default the source's.
-    progress : callable, optional
-        Told the share done, 0 to 1, and what is being done.
-
-    Returns
-    -------
-    int
-        The number of frames written.
-
-    Raises
-    ------
-    ExportError
-        The file cannot be written, or there is nothing to write.
-    SourceError
-        The source cannot be read.
+    At most ``frames`` are written; a live source needs it. The file gets its name when it is complete; one that was
+    there is replaced. ``untouched`` is by default the source's. Returns the number of frames; raises `ExportError`
+    where the file cannot be written or there is nothing to write, `SourceError` where the source cannot be read.
     """
     if frames is None and source.length is None:
         raise ExportError(f"{source.name} is live and has no end; record it, or say how many frames to convert")

@@ -123,32 +123,11 @@ class FolderSource(SeekableSource):
 def export_folder(
     source: FrameSource, path: Path | str, frames: int | None = None, progress: Progress | None = None
 ) -> int:
-    """Write a source's frames as a folder that `FolderSource` reads back bit for bit.
+    """Write a source's frames, from its present position, as a folder that `FolderSource` reads back bit for bit.
 
-    Everything goes to a temporary folder beside ``path``, which gets its name only when it is complete.
-
-    Parameters
-    ----------
-    source : FrameSource
-        Read from its present position.
-    path : path of the new folder
-        Must not exist yet, or be empty.
-    frames : int, optional
-        At most this many frames; a live source needs it. None: all up to the end.
-    progress : callable, optional
-        Called with the fraction done, 0 to 1, and the current step.
-
-    Returns
-    -------
-    int
-        The number of frames written.
-
-    Raises
-    ------
-    ExportError
-        The folder is not empty, is the working folder or cannot be written, or there is nothing to write.
-    SourceError
-        The source cannot be read.
+    At most ``frames`` are written; a live source needs it. Everything goes to a temporary folder beside ``path``, which
+    gets its name only when it is complete; ``path`` must not exist yet, or be empty. Returns the number of frames;
+    raises `ExportError` where it cannot be written or there is nothing to write.
     """
     target = Path.cwd() / user_path(path)
     if frames is not None and frames < 1:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import ExportError, SourceError
-from ..model.files import atomic_path, user_path
+from ..model.files import atomic_path
 from ..model.frames import Rig
 from ..model.loading import decode_image, image_size, read_file
 from ..model.rig_file import json_text, rig_to_json
@@ -26,9 +26,6 @@ class FolderImages:
 
     Attributes
     ----------
-    path : Path
-    frames : int
-        Number of frames.
     sizes : dict of str to (int, int)
         Width and height of each image of the first frame, by file name.
     problem : str
@@ -37,8 +34,6 @@ class FolderImages:
         How a later frame differs from the first, so that it cannot be read; empty if none of those looked at does.
     """
 
-    path: Path
-    frames: int
     sizes: Mapping[str, tuple[int, int]]
     problem: str
     different: str = ""
@@ -50,24 +45,8 @@ class FolderImages:
         return size is not None and size != self.sizes.get("proximity_depth.png")
 
 
-def folder_without_rig(name: str) -> Path | None:
-    """Return the folder that a source's name means, if it holds images of frames but no ``rig.json``; else None."""
-    path = user_path(name.removeprefix("folder:"))
-    try:
-        lacks = path.is_dir() and not (path / RIG_FILE).exists() and _first_frame(path) is not None
-    except OSError:
-        return None
-    return path if lacks else None
-
-
 def find_images(path: Path) -> FolderImages:
-    """Look at the images of a folder's first frame, and at the sizes of those of `_LOOKED_AT` frames all over it.
-
-    Raises
-    ------
-    SourceError
-        The folder holds no frame, or cannot be read.
-    """
+    """Look at the images of a folder's first frame, and at the sizes of those of `_LOOKED_AT` frames all over it."""
     try:
         first = _first_frame(path)
         if first is None:
@@ -95,7 +74,7 @@ def find_images(path: Path) -> FolderImages:
     if sizes.get("tactile_color.png", sizes.get("tactile_depth.png")) != sizes.get("tactile_depth.png"):
         problems.append("tactile_color.png has another size than tactile_depth.png; align it to the depth image")
     problem = f"{first}: {'; '.join(problems)}" if problems else ""
-    return FolderImages(path, len(numbered) or 1, sizes, problem, different)
+    return FolderImages(sizes, problem, different)
 
 
 def _first_difference(frames: list[Path], sizes: Mapping[str, tuple[int, int]]) -> str:
@@ -115,13 +94,7 @@ def _first_difference(frames: list[Path], sizes: Mapping[str, tuple[int, int]]) 
 
 
 def write_rig(path: Path, rig: Rig) -> None:
-    """Write ``rig.json`` into a folder, whole or not at all; one that is there is never replaced.
-
-    Raises
-    ------
-    ExportError
-        There is one already, or the folder cannot be written.
-    """
+    """Write ``rig.json`` into a folder, whole or not at all; one that is there is never replaced."""
     file = path / RIG_FILE
     if file.exists():
         raise ExportError(f"{file} is already there; remove it first")

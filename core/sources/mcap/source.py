@@ -120,7 +120,7 @@ class McapSource(SeekableSource):
             data = self._file.attachment(PRESET_NAME)
         except SourceError as error:
             raise PresetError(str(error)) from error
-        return None if data is None else (_text(data), f"{PRESET_NAME} in {self._path}")
+        return None if data is None else (data.decode(errors="replace"), f"{PRESET_NAME} in {self._path}")
 
     def untouched(self) -> SensorFrame | None:
         """Return the frame of the untouched membrane, or None if there is none."""
@@ -269,10 +269,6 @@ def _partners(times_ns: Int64Array, candidates_ns: Int64Array, exact: bool) -> I
     before = (after - 1).clip(min=0)
     later_is_nearer = np.abs(candidates_ns[after] - times_ns) < np.abs(times_ns - candidates_ns[before])
     return np.where(later_is_nearer, after, before)
-
-
-def _text(data: bytes) -> str:
-    return data.decode(errors="replace")
 
 
 def _rig_from_lenses(file: McapFile) -> Rig:
