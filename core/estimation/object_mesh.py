@@ -1,4 +1,4 @@
-"""The mesh of a known object: read from a file, its unit found, its axes named, its surface searched by Open3D."""
+"""The mesh of a known object: read from a file, its unit found, its surface searched by Open3D."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..errors import MissingExtraError, SourceError
 from ..model.arrays import BoolArray, Float64Array, Int32Array
+from ..model.files import user_path
 from ..model.units import UNITS_M
 from ..sources.simulator.scenes import Scene
 from .mesh_files import read_triangles, triangle_areas
@@ -25,20 +25,8 @@ SUFFIXES: Final = (".obj", ".ply", ".stl")
 _SMALLEST_M, _LARGEST_M = 0.01, 2.0
 #: Side of the quads of a simulated object's mesh, metres.
 _SIMULATED_SIDE_M: Final = 0.0015
-#: Points of the surface that tell its size, its axis of symmetry and its symmetries.
+#: Points of the surface that tell its size.
 _SAMPLE: Final = 4000
-#: A surface is round about an axis if this share of it, by area, lies within this share of its size.
-_ROUND_SHARE, _ROUND_ERROR = 0.6, 0.02
-#: Largest difference of the entries of equal motions.
-_SAME_MOTION: Final = 0.05
-
-
-@dataclass(frozen=True, eq=False)
-class Axis:
-    """A line in the mesh's frame: a point, metres, and a unit vector, each float64 (3,)."""
-
-    point_m: Float64Array
-    direction: Float64Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,13 +61,15 @@ class ObjectMesh:
         return f"{self.name} was read in {self.unit}: {sides} mm"
 
     @cached_property
-    def _sample(self) -> tuple[Float64Array, Float64Array]:
-        return self.sample(_SAMPLE)
+    def areas_m2(self) -> Float64Array:
+        """Area of each triangle, float64 (M,)."""
+        a, b, c = (self.vertices_m[self.triangles[:, k]] for k in range(3))
+        return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
 
     def sample(self, count: int) -> tuple[Float64Array, Float64Array]:
         """Return points spread evenly over the surface, metres, and the unit normals there, each (count, 3)."""
-        random, areas = np.random.default_rng(0), triangle_areas(self.vertices_m, self.triangles)
-        chosen = random.choice(len(areas), count, p=areas / areas.sum())
+        random = np.random.default_rng(0)
+        chosen = random.choice(len(self.areas_m2), count, p=self.areas_m2 / self.areas_m2.sum())
         a, b, c = (self.vertices_m[self.triangles[chosen, k]] for k in range(3))
         s, t = random.random((2, count, 1))
         s, t = np.where(s + t > 1, 1 - s, s), np.where(s + t > 1, 1 - t, t)
@@ -89,79 +79,20 @@ class ObjectMesh:
     @cached_property
     def centre_m(self) -> Float64Array:
         """Centre of the surface, metres, float64 (3,)."""
-        corners, areas = self.vertices_m[self.triangles], triangle_areas(self.vertices_m, self.triangles)
-        return np.asarray(np.average(corners.mean(axis=1), axis=0, weights=areas))
+        centres = self.vertices_m[self.triangles].mean(axis=1)
+        return np.asarray(np.average(centres, axis=0, weights=self.areas_m2))
 
     @cached_property
     def radius_m(self) -> float:
         """RMS distance of the surface from its centre, metres: the lever that turns angles into distances."""
-        return math.sqrt(float(((self._sample[0] - self.centre_m) ** 2).sum(axis=1).mean()))
+        return math.sqrt(float(((self.sample(_SAMPLE)[0] - self.centre_m) ** 2).sum(axis=1).mean()))
 
     @cached_property
     def scene(self) -> Any:
-        """Open3D's ray casting scene of the mesh, which also finds closest points.
-
-        Raises
-        ------
-        MissingExtraError
-            Open3D is not installed.
-        """
+        """Open3D's ray casting scene of the mesh, which also finds closest points."""
         scene = import_open3d().t.geometry.RaycastingScene(nthreads=1)
         scene.add_triangles(self.vertices_m.astype(np.float32), self.triangles.astype(np.uint32))
         return scene
-
-    @cached_property
-    def round_axis(self) -> Axis | None:
-        """The axis about which most of the surface is round, such as that of a cup without its handle; else None.
-
-        The turn that moves the surface least out of itself is the smallest eigenvector of the sum over the surface of
-        J J^T with J = (p x n, n), as in Gelfand and Guibas, "Shape segmentation using local slippage analysis"
-        (2004). It is fitted again with what does not follow it weighted down.
-        """
-        places, normals = self._sample
-        places = (places - self.centre_m) / self.radius_m
-        rows = np.concatenate([np.cross(places, normals), normals], axis=1)
-        best: Axis | None = None
-        best_share = _ROUND_SHARE
-        for start in np.eye(3):  # about each axis of the file; the fit then finds the true one
-            motion = np.concatenate([start, np.zeros(3)])
-            for _ in range(30):
-                weights = 1 / ((rows @ motion) ** 2 + _ROUND_ERROR**2)
-                motion = np.linalg.eigh((rows * weights[:, None]).T @ rows)[1][:, 0]
-                turn = float(np.linalg.norm(motion[:3]))
-                if turn < 1e-3:
-                    break
-                motion /= turn
-            share = float(np.mean(np.abs(rows @ motion) < 2 * _ROUND_ERROR))
-            pitch = float(np.dot(motion[:3], motion[3:]))
-            if turn >= 1e-3 and abs(pitch) < 0.1 and share > best_share:
-                point = self.centre_m + self.radius_m * np.cross(motion[:3], motion[3:])
-                best, best_share = Axis(point, motion[:3].copy()), share
-        return best
-
-    @cached_property
-    def symmetries(self) -> list[Float64Array]:
-        """Motions, 4 x 4, that lay the surface onto itself within 2 % of its size; the first moves nothing.
-
-        Quarter and third turns about the axes of the file and about the principal axes are tried. Those about the axis
-        of a round object are endless and not among them.
-        """
-        corners, areas = self.vertices_m[self.triangles], triangle_areas(self.vertices_m, self.triangles)
-        away = corners.mean(axis=1) - self.centre_m
-        principal, places = np.linalg.eigh((away * areas[:, None]).T @ away)[1], self._sample[0] - self.centre_m
-        found = [np.eye(4)]
-        for axes in (np.eye(3), principal * np.sign(np.linalg.det(principal))):
-            for turn in Rotation.create_group("O").as_matrix():
-                motion = np.eye(4)
-                motion[:3, :3] = axes @ turn @ axes.T
-                motion[:3, 3] = self.centre_m - motion[:3, :3] @ self.centre_m
-                if any(np.abs(motion - other).max() < _SAME_MOTION for other in found):
-                    continue
-                turned = (places @ motion[:3, :3].T + self.centre_m).astype(np.float32)
-                apart = self.scene.compute_distance(turned).numpy()
-                if math.sqrt(float((apart**2).mean())) < _ROUND_ERROR * self.radius_m:
-                    found.append(motion)
-        return found
 
     def closest(self, points: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Return the closest points of the surface and its unit normals there, each (N, 3), in the mesh's frame."""
@@ -194,16 +125,45 @@ def load_mesh(path: Path | str, unit: str | None = None) -> ObjectMesh:
     """
     if unit is not None and unit not in UNITS_M:
         raise SourceError(f"there is no unit {unit!r}; choose one of {', '.join(UNITS_M)}")
-    vertices, triangles = read_triangles(path, SUFFIXES)
+    path = user_path(path)
+    vertices, triangles = _read_triangles(path)
     size = math.dist(vertices.min(axis=0), vertices.max(axis=0))
     for candidate in (unit,) if unit else ("m", "mm"):
         if _SMALLEST_M <= size * UNITS_M[candidate] <= _LARGEST_M:
-            return ObjectMesh(vertices * UNITS_M[candidate], triangles, Path(path).name, candidate)
+            return ObjectMesh(vertices * UNITS_M[candidate], triangles, path.name, candidate)
     tried = f"in {unit}" if unit else "in m or in mm"
     raise SourceError(
         f"{path} is {size:.4g} across, which {tried} is no object of {1e3 * _SMALLEST_M:g} mm to {_LARGEST_M:g} m; "
         f"check its unit, which is one of {', '.join(UNITS_M)}"
     )
+
+
+def _read_triangles(path: Path) -> tuple[Float64Array, Int32Array]:
+    """Return vertices in the file's unit, coincident ones merged, and triangles that face outwards."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise SourceError(f"{path} has the suffix {path.suffix!r}; a mesh is one of {', '.join(SUFFIXES)}")
+    if not path.is_file():
+        raise SourceError(f"cannot read {path}: there is no such file; check the path")
+    try:
+        import trimesh
+    except ImportError as error:
+        raise MissingExtraError('a mesh needs trimesh: pip install "tactune[open3d]"') from error
+    try:
+        mesh = trimesh.load_mesh(path, skip_materials=True)
+        mesh.merge_vertices(merge_tex=True, merge_norm=True)
+        vertices, triangles = np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int32)
+    except OSError as error:
+        raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
+    except Exception as error:  # trimesh does not wrap the errors of its parsers
+        detail = " ".join(str(error).split())[:200] or type(error).__name__
+        raise SourceError(f"{path} is no readable {path.suffix} mesh ({detail}); export it again") from error
+    if not len(triangles):
+        raise SourceError(f"{path} has no triangles; export the object as a mesh")
+    if not np.isfinite(vertices).all():
+        raise SourceError(f"{path} has vertices that are not finite; export it again")
+    a, b, c = (vertices[triangles[:, k]] - vertices.mean(axis=0) for k in range(3))
+    inside_out = (a * np.cross(b, c)).sum() < 0
+    return vertices, np.ascontiguousarray(triangles[:, ::-1]) if inside_out else triangles
 
 
 def simulated_mesh(scene: Scene, name: str) -> ObjectMesh:

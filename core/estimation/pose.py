@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
@@ -16,9 +16,9 @@ from ..model.arrays import Float64Array
 from ..model.frames import Rig, rigid_transform
 from ..model.patch import ContactPatch
 from ..preset import Preset
-from .object_mesh import Axis, ObjectMesh, import_open3d
-from .pose_fit import ON_MESH_M, Fit, PatchPoints, fit, motion_between, moved, noise_density_m4, patch_points
-from .pose_search import Membrane, Searched, search, search_near, two_way_m
+from .object_mesh import ObjectMesh, import_open3d
+from .pose_fit import ON_MESH_M, Fit, PatchPoints, motion_between, moved, noise_density_m4, patch_points
+from .pose_search import Membrane, Search, Searched
 
 Vector3 = tuple[float, float, float]
 
@@ -38,9 +38,6 @@ _VELOCITY_S, _FREE_DECAY_S = 0.1, 0.5
 _MAX_GAP_S: Final = 0.5
 #: Standard deviation of errors that all of a patch shares, metres, such as a bias that varies over the image.
 _SHARED_M: Final = 0.0003
-#: A direction has the name of an axis within this angle, degrees, and a turn within this distance of it, as a share of
-#: the mesh's radius.
-_SAME_DEG, _SAME_SHARE = 20.0, 0.3
 #: A motion is a slide if its turn is below this share.
 _SLIDE: Final = 0.2
 
@@ -51,18 +48,13 @@ class FreeDirection:
 
     Attributes
     ----------
-    name : str
-        In words, such as "turning about its axis" or "sliding along its x axis". *Its axis* is the mesh's axis of
-        symmetry, even if a part such as a handle breaks it; its x, y and z axes are those of the mesh's file.
-    kind : str
-        ``turn`` or ``slide``.
+    kind : {"turn", "slide"}
     axis : (float, float, float)
         Unit vector in the proximity depth frame: the axis of the turn, or the direction of the slide.
     point_m : (float, float, float)
         A point of the turn's axis; for a slide a point of the patch. Metres, proximity depth frame.
     """
 
-    name: str
     kind: Literal["turn", "slide"]
     axis: Vector3
     point_m: Vector3
@@ -86,7 +78,7 @@ class PoseEstimate:
         rotation about fixed axes parallel to those of the proximity depth frame; m^2, m rad, rad^2. A free direction
         has a standard deviation of the object's size.
     free : tuple of FreeDirection
-        Directions that the patch does not determine.
+        Directions that the patch does not determine, slides first.
     residual_m : float
         RMS distance to the mesh, along its normals, of the patch's points that lie on it, metres; nan without any.
     overlap : float
@@ -109,12 +101,7 @@ class PoseEstimate:
 class PoseError:
     """How far an estimate is from the true pose: of the mesh's origin, metres, and of the rotation, radians.
 
-    Attributes
-    ----------
-    position_m, angle_rad : float
-        In the directions that the patch determines.
-    full_position_m, full_angle_rad : float
-        In all directions, free ones included.
+    The first two are in the directions that the patch determines, the others in all directions.
     """
 
     position_m: float
@@ -124,18 +111,14 @@ class PoseError:
 
 
 def pose_error(estimate: PoseEstimate, truth: npt.ArrayLike, mesh: ObjectMesh) -> PoseError:
-    """Compare an estimate with the true ``T_proximity_object``.
-
-    Of the poses that look equal because the mesh is symmetric, the nearest to the estimate counts as the true one.
-    """
-    true, radius_m = np.asarray(truth, np.float64), mesh.radius_m
-    centre = estimate.T_proximity_object[:3, :3] @ mesh.centre_m + estimate.T_proximity_object[:3, 3]
+    """Compare an estimate with the true ``T_proximity_object``."""
+    pose, radius_m = estimate.T_proximity_object, mesh.radius_m
+    centre = pose[:3, :3] @ mesh.centre_m + pose[:3, 3]
     for direction in estimate.free:  # on the axis, even a large free turn moves nothing
         if direction.kind == "turn":
             centre = np.array(direction.point_m)
             break
-    equal = (motion_between(true @ other, estimate.T_proximity_object, centre, radius_m) for other in mesh.symmetries)
-    full = min(equal, key=lambda motion: float(np.linalg.norm(motion)))
+    full = motion_between(np.asarray(truth, np.float64), pose, centre, radius_m)
     free = np.zeros((6, len(estimate.free)))
     for column, direction in zip(free.T, estimate.free, strict=True):
         axis = np.array(direction.axis)
@@ -144,11 +127,11 @@ def pose_error(estimate: PoseEstimate, truth: npt.ArrayLike, mesh: ObjectMesh) -
         else:
             column[:] = *np.cross(axis, centre - direction.point_m), *(axis * radius_m)
     known = full - free @ (np.linalg.pinv(free) @ full) if estimate.free else full
-    to_origin = estimate.T_proximity_object[:3, 3] - centre
     sizes = []
     for motion in (known, full):
         turn = motion[3:] / radius_m
-        sizes += [float(np.linalg.norm(motion[:3] + np.cross(turn, to_origin))), float(np.linalg.norm(turn))]
+        at_origin = motion[:3] + np.cross(turn, pose[:3, 3] - centre)
+        sizes += [float(np.linalg.norm(at_origin)), float(np.linalg.norm(turn))]
     return PoseError(*sizes)
 
 
@@ -157,22 +140,27 @@ class PoseTracker:
 
     The patch is used, not all that the proximity camera sees through the membrane: in contact both cameras measure the
     same surface, so a bias between them is removed and their noise is averaged, and it holds for membranes that
-    scatter. ``scripts/measure_track.py`` compares.
-
-    Each call is independent of threads, but a tracker serves one thread at a time.
+    scatter. ``scripts/measure_track.py`` compares. A tracker serves one thread at a time.
 
     Parameters
     ----------
     mesh : ObjectMesh
-        From `load_mesh` or `simulated_mesh`.
+        From `tactune.core.estimation.object_mesh.load_mesh`.
     preset : Preset
         The preset of the patches: the rig's noise and the alignment.
     rig : Rig
+        The rig that takes the frames, unless the preset has one of its own.
 
     Raises
     ------
     MissingExtraError
         Open3D is not installed.
+
+    Examples
+    --------
+    >>> tracker = PoseTracker(load_mesh("cup.stl"), preset, source.rig)
+    >>> pose = tracker.track(pipeline.process(frame), frame.proximity_time_s)
+    >>> pose.lost or pose.T_proximity_object
     """
 
     def __init__(self, mesh: ObjectMesh, preset: Preset, rig: Rig) -> None:
@@ -180,17 +168,22 @@ class PoseTracker:
         self.mesh = mesh
         self._preset, self._rig = preset, rig_in_use(preset, rig)
         self._density_m4 = noise_density_m4(preset, rig)
-        self._last: Fit | None = None
         self._pose: Float64Array | None = None
         self._forget()
 
     def _forget(self) -> None:
         self._velocity, self._about_m = np.zeros(6), np.zeros(3)
-        self._last, self._time_s = None, math.nan
+        self._last: Fit | None = None
+        self._time_s = math.nan
         self._due_s = {False: -math.inf, True: -math.inf}
 
     def start(self, T_proximity_object: npt.ArrayLike) -> None:
-        """Begin with a pose, 4 x 4, metres, such as one of `tactune.core.estimation.start_pose.pose_from_pairs`.
+        """Begin with a pose.
+
+        Parameters
+        ----------
+        T_proximity_object : array_like, shape (4, 4)
+            Takes the mesh's coordinates to the proximity depth frame, metres; off by less than 20 mm.
 
         Raises
         ------
@@ -212,18 +205,16 @@ class PoseTracker:
         """Return whether a patch is large enough to tell a pose."""
         return len(patch_points(patch.points, self._rig, self._density_m4).points) >= _MIN_TILES
 
-    def find(
-        self, patch: ContactPatch | npt.ArrayLike, progress: Callable[[float], None] = lambda share: None
-    ) -> Float64Array:
+    def find(self, patch: ContactPatch, progress: Callable[[float], None] = lambda share: None) -> Float64Array:
         """Find the object in any orientation and begin there; takes some seconds.
 
         Of many starts a pose with the smallest two-way residual is taken, within 0.1 mm: the patch lies on the mesh,
-        and no part of the mesh lies in front of the membrane. A symmetric object has equally good poses.
+        and no part of the mesh lies in front of the membrane. Of equally good ones, as those of a symmetric object,
+        the one touched nearest its centre is taken.
 
         Parameters
         ----------
-        patch : ContactPatch or array_like, shape (N, 3)
-            A patch; or points in the proximity depth frame, metres, which say nothing about the membrane beside them.
+        patch : ContactPatch
         progress : callable
             Called with the share done, 0 to 1; may raise to end the search.
 
@@ -237,15 +228,13 @@ class PoseTracker:
         CalibrationError
             The patch is too small, or the mesh fits it nowhere.
         """
-        points = patch.points if isinstance(patch, ContactPatch) else np.asarray(patch, np.float64).reshape(-1, 3)
-        tiles = patch_points(points, self._rig, self._density_m4)
+        tiles = patch_points(patch.points, self._rig, self._density_m4)
         if len(tiles.points) < _MIN_TILES:
             raise CalibrationError(
                 f"the patch is too small to find {self.mesh.name}: {len(tiles.points)} image tiles of contact, at "
-                f"least {_MIN_TILES} are needed; press it deeper, or start from a pose"
+                f"least {_MIN_TILES} are needed; press it deeper"
             )
-        film = Membrane.of(patch, self._preset) if isinstance(patch, ContactPatch) else None
-        found = search(self.mesh, tiles, film, len(points), progress)
+        found = self._search(patch, tiles, progress).everywhere(None)
         if _is_lost(found):
             raise CalibrationError(
                 f"the mesh {self.mesh.name} does not fit the contact: at best {100 * found.fit.overlap:.0f} % of the "
@@ -269,49 +258,46 @@ class PoseTracker:
             The frame's time, seconds; must increase.
         progress : callable
             As for `find`, of each search.
+
+        Returns
+        -------
+        PoseEstimate
+            ``lost`` without a patch, and where the mesh does not fit it.
         """
         tiles = patch_points(patch.points, self._rig, self._density_m4)
-        if len(tiles.points) < _MIN_TILES:
-            return self._nowhere(patch, time_s)
-        film = Membrane.of(patch, self._preset)
-        found = self._follow(tiles, film, len(patch.points), time_s, progress)
+        found = None
+        if len(tiles.points) >= _MIN_TILES:
+            found = self._follow(self._search(patch, tiles, progress), time_s)
         if found is None:
-            return self._nowhere(patch, time_s)
-        self._keep(found.fit, time_s)
-        return self._estimate(found, patch, time_s)
+            self._velocity, self._time_s = np.zeros(6), math.nan
+            pose = self._pose if self._pose is not None else np.eye(4)
+            unknown = np.diag([self.mesh.radius_m**2] * 3 + [1.0] * 3)
+            return PoseEstimate(patch.sequence, time_s, pose, unknown, (), math.nan, 0.0, lost=True)
+        fit = found.fit
+        self._keep(fit, time_s)
+        radius_m = self.mesh.radius_m
+        covariance, free = _covariance(fit, radius_m), free_directions(fit, radius_m)
+        return PoseEstimate(patch.sequence, time_s, fit.pose, covariance, free, fit.residual_m, fit.overlap, lost=False)
 
-    def _follow(
-        self, tiles: PatchPoints, film: Membrane, patch_px: int, time_s: float, progress: Callable[[float], None]
-    ) -> Searched | None:
+    def _search(self, patch: ContactPatch, tiles: PatchPoints, progress: Callable[[float], None]) -> Search:
+        return Search(self.mesh, tiles, Membrane.of(patch, self._preset), len(patch.points), progress)
+
+    def _follow(self, search: Search, time_s: float) -> Searched | None:
         """Return the fit of the next frame; None if there is none yet, or if the object is lost and not found."""
-        mesh, pose = self.mesh, self._pose
+        pose = self._pose
         found: Searched | None = None
         # 1. From where the last motion leads. If that fits badly, a search near the last fit must be clearly better.
         if pose is not None:
-            near = fit(mesh, tiles, self._predicted(time_s))
-            found = Searched(near, two_way_m(mesh, near, film, patch_px))
-            good = near.overlap > _GOOD_OVERLAP and found.cost_m < _GOOD_M
+            found = search.fitted(self._predicted(pose, time_s))
+            good = found.fit.overlap > _GOOD_OVERLAP and found.cost_m < _GOOD_M
             if not good and self._may_search(time_s, everywhere=False):
-                around = self._last or near
-                other = search_near(mesh, tiles, film, patch_px, around, pose, progress)
+                other = search.near(self._last or found.fit, pose)
                 if other.cost_m < _BETTER * found.cost_m:
-                    found, self._time_s = self._nearest_equal(other, pose), math.nan  # a jump is no velocity
+                    found, self._time_s = other, math.nan  # a jump is no velocity
         # 2. In any orientation.
         if (found is None or _is_lost(found)) and self._may_search(time_s, everywhere=True):
-            found, self._time_s = search(mesh, tiles, film, patch_px, progress), math.nan
-            if pose is not None:
-                found = self._nearest_equal(found, pose)
+            found, self._time_s = search.everywhere(pose), math.nan
         return None if found is None or _is_lost(found) else found
-
-    def _nearest_equal(self, found: Searched, pose: Float64Array) -> Searched:
-        """Return, of the poses that look equal because the mesh is symmetric, the one nearest to a pose."""
-        fitted = found.fit
-
-        def away_m(other: Float64Array) -> float:
-            return float(np.linalg.norm(motion_between(pose, other, fitted.centre_m, self.mesh.radius_m)))
-
-        nearest = min((fitted.pose @ other for other in self.mesh.symmetries), key=away_m)
-        return replace(found, fit=replace(fitted, pose=nearest))
 
     def _may_search(self, time_s: float, *, everywhere: bool) -> bool:
         """Return whether the last search was long enough ago, and count this one."""
@@ -320,13 +306,12 @@ class PoseTracker:
         self._due_s[everywhere] = time_s + (_SEARCH_PAUSE_S if everywhere else _NEAR_PAUSE_S)
         return True
 
-    def _predicted(self, time_s: float) -> Float64Array:
+    def _predicted(self, pose: Float64Array, time_s: float) -> Float64Array:
         """Return the last pose moved on with constant velocity."""
-        assert self._pose is not None
         passed = time_s - self._time_s
         if not 0 < passed <= _MAX_GAP_S:
-            return self._pose
-        return moved(self._pose, passed * self._velocity, self._about_m, self.mesh.radius_m)
+            return pose
+        return moved(pose, passed * self._velocity, self._about_m, self.mesh.radius_m)
 
     def _keep(self, found: Fit, time_s: float) -> None:
         """Remember a pose and its velocity, which decays along free directions."""
@@ -341,20 +326,6 @@ class PoseTracker:
             self._velocity = np.zeros(6)
         self._pose, self._time_s, self._about_m, self._last = found.pose, time_s, found.centre_m, found
 
-    def _nowhere(self, patch: ContactPatch, time_s: float) -> PoseEstimate:
-        """Return the last pose, marked as lost."""
-        self._velocity, self._time_s = np.zeros(6), math.nan
-        pose = self._pose if self._pose is not None else np.eye(4)
-        unknown = np.diag([self.mesh.radius_m**2] * 3 + [1.0] * 3)
-        return PoseEstimate(patch.sequence, time_s, pose, unknown, (), math.nan, 0.0, lost=True)
-
-    def _estimate(self, found: Searched, patch: ContactPatch, time_s: float) -> PoseEstimate:
-        result = found.fit
-        return PoseEstimate(
-            patch.sequence, time_s, result.pose, _covariance(result, self.mesh.radius_m),
-            free_directions(self.mesh, result), result.residual_m, result.overlap, lost=False,
-        )  # fmt: skip
-
 
 def _is_lost(found: Searched) -> bool:
     return not (found.fit.overlap >= _LOST_OVERLAP and found.cost_m <= _LOST_M)
@@ -367,62 +338,30 @@ def _covariance(found: Fit, radius_m: float) -> Float64Array:
     x, y, z = (found.pose[:3, 3] - found.centre_m) / radius_m
     to_origin[:3, 3:] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]  # turn x (origin - centre)
     to_origin[3:, 3:] /= radius_m
-    spread = to_origin @ found.directions * sigmas
-    return np.asarray(spread @ spread.T)
+    covariance = to_origin @ found.directions * sigmas
+    return np.asarray(covariance @ covariance.T)
 
 
-def free_directions(mesh: ObjectMesh, found: Fit) -> tuple[FreeDirection, ...]:
-    """Return the free directions of a fit as slides and turns with names, slides first."""
+def free_directions(found: Fit, radius_m: float) -> tuple[FreeDirection, ...]:
+    """Return the free directions of a fit as slides and turns, slides first."""
     free = found.directions[:, found.free]
     if free.shape[1] == 0:
         return ()
     _, turning, mixed = np.linalg.svd(free[3:], full_matrices=True)
-    is_slide = np.append(turning, np.zeros(len(mixed) - len(turning))) < _SLIDE
-    axes = found.pose[:3, :3]
-    slides, turns = (_along_axes(free @ mixed[rows].T, part, axes) for rows, part in ((is_slide, 0), (~is_slide, 3)))
-    return *(_slide(mesh, found, motion) for motion in slides.T), *(_turn(mesh, found, motion) for motion in turns.T)
+    turning = np.append(turning, np.zeros(len(mixed) - len(turning)))
+    slides, turns = list[FreeDirection](), list[FreeDirection]()
+    for turn, motion in zip(turning, (free @ mixed.T).T, strict=True):
+        if turn < _SLIDE:
+            slides.append(FreeDirection("slide", _unit(motion[:3]), _vector(found.centre_m)))
+        else:
+            spin = motion[3:] / radius_m
+            point = found.centre_m + np.cross(spin, motion[:3]) / (spin @ spin)
+            turns.append(FreeDirection("turn", _unit(spin), _vector(point)))
+    return *slides, *turns
 
 
-def _along_axes(motions: Float64Array, part: int, axes: Float64Array) -> Float64Array:
-    """Return a basis of motions, (6, k): slides (part 0) or turns (part 3), for k > 1 along the mesh's axes."""
-    if motions.shape[1] < 2:
-        return motions
-    vectors = motions[part : part + 3]
-    span = np.linalg.svd(vectors, full_matrices=False)[0]
-    nearest = np.argsort(-np.linalg.norm(span.T @ axes, axis=0))[: motions.shape[1]]
-    return np.asarray(motions @ np.linalg.pinv(vectors) @ (span @ span.T @ axes[:, np.sort(nearest)]))
-
-
-def _slide(mesh: ObjectMesh, found: Fit, motion: Float64Array) -> FreeDirection:
-    direction = motion[:3] / np.linalg.norm(motion[:3])
-    name = _axis_name(mesh, found.pose[:3, :3].T @ direction, None)
-    words = f"sliding along its {name}" if name else "sliding in an oblique direction"
-    return FreeDirection(words, "slide", _vector(direction), _vector(found.centre_m))
-
-
-def _turn(mesh: ObjectMesh, found: Fit, motion: Float64Array) -> FreeDirection:
-    spin = motion[3:] / mesh.radius_m
-    point = found.centre_m + np.cross(spin, motion[:3]) / (spin @ spin)
-    direction = spin / np.linalg.norm(spin)
-    rotation, shift = found.pose[:3, :3], found.pose[:3, 3]
-    name = _axis_name(mesh, rotation.T @ direction, rotation.T @ (point - shift))
-    words = f"turning about its {name}" if name else "turning about an oblique axis"
-    return FreeDirection(words, "turn", _vector(direction), _vector(point))
-
-
-def _axis_name(mesh: ObjectMesh, direction: Float64Array, point: Float64Array | None) -> str:
-    """Return the name of the mesh's axis along a direction of the mesh's frame, "" for none."""
-    least = math.cos(math.radians(_SAME_DEG))
-    axis = mesh.round_axis
-    if axis is not None and abs(axis.direction @ direction) > least and (point is None or _is_near(mesh, axis, point)):
-        return "axis"
-    along = int(np.argmax(np.abs(direction)))
-    return "xyz"[along] + " axis" if abs(direction[along]) > least else ""
-
-
-def _is_near(mesh: ObjectMesh, axis: Axis, point: Float64Array) -> bool:
-    away = np.linalg.norm(np.cross(point - axis.point_m, axis.direction))
-    return bool(away < _SAME_SHARE * mesh.radius_m)
+def _unit(values: Float64Array) -> Vector3:
+    return _vector(values / np.linalg.norm(values))
 
 
 def _vector(values: Float64Array) -> Vector3:

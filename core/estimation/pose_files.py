@@ -20,33 +20,26 @@ Record = dict[str, Any]
 
 TUM_SUFFIX: Final = ".tum"
 AXES: Final = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
-_TUM: Final = ("time_s", *AXES[:3], "qx", "qy", "qz", "qw")
+_QUATERNION: Final = ("qx", "qy", "qz", "qw")
 _ERRORS: Final = ("position_error_mm", "angle_error_deg", "full_position_error_mm", "full_angle_error_deg")
 
 
-def pose_record(pose: PoseEstimate) -> Record:
+def pose_record(pose: PoseEstimate, error: PoseError | None = None) -> Record:
     """Return one frame as a line of a table; unknown values are empty."""
     matrix = pose.T_proximity_object
-    record: Record = {"sequence": pose.sequence, "time_s": pose.time_s, "lost": int(pose.lost)}
-    record |= {key: float(value) for key, value in zip(AXES, matrix[:3, 3], strict=False)}
     quaternion = Rotation.from_matrix(matrix[:3, :3]).as_quat()
-    record |= {key: float(value) for key, value in zip(("qx", "qy", "qz", "qw"), quaternion, strict=True)}
-    sigmas = np.sqrt(np.diag(pose.covariance))
-    record |= {f"sigma_{key}": float(value) for key, value in zip(AXES, sigmas, strict=True)}
-    record["free"] = "; ".join(direction.name for direction in pose.free)
-    record["residual_mm"] = _rounded(1e3 * pose.residual_m)
-    return record | {"overlap": round(pose.overlap, 4)}
-
-
-def error_record(error: PoseError | None) -> Record:
-    """Return the columns of the error; empty where it is not known."""
+    record: Record = {"sequence": pose.sequence, "time_s": pose.time_s, "lost": int(pose.lost)}
+    record |= dict(zip((*AXES[:3], *_QUATERNION), [*matrix[:3, 3].tolist(), *quaternion.tolist()], strict=True))
+    sigmas = np.sqrt(np.diag(pose.covariance)).tolist()
+    record |= {f"sigma_{key}": value for key, value in zip(AXES, sigmas, strict=True)}
+    record["free"] = "; ".join(direction.kind for direction in pose.free)
+    record["residual_mm"] = round(1e3 * pose.residual_m, 4) if math.isfinite(pose.residual_m) else ""
+    record["overlap"] = round(pose.overlap, 4)
     if error is None:
-        return dict.fromkeys(_ERRORS, "")
-    values = (
-        1e3 * error.position_m, math.degrees(error.angle_rad),
-        1e3 * error.full_position_m, math.degrees(error.full_angle_rad),
-    )  # fmt: skip
-    return dict(zip(_ERRORS, map(_rounded, values), strict=True))
+        return record | dict.fromkeys(_ERRORS, "")
+    errors = (1e3 * error.position_m, math.degrees(error.angle_rad))
+    full = (1e3 * error.full_position_m, math.degrees(error.full_angle_rad))
+    return record | {key: round(value, 4) for key, value in zip(_ERRORS, (*errors, *full), strict=True)}
 
 
 @contextmanager
@@ -71,7 +64,7 @@ def open_poses(path: Path) -> Iterator[Callable[[Mapping[str, Any]], None]]:
             if is_tum and (record["lost"] or record["time_s"] <= last_s):
                 return
             if is_tum:
-                file.write(" ".join(repr(record[key]) for key in _TUM) + "\n")
+                file.write(" ".join(repr(record[key]) for key in ("time_s", *AXES[:3], *_QUATERNION)) + "\n")
             else:
                 table.writerows([record.values()] if rows else [record, record.values()])
             rows, known, last_s = rows + 1, known or not record["lost"], record["time_s"]
@@ -83,23 +76,16 @@ def open_poses(path: Path) -> Iterator[Callable[[Mapping[str, Any]], None]]:
                 raise
             failure = error
         if not rows:
-            raise ExportError(f"the object was in no frame, so {path} would be empty; start from another pose")
+            raise ExportError(f"the object was in no frame, so {path} would be empty")
     if failure is not None:
         raise failure
 
 
 def save_poses(path: Path, records: Iterable[Mapping[str, Any]]) -> None:
-    """Write records as `open_poses` does.
-
-    In a ``.tum`` file, of several poses of one time, as after a jump back in a recording, the last is kept.
-    """
+    """Write records as `open_poses` does; of several poses of one time a ``.tum`` file gets the last."""
     if path.suffix.lower() == TUM_SUFFIX:
         newest = {record["time_s"]: record for record in records if not record["lost"]}
         records = [newest[time_s] for time_s in sorted(newest)]
     with open_poses(path) as write:
         for record in records:
             write(record)
-
-
-def _rounded(value: float) -> float | str:
-    return round(value, 4) if math.isfinite(value) else ""

@@ -48,16 +48,9 @@ _LEAST_COSINE: Final = 0.25
 class PatchPoints:
     """A patch averaged over image tiles, weighted by the noise.
 
-    Attributes
-    ----------
-    points : float64, shape (N, 3)
-        Means of the points in a tile, metres, proximity depth frame.
-    weights : float64, shape (N,)
-        Inverse variances of their depth, 1 / m^2: the tile's area over the noise density. As the density contains what
-        neighbours share, sums over many tiles have the right variance: the effective number of points is taken into
-        account.
-    windows : int64, shape (N,)
-        Number of the window of tiles that each belongs to.
+    ``points``, (N, 3), are means in metres in the proximity depth frame, ``windows``, (N,), the numbers of the windows
+    of tiles that they belong to. ``weights``, (N,), are inverse variances of their depth, 1 / m^2: the tile's area over
+    the noise density, which contains what neighbours share, so that sums over many tiles have the right variance.
     """
 
     points: Float64Array
@@ -91,10 +84,7 @@ def patch_points(points: Float32Array | Float64Array, rig: Rig, density_m4: floa
 
 
 def noise_density_m4(preset: Preset, rig: Rig) -> float:
-    """Return the noise power of a patch per area, m^4: that of both cameras' weighted mean.
-
-    That of a real L515 unless the preset holds the rig's measured noise.
-    """
+    """Return the noise power of a patch per area, m^4: that of both cameras' weighted mean."""
     if preset.noise is None:
         return _DENSITY_M4
     near = preset.noise.proximity.density_m4(rig.proximity.intrinsics.fx)
@@ -157,16 +147,7 @@ def fit(mesh: ObjectMesh, patch: PatchPoints, start: Float64Array, rounds: int =
 
     Each point is paired with the closest point of the mesh, if that faces the camera. A step is solved in the
     eigenvectors of the Hessian that the patch determines (Zhang, Kaess, Singh, "On degeneracy of optimization-based
-    state estimation problems", ICRA 2016).
-
-    Parameters
-    ----------
-    mesh : ObjectMesh
-    patch : PatchPoints
-    start : float64, shape (4, 4)
-        ``T_proximity_object``, off by less than 20 mm.
-    rounds : int
-        Iterations at most.
+    state estimation problems", ICRA 2016). ``start`` is ``T_proximity_object``, off by less than 20 mm.
     """
     pose, centre = start, patch.centre_m
     for number in range(rounds):
@@ -180,7 +161,15 @@ def fit(mesh: ObjectMesh, patch: PatchPoints, start: Float64Array, rounds: int =
         pose = moved(pose, step, centre, mesh.radius_m)
         if number > 3 and np.abs(step).max() < _DONE_M:
             break
-    return _judged(mesh, patch, pose, centre)
+    pairs = _pair(mesh, patch, pose, centre, _REACH_M[1])
+    values, vectors = np.linalg.eigh((pairs.rows * pairs.weights[:, None]).T @ pairs.rows)
+    inflation = _inflation(pairs, patch)
+    overlap = float(np.average(pairs.on_mesh, weights=patch.weights))
+    residual = math.sqrt(float(np.mean(pairs.gaps[pairs.on_mesh] ** 2))) if pairs.on_mesh.any() else math.nan
+    cost = math.sqrt(float(np.mean(np.minimum(pairs.apart, 0.010) ** 2)))
+    with np.errstate(divide="ignore"):
+        sigmas = np.sqrt(inflation / np.maximum(values, 0.0))
+    return Fit(pose, centre, vectors, sigmas, _is_free(values, inflation), residual, overlap, cost)
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,19 +203,6 @@ def _pair(mesh: ObjectMesh, patch: PatchPoints, pose: Float64Array, centre: Floa
 def _is_free(values: Float64Array, inflation: float) -> BoolArray:
     """Return which eigenvalues of a Hessian, 1 / m^2, are those of free directions."""
     return np.asarray((values < _FREE_SHARE * max(values[-1], 1.0)) | (values < inflation / FREE_SIGMA_M**2))
-
-
-def _judged(mesh: ObjectMesh, patch: PatchPoints, pose: Float64Array, centre: Float64Array) -> Fit:
-    """Return a fit with its covariance and what tells how good it is."""
-    pairs = _pair(mesh, patch, pose, centre, _REACH_M[1])
-    values, vectors = np.linalg.eigh((pairs.rows * pairs.weights[:, None]).T @ pairs.rows)
-    inflation = _inflation(pairs, patch)
-    overlap = float(np.average(pairs.on_mesh, weights=patch.weights))
-    residual = math.sqrt(float(np.mean(pairs.gaps[pairs.on_mesh] ** 2))) if pairs.on_mesh.any() else math.nan
-    cost = math.sqrt(float(np.mean(np.minimum(pairs.apart, 0.010) ** 2)))
-    with np.errstate(divide="ignore"):
-        sigmas = np.sqrt(inflation / np.maximum(values, 0.0))
-    return Fit(pose, centre, vectors, sigmas, _is_free(values, inflation), residual, overlap, cost)
 
 
 def _inflation(pairs: _Pairs, patch: PatchPoints) -> float:

