@@ -49,8 +49,9 @@ class LiveTab(AnalysisTab):
 
     #: Columns of the CSV.
     COLUMNS: tuple[str, ...] = ()
-    #: Name of the exported file without its suffix.
+    #: Name of the exported file without its suffix, and filters of other formats, for `write_rows`.
     EXPORT = "frames"
+    FILTERS: tuple[str, ...] = ()
 
     shown = pyqtSignal(object)
 
@@ -69,7 +70,7 @@ class LiveTab(AnalysisTab):
         self.job.failed.connect(partial(self._complain, "work"))
         self._writing.done.connect(lambda sentence: self.messages.show_message("done", Severity.INFO, sentence))
         self._writing.failed.connect(partial(self._complain, "export"))
-        self.status, self.messages = ElidedLabel(WAITING), Messages(self)
+        self.status, self.messages, self.working = ElidedLabel(WAITING), Messages(self), JobRow(self.job)
         self.reset = push_button("&Reset", "Remove the rows of all frames; they can be brought back")
         self.export = push_button("&Export…", "Save the numbers of all frames as CSV (Ctrl+E); frames count from 0")
         self.export.setShortcut("Ctrl+E")
@@ -77,7 +78,7 @@ class LiveTab(AnalysisTab):
         self.export.clicked.connect(lambda: self._ask_where(None))
         self.top = QHBoxLayout()
         self.column = QVBoxLayout()
-        state = hbox((self.status, 1), JobRow(self.job), self.reset, self.export)
+        state = hbox((self.status, 1), self.working, self.reset, self.export)
         vbox(self.top, state, (self.column, 1), within=self, margins=0)
         self._offer()
 
@@ -100,6 +101,10 @@ class LiveTab(AnalysisTab):
     def picture(self) -> QWidget | None:
         """Return what the export shows as a picture beside the CSV; None for the CSV alone."""
         return None
+
+    def write_rows(self, path: Path, rows: list[Row]) -> None:
+        """Write rows in another format of `FILTERS`; called on another thread."""
+        raise NotImplementedError
 
     # Frames
 
@@ -193,16 +198,25 @@ class LiveTab(AnalysisTab):
     def _ask_where(self, rows: list[Row] | None) -> None:
         """Ask for a file for the present rows, or for those of a former source."""
         pictured = rows is None and self.picture() is not None
-        filters = [*(["PNG picture, CSV beside it (*.png)"] if pictured else []), "Table (*.csv)"]
+        filters = [*(["PNG picture, CSV beside it (*.png)"] if pictured else []), "Table (*.csv)", *self.FILTERS]
         name = f"{self.EXPORT}{'.png' if pictured else '.csv'}"
         dialogs = self.context.dialogs.over(self.window() or self)
         dialogs.save_file("export", "Export", name, filters, lambda path: self.save_to(path, rows))
 
     def save_to(self, path: Path, rows: list[Row] | None = None) -> None:
         """Write rows as CSV, on another thread; the present ones into a .png with the picture, the CSV beside it."""
+        every = list(self.rows.values()) if rows is None else rows
+        if any(f"*{path.suffix.lower()})" in each for each in self.FILTERS):
+
+            def write(_: Progress) -> str:
+                self.write_rows(path, every)
+                return f"The numbers were written to {path}."
+
+            self._writing.start(write)
+            return
         widget = self.picture() if rows is None and path.suffix.lower() != ".csv" else None
         picture = None if widget is None else widget.grab().toImage()
-        text = rows_as_csv(self.COLUMNS, self.rows.values() if rows is None else rows)
+        text = rows_as_csv(self.COLUMNS, every)
         self._writing.start(lambda _: write_picture(picture, text, path, "The numbers were"))
 
     def _complain(self, key: str, sentence: str) -> None:

@@ -1,179 +1,112 @@
-"""The tab Track: the pose of a known object, first by hand or found, then from frame to frame."""
+"""The tab Track: the pose of a known object, found by its patch and tracked from frame to frame."""
 
 from __future__ import annotations
 
 import math
-from collections import deque
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from PyQt6.QtCore import QEvent, Qt
-from PyQt6.QtGui import QDragEnterEvent, QDropEvent
-from PyQt6.QtWidgets import (
-    QComboBox,
-    QHBoxLayout,
-    QVBoxLayout,
-    QWidget,
-)
+from PyQt6.QtGui import QColor, QDragEnterEvent, QDropEvent
+from PyQt6.QtWidgets import QComboBox, QLabel, QWidget
+from scipy.spatial.transform import Rotation
 
-from ...core.errors import MissingExtraError
-from ...core.estimation.object_mesh import SUFFIXES, import_open3d
+from ...core.errors import as_sentence, minus
+from ...core.estimation.object_mesh import SUFFIXES
 from ...core.estimation.pose import PoseEstimate
-from ...core.estimation.pose_files import error_record, pose_record, save_poses
-from ...core.estimation.start_pose import pair_errors_m
+from ...core.estimation.pose_files import pose_record, save_poses
 from ...core.model.arrays import Float64Array
 from ...core.model.units import UNITS_M
-from ...widgets.basics.controls import (
-    AccentButton,
-    CollapsibleSection,
-    ProgressBar,
-    caption,
-    push_button,
-    wrapped_label,
-)
+from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_ROW, palette_theme, patch_lut
+from ...widgets.basics.controls import AccentButton, caption, push_button, wrapped_label
 from ...widgets.basics.dialogs import local_files
-from ...widgets.basics.layouts import hbox, scrolling, splitter, vbox
-from ...widgets.basics.messages import Messages, Severity
-from ...widgets.clouds.pick_view import PickView
+from ...widgets.basics.layouts import STRETCH, hbox, splitter, vbox
+from ...widgets.basics.messages import Severity
+from ...widgets.basics.theme import theme_colors
+from ...widgets.clouds.cloud_data import free_cloud
+from ...widgets.clouds.cloud_view import CloudView
 from ...widgets.plots.pose_plot import PosePlot
 from ..context import Context
-from ..worker.jobs import Job
+from ..worker.job_row import JobRow
+from ..worker.jobs import Job, Work
 from ..worker.results import Result
-from .tab import AnalysisTab, undo_buttons
-from .track_views import PosePanel, TrackViews
-from .track_work import FrameTracker, Model, Tracked, read_model, simulated_model
-from .truth_panels import AlignPanel
-from .truth_state import MIN_PAIRS, FrozenPatch, Side, TruthSession, TruthState
+from .live_tab import LiveTab, Row
+from .track_work import MODEL_RGB, FrameTracker, Model, Rgb, Tracked, read_model, simulated_model
 
 _FILTER: Final = f"Meshes ({' '.join(f'*{suffix}' for suffix in SUFFIXES)})"
-_EXPORTS: Final = ["Table (*.csv)", "TUM trajectory (*.tum)"]
 _BY_SIZE: Final = "by size"
-_PANEL_WIDTH: Final = 340
-#: Poses that are kept for the export: the newest hour at 30 frames/s.
-_KEPT: Final = 108_000
+_FREE_RGB: Final[Rgb] = (224, 49, 49)
+#: Points of a drawn axis; its half length as a multiple of the mesh's radius.
+_AXIS_POINTS, _AXIS_REACH = 300, 2.0
+#: A component with a larger standard deviation is not determined, metres and radians.
+_FREE_M, _FREE_RAD = 0.02, 0.3
+_NOBODY: Final = PoseEstimate(0, 0.0, np.eye(4), np.eye(6), (), math.nan, 0.0, lost=True)
 
 
-class TrackTab(AnalysisTab):
-    """A model, the patch with the model in its pose, and what is known about the pose."""
+class TrackTab(LiveTab):
+    """The patch with the model in its pose, the numbers of the pose, and its errors over time."""
+
+    COLUMNS = tuple(pose_record(_NOBODY))
+    EXPORT = "poses"
+    FILTERS = ("TUM trajectory (*.tum)",)
 
     def __init__(self, context: Context) -> None:
-        super().__init__()
-        self._settings, self._dialogs, self._worker = context.settings, context.dialogs, context.worker
-        self.session = TruthSession(self, "model")
+        super().__init__(context)
         self.model: Model | None = None
         self.tracked: Tracked | None = None
         self._path: Path | None = None
-        self._result: Result | None = None
-        self._live: FrozenPatch | None = None
         self._tracker: FrameTracker | None = None
-        self._records: deque[dict[str, Any]] = deque(maxlen=_KEPT)
-        self._loading, self._finding, self._tracking, self._writing = Job(self), Job(self), Job(self), Job(self)
-        self.messages = Messages(self)
-        self.guide = wrapped_label(verdict=True)
+        self._loading = Job(self)
         self.open_button = push_button("&Open mesh…", "Open the object's mesh: OBJ, PLY or STL (or drop it here)")
         self.simulated = push_button("&Simulated object", "Use the mesh of the object that the simulator presses")
         self.unit = QComboBox()
-        self.find_button = push_button("Fi&nd", "Find the object in any orientation by this patch, then track it")
         self.track_button = AccentButton(
-            "Trac&k", "Track the object from frame to frame; off: keep the pose and move it by hand"
+            "Find and trac&k", "Find the object in any orientation by its patch, then track it from frame to frame"
         )
-        self.export = push_button("E&xport…", "Write the tracked poses: a table (CSV), or a TUM trajectory for evo")
-        self.progress, self.cancel = ProgressBar(), push_button("Cancel", "Stop reading or searching")
-        self.views = TrackViews(PickView("Model"), PickView("Patch and model"))
-        self.pose, self.plot = PosePanel(), PosePlot()
-        self.align = AlignPanel("Start pose", "model", "model", refines=False)
+        self.guide = wrapped_label(verdict=True)
+        self.scene = CloudView("Patch and model")
+        self.pose, self.plot = QLabel(), PosePlot()
         self._lay_out()
-        self._connect()
-        self._show_busy(1.0, "")
-        self._show()
+        self.open_button.clicked.connect(self._ask_mesh)
+        self.simulated.clicked.connect(self._open_simulated)
+        self.unit.activated.connect(self._read_again)
+        self.track_button.toggled.connect(self._toggled)
+        self.job.failed.connect(lambda _: self.track_button.setChecked(False))
+        self._loading.done.connect(self._opened)
+        self._loading.failed.connect(
+            lambda sentence: self.messages.state("mesh", Severity.WARNING, sentence and as_sentence(sentence))
+        )
         self.setAcceptDrops(True)
+        self._show()
+
+    def _lay_out(self) -> None:
+        self.simulated.hide()
+        self.unit.addItems([_BY_SIZE, *UNITS_M])
+        self.unit.setToolTip("Length unit of the mesh; by size: metres if the object is then 10 mm to 2 m, else mm")
+        self.pose.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.pose.setToolTip(
+            "Position of the mesh's origin and rotation about the camera's axes, each with its standard deviation; "
+            "red: the patch does not determine it"
+        )
+        self.scene.set_point_size(2)
+        self.scene.set_message("No patch yet: show a frame with contact in the main window")
+        entries = (self.open_button, self.simulated, caption("&Unit", self.unit), self.unit, self.track_button)
+        self.top.addLayout(hbox(*entries, STRETCH, JobRow(self._loading)))
+        side = QWidget()
+        vbox(self.guide, self.pose, self.plot, STRETCH, within=side, margins=0)
+        self.column.addWidget(splitter(Qt.Orientation.Horizontal, (self.scene, 1), side, sizes=(600, 340)))
 
     @property
     def goes_on(self) -> bool:
         """Tracking goes on behind other tabs, since the pose may be published."""
         return self.track_button.isChecked()
 
-    def show_result(self, result: Result) -> None:
-        """Track the object in a frame of the main window, or show its patch."""
-        self._result = result
-        simulated = result.source.name.removeprefix("live:").startswith("sim:")
-        if simulated != self.simulated.isVisibleTo(self):
-            self.simulated.setVisible(simulated)
-            self._show()
-        if self.track_button.isChecked():
-            self._step()
-        elif self.session.state.patch is None:
-            self._live = FrozenPatch.of(result, "")
-            self._show()
-
     def shut_down(self) -> None:
         """Stop all threads."""
-        for job in (self._loading, self._finding, self._tracking, self._writing):
-            job.stop()
-
-    # Building
-
-    def _lay_out(self) -> None:
-        self.simulated.hide()
-        self.unit.addItems([_BY_SIZE, *UNITS_M])
-        self.unit.setToolTip("Length unit of the mesh; by size: metres if the object is then 10 mm to 2 m, else mm")
-        self.progress.setMaximumWidth(240)
-        top = QHBoxLayout()
-        unit = caption("&Unit", self.unit)
-        row: tuple[QWidget, ...] = (self.open_button, self.simulated, unit, self.unit)
-        for widget in (*row, self.find_button, self.track_button):
-            top.addWidget(widget)
-        top.addStretch(1)
-        for button in (*undo_buttons(self, self.session.undo_stack), self.export):
-            top.addWidget(button)
-        state = hbox((self.guide, 1), self.progress, self.cancel)
-        policy = self.cancel.sizePolicy()
-        policy.setRetainSizeWhenHidden(True)
-        self.cancel.setSizePolicy(policy)
-        panels = QWidget()
-        column = QVBoxLayout(panels)
-        column.setContentsMargins(0, 0, 4, 0)
-        self.errors = CollapsibleSection("Errors")
-        vbox(self.plot, within=self.errors.body, margins=(8, 4, 8, 8))
-        for panel in (self.pose, self.errors, self.align):
-            column.addWidget(panel)
-        column.addStretch(1)
-        across = splitter(Qt.Orientation.Horizontal, (self.views, 1), scrolling(panels, _PANEL_WIDTH))
-        vbox(top, state, (across, 1), within=self, margins=0)
-
-    def _connect(self) -> None:
-        self.session.changed.connect(lambda _: self._show())
-        self.session.refused.connect(partial(self._complain, "pose"))
-        for job, done, subject in (
-            (self._loading, self._opened, "mesh"),
-            (self._finding, self._found, "find"),
-            (self._tracking, self._follow, "track"),
-            (self._writing, self._wrote, "export"),
-        ):
-            job.done.connect(done)
-            job.failed.connect(partial(self._failed, subject))
-            if job is not self._tracking:
-                job.progress.connect(self._show_busy)
-        self.open_button.clicked.connect(self._ask_mesh)
-        self.simulated.clicked.connect(self._open_simulated)
-        self.unit.activated.connect(self._read_again)
-        self.find_button.clicked.connect(self._search)
-        self.cancel.clicked.connect(self._give_up)
-        self.track_button.toggled.connect(self._toggled)
-        self.export.clicked.connect(lambda: self._ask_export(list(self._records)))
-        self.views.model.pointClicked.connect(lambda _, place: self._click("scan", place))
-        self.views.scene.pointClicked.connect(lambda _, place: self._click("patch", place))
-        self.views.scene.nudged.connect(lambda change, gesture: self.session.nudge(change, None, gesture))
-        self.views.follow.clicked.connect(lambda: self.session.freeze(None))
-        self.align.selectionChanged.connect(self.views.select)
-        self.align.removeRequested.connect(self.session.remove)
-        self.align.clear.clicked.connect(self.session.remove_all)
-        self.align.center.clicked.connect(self._center)
-        self.align.poseEdited.connect(
-            lambda pose, gesture: self.session.set_pose(pose, "hand", "Type the model's pose", None, gesture)
-        )
+        super().shut_down()
+        self._loading.stop()
 
     # The mesh
 
@@ -181,40 +114,29 @@ class TrackTab(AnalysisTab):
         """Read a mesh in the chosen unit; the present one stays until that has succeeded."""
         self._path = path
         unit = self.unit.currentText()
-        self._open(partial(read_model, path, None if unit == _BY_SIZE else unit))
+        self._loading.start(partial(read_model, path, None if unit == _BY_SIZE else unit))
 
     def _ask_mesh(self) -> None:
-        self._dialogs.over(self.window() or self).open_file("mesh", "Open a mesh", _FILTER, self.open_mesh)
+        dialogs = self.context.dialogs.over(self.window() or self)
+        dialogs.open_file("mesh", "Open a mesh", _FILTER, self.open_mesh)
 
     def _open_simulated(self) -> None:
-        if self._result is not None:
+        if self.result is not None:
             self._path = None  # another unit would read that file again
-            self._open(partial(simulated_model, self._result.source.name))
+            self._loading.start(partial(simulated_model, self.result.source.name))
 
     def _read_again(self) -> None:
         if self._path is not None:
             self.open_mesh(self._path)
 
-    def _open(self, work: Any) -> None:
-        self._complain("mesh", "")
-        self._show_busy(0.0, "Reading the mesh")
-        self._loading.start(work)
-
     def _opened(self, model: Model) -> None:
-        self._show_busy(1.0, "")
-        self._finding.cancel()  # it searches for the former object
+        self.job.cancel()  # it may search for the former object
         self.track_button.setChecked(False)
-        former, records = self.model, list(self._records)
-        if former is not None and records:
-            sentence = f"Tracking {former.mesh.name} ended after {len(records)} poses, because a mesh was opened."
-            ask = partial(self._ask_export, records)
-            self.messages.show_message("former", Severity.INFO, sentence, [("Save them…", ask)])
-        self.model, self.tracked = model, None
-        self._records.clear()
+        if self.rows:
+            self._reset()
+        self.model = model
         self.plot.clear()
-        self.session.start(TruthState())
         self.messages.show_message("mesh", Severity.INFO, f"{model.mesh.assumed}.")
-        self.views.show_model(model)
         self._show()
 
     def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:
@@ -228,188 +150,125 @@ class TrackTab(AnalysisTab):
             event.acceptProposedAction()
             self.open_mesh(next(p for p in local_files(event.mimeData()) if p.suffix.lower() in SUFFIXES))
 
-    # The start
-
-    @property
-    def _patch(self) -> FrozenPatch | None:
-        """The patch on the screen."""
-        if self.track_button.isChecked() and self.tracked is not None:
-            return self.tracked.patch
-        return self.session.state.patch or self._live
-
-    def _click(self, side: Side, place: tuple[float, float, float]) -> None:
-        if self.model is not None and not self.track_button.isChecked():
-            self.session.click(side, place, self._patch)
-
-    def _center(self) -> None:
-        """Move the model's centre onto the patch's."""
-        patch = self._patch
-        if self.model is None or patch is None or not len(patch.points):
-            self._complain("pose", "There is no patch to move the model onto; press the object into the membrane.")
-            return
-        pose = np.eye(4) if self.session.state.pose is None else np.array(self.session.state.pose)
-        pose[:3, 3] += patch.points.mean(axis=0, dtype=np.float64) - self.model.centre(pose)
-        self.session.set_pose(pose, "hand", "Move the model onto the patch", None)
-
-    def _search(self) -> None:
-        if self.model is None or self._result is None:
-            return
-        self.track_button.setChecked(False)
-        self._complain("find", "")
-        finder, result = FrameTracker(self.model.mesh, None), self._result
-        self._show_busy(0.0, f"Searching for {self.model.mesh.name}")
-        self._finding.start(partial(finder.find, result))
-        self._show()
-
-    def _found(self, pose: Float64Array) -> None:
-        self._show_busy(1.0, "")
-        self.session.set_pose(pose, "ICP", "Find the object", None)
-        self.track_button.setChecked(True)
-
-    def _give_up(self) -> None:
-        """Cancel reading and searching."""
-        for job in (self._loading, self._finding):
-            job.cancel()
-
     # Tracking
 
     def _toggled(self, on: bool) -> None:
-        if on and self.model is not None:
-            try:
-                import_open3d()
-            except MissingExtraError as error:
-                self._complain("track", f"{error}.")
-                self.track_button.setChecked(False)
-                return
-            if self.session.state.patch is not None:
-                self.session.freeze(None)
-            self._tracker = FrameTracker(self.model.mesh, self.session.state.pose)
-            self.tracked = None
-            self._complain("track", "")
-            self._step()
-        elif not on:
-            self._tracker = None
-            tracked = self.tracked
-            if tracked is not None and not tracked.estimate.lost:
-                pose = tracked.estimate.T_proximity_object
-                self.session.set_pose(pose, "ICP", "Keep the tracked pose", None)
-            self._live = None if self._result is None else FrozenPatch.of(self._result, "")
+        self._tracker = FrameTracker(self.model.mesh) if on and self.model is not None else None
+        self.tracked = None
+        if on:
+            self.messages.clear("work")
+        else:
+            self.job.cancel()
         self._show()
+        self.again()
 
-    def _step(self) -> None:
-        """Track in the newest frame; one that waits for the present step is replaced by a newer one."""
-        tracker, result = self._tracker, self._result
-        if tracker is not None and result is not None:
-            self._tracking.start(lambda _: (tracker, self._track(tracker, result)))
+    def begin(self, result: Result) -> None:
+        """Offer the simulator's own object where there is one."""
+        self.simulated.setVisible(result.source.name.removeprefix("live:").startswith("sim:"))
+        self.plot.clear()
 
-    def _track(self, tracker: FrameTracker, result: Result) -> Tracked | None:
-        """Track in a frame; the pose is published at once, not when the window has time."""
-        tracked = tracker.track(result)
-        if tracked is not None and not tracked.estimate.lost and tracker is self._tracker:
-            self._worker.put_pose(tracked.estimate)
-        return tracked
+    def work(self, result: Result) -> Work:
+        """Return the tracking of a frame. Its pose is published at once, not when the window has time."""
+        tracker = self._tracker
 
-    def _follow(self, done: tuple[FrameTracker, Tracked | None]) -> None:
-        tracker, tracked = done
-        if tracker is not self._tracker or tracked is None:
-            return
-        self.tracked = tracked
-        estimate, error = tracked.estimate, tracked.error
-        nan = math.nan
-        self.plot.add(
-            estimate.time_s,
-            1e3 * estimate.residual_m,
-            nan if error is None else 1e3 * error.position_m,
-            nan if error is None else math.degrees(error.angle_rad),
-        )
-        self._records.append(pose_record(estimate) | error_record(error))
-        if self.isVisible():
+        def track(progress: Any) -> Tracked | None:
+            tracked = None if tracker is None else tracker.track(result, progress)
+            if tracked is not None and not tracked.estimate.lost and tracker is self._tracker:
+                self.context.worker.put_pose(tracked.estimate)
+            return tracked
+
+        return track
+
+    def show_found(self, result: Result, found: Any) -> Row | None:
+        """Show the patch, the model in its pose and the numbers."""
+        self.tracked = found if self._tracker is not None else None
+        if self.tracked is None:
             self._show()
+            return None
+        estimate, error = self.tracked.estimate, self.tracked.error
+        position_mm, angle_deg = math.nan, math.nan
+        if error is not None:
+            position_mm, angle_deg = 1e3 * error.position_m, math.degrees(error.angle_rad)
+        self.plot.add(estimate.time_s, 1e3 * estimate.residual_m, position_mm, angle_deg)
+        self._show()
+        return tuple(pose_record(estimate, error).values())
 
-    # Files
-
-    def _ask_export(self, records: list[dict[str, Any]]) -> None:
-        self._dialogs.over(self.window() or self).save_file(
-            "export", "Export the poses", "poses.csv", _EXPORTS, partial(self._write, records)
-        )
-
-    def _write(self, records: list[dict[str, Any]], path: Path) -> None:
-        def write(_progress: object) -> str:
-            save_poses(path, records)
-            return f"{len(records)} poses were written to {path}."
-
-        self._writing.start(write)
-
-    def _wrote(self, sentence: str) -> None:
-        self.messages.show_message("export", Severity.INFO, sentence)
+    def write_rows(self, path: Path, rows: list[Row]) -> None:
+        """Write a ``.tum`` file."""
+        save_poses(path, [dict(zip(self.COLUMNS, row, strict=True)) for row in rows])
 
     # Display
 
-    def _failed(self, subject: str, sentence: str) -> None:
-        self._show_busy(1.0, "")
-        self._show()
-        self._complain(subject, sentence and f"{sentence[0].upper()}{sentence[1:]}.")
-
-    def _complain(self, subject: str, sentence: str) -> None:
-        self.messages.state(subject, Severity.WARNING, sentence)
-
-    def _show_busy(self, share: float, words: str) -> None:
-        busy = share < 1
-        for widget in (self.progress, self.cancel):
-            widget.setVisible(busy)
-        self.progress.show_share(share, words)
-
     def _show(self) -> None:
-        model, state, tracking = self.model, self.session.state, self.track_button.isChecked()
-        estimate = self.tracked.estimate if tracking and self.tracked is not None else None
-        self.guide.setText(self._next_step(estimate))
-        for widget in (self.find_button, self.track_button):
-            widget.setEnabled(model is not None and self._result is not None)
-        self.export.setEnabled(bool(self._records))
-        self.align.setEnabled(model is not None and not tracking)
-        for panel, shown in ((self.pose, tracking), (self.errors, self.plot.filled), (self.align, not tracking)):
-            panel.setVisible(shown)
-        if not tracking:
-            apart = () if state.pose is None else pair_errors_m(state.pose, *state.matched)
-            self.align.show_pairs(state.pairs, [1e3 * float(metres) for metres in apart])
-            self.align.show_pose(state.pose, model.centre(state.pose) if model and state.pose else None)
-        self.pose.show_estimate(estimate)
-        self.views.show_patch(self._patch, model, state, estimate, tracking)
+        tracked, model, result = self.tracked, self.model, self.result
+        self.track_button.setEnabled(model is not None and result is not None)
+        self.guide.setText(self._next_step())
+        self.pose.setText("" if tracked is None else pose_text(tracked.estimate))
+        self.plot.setVisible(self.plot.filled)
+        patch = None if result is None else result.patch
+        parts: list[tuple[Float64Array, Rgb]] = []
+        legend = [("patch", CONTACT_COLOR)]
+        if tracked is not None and model is not None and not tracked.estimate.lost:
+            parts = model.posed(tracked.estimate.T_proximity_object)
+            legend.append(("model", QColor(*MODEL_RGB)))
+            if lines := free_lines(tracked.estimate, model.mesh.radius_m):
+                parts.append((np.concatenate(lines), _FREE_RGB))
+                legend.append(("free direction", QColor(*_FREE_RGB)))
+        points = np.zeros((0, 3)) if patch is None else patch.points
+        lut = patch_lut(palette_theme(self.palette())).copy()
+        colors = [np.full(len(points), CONTACT_ROW, np.uint8)]
+        for row, (part, rgb) in enumerate(parts):
+            lut[row] = (*rgb, 255)
+            colors.append(np.full(len(part), row, np.uint8))
+        every = np.concatenate([points, *(part for part, _ in parts)])
+        self.scene.set_cloud(free_cloud(every, np.concatenate(colors), lut, count=len(points)) if len(every) else None)
+        self.scene.set_legend(legend)
 
-    def _next_step(self, estimate: PoseEstimate | None) -> str:
+    def _next_step(self) -> str:
         """Return the state of tracking or the next step, as a sentence."""
-        state, patch = self.session.state, self._patch
         if self.model is None:
             other = "Press Simulated object, or open" if self.simulated.isVisibleTo(self) else "Open"
             return f"{other} the mesh of the object that is pressed, or drop it here."
-        if patch is None:
+        if self.result is None:
             return "There is no frame yet: open a source in the main window."
-        if self.track_button.isChecked():
-            return "Searching…" if estimate is None else tracking_words(estimate, contact=len(patch.points) > 0)
-        return "Searching for the object…" if self._finding.busy else placing_words(state)
+        if self._tracker is None:
+            return f"Press Find and track to find {self.model.mesh.name} by its patch."
+        if self.tracked is None:
+            return "Searching for the object…"
+        if not self.tracked.estimate.lost:
+            return "Tracking."
+        contact = self.result.patch is not None and len(self.result.patch.points)
+        return (
+            "Lost: the model does not fit the patch; searching." if contact else "No contact: waiting for the object."
+        )
 
     def changeEvent(self, event: QEvent | None) -> None:
         """Follow the theme."""
         super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.PaletteChange and hasattr(self, "align"):
+        if event is not None and event.type() == QEvent.Type.PaletteChange and hasattr(self, "plot"):
             self._show()
 
 
-def placing_words(state: TruthState) -> str:
-    """Return the next step of placing the model by hand."""
-    if state.pending is not None:
-        other = "patch" if state.pending.patch is None else "model"
-        return f"Pair {len(state.pairs)}: now click the same point on the {other}."
-    if state.pose is None:
-        return f"Press Find; or click a point on the model, then the same on the patch, {MIN_PAIRS} times; then Track."
-    return "Press Track; or drag the model's arrows and rings, or type numbers, until it lies on the patch."
+def free_lines(estimate: PoseEstimate, radius_m: float) -> list[Float64Array]:
+    """Return the directions that are free as lines of points."""
+    reach = np.linspace(-1.0, 1.0, _AXIS_POINTS)[:, None] * _AXIS_REACH * radius_m
+    return [np.array(free.point_m) + reach * np.array(free.axis) for free in estimate.free]
 
 
-def tracking_words(estimate: PoseEstimate, *, contact: bool) -> str:
-    """Return the state of tracking."""
-    if estimate.lost and contact:
-        return "Lost: the model does not fit the patch; searching."
+def pose_text(estimate: PoseEstimate) -> str:
+    """Return the pose with its standard deviations as a table for people; what is not determined is red."""
     if estimate.lost:
-        return "No contact: waiting for the object."
-    free = ", ".join(direction.name for direction in estimate.free)
-    return f"Tracking; not determined: {free}." if free else "Tracking."
+        return ""
+    pose, sigmas = estimate.T_proximity_object, np.sqrt(np.diag(estimate.covariance))
+    turns = Rotation.from_matrix(pose[:3, :3]).as_euler("xyz", degrees=True)
+    lines = []
+    for row, name in enumerate(("x", "y", "z", "roll", "pitch", "yaw")):
+        if row < 3:
+            value, sigma, limit, unit = 1e3 * pose[row, 3], 1e3 * sigmas[row], 1e3 * _FREE_M, " mm"
+        else:
+            value, sigma, limit, unit = turns[row - 3], math.degrees(sigmas[row]), math.degrees(_FREE_RAD), "°"
+        color = f' style="color: {theme_colors().error}"' if sigma > limit else ""
+        cells = (name, minus(f"{value:z.1f}{unit}"), "free" if sigma > limit else f"± {sigma:.2f}{unit}")
+        lines.append(f"<tr{color}>" + "".join(f'<td align="right">{cell}&nbsp;&nbsp;</td>' for cell in cells) + "</tr>")
+    fit = f"Residual {1e3 * estimate.residual_m:.2f} mm, {100 * estimate.overlap:.0f} % on the model"
+    return f"<table>{''.join(lines)}</table>{fit}"

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import math
 import time
-from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ...core.errors import ExportError, SourceError, counted
-from ...core.model.units import UNITS_M, MeshUnit
+from ...core.model.units import MeshUnit
 from .common import (
     SOURCE,
     CliProgress,
@@ -34,16 +33,17 @@ from .run import MCAP_SUFFIX, tell_of_stop
 if TYPE_CHECKING:
     from threading import Event
 
-    from ...core.contact.pipeline import ContactPatch
+    from ...core.contact.pipeline import ContactPatch, ContactPipeline
     from ...core.estimation.object_mesh import ObjectMesh
     from ...core.estimation.pose import PoseEstimate, PoseTracker
+    from ...core.model.arrays import Float64Array
     from ...core.preset import Preset
     from ...core.sources import FrameSource
 
 SUFFIXES = (".csv", ".tum", MCAP_SUFFIX)
 
 Record = dict[str, Any]
-
+Save = Callable[["ContactPatch", "PoseEstimate", Record], object]
 
 UnitOption = Annotated[MeshUnit | None, typer.Option(help="Unit of the mesh; default: m or mm, told by its size.")]
 
@@ -58,17 +58,7 @@ def track(
     unit: UnitOption = None,
     start: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Pose in the first frame: four lines of four numbers, or JSON as `evaluate recording` has it.",
-        ),
-    ] = None,
-    pairs: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.csv",
-            help="Or three and more point pairs: scan_x,scan_y,scan_z (the mesh's unit),patch_x_m,patch_y_m,patch_z_m.",
-        ),
+        typer.Option(metavar="FILE", help="Pose in the first frame, T_proximity_object: four lines of four numbers."),
     ] = None,
     out: Annotated[
         Path | None,
@@ -87,7 +77,7 @@ def track(
 ) -> None:
     """Track the pose of a known object by its contact patches.
 
-    Without --start or --pairs the object is searched for in the first patch.
+    Without --start the object is searched for in the first patch that is large enough.
     """
     from ...core.contact.pipeline import ContactPipeline
     from ...core.estimation.pose import PoseTracker
@@ -98,28 +88,33 @@ def track(
         raise typer.BadParameter("give --out FILE for the poses, or --truth for a comparison")
     if out is not None and out.suffix.lower() not in SUFFIXES:
         raise ExportError(f"{out} has the suffix {out.suffix!r}; choose one of {', '.join(SUFFIXES)}")
-    if start is not None and pairs is not None:
-        raise typer.BadParameter("give --start or --pairs, not both")
     chosen = load_preset(preset or default_preset(source))
     with open_with_progress(source, chosen.cameras) as opened:
-        found = _mesh(mesh, unit, opened)
-        tracker = PoseTracker(found, chosen, opened.rig)
-        _start(tracker, start, pairs, found)
+        tracker = PoseTracker(_mesh(mesh, unit, opened), chosen, opened.rig)
+        if start is not None:
+            tracker.start(_read_pose(start))
         with CliProgress() as progress:
             warm_up_if_needed(progress.preparing, chosen)
         pipeline, lost_before = ContactPipeline(chosen, opened.rig), opened.health().dropped
         with stop_on_signals() as stopped, _output(out, opened, chosen) as save:
-            summary = _track(opened, pipeline, tracker, frames, save, stopped, truth=truth)
-            if not summary.frames and stopped.is_set():
+            done, text = _track(opened, pipeline, tracker, frames, save, stopped, truth=truth)
+            if not done and stopped.is_set():
                 tell_of_stop(opened, 0, frames)
-            if not summary.frames:
-                raise SourceError(f"{opened.name} gave no frames; check the source")
         warn_of_lost_frames(opened, lost_before)
-        typer.echo(summary.text(opened.name, found))
+        typer.echo(text)
         if out is not None:
             typer.echo(f"wrote {out}")
         if stopped.is_set():
-            tell_of_stop(opened, summary.frames, frames)
+            tell_of_stop(opened, done, frames)
+
+
+def _read_pose(path: Path) -> Float64Array:
+    import numpy as np
+
+    try:
+        return np.loadtxt(path, ndmin=2)
+    except (OSError, ValueError) as error:
+        raise SourceError(f"cannot read the pose in {path} ({error}); it has four lines of four numbers") from error
 
 
 def _mesh(path: Path | None, unit: str | None, source: FrameSource) -> ObjectMesh:
@@ -143,17 +138,8 @@ def read_mesh(path: Path, unit: str | None) -> ObjectMesh:
     return mesh
 
 
-def _start(tracker: PoseTracker, start: Path | None, pairs: Path | None, mesh: ObjectMesh) -> None:
-    from ...core.estimation.start_pose import load_transform, pose_from_pairs, read_pairs
-
-    if start is not None:
-        tracker.start(load_transform(start))
-    if pairs is not None:
-        tracker.start(pose_from_pairs(*read_pairs(pairs, UNITS_M[mesh.unit])))
-
-
 @contextmanager
-def _output(out: Path | None, source: FrameSource, preset: Preset) -> Iterator[Any]:
+def _output(out: Path | None, source: FrameSource, preset: Preset) -> Iterator[Save]:
     """Yield a function that takes each patch, pose and record; the file is whole when this ends, also by an error."""
     if out is None:
         yield lambda patch, pose, record: None
@@ -162,7 +148,7 @@ def _output(out: Path | None, source: FrameSource, preset: Preset) -> Iterator[A
 
         with PatchWriter(out, source.rig, preset, source.frame_rate_hz, poses=True) as writer:
 
-            def write(patch: ContactPatch, pose: PoseEstimate, record: Record) -> None:
+            def write(patch: ContactPatch, pose: PoseEstimate, _: Record) -> None:
                 known = None if pose.lost else (pose.T_proximity_object, pose.covariance)
                 writer.write(patch.points, pose.sequence, pose.time_s, known)
 
@@ -174,26 +160,32 @@ def _output(out: Path | None, source: FrameSource, preset: Preset) -> Iterator[A
             yield lambda patch, pose, record: write_row(record)
 
 
+class _StoppedError(Exception):
+    """Ends a search after Ctrl+C."""
+
+
 def _track(
     source: FrameSource,
-    pipeline: Any,
+    pipeline: ContactPipeline,
     tracker: PoseTracker,
     frames: int | None,
-    save: Any,
+    save: Save,
     stopped: Event,
     *,
     truth: bool,
-) -> _Summary:
+) -> tuple[int, str]:
+    """Track the object in all frames, and return their number and what was found as text."""
     from ...core.estimation.pose import pose_error
-    from ...core.estimation.pose_files import error_record, pose_record
+    from ...core.estimation.pose_files import pose_record
 
-    summary = _Summary()
-    enough = lost = 0
-    total = number_of_frames(source, frames)
+    name, total = tracker.mesh.name, number_of_frames(source, frames)
+    done = enough = lost = known = compared = 0
+    squared_mm = squared_deg = 0.0
+    times_ms: list[float] = []
     with CliProgress() as progress:
 
         def searching(share: float) -> None:
-            progress.preparing(share, f"Searching for {tracker.mesh.name}")
+            progress.preparing(share, f"Searching for {name}")
             if stopped.is_set():
                 raise _StoppedError
 
@@ -207,64 +199,39 @@ def _track(
                 if stopped.is_set():
                     break
             pose = tracker.track(patch, frame.proximity_time_s)
-            enough, lost = enough + touches, lost + (touches and pose.lost)
-            record = pose_record(pose) | {"ms": round(1e3 * (time.perf_counter() - begun), 2)}
-            if truth:
-                true = frame.truth.T_proximity_object if frame.truth else None
-                record |= error_record(None if true is None or pose.lost else pose_error(pose, true, tracker.mesh))
-            save(patch, pose, record)
-            summary.add(record)
-            progress.frames(summary.frames, total)
+            ms = 1e3 * (time.perf_counter() - begun)
+            true = frame.truth.T_proximity_object if truth and frame.truth is not None else None
+            error = None if true is None or pose.lost else pose_error(pose, true, tracker.mesh)
+            save(patch, pose, pose_record(pose, error) | {"ms": round(ms, 2)})
+            done, enough, lost, known = (
+                done + 1,
+                enough + touches,
+                lost + (touches and pose.lost),
+                known + (not pose.lost),
+            )
+            if not pose.lost:
+                times_ms = [*times_ms[-999:], ms]
+            if error is not None:
+                compared += 1
+                squared_mm += (1e3 * error.position_m) ** 2
+                squared_deg += math.degrees(error.angle_rad) ** 2
+            progress.frames(done, total)
+    if not done and not stopped.is_set():
+        raise SourceError(f"{source.name} gave no frames; check the source")
     if lost > enough / 2:
         warn(
-            f"{tracker.mesh.name} fits the contact in {enough - lost} of {counted(enough, 'frame')} only; check that "
-            "it is the mesh of this object, its unit and the pose it starts from"
+            f"{name} fits the contact in {enough - lost} of {counted(enough, 'frame')} only; check that it is the mesh "
+            "of this object, and its unit"
         )
-    if truth and summary.frames and not summary.compared:
+    if truth and not compared:
         warn(f"{source.name} knows no true pose, or the object was lost in every frame; the errors are empty")
-    return summary
-
-
-class _StoppedError(Exception):
-    """Ends a search after Ctrl+C."""
-
-
-@dataclass
-class _Summary:
-    """Counts and sums over all frames, and the times of the newest tracked frames."""
-
-    frames: int = 0
-    tracked: int = 0
-    compared: int = 0
-    squared_mm: float = 0.0
-    squared_deg: float = 0.0
-    free: Counter[str] = field(default_factory=Counter)
-    times_ms: deque[float] = field(default_factory=lambda: deque(maxlen=10_000))
-
-    def add(self, record: Record) -> None:
-        self.frames += 1
-        if record["lost"]:
-            return
-        self.tracked += 1
-        self.free.update(name for name in record["free"].split("; ") if name)
-        self.times_ms.append(record["ms"])
-        if record.get("position_error_mm", "") != "":
-            self.compared += 1
-            self.squared_mm += record["position_error_mm"] ** 2
-            self.squared_deg += record["angle_error_deg"] ** 2
-
-    def text(self, source: str, mesh: ObjectMesh) -> str:
-        from statistics import median
-
-        lines = [f"{counted(self.frames, 'frame')} of {source}, object {mesh.name}: pose known in {self.tracked}"]
-        if self.tracked:
-            free = sorted(self.free.items())
-            lines += [f"not determined: {name}, in {counted(count, 'frame')}" for name, count in free]
-            lines.append(f"{median(self.times_ms):.1f} ms per frame, patch not included")
-        if self.compared:
-            rms_mm, rms_deg = (math.sqrt(sum_ / self.compared) for sum_ in (self.squared_mm, self.squared_deg))
-            lines.append(
-                f"error in determined directions: {rms_mm:.2f} mm and {rms_deg:.2f} degrees RMS over "
-                f"{counted(self.compared, 'frame')}"
-            )
-        return "\n".join(lines)
+    lines = [f"{counted(done, 'frame')} of {source.name}, object {name}: pose known in {known}"]
+    if times_ms:
+        lines.append(f"{median(times_ms):.1f} ms per frame, patch not included")
+    if compared:
+        rms_mm, rms_deg = (math.sqrt(total / compared) for total in (squared_mm, squared_deg))
+        lines.append(
+            f"error in determined directions: {rms_mm:.2f} mm and {rms_deg:.2f} degrees RMS over "
+            f"{counted(compared, 'frame')}"
+        )
+    return done, "\n".join(lines)

@@ -17,7 +17,7 @@ from tactune.core.model.clouds import ray_table
 from tactune.core.model.patch import AlignedDepth, ContactPatch
 from tactune.core.preset import CameraNoise, RigNoise, now
 from tactune.core.sources.simulator.scene import simulator_rig
-from tactune.core.sources.simulator.scenes import Variant, resolve_scene
+from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.source import SimulatorSource
 
 RIG = simulator_rig()
