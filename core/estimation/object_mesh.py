@@ -25,8 +25,8 @@ SUFFIXES: Final = (".obj", ".ply", ".stl")
 _SMALLEST_M, _LARGEST_M = 0.01, 2.0
 #: Side of the quads of a simulated object's mesh, metres.
 _SIMULATED_SIDE_M: Final = 0.0015
-#: Points of the surface that tell its size.
-_SAMPLE: Final = 4000
+#: Points of the surface that tell its size, and its half turns if they lie on it within this share of its size.
+_SAMPLE, _SAME_SHARE = 4000, 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +93,22 @@ class ObjectMesh:
         scene = import_open3d().t.geometry.RaycastingScene(nthreads=1)
         scene.add_triangles(self.vertices_m.astype(np.float32), self.triangles.astype(np.uint32))
         return scene
+
+    @cached_property
+    def half_turns(self) -> list[Float64Array]:
+        """Motions, 4 x 4, that lay the surface onto itself within 2 % of its size: none, and half turns about its axes.
+
+        The axes are those of the file. Poses that differ by such a motion cannot be told apart.
+        """
+        places, found = self.sample(_SAMPLE)[0], []
+        for signs in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)):
+            motion = np.diag([*signs, 1.0])
+            motion[:3, 3] = self.centre_m - signs * self.centre_m
+            turned = places * signs + motion[:3, 3]
+            apart = np.linalg.norm(self.closest(turned)[0] - turned, axis=1)
+            if math.sqrt(float((apart**2).mean())) < _SAME_SHARE * self.radius_m:
+                found.append(motion)
+        return found
 
     def closest(self, points: Float64Array) -> tuple[Float64Array, Float64Array]:
         """Return the closest points of the surface and its unit normals there, each (N, 3), in the mesh's frame."""

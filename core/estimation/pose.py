@@ -111,14 +111,15 @@ class PoseError:
 
 
 def pose_error(estimate: PoseEstimate, truth: npt.ArrayLike, mesh: ObjectMesh) -> PoseError:
-    """Compare an estimate with the true ``T_proximity_object``."""
+    """Compare an estimate with the true ``T_proximity_object``; of poses that look equal, the nearest one is true."""
     pose, radius_m = estimate.T_proximity_object, mesh.radius_m
     centre = pose[:3, :3] @ mesh.centre_m + pose[:3, 3]
     for direction in estimate.free:  # on the axis, even a large free turn moves nothing
         if direction.kind == "turn":
             centre = np.array(direction.point_m)
             break
-    full = motion_between(np.asarray(truth, np.float64), pose, centre, radius_m)
+    equal = (motion_between(np.asarray(truth) @ turn, pose, centre, radius_m) for turn in mesh.half_turns)
+    full = min(equal, key=lambda motion: float(np.linalg.norm(motion)))
     free = np.zeros((6, len(estimate.free)))
     for column, direction in zip(free.T, estimate.free, strict=True):
         axis = np.array(direction.axis)

@@ -194,8 +194,7 @@ def test_object_that_jumps_is_found_again_and_never_silently_wrong():
     tracker.start(poses[0])
     for n, pose in enumerate(poses):
         found = tracker.track(pressed(mesh, pose, 0.03, 0.05, 0.0003, seed=n), n / 30)
-        equal = [pose @ pose_of(turns, (0, 0, 0)) for turns in ((0, 0, 0), (180, 0, 0), (0, 180, 0), (0, 0, 180))]
-        error = min((pose_error(found, each, mesh) for each in equal), key=lambda error: error.full_angle_rad)
+        error = pose_error(found, pose, mesh)
         assert found.lost or (error.position_m < 2e-3 and error.angle_rad < np.radians(2))
     assert not found.lost
 
