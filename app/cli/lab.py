@@ -317,7 +317,7 @@ def scan(  # noqa: PLR0915  # one thought: options, pose, frames, words
 
     --refine hides errors that all patch points share; a pose that was measured without the patch is fairer.
     """
-    from ...core.estimation import start_pose
+    from ...core.lab import start_pose
     from ...core.lab.methods import check_methods, method_names, patch_area_mm2
     from ...core.lab.scan import (
         load_scan,
@@ -433,7 +433,7 @@ def _paint(words: list[str]) -> PaintSettings:
 
 
 def _start_pose(transform: Path | None, pairs: Path | None, unit_m: float) -> Matrix4:
-    from ...core.estimation.start_pose import load_transform, pose_from_pairs, read_pairs
+    from ...core.lab.start_pose import load_transform, pose_from_pairs, read_pairs
 
     if (transform is None) == (pairs is None):
         raise TactuneError("give the pose of the scan: either --transform FILE or --pairs FILE.csv")

@@ -63,8 +63,7 @@ class ObjectMesh:
     @cached_property
     def areas_m2(self) -> Float64Array:
         """Area of each triangle, float64 (M,)."""
-        a, b, c = (self.vertices_m[self.triangles[:, k]] for k in range(3))
-        return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
+        return triangle_areas(self.vertices_m, self.triangles)
 
     def sample(self, count: int) -> tuple[Float64Array, Float64Array]:
         """Return points spread evenly over the surface, metres, and the unit normals there, each (count, 3)."""
@@ -96,15 +95,18 @@ class ObjectMesh:
 
     @cached_property
     def half_turns(self) -> list[Float64Array]:
-        """Motions, 4 x 4, that lay the surface onto itself within 2 % of its size: none, and half turns about its axes.
+        """Motions, 4 x 4, that lay the surface onto itself within 2 % of its size: none, and half turns about an axis.
 
-        The axes are those of the file. Poses that differ by such a motion cannot be told apart.
+        Axes of the file and principal axes are tried. Poses that differ by such a motion cannot be told apart.
         """
-        places, found = self.sample(_SAMPLE)[0], []
-        for signs in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)):
-            motion = np.diag([*signs, 1.0])
-            motion[:3, 3] = self.centre_m - signs * self.centre_m
-            turned = places * signs + motion[:3, 3]
+        away = self.vertices_m[self.triangles].mean(axis=1) - self.centre_m
+        principal = np.linalg.eigh((away * self.areas_m2[:, None]).T @ away)[1]
+        places, found = self.sample(_SAMPLE)[0], [np.eye(4)]
+        for axis in (*np.eye(3), *principal.T):
+            motion = np.eye(4)
+            motion[:3, :3] = 2 * np.outer(axis, axis) - np.eye(3)
+            motion[:3, 3] = self.centre_m - motion[:3, :3] @ self.centre_m
+            turned = places @ motion[:3, :3] + motion[:3, 3]
             apart = np.linalg.norm(self.closest(turned)[0] - turned, axis=1)
             if math.sqrt(float((apart**2).mean())) < _SAME_SHARE * self.radius_m:
                 found.append(motion)
@@ -142,7 +144,7 @@ def load_mesh(path: Path | str, unit: str | None = None) -> ObjectMesh:
     if unit is not None and unit not in UNITS_M:
         raise SourceError(f"there is no unit {unit!r}; choose one of {', '.join(UNITS_M)}")
     path = user_path(path)
-    vertices, triangles = _read_triangles(path)
+    vertices, triangles = read_triangles(path, SUFFIXES)
     size = math.dist(vertices.min(axis=0), vertices.max(axis=0))
     for candidate in (unit,) if unit else ("m", "mm"):
         if _SMALLEST_M <= size * UNITS_M[candidate] <= _LARGEST_M:
@@ -152,34 +154,6 @@ def load_mesh(path: Path | str, unit: str | None = None) -> ObjectMesh:
         f"{path} is {size:.4g} across, which {tried} is no object of {1e3 * _SMALLEST_M:g} mm to {_LARGEST_M:g} m; "
         f"check its unit, which is one of {', '.join(UNITS_M)}"
     )
-
-
-def _read_triangles(path: Path) -> tuple[Float64Array, Int32Array]:
-    """Return vertices in the file's unit, coincident ones merged, and triangles that face outwards."""
-    if path.suffix.lower() not in SUFFIXES:
-        raise SourceError(f"{path} has the suffix {path.suffix!r}; a mesh is one of {', '.join(SUFFIXES)}")
-    if not path.is_file():
-        raise SourceError(f"cannot read {path}: there is no such file; check the path")
-    try:
-        import trimesh
-    except ImportError as error:
-        raise MissingExtraError('a mesh needs trimesh: pip install "tactune[open3d]"') from error
-    try:
-        mesh = trimesh.load_mesh(path, skip_materials=True)
-        mesh.merge_vertices(merge_tex=True, merge_norm=True)
-        vertices, triangles = np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int32)
-    except OSError as error:
-        raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
-    except Exception as error:  # trimesh does not wrap the errors of its parsers
-        detail = " ".join(str(error).split())[:200] or type(error).__name__
-        raise SourceError(f"{path} is no readable {path.suffix} mesh ({detail}); export it again") from error
-    if not len(triangles):
-        raise SourceError(f"{path} has no triangles; export the object as a mesh")
-    if not np.isfinite(vertices).all():
-        raise SourceError(f"{path} has vertices that are not finite; export it again")
-    a, b, c = (vertices[triangles[:, k]] - vertices.mean(axis=0) for k in range(3))
-    inside_out = (a * np.cross(b, c)).sum() < 0
-    return vertices, np.ascontiguousarray(triangles[:, ::-1]) if inside_out else triangles
 
 
 def simulated_mesh(scene: Scene, name: str) -> ObjectMesh:

@@ -22,11 +22,11 @@ from scipy.spatial import cKDTree
 from ..contact.masking import in_hsv_range
 from ..errors import CalibrationError, MissingExtraError, SourceError, TactuneError
 from ..estimation.mesh_files import load_meshes, merge, triangle_areas
-from ..estimation.start_pose import fit_pose, transformed
 from ..model.arrays import AnyArray, BoolArray, Float64Array, Int32Array, Uint8Array
 from ..model.frames import Matrix4, rigid_transform
 from ..model.metrics import nearest_distances
 from ..preset import MaskSection
+from .start_pose import fit_pose, transformed
 
 SUFFIXES: Final = (".ply", ".obj")
 #: Plausible sizes of an object that a hand-sized sensor can touch.

@@ -22,7 +22,7 @@ import pytest
 from attacks import SECONDS, bounded
 from tactune.core.calibration.lens import fit_lens
 from tactune.core.errors import TactuneError
-from tactune.core.estimation.start_pose import load_transform
+from tactune.core.lab.start_pose import load_transform
 from tactune.core.model.loading import parse_json, read_file
 from tactune.core.model.rig_file import load_rig
 from tactune.core.output.cloud_files import read_points

@@ -22,7 +22,6 @@ from PyQt6.QtWidgets import QApplication, QWidget
 from bag_maker import D405, L515, make_bag
 from folder_scenes import RIG, ListSource, make_frame
 from tactune.app.analysis.live_tab import write_picture
-from tactune.app.analysis.truth_state import FrozenPatch, PickedPair, TruthKeeper, TruthSession, TruthState
 from tactune.app.calibration.keeping import Keeper
 from tactune.app.calibration.session import PointPair, Session, SessionState, Snapshot
 from tactune.app.document.document import Document
@@ -36,10 +35,10 @@ from tactune.core.calibration.snapshots import content_hash
 from tactune.core.errors import ExportError, SourceError
 from tactune.core.estimation.object_mesh import load_mesh
 from tactune.core.estimation.pose_files import save_poses
-from tactune.core.estimation.start_pose import load_transform, save_transform
-from tactune.core.estimation.start_pose import read_pairs as read_scan_pairs
 from tactune.core.lab import table
 from tactune.core.lab.scan import load_scan
+from tactune.core.lab.start_pose import load_transform, save_transform
+from tactune.core.lab.start_pose import read_pairs as read_scan_pairs
 from tactune.core.model.clouds import PointCloud
 from tactune.core.model.files import write_csv
 from tactune.core.model.rig_file import load_rig
@@ -212,7 +211,6 @@ def said_as_errors(keeper: Kept) -> Iterator[Kept]:
 
 SNAPSHOTS = [Snapshot(content_hash(frame), "here", frame) for frame in FRAMES[:2]]
 PAIR = PointPair(key=1, proximity=(1.0, 2.0), tactile=(2.0, 3.0), tactile_depth_m=0.3)
-PATCHES = [FrozenPatch(cloud.points, cloud.points[:9], 81.0, "sim:cup", 7, "default") for cloud in CLOUDS]
 
 
 def calibrate(folder: Path, n: int) -> None:
@@ -229,25 +227,6 @@ def restore_calibration(folder: Path) -> bool:
     keeper = Keeper(session, folder)
     keeper.failed.connect(said.append)
     keeper.restore()
-    keeper.close()
-    return not said
-
-
-def align(folder: Path, n: int) -> None:
-    application()
-    session = TruthSession()
-    with said_as_errors(TruthKeeper(session, folder)) as keeper:
-        keeper.switch_to("abc0")
-        session.edit("all", TruthState(pairs=(PickedPair((0.1, 0.2, 0.3), None),), pose=POSE, patch=PATCHES[n]))
-        keeper.close()
-
-
-def restore_alignment(folder: Path) -> bool:
-    application()
-    session, said = TruthSession(), list[str]()
-    keeper = TruthKeeper(session, folder)
-    keeper.failed.connect(said.append)
-    keeper.switch_to("abc0")
     keeper.close()
     return not said
 
@@ -353,7 +332,6 @@ KINDS: dict[str, Kind] = {
     "search": Kind(search, lambda f: search(f, 0), 600, grows=True, keeps_state=True),
     "unsaved preset": Kind(autosave, lambda f: len(unsaved_work(f)) == len(list(f.glob("unsaved-*.json")))),
     "calibration": Kind(calibrate, restore_calibration, keeps_state=True),
-    "alignment": Kind(align, restore_alignment, keeps_state=True),
     "settings": Kind(remember, read_settings, silent=True),
     "scan's pairs": Kind(text("a.csv", SCAN_PAIRS), lambda f: read_scan_pairs(f / "a.csv"), ours=False),
     "scan": Kind(text("a.obj", OBJ), lambda f: load_scan(f / "a.obj"), 200, ours=False),
