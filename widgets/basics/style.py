@@ -9,8 +9,8 @@ from typing import Any, Final, cast
 
 import pyqtgraph as pg
 from PyQt6 import sip
-from PyQt6.QtCore import QObject, Qt
-from PyQt6.QtGui import QColor
+from PyQt6.QtCore import QObject, QRectF, Qt
+from PyQt6.QtGui import QColor, QPainter
 from PyQt6.QtWidgets import (
     QApplication,
     QFocusFrame,
@@ -40,7 +40,8 @@ _SHEET: Final = Template("""
 QPushButton, QToolButton[autoRaise="false"] {
     background: $button; border: 1px solid $outline; border-radius: 4px; padding: 2px 8px; }
 QToolButton[autoRaise="false"] { padding: 1px 2px; }
-QDialogButtonBox QPushButton { min-width: 60px; }
+QPushButton { min-width: 62px; }
+QPushButton:focus, QToolButton[autoRaise="false"]:focus { border-color: $focus; }
 QPushButton[flat="true"] { background: transparent; border: none; }
 QPushButton:hover, QToolButton[autoRaise="false"]:hover, QToolButton[autoRaise="true"]:hover { background: $alternate; }
 QPushButton:pressed, QToolButton:pressed { background: $border; }
@@ -67,6 +68,7 @@ QCheckBox::indicator, QRadioButton::indicator, QAbstractItemView::indicator {
 QRadioButton::indicator { border-radius: 7px; }
 QCheckBox::indicator:checked, QAbstractItemView::indicator:checked {
     background: $accent; border-color: $accent; image: url($icons/tick.svg); }
+QCheckBox::indicator:indeterminate { background: $accent; border-color: $accent; }
 QRadioButton::indicator:checked { background: $on_accent; border: 5px solid $accent; width: 4px; height: 4px; }
 QCheckBox::indicator:disabled, QRadioButton::indicator:disabled { border-color: $border; }
 QCheckBox::indicator:checked:disabled { background: $border; }
@@ -91,8 +93,6 @@ QTabWidget::pane, QGroupBox { border: 1px solid $border; border-radius: 4px; }
 QHeaderView::section {
     background: $alternate; border: none; border-right: 1px solid $border; border-bottom: 1px solid $border;
     padding: 2px 4px; }
-QProgressBar { background: $base; border: 1px solid $outline; border-radius: 4px; text-align: center; }
-QProgressBar::chunk { background: $accent; border-radius: 3px; }
 QFrame[severity="Note"] { background: $accent; }
 QFrame[severity="Warning"] { background: $warning; }
 QFrame[severity="Error"] { background: $error; }
@@ -101,7 +101,7 @@ QToolBar { border: none; spacing: 4px; padding: 2px 4px; }
 
 
 class _Style(QProxyStyle):
-    """Fusion with spacings on the grid, tooltips that wrap, and sliders whose handle jumps to a press."""
+    """Fusion with spacings on the grid, visible frames, wrapped tooltips, and sliders that jump to a press."""
 
     def __init__(self) -> None:
         super().__init__("Fusion")
@@ -111,6 +111,20 @@ class _Style(QProxyStyle):
         if isinstance(target, QWidget) and is_tip(target):
             self._tips.watch(target)
         return super().polish(target)
+
+    def drawPrimitive(
+        self,
+        element: QStyle.PrimitiveElement,
+        option: QStyleOption | None,
+        painter: QPainter | None,
+        widget: QWidget | None = None,
+    ) -> None:
+        if element == QStyle.PrimitiveElement.PE_Frame and option is not None and painter is not None:
+            painter.setPen(QColor(theme_colors().border))
+            painter.setBrush(Qt.BrushStyle.NoBrush)
+            painter.drawRoundedRect(QRectF(option.rect).adjusted(0.5, 0.5, -0.5, -0.5), 4.0, 4.0)
+        else:
+            super().drawPrimitive(element, option, painter, widget)
 
     def pixelMetric(
         self, metric: QStyle.PixelMetric, option: QStyleOption | None = None, widget: QWidget | None = None

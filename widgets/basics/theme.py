@@ -26,69 +26,49 @@ _TEXT_SIZES: Final[dict[TextSize, float]] = {"caption": 0.9, "body": 1.0, "title
 
 @dataclass(frozen=True)
 class ThemeColors:
-    """Named colours of a theme, as ``#rrggbb``.
-
-    ``muted`` is for secondary text, ``accent_text`` for text in the accent's hue, ``error`` for refused values,
-    ``warning`` for findings, ``recording`` for the dot of a recording.
-    ``border`` separates areas; ``outline`` bounds fields and grooves, ``focus`` the one with the keyboard, and ``knob``
-    fills a slider's handle. ``outside`` paints what lies outside a band, ``accent`` what lies inside.
-    """
+    """Named colours of a theme, as ``#rrggbb``."""
 
     window: str
     base: str
     alternate: str
     button: str
-    border: str
-    outline: str
-    focus: str
-    knob: str
+    border: str  # separates areas
+    outline: str  # bounds fields and grooves
+    focus: str  # bounds the field with the keyboard
+    knob: str  # fills a slider's handle
     text: str
-    muted: str
+    muted: str  # secondary text
     disabled: str
-    accent_text: str
-    error: str
-    warning: str
-    outside: str
+    accent_text: str  # text in the accent's hue
+    error: str  # refused values
+    warning: str  # findings
+    outside: str  # what lies outside a band; accent: inside
     recording: str = "#d64545"
     accent: str = ACCENT
     on_accent: str = "#ffffff"
 
 
-_THEMES: dict[ThemeName, ThemeColors] = {
-    "light": ThemeColors(
-        window="#f3f4f6",
-        base="#ffffff",
-        alternate="#e9ebee",
-        button="#ffffff",
-        border="#c9ced5",
-        outline="#767e88",
-        focus=ACCENT,
-        knob="#ffffff",
-        text="#1b2026",
-        muted="#545d68",
-        disabled="#8b939c",
-        accent_text="#0b5bbd",
-        error="#b3231b",
-        warning="#8a5200",
-        outside="#8f98a3",
-    ),
-    "dark": ThemeColors(
-        window="#20242a",
-        base="#16191e",
-        alternate="#262b32",
-        button="#2d333b",
-        border="#3d444d",
-        outline="#78818d",
-        focus="#78b0ff",
-        knob="#16191e",
-        text="#e7eaee",
-        muted="#a7b0bb",
-        disabled="#747d88",
-        accent_text="#78b0ff",
-        error="#ff8a80",
-        warning="#f2b950",
-        outside="#7b8591",
-    ),
+#: Field of `ThemeColors`: light, dark.
+_COLORS: Final = {
+    "window": ("#f3f4f6", "#20242a"),
+    "base": ("#ffffff", "#16191e"),
+    "alternate": ("#e9ebee", "#262b32"),
+    "button": ("#ffffff", "#2d333b"),
+    "border": ("#c9ced5", "#3d444d"),
+    "outline": ("#767e88", "#78818d"),
+    "focus": (ACCENT, "#78b0ff"),
+    "knob": ("#ffffff", "#16191e"),
+    "text": ("#1b2026", "#e7eaee"),
+    "muted": ("#545d68", "#a7b0bb"),
+    "disabled": ("#8b939c", "#747d88"),
+    "accent_text": ("#0b5bbd", "#78b0ff"),
+    "error": ("#b3231b", "#ff8a80"),
+    "warning": ("#8a5200", "#f2b950"),
+    "outside": ("#8f98a3", "#7b8591"),
+}
+_THEMES: Final[dict[ThemeName, ThemeColors]] = {
+    "light": ThemeColors(**{name: light for name, (light, _) in _COLORS.items()}),
+    "dark": ThemeColors(**{name: dark for name, (_, dark) in _COLORS.items()}),
 }
 
 _state: dict[str, ThemeName] = {"name": "light"}
