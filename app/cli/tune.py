@@ -68,8 +68,8 @@ def tune(
     ] = None,
     scheduler: Annotated[
         str | None,
-        typer.Option(metavar="ADDRESS", help="A Dask scheduler, such as tcp://10.0.0.5:8786: run on its workers, which "
-                     "need this version of Tactune and see the recordings under the same paths."),
+        typer.Option(metavar="ADDRESS", help="A Dask scheduler, such as tcp://10.0.0.5:8786: run on its workers of one "
+                     "thread, which need this version of Tactune and see the recordings under the same paths."),
     ] = None,
     out: Annotated[
         Path | None,
@@ -77,8 +77,8 @@ def tune(
     ] = None,
     study: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="All trials, for optuna-dashboard too; searches that share it work together. "
-                     "Default: beside --out, else tune.study.log."),
+        typer.Option(metavar="FILE", help="All trials, for optuna-dashboard too. Default: beside --out, else "
+                     "tune.study.log."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print each trial as one line of JSON when it ends.")] = False,
 ) -> None:  # fmt: skip

@@ -1,14 +1,13 @@
 """Measures trials over all clips, on one thread of a worker.
 
 The outer loop is over frames, the inner loop over trials. Each frame is therefore read once for all trials, and
-consecutive trials share the results of their common steps. A worker keeps its sources open.
+consecutive trials share the results of their common steps.
 """
 
 from __future__ import annotations
 
 import math
 import sys
-import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -23,14 +22,13 @@ from ..contact.kernels.threads import set_threads
 from ..contact.pipeline import ContactPipeline
 from ..errors import TactuneError
 from ..model.arrays import BoolArray, Float32Array
-from ..model.files import code_version
 from ..model.frames import Rig, SensorFrame
 from ..model.metrics import TruthTree, pixel_scores, true_contact
 from ..model.patch import ContactPatch
 from ..preset import Preset
 from ..sources.base import SeekableSource
 from ..warmup import warm_up
-from .plan import STAGE_OF, Clip, Plan, TuneError, content_of, open_recording
+from .plan import STAGE_OF, Plan, open_recording
 
 #: Values of `OBJECTIVES`, the time only if it is one, and ``points``; those that are undefined are missing. And why the
 #: trial's parameters cannot be used; empty if they can.
@@ -39,55 +37,30 @@ Measured = tuple[dict[str, float], str]
 #: Frames on which a trial is timed without shared steps, and runs of each; the least time of a frame counts.
 _TIMES: Final = 5
 _REPEATS: Final = 3
-#: Upper limit of the sources that a worker's thread keeps open.
-_MAX_OPEN: Final = 8
 #: Time in which other workers and programs have the processor does not count, except on Windows, whose clock of
 #: threads counts in 16 ms.
 _clock_ns: Final = time.perf_counter_ns if sys.platform == "win32" else time.thread_time_ns
 
 
-class _Sources(threading.local):
-    """The sources that a thread keeps open."""
-
-    def __init__(self) -> None:
-        self.of = lru_cache(_MAX_OPEN)(_open)
-
-
-def _open(clip: Clip) -> SeekableSource:
-    """Open the source of a clip. Raises a `TuneError` if its frames are not those of the plan."""
+@lru_cache(8)
+def _source(name: str) -> SeekableSource:
+    """Open a source once for all batches of this process."""
     warm_up()  # so that no measured time includes loading code
-    source = open_recording(clip.name)
-    if content_of(source, clip.frames)[0] != clip.content:
-        raise TuneError(
-            f"{clip.source} holds other frames than when this search began, or on this worker; "
-            "make it the same everywhere and give the same command again"
-        )
-    return source
-
-
-_sources: Final = _Sources()
+    return open_recording(name)
 
 
 def measure(plan: Plan, trials: Sequence[dict[str, Any]]) -> list[Measured]:
     """Measure trials, each given by the values of its fields. The calling thread does nothing else: it is a worker's.
 
-    Raises
-    ------
-    TactuneError
-        This process runs another version of the code than the plan, or its recording has other frames.
+    Raises a `TactuneError` if a source cannot be read.
     """
-    if code_version() != plan.code:
-        raise TuneError(
-            "a worker runs another version of Tactune than this search; install the same one everywhere, "
-            "restart the workers and give the same command again"
-        )
     set_threads(1)
     cv2.setNumThreads(1)
     runs = [_Run(plan.base, values) for values in trials]
     early_first = sorted(runs, key=_Run.order)
     timed_frames = -(-_TIMES // len(plan.clips)) if "ms" in plan.objectives else 0
     for clip in plan.clips:
-        source = _sources.of(clip)
+        source = _source(clip.name)
         shared = ContactPipeline(plan.base, source.rig)
         for run in runs:
             run.attempt(run.begin, shared, source.rig)

@@ -1,4 +1,4 @@
-"""The plan of a search: a preset, the fields that vary, frames known by their content, and what is optimised."""
+"""The plan of a search: a preset, the fields that vary, the frames, and what is optimised."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from ..calibration.snapshots import content_hash
 from ..contact.checks import check_rig
 from ..errors import TactuneError
-from ..model.files import code_version, path_exists, recording_files, user_path
+from ..model.files import path_exists, recording_files, user_path
 from ..preset import CONTACT_TESTS, Preset
 from ..preset.preset import json_or_word, preset_paths, set_path
 from ..sources.base import FrameSource, SeekableSource
@@ -208,12 +207,11 @@ def grid_of(axes: Sequence[Axis]) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True)
 class Clip:
-    """Frames of one source: as the user wrote it, as every process can open it, and what is in the frames."""
+    """Frames of one source: as the user wrote it, as every process can open it, and whether they have truth."""
 
     source: str
     name: str
     frames: range
-    content: str
     has_truth: bool
 
 
@@ -226,23 +224,9 @@ def open_recording(name: str, opener: Callable[[str], FrameSource] = open_source
     return source
 
 
-def content_of(source: SeekableSource, frames: range) -> tuple[str, bool]:
-    """Return a hash of the rig and of the frames' images and truth, and whether at least one frame has truth."""
-    digest, has_truth = hashlib.blake2b(source.rig.model_dump_json().encode(), digest_size=16), False
-    for frame in map(source.read, frames):
-        has_truth = has_truth or frame.truth is not None
-        digest.update(content_hash(frame).encode())
-        for image in (frame.truth.contact, frame.truth.depth_m) if frame.truth else ():
-            digest.update(b"none" if image is None else np.ascontiguousarray(image).tobytes())
-    return digest.hexdigest(), has_truth
-
-
 @dataclass(frozen=True)
 class Plan:
-    """All that decides a search; ``code`` is the version of the program's code, ``objectives`` are in `OBJECTIVES`.
-
-    ``base`` has the values of the fields that do not vary, and those of the first trial.
-    """
+    """All that decides a search; ``base`` has the fields that do not vary, and the values of the first trial."""
 
     base: Preset
     axes: tuple[Axis, ...]
@@ -251,14 +235,13 @@ class Plan:
     sampler: Sampler
     trials: int
     seed: int
-    code: str
 
     @property
     def identity(self) -> str:
-        """Hash of all that a trial's result and the choice of trials depend on."""
+        """Hash of the request: the same command continues its search."""
         base = self.base.model_dump_json(exclude={"name", "notes", "created", "modified"})
-        clips = [(clip.content, list(clip.frames)) for clip in self.clips]
-        decisive = [base, list(map(asdict, self.axes)), clips, self.objectives, self.sampler, self.seed, self.code]
+        clips = [(clip.name, list(clip.frames)) for clip in self.clips]
+        decisive = [base, list(map(asdict, self.axes)), clips, self.objectives, self.sampler, self.seed]
         return hashlib.sha256(json.dumps(decisive).encode()).hexdigest()[:12]
 
 
@@ -274,7 +257,7 @@ def make_plan(
     seed: int = 0,
     opener: Callable[[str], FrameSource] = open_source,
 ) -> Plan:
-    """Check a request and return the plan. Sources are opened and hashed; no trial is run.
+    """Check a request and return the plan. Sources are opened; no trial is run.
 
     Defaults: `default_axes`; all frames; the RMSE and the time, or without truth the stability and the time; the grid
     with all its points if each axis has steps and no number of trials is given, else TPE with `TRIALS`.
@@ -302,7 +285,7 @@ def make_plan(
             raise TuneError(f"{blind} has no ground truth, so {name} is undefined; choose from {without}")
         if name == "stability" and all(len(clip.frames) == 1 for clip in clips):
             raise TuneError("stability compares consecutive frames, but there is only one; choose another --objective")
-    return Plan(base, axes, clips, wanted, chosen, count, seed, code_version())
+    return Plan(base, axes, clips, wanted, chosen, count, seed)
 
 
 def _inspect(source: str, frames: slice, preset: Preset, opener: Callable[[str], FrameSource]) -> Clip:
@@ -315,4 +298,4 @@ def _inspect(source: str, frames: slice, preset: Preset, opener: Callable[[str],
         check_rig(preset, opened.rig)
         if not (chosen := range(opened.length)[frames]):
             raise TuneError(f"{source} has {opened.length} frames, none of them chosen; choose others with --frames")
-        return Clip(source, name, chosen, *content_of(opened, chosen))
+        return Clip(source, name, chosen, opened.read(chosen[0]).truth is not None)

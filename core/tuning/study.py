@@ -1,22 +1,19 @@
-"""The search: an Optuna study in a journal file, which any number of processes and computers may share.
+"""The search: an Optuna study in a journal file.
 
-The file is the only state. A search that was killed continues with the same command; ``optuna-dashboard`` reads it.
+The file is the only state. A search that was ended continues with the same command; ``optuna-dashboard`` reads it.
 """
 
 from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
-from ..errors import ExportError, MissingExtraError
+from ..errors import ExportError, MissingExtraError, TactuneError
 from ..preset import Preset, now
 from .measure import Measured, measure
 from .plan import OBJECTIVES, Axis, Plan, TuneError, grid_of, plain_value
@@ -36,16 +33,12 @@ _TRIALS_A_BATCH: Final = {"grid": 50, "qmc": 50, "tpe": 4, "nsga2": 10}
 _POPULATION: Final = 20
 #: Minimum number of batches per worker, so that no worker is idle towards the end.
 _BATCHES_A_WORKER: Final = 4
-#: Interval of looks at workers and other searches, and grace period of a lock whose holder was killed, seconds.
+#: Interval of looks at workers, seconds.
 _LOOK_S: Final = 0.5
-_GRACE_S: Final = 5
 #: In the notes of each preset that a search has written.
 FOUND_BY: Final = "found by tactune tune"
-
 #: How each line of Optuna's journal begins.
 _JOURNAL: Final = b'{"op_code":'
-#: What Optuna, or reading a trial, raises for a journal that is damaged or was removed.
-_DAMAGE: Final = (ValueError, LookupError, TypeError, AttributeError, AssertionError, RecursionError, OverflowError)
 
 optuna.logging.set_verbosity(optuna.logging.ERROR)
 
@@ -65,13 +58,9 @@ class Trial:
 
 
 class Study:
-    """The study of a plan in a journal file.
+    """The study of a plan in a journal file, which is created if it does not exist, and may hold several studies.
 
-    A trial of Optuna is begun in the file, then measured, then told. Whoever finds no more to begin takes over what
-    others have begun, because they may be dead; Optuna keeps the first result of a trial and refuses others.
-
-    The file is created if it does not exist, and may hold several studies. Raises a `TuneError` if it is not a journal,
-    an `ExportError` if it cannot be written.
+    Raises a `TuneError` if the file is not a journal, an `ExportError` if it cannot be written.
     """
 
     def __init__(self, plan: Plan, path: Path) -> None:
@@ -79,10 +68,16 @@ class Study:
         self._present = {axis.path: plain_value(plan.base, axis.path) for axis in plan.axes}
         if path.exists() and not path.is_file():
             raise TuneError(f"{path} is no ordinary file; choose another --study")
-        with self._undamaged():
+        try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._study = self._open()
-        self.results()
+            self.results()
+        except TactuneError:
+            raise
+        except OSError as error:
+            raise ExportError(f"cannot write {path}: {error.strerror or error}; choose another --study") from error
+        except Exception as error:  # what Optuna raises for a damaged journal depends on where it is damaged
+            raise TuneError(f"{path} is damaged or not the file of a search; choose another --study") from error
 
     def results(self) -> tuple[list[Trial], list[Trial]]:
         """Return the measured trials by number, and the front: those that no other beats in all objectives.
@@ -91,65 +86,58 @@ class Study:
         """
         first = self.plan.objectives[0]
         sign = -1.0 if OBJECTIVES[first].larger else 1.0
-        with self._undamaged():
-            best = self._study.best_trials  # before all trials: another search may finish one in between
-            trials = {}
-            for trial in self._study.get_trials(deepcopy=False):
-                if trial.state.is_finished():
-                    values, (figures, failure) = self._values(trial.params), trial.user_attrs["measured"]
-                    told = dict(zip(self.plan.objectives, trial.values or (), strict=False))
-                    figures = figures | told  # another search may have measured it, too
-                    trials[trial.number] = Trial(trial.number, values, figures, failure, values == self._present)
-            front = [trials[trial.number] for trial in best]
-            front.sort(key=lambda it: (float(f"{sign * it.figures[first]:.9g}"), it.figures.get("ms", 0.0)))
-            return list(trials.values()), front
+        trials = {}
+        for trial in self._study.get_trials(deepcopy=False):
+            if trial.state.is_finished() and "measured" in trial.user_attrs:
+                values, (figures, failure) = self._values(trial.params), trial.user_attrs["measured"]
+                trials[trial.number] = Trial(trial.number, values, figures, failure, values == self._present)
+        front = [trials[trial.number] for trial in self._study.best_trials]
+        front.sort(key=lambda it: (float(f"{sign * it.figures[first]:.9g}"), it.figures.get("ms", 0.0)))
+        return list(trials.values()), front
 
     def run(self, workers: Workers, stopped: Callable[[], bool] = lambda: False) -> Iterator[int]:
         """Measure trials until the plan's number is reached; yield the number that is measured each time it grows.
 
         Close the iterator or let ``stopped`` return True to cancel. Trials that have been counted are in the file.
-
-        Raises
-        ------
-        TactuneError
-            A batch cannot be measured, the workers are gone, or the file was damaged or removed meanwhile.
+        Raises a `TactuneError` if a batch cannot be measured or the workers are gone.
         """
-        with self._undamaged():
-            self._points = self._first_points()
-            ahead = 2 if len(self._points) > 1 else 1
-            running: dict[Future[list[Measured]], list[optuna.Trial]] = {}
-            said = -1
-            while said < self.plan.trials and not stopped():
-                take_over = not running
-                while len(running) < ahead * max(1, workers.count()):
-                    numbers = {trial.number for batch in running.values() for trial in batch}
-                    if not (trials := self._begin(workers.count(), numbers, take_over)):
-                        break
-                    with workers.told():
-                        values = [self._values(trial.params) for trial in trials]
-                        running[workers.submit(measure, self.plan, values)] = trials
-                for future in wait(running, _LOOK_S, FIRST_COMPLETED).done:
-                    with workers.told():
-                        measured = future.result()
-                    for trial, found in zip(running.pop(future), measured, strict=True):
-                        self._tell(trial, found)
-                done = sum(trial.state.is_finished() for trial in self._study.get_trials(deepcopy=False))
-                if done != said:
-                    said = done
-                    yield done
+        self._prepare()
+        running: dict[Future[list[Measured]], list[optuna.Trial]] = {}
+        done = begun = len(self.results()[0])
+        yield done
+        while done < self.plan.trials and not stopped():
+            while begun < self.plan.trials and len(running) < workers.count + 1:
+                size = min(self._batch_size(self.plan.trials - begun, workers.count), self.plan.trials - begun)
+                trials = [_suggest(self.plan.axes, self._study.ask()) for _ in range(size)]
+                values = [self._values(trial.params) for trial in trials]
+                running[self._submit(workers, values)] = trials
+                begun += size
+            for future in wait(running, _LOOK_S, FIRST_COMPLETED).done:
+                try:
+                    measured = future.result()
+                except TactuneError:
+                    raise
+                except Exception as error:
+                    raise _worker_failed(error) from error
+                for trial, found in zip(running.pop(future), measured, strict=True):
+                    self._tell(trial, found)
+                    done += 1
+                yield done
+
+    def _submit(self, workers: Workers, values: list[dict[str, Any]]) -> Future[list[Measured]]:
+        try:
+            return workers.submit(measure, self.plan, values)
+        except Exception as error:
+            raise _worker_failed(error) from error
 
     def _open(self) -> optuna.Study:
-        lock = JournalFileOpenLock(str(self.path), grace_period=_GRACE_S)
-        lock.acquire()
-        try:
-            with self.path.open("a+b") as file:  # a line that was cut off by a crash would spoil the next one
-                file.seek(0)
-                data = file.read()
-                if not data.startswith(_JOURNAL[: len(data)]):  # a person's file must stay as it is
-                    raise TuneError(f"{self.path} exists and is not the file of a search; choose another --study")
-                file.truncate(data.rfind(b"\n") + 1)
-        finally:
-            lock.release()
+        lock = JournalFileOpenLock(str(self.path))
+        with self.path.open("a+b") as file:  # a line that was cut off by a crash would spoil the next one
+            file.seek(0)
+            data = file.read()
+            if not data.startswith(_JOURNAL[: len(data)]):  # a person's file must stay as it is
+                raise TuneError(f"{self.path} exists and is not the file of a search; choose another --study")
+            file.truncate(data.rfind(b"\n") + 1)
         study = optuna.create_study(
             storage=JournalStorage(JournalFileBackend(str(self.path), lock_obj=lock)),
             study_name=f"{self.plan.base.name[:60]} {self.plan.identity}",
@@ -162,48 +150,29 @@ class Study:
             study.set_user_attr("sources", [clip.source for clip in self.plan.clips])
         return study
 
-    @contextmanager
-    def _undamaged(self) -> Iterator[None]:
-        """Raise a `TuneError` where the journal is damaged, an `ExportError` where it cannot be written."""
-        try:
-            yield
-        except _DAMAGE as error:
-            raise TuneError(f"{self.path} is damaged or not the file of a search; choose another --study") from error
-        except OSError as error:
-            raise ExportError(f"cannot write {self.path}: {error.strerror or error}; choose another --study") from error
-
-    def _first_points(self) -> list[dict[str, Any]]:
-        """Return Optuna's parameters of the first trials: a grid or quasi-random sequence, or the present preset's."""
+    def _prepare(self) -> None:
+        """Choose the sampler, and the first trials that are not measured yet: the grid, or the present preset."""
+        samplers = optuna.samplers
+        seed = self.plan.seed + len(self._study.get_trials(deepcopy=False))  # a search that goes on draws others
+        chosen: dict[str, Callable[[], optuna.samplers.BaseSampler]] = {
+            "grid": lambda: samplers.RandomSampler(seed),  # all its trials are queued
+            "qmc": lambda: samplers.QMCSampler(scramble=True, seed=self.plan.seed, warn_independent_sampling=False),
+            "tpe": lambda: samplers.TPESampler(seed=seed, constant_liar=True),
+            "nsga2": lambda: samplers.NSGAIISampler(population_size=_POPULATION, seed=seed),
+        }
+        with _experimental():
+            self._study.sampler = chosen[self.plan.sampler]()
+        for trial in self._study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):  # of a search that was ended
+            self._study.tell(trial.number, state=TrialState.FAIL)
+        points = [self._present] if all(axis.holds(self._present[axis.path]) for axis in self.plan.axes) else []
         if self.plan.sampler == "grid":
-            return [{axis.path: _label(axis, point[axis.path]) for axis in self.plan.axes}
-                    for point in grid_of(self.plan.axes)]  # fmt: skip
-        present = {axis.path: _label(axis, self._present[axis.path]) for axis in self.plan.axes}
-        points = [present] if all(axis.holds(self._present[axis.path]) for axis in self.plan.axes) else []
-        if self.plan.sampler == "qmc":
-            with _experimental():
-                qmc = optuna.samplers.QMCSampler(scramble=True, seed=self.plan.seed, warn_independent_sampling=False)
-            drawn = optuna.create_study(sampler=qmc)
-            drawn.tell(_suggest(self.plan.axes, drawn.ask()), 0.0)  # the sequence begins after the first trial
-            points += [_suggest(self.plan.axes, drawn.ask()).params for _ in range(self.plan.trials)]
-        return points
-
-    def _begin(self, workers: int, running: Collection[int], take_over: bool) -> list[optuna.Trial]:
-        """Begin the trials of one batch; none if all have begun. What others have begun may be taken over then."""
-        begun = self._study.get_trials(deepcopy=False)
-        left = max(self.plan.trials - len(begun), 0)
-        others: list[int] = []
-        if not left and take_over:
-            unfinished = (trial for trial in begun[: self.plan.trials] if not trial.state.is_finished())
-            others = [trial._trial_id for trial in unfinished if trial.number not in running]
-        size = self._batch_size(max(left, len(others)), workers)
-        trials = [self._study.ask() for _ in range(min(size, left))]
-        trials += [optuna.Trial(self._study, trial_id) for trial_id in others[:size]]
-        chosen = []
-        for trial in trials:
-            with suppress(optuna.exceptions.UpdateFinishedTrialError):  # another search was first with one taken over
-                if trial.number < self.plan.trials:  # not so where another search began the last ones meanwhile
-                    chosen.append(self._choose(trial))
-        return chosen
+            points = grid_of(self.plan.axes)
+        known = [trial.values for trial in self.results()[0]]
+        queued = self._study.get_trials(deepcopy=False, states=(TrialState.WAITING,))
+        known += [self._values(trial.system_attrs["fixed_params"]) for trial in queued]
+        for point in points:
+            if point not in known:
+                self._study.enqueue_trial({axis.path: _label(axis, point[axis.path]) for axis in self.plan.axes})
 
     def _batch_size(self, trials: int, workers: int) -> int:
         """Return how many trials a worker measures at once: few enough that none is idle towards the end."""
@@ -211,34 +180,19 @@ class Study:
         frames = sum(len(clip.frames) for clip in self.plan.clips)
         return max(1, min(_FRAMES_A_BATCH // frames, _TRIALS_A_BATCH[self.plan.sampler], share))
 
-    def _choose(self, trial: optuna.Trial) -> optuna.Trial:
-        """Choose a trial's parameters by its number, so that searches that share a file never draw the same."""
-        seed = int(np.random.SeedSequence((self.plan.seed, trial.number)).generate_state(1)[0])
-        sampler: optuna.samplers.BaseSampler = optuna.samplers.TPESampler(seed=seed)
-        if self.plan.sampler == "nsga2":
-            sampler = optuna.samplers.NSGAIISampler(population_size=_POPULATION, seed=seed)
-        if trial.number < len(self._points):
-            with _experimental():
-                sampler = optuna.samplers.PartialFixedSampler(self._points[trial.number], sampler)
-        self._study.sampler = sampler
-        return _suggest(self.plan.axes, trial)
-
     def _tell(self, trial: optuna.Trial, measured: Measured) -> None:
-        """Write a result to the file, unless another search was first."""
-        if self._study.get_trials(deepcopy=False)[trial.number].params != trial.params:
-            return  # another search chose others at the same moment; the trial is measured again with those in the file
+        """Write a result to the file."""
         figures, failure = measured
         undefined = [name for name in self.plan.objectives if name not in figures]
         if undefined and not failure:
             failure = f"{undefined[0]} is undefined on these frames"
-        with suppress(optuna.exceptions.UpdateFinishedTrialError):
-            trial.set_user_attr("measured", (figures, failure))
-            if failure:
-                self._study.tell(trial, state=TrialState.FAIL, skip_if_finished=True)
-                return
-            if not figures["points"]:
-                trial.set_constraint("contact found", 1.0)
-            self._study.tell(trial, [figures[name] for name in self.plan.objectives], skip_if_finished=True)
+        trial.set_user_attr("measured", (figures, failure))
+        if failure:
+            self._study.tell(trial, state=TrialState.FAIL)
+            return
+        if not figures["points"]:
+            trial.set_constraint("contact found", 1.0)
+        self._study.tell(trial, [figures[name] for name in self.plan.objectives])
 
     def _values(self, params: dict[str, Any]) -> dict[str, Any]:
         """Return the fields' values for Optuna's parameters."""
@@ -251,8 +205,21 @@ class Study:
         return values
 
 
+def _experimental() -> warnings.catch_warnings[None]:
+    """Return a context in which Optuna does not warn of what it calls experimental."""
+    return warnings.catch_warnings(action="ignore", category=optuna.exceptions.ExperimentalWarning)
+
+
+def _worker_failed(error: Exception) -> TuneError:
+    said = str(error).partition("\n")[0][:200]
+    return TuneError(
+        f"a worker failed or was killed ({type(error).__name__}: {said}); try fewer --jobs if memory ran out, check "
+        "that each worker has this version of Tactune, and give the same command again"
+    )
+
+
 def _suggest(axes: Sequence[Axis], trial: optuna.Trial) -> optuna.Trial:
-    """Have a trial choose its parameters; those that it has stay."""
+    """Have a trial choose its parameters."""
     for axis in axes:
         if axis.values:
             trial.suggest_categorical(axis.path, [_label(axis, value) for value in axis.values])
@@ -266,13 +233,6 @@ def _suggest(axes: Sequence[Axis], trial: optuna.Trial) -> optuna.Trial:
 def _label(axis: Axis, value: Any) -> Any:
     """Return a value as Optuna stores it: a listed one as JSON text, because lists and poses are no choices."""
     return json.dumps(value) if axis.values else value
-
-
-@contextmanager
-def _experimental() -> Iterator[None]:
-    """Use what Optuna calls experimental."""
-    with warnings.catch_warnings(action="ignore", category=optuna.exceptions.ExperimentalWarning):
-        yield
 
 
 def tuned_preset(plan: Plan, trial: Trial, trials: int) -> Preset:

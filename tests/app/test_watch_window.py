@@ -18,7 +18,7 @@ from tactune.core.rig.untouched import save_untouched
 from tactune.core.sources.presets import load_preset
 
 DRIFT = Drift("tactile", (0.002, 0.0, 0.0))
-KEY = "watch tactile"
+KEY = "watch"
 
 
 class MovedCameras(FakeCameras):

@@ -14,7 +14,6 @@ from tactune.core.preset.file import save_preset
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
-from tactune.core.tuning.advice.example_file import save_example
 from tactune.core.tuning.advice.proposal import Example
 
 Tactune = Callable[..., Any]
@@ -75,11 +74,11 @@ def test_stored_examples_count(tactune: Tactune, tmp_path: Path) -> None:
     with open_source(SCENE) as source:
         frame = source.next_frame()
     assert frame is not None and frame.truth is not None
-    save_example(Example(replace(frame, truth=None), frame.truth.contact), tmp_path / "cup.npz")
+    Example(replace(frame, truth=None), frame.truth.contact).save(tmp_path / "cup.npz")
     command = ("preset", "suggest", "--source", SCENE, "--section", "tolerance")
     assert "(weak)" in tactune(*command).out
     finished = tactune(*command, "--example", tmp_path / "cup.npz")
-    assert "1 frame with painted contact" in finished.out and "(weak)" not in finished.out
+    assert "1 frame with marked contact" in finished.out and "(weak)" not in finished.out
     (tmp_path / "bad.npz").write_bytes(b"nothing")
     assert "paint it again" in tactune(*command, "--example", tmp_path / "bad.npz").sentence
 

@@ -36,11 +36,11 @@ def test_json_lines_hold_what_each_look_measured(tactune: Tactune, moved: Path) 
     lines = [json.loads(line) for line in tactune("run", "--source", moved, "--watch", "--json").out.splitlines()]
     looks = [line["watch"] for line in lines]
     assert [round(look["measured"]["tactile_mm"]) for look in looks] == [0] * 4 + [2] * 4
-    assert [look["told"] for look in looks] == [[]] * 5 + [["tactile"]] * 3
-    assert [look["state"] for look in looks] == [None] * 5 + ["told"] + [None] * 2
+    assert [look["told"] for look in looks] == [[]] * 6 + [["camera"]] * 2
+    assert [look["state"] for look in looks] == [None] * 6 + ["told"] + [None]
 
 
 def test_without_a_reference_it_says_what_to_do(tactune: Tactune, recording: Path) -> None:
     finished = tactune("run", "--source", recording, "--watch")
     assert finished.status == 2
-    assert "capture an untouched frame, or calibrate" in finished.err
+    assert "no untouched frame" in finished.err

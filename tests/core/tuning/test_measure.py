@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 
 import pytest
 
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.errors import TactuneError
 from tactune.core.model.metrics import compare_with_truth
 from tactune.core.sources.folder import FolderSource
 from tactune.core.sources.presets import load_preset
@@ -114,11 +112,3 @@ def test_without_truth_no_error_is_claimed(make_recording):
 def test_values_that_cannot_be_used_are_a_failure_of_their_trial_alone(recording):
     (_, wrong), (_, right) = measure(plan_of(recording), [{"range.limits_m": [2, 1]}, {}])
     assert "near limit" in wrong and right == ""
-
-
-def test_a_worker_refuses_other_frames_and_other_code(recording):
-    plan = plan_of(recording)
-    with pytest.raises(TactuneError, match="another version of Tactune"):
-        measure(replace(plan, code="older"), [{}])
-    with pytest.raises(TactuneError, match="other frames"):
-        measure(replace(plan, clips=(replace(plan.clips[0], content="0"),)), [{}])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from tactune.core.errors import TactuneError
@@ -90,20 +88,6 @@ def test_without_a_choice_the_numbers_of_the_contact_test_vary_around_their_pres
     axes = {axis.path: axis for axis in default_axes(tolerance)}
     assert set(axes) == {"tolerance.t", "outliers.min_cluster_area_mm2"}
     assert axes["tolerance.t"].log and axes["tolerance.t"].holds(0.5)
-
-
-def test_a_clip_is_known_by_its_content(make_recording):
-    rec, other = make_recording(), make_recording("other", seed=1)
-
-    def content(source: str, frames: slice = slice(None)) -> str:
-        return make_plan(BASE, [], [source], frames=frames).clips[0].content
-
-    first = content(rec)
-    assert content(rec) == first
-    assert len({first, content(other), content(rec, slice(2))}) == 3
-    image = Path(rec.removeprefix("folder:")) / "000002" / "tactile_depth.png"
-    image.write_bytes((Path(other.removeprefix("folder:")) / "000002" / "proximity_depth.png").read_bytes())
-    assert content(rec) != first
 
 
 def test_workers_in_another_folder_find_a_recording(make_recording, tmp_path, monkeypatch):

@@ -1,11 +1,9 @@
-"""Searches in processes that are killed, that share a file, or that run on a cluster: each trial counts once."""
+"""Searches in processes that are killed, or that run on a cluster: each trial counts once."""
 
 from __future__ import annotations
 
 import json
 import os
-import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -16,9 +14,6 @@ from pathlib import Path
 import pytest
 
 from long_search import LIMIT_S, POINTS, front_of, trials_of
-from tactune.core.preset import Preset
-from tactune.core.tuning.plan import make_plan, parse_axis
-from tactune.core.tuning.study import Study
 from tactune.core.tuning.workers import local_workers
 
 
@@ -41,54 +36,6 @@ def test_a_worker_imports_nothing_from_the_working_folder(tmp_path, monkeypatch)
     with local_workers(2) as workers:
         assert workers.submit(os.path.basename, "a/b").result(LIMIT_S) == "b"
     assert not (tmp_path / "harm").exists()
-
-
-def test_two_searches_on_one_file_share_the_trials_and_one_that_dies_is_replaced(long_search):
-    command = [*long_search.command, "--jobs", "1"]
-    first, second = (subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(2))
-    for _ in range(20 * LIMIT_S):
-        journal = long_search.file.read_text() if long_search.file.exists() else ""
-        both = len(set(re.findall(r'"op_code":4,"worker_id":"([^"]+)"', journal))) == 2
-        if (both and long_search.measured() > 5) or first.poll() is not None:
-            break
-        time.sleep(0.05)
-    first.kill()
-    first.communicate(timeout=LIMIT_S)
-    out, _ = second.communicate(timeout=LIMIT_S)
-    assert second.returncode == 0
-    long_search.check(out)
-
-
-@pytest.fixture
-def two_searches(recording, tmp_path):
-    base, axis = Preset().with_value("contact_test", "tolerance"), parse_axis("tolerance.t=0.004:0.02:4")
-    plan = make_plan(base, [axis], [recording], objectives=["iou"])
-    return [Study(plan, tmp_path / "shared.log") for _ in range(2)]
-
-
-def test_a_trial_that_another_search_ends_while_results_are_read_is_no_damage(two_searches, monkeypatch):
-    one, other = two_searches
-    look = one._study.get_trials
-    with local_workers(1) as workers:
-        running = other.run(workers)
-
-        def look_and_wait(*words, **options):
-            found = look(*words, **options)
-            next((done for done in running if done), None)
-            return found
-
-        monkeypatch.setattr(one._study, "get_trials", look_and_wait)
-        trials, front = one.results()
-        assert trials and front
-
-
-def test_a_result_of_other_values_than_the_files_does_not_count(two_searches):
-    one, other = two_searches
-    trial = one._study.ask()
-    trial.suggest_float("tolerance.t", 0.004, 0.02)
-    other._study._storage.set_trial_param(trial._trial_id, "tolerance.t", 0.01, trial.distributions["tolerance.t"])
-    one._tell(trial, ({"points": 9.0, "iou": 0.5}, ""))
-    assert other.results()[0] == []
 
 
 def test_ctrl_c_in_a_terminal_keeps_what_is_done_and_the_same_command_goes_on(long_search):
@@ -208,17 +155,6 @@ def test_a_dask_worker_killed_midway_loses_no_trial_and_doubles_none(long_search
 
 
 @pytest.mark.long
-def test_a_scheduler_that_ends_is_said_in_a_sentence(long_search, cluster):
-    cluster.add_worker()
-    process = long_search.start("--scheduler", cluster.address)
-    cluster.scheduler.kill()
-    _, err = process.communicate(timeout=LIMIT_S)
-    assert process.returncode == 2, err
-    assert err.splitlines()[-1].startswith("tactune: the Dask scheduler is gone")
-    assert "Traceback" not in err
-
-
-@pytest.mark.long
 def test_no_scheduler_and_no_worker_are_said_in_a_sentence(long_search, cluster):
     expected = {"tcp://127.0.0.1:1": "no Dask scheduler answers", cluster.address: "has no worker"}
     commands = {
@@ -232,37 +168,3 @@ def test_no_scheduler_and_no_worker_are_said_in_a_sentence(long_search, cluster)
         assert (process.returncode, out) == (2, "")
         assert err.startswith("tactune: ") and expected[address] in err, err
         assert err.count("\n") == 1
-
-
-@pytest.mark.long
-@pytest.mark.skipif(shutil.which("openssl") is None, reason="makes certificates with it")
-def test_a_cluster_with_certificates_measures_and_refuses_who_has_none(long_search, tmp_path, monkeypatch):
-    def set_certificate(name: str) -> None:
-        key, certificate = tmp_path / f"{name}.key", tmp_path / f"{name}.pem"
-        words = ("req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "1", "-subj", f"/CN={name}")
-        subprocess.run(["openssl", *words, "-keyout", key, "-out", certificate], check=True, capture_output=True)
-        monkeypatch.setenv(f"{section}__CA_FILE", str(certificate))
-        for who in ("CLIENT", "SCHEDULER", "WORKER"):
-            monkeypatch.setenv(f"{section}__{who}__KEY", str(key))
-            monkeypatch.setenv(f"{section}__{who}__CERT", str(certificate))
-
-    section = "DASK_DISTRIBUTED__COMM__TLS"
-    (tmp_path / "dask").mkdir()
-    set_certificate("ours")
-    running = DaskCluster(tmp_path / "dask", "tls")
-    try:
-        running.add_worker()
-        long_search.finish("--scheduler", running.address)
-        set_certificate("other")
-        refused = [long_search.give("--scheduler", running.address)]
-        monkeypatch.setenv(f"{section}__CLIENT__KEY", str(tmp_path / "missing.key"))
-        refused.append(long_search.give("--scheduler", running.address))
-        for name in ("CA_FILE", "CLIENT__KEY", "CLIENT__CERT"):
-            monkeypatch.delenv(f"{section}__{name}")
-        refused.append(long_search.give("--scheduler", running.address))
-    finally:
-        running.close()
-    sentences = ("no Dask scheduler answers", "No such file", "has no certificates")
-    for done, sentence in zip(refused, sentences, strict=True):
-        assert done.returncode == 2
-        assert sentence in done.stderr and done.stderr.count("\n") == 1, done.stderr
