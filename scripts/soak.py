@@ -1,15 +1,9 @@
 """Soak test: run the window on a live source for a long time while it records, and check for leaks.
 
-A separate process captures the source. Every few seconds a new recording begins; the finished recording is opened, its
-frames are counted, and it is deleted. Between two recordings the view is frozen and memory is measured: the memory in
-use by the window, and the resident memory of both processes. The allocator keeps memory for the longest queue of frames
-so far, which depends on the machine's load. The window's resident memory is therefore checked only in runs of at least
-10 minutes.
-
-A leak grows throughout the run, warm-up does not. A straight line is fitted to the memory; the first third of the run
-(at most 5 minutes) is excluded. The slope minus three standard errors must be below 1 MB per minute. If it is not at
-the planned end, or if the slope plus three standard errors reaches 3 MB per minute, the run is extended by its planned
-duration, at most twice. At exit, no thread, process, file descriptor or shared-memory segment may remain. Example::
+Every few seconds a new recording begins; the finished one is opened, its frames are counted, and it is deleted. Between
+two recordings the resident memory of the window and of the capture process is measured. A straight line is fitted to
+it, without the first third of the run, where things warm up: its slope minus three standard errors must be below 1 MB
+per minute. At exit, no thread, process, file descriptor or shared-memory segment may remain. Example::
 
     QT_QPA_PLATFORM=offscreen python scripts/soak.py --minutes 30
 """
@@ -17,7 +11,6 @@ duration, at most twice. At exit, no thread, process, file descriptor or shared-
 from __future__ import annotations
 
 import argparse
-import ctypes
 import gc
 import os
 import re
@@ -26,76 +19,25 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from dataclasses import astuple, dataclass, field
 from pathlib import Path
 
 import numpy as np
-from PyQt6.QtCore import QCoreApplication, QEvent, QObject, Qt, QTimer
+from PyQt6.QtCore import QCoreApplication, QEvent, QObject, QTimer
 
 from tactune.app.gui import make_application, start_with
 from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.recorder import RecordingEnd
-from tactune.app.worker.results import SourceState
 from tactune.core.errors import TactuneError
 from tactune.core.sources.registry import open_source
 
 LIMIT_MB_PER_MIN = 1.0
-#: The run is extended if the slope plus three standard errors reaches this value.
-DOUBT_MB_PER_MIN = 3.0
-EXTENSIONS = 2
-RESIDENT_FROM_S = 600.0
-#: Between two recordings, memory is measured LOOKS times, every LOOK_MS milliseconds. The minimum is used.
-LOOK_MS = 20
-LOOKS = 30
-HEARTBEAT_MS = 10
+#: Shortest run in which the memory is judged, minutes: the allocator keeps what the longest queue so far needed.
+JUDGED_FROM_MIN = 10.0
 SETTLING_S = 5.0
 #: Qt paints large images on threads of its own pool; it starts them when it likes and ends them after 30 s.
 QT_POOL = Counter({"Thread (pooled)": os.cpu_count() or 1})
 WARM_UP_FRAMES = 30
-
-
-@dataclass(frozen=True)
-class Memory:
-    """Memory at one moment, MB."""
-
-    minute: float
-    in_use: float
-    resident: float
-    captures: float
-
-
-@dataclass(frozen=True)
-class Line:
-    """Slope of memory over time and its standard error, MB per minute."""
-
-    rise: float
-    error: float
-
-    @property
-    def rises(self) -> bool:
-        """Whether the slope exceeds the limit by more than three standard errors."""
-        return self.rise - 3 * self.error >= LIMIT_MB_PER_MIN
-
-    @property
-    def unsure(self) -> bool:
-        """Whether the run must be extended."""
-        return self.rises or not self.rise + 3 * self.error < DOUBT_MB_PER_MIN
-
-
-@dataclass
-class Tally:
-    """The measurements of a run."""
-
-    memory: list[Memory] = field(default_factory=list)
-    seconds: float = 0.0
-    frames: int = 0
-    dropped: int = 0
-    recordings: int = 0
-    longest_gap_s: float = 0.0
-    processor_s: float = 0.0
-    told: Counter[str] = field(default_factory=Counter)
-    problems: list[str] = field(default_factory=list)
 
 
 class Soak(QObject):
@@ -103,30 +45,19 @@ class Soak(QObject):
 
     def __init__(self, window: MainWindow, folder: Path, seconds: float, cycle_s: float) -> None:
         super().__init__(window)
-        self.tally = Tally()
-        self._window = window
-        self._folder = folder
-        self._cycle_s = cycle_s
-        self._seconds = seconds
-        self._extensions = 0
-        self._began_s = self._beat_s = time.monotonic()
-        self._looks: list[Memory] = []
-        self._look_again = self._timer(LOOK_MS, self._look)
+        self.memory: list[tuple[float, float, float]] = []
+        self.frames = self.recordings = 0
+        self.problems: list[str] = []
+        self._window, self._folder = window, folder
+        self._seconds, self._cycle_s = seconds, cycle_s
+        self._began_s = 0.0
         self._children: set[int] = set()
         window.worker.recordingEnded.connect(self._recorded)
-        window.worker.recordingFailed.connect(self._fail)
-        window.worker.openFailed.connect(lambda name, sentence: self._fail(sentence))
+        window.worker.recordingFailed.connect(self._give_up)
+        window.worker.openFailed.connect(lambda name, sentence: self._give_up(sentence))
         window.error_hook.raised.connect(self._give_up)
         window.worker.stateChanged.connect(self._hear)
         window.context.frameShown.connect(self._start)
-        self._timer(HEARTBEAT_MS, self._beat).start()
-
-    def _timer(self, interval_ms: int, slot: object) -> QTimer:
-        timer = QTimer(self)
-        timer.setTimerType(Qt.TimerType.PreciseTimer)
-        timer.setInterval(interval_ms)
-        timer.timeout.connect(slot)  # type: ignore[arg-type]
-        return timer
 
     def _start(self) -> None:
         """Begin after the warm-up frames, because compiling kernels delays the first frame."""
@@ -135,112 +66,53 @@ class Soak(QObject):
             return
         self._window.context.frameShown.disconnect(self._start)
         self._children = children()
-        self._began_s = self._beat_s = time.monotonic()
-        self.tally.processor_s = -time.process_time()
+        self._began_s = time.monotonic()
         self._record()
 
     def _record(self) -> None:
-        path = self._folder / f"soak-{self.tally.recordings}.mcap"
-        self._window.worker.start_recording(path)
+        self._window.worker.start_recording(self._folder / f"soak-{self.recordings}.mcap")
         QTimer.singleShot(int(1000 * self._cycle_s), self._window.worker.stop_recording)
 
     def _recorded(self, end: RecordingEnd) -> None:
-        """Check the recording, update the tally and start to measure memory."""
-        status, tally = end.status, self.tally
-        tally.recordings += 1
-        tally.frames += status.frames
-        tally.dropped += status.dropped
+        """Check the recording, measure the memory, and go on or end."""
+        status = end.status
+        self.recordings += 1
+        self.frames += status.frames
         if end.reason or status.error:
-            self._fail(end.reason or status.error)
+            self.problems.append(end.reason or status.error)
         if status.frames:  # an empty recording leaves no file
-            self._check(status.path, status.frames)
-        # Queued frames and uncollected garbage vary, so both are excluded from the measurement.
-        self._window.worker.set_frozen(True)
+            try:
+                with open_source(str(status.path)) as recording:
+                    if recording.length != status.frames:
+                        self.problems.append(f"{recording.length} frames were recorded instead of {status.frames}")
+            except TactuneError as error:
+                self.problems.append(str(error))
+            status.path.unlink(missing_ok=True)
         gc.collect()
-        self._beat_s = time.monotonic()
-        self._looks.clear()
-        self._look_again.start()
-
-    def _look(self) -> None:
-        """Measure memory; after the last measurement, continue or end the run."""
-        self._looks.append(memory((time.monotonic() - self._began_s) / 60, self._children))
-        if len(self._looks) < LOOKS:
-            return
-        self._look_again.stop()
-        self._window.worker.set_frozen(False)
-        self.tally.memory.append(least(self._looks))
-        self.tally.seconds = time.monotonic() - self._began_s
-        if self._goes_on():
+        seconds = time.monotonic() - self._began_s
+        self.memory.append((seconds / 60, resident_mb(os.getpid()), sum(map(resident_mb, self._children))))
+        if seconds < self._seconds:
             self._record()
-        else:
-            self._end()
-
-    def _goes_on(self) -> bool:
-        """Return whether the run continues; extend it if it is over and the slope is uncertain."""
-        if self.tally.seconds >= self._seconds * (1 + self._extensions) and self._extensions < EXTENSIONS:
-            self._extensions += any(line.unsure for line in lines(self.tally).values())
-        return self.tally.seconds < self._seconds * (1 + self._extensions)
-
-    def _end(self) -> None:
-        self.tally.processor_s += time.process_time()
+            return
         if children() != self._children:
-            self._fail("the capture process was restarted")
+            self.problems.append("the capture process was restarted")
         self._window.close_without_asking()
 
-    def _check(self, path: Path, frames: int) -> None:
-        try:
-            with open_source(str(path)) as recording:
-                if recording.length != frames:
-                    self._fail(f"{path.name} has {recording.length} frames instead of {frames}")
-        except TactuneError as error:
-            self._fail(str(error))
-        path.unlink(missing_ok=True)
-
-    def _hear(self, state: SourceState) -> None:
-        """Count the health messages of the source; a healthy source has none."""
-        if self._children and state.health.message:
-            self.tally.told[state.health.message] += 1
-
-    def _beat(self) -> None:
-        now_s = time.monotonic()
-        if self._children:
-            self.tally.longest_gap_s = max(self.tally.longest_gap_s, now_s - self._beat_s)
-        self._beat_s = now_s
+    def _hear(self, state: object) -> None:
+        """Print what the source has to say; a healthy source says nothing."""
+        message = state.health.message  # type: ignore[attr-defined]
+        if self._children and message:
+            print(f"the source said    {message}")
 
     def _give_up(self, sentence: str) -> None:
-        """End the run after an error in the window or in this script."""
-        self.tally.problems.append(sentence)
+        self.problems.append(sentence)
         self._window.close_without_asking()
-
-    def _fail(self, sentence: str) -> None:
-        self.tally.problems.append(sentence)
-        if not self._children:
-            self._window.close_without_asking()
 
 
 def children() -> set[int]:
     """Return the process numbers of all children of this process."""
     tasks = Path("/proc/self/task").iterdir()
     return {int(number) for task in tasks for number in (task / "children").read_text().split()}
-
-
-class AllocatorState(ctypes.Structure):
-    """The result of mallinfo2(3), glibc 2.33 or newer; only the free memory is used."""
-
-    _fields_ = (("before", ctypes.c_size_t * 8), ("free", ctypes.c_size_t), ("after", ctypes.c_size_t))
-
-
-LIBC = ctypes.CDLL(None)
-MALLINFO = getattr(LIBC, "mallinfo2", None)  # older libraries lack it: all resident memory then counts as in use
-if MALLINFO is not None:
-    MALLINFO.restype = AllocatorState
-
-
-def memory(minute: float, captures: set[int]) -> Memory:
-    """Return the present memory of this process and of the capture processes."""
-    resident = resident_mb(os.getpid())
-    in_use = resident - (MALLINFO().free / 1e6 if MALLINFO is not None else 0.0)
-    return Memory(minute, in_use, resident, sum(map(resident_mb, captures)))
 
 
 def resident_mb(pid: int) -> float:
@@ -252,28 +124,20 @@ def resident_mb(pid: int) -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def least(looks: list[Memory]) -> Memory:
-    """Return the minimum of each value."""
-    return Memory(*np.min([astuple(look) for look in looks], axis=0))
-
-
-def lines(tally: Tally) -> dict[str, Line]:
-    """Return the fitted line of each memory value that is checked."""
-    table = np.array([astuple(sample) for sample in tally.memory]).reshape(-1, 4)
-    minutes = table[:, 0]
-    warm = minutes >= min(5.0, tally.seconds / 60 / 3)
-    columns = {"in use by the window": 1, "resident of the capture process": 3}
-    if tally.seconds >= RESIDENT_FROM_S:
-        columns["resident of the window"] = 2
-    return {name: straight_line(minutes[warm], table[warm, column]) for name, column in columns.items()}
-
-
-def straight_line(minutes: np.ndarray, megabytes: np.ndarray) -> Line:
-    """Fit a straight line; with fewer than four points its error is infinite."""
-    if len(minutes) < 4:
-        return Line(0.0, float("inf"))
-    (rise, _), covariance = np.polyfit(minutes, megabytes, 1, cov=True)
-    return Line(float(rise), float(np.sqrt(covariance[0, 0])))
+def check_memory(samples: list[tuple[float, float, float]]) -> list[str]:
+    """Print the slope of the memory of both processes; return a sentence for each that rises."""
+    wrong = []
+    minutes, *megabytes = np.array(samples).T
+    warm = minutes >= minutes[-1] / 3
+    for name, values in zip(("the window", "the capture process"), megabytes, strict=True):
+        if warm.sum() < 4:
+            continue
+        (rise, _), covariance = np.polyfit(minutes[warm], values[warm], 1, cov=True)
+        error = float(np.sqrt(covariance[0, 0]))
+        print(f"memory of {name}: {values[-1]:.0f} MB, rises by {rise:+.2f} +- {error:.2f} MB per minute")
+        if minutes[-1] >= JUDGED_FROM_MIN and rise - 3 * error >= LIMIT_MB_PER_MIN:
+            wrong.append(f"the memory of {name} rises by {rise:.2f} MB per minute")
+    return wrong
 
 
 def open_things() -> dict[str, Counter[str]]:
@@ -319,7 +183,7 @@ def settle(before: dict[str, Counter[str]]) -> dict[str, Counter[str]]:
         time.sleep(0.1)
 
 
-def run_window(source: str, seconds: float, cycle_s: float) -> Tally:
+def run_window(source: str, seconds: float, cycle_s: float) -> Soak:
     """Open a window, run it, close it, and return its measurements."""
     preset, _ = start_with("simulator")
     application = make_application()
@@ -329,41 +193,14 @@ def run_window(source: str, seconds: float, cycle_s: float) -> Tally:
         window.error_hook.install()
         window.resize(1280, 800)
         soak = Soak(window, folder, seconds, cycle_s)
+        soak.setParent(None)
         window.show()
         window.open_source(source)
         application.exec()
-        tally = soak.tally
         window.deleteLater()
         QCoreApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
         application.processEvents()
-    return tally
-
-
-def judge(tally: Tally, before: dict[str, Counter[str]]) -> list[str]:
-    """Print the measurements and return the problems as sentences."""
-    wrong = list(tally.problems)
-    if not tally.frames:
-        wrong.append("nothing was recorded")
-    print(f"recorded          {tally.frames} frames in {tally.recordings} recordings, {tally.dropped} dropped")
-    print(f"lasted            {tally.seconds:.0f} s")
-    print(f"processor time    {100 * tally.processor_s / max(tally.seconds, 1.0):.0f} % of one core in this process")
-    print(f"longest gap of the event loop {1e3 * tally.longest_gap_s:.0f} ms")
-    for sentence in tally.told:
-        print(f"the source said    {sentence}")
-    for sample in tally.memory[-1:]:
-        print(f"memory            window {sample.resident:.0f} MB, of which {sample.in_use:.0f} MB in use; ", end="")
-        print(f"capture process {sample.captures:.0f} MB")
-    for name, line in lines(tally).items():
-        print(f"{name} rises by {line.rise:+.2f} +- {line.error:.2f} MB per minute")
-        if line.rises:
-            wrong.append(f"memory {name} rises by {line.rise:.2f} MB per minute")
-    after = settle(before)
-    for name, things in after.items():
-        left = things - before[name]
-        print(f"{name:<17} {before[name].total()} before, {things.total()} after")
-        if left:
-            wrong.append(f"{name} left behind: {', '.join(left.elements())}")
-    return wrong
+    return soak
 
 
 def main() -> int:
@@ -380,8 +217,18 @@ def main() -> int:
     if not warm_up.frames:
         print("\n".join(warm_up.problems), file=sys.stderr)
         return 1
+    del warm_up
     before = open_things()
-    wrong = judge(run_window(options.source, seconds, cycle_s), before)
+    soak = run_window(options.source, seconds, cycle_s)
+    wrong = [*soak.problems, *([] if soak.frames else ["nothing was recorded"])]
+    print(f"recorded          {soak.frames} frames in {soak.recordings} recordings")
+    wrong += check_memory(soak.memory)
+    del soak
+    after = settle(before)
+    for name, things in after.items():
+        print(f"{name:<17} {before[name].total()} before, {things.total()} after")
+        if left := things - before[name]:
+            wrong.append(f"{name} left behind: {', '.join(left.elements())}")
     print("\n".join(f"WRONG: {sentence}" for sentence in wrong) or "all is well")
     return 1 if wrong else 0
 

@@ -1,4 +1,4 @@
-"""Checks of the camera driver, its libraries, permissions and USB."""
+"""Checks of the camera drivers, permissions and USB."""
 
 from __future__ import annotations
 
@@ -14,23 +14,11 @@ _USB = Path("/sys/bus/usb/devices")
 _NODES = Path("/dev/bus/usb")
 _INTEL = "8086"
 _USB3_MBIT = 5000
-
 _RULES_URL = "https://github.com/IntelRealSense/librealsense/blob/master/config/99-realsense-libusb.rules"
 _INSTALL_RULES = (
     f"Save {_RULES_URL} (the raw file) in /etc/udev/rules.d, run "
     "'sudo udevadm control --reload-rules && sudo udevadm trigger', and plug the cameras in again."
 )
-_LIBRARIES = {"libusb-1.0.so.0": "libusb-1.0-0", "libudev.so.1": "libudev1"}
-_LOAD = """
-import ctypes, json, sys
-wrong = {}
-for name in sys.argv[1:]:
-    try:
-        ctypes.CDLL(name)
-    except OSError as error:
-        wrong[name] = str(error)
-print(json.dumps(wrong))
-"""
 _DRIVER = """
 import json
 from tactune.core.errors import TactuneError
@@ -58,21 +46,8 @@ class UsbCamera:
     node: Path
 
 
-def check_libraries(run: RunChild = run_child) -> list[Check]:
-    """Load the system libraries that the camera driver needs."""
-    name = "USB libraries"
-    child = run(python_child(_LOAD, *_LIBRARIES))
-    if child.problem:
-        return [Check(name, State.FAIL, child.problem, _apt(_LIBRARIES.values()))]
-    wrong = child.answer()
-    if wrong:
-        packages = [_LIBRARIES[library] for library in wrong if library in _LIBRARIES]
-        return [Check(name, State.FAIL, "; ".join(wrong.values()), _apt(packages))]
-    return [Check(name, State.OK, "libusb-1.0 and libudev")]
-
-
 def check_driver(run: RunChild = run_child) -> list[Check]:
-    """Import the camera driver and check its support for the L515."""
+    """Import the camera driver with its system libraries, and check its support for the L515."""
     name = "Camera driver"
     child = run(python_child(_DRIVER))
     if child.problem:
@@ -107,56 +82,50 @@ def check_all_drivers(run: RunChild = run_child) -> list[Check]:
 
 def check_udev_rules(folders: Iterable[str | Path] = RULES_FOLDERS) -> list[Check]:
     """Check for the udev rule that lets all users open the cameras."""
-    name = "udev rules"
     found = [file for folder in folders for file in sorted(Path(folder).glob("*realsense*.rules"))]
     if found:
-        return [Check(name, State.OK, str(found[0]))]
-    return [Check(name, State.WARN, "no rule for RealSense cameras; only root can use them", _INSTALL_RULES)]
+        return [Check("udev rules", State.OK, str(found[0]))]
+    return [Check("udev rules", State.WARN, "no rule for RealSense cameras; only root can use them", _INSTALL_RULES)]
 
 
 def check_cameras(usb: Path = _USB, nodes: Path = _NODES) -> list[Check]:
     """List the connected cameras, and check their permissions and USB speed."""
-    cameras = usb_cameras(usb, nodes)
-    if not cameras:
-        remedy = "Plug the cameras in with the cables that came with them; 'lsusb -d 8086:' shows them."
-        if not nodes.is_dir():
-            remedy = "This system shows no USB devices; in a container, start it with --device /dev/bus/usb."
-        return [Check("Cameras", State.WARN, "no RealSense camera is plugged in", remedy)]
-    return [_judge(camera) for camera in cameras]
+    lines = []
+    for camera in usb_cameras(usb, nodes):
+        if not os.access(camera.node, os.R_OK | os.W_OK):
+            found = f"{camera.product}: no permission to open {camera.node}"
+            lines.append(Check("Cameras", State.FAIL, found, _INSTALL_RULES))
+        elif camera.speed_mbit < _USB3_MBIT:
+            found = f"{camera.product} on USB 2 ({camera.speed_mbit:.0f} Mbit/s)"
+            remedy = "Use a USB 3 port and a USB 3 cable; turn the plug over, push it in firmly, avoid hubs."
+            lines.append(Check("Cameras", State.FAIL, found, remedy))
+        else:
+            lines.append(Check("Cameras", State.OK, f"{camera.product} on USB 3 ({camera.speed_mbit:.0f} Mbit/s)"))
+    if lines:
+        return lines
+    remedy = "Plug the cameras in with the cables that came with them; 'lsusb -d 8086:' shows them."
+    if not nodes.is_dir():
+        remedy = "This system shows no USB devices; in a container, start it with --device /dev/bus/usb."
+    return [Check("Cameras", State.WARN, "no RealSense camera is plugged in", remedy)]
 
 
 def usb_cameras(usb: Path = _USB, nodes: Path = _NODES) -> list[UsbCamera]:
     """Return the connected RealSense cameras."""
+
+    def read(file: Path) -> str:
+        try:
+            return file.read_text(errors="replace").strip()
+        except OSError:
+            return ""
+
     cameras = []
     for device in sorted(usb.glob("*")):
-        product = _read(device / "product")
-        if _read(device / "idVendor") != _INTEL or "realsense" not in product.lower():
+        product = read(device / "product")
+        if read(device / "idVendor") != _INTEL or "realsense" not in product.lower():
             continue
         try:
-            node = nodes / f"{int(_read(device / 'busnum')):03d}" / f"{int(_read(device / 'devnum')):03d}"
-            speed = float(_read(device / "speed"))
+            node = nodes / f"{int(read(device / 'busnum')):03d}" / f"{int(read(device / 'devnum')):03d}"
+            cameras.append(UsbCamera(product, float(read(device / "speed")), node))
         except ValueError:  # unplugged meanwhile
             continue
-        cameras.append(UsbCamera(product, speed, node))
     return cameras
-
-
-def _judge(camera: UsbCamera) -> Check:
-    if not os.access(camera.node, os.R_OK | os.W_OK):
-        return Check("Cameras", State.FAIL, f"{camera.product}: no permission to open {camera.node}", _INSTALL_RULES)
-    if camera.speed_mbit < _USB3_MBIT:
-        found = f"{camera.product} on USB 2 ({camera.speed_mbit:.0f} Mbit/s)"
-        remedy = "Use a USB 3 port and a USB 3 cable; turn the plug over, push it in firmly, avoid hubs."
-        return Check("Cameras", State.FAIL, found, remedy)
-    return Check("Cameras", State.OK, f"{camera.product} on USB 3 ({camera.speed_mbit:.0f} Mbit/s)")
-
-
-def _read(file: Path) -> str:
-    try:
-        return file.read_text(errors="replace").strip()
-    except OSError:
-        return ""
-
-
-def _apt(packages: Iterable[str]) -> str:
-    return f"Install what is missing: sudo apt-get install {' '.join(packages)}"

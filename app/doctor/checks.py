@@ -29,18 +29,7 @@ class State(StrEnum):
 
 @dataclass(frozen=True)
 class Check:
-    """One line of the report.
-
-    Attributes
-    ----------
-    name : str
-        What was checked.
-    state : State
-    found : str
-        What was found.
-    remedy : str
-        What to do; empty if nothing is wrong.
-    """
+    """One line of the report: what was checked, what was found, and what to do if something is wrong."""
 
     name: str
     state: State
@@ -53,7 +42,6 @@ class Check:
         return [first, f"{'':<21}{self.remedy}"] if self.remedy else [first]
 
     def to_json(self) -> dict[str, str]:
-        """Return the check as a JSON object."""
         return {key: str(value) for key, value in asdict(self).items()}
 
 
@@ -89,7 +77,8 @@ def run_child(command: Sequence[str], patience_s: float = PATIENCE_S) -> Child:
         return Child(problem=f"{command[0]} cannot be started: {error.strerror or error}")
     out = done.stdout.decode(errors="replace")
     if done.returncode < 0:
-        return Child(out, f"crashed ({_signal_name(-done.returncode)})")
+        names = {known.value: known.name for known in signal.Signals}
+        return Child(out, f"crashed ({names.get(-done.returncode, f'signal {-done.returncode}')})")
     if done.returncode > 0:
         said = done.stderr.decode(errors="replace").strip().splitlines()
         return Child(out, said[-1] if said else f"exit status {done.returncode}")
@@ -114,10 +103,3 @@ def _guarded(check: Callable[[], Sequence[Check]]) -> Sequence[Check]:
         name = check.__name__.removeprefix("check_").replace("_", " ")
         problem = f"could not be checked ({type(error).__name__}: {error})"
         return [Check(name, State.WARN, problem, "Please report this with the line above.")]
-
-
-def _signal_name(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return f"signal {number}"

@@ -28,12 +28,10 @@ def all_checks() -> Sequence[Callable[[], Sequence[Check]]]:
         system.check_compiled_code,
         system.check_cache_folder,
         system.check_shared_memory,
-        cameras.check_libraries,
         cameras.check_driver,
         cameras.check_all_drivers,
         cameras.check_udev_rules,
         cameras.check_cameras,
-        system.check_qt,
+        system.check_window,
         system.check_qt_libraries,
-        system.check_display,
     )

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import platformdirs
 
-from .checks import Check, Child, RunChild, State, python_child, run_child
+from .checks import Check, RunChild, State, python_child, run_child
 
 OLDEST_PYTHON = (3, 11)
 _MIN_FREE_BYTES, _ENOUGH_FREE_BYTES = 200e6, 2e9
@@ -118,44 +118,20 @@ def check_cache_folder(folder: Path | None = None) -> list[Check]:
 def check_shared_memory(run: RunChild = run_child) -> list[Check]:
     """Use the shared memory that passes frames from the capture process to the window."""
     name = "Shared memory"
-    child: Child = run(python_child(_MEMORY, str(_FRAMES_BYTES)))
+    child = run(python_child(_MEMORY, str(_FRAMES_BYTES)))
     if child.problem:
         remedy = "Close other programs; in a container, give it more with --shm-size."
         return [Check(name, State.FAIL, child.problem, remedy)]
     return [Check(name, State.OK, f"{_FRAMES_BYTES / 1e6:.0f} MB for frames, {os.cpu_count()} processor cores")]
 
 
-_GUI_DISTRIBUTIONS = ("PyQt6", "pyqtgraph")
 _HEADLESS = "tactune run works without it."
 
-#: Debian and Ubuntu packages of the libraries that Qt needs; the others follow from their names.
-_PACKAGES = {
-    "libGL.so.1": "libgl1",
-    "libEGL.so.1": "libegl1",
-    "libxkbcommon.so.0": "libxkbcommon0",
-    "libxkbcommon-x11.so.0": "libxkbcommon-x11-0",
-    "libdbus-1.so.3": "libdbus-1-3",
-    "libfontconfig.so.1": "libfontconfig1",
-    "libfreetype.so.6": "libfreetype6",
-    "libglib-2.0.so.0": "libglib2.0-0",
-    "libX11-xcb.so.1": "libx11-xcb1",
-    "libwayland-client.so.0": "libwayland-client0",
-    "libxcb-cursor.so.0": "libxcb-cursor0",
-    "libxcb-icccm.so.4": "libxcb-icccm4",
-    "libxcb-image.so.0": "libxcb-image0",
-    "libxcb-keysyms.so.1": "libxcb-keysyms1",
-    "libxcb-randr.so.0": "libxcb-randr0",
-    "libxcb-render-util.so.0": "libxcb-render-util0",
-    "libxcb-shape.so.0": "libxcb-shape0",
-    "libxcb-xinerama.so.0": "libxcb-xinerama0",
-    "libxcb-xkb.so.1": "libxcb-xkb1",
-}
 
-
-def check_qt() -> list[Check]:
-    """Check that the packages of the window are installed."""
+def check_window(environment: Mapping[str, str] = os.environ) -> list[Check]:
+    """Check that the packages of the window are installed, and that there is a display."""
     versions, missing = [], []
-    for name in _GUI_DISTRIBUTIONS:
+    for name in ("PyQt6", "pyqtgraph"):
         try:
             versions.append(f"{name} {version(name)}")
         except PackageNotFoundError:
@@ -163,17 +139,20 @@ def check_qt() -> list[Check]:
     if missing:
         remedy = f"For the window: pip install 'tactune[gui]'; {_HEADLESS}"
         return [Check("Window", State.WARN, f"not installed: {', '.join(missing)}", remedy)]
-    return [Check("Window", State.OK, ", ".join(versions))]
+    lines = [Check("Window", State.OK, ", ".join(versions))]
+    named = [f"{name}={environment[name]}" for name in ("DISPLAY", "WAYLAND_DISPLAY") if environment.get(name)]
+    if named or not sys.platform.startswith("linux"):
+        return [*lines, Check("Display", State.OK, ", ".join(named) or sys.platform)]
+    remedy = f"The window needs a display: log in at the machine, or use ssh -X; {_HEADLESS}"
+    return [*lines, Check("Display", State.WARN, "DISPLAY and WAYLAND_DISPLAY are empty", remedy)]
 
 
 def check_qt_libraries(run: RunChild = run_child, files: tuple[Path, ...] | None = None) -> list[Check]:
     """Check every system library that Qt and its window plugin are linked to."""
     name = "Qt libraries"
     files = _qt_files() if files is None else files
-    if not files:
+    if not files or shutil.which("ldd") is None:
         return []
-    if shutil.which("ldd") is None:
-        return [Check(name, State.WARN, "cannot be checked: there is no ldd on this system")]
     missing: list[str] = []
     for file in files:
         child = run(["ldd", str(file)])
@@ -182,21 +161,9 @@ def check_qt_libraries(run: RunChild = run_child, files: tuple[Path, ...] | None
         lines = [line.split() for line in child.out.splitlines() if "not found" in line]
         missing += [words[0] for words in lines if words[0] not in missing]
     if missing:
-        packages = [_PACKAGES.get(library, library) for library in missing]
-        remedy = f"Install what is missing: sudo apt-get install {' '.join(packages)}"
+        remedy = "Install the packages of your system that hold these libraries."
         return [Check(name, State.FAIL, f"missing: {', '.join(missing)}", remedy)]
     return [Check(name, State.OK, "all found")]
-
-
-def check_display(environment: Mapping[str, str] = os.environ) -> list[Check]:
-    """Check that there is a display for the window."""
-    if find_spec("PyQt6") is None:
-        return []
-    named = [name for name in ("DISPLAY", "WAYLAND_DISPLAY") if environment.get(name)]
-    if named:
-        return [Check("Display", State.OK, ", ".join(f"{name}={environment[name]}" for name in named))]
-    remedy = f"The window needs a display: log in at the machine, or use ssh -X; {_HEADLESS}"
-    return [Check("Display", State.WARN, "there is no display (DISPLAY and WAYLAND_DISPLAY are empty)", remedy)]
 
 
 def _qt_files() -> tuple[Path, ...]:
