@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pkgutil import resolve_name
 from typing import Final
 
 from PyQt6.QtCore import Qt
@@ -73,45 +72,3 @@ class TabKind:
     tip: str
     make: Callable[[Context], AnalysisTab]
     shortcut: str = ""
-
-
-def _later(path: str) -> Callable[[Context], AnalysisTab]:
-    """Return a `TabKind.make` that imports the tab's class when it is called: the main window starts without it."""
-
-    def make(context: Context) -> AnalysisTab:
-        tab: AnalysisTab = resolve_name(f"{__package__}.{path}")(context)
-        return tab
-
-    return make
-
-
-COMPARE: Final = TabKind(
-    title="&Compare methods",
-    tip="Run several contact methods side by side on the current frame",
-    shortcut="F7",
-    make=_later("compare_tab:CompareTab"),
-)
-TUNE: Final = TabKind(
-    title="Tun&e",
-    tip="Search for preset values with less error and less time on the open recording",
-    shortcut="Shift+F7",
-    make=_later("tune_tab:TuneTab"),
-)
-TRACK: Final = TabKind(
-    title="Trac&k an object",
-    tip="Pose of an object of known shape, tracked by its contact patches",
-    shortcut="Ctrl+F8",
-    make=_later("track_tab:TrackTab"),
-)
-STRAIN: Final = TabKind(
-    title="Membrane &strain",
-    tip="Membrane strain from a printed dot grid, on the current frame",
-    shortcut="Ctrl+T",
-    make=_later("strain_tab:StrainTab"),
-)
-TILT: Final = TabKind(
-    title="T&ilt",
-    tip="Roll and pitch of the contact patch with their standard deviations, and over time",
-    shortcut="Shift+F8",
-    make=_later("tilt_tab:TiltTab"),
-)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from functools import partial
+from typing import Final
 
 from PyQt6.QtCore import QObject, Qt
 from PyQt6.QtGui import QAction, QKeyEvent, QKeySequence, QShowEvent
 from PyQt6.QtWidgets import QDialog, QTabWidget, QVBoxLayout, QWidget
 
-from ...core.model.plugins import load_plugin, load_plugins
+from ...core.model.plugins import added_by_others
 from ...widgets.basics.controls import wrapped_label
 from ...widgets.basics.dialogs import bring_up, room_on
 from ...widgets.basics.layouts import vbox
@@ -20,6 +21,49 @@ from ..worker.errors import explain, guarded
 from .tab import TABS, AnalysisTab, TabKind
 
 _GEOMETRY = "analysis/geometry"
+
+
+# a tab's class is imported when the tab is first looked at: the main window starts without it
+
+
+def _compare(context: Context) -> AnalysisTab:
+    from .compare_tab import CompareTab
+
+    return CompareTab(context)
+
+
+def _strain(context: Context) -> AnalysisTab:
+    from .strain_tab import StrainTab
+
+    return StrainTab(context)
+
+
+def _tilt(context: Context) -> AnalysisTab:
+    from .tilt_tab import TiltTab
+
+    return TiltTab(context)
+
+
+def _track(context: Context) -> AnalysisTab:
+    from .track_tab import TrackTab
+
+    return TrackTab(context)
+
+
+def _tune(context: Context) -> AnalysisTab:
+    from .tune_tab import TuneTab
+
+    return TuneTab(context)
+
+
+#: Our own tabs by name; other packages add theirs by entry points.
+_OWN: Final = {
+    "compare": TabKind("&Compare methods", "Run several contact methods on the current frame", _compare, "F7"),
+    "strain": TabKind("Membrane &strain", "Membrane strain from a printed dot grid", _strain, "Ctrl+T"),
+    "tilt": TabKind("T&ilt", "Roll and pitch of the contact patch, with standard deviations", _tilt, "Shift+F8"),
+    "track": TabKind("Trac&k an object", "Pose of an object of known shape, tracked by its patches", _track, "Ctrl+F8"),
+    "tune": TabKind("Tun&e", "Search for preset values with less error and less time", _tune, "Shift+F7"),
+}
 
 
 class AnalysisLauncher(QObject):
@@ -44,9 +88,9 @@ class AnalysisLauncher(QObject):
         super().__init__(context)
         self._context, self._play, self._shared = context, play, shared
         self.window: AnalysisWindow | None = None
-        plugins = load_plugins(TABS, lambda name: load_plugin(TABS, name, TabKind))
-        self._kinds = dict(sorted(plugins.found.items(), key=lambda item: item[1].title.replace("&", "")))
-        for name, problem in plugins.problems.items():
+        added, problems = added_by_others(TABS, TabKind)
+        self._kinds = dict(sorted((added | _OWN).items(), key=lambda item: item[1].title.replace("&", "")))
+        for name, problem in problems.items():
             sentence = f"An analysis tab is missing: {problem}."
             context.messages.show_message(f"tab {name}", Severity.WARNING, sentence)
         self.actions = {name: self._action(name, kind) for name, kind in self._kinds.items()}

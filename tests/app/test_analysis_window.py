@@ -13,7 +13,6 @@ from tactune.app.analysis import window as analysis_window
 from tactune.app.analysis.tab import AnalysisTab, TabKind
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.results import Result
-from tactune.core.model.plugins import Plugins
 
 
 class NotingTab(AnalysisTab):
@@ -42,8 +41,9 @@ def tabs(monkeypatch) -> None:
         "compare": TabKind("&Compare", "Compares", NotingTab, "F7"),
         "clash": TabKind("&Xclash", "Wants a key that is taken", broken_tab, "F7"),
     }
-    plugins = Plugins(kinds, {"worn": "the entry point 'worn' of the package worn cannot be loaded"})
-    monkeypatch.setattr(analysis_window, "load_plugins", lambda group, kind: plugins)
+    problems = {"worn": "the entry point 'worn' of the package worn cannot be loaded"}
+    monkeypatch.setattr(analysis_window, "_OWN", {})
+    monkeypatch.setattr(analysis_window, "added_by_others", lambda group, kind: (kinds, problems))
 
 
 def opened(qtbot, window: MainWindow):

@@ -7,7 +7,6 @@ import os
 import re
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -26,10 +25,9 @@ from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.reading import SourceRequest
 from tactune.core.errors import SourceError
 from tactune.core.lab.methods import make_method, method_names, method_tip
-from tactune.core.model import plugins
-from tactune.core.preset import CameraSection, CamerasSection, Preset
+from tactune.core.model.plugins import added_by_others
+from tactune.core.preset import Preset
 from tactune.core.sources.cameras.drivers import camera_drivers
-from tactune.core.sources.cameras.source import CameraSource
 from tactune.core.sources.registry import open_source, source_kinds
 from tactune.core.sources.simulator.scene import simulator_rig
 
@@ -67,10 +65,10 @@ def acme(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def found(acme: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Let this process find the package."""
     monkeypatch.syspath_prepend(str(acme))
-    plugins.forget()
+    added_by_others.cache_clear()
     yield
     monkeypatch.undo()
-    plugins.forget()
+    added_by_others.cache_clear()
 
 
 @pytest.fixture
@@ -86,10 +84,10 @@ def broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     )
     (metadata / "entry_points.txt").write_text(text)
     monkeypatch.syspath_prepend(str(tmp_path))
-    plugins.forget()
+    added_by_others.cache_clear()
     yield tmp_path
     monkeypatch.undo()
-    plugins.forget()
+    added_by_others.cache_clear()
 
 
 def tactune(acme: Path, *words: str) -> subprocess.CompletedProcess[str]:
@@ -136,32 +134,6 @@ def test_the_method_stands_beside_our_own(found: None) -> None:
     assert len(patch.points) == np.count_nonzero(patch.mask) > 0
 
 
-def test_an_acme_camera_stands_beside_a_realsense_one(found: None) -> None:
-    pytest.importorskip("pyrealsense2", reason="the camera driver is not installed", exc_type=ImportError)
-    from software_rig import PROXIMITY_SERIAL, SoftwareRig
-    from tactune.core.sources.cameras.realsense import RealSenseDriver
-
-    rig = SoftwareRig()
-    (acme_driver,), _ = camera_drivers("acme")
-    drivers = [RealSenseDriver(rig.devices), acme_driver]
-    chosen = CamerasSection(proximity=CameraSection(serial=PROXIMITY_SERIAL), tactile=CameraSection(serial="acme1"))
-    with CameraSource(drivers, chosen) as source:
-        rig.start()
-        assert (source.rig.proximity.model, source.rig.tactile.model) == ("L515", "A1")
-        assert source.name == f"cameras:{PROXIMITY_SERIAL},acme1"
-        deadline_s = time.monotonic() + 300
-        frames = []
-        while len(frames) < 10:
-            assert time.monotonic() < deadline_s, source.health()
-            if source.wait(1.0):
-                frames.append(source.next_frame())
-        assert all(frame is not None and abs(frame.skew_s) <= 1 / 60 + 1e-6 for frame in frames)
-        assert [camera.model for camera in source.health().cameras] == ["L515", "A1"]
-        with pytest.raises(SourceError, match=r"A1 .*has no option 'gain'"):
-            source.set_option("tactile", "gain", 1.0)
-    rig.close()
-
-
 def test_the_tab_stands_in_the_analysis_menu(found: None, qtbot, tmp_path: Path) -> None:
     preset = Preset.model_validate({"outliers": {"enabled": False}})
     window = MainWindow(preset, Settings(tmp_path / "window.json"), tmp_path, False)
@@ -190,21 +162,6 @@ def test_a_broken_entry_point_is_one_sentence_and_breaks_nothing_else(broken: Pa
     drivers, problems = camera_drivers()
     assert [driver.title for driver in drivers] == ["RealSense"]
     assert sorted(name for name in BROKEN for problem in problems if f"'{name}'" in problem) == ["lost", "strange"]
-    tabs = plugins.load_plugins(TABS, lambda name: plugins.load_plugin(TABS, name, TabKind))
-    assert list(tabs.found) == ["compare", "strain", "tilt", "track", "truth", "tune"]
-    assert list(tabs.problems) == ["worn"]
+    assert list(added_by_others(TABS, TabKind)[1]) == ["worn"]
     with pytest.raises(SourceError, match=r"no RealSense camera connected.*package rotten"):
         open_source("cameras:1,2").close()
-
-
-def test_devices_and_doctor_name_the_broken_camera_drivers(broken: Path) -> None:
-    listed = tactune(broken, "devices", "--json")
-    told = json.loads(listed.stdout)["notes"] if listed.stdout else [listed.stderr]
-    checked = json.loads(tactune(broken, "doctor", "--json").stdout)["checks"]
-    lines = [check for check in checked if check["name"] == "Camera packages"]
-    assert [line["state"] for line in lines] == ["fail", "fail"]
-    assert {line["remedy"] for line in lines} == {"Update or uninstall the package."}
-    for name in ("lost", "strange"):
-        words = f"he entry point {name!r} (tactune.cameras) of the package rotten"
-        assert any(words in note and BROKEN[name][2] in note for note in told)
-        assert any(words in line["found"] and BROKEN[name][2] in line["found"] for line in lines)
