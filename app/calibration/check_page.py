@@ -4,24 +4,14 @@ from __future__ import annotations
 
 from PyQt6.QtCore import Qt, QTimer
 from PyQt6.QtGui import QHideEvent, QShowEvent
-from PyQt6.QtWidgets import (
-    QButtonGroup,
-    QCheckBox,
-    QComboBox,
-    QHBoxLayout,
-    QHeaderView,
-    QLabel,
-    QSlider,
-    QTableWidget,
-    QTableWidgetItem,
-    QWidget,
-)
+from PyQt6.QtWidgets import QButtonGroup, QCheckBox, QComboBox, QFormLayout, QHBoxLayout, QLabel, QSlider, QWidget
 
-from ...core.calibration.recheck import clearly_larger, replacement
+from ...core.calibration.geometry import Alignment
+from ...core.calibration.recheck import present_error_px
 from ...core.contact.checks import rig_in_use
 from ...core.preset import AlignmentSection, Preset
-from ...widgets.basics.controls import AccentButton, push_button
-from ...widgets.basics.layouts import hbox, splitter, vbox
+from ...widgets.basics.controls import AccentButton
+from ...widgets.basics.layouts import splitter, vbox
 from ...widgets.basics.theme import theme_name
 from ...widgets.clouds.cloud_view import CloudView, link_cameras
 from ...widgets.images.point_image import PointImage
@@ -29,18 +19,15 @@ from ..document.document import Document
 from ..worker.feed import FrameFeed
 from ..worker.jobs import Job
 from .fitting import Outcome, at_least
-from .overlay import Overlay, OverlayMode, Patch, PatchFinder, alignment_of_preset, make_overlay
-from .session import ProximityImage, Session, SessionState
+from .overlay import Overlay, Patch, PatchFinder, make_overlay
+from .session import Session, SessionState
 
 _BLINK_MS = 450
 _NO_FIT = "No calibration yet: click at least four pairs on the page Points"
-_TIPS = {
-    OverlayMode.BLEND: "Both images blended; the slider sets the tactile image's weight",
-    OverlayMode.CHECKER: "A checkerboard of both images: lines must continue across the borders",
-    OverlayMode.BLINK: "Both images alternating: nothing on the membrane may jump",
-    OverlayMode.EDGES: "Edges of the tactile image over the proximity image: they must coincide",
-}
-_IMAGES: tuple[tuple[ProximityImage, str], ...] = (("color", "Colour"), ("depth", "Depth"))
+_MODES = (
+    ("Blend", "Both images blended; the slider sets the tactile image's weight"),
+    ("Blink", "Both images alternating: nothing on the membrane may jump"),
+)
 _WHICH = (("new", "New"), ("present", "Present"))
 
 
@@ -52,7 +39,6 @@ class CheckPage(QWidget):
         self._session, self._document, self._feed = session, document, feed
         self._outcome = Outcome()
         self._kept: AlignmentSection | None = None
-        self._areas = ("–", "–")
         self._overlay: Overlay | None = None
         self._drawn: tuple[object, ...] = ()
         self._blinked = False
@@ -62,27 +48,14 @@ class CheckPage(QWidget):
         self._blink.setInterval(_BLINK_MS)
         self.image = PointImage("Tactile image over proximity image")
         self.image.set_loupe_wanted(False)
-        self.clouds = {
-            "present": CloudView("Present alignment"),
-            "new": CloudView("New alignment"),
-        }
+        self.clouds = {"new": CloudView("New alignment"), "present": CloudView("Present alignment")}
         link_cameras(list(self.clouds.values()))
-        self.table = _comparison_table()
+        self.errors, self.areas = QLabel(), QLabel()
         self.set_tolerance = QCheckBox()
         self.set_tolerance.setToolTip(
             "Set the tolerance t, per cent of the distance, to the smallest that this calibration supports; the "
             "membrane contact test has no t"
         )
-        self.export = push_button(
-            "Export report…", "Write verdict, numbers and pictures of the new calibration into one HTML file"
-        )
-        self._make_controls()
-        self._lay_out()
-        self._connect()
-        self.show_outcome(Outcome())
-
-    def _make_controls(self) -> None:
-        self.modes, self.which = QButtonGroup(self), QButtonGroup(self)
         self.share = QSlider(Qt.Orientation.Horizontal)
         self.share.setRange(0, 100)
         self.share.setValue(50)
@@ -92,33 +65,44 @@ class CheckPage(QWidget):
         self.pixels = QComboBox()
         self.pixels.setAccessibleName("Images")
         self.pixels.setToolTip("Colour shows the membrane's dots, depth shows the pressed object")
-        for key, title in _IMAGES:
-            self.pixels.addItem(title, key)
+        self.pixels.addItem("Colour", "color")
+        self.pixels.addItem("Depth", "depth")
+        self._lay_out()
+        self._connect()
+        self.show_outcome(Outcome())
 
     def _lay_out(self) -> None:
+        self.modes, self.which = QButtonGroup(self), QButtonGroup(self)
         tools = QHBoxLayout()
-        tools.setSpacing(4)
-        for number, mode in enumerate(OverlayMode):
-            button = AccentButton(mode.value, _TIPS[mode])
-            self.modes.addButton(button, number)
+        for number, (title, tip) in enumerate(_MODES):
+            self.modes.addButton(AccentButton(title, tip), number)
+        for number, (_, title) in enumerate(_WHICH):
+            self.which.addButton(AccentButton(title, f"Overlay the images with the {title.lower()} alignment"), number)
+        for button in self.modes.buttons():
             tools.addWidget(button)
         tools.addWidget(self.share, 1)
         tools.addWidget(self.pixels)
-        tools.addSpacing(8)
         tools.addWidget(QLabel("Alignment"))
-        for number, (_, title) in enumerate(_WHICH):
-            button = AccentButton(title, f"Overlay the images with the {title.lower()}")
-            self.which.addButton(button, number)
+        for button in self.which.buttons():
             tools.addWidget(button)
         for group in (self.modes, self.which):
-            first = group.button(0)
-            assert first is not None
-            first.setChecked(True)
+            group.buttons()[0].setChecked(True)
+        self.numbers = QWidget()
+        form = QFormLayout(self.numbers)
+        form.setContentsMargins(0, 0, 0, 0)
+        for title, value, tip in (
+            (
+                "Expected alignment error",
+                self.errors,
+                "Over the membrane; the present one is judged by the pairs",
+            ),
+            ("Patch in the present frame", self.areas, "Found by the preset's contact test in the main window's frame"),
+        ):
+            value.setToolTip(tip)
+            form.addRow(title, value)
         left = QWidget()
-        column = vbox(tools, (self.image, 1), self.table, within=left, margins=0)
-        last = hbox((self.set_tolerance, 1), self.export)
-        column.addLayout(last)
-        right = splitter(Qt.Orientation.Vertical, self.clouds["new"], self.clouds["present"])
+        vbox(tools, (self.image, 1), self.numbers, self.set_tolerance, within=left, margins=0)
+        right = splitter(Qt.Orientation.Vertical, *self.clouds.values())
         across = splitter(Qt.Orientation.Horizontal, (left, 3), (right, 2), sizes=(720, 480))
         vbox(across, within=self, margins=(8, 8, 8, 4))
 
@@ -144,8 +128,7 @@ class CheckPage(QWidget):
     def show_outcome(self, outcome: Outcome) -> None:
         """Show a new fit."""
         self._outcome = outcome
-        self._areas = ("–", "–")
-        self.export.setEnabled(outcome.report is not None)
+        self.areas.setText("–")
         self._show_tolerance()
         self._draw()
 
@@ -165,11 +148,6 @@ class CheckPage(QWidget):
         """Stop blinking."""
         super().hideEvent(event)
         self._blink.stop()
-
-    @property
-    def mode(self) -> OverlayMode:
-        """How the images are combined."""
-        return list(OverlayMode)[self.modes.checkedId()]
 
     def new_preset(self) -> Preset | None:
         """Return the document's preset with the new alignment; None without a fit."""
@@ -202,7 +180,7 @@ class CheckPage(QWidget):
         if not self.isVisible():
             return
         self._find_patches()
-        self._show_comparison()
+        self._show_errors()
         snapshot, new = self._session.state.snapshot, self.new_preset()
         frame = snapshot.frame if snapshot is not None else self._feed.frame
         which, image = _WHICH[self.which.checkedId()][0], self.pixels.currentData()
@@ -220,7 +198,18 @@ class CheckPage(QWidget):
             if self._overlay is None:
                 self.image.set_image(None, "Drawing both images…")
             section, rig = preset.alignment, rig_in_use(preset, self._session.rig)
-            self._overlay_job.start(lambda _: make_overlay(alignment_of_preset(section, rig), rig, frame, image))
+            self._overlay_job.start(lambda _: make_overlay(Alignment.of_preset(section, rig), rig, frame, image))
+
+    def _show_errors(self) -> None:
+        """Show the expected errors of both alignments."""
+        report = self._outcome.report
+        present = None if report is None else present_error_px(report, self.present_preset())
+        words = "–"
+        if report is not None:
+            chosen = report.chosen
+            words = f"<b>{at_least(chosen.alignment_px, 'px')}, {at_least(chosen.alignment_mm, 'mm')}</b> new"
+            words += "" if present is None else f"; {at_least(present, 'px')} present"
+        self.errors.setText(words)
 
     def _find_patches(self) -> None:
         """Find the patches in the newest frame if the page is visible."""
@@ -228,7 +217,7 @@ class CheckPage(QWidget):
             return
         frame = self._feed.frame
         presets = {"present": self.present_preset(), "new": self.new_preset()}
-        if "–" in self._areas:
+        if self.areas.text() == "–":
             for view in self.clouds.values():
                 view.set_message("Finding the patch…")
         rig, theme, finders = self._session.rig, theme_name(), self._finders
@@ -238,6 +227,16 @@ class CheckPage(QWidget):
                 for name, preset in presets.items()
             }
         )
+
+    def _show_patches(self, patches: dict[str, Patch]) -> None:
+        words = []
+        for name, view in self.clouds.items():
+            patch = patches[name]
+            view.set_cloud(patch.cloud)
+            empty = "No contact in this frame: press the object" if patch.points == 0 else ""
+            view.set_message(patch.problem or empty)
+            words.append(f"{'–' if patch.problem else f'{patch.area_mm2 / 100:.1f} cm²'} {name}")
+        self.areas.setText("–" if patches["new"].problem else "; ".join(words))
 
     def _file_changed(self, _: Preset) -> None:
         self._kept = None
@@ -254,51 +253,16 @@ class CheckPage(QWidget):
         self._compose()
 
     def _compose(self) -> None:
-        if self._overlay is not None:
-            self.image.set_image(self._overlay.composed(self.mode, self.share.value() / 100, self._blinked))
-
-    def _show_patches(self, patches: dict[str, Patch]) -> None:
-        for name, patch in patches.items():
-            view = self.clouds[name]
-            view.set_cloud(patch.cloud)
-            empty = "No contact in this frame: press the object" if patch.points == 0 else ""
-            view.set_message(patch.problem or empty)
-        old, new = patches["present"], patches["new"]
-        self._areas = ("–", "–") if new.problem else (_area(new), _area(old))
-        self._show_comparison()
-
-    def _show_comparison(self) -> None:
-        """Show both alignments in numbers; the smaller error is marked in words."""
-        report = self._outcome.report
-        errors = None if report is None else replacement(report, self.present_preset())
-        cells: list[tuple[str, str]] = [("–", "–")] * len(_ROWS)
-        if errors is not None:
-            new, present, mm = errors.new, errors.present, errors.mm_per_px
-            cells[:4] = [
-                _marked(errors.new_px, errors.present_px, "px", 0.1),
-                _marked(errors.new_px * mm, errors.present_px * mm, "mm", 0.1 * mm),
-                _marked(new.boundary_mm, present.boundary_mm, "mm", 0.1 * mm),
-                _marked(100 * new.supported_tolerance, 100 * present.supported_tolerance, "%", 0.05),
-            ]
-        elif report is not None:
-            chosen = report.chosen
-            cells[:4] = [
-                (at_least(chosen.alignment_px, "px"), "none"),
-                (at_least(chosen.alignment_mm, "mm"), "none"),
-                (at_least(chosen.effect.boundary_mm, "mm"), "none"),
-                (at_least(100 * chosen.effect.supported_tolerance, "%"), "none"),
-            ]
-        cells[4] = self._areas
-        for row, values in enumerate(cells):
-            for column, text in enumerate(values):
-                item = self.table.item(row, column)
-                assert item is not None
-                item.setText(text)
+        overlay = self._overlay
+        if overlay is not None and self._blink.isActive():
+            self.image.set_image(overlay.tactile if self._blinked else overlay.proximity)
+        elif overlay is not None:
+            self.image.set_image(overlay.blended(self.share.value() / 100))
 
     def _mode_chosen(self, _: int = 0) -> None:
-        mode = self.mode
-        self.share.setEnabled(mode is OverlayMode.BLEND)
-        if mode is OverlayMode.BLINK and self.isVisible():
+        blinks = self.modes.checkedId() == 1
+        self.share.setEnabled(not blinks)
+        if blinks and self.isVisible():
             self._blink.start()
         else:
             self._blink.stop()
@@ -307,58 +271,3 @@ class CheckPage(QWidget):
     def _swap(self) -> None:
         self._blinked = not self._blinked
         self._compose()
-
-
-_ROWS = (
-    (
-        "Expected alignment error (px)",
-        "Over the whole membrane, in proximity pixels; the present one is judged by the pairs",
-    ),
-    ("Expected alignment error (mm)", "The same error across the line of sight, millimetres"),
-    ("Patch boundary off by (mm)", "Expected error of the contact patch's boundary, millimetres"),
-    (
-        "Smallest t (tolerance test)",
-        "With a smaller tolerance t, per cent of the distance, the tolerance test loses pixels in true contact",
-    ),
-    ("Patch in the present frame (cm²)", "Found by the preset's contact test in the frame that the main window shows"),
-)
-
-
-def _comparison_table() -> QTableWidget:
-    """Return an empty table of `_ROWS` with the columns New and Present, as high as its rows."""
-    table = QTableWidget(len(_ROWS), 2)
-    table.setAccessibleName("New and present alignment")
-    table.setToolTip("The new alignment beside the present one")
-    table.setHorizontalHeaderLabels(["New", "Present"])
-    table.setVerticalHeaderLabels([title for title, _ in _ROWS])
-    for row, (_, tip) in enumerate(_ROWS):
-        for column in range(2):
-            item = QTableWidgetItem("–")
-            item.setToolTip(tip)
-            item.setTextAlignment(Qt.AlignmentFlag.AlignCenter)
-            table.setItem(row, column, item)
-        header = table.verticalHeaderItem(row)
-        assert header is not None
-        header.setToolTip(tip)
-    table.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
-    table.setSelectionMode(QTableWidget.SelectionMode.NoSelection)
-    table.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-    across, down = table.horizontalHeader(), table.verticalHeader()
-    assert across is not None and down is not None
-    across.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
-    down.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-    table.setFixedHeight(across.sizeHint().height() + down.length() + 2 * table.frameWidth())
-    return table
-
-
-def _marked(new: float, present: float, unit: str, least: float) -> tuple[str, str]:
-    """Return both errors in words; one that is clearly smaller, by ``least`` or more, is marked as better."""
-    texts = [at_least(value, unit) for value in (new, present)]
-    for number, (error, other) in enumerate(((new, present), (present, new))):
-        if clearly_larger(other, error, least):
-            texts[number] += "  ✓ better"
-    return texts[0], texts[1]
-
-
-def _area(patch: Patch) -> str:
-    return "–" if patch.problem else f"{patch.area_mm2 / 100:.1f} cm²"

@@ -17,6 +17,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
+from ...core.model.alignment import Side
 from ...core.model.clouds import valid_depth
 from ...core.model.frames import Rig, SensorFrame
 from ...widgets.basics.controls import ProgressBar, caption, frame_count, push_button, wrapped_label
@@ -25,7 +26,7 @@ from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.images.image_pane import ImagePane
 from ..worker.feed import FrameFeed
 from .pictures import image_choices, picture
-from .session import ImageChoice, Session, SessionState, Side, Snapshot
+from .session import ImageChoice, Session, SessionState, Snapshot
 from .snapshots import MAX_FRAMES, MOVED_LIMIT_M, Collector
 
 _PREVIEW_MS = 80

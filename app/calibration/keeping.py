@@ -1,4 +1,4 @@
-"""A calibration on disk: one file per rig, which outlives closing and crashing, and what goes into the preset."""
+"""A calibration on disk: one file per rig, which outlives closing and crashing."""
 
 from __future__ import annotations
 
@@ -8,21 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel
 from PyQt6.QtCore import QLockFile, QObject
 
-from ...core.calibration import CalibrationReport
 from ...core.calibration.snapshots import content_hash
 from ...core.errors import TactuneError
-from ...core.model.alignment import SnapshotRecord
+from ...core.model.alignment import PointPair
 from ...core.model.files import atomic_path
 from ...core.model.frames import SensorFrame
 from ...core.model.loading import parse_npz, read_file
-from ...core.preset import Preset
 from ..document.keeping import KeptState, check_version, lock_of, remove_unnamed, write_json
-from .session import Choices, PointPair, Session, SessionState, Snapshot, rig_key
+from .session import Choices, Session, SessionState, Snapshot, renumbered, rig_key
 
-_VERSION = 1
+_VERSION = 2
 _SLOTS = 8
 _IMAGES = ("proximity_depth", "tactile_depth", "proximity_color", "tactile_color")
 
@@ -81,10 +78,22 @@ class Keeper(KeptState[SessionState]):
             if snapshot.digest not in self._stored or not images.exists():  # another window may have removed it
                 _write_images(images, snapshot.frame)
                 self._stored.add(snapshot.digest)
-        write_json(file, _content(state))
+        content = {
+            "version": _VERSION,
+            "snapshots": [
+                {"digest": snap.digest, "name": snap.name, "averaged": snap.averaged, "moved_m": snap.moved_m,
+                 "sequence": snap.frame.sequence, "source": snap.source}
+                for snap in state.snapshots
+            ],
+            "pairs": [pair.model_dump(mode="json") for pair in state.pairs],
+            "choices": state.choices.model_dump(mode="json"),
+        }  # fmt: skip
+        write_json(file, content)
 
     def _parse(self, content: dict[str, Any]) -> SessionState:
         """Return the saved state without the snapshots whose images are missing."""
+        if content["version"] == 1:
+            content = _from_version_1(content)
         check_version(content, _VERSION)
         snapshots = []
         self._missing = []
@@ -98,11 +107,29 @@ class Keeper(KeptState[SessionState]):
             snapshots.append(
                 Snapshot(entry["digest"], entry["name"], frame, entry["averaged"], entry["moved_m"], entry["source"])
             )
-        pairs = tuple(PointPair.model_validate_json(json.dumps(entry)) for entry in content["pairs"])
-        state = SessionState(tuple(snapshots), pairs, Choices.model_validate_json(json.dumps(content["choices"])))
+        digests = [entry["digest"] for entry in content["snapshots"]]
+        pairs = [PointPair.model_validate_json(json.dumps(entry)) for entry in content["pairs"]]
+        state = SessionState(
+            tuple(snapshots),
+            renumbered(pairs, digests, [snapshot.digest for snapshot in snapshots]),
+            Choices.model_validate_json(json.dumps(content["choices"])),
+        )
         if state.snapshot is None:
             state = state.with_choices(snapshot=snapshots[-1].digest if snapshots else "")
         return state
+
+
+def _from_version_1(content: dict[str, Any]) -> dict[str, Any]:
+    """Return a state as the program wrote it before pairs of the wizard and of points files were of one type."""
+    places = {entry["digest"]: number for number, entry in enumerate(content["snapshots"])}
+    pairs = []
+    for old in content["pairs"]:
+        new = {name: old[name] for name in ("enabled", "tactile_depth_m", "proximity_image", "origin")}
+        for side in ("proximity", "tactile"):
+            new[f"{side}_u"], new[f"{side}_v"] = old[side] or (None, None)
+        pairs.append(new | {"id": str(old["key"]), "snapshot": places.get(old["snapshot"])})
+    fields = {name: kept for name, kept in content["choices"].items() if name not in {"target", "depth_fit"}}
+    return content | {"version": _VERSION, "pairs": pairs, "choices": fields}
 
 
 def _free_slot(folder: Path, key: str) -> tuple[Path, QLockFile]:
@@ -113,19 +140,6 @@ def _free_slot(folder: Path, key: str) -> tuple[Path, QLockFile]:
         if lock.tryLock(0) or slot == _SLOTS:
             break
     return file, lock
-
-
-def _content(state: SessionState) -> dict[str, Any]:
-    return {
-        "version": _VERSION,
-        "snapshots": [
-            {"digest": snap.digest, "name": snap.name, "averaged": snap.averaged, "moved_m": snap.moved_m,
-             "sequence": snap.frame.sequence, "source": snap.source}
-            for snap in state.snapshots
-        ],
-        "pairs": [pair.model_dump(mode="json") for pair in state.pairs],
-        "choices": state.choices.model_dump(mode="json"),
-    }  # fmt: skip
 
 
 def _images_file(folder: Path, digest: str) -> Path:
@@ -145,31 +159,3 @@ def _read_images(path: Path, sequence: int) -> SensorFrame:
     if not path.name.startswith(f"snapshot-{content_hash(frame)[:24]}"):
         raise ValueError(f"{path} has been changed")
     return frame
-
-
-_PATHS = (
-    "alignment.model",
-    "alignment.rigid.T_proximity_tactile",
-    "alignment.homography.H_p_t",
-    "alignment.depth_scale",
-    "alignment.depth_offset_m",
-    "alignment.calibration",
-    "rig",
-)
-
-
-def preset_values(report: CalibrationReport, preset: Preset, state: SessionState) -> dict[str, Any]:
-    """Return the preset fields that a calibration sets, by path."""
-    applied = report.apply_to(preset, snapshots=snapshot_records(state), set_tolerance=state.choices.set_tolerance)
-    values = {path: applied.value(path) for path in (*_PATHS, "tolerance.t")}
-    return {
-        path: value.model_dump(mode="json") if isinstance(value, BaseModel) else value for path, value in values.items()
-    }
-
-
-def snapshot_records(state: SessionState) -> tuple[SnapshotRecord, ...]:
-    """Return name, hash and number of averaged frames of each snapshot, in their order."""
-    return tuple(
-        SnapshotRecord(name=snapshot.name, sha256=snapshot.digest, frames=snapshot.averaged)
-        for snapshot in state.snapshots
-    )

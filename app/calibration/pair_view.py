@@ -11,10 +11,11 @@ from PyQt6.QtWidgets import QWidget
 
 from ...core.calibration.detect import Snapped
 from ...core.errors import TactuneError
+from ...core.model.alignment import Place, Side
 from ...widgets.basics.layouts import hbox
 from ...widgets.images.point_image import PointImage
 from .pictures import Picture, landing
-from .session import SIDES, Place, Side
+from .session import SIDES
 
 Snapper = Callable[[Picture, Place], Snapped | None]
 Partner = Callable[[Side, Place], Place | None]

@@ -10,12 +10,13 @@ import numpy as np
 
 from ...core.calibration.detect import Snapped, snap_to_feature
 from ...core.calibration.snapshots import depth_under
+from ...core.model.alignment import Place, Side
 from ...core.model.arrays import AnyArray, Float32Array, Float64Array, Uint8Array
 from ...core.model.clouds import valid_depth
 from ...core.model.frames import Rig, SensorFrame
 from ...widgets.basics.colormaps import depth_lut
 from ...widgets.images.strip_render import NO_VALUE_RGB
-from .session import ImageChoice, Place, Side
+from .session import ImageChoice
 
 _RELIEF_SIGMA_PX = 9.0
 _RELIEF_LIMIT_M = 0.002
@@ -23,15 +24,7 @@ _RELIEF_LIMIT_M = 0.002
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """One image.
-
-    Attributes
-    ----------
-    pixels : uint8, shape (H, W, 4)
-        In the memory layout of ``QImage.Format_RGB32``.
-    gray : uint8, shape (H, W)
-        The image in which snapping searches for corners and blobs.
-    """
+    """One image: pixels (H, W, 4) as ``QImage.Format_RGB32``, and grey (H, W), in which snapping searches."""
 
     pixels: Uint8Array
     gray: Uint8Array

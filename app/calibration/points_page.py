@@ -8,17 +8,19 @@ from PyQt6.QtCore import QSignalBlocker, Qt
 from PyQt6.QtGui import QKeySequence, QShortcut
 from PyQt6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QToolButton, QWidget
 
+from ...core.calibration.geometry import Alignment
 from ...core.errors import counted
+from ...core.model.alignment import Place, Side
 from ...widgets.basics.controls import ElidedLabel, caption
 from ...widgets.basics.gestures import GestureClock
 from ...widgets.basics.layouts import hbox, splitter, vbox
-from ...widgets.basics.point_table import PointTable
 from .finder import Finder
-from .fitting import Outcome, image_marks, missing_depth, same_pixels, table_rows
+from .fitting import Outcome, image_marks, same_pixels, table_rows
 from .pair_view import PairView, Snapper
 from .pictures import image_choices, picture
-from .prediction import Alignment, nominal_alignment, proximity_partner, tactile_partner
-from .session import SIDES, ImageChoice, Place, Session, SessionState, Side, Snapshot
+from .point_table import PointTable
+from .prediction import proximity_partner, tactile_partner
+from .session import SIDES, ImageChoice, Session, SessionState, Snapshot
 
 IMAGE_NAMES: dict[ImageChoice, str] = {"color": "Colour", "depth": "Depth", "relative": "Relative depth"}
 ARROWS = {"Arrows off": 0.0, "Arrows ×1": 1.0, "Arrows ×10": 10.0, "Arrows ×100": 100.0}
@@ -35,14 +37,13 @@ class PointsPage(QWidget):
         self._shown: dict[Side, tuple[object, ...]] = {}
         self._clock = GestureClock()
         self._nudges = GestureClock()
-        self._nominal = nominal_alignment(session.rig)
+        self._nominal = Alignment.of_rig(session.rig)
         self._ghost: tuple[Side, Place] | None = None
         #: What the last click snapped to, and the state that the click led to.
         self._landing: tuple[SessionState, str] = (session.state, "")
         self.finder = Finder(session)
         self.view = PairView(snapper)
         self.table = PointTable()
-        self.table.show_worst_first()
         self.hint = ElidedLabel()
         self.fit_line = ElidedLabel()
         self._make_tools()
@@ -81,8 +82,8 @@ class PointsPage(QWidget):
         self.whole = _button("Whole", "Fit both images into view (0)")
         self.drop = _button("", "Delete the pairs that the fit rejects, because the others contradict them")
         self.drop.hide()
-        self.load = _button("Import…", "Read pairs from a CSV or a QGIS .points file")
-        self.store = _button("Export…", "Write the pairs to a CSV or a QGIS .points file")
+        self.load = _button("Import…", "Read pairs from a CSV file")
+        self.store = _button("Export…", "Write the pairs to a CSV file")
 
     def _lay_out(self) -> None:
         tools = QHBoxLayout()
@@ -112,7 +113,7 @@ class PointsPage(QWidget):
             image.deleteRequested.connect(self._delete)
             image.acceptRequested.connect(self.accept_ghost)
             image.cancelRequested.connect(session.cancel_pending)
-        self.table.enabledToggled.connect(lambda key, enabled: session.enable([key], enabled))
+        self.table.ticked.connect(lambda row, on: session.enable(row.pair.id, on))
         self.table.selectionEdited.connect(self._row_selected)
         self.table.deleteRequested.connect(self._delete)
         self.snapshot.activated.connect(lambda _: session.set_display(snapshot=self.snapshot.currentData()))
@@ -206,12 +207,12 @@ class PointsPage(QWidget):
         for side in SIDES:
             marks = image_marks(state, self._outcome, side, self._session.rig, selected)
             self.view.images[side].set_marks(marks)
-        self.table.set_rows(table_rows(state, self._outcome))
+        self.table.set_records(table_rows(state, self._outcome))
         self.table.select(selected)
         self._show_ghost()
         self._show_hint()
 
-    def _show_selection(self, keys: tuple[int, ...]) -> None:
+    def _show_selection(self, keys: tuple[str, ...]) -> None:
         self._show_points()
 
     def _show_ghost(self) -> None:
@@ -260,9 +261,9 @@ class PointsPage(QWidget):
                     "removes the first click."
                 )
             return f"Now click the same spot in the {other} image. Esc removes the first click."
-        without = missing_depth(state)
+        without = [pair.id for pair in state.pairs if pair.tactile is not None and pair.tactile_depth_m is None]
         if without:
-            names = ", ".join(str(key) for key in without[:5])
+            names = ", ".join(without[:5])
             return (
                 f"No tactile depth under point {names}: the rigid model cannot use it. Move it slightly, or "
                 "average more frames."
@@ -285,7 +286,7 @@ class PointsPage(QWidget):
         self._landing = self._session.state, landing
         self._show_hint()
 
-    def _pressed(self, key: int, modifiers: Qt.KeyboardModifier) -> None:
+    def _pressed(self, key: str, modifiers: Qt.KeyboardModifier) -> None:
         selected = self._session.selected
         if modifiers & Qt.KeyboardModifier.ControlModifier:
             toggled = tuple(k for k in selected if k != key) if key in selected else (*selected, key)
@@ -293,7 +294,7 @@ class PointsPage(QWidget):
         else:
             self._session.select([key])
 
-    def _dragged(self, side: Side, key: int, u: float, v: float, done: bool) -> None:
+    def _dragged(self, side: Side, key: str, u: float, v: float, done: bool) -> None:
         if not self._clock.held:
             self._clock.hold()
         place, landing = self.view.snapped(side, (u, v)) if done else ((u, v), "")
@@ -313,7 +314,7 @@ class PointsPage(QWidget):
         if self._session.selected:
             self._session.remove(self._session.selected)
 
-    def _row_selected(self, keys: tuple[int, ...]) -> None:
+    def _row_selected(self, keys: tuple[str, ...]) -> None:
         """Select the points, and pan to them if they are out of view."""
         self._session.select(keys)
         if len(keys) != 1:
@@ -322,8 +323,9 @@ class PointsPage(QWidget):
         image = state.choices.proximity_image
         if not same_pixels(pair, image, self._session.rig):
             image = pair.proximity_image
-        snapshot = pair.snapshot if state.snapshot_of(pair) is not None else state.choices.snapshot
-        self._session.set_display(snapshot=snapshot, proximity_image=image)
+        snapshot = state.snapshot_of(pair)
+        digest = state.choices.snapshot if snapshot is None else snapshot.digest
+        self._session.set_display(snapshot=digest, proximity_image=image)
         for side in SIDES:
             place = pair.place(side)
             if place is not None:

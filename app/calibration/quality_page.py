@@ -1,43 +1,43 @@
-"""The page that shows how good the calibration is, where, and what to do next, with a map of the uncertainty."""
+"""The page that shows how good the calibration is, where, and what to do next, and where the model is chosen."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QShowEvent
-from PyQt6.QtWidgets import QButtonGroup, QGridLayout, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QButtonGroup, QComboBox, QFormLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
 from scipy.interpolate import LinearNDInterpolator
 
 from ...core.calibration import CalibrationReport
-from ...core.calibration.html_report import write_html
+from ...core.calibration.geometry import proximity_pixels
 from ...core.calibration.quality import millimetres_per_pixel
 from ...core.calibration.report import grade
-from ...core.model.arrays import BoolArray, Float64Array, Uint8Array
-from ...core.model.frames import Rig, SensorFrame
-from ...widgets.basics.controls import AccentButton, push_button, wrapped_label
-from ...widgets.basics.layouts import hbox, vbox
+from ...core.model.arrays import Uint8Array
+from ...core.model.frames import SensorFrame
+from ...widgets.basics.controls import AccentButton, wrapped_label
+from ...widgets.basics.layouts import STRETCH, hbox, scrolling, vbox
 from ...widgets.basics.theme import TextSize, text_font
 from ...widgets.images.image_pane import ColorBar
 from ...widgets.images.point_image import PointImage
 from ...widgets.plots.calibration_plots import CoverageGrid
 from ..worker.jobs import Job
 from .fitting import Outcome, image_marks
-from .overlay import OverlayMode, make_overlay
 from .pictures import membrane_grid, pack_rgb, picture
-from .prediction import Alignment, project_into
-from .session import Session, Snapshot
+from .session import Session, SessionState
 
 _STEP_PX = 8
 _COARSE = 4
 _OPACITY = 0.62
 #: Upper end of the colours: a percentile, so that a corner far from all points does not flatten the rest.
 _PERCENTILE = 97.0
+_UNITS = {"px": "proximity pixels", "mm": "millimetres across the line of sight"}
+_MODELS = (("Recommended", "auto"), ("Rigid pose", "rigid"), ("Homography", "homography"))
+_OFFSETS = (("If it is certain", "auto"), ("Not corrected", "none"), ("Offset", "offset"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,24 +57,23 @@ def uncertainty_lut() -> Uint8Array:
 
 
 def uncertainty_picture(report: CalibrationReport, frame: SensorFrame, unit: str) -> UncertaintyPicture:
-    """Colour the proximity colour image by the expected alignment error.
-
-    Parameters
-    ----------
-    unit : {"px", "mm"}
-        Proximity pixels, or millimetres across the line of sight.
-    """
-    fit, rig = report.chosen.agreement, report.rig
+    """Colour the proximity colour image by the expected alignment error, in ``"px"`` or ``"mm"``."""
+    quality, rig = report.chosen, report.rig
     shown = picture(frame, rig, "proximity", "color", stretch=True)
     height, width = shown.gray.shape
     places = membrane_grid(frame, rig, _STEP_PX)
-    places = places[_has_ray(places[:, :2], rig)]
+    with np.errstate(all="ignore"):
+        sigma = np.sqrt((quality.agreement.sensitivity(places) ** 2).sum(axis=(1, 2)))
+        pixels = quality.fit.predict(places)
+        rays = rig.proximity.intrinsics.normalise(pixels)
+        points = np.column_stack([rays * places[:, 2:], places[:, 2]])
+        where = pixels if rig.proximity_color is None else proximity_pixels(rig, points, True)
+    known = np.isfinite(where).all(axis=1) & np.isfinite(sigma)  # a strongly bending lens has places without a ray
+    places, sigma, where = places[known], sigma[known], where[known]
     if len(places) < 4:
         return UncertaintyPicture(shown.pixels, 0.0, 1.0)
-    sigma = np.sqrt((fit.sensitivity(places) ** 2).sum(axis=(1, 2)))
     if unit == "mm":
         sigma = sigma * millimetres_per_pixel(places[:, 2], rig)
-    where = color_pixels(fit.predict(places), places[:, 2], rig)
     v, u = np.mgrid[0:height:_COARSE, 0:width:_COARSE]
     coarse = LinearNDInterpolator(where, sigma)(u, v)
     high = float(np.percentile(sigma, _PERCENTILE))
@@ -88,65 +87,8 @@ def uncertainty_picture(report: CalibrationReport, frame: SensorFrame, unit: str
     return UncertaintyPicture(pack_rgb(blended.astype(np.uint8)), low, high)
 
 
-def _has_ray(pixels: Float64Array, rig: Rig) -> BoolArray:
-    """Whether tactile pixels (N, 2) have a ray; those beyond the fold of a strongly distorting lens have none."""
-    lens = rig.tactile.intrinsics
-    with np.errstate(all="ignore"):
-        rays = lens.normalise(pixels)
-        again = lens.project(np.column_stack([rays, np.ones(len(rays))]))
-    return np.asarray((np.abs(again - pixels) < 1.0).all(axis=1))
-
-
-def color_pixels(depth_pixels: Float64Array, depth_m: Float64Array, rig: Rig) -> Float64Array:
-    """Map proximity depth pixels (N, 2) at distances (N,), metres, to pixels of the proximity colour image."""
-    if rig.proximity_color is None:
-        return depth_pixels
-    rays = rig.proximity.intrinsics.normalise(depth_pixels)
-    return project_into(np.column_stack([rays * depth_m[:, None], depth_m]), rig, "color")
-
-
-_UNITS = {"px": "proximity pixels", "mm": "millimetres across the line of sight"}
-_ESTIMATE, _REMOVE = "Estimate lens distortion", "Remove lens distortion"
-_ESTIMATE_TIP = (
-    "Estimate radial lens distortion (k1, no unit) from the pairs, for lenses for which the rig states none. "
-    "Saving stores it with the preset's rig; undo removes it"
-)
-_REMOVE_TIP = "Fit without the estimated lens distortion again; undo restores it"
-_MAP_TITLE = "Expected alignment error over the membrane"
-
-
-def write_report(
-    path: Path, report: CalibrationReport, alignment: Alignment, preset_name: str, snapshot: Snapshot | None
-) -> Path:
-    """Write the report with overlay and uncertainty over a snapshot, if there is one; return its path.
-
-    Raises
-    ------
-    ExportError
-        The file cannot be written.
-    """
-    pictures: dict[str, Uint8Array] = {}
-    if snapshot is not None:
-        frame = snapshot.frame
-        drawn = uncertainty_picture(report, frame, "px")
-        title = f"Expected alignment error over the membrane, {drawn.low:.2f} px (dark) to {drawn.high:.2f} px (bright)"
-        pictures[title] = _rgb(drawn.pixels)
-        if frame.tactile_color is not None:
-            overlay = make_overlay(alignment, report.rig, frame, "color")
-            pictures["Checkerboard of both images: lines continue across the borders"] = _rgb(
-                overlay.composed(OverlayMode.CHECKER, 0.5)
-            )
-    write_html(path, report, preset_name, None if snapshot is None else snapshot.frame, pictures)
-    return path
-
-
-def _rgb(pixels: Uint8Array) -> Uint8Array:
-    """Convert pixels in the layout of ``QImage.Format_RGB32`` to RGB."""
-    return pixels[:, :, 2::-1].copy()
-
-
 class QualityPage(QWidget):
-    """The uncertainty map, the verdict, the numbers and the coverage."""
+    """The uncertainty map, the verdict, the choice of the model, the numbers and the coverage."""
 
     def __init__(self, session: Session) -> None:
         super().__init__()
@@ -155,78 +97,83 @@ class QualityPage(QWidget):
         self._drawn: tuple[object, ...] = ()
         self._mapped = False
         self._job = Job(self)
-        self.map = PointImage(_MAP_TITLE)
+        self.map = PointImage("Expected alignment error over the membrane")
         self.map.set_loupe_wanted(False)
         self.units = QButtonGroup(self)
-        self.grade = _words("title", bold=True)
-        self.why = _words()
-        self.step = _words(bold=True)
-        self.estimated = _words()
-        self.distortion = push_button(_ESTIMATE, _ESTIMATE_TIP)
-        self.numbers = QGridLayout()
-        self.numbers.setVerticalSpacing(4)
-        self.numbers.setHorizontalSpacing(16)
+        self.grade, self.why, self.step = _words("title", bold=True), _words(), _words(bold=True)
+        self.model = _choice(
+            "Model",
+            "The rigid pose is exact at every depth, a homography for one plane only. Recommended: the model with the "
+            "smaller cross-validated residual",
+            _MODELS,
+        )
+        self.depth_fit = _choice(
+            "Offset of the tactile depth",
+            "Also fit an offset of the tactile depth, millimetres. Points that span depth determine it",
+            _OFFSETS,
+        )
+        self.reason, self.offset = _words(), _words()
+        self.numbers = QFormLayout()
         self.warnings = _words()
+        self.warnings.setTextFormat(Qt.TextFormat.PlainText)
         self.coverage = CoverageGrid()
         hbox((self._map_column(), 3), (self._words_column(), 2), within=self, margins=(8, 8, 8, 4))
         self.units.idClicked.connect(lambda _: self._draw())
-        self.distortion.clicked.connect(self._toggle_distortion)
+        self.model.activated.connect(
+            lambda _: session.choose(f"Model: {self.model.currentText()}", model=self.model.currentData())
+        )
+        self.depth_fit.activated.connect(
+            lambda _: session.choose(
+                f"Offset of the depth: {self.depth_fit.currentText()}", depth_fit=self.depth_fit.currentData()
+            )
+        )
         self._job.done.connect(self._show_map)
         self._job.failed.connect(self._show_no_map)
-        session.changed.connect(lambda _: self._draw())
+        session.changed.connect(self._show_state)
         session.selectionChanged.connect(lambda _: self._show_marks())
-        self.map.pressed.connect(lambda key, _: session.select([key]))
+        self.map.pressed.connect(lambda name, _: session.select([name]))
         self.setFocusProxy(self.map)
+        self._show_state(session.state)
         self.show_outcome(Outcome())
 
     def _map_column(self) -> QVBoxLayout:
-        units = QHBoxLayout()
-        units.addWidget(QLabel("Show the map in"))
+        buttons = []
         for number, (unit, words) in enumerate(_UNITS.items()):
             button = AccentButton(unit, f"Expected alignment error in {words}, one standard deviation")
             button.setFixedWidth(56)
             button.setChecked(number == 0)
             self.units.addButton(button, number)
-            units.addWidget(button)
-        units.addStretch(1)
-        return vbox((self.map, 1), units)
+            buttons.append(button)
+        return vbox((self.map, 1), hbox(QLabel("Show the map in"), *buttons, STRETCH))
 
     def _words_column(self) -> QScrollArea:
         side = QWidget()
-        column = QVBoxLayout(side)
-        for label in (self.grade, self.why, self.step):
-            column.addWidget(label)
-        column.addWidget(self.distortion, 0, Qt.AlignmentFlag.AlignLeft)
-        column.addWidget(self.estimated)
-        column.addSpacing(8)
-        column.addLayout(self.numbers)
-        column.addWidget(self.warnings)
-        column.addSpacing(8)
-        column.addWidget(QLabel("Points over the proximity image"))
-        column.addWidget(self.coverage, 1)
-        scroll = QScrollArea()
-        scroll.setWidgetResizable(True)
-        scroll.setFrameShape(QScrollArea.Shape.NoFrame)
-        scroll.setWidget(side)
-        return scroll
+        choices = QFormLayout()
+        choices.addRow("&Model", self.model)
+        choices.addRow("Depth &offset", self.depth_fit)
+        rest = (self.warnings, 8, QLabel("Points over the proximity image"), (self.coverage, 1))
+        vbox(
+            self.grade, self.why, self.step, 8, choices, self.reason, self.offset, 8, self.numbers, *rest,
+            within=side,
+        )  # fmt: skip
+        return scrolling(side)
 
     def show_outcome(self, outcome: Outcome) -> None:
         """Show a new fit."""
         self._outcome = outcome
         report = outcome.report
-        self._show_distortion(outcome)
-        while (item := self.numbers.takeAt(0)) is not None:
-            widget = item.widget()
-            if widget is not None:
-                widget.deleteLater()
+        while self.numbers.rowCount():
+            self.numbers.removeRow(0)
         if report is None:
             self.grade.setText("No calibration yet")
-            self.why.setText("")
             self.step.setText(outcome.sentence or "Click at least four pairs, preferably eight, on the page Points.")
+            for label in (self.why, self.reason, self.offset, self.warnings):
+                label.setText("")
             self.coverage.set_coverage([], [])
-            self.warnings.setText("")
         else:
             self._show_report(report)
+        for label in (self.why, self.reason, self.offset, self.warnings):
+            label.setVisible(bool(label.text()))
         self._draw()
 
     def close_jobs(self) -> None:
@@ -238,6 +185,11 @@ class QualityPage(QWidget):
         super().showEvent(event)
         self._draw()
 
+    def _show_state(self, state: SessionState) -> None:
+        self.model.setCurrentIndex(self.model.findData(state.choices.model))
+        self.depth_fit.setCurrentIndex(self.depth_fit.findData(state.choices.depth_fit))
+        self._draw()
+
     def _show_report(self, report: CalibrationReport) -> None:
         quality = report.chosen
         judged = grade(quality)
@@ -245,51 +197,31 @@ class QualityPage(QWidget):
         self.grade.setText(word)
         self.why.setText(why[:1].upper() + why[1:])
         self.step.setText(f"Next: {report.verdict.removeprefix(judged).strip()}")
+        self.reason.setText(report.reason)
+        self.offset.setText("" if report.depth_offset is None else report.depth_offset.words())
         rows = [
-            ("Model", report.model),
             ("Smallest t (tolerance test)", f"{100 * quality.effect.supported_tolerance:.2f} %"),
             ("Patch boundary off by", f"{quality.effect.boundary_mm:.2f} mm"),
             ("Depth difference at contact", f"{quality.effect.depth_mm:.2f} mm"),
             ("Alignment error, 95 % bound", f"{quality.alignment_bound_95_px:.2f} px"),
-            ("Residual, RMS", "exact fit, not informative" if quality.rms_px is None else f"{quality.rms_px:.2f} px"),
-            (
-                "Cross-validated residual",
-                "needs more pairs" if quality.cross_validated_px is None else f"{quality.cross_validated_px:.2f} px",
-            ),
-            ("Condition number", f"{quality.condition:.1f}"),
         ]
-        if quality.worst_px is not None and quality.worst_id is not None:
-            rows.insert(6, ("Worst residual", f"{quality.worst_px:.2f} px (pair {quality.worst_id})"))
-        for number, (title, value) in enumerate(rows):
-            self.numbers.addWidget(QLabel(title), number, 0)
-            self.numbers.addWidget(QLabel(f"<b>{value}</b>"), number, 1)
-        self.numbers.setColumnStretch(1, 1)
-        self.warnings.setTextFormat(Qt.TextFormat.PlainText)
+        if quality.rms_px is None:
+            rows.append(("Residual, RMS", "exact fit, not informative"))
+        else:
+            worst = quality.worst
+            rows += [
+                ("Residual, RMS", f"{quality.rms_px:.2f} px"),
+                ("Worst residual", f"{worst.residual_px:.2f} px (pair {worst.id})"),
+            ]
+        for title, value in rows:
+            self.numbers.addRow(title, QLabel(f"<b>{value}</b>"))
         self.warnings.setText("\n".join(f"Note: {words}" for words in report.warnings))
-        self.warnings.setVisible(bool(report.warnings))
         depths = [
             1e3 * pair.tactile_depth_m
             for pair in self._outcome.pairs
             if pair.enabled and pair.tactile_depth_m is not None
         ]
         self.coverage.set_coverage(report.coverage.cells, depths)
-
-    def _show_distortion(self, outcome: Outcome) -> None:
-        """Offer to estimate lens distortion, or to remove the estimate."""
-        chosen = self._session.state.choices.estimate_distortion
-        used = outcome.report is not None and outcome.report.distortion_used
-        self.distortion.setText(_REMOVE if chosen else _ESTIMATE)
-        self.distortion.setToolTip(_REMOVE_TIP if chosen else _ESTIMATE_TIP)
-        self.distortion.setVisible(chosen or outcome.distortion.rig is not None)
-        self.estimated.setText(outcome.distortion.result if used else "")
-        self.estimated.setVisible(used)
-
-    def _toggle_distortion(self) -> None:
-        asked = self.distortion.text()
-        self._session.choose(asked, estimate_distortion=asked == _ESTIMATE)
-
-    def _unit(self) -> str:
-        return list(_UNITS)[self.units.checkedId()]
 
     def _draw(self) -> None:
         """Draw the map if it is visible and out of date."""
@@ -299,10 +231,9 @@ class QualityPage(QWidget):
             return
         if report is None or snapshot is None:
             self._drawn = ()
-            why = "Take a snapshot to draw the map" if report is not None else "No calibration yet"
-            self._show_no_map(why)
+            self._show_no_map("Take a snapshot to draw the map" if report is not None else "No calibration yet")
             return
-        unit = self._unit()
+        unit = list(_UNITS)[self.units.checkedId()]
         wanted = (report, snapshot.digest, unit)
         if wanted != self._drawn:
             if not self._drawn:
@@ -314,7 +245,7 @@ class QualityPage(QWidget):
         self.map.set_image(drawn.pixels)
         self._mapped = True
         self._show_marks()
-        unit = self._unit()
+        unit = list(_UNITS)[self.units.checkedId()]
         self.map.header.set_legend(ColorBar(f"{drawn.low:.2f} {unit}", f"{drawn.high:.2f} {unit}", uncertainty_lut()))
 
     def _show_no_map(self, why: str) -> None:
@@ -325,17 +256,22 @@ class QualityPage(QWidget):
 
     def _show_marks(self) -> None:
         """Mark the points on the map; without a map they would cover the message."""
-        if not self._mapped:
-            self.map.set_marks([])
-            return
-        state = self._session.state.with_choices(proximity_image="color")
-        marks = image_marks(
-            state, self._outcome, "proximity", self._session.rig, self._session.selected, everywhere=True
-        )
-        self.map.set_marks(marks)
+        session = self._session
+        state = session.state.with_choices(proximity_image="color")
+        marks = image_marks(state, self._outcome, "proximity", session.rig, session.selected, everywhere=True)
+        self.map.set_marks(marks if self._mapped else [])
 
 
 def _words(size: TextSize = "body", bold: bool = False) -> QLabel:
     label = wrapped_label()
     label.setFont(text_font(size, bold=bold))
     return label
+
+
+def _choice(name: str, tip: str, choices: tuple[tuple[str, str], ...]) -> QComboBox:
+    box = QComboBox()
+    box.setAccessibleName(name)
+    box.setToolTip(tip)
+    for title, value in choices:
+        box.addItem(title, value)
+    return box

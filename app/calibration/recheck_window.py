@@ -164,7 +164,7 @@ def _marks(drift: Drift) -> list[Mark]:
     lengths = (drift.offsets_px**2).sum(axis=1) ** 0.5
     return [
         Mark(
-            number,
+            str(number),
             float(place[0]),
             float(place[1]),
             kind=MarkKind.WORST if length > _WORST_SHARE * drift.worst_px else MarkKind.POINT,

@@ -3,64 +3,30 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict
 from PyQt6.QtCore import QObject, pyqtSignal
 
-from ...core.calibration.calibrate import DepthChoice
+from ...core.calibration.calibrate import DepthFit, ModelChoice
 from ...core.errors import counted
+from ...core.model.alignment import PointPair, Side
 from ...core.model.frames import Rig, SensorFrame
 from ..document.history import History
 
-Side = Literal["proximity", "tactile"]
 ProximityImage = Literal["color", "depth"]
 ImageChoice = Literal["color", "depth", "relative"]
-ModelChoice = Literal["auto", "rigid", "homography"]
-Target = Literal["texture", "chessboard", "charuco", "circles", "dots"]
-Place = tuple[float, float]
+Target = Literal["texture", "chessboard"]
 
 SIDES: tuple[Side, Side] = ("proximity", "tactile")
 
 
-class _Frozen(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+class Choices(BaseModel):
+    """The options chosen on the pages; ``columns`` and ``rows`` count a chessboard's inner corners."""
 
-
-class PointPair(_Frozen):
-    """A point clicked in both images. While one side is missing, the pair is pending.
-
-    ``proximity_image`` names the image whose pixels the proximity side is given in. ``tactile_depth_m`` is None where
-    the tactile camera has no depth. ``snapshot`` is a digest; it is empty for imported pairs.
-    """
-
-    key: int
-    enabled: bool = True
-    proximity: Place | None = None
-    tactile: Place | None = None
-    tactile_depth_m: float | None = None
-    proximity_image: ProximityImage = "color"
-    snapshot: str = ""
-    origin: str = "clicked"
-
-    @property
-    def complete(self) -> bool:
-        """Whether both sides are clicked."""
-        return self.proximity is not None and self.tactile is not None
-
-    def place(self, side: Side) -> Place | None:
-        """Return one side."""
-        return self.proximity if side == "proximity" else self.tactile
-
-
-class Choices(_Frozen):
-    """The options chosen on the pages.
-
-    ``target`` is what *Find points* looks for; ``columns``, ``rows``, ``marker_share`` and ``dictionary`` describe a
-    printed target, see `tactune.core.calibration.detect`.
-    """
+    model_config = ConfigDict(frozen=True, extra="ignore")
 
     snapshot: str = ""
     proximity_image: ImageChoice = "color"
@@ -71,12 +37,9 @@ class Choices(_Frozen):
     target: Target = "texture"
     columns: int = 9
     rows: int = 6
-    marker_share: float = 0.7
-    dictionary: str = "DICT_4X4_250"
     model: ModelChoice = "auto"
-    depth_fit: DepthChoice = "auto"
+    depth_fit: DepthFit = "auto"
     set_tolerance: bool = False
-    estimate_distortion: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +59,7 @@ class Snapshot:
 
 @dataclass(frozen=True)
 class SessionState:
-    """Everything that undo restores."""
+    """Everything that undo restores. A pair names its snapshot by its place in ``snapshots``; imported ones may not."""
 
     snapshots: tuple[Snapshot, ...] = ()
     pairs: tuple[PointPair, ...] = ()
@@ -118,10 +81,19 @@ class SessionState:
         return next((pair for pair in self.pairs if not pair.complete), None)
 
     @property
+    def digests(self) -> tuple[str, ...]:
+        """The digests of the snapshots."""
+        return tuple(snap.digest for snap in self.snapshots)
+
+    @property
+    def number(self) -> int | None:
+        """The place of the snapshot that is being clicked in."""
+        return self.digests.index(self.choices.snapshot) if self.choices.snapshot in self.digests else None
+
+    @property
     def snapshot(self) -> Snapshot | None:
         """The snapshot that is being clicked in."""
-        chosen = self.choices.snapshot
-        return next((snap for snap in self.snapshots if snap.digest == chosen), None)
+        return None if self.number is None else self.snapshots[self.number]
 
     @property
     def sources(self) -> tuple[str, ...]:
@@ -130,21 +102,31 @@ class SessionState:
 
     def snapshot_of(self, pair: PointPair) -> Snapshot | None:
         """Return the snapshot in which a pair was clicked."""
-        return next((snap for snap in self.snapshots if snap.digest == pair.snapshot), None)
+        known = pair.snapshot is not None and pair.snapshot < len(self.snapshots)
+        return self.snapshots[pair.snapshot] if known and pair.snapshot is not None else None
 
-    def next_key(self) -> int:
+    def next_id(self) -> int:
         """Return the number of the next pair."""
-        return max((pair.key for pair in self.pairs), default=0) + 1
+        return max((int(pair.id) for pair in self.pairs), default=0) + 1
 
     def with_pair(self, pair: PointPair) -> SessionState:
-        """Replace the pair of the same key, or add it."""
-        if any(old.key == pair.key for old in self.pairs):
-            return replace(self, pairs=tuple(pair if old.key == pair.key else old for old in self.pairs))
+        """Replace the pair of the same id, or add it."""
+        if any(old.id == pair.id for old in self.pairs):
+            return replace(self, pairs=tuple(pair if old.id == pair.id else old for old in self.pairs))
         return replace(self, pairs=(*self.pairs, pair))
 
     def with_choices(self, **values: object) -> SessionState:
         """Change choices."""
         return replace(self, choices=Choices.model_validate({**self.choices.model_dump(), **values}))
+
+
+def renumbered(pairs: Iterable[PointPair], before: Sequence[str], after: Sequence[str]) -> tuple[PointPair, ...]:
+    """Return pairs that refer to other snapshots, given by their digests; None where theirs is gone."""
+    numbers = {number: after.index(digest) if digest in after else None for number, digest in enumerate(before)}
+    return tuple(
+        pair if pair.snapshot is None else pair.model_copy(update={"snapshot": numbers.get(pair.snapshot)})
+        for pair in pairs
+    )
 
 
 def rig_key(rig: Rig) -> str:
@@ -160,15 +142,11 @@ DepthReader = Callable[[Snapshot, float, float], float | None]
 class Session(History[SessionState]):
     """What the wizard's pages edit; every edit is one undoable step.
 
-    Parameters
-    ----------
-    rig : Rig
-    read_depth : callable
-        Returns the tactile depth in metres at a pixel of a snapshot, or None.
+    ``read_depth`` returns the tactile depth in metres at a pixel of a snapshot, or None.
 
     Signals
     -------
-    selectionChanged(tuple of int)
+    selectionChanged(tuple of str)
         Other pairs are selected. Selecting is not an undo step.
     """
 
@@ -178,29 +156,29 @@ class Session(History[SessionState]):
         super().__init__(SessionState(), parent)
         self.rig = rig
         self._read_depth = read_depth
-        self._selected: tuple[int, ...] = ()
+        self._selected: tuple[str, ...] = ()
 
     @property
-    def selected(self) -> tuple[int, ...]:
-        """Keys of the selected pairs."""
+    def selected(self) -> tuple[str, ...]:
+        """Ids of the selected pairs."""
         return self._selected
 
-    def pair(self, key: int) -> PointPair:
-        """Return a pair by its key."""
-        return next(pair for pair in self._state.pairs if pair.key == key)
+    def pair(self, name: str) -> PointPair:
+        """Return a pair by its id."""
+        return next(pair for pair in self._state.pairs if pair.id == name)
 
     def show(self, state: SessionState) -> None:
         """Change the state without a step, and deselect pairs that no longer exist."""
         super().show(state)
-        present = {pair.key for pair in state.pairs}
-        self.select(key for key in self._selected if key in present)
+        present = {pair.id for pair in state.pairs}
+        self.select(name for name in self._selected if name in present)
 
-    def select(self, keys: Iterable[int]) -> None:
+    def select(self, names: Iterable[str]) -> None:
         """Select pairs."""
-        keys = tuple(keys)
-        if keys != self._selected:
-            self._selected = keys
-            self.selectionChanged.emit(keys)
+        names = tuple(names)
+        if names != self._selected:
+            self._selected = names
+            self.selectionChanged.emit(names)
 
     def choose(self, text: str, gesture: int = 0, **values: Any) -> None:
         """Change choices, as one step with this text."""
@@ -212,11 +190,9 @@ class Session(History[SessionState]):
         if after != self._state:
             self.show(after)
 
-    # Snapshots
-
     def add_snapshot(self, snapshot: Snapshot) -> None:
         """Add a snapshot and click in it from now on."""
-        if any(old.digest == snapshot.digest for old in self._state.snapshots):
+        if snapshot.digest in self._state.digests:
             self.set_display(snapshot=snapshot.digest)
             return
         added = replace(self._state, snapshots=(*self._state.snapshots, snapshot))
@@ -224,64 +200,58 @@ class Session(History[SessionState]):
 
     def remove_snapshot(self, digest: str) -> None:
         """Remove a snapshot with the pairs clicked in it."""
-        kept = tuple(snap for snap in self._state.snapshots if snap.digest != digest)
-        pairs = tuple(pair for pair in self._state.pairs if pair.snapshot != digest)
-        after = replace(self._state, snapshots=kept, pairs=pairs)
-        if self._state.choices.snapshot == digest:
+        before = self._state
+        kept = tuple(snap for snap in before.snapshots if snap.digest != digest)
+        pairs = [pair for pair in before.pairs if pair.snapshot != before.digests.index(digest)]
+        after = replace(before, snapshots=kept)
+        after = replace(after, pairs=renumbered(pairs, before.digests, after.digests))
+        if before.choices.snapshot == digest:
             after = after.with_choices(snapshot=kept[-1].digest if kept else "")
         self.edit("Remove a snapshot", after)
 
-    # Pairs
-
     def click(self, side: Side, u: float, v: float) -> None:
         """Process a click: it starts a pair, moves its first click, or completes the pair."""
-        pending, present = self._state.pending, self._state.choices.snapshot
+        pending, present = self._state.pending, self._state.number
         if pending is None or pending.snapshot != present:
-            key = self._state.next_key() if pending is None else pending.key
-            pair, text = PointPair(key=key, snapshot=present), f"Click point {key}"
+            name = str(self._state.next_id()) if pending is None else pending.id
+            pair, text = PointPair(id=name, snapshot=present, origin="clicked"), f"Click point {name}"
         elif pending.place(side) is None:
-            pair, text = pending, f"Complete pair {pending.key}"
+            pair, text = pending, f"Complete pair {pending.id}"
         else:
-            pair, text = pending, f"Click point {pending.key} elsewhere"
-        pair = self._placed(pair, side, u, v)
-        self.edit(text, self._state.with_pair(pair))
-        self.select([pair.key])
+            pair, text = pending, f"Click point {pending.id} elsewhere"
+        self.edit(text, self._state.with_pair(self._placed(pair, side, u, v)))
+        self.select([pair.id])
 
-    def move(self, key: int, side: Side, u: float, v: float, gesture: int = 0) -> None:
+    def move(self, name: str, side: Side, u: float, v: float, gesture: int = 0) -> None:
         """Move one side of a pair, keeping the image that it was clicked in."""
-        moved = self._placed(self.pair(key), side, u, v, keep_image=True)
-        self.edit(f"Move point {key}", self._state.with_pair(moved), gesture)
+        moved = self._placed(self.pair(name), side, u, v, keep_image=True)
+        self.edit(f"Move point {name}", self._state.with_pair(moved), gesture)
 
     def cancel_pending(self) -> None:
         """Remove a pending first click."""
         if self._state.pending is not None:
-            self.remove([self._state.pending.key])
+            self.remove([self._state.pending.id])
 
-    def remove(self, keys: Iterable[int]) -> None:
+    def remove(self, names: Iterable[str]) -> None:
         """Delete pairs."""
-        gone = set(keys)
-        kept = tuple(pair for pair in self._state.pairs if pair.key not in gone)
+        gone = set(names)
+        kept = tuple(pair for pair in self._state.pairs if pair.id not in gone)
         self.edit(f"Delete {counted(len(self._state.pairs) - len(kept), 'pair')}", replace(self._state, pairs=kept))
 
-    def enable(self, keys: Iterable[int], enabled: bool) -> None:
-        """Switch pairs on or off."""
-        chosen = set(keys)
-        pairs = tuple(
-            pair.model_copy(update={"enabled": enabled}) if pair.key in chosen else pair for pair in self._state.pairs
-        )
-        self.edit(
-            f"Switch {counted(len(chosen), 'pair')} {'on' if enabled else 'off'}", replace(self._state, pairs=pairs)
-        )
+    def enable(self, name: str, enabled: bool) -> None:
+        """Switch a pair on or off."""
+        switched = self.pair(name).model_copy(update={"enabled": enabled})
+        self.edit(f"Switch pair {name} {'on' if enabled else 'off'}", self._state.with_pair(switched))
 
     def add_pairs(self, pairs: Iterable[PointPair], text: str) -> None:
         """Add complete pairs under new numbers, as one step."""
-        first = self._state.next_key()
-        added = tuple(pair.model_copy(update={"key": first + number}) for number, pair in enumerate(pairs))
+        first = self._state.next_id()
+        added = tuple(pair.model_copy(update={"id": str(first + number)}) for number, pair in enumerate(pairs))
         self.edit(text, replace(self._state, pairs=(*self._state.pairs, *added)))
-        self.select([pair.key for pair in added])
+        self.select([pair.id for pair in added])
 
     def _placed(self, pair: PointPair, side: Side, u: float, v: float, keep_image: bool = False) -> PointPair:
-        values: dict[str, Any] = {side: (float(u), float(v))}
+        values: dict[str, Any] = {f"{side}_u": float(u), f"{side}_v": float(v)}
         if side == "proximity" and not keep_image:
             values["proximity_image"] = "color" if self._state.choices.proximity_image == "color" else "depth"
         if side == "tactile":

@@ -1,4 +1,4 @@
-"""The window of the calibration wizard, with five steps in any order, and its launcher."""
+"""The window of the calibration wizard, with four steps in any order, and its launcher."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
+from pydantic import BaseModel
 from PyQt6.QtCore import QObject, Qt, pyqtSignal
 from PyQt6.QtGui import QCloseEvent, QKeyEvent, QKeySequence, QShortcut
 from PyQt6.QtWidgets import (
@@ -18,10 +19,11 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from ...core.calibration import CalibrationReport, Correspondence, read_points, write_points
-from ...core.calibration.recheck import Replacement, replacement
+from ...core.calibration import CalibrationReport, read_points, write_points
+from ...core.calibration.recheck import is_worse, present_error_px
 from ...core.calibration.report import grade
 from ...core.errors import TactuneError, counted
+from ...core.model.alignment import SnapshotRecord
 from ...widgets.basics.controls import AccentButton, push_button, wrapped_label
 from ...widgets.basics.dialogs import Dialogs, bring_up
 from ...widgets.basics.layouts import hbox, vbox
@@ -29,29 +31,37 @@ from ...widgets.basics.messages import Messages, Severity
 from ..context import SOURCE, TASK, Context
 from ..document.document import Document
 from ..worker.feed import FrameFeed
-from ..worker.jobs import Job
 from .check_page import CheckPage
-from .fitting import Fitter, Outcome, at_least, correspondences, missing_pairs, pairs_of
+from .fitting import Fitter, Outcome, at_least, missing_pairs, with_contact, with_depth
 from .frames_page import FramesPage
-from .keeping import Keeper, preset_values
-from .model_page import ModelPage
+from .keeping import Keeper
 from .pictures import snap, tactile_depth_at
 from .points_page import PointsPage
-from .quality_page import QualityPage, write_report
+from .quality_page import QualityPage
 from .recheck_window import RecheckWindow
-from .session import ProximityImage, Session, SessionState
+from .session import Session, SessionState
 from .snapshots import MOVED_LIMIT_M, Collector
 
-STEPS = ("Snapshots", "Points", "Model", "Quality", "Save")
+STEPS = ("Snapshots", "Points", "Quality", "Save")
 _TIPS = (
     "Take snapshots of the membrane, at one or several inflation levels",
     "Find points automatically, or click the same spots in both images",
-    "Compare both models and choose one",
-    "Quality of the calibration and the next step",
+    "Quality of the calibration, the next step, and the choice of the model",
     "Compare the new alignment with the present one, and save it",
 )
 _SAVE = STEPS.index("Save")
-_POINTS = "Points (*.csv *.points)"
+#: The fields of the preset that a calibration sets.
+_SAVED = (
+    "alignment.model",
+    "alignment.rigid.T_proximity_tactile",
+    "alignment.homography.H_p_t",
+    "alignment.depth_scale",
+    "alignment.depth_offset_m",
+    "alignment.calibration",
+    "rig",
+    "tolerance.t",
+)
+_POINTS = "Points (*.csv)"
 
 
 class CalibrationWizard(QDialog):
@@ -95,13 +105,11 @@ class CalibrationWizard(QDialog):
         self.keeper = Keeper(self.session, folder, self)
         self.fitter = Fitter(self.session, self)
         self.collector = Collector(feed, self)
-        self._export = Job(self)
         self.frames = FramesPage(self.session, feed, self.collector)
         self.points = PointsPage(self.session, snap)
-        self.model = ModelPage(self.session)
         self.quality = QualityPage(self.session)
         self.check = CheckPage(self.session, document, feed)
-        self.pages: tuple[QWidget, ...] = (self.frames, self.points, self.model, self.quality, self.check)
+        self.pages: tuple[QWidget, ...] = (self.frames, self.points, self.quality, self.check)
         #: What a page offers to do before *Next*; both stand at the same place on every page.
         self.page_actions = {0: self.frames.take, 1: self.points.finder.search}
         self._lay_out()
@@ -171,9 +179,6 @@ class CalibrationWizard(QDialog):
         self.leave.clicked.connect(self.close)
         self.points.load.clicked.connect(self._import_dialog)
         self.points.store.clicked.connect(self._export_dialog)
-        self.check.export.clicked.connect(self._report_dialog)
-        self._export.done.connect(self._report_written)
-        self._export.failed.connect(self._report_failed)
         self.keeper.failed.connect(lambda words: self.messages.show_message("keeping", Severity.WARNING, words))
         self.fitter.fitted.connect(self._show_outcome)
         self._document.refused.connect(self._refused)
@@ -271,8 +276,7 @@ class CalibrationWizard(QDialog):
         record = self._document.preset.alignment.calibration
         if record is None or not record.points or not self.session.state.empty:
             return
-        stored = [Correspondence(**point.model_dump()) for point in record.points]
-        pairs = pairs_of(stored, self.session.state, self.session.rig, origin="preset")
+        pairs = with_depth(record.points, self.session.state, self.session.rig, origin="preset")
         self.messages.show_message(
             "stored",
             Severity.INFO,
@@ -287,7 +291,7 @@ class CalibrationWizard(QDialog):
 
     def _show_outcome(self, outcome: Outcome) -> None:
         self.outcome, self._saved = outcome, False
-        for page in (self.points, self.model, self.quality, self.check):
+        for page in (self.points, self.quality, self.check):
             page.show_outcome(outcome)
         self._show_steps()
 
@@ -314,12 +318,10 @@ class CalibrationWizard(QDialog):
             findings["Points"] = self.outcome.sentence if state.pairs else ""
         else:
             rejected, judged = self.outcome.rejected, grade(report.chosen)
-            worse = self._is_worse(report)
+            worse = is_worse(report, self.check.present_preset())
             findings["Points"] = f"{counted(len(rejected), 'rejected pair')}." if rejected else ""
-            findings["Model"] = "" if report.model == report.recommended else report.reason
-            if report.rigid is not None and report.depth_fit != report.depth_advice.depth_fit:
-                findings["Model"] = report.depth_advice.reason
-            findings["Quality"] = "" if judged.startswith(("Good", "Usable")) else judged
+            findings["Quality"] = "" if report.model == report.recommended else report.reason
+            findings["Quality"] = findings["Quality"] if judged.startswith(("Good", "Usable")) else judged
             findings["Save"] = "The new calibration is worse than the present alignment." if worse else ""
         return findings
 
@@ -360,44 +362,18 @@ class CalibrationWizard(QDialog):
         except TactuneError as error:
             self.messages.show_message("file", Severity.ERROR, str(error))
             return
-        state = self.session.state
-        if path.suffix == ".points":  # the file names no images, so the current ones are meant
-            image: ProximityImage = "color" if state.choices.proximity_image == "color" else "depth"
-            number = None if state.snapshot is None else state.snapshots.index(state.snapshot)
-            points = [replace(point, proximity_image=image, snapshot=number) for point in points]
-        pairs = pairs_of(points, state, self.session.rig, origin=path.name)
+        pairs = with_depth(points, self.session.state, self.session.rig, origin=path.name)
         self.session.add_pairs(pairs, f"Import {len(pairs)} pairs")
         self.messages.show_message("file", Severity.INFO, f"{len(pairs)} pairs were read from {path}.")
 
     def export_points(self, path: Path) -> None:
         """Write the complete pairs to a file."""
         try:
-            write_points(path, correspondences(self.session.state, self.session.rig))
+            write_points(path, with_contact(self.session.state, self.session.rig))
         except TactuneError as error:
             self.messages.show_message("file", Severity.ERROR, str(error))
             return
         self.messages.show_message("file", Severity.INFO, f"The pairs were written to {path}.")
-
-    def export_report(self, path: Path) -> None:
-        """Write the quality report as HTML, on another thread."""
-        outcome, snapshot = self.outcome, self.session.state.snapshot
-        report, alignment, name = outcome.report, outcome.alignment, self._document.preset.name
-        if report is None or alignment is None:
-            return
-        self.check.export.setEnabled(False)
-        self._export.start(lambda _: write_report(path, report, alignment, name, snapshot))
-
-    def _report_written(self, path: Path) -> None:
-        self.check.export.setEnabled(True)
-        self.messages.show_message("file", Severity.INFO, f"The report was written to {path}.")
-
-    def _report_failed(self, words: str) -> None:
-        self.check.export.setEnabled(True)
-        self.messages.show_message("file", Severity.ERROR, words)
-
-    def _report_dialog(self) -> None:
-        suggested = (self._document.path or Path()).parent / "quality.html"
-        self._dialogs.save_file("export", "Export quality report", suggested, ["HTML (*.html)"], self.export_report)
 
     def _import_dialog(self) -> None:
         self._dialogs.open_file("points", "Import points", _POINTS, self.import_points)
@@ -411,25 +387,31 @@ class CalibrationWizard(QDialog):
         if report is None or self.fitter.busy:
             self.messages.show_message("next", Severity.WARNING, self._missing(_SAVE) or "The fit is not complete yet.")
             return
-        errors = replacement(report, self._document.preset)
-        if errors is not None and errors.worse:
-            self._dialogs.ask(
-                "Replace the alignment",
-                "The new calibration is worse than the present alignment.",
-                f"{_both_errors(errors)}. Click the pairs with the largest residuals again, or add pairs.",
-                "Replace anyway",
-                partial(self._save, report),
-            )
-        else:
+        if not is_worse(report, self._document.preset):
             self._save(report)
-
-    def _is_worse(self, report: CalibrationReport) -> bool:
-        errors = replacement(report, self.check.present_preset())
-        return errors is not None and errors.worse
+            return
+        new, present = report.chosen.alignment_px, present_error_px(report, self._document.preset) or 0.0
+        self._dialogs.ask(
+            "Replace the alignment",
+            "The new calibration is worse than the present alignment.",
+            f"Expected alignment error: {at_least(new, 'px')} new, {at_least(present, 'px')} present, judged by the "
+            "pairs. Click the pairs with the largest residuals again, or add pairs.",
+            "Replace anyway",
+            partial(self._save, report),
+        )
 
     def _save(self, report: CalibrationReport) -> None:
         """Put the alignment and its record into the document, as one undoable step, and save the file."""
-        values = preset_values(report, self._document.preset, self.session.state)
+        state = self.session.state
+        records = tuple(
+            SnapshotRecord(name=snapshot.name, sha256=snapshot.digest, frames=snapshot.averaged)
+            for snapshot in state.snapshots
+        )
+        applied = report.apply_to(self._document.preset, snapshots=records, set_tolerance=state.choices.set_tolerance)
+        values = {path: applied.value(path) for path in _SAVED}
+        values |= {
+            path: value.model_dump(mode="json") for path, value in values.items() if isinstance(value, BaseModel)
+        }
         self.check.keep_present()
         if not self._document.edit_many(values):
             return
@@ -469,7 +451,6 @@ class CalibrationWizard(QDialog):
         """Save the state and cancel running jobs."""
         self.collector.close()
         self.fitter.close()
-        self._export.stop()
         for page in (self.points.finder, self.quality, self.check):
             page.close_jobs()
         self.keeper.close()
@@ -490,14 +471,6 @@ def _short(report: CalibrationReport) -> str:
     word = grade(quality).partition(":")[0]
     errors = f"{at_least(quality.alignment_px, 'px')}, {at_least(quality.alignment_mm, 'mm')}"
     return f"{word}, {report.model}: {errors}."
-
-
-def _both_errors(errors: Replacement) -> str:
-    """Return the errors of both alignments in words."""
-    return (
-        f"Expected alignment error: {at_least(errors.new_px, 'px')} new, {at_least(errors.present_px, 'px')} present, "
-        "judged by the pairs"
-    )
 
 
 _NO_FRAME = "There is no frame to calibrate on yet: open a source first."

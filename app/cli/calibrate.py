@@ -27,8 +27,7 @@ DRIFTED_STATUS = 1
 def calibrate(
     *,
     points: Annotated[
-        Path,
-        typer.Option("--points", metavar="FILE", help="Clicked pairs: CSV as the wizard exports it, or QGIS .points."),
+        Path, typer.Option("--points", metavar="FILE", help="Clicked pairs: CSV as the wizard exports it.")
     ],
     rig: Annotated[
         str, typer.Option("--rig", metavar="FILE|SOURCE", help="A rig.json, a preset that has a rig, or a source.")
@@ -37,30 +36,18 @@ def calibrate(
         Literal["auto", "homography", "rigid"], typer.Option(help="auto: fit both and take the better one.")
     ] = "auto",
     depth_fit: Annotated[
-        Literal["auto", "none", "offset", "scale", "both"],
-        typer.Option("--depth-fit", help="Also fit an offset and a scale of the tactile depth. auto: as recommended."),
+        Literal["auto", "none", "offset"],
+        typer.Option("--depth-fit", help="Also fit an offset of the tactile depth. auto: if it is certain."),
     ] = "auto",
-    estimate_distortion: Annotated[
-        bool,
-        typer.Option(
-            "--estimate-distortion",
-            help="Estimate radial lens distortion from the pairs and save it with the rig, if they show it.",
-        ),
-    ] = False,
     as_json: JsonOption = False,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", metavar="PRESET", help="Write the alignment into this preset, new or existing."),
     ] = None,
-    html: Annotated[
-        Path | None,
-        typer.Option("--report", metavar="FILE.html", help="Write the quality report with pictures of the residuals."),
-    ] = None,
 ) -> None:
     """Fit the alignment to clicked points and report its quality."""
     from ...core.calibration import calibrate as fit
     from ...core.calibration import read_points
-    from ...core.calibration.html_report import write_html
     from ...core.preset import Preset
     from ...core.preset.file import save_preset
     from ...core.sources.presets import load_preset
@@ -70,20 +57,10 @@ def calibrate(
     base = None
     if out is not None:
         base = load_preset(out) if out.exists() else Preset().with_value("name", out.stem)
-    report = fit(pairs, cameras, model, depth_fit=depth_fit, estimate_distortion=estimate_distortion)
-    if estimate_distortion and not report.distortion_used:
-        warn(
-            report.distortion.sentence
-            or "no lens distortion was estimated: the pairs show none or are too few, or the rig states it"
-        )
-    elif report.distortion.rig is not None and not estimate_distortion:
-        warn("the pairs show lens distortion that the rig does not state; add --estimate-distortion")
-    if html is not None:  # first: where it fails, the preset stays as it was
-        write_html(html, report, points.stem if base is None else base.name)
+    report = fit(pairs, cameras, model, depth_fit=depth_fit)
     if out is not None and base is not None:
         save_preset(report.apply_to(base), out)
-    written = [f"wrote {path}" for path in (out, html) if path is not None]
-    emit(report.to_json(), "\n".join([report.words(), *written]), as_json)
+    emit(report.to_json(), report.words() + ("" if out is None else f"\nwrote {out}"), as_json)
 
 
 def recheck(

@@ -6,7 +6,6 @@ whitened design Q (orthonormal columns) and the whitened residuals r,
 
 - a region B left out has the residuals ``(I - Q_B Q_B^T)^-1 r_B`` (Cook and Weisberg, *Residuals and Influence in
   Regression*, section 2.2),
-- the fit of a half B differs from that of all by ``(Q_B^T Q_B)^-1 Q_B^T r_B``,
 - a smooth error ``F z`` of the pairs, z normal with variance g, has the restricted likelihood of a variance component
   (Patterson and Thompson 1971; Searle, Casella and McCulloch, *Variance Components*, section 6.6). The kinds of error
   are the lens, the depth, the surface and any smooth field. They, independent noise and noise that only near
@@ -16,27 +15,23 @@ whitened design Q (orthonormal columns) and the whitened residuals r,
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ..model.arrays import BoolArray, Float64Array
+from ..model.arrays import Float64Array, IndexArray
 from ..model.frames import Rig
-from .homography import HomographyFit
-from .maximum_likelihood import inverse_information, residuals_at
-from .quality import bound
-from .rigid import RigidFit
+from .fits import Fit, RigidModel
 
 #: Variances of a smooth error, relative to the noise of a pair, that are tried.
 _VARIANCES = np.geomspace(0.003, 300.0, 26)
 #: Lengths over which a smooth field changes, as shares of the judged region, and the order of its cosines.
 _LENGTHS, _ORDER, _MARGIN = (0.25, 0.4, 0.7), 10, 0.3
-#: The same for noise that only near neighbours share, such as a camera's depth noise under many pairs. Without it, such
-#: noise is taken for a smooth error or for none, as chance decides.
+#: The same for noise that only near neighbours share, such as a camera's depth noise under many pairs. Such noise may
+#: otherwise be mistaken for a smooth error.
 _NOISE_LENGTH = 0.1
 #: Odds of a smooth error before the pairs are seen. They are chosen for the coverage of the 95 % bound
 #: (``scripts/measure_calibration.py coverage``).
@@ -44,8 +39,6 @@ _PRIOR_ODDS = 4.0
 #: Directions of a smooth error that a fit absorbs almost entirely carry no information.
 _ABSORBED = 3e-3
 _NEGLIGIBLE = 1e-3
-#: Independent noise exceeds the limit for two halves in one of a thousand calibrations.
-_RARE = 0.999
 #: A smooth error counts as found from this probability.
 _FOUND = 0.98
 #: Cross-validated residuals this many times those of careful clicks show wrong clicks or a wrong model.
@@ -53,48 +46,21 @@ _SLOPPY = 2.0
 _MAX_CONDITION = 1e6
 _DEPTH_SPAN_M, _DEPTH_STEP_M = 0.010, 1e-4
 
-
 #: What to do about each kind of smooth error.
 _STEPS = {
-    "lens": "This looks like lens distortion: use the rigid model, with the rig's lens models or with distortion "
-    "estimated from the pairs.",
-    "depth": "This looks like a wrong tactile depth: check its unit and the camera, or fit an offset or a scale of it.",
+    "lens": "This looks like lens distortion: use the rigid model, with the rig's lens models.",
+    "depth": "This looks like a wrong tactile depth: check its unit and the camera, or fit an offset of it.",
     "surface": "The points do not lie on one plane: give tactile depths and use the rigid model.",
     "field": "Check the lens models of both cameras, the tactile depth, and that both images show the same moment.",
 }
 
 
-@dataclass(frozen=True)
-class Halves:
-    """Two halves of the pairs, fitted separately.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Such as ``("left", "right")``.
-    apart_px : float
-        Root mean square difference of both alignments over the judged places.
-    limit_px : float
-        What independent noise exceeds in one of a thousand calibrations.
-    """
-
-    names: tuple[str, str]
-    apart_px: float
-    limit_px: float
-
-    @property
-    def disagree(self) -> bool:
-        """Whether independent noise does not explain the difference."""
-        return self.apart_px > self.limit_px
-
-
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """A fit whose uncertainty contains smooth errors; a `FittedModel`.
+    """A fit whose uncertainty contains smooth errors.
 
     Attributes
     ----------
-    fit : HomographyFit or RigidFit
     probability : float
         Of a smooth error.
     cause : {"lens", "depth", "surface", "field", ""}
@@ -103,29 +69,22 @@ class Agreement:
         Root mean square residual of regions under the fit of the other pairs; None if they determine no model.
     expected_px : float
         The same for independent clicks of the stated noise.
-    halves : tuple of Halves
     """
 
-    fit: HomographyFit | RigidFit
-    probability: float
-    cause: str
-    cross_validated_px: float | None
-    expected_px: float
-    halves: tuple[Halves, ...]
-    noise_ratio: float
-    shapes: _Shapes | None
-    errors: tuple[tuple[str, float, Float64Array], ...]
-    field_is_true: bool
-
-    @property
-    def degrees(self) -> int:
-        """Surplus measurements."""
-        return self.fit.degrees
+    fit: Fit
+    probability: float = 0.0
+    cause: str = ""
+    cross_validated_px: float | None = None
+    expected_px: float = 0.0
+    noise_ratio: float = 1.0
+    shapes: _Shapes | None = None
+    errors: tuple[tuple[str, float, Float64Array], ...] = ()
+    field_is_true: bool = False
 
     @property
     def found(self) -> bool:
         """Whether the errors are not independent."""
-        return self.probability > _FOUND or any(halves.disagree for halves in self.halves)
+        return self.probability > _FOUND
 
     @property
     def sloppy(self) -> bool:
@@ -134,16 +93,8 @@ class Agreement:
 
     def words(self) -> str:
         """Return what disagrees, one sentence; empty if nothing does."""
-        worst = max(self.halves, key=lambda halves: halves.apart_px / halves.limit_px, default=None)
-        if worst is not None and worst.disagree:
-            one, other = worst.names
-            return (
-                f"The {one} and the {other} half of the pairs disagree by {worst.apart_px:.1f} px, independent clicks "
-                f"by at most {worst.limit_px:.1f} px."
-            )
-        if self.probability > _FOUND:
-            halves = f"; the {' and the '.join(worst.names)} half disagree by {worst.apart_px:.1f} px" if worst else ""
-            return f"Neighbouring pairs are off in the same direction, which independent clicks are not{halves}."
+        if self.found:
+            return "Neighbouring pairs are off in the same direction, which independent clicks are not."
         if self.sloppy:
             return (
                 f"Regions left out of the fit are off by {self.cross_validated_px:.1f} px, with careful clicks by "
@@ -153,27 +104,12 @@ class Agreement:
 
     def next_step(self) -> str:
         """Return what to do about smooth errors, one sentence; empty if there are none."""
-        if not self.found:
-            return ""
-        return _STEPS[self.cause if self.probability > _FOUND else "field"]
-
-    def to_json(self) -> dict[str, Any]:
-        """Return JSON values."""
-        return {
-            "smooth_error_probability": self.probability,
-            "smooth_error": self.cause,
-            "cross_validated_expected_px": self.expected_px,
-            "halves": [vars(halves) for halves in self.halves],
-        }
-
-    def predict(self, places: npt.ArrayLike) -> Float64Array:
-        """Map places (tactile u, v, depth) to proximity pixels."""
-        return self.fit.predict(places)
+        return _STEPS[self.cause] if self.found else ""
 
     def sensitivity(self, places: npt.ArrayLike) -> Float64Array:
-        """Return the derivative (N, 2, P + K) of the error by unit variates of noise, rivals and smooth errors."""
+        """Return the derivative (N, 2, P + K) of the error by unit variates of noise and smooth errors."""
         by_noise = self.fit.sensitivity(places)
-        columns = [by_noise * self.noise_ratio, self.fit.rivals_px(places)]
+        columns = [by_noise * self.noise_ratio]
         if self.shapes is not None and self.errors:
             there = self.shapes(np.asarray(places, np.float64))
             for name, size, absorbed in self.errors:
@@ -183,12 +119,12 @@ class Agreement:
         return np.concatenate(columns, axis=2)
 
 
-def judge_agreement(fit: HomographyFit | RigidFit, pairs: Float64Array, places: Float64Array, rig: Rig) -> Agreement:
+def judge_agreement(fit: Fit, pairs: Float64Array, places: Float64Array, rig: Rig) -> Agreement:
     """Compare the regions of a fit.
 
     Parameters
     ----------
-    fit : HomographyFit or RigidFit
+    fit : Fit
     pairs : float64, shape (N, 3)
         Tactile u, v and depth (metres; nan if unknown) of all pairs of the fit.
     places : float64, shape (M, 3)
@@ -196,9 +132,10 @@ def judge_agreement(fit: HomographyFit | RigidFit, pairs: Float64Array, places: 
     rig : Rig
     """
     if fit.degrees <= 0:
-        return Agreement(fit, 0.0, "", None, 0.0, (), 1.0, None, (), False)
+        return Agreement(fit)
     pairs = pairs[fit.used]
-    design, residuals = _whitened(fit)
+    design = fit.design[fit.used] @ np.linalg.cholesky(fit.stated_covariance)
+    residuals = fit.whitened_residuals()[fit.used]
     rows = design.reshape(-1, design.shape[2])
     basis = np.linalg.qr(rows)[0]
     rest = residuals.ravel() - basis @ (basis.T @ residuals.ravel())
@@ -206,29 +143,23 @@ def judge_agreement(fit: HomographyFit | RigidFit, pairs: Float64Array, places: 
     pixel = float(np.sqrt((by_noise**2).sum() / (rows**2).sum())) / fit.noise_factor
     shapes = _Shapes(fit, rig, pairs, places)
     kinds = _weigh(shapes(pairs), rows, basis, rest, residuals.shape, fit.degrees)
-    cause = max(_STEPS, key=lambda cause: sum(kind.weight for kind in kinds if kind.cause == cause))
     observed = float(rest @ rest) / fit.degrees
-    weight = sum(kind.weight for kind in kinds)
-    noise = (1.0 - weight) * observed + sum(kind.weight * kind.noise for kind in kinds)
-    errors = tuple(
-        (kind.name, pixel * kind.scale * kind.size, kind.absorbed * kind.size / fit.noise_factor)
-        for kind in kinds
-        if kind.weight > _NEGLIGIBLE
-    )
-    labels = _halves(pairs)
-    crossed, expected = _left_out(basis.reshape(design.shape), rest.reshape(residuals.shape), labels)
-    noise_ratio = float(np.sqrt(noise / observed)) if observed > 0 else 1.0
+    noise = (1.0 - sum(kind.weight for kind in kinds)) * observed + sum(kind.weight * kind.noise for kind in kinds)
+    crossed, expected = _left_out(basis.reshape(design.shape), rest.reshape(residuals.shape), _regions(pairs))
     made = [
         Agreement(
             fit=fit,
             probability=sum(kind.weight for kind in kinds if kind.cause in _STEPS),
-            cause=cause,
+            cause=max(_STEPS, key=lambda cause: sum(kind.weight for kind in kinds if kind.cause == cause)),
             cross_validated_px=None if crossed is None else crossed * pixel,
             expected_px=expected * pixel,
-            halves=tuple(_compare(fit, design, residuals, labels, places)),
-            noise_ratio=noise_ratio,
+            noise_ratio=float(np.sqrt(noise / observed)) if observed > 0 else 1.0,
             shapes=shapes,
-            errors=errors,
+            errors=tuple(
+                (kind.name, pixel * kind.scale * kind.size, kind.absorbed * kind.size / fit.noise_factor)
+                for kind in kinds
+                if kind.weight > _NEGLIGIBLE
+            ),
             field_is_true=true,
         )
         for true in (True, False)
@@ -255,7 +186,7 @@ class _Kind:
 class _Shapes:
     """The shapes of shared errors at places (N, 3): displacements (N, 2, K) by unit variates, any scale."""
 
-    def __init__(self, fit: HomographyFit | RigidFit, rig: Rig, pairs: Float64Array, places: Float64Array) -> None:
+    def __init__(self, fit: Fit, rig: Rig, pairs: Float64Array, places: Float64Array) -> None:
         self.fit, self.rig = fit, rig
         both = np.concatenate([pairs, places])[:, :2]
         self.low, high = both.min(axis=0), both.max(axis=0)
@@ -270,7 +201,7 @@ class _Shapes:
         across = np.stack([np.ones(len(x)), x, y, x**2, x * y, y**2], axis=1)
         radial = [tactile, _centred(proximity, self.rig.proximity.intrinsics.shape)]
         found = {"lens": np.stack([at * (at**2).sum(axis=1, keepdims=True) for at in radial], axis=2)}
-        if isinstance(self.fit, RigidFit):
+        if isinstance(self.fit.model, RigidModel):
             farther = self.fit.predict(places + np.array([0.0, 0.0, _DEPTH_STEP_M]))
             found["depth"] = (farther - proximity)[:, :, None] * across[:, None, :]
         else:
@@ -283,13 +214,6 @@ class _Shapes:
             kept, kind = power > _NEGLIGIBLE**2, "field" if length in _LENGTHS else "noise"
             found[f"{kind} {length}"] = _in_both(field[:, kept] * np.sqrt(power[kept]))
         return found
-
-
-def _whitened(fit: HomographyFit | RigidFit) -> tuple[Float64Array, Float64Array]:
-    """Return design (N, M, P) and residuals (N, M) of the inliers, with unit noise and whitened parameters."""
-    at = residuals_at(fit.problem, fit.solution.theta, fit.problem.measurements.keep(fit.used))
-    design, residuals = at.whitened()
-    return np.asarray(design @ np.linalg.cholesky(inverse_information(fit.solution.information))), residuals
 
 
 def _weigh(
@@ -346,24 +270,20 @@ def _variance_component(visible: Float64Array, rest: Float64Array, degrees: int)
     return -0.5 * (degrees * np.log(noise * degrees / max(total, 1e-300)) + np.log(growth).sum(axis=1)), noise
 
 
-def _halves(pairs: Float64Array) -> dict[tuple[str, str], BoolArray]:
-    """Return which pairs are in the second half, for each way to halve them."""
+def _regions(pairs: Float64Array) -> list[IndexArray]:
+    """Return the number of each pair's region: parts of the image and of depth, larger ones, single pairs."""
     u, v, depth = pairs.T
-    halves = {("left", "right"): u > np.median(u), ("upper", "lower"): v > np.median(v)}
-    if np.ptp(depth) > _DEPTH_SPAN_M:
-        halves["near", "far"] = depth > np.median(depth)
-    return halves
+    quarters = 2 * (u > np.median(u)).astype(np.intp) + (v > np.median(v))
+    deep = np.ptp(depth) > _DEPTH_SPAN_M
+    return [*([2 * quarters + (depth > np.median(depth))] if deep else []), quarters, np.arange(len(pairs))]
 
 
-def _left_out(
-    basis: Float64Array, residuals: Float64Array, halves: Mapping[tuple[str, str], BoolArray]
-) -> tuple[float | None, float]:
+def _left_out(basis: Float64Array, residuals: Float64Array, divisions: list[IndexArray]) -> tuple[float | None, float]:
     """Return the RMS length of residuals of regions under the fit of the others, and that of unit noise, whitened.
 
-    Regions are the parts of the image and of depth that all halvings together make; single pairs if those are too few.
+    The first division is taken whose regions all leave enough pairs for a fit.
     """
-    for groups in (list(halves.values()), list(halves.values())[:2], []):
-        label = np.arange(len(residuals)) if not groups else sum(2**i * half for i, half in enumerate(groups))
+    for label in divisions:
         squares, expected = 0.0, 0.0
         for region in np.unique(label):
             own = basis[label == region].reshape(-1, basis.shape[2])
@@ -377,32 +297,6 @@ def _left_out(
         else:
             return float(np.sqrt(squares / len(residuals))), float(np.sqrt(expected / len(residuals)))
     return None, 0.0
-
-
-def _compare(
-    fit: HomographyFit | RigidFit,
-    design: Float64Array,
-    residuals: Float64Array,
-    halves: Mapping[tuple[str, str], BoolArray],
-    places: Float64Array,
-) -> Sequence[Halves]:
-    """Return the halves that determine a model each."""
-    by_noise = fit.sensitivity(places)
-    found = []
-    for names, second in halves.items():
-        moved, roots = [], []
-        for half in (~second, second):
-            own = design[half].reshape(-1, design.shape[2])
-            information = own.T @ own
-            if len(own) < own.shape[1] or np.linalg.cond(information) > _MAX_CONDITION:
-                break
-            moved.append(np.linalg.solve(information, own.T @ residuals[half].ravel()))
-            roots.append(np.linalg.cholesky(np.linalg.inv(information)))
-        else:
-            apart = by_noise @ (moved[0] - moved[1]) / fit.noise_factor
-            limit = bound(by_noise @ np.concatenate(roots, axis=1), fit.degrees, _RARE)
-            found.append(Halves(names, float(np.sqrt((apart**2).sum(axis=1).mean())), limit))
-    return found
 
 
 def _centred(pixels: Float64Array, shape: tuple[int, int]) -> Float64Array:

@@ -1,17 +1,15 @@
-"""Detection of points in an image: the feature nearest to a click, and whole calibration targets."""
+"""Detection of points in an image: the feature nearest to a click, and whole chessboards."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
 
 from ..errors import CalibrationError
-from ..model.arrays import AnyArray, BoolArray, Float64Array, Uint8Array
+from ..model.arrays import BoolArray, Float64Array, Uint8Array
 from ..model.robust import spread
-from .homography import fit_homography
 
 #: Half side of the window for corner refinement, pixels.
 _CORNER_WINDOW = 5
@@ -40,32 +38,21 @@ class Snapped(NamedTuple):
     kind: Literal["crossing", "blob"]
 
 
-def snap_to_feature(image: AnyArray, u: float, v: float, radius: float = 6.0) -> Snapped | None:
+def snap_to_feature(image: Uint8Array, u: float, v: float, radius: float = 6.0) -> Snapped | None:
     """Return the blob centre or crossing nearest to a click.
 
     A closed dark or bright spot whose centre is within reach, or that was clicked, is a blob; its contrast-weighted
     centroid is returned. Otherwise the nearest crossing of two edges or lines is refined (Foerstner's gradient
     condition, as in OpenCV's ``cornerSubPix``). Other corners, such as places on the rim of a spot, are no features.
 
-    Parameters
-    ----------
-    image : uint8 or uint16, shape (H, W) or (H, W, 3)
-        Colour is RGB.
-    u, v : float
-        The click, pixels.
-    radius : float
-        Search radius, pixels.
-
-    Returns
-    -------
-    Snapped, or None if there is no feature within reach.
+    None if there is no feature within ``radius`` pixels.
     """
     height, width = image.shape[:2]
     if not (0 <= u <= width - 1 and 0 <= v <= height - 1):
         return None
     reach = int(4 * radius) + 16
     left, top = max(round(u) - reach, 0), max(round(v) - reach, 0)
-    gray = to_gray(image[top : round(v) + reach + 1, left : round(u) + reach + 1], tails=0.0)
+    gray = to_gray(image[top : round(v) + reach + 1, left : round(u) + reach + 1])
     u, v = u - left, v - top
     near = int(np.ceil(2 * radius)) + 2
     found = (
@@ -76,18 +63,9 @@ def snap_to_feature(image: AnyArray, u: float, v: float, radius: float = 6.0) ->
     return None if found is None else Snapped(found.u + left, found.v + top, found.kind)
 
 
-def to_gray(image: AnyArray, tails: float = 1.0) -> Uint8Array:
-    """Return an 8-bit grey image; images of more bits are stretched between their ``tails`` percentiles."""
-    if image.ndim == 3:
-        image = np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY))
-    if image.dtype == np.uint8:
-        gray: Uint8Array = np.ascontiguousarray(image, np.uint8)
-        return gray
-    valid = image[image > 0] if (image > 0).any() else image
-    low, high = np.percentile(valid, [tails, 100 - tails])
-    stretched = (image.astype(np.float64) - low) * (255.0 / max(float(high - low), 1e-9))
-    stretched_gray: Uint8Array = np.clip(stretched, 0, 255).astype(np.uint8)
-    return stretched_gray
+def to_gray(image: Uint8Array) -> Uint8Array:
+    """Return a grey image of grey or RGB."""
+    return np.ascontiguousarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image, np.uint8)
 
 
 def _blob_near(gray: Uint8Array, u: float, v: float, radius: float, reach: int) -> Snapped | None:
@@ -194,54 +172,35 @@ def _is_crossing(gray: Uint8Array, u: float, v: float) -> bool:
     return True
 
 
-@dataclass(frozen=True, eq=False)
-class Detection:
-    """The points of a target in one image.
-
-    Attributes
-    ----------
-    ids : tuple of int
-        Number of each point on the target.
-    pixels : float64, shape (N, 2)
-    labelled : bool
-        Whether the ids are printed on the target. If not, they count from one corner, which may differ by half a turn
-        between two images; `match_detections` resolves this.
-    """
-
-    ids: tuple[int, ...]
-    pixels: Float64Array
-    labelled: bool = False
-
-
-def detect_chessboard(image: AnyArray, columns: int, rows: int) -> Detection:
-    """Find the inner corners of a chessboard.
-
-    Parameters
-    ----------
-    image : uint8 or uint16, shape (H, W) or (H, W, 3)
-    columns, rows : int
-        Number of inner corners, at least 3 each way.
+def detect_chessboard(image: Uint8Array, columns: int, rows: int) -> Float64Array:
+    """Return the inner corners of a chessboard (columns x rows, 2), in rows from the upper left.
 
     Raises
     ------
     CalibrationError
         The board is not completely visible, or it has more corners.
     """
-    _check_size("chessboard", columns, rows, least=3)
+    if min(columns, rows) < 3:
+        raise CalibrationError(f"a chessboard of {columns} x {rows} is too small; give at least 3 x 3 inner corners")
     gray = to_gray(image)
     found, corners = cv2.findChessboardCorners(
         gray, (columns, rows), flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     )
     if not found:
-        raise _not_found(f"chessboard of {columns} x {rows} inner corners")
+        raise CalibrationError(
+            f"no chessboard of {columns} x {rows} inner corners is seen; check its size, show it whole, evenly lit and "
+            "in focus, or click the points by hand"
+        )
     corners = corners.reshape(-1, 1, 2).astype(np.float32)
     refined = cv2.cornerSubPix(gray, corners, (_CORNER_WINDOW, _CORNER_WINDOW), (-1, -1), _CRITERIA)
-    if _goes_on(gray, np.asarray(refined, np.float64).reshape(rows, columns, 2)):
+    pixels = np.asarray(refined, np.float64).reshape(-1, 2)
+    if _goes_on(gray, pixels.reshape(rows, columns, 2)):
         raise CalibrationError(
             f"the chessboard has more than {columns} x {rows} inner corners; give the number of its inner corners: one "
             "less than its squares, in both directions"
         )
-    return _counted(refined)
+    # a board looks alike after half a turn; both cameras stand upright
+    return pixels if pixels[0].sum() <= pixels[-1].sum() else pixels[::-1]
 
 
 def _goes_on(gray: Uint8Array, grid: Float64Array) -> bool:
@@ -265,119 +224,3 @@ def _goes_on(gray: Uint8Array, grid: Float64Array) -> bool:
         if 2 * sum(crossings) >= len(side[0]):
             return True
     return False
-
-
-def detect_charuco(
-    image: AnyArray, columns: int, rows: int, marker_share: float = 0.7, dictionary: str = "DICT_4X4_250"
-) -> Detection:
-    """Find the chessboard corners of a ChArUco board, which may be partly visible.
-
-    Parameters
-    ----------
-    image : uint8 or uint16, shape (H, W) or (H, W, 3)
-    columns, rows : int
-        Number of squares.
-    marker_share : float
-        Side of a marker divided by the side of a square.
-    dictionary : str
-        OpenCV's name of the markers' dictionary.
-
-    Raises
-    ------
-    CalibrationError
-        Fewer than four corners are found, or the dictionary is unknown.
-    """
-    _check_size("ChArUco board", columns, rows, least=2)
-    number = getattr(cv2.aruco, dictionary, None)
-    if not dictionary.startswith("DICT_") or number is None:
-        raise CalibrationError(f"there is no marker dictionary {dictionary!r}; use one such as DICT_4X4_250")
-    if not 0.1 <= marker_share < 1.0:
-        raise CalibrationError(f"marker_share is {marker_share}; it is the marker's side over the square's, 0.1 to 1")
-    board = cv2.aruco.CharucoBoard((columns, rows), 1.0, marker_share, cv2.aruco.getPredefinedDictionary(number))
-    corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(to_gray(image))
-    if ids is None or len(ids) < 4:
-        raise _not_found(f"ChArUco board of {columns} x {rows} squares ({dictionary})")
-    return Detection(tuple(int(i) for i in np.ravel(ids)), np.asarray(corners, np.float64).reshape(-1, 2), True)
-
-
-def detect_circles(image: AnyArray, columns: int, rows: int, *, asymmetric: bool = True) -> Detection:
-    """Find a grid of dark circles: asymmetric (every other row shifted) or a plain dot grid.
-
-    Parameters
-    ----------
-    image : uint8 or uint16, shape (H, W) or (H, W, 3)
-    columns, rows : int
-        Circles per row, and rows.
-    asymmetric : bool
-
-    Raises
-    ------
-    CalibrationError
-        The grid is not completely visible.
-    """
-    _check_size("grid of circles", columns, rows, least=2)
-    kind = cv2.CALIB_CB_ASYMMETRIC_GRID if asymmetric else cv2.CALIB_CB_SYMMETRIC_GRID
-    gray = to_gray(image)
-    detector = cv2.SimpleBlobDetector.create(_circle_parameters(gray))
-    for flags in (kind, kind | cv2.CALIB_CB_CLUSTERING):
-        found, centers = cv2.findCirclesGrid(gray, (columns, rows), flags=flags, blobDetector=detector)
-        if found:
-            return _counted(centers)
-    raise _not_found(f"{'asymmetric' if asymmetric else 'plain'} grid of {columns} x {rows} circles")
-
-
-def match_detections(proximity: Detection, tactile: Detection) -> list[tuple[str, Float64Array, Float64Array]]:
-    """Match the points of a target seen in both images: id, proximity pixel, tactile pixel.
-
-    Raises
-    ------
-    CalibrationError
-        Fewer than four points are found in both images.
-    """
-    ours, theirs = (dict(zip(side.ids, side.pixels, strict=True)) for side in (proximity, tactile))
-    common = sorted(set(ours) & set(theirs))
-    if len(common) < 4:
-        raise CalibrationError(
-            f"only {len(common)} points of the target are seen in both images; show more of it to both cameras"
-        )
-    left = np.array([ours[i] for i in common])
-    right = np.array([theirs[i] for i in common])
-    if not (proximity.labelled and tactile.labelled) and _half_turn(right, left):
-        right = right[::-1]
-    return [(str(i), a, b) for i, a, b in zip(common, left, right, strict=True)]
-
-
-def _half_turn(source: Float64Array, target: Float64Array) -> bool:
-    """Tell whether one list is turned by half a turn, given that both cameras stand upright side by side."""
-    H = fit_homography(source, target, use=np.ones(len(source), bool)).H_p_t
-    center = np.append(source.mean(axis=0), 1.0)
-    x, y, w = H @ center
-    along = np.array([H[0, 0] - x / w * H[2, 0], H[1, 1] - y / w * H[2, 1]]) / w
-    return bool(along.sum() < 0)
-
-
-def _circle_parameters(gray: Uint8Array) -> Any:
-    parameters = cv2.SimpleBlobDetector.Params()
-    parameters.filterByArea = True
-    parameters.minArea = 12.0
-    parameters.maxArea = gray.size / 40.0
-    parameters.minDistBetweenBlobs = 4.0
-    parameters.filterByConvexity = True
-    parameters.minConvexity = 0.8
-    return parameters
-
-
-def _counted(corners: AnyArray) -> Detection:
-    pixels = np.asarray(corners, np.float64).reshape(-1, 2)
-    return Detection(tuple(range(len(pixels))), pixels)
-
-
-def _check_size(name: str, columns: int, rows: int, least: int) -> None:
-    if min(columns, rows) < least:
-        raise CalibrationError(f"a {name} of {columns} x {rows} is too small; give at least {least} x {least}")
-
-
-def _not_found(name: str) -> CalibrationError:
-    return CalibrationError(
-        f"no {name} is seen; check its size, show it whole, evenly lit and in focus, or click the points by hand"
-    )

@@ -33,15 +33,7 @@ _VIEW_DEG: Final = (10.0, 150.0)
 
 @dataclass(frozen=True)
 class CameraModel:
-    """What the maker states about a model.
-
-    Attributes
-    ----------
-    depth_unit_m : float
-        Usual length of one count.
-    views_deg : dict of str to (float, float)
-        Horizontal and vertical field of view of the whole sensor, by the name of the lens.
-    """
+    """What the maker states: the length of one count, and the fields of view (horizontal, vertical) of the lenses."""
 
     depth_unit_m: float
     views_deg: Mapping[str, tuple[float, float]]
@@ -76,11 +68,6 @@ def check_lens(lens: Intrinsics, camera: str) -> None:
                 f"{camera}: {axis} is {focal:.6g} px, a view of {view:.0f} degrees over {extent} px, "
                 f"but depth cameras have {low:.0f} to {high:.0f}; correct it"
             )
-    for axis, centre, extent in (("cx", lens.cx, lens.width), ("cy", lens.cy, lens.height)):
-        if not 0.25 * extent <= centre <= 0.75 * extent:
-            raise CalibrationError(
-                f"{camera}: {axis} is {centre:.6g} px, far from the centre of {extent} px; correct it"
-            )
 
 
 def make_rig(cameras: Mapping[str, dict[str, Any]]) -> Rig:
@@ -104,20 +91,11 @@ def make_rig(cameras: Mapping[str, dict[str, Any]]) -> Rig:
 
 @dataclass(frozen=True)
 class LensFit:
-    """A lens fitted to pictures of a chessboard.
+    """A lens fitted to pictures of a chessboard, with Brown-Conrady distortion.
 
-    Attributes
-    ----------
-    intrinsics : Intrinsics
-        Brown-Conrady distortion.
-    rms_px : float
-        RMS distance of the corners from where the lens expects them.
-    focal_sd_px : float
-        Standard deviation of fx.
-    used : int
-        Number of pictures with a whole board.
-    refused : dict of str to str
-        Why other pictures were rejected, by file name.
+    ``rms_px`` is the RMS distance of the corners from where the lens expects them, ``focal_sd_px`` the standard
+    deviation of fx, ``used`` the number of pictures with a whole board; ``refused`` says by file name why others were
+    rejected.
     """
 
     intrinsics: Intrinsics
@@ -136,17 +114,9 @@ def fit_lens(
 ) -> LensFit:
     """Fit a lens to the pictures of a chessboard in a folder (Zhang's method, OpenCV's ``calibrateCamera``).
 
-    k3 is left at 0: few pictures do not determine it.
-
-    Parameters
-    ----------
-    folder : Path
-        Pictures by one camera, the board whole and at different tilts.
-    columns, rows : int
-        Inner corners of the board. The size of its squares does not matter.
-    size : (int, int), optional
-        Width and height that the pictures must have, pixels.
-    progress : callable, optional
+    The board has ``columns`` x ``rows`` inner corners, is whole and at different tilts; the size of its squares does
+    not matter. ``size`` is the width and height that the pictures must have. k3 is left at 0: few pictures do not
+    determine it.
 
     Raises
     ------
@@ -162,10 +132,14 @@ def fit_lens(
     for done, path in enumerate(paths):
         progress(0.9 * done / len(paths), f"{path.name}: looking for the chessboard")
         try:
-            picture = _read(path)
-            size = size or (picture.shape[1], picture.shape[0])
-            _check_size(picture, size)
-            found.append(detect_chessboard(picture, columns, rows).pixels.astype(np.float32))
+            picture = decode_image(read_file(path), gray=True)
+            height, width = picture.shape[:2]
+            size = size or (width, height)
+            if (width, height) != size:
+                raise CalibrationError(f"it has {width} x {height} pixels, but {size[0]} x {size[1]} are needed")
+            found.append(detect_chessboard(picture, columns, rows).astype(np.float32))
+        except (OSError, ValueError) as error:
+            refused[path.name] = f"cannot be read ({error})"
         except CalibrationError as error:
             refused[path.name] = str(error)
     if len(found) < _MIN_PICTURES or size is None:
@@ -176,7 +150,17 @@ def fit_lens(
         )
     progress(0.9, "fitting the lens")
     fit = _fit(found, columns, rows, size, refused)
-    _refuse_bad(fit, folder)
+    if fit.rms_px > _MAX_RMS_PX:
+        raise CalibrationError(
+            f"{folder}: the corners miss the fitted lens by {fit.rms_px:.1f} px (RMS), more than {_MAX_RMS_PX:g} px; "
+            "check that the board is flat, that its size is right and that one camera took all pictures"
+        )
+    if not fit.focal_sd_px <= _MAX_FOCAL_SHARE * fit.intrinsics.fx:
+        raise CalibrationError(
+            f"{folder}: fx is {fit.intrinsics.fx:.0f} ± {fit.focal_sd_px:.0f} px, too uncertain; add pictures with "
+            "the board tilted in other directions"
+        )
+    check_lens(fit.intrinsics, str(folder))
     return fit
 
 
@@ -201,30 +185,3 @@ def _fit(found: list[AnyArray], columns: int, rows: int, size: tuple[int, int], 
     except ValueError as error:
         raise CalibrationError(f"the pictures give no possible lens ({error}); tilt the board between them") from error
     return LensFit(lens, float(rms), float(np.ravel(deviations)[0]), len(found), refused)
-
-
-def _refuse_bad(fit: LensFit, folder: Path) -> None:
-    if fit.rms_px > _MAX_RMS_PX:
-        raise CalibrationError(
-            f"{folder}: the corners miss the fitted lens by {fit.rms_px:.1f} px (RMS), more than {_MAX_RMS_PX:g} px; "
-            "check that the board is flat, that its size is right and that one camera took all pictures"
-        )
-    if not fit.focal_sd_px <= _MAX_FOCAL_SHARE * fit.intrinsics.fx:
-        raise CalibrationError(
-            f"{folder}: fx is {fit.intrinsics.fx:.0f} ± {fit.focal_sd_px:.0f} px, too uncertain; add pictures with "
-            "the board tilted in other directions"
-        )
-    check_lens(fit.intrinsics, str(folder))
-
-
-def _read(path: Path) -> AnyArray:
-    try:
-        return decode_image(read_file(path), gray=True)
-    except (OSError, ValueError) as error:
-        raise CalibrationError(f"cannot be read ({error})") from error
-
-
-def _check_size(picture: AnyArray, size: tuple[int, int]) -> None:
-    height, width = picture.shape[:2]
-    if (width, height) != size:
-        raise CalibrationError(f"it has {width} x {height} pixels, but {size[0]} x {size[1]} are needed")

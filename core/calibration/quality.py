@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from ..model.arrays import Float64Array
 from ..model.frames import Rig
+from .fits import Fit
 
 #: Noise of one pixel of either depth camera on this sensor, metres.
 PROXIMITY_NOISE_M = 0.001
@@ -30,37 +31,21 @@ _MEMBRANE_SHARE = np.array([0.8, 0.65])
 _DRAWS = 40_000
 
 
-class FittedModel(Protocol):
-    """A fitted model whose quality can be computed."""
-
-    @property
-    def degrees(self) -> int:
-        """Surplus measurements."""
-
-    def predict(self, places: npt.ArrayLike) -> Float64Array:
-        """Map places (tactile u, v, depth) to proximity pixels."""
+class Fitted(Protocol):
+    """A fit, or its `Agreement`, which contains smooth errors, too."""
 
     def sensitivity(self, places: npt.ArrayLike) -> Float64Array:
-        """Return the derivative of the prediction by whitened parameters, (N, 2, P)."""
+        """Return the derivative (N, 2, P) of the alignment by parameters of unit covariance."""
 
 
 @dataclass(frozen=True, eq=False)
 class UncertaintyMap:
-    """Predicted alignment uncertainty over the membrane.
+    """Expected root mean square alignment error at places (M, 3) of the membrane.
 
-    Attributes
-    ----------
-    places : float64, shape (M, 3)
-        Tactile pixel (u, v) and depth in metres.
-    proximity : float64, shape (M, 2)
-        Proximity pixels that the fit predicts for them.
-    sigma_px, sigma_mm : float64, shape (M,)
-        Expected root mean square alignment error, in proximity pixels, and in millimetres across the line of sight at
-        that depth.
+    In proximity pixels, and in millimetres across the line of sight at that depth, both shape (M,).
     """
 
     places: Float64Array
-    proximity: Float64Array
     sigma_px: Float64Array
     sigma_mm: Float64Array
 
@@ -85,24 +70,16 @@ def membrane_places(tactile: Float64Array, depth_m: Float64Array, rig: Rig) -> F
     return np.column_stack([places, weights @ depth_m[known] / weights.sum(axis=1)])
 
 
-def uncertainty_map(fit: FittedModel, places: Float64Array, rig: Rig) -> UncertaintyMap:
-    """Propagate the click covariance through the fit to places (M, 3) of the membrane.
-
-    Places predicted outside the proximity image are left out.
-    """
+def uncertainty_map(fit: Fit, errors: Fitted, places: Float64Array, rig: Rig) -> UncertaintyMap:
+    """Return the expected errors at places (M, 3) of the membrane that the fit predicts inside the proximity image."""
     height, width = rig.proximity.intrinsics.shape
     with np.errstate(divide="ignore", invalid="ignore"):
         proximity = fit.predict(places)
         inside = ((proximity >= 0) & (proximity <= (width - 1, height - 1))).all(axis=1)
     inside = inside if inside.any() else np.ones(len(places), bool)
-    places, proximity = places[inside], proximity[inside]
-    sigma_px = np.sqrt((fit.sensitivity(places) ** 2).sum(axis=(1, 2)))
-    return UncertaintyMap(
-        places=places,
-        proximity=proximity,
-        sigma_px=sigma_px,
-        sigma_mm=sigma_px * millimetres_per_pixel(places[:, 2], rig),
-    )
+    places = places[inside]
+    sigma_px = np.sqrt((errors.sensitivity(places) ** 2).sum(axis=(1, 2)))
+    return UncertaintyMap(places, sigma_px, sigma_px * millimetres_per_pixel(places[:, 2], rig))
 
 
 def millimetres_per_pixel(depth_m: npt.ArrayLike, rig: Rig) -> Float64Array:
@@ -111,42 +88,29 @@ def millimetres_per_pixel(depth_m: npt.ArrayLike, rig: Rig) -> Float64Array:
     return np.asarray(np.asarray(depth_m) * 2000.0 / (lens.fx + lens.fy))
 
 
-def bound(derivative: Float64Array, degrees: int, share: float = 0.95) -> float:
-    """Return the bound of the root mean square error over places that holds with a probability, pixels.
+def bound(derivative: Float64Array, degrees: int) -> float:
+    """Return the 95 % bound of the root mean square error over places, pixels.
 
-    The squared error ``e^T M e``, ``M = mean J^T J``, is a sum of chi-squares weighted by M's eigenvalues.
-    If the noise was estimated from ``degrees`` surplus measurements, it is divided by their chi-square; with equal
-    weights this is an F ratio. The quantile is computed from seeded random draws.
+    The squared error ``e^T M e``, ``M = mean J^T J``, is a sum of chi-squares weighted by M's eigenvalues. If the noise
+    was estimated from ``degrees`` surplus measurements, it is divided by their chi-square; with equal weights this is
+    an F ratio. The quantile is computed from seeded random draws.
 
-    Parameters
-    ----------
-    derivative : float64, shape (M, 2, P)
-        `FittedModel.sensitivity` at the places.
-    degrees : int
-        0 for the stated noise.
-    share : float
-        The probability.
+    ``derivative`` is `Fitted.sensitivity` at the places, shape (M, 2, P); no degrees mean the stated noise.
     """
     rows = derivative.reshape(-1, derivative.shape[2])
     weights = np.maximum(np.linalg.eigvalsh(rows.T @ rows)[::-1], 0.0) / len(derivative)
     squares = _squares()[:, : len(weights)]
     count = squares.shape[1]
     errors = squares @ weights[:count] + weights[count:].sum()
-    return float(np.sqrt(np.quantile(errors / _noise(degrees), share)))
+    return float(np.sqrt(np.quantile(errors / _noise(degrees), 0.95)))
 
 
 @dataclass(frozen=True)
 class PatchEffect:
     """Effect of the alignment error on a contact patch.
 
-    Attributes
-    ----------
-    boundary_mm : float
-        Expected error of the patch's boundary.
-    depth_mm : float
-        Expected difference of both distances at true contact, from alignment and sensor noise.
-    supported_tolerance : float
-        Smallest tolerance t with which 95 % of the pixels in contact pass.
+    Expected error of the patch's boundary, expected difference of both distances at true contact, and the smallest
+    tolerance t with which 95 % of the pixels in contact pass.
     """
 
     boundary_mm: float
@@ -165,12 +129,7 @@ def patch_effect(lateral_mm: npt.ArrayLike, along_mm: npt.ArrayLike, distance_m:
 
     (l is the error in two directions, the slope is along one). If the membrane leaves the object at an angle with
     tangent g, the boundary moves by ``sqrt(l^2 + (a / g)^2)``.
-
-    Parameters
-    ----------
-    lateral_mm, along_mm : array_like, shape (M,)
-        Expected alignment error over the membrane, root mean square.
-    distance_m : array_like, shape (M,)
+    All three are given at places of the membrane, shape (M,).
     """
     lateral, along = np.asarray(lateral_mm, np.float64), np.asarray(along_mm, np.float64)
     sensors = (PROXIMITY_NOISE_M**2 + TACTILE_NOISE_M**2) * 1e6
@@ -185,20 +144,9 @@ def patch_effect(lateral_mm: npt.ArrayLike, along_mm: npt.ArrayLike, distance_m:
 
 @dataclass(frozen=True)
 class Coverage:
-    """Distribution of the points over the image and over depth.
-
-    Attributes
-    ----------
-    cells : tuple of tuple of int
-        Number of points in each cell of a 3 x 4 grid over the proximity image.
-    share : float
-        Share of the cells with a point.
-    depth_range_m : tuple of float or None
-        Nearest and farthest tactile depth.
-    """
+    """Number of points in each part of a 3 x 4 grid over the proximity image, and their range of tactile depth."""
 
     cells: tuple[tuple[int, ...], ...]
-    share: float
     depth_range_m: tuple[float, float] | None
 
     @property
@@ -216,7 +164,6 @@ def coverage(proximity: Float64Array, depth_m: Float64Array, rig: Rig) -> Covera
     known = depth_m[np.isfinite(depth_m)]
     return Coverage(
         cells=tuple(tuple(int(count) for count in row) for row in counts),
-        share=float((counts > 0).mean()),
         depth_range_m=(float(known.min()), float(known.max())) if len(known) else None,
     )
 

@@ -12,18 +12,14 @@ import numpy as np
 from pydantic import ValidationError
 
 from ..errors import CalibrationError, minus
-from ..model.alignment import CalibrationRecord, ClickedPair, ModelSummary, SnapshotRecord
-from ..model.arrays import Float64Array
+from ..model.alignment import CalibrationRecord, ModelSummary, PointPair, SnapshotRecord
 from ..model.files import json_fields
 from ..model.frames import Rig
 from ..preset import AlignmentSection, HomographyAlignment, Preset, RigidAlignment, now
 from .agreement import Agreement
-from .correspondences import Correspondence, listed
-from .depth_advice import DepthAdvice
-from .distortion import DistortionAdvice
-from .homography import HomographyFit
+from .fits import Fit
+from .points import listed
 from .quality import Coverage, PatchEffect, UncertaintyMap
-from .rigid import DepthFit, RigidFit
 
 ModelName = Literal["homography", "rigid"]
 #: Expected alignment error over the membrane, pixels, up to which a calibration is good, and usable.
@@ -34,39 +30,29 @@ GOOD_MM, USABLE_MM = 5.0, 20.0
 ADVISED_POINTS = 6
 #: Depth that the points of a rigid alignment should span, millimetres.
 ADVISED_SPAN_MM = 20.0
-_FAR_PX = 80.0
-_SUSPICIOUS = 3.0
-#: Smallest residual for which a pair is to be clicked again, pixels.
-_CLICK_AGAIN_PX = 1.0
+#: A pair stands out if its residual exceeds this multiple of the median residual, and this many pixels.
+_SUSPICIOUS, _CLICK_AGAIN_PX = 3.0, 1.0
 
 
 @dataclass(frozen=True)
 class PairQuality:
-    """One correspondence under a fit.
+    """One pair under a fit; False in ``used`` marks an outlier.
 
-    Attributes
-    ----------
-    id : str
-    used : bool
-        False for an outlier that the fit leaves out.
-    residual_u, residual_v : float
-        Clicked minus predicted proximity pixel: dX and dY.
-    residual_px, residual_mm : float
-        Length of the residual in pixels, and in millimetres across the line of sight (nan without depth).
-    left_out_px : float
-        Residual under the fit of the other correspondences (cross-validation); nan if they determine no model.
-    tactile_depth_m : float
-        nan without depth.
+    ``dx`` and ``dy`` are clicked minus predicted proximity pixel, ``residual_mm`` is across the line of sight (nan
+    without depth), ``left_out_px`` is the residual under the fit of the other pairs (nan if they determine no model).
     """
 
     id: str
-    used: bool
-    residual_u: float
-    residual_v: float
-    residual_px: float
-    residual_mm: float
-    left_out_px: float
-    tactile_depth_m: float
+    used: bool = True
+    dx: float = math.nan
+    dy: float = math.nan
+    residual_mm: float = math.nan
+    left_out_px: float = math.nan
+
+    @property
+    def residual_px(self) -> float:
+        """Length of the residual, pixels."""
+        return math.hypot(self.dx, self.dy)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,51 +61,56 @@ class ModelQuality:
 
     Attributes
     ----------
-    model : {"homography", "rigid"}
-    rms_px, rms_mm, worst_px : float or None
-        Residuals of the correspondences used; None if the model fits exactly for lack of surplus ones.
-    worst_id : str or None
-    agreement : Agreement
-        Of the regions of the image and of depth.
-    click_noise_px : float or None
-        Click noise estimated from the residuals, including model error.
-    degrees : int
-        Degrees of freedom.
-    condition : float
-        Condition number of the scaled design.
+    rms_px : float or None
+        RMS residual of the used pairs; None if the model fits exactly for lack of surplus ones.
     alignment_px, alignment_mm : float
         Expected root mean square alignment error over the membrane, from the click noise and smooth errors.
     alignment_bound_95_px : float
         95 % bound of the root mean square alignment error.
-    effect : PatchEffect
-    excluded, doubtful : tuple of str
-        Ids of outliers, and of pairs that may be some.
-    pairs : tuple of PairQuality
-    map : UncertaintyMap
     """
 
     model: ModelName
-    rms_px: float | None
-    rms_mm: float | None
-    worst_px: float | None
-    worst_id: str | None
+    fit: Fit
     agreement: Agreement
-    click_noise_px: float | None
-    degrees: int
-    condition: float
+    rms_px: float | None
     alignment_px: float
     alignment_mm: float
     alignment_bound_95_px: float
     effect: PatchEffect
-    excluded: tuple[str, ...]
-    doubtful: tuple[str, ...]
     pairs: tuple[PairQuality, ...]
     map: UncertaintyMap
 
     @property
+    def degrees(self) -> int:
+        """Degrees of freedom of the fit."""
+        return self.fit.degrees
+
+    @property
     def cross_validated_px(self) -> float | None:
-        """Root mean square residual of regions under the fit of the other correspondences."""
+        """Root mean square residual of regions under the fit of the other pairs."""
         return self.agreement.cross_validated_px
+
+    @property
+    def excluded(self) -> tuple[str, ...]:
+        """Ids of the outliers."""
+        return tuple(pair.id for pair in self.pairs if not pair.used)
+
+    @property
+    def worst(self) -> PairQuality:
+        """The used pair with the largest residual."""
+        return max((pair for pair in self.pairs if pair.used), key=lambda pair: pair.residual_px)
+
+    def far_from_fit(self) -> list[PairQuality]:
+        """Return the used pairs with a much larger residual than the median, the worst first."""
+        kept = sorted((pair for pair in self.pairs if pair.used), key=lambda pair: -pair.residual_px)
+        usual = float(np.median([pair.residual_px for pair in kept]))
+        limit = max(_SUSPICIOUS * usual, _CLICK_AGAIN_PX)
+        return [pair for pair in kept if self.degrees > 0 and pair.residual_px > limit]
+
+    @property
+    def standing_out(self) -> frozenset[str]:
+        """Ids of the pairs to look at: rejected, or far from the fit, not merely the worst."""
+        return frozenset({*self.excluded, *(pair.id for pair in self.far_from_fit())})
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -137,18 +128,28 @@ class ModelQuality:
     def to_json(self) -> dict[str, Any]:
         """Return JSON values without the map; missing numbers are None."""
         return self.summary | {
-            "rms_mm": self.rms_mm,
-            "worst_px": self.worst_px,
-            "worst_id": self.worst_id,
-            "agreement": self.agreement.to_json(),
-            "click_noise_px": self.click_noise_px,
+            "smooth_error_probability": self.agreement.probability,
+            "smooth_error": self.agreement.cause,
             "degrees_of_freedom": self.degrees,
-            "condition_number": self.condition,
+            "condition_number": self.fit.condition,
             "alignment_mm": self.alignment_mm,
             "depth_difference_mm": self.effect.depth_mm,
-            "doubtful": list(self.doubtful),
-            "pairs": [json_fields(vars(pair)) for pair in self.pairs],
+            "pairs": [json_fields(vars(pair) | {"residual_px": pair.residual_px}) for pair in self.pairs],
         }
+
+
+@dataclass(frozen=True)
+class DepthOffset:
+    """An offset of the tactile depth fitted to the pairs, metres, with its standard deviation; whether it is used."""
+
+    offset_m: float
+    sigma_m: float
+    used: bool
+
+    def words(self) -> str:
+        """Return it in one sentence."""
+        size = minus(f"{1e3 * self.offset_m:+.2f} ± {1e3 * self.sigma_m:.2f} mm")
+        return f"Offset of the tactile depth: {size}, {'corrected' if self.used else 'not corrected'}."
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,39 +163,25 @@ class CalibrationReport:
     recommended : {"homography", "rigid"}
     reason : str
         Reason of the recommendation.
-    homography, rigid : fits, or None if refused
     quality : mapping of model name to ModelQuality
     refused : mapping of model name to the reason why it was not fitted
     coverage : Coverage
-    verdict : str
-        Grade and next step, in words.
-    depth_fit : {"none", "offset", "scale", "both"}
-        The correction of the tactile depth that the rigid fit contains.
-    depth_advice : DepthAdvice
-        The correction that is recommended, and why.
-    distortion : DistortionAdvice
-        Lens distortion that the pairs show and the rig does not state; its rig is ``rig`` if it is used.
+    depth_offset : DepthOffset or None
+        None if the pairs do not determine one.
     warnings : tuple of str
-    pairs : tuple of Correspondence
-        All given correspondences, including disabled ones.
-    rig : Rig
-    date : datetime
+    pairs : tuple of PointPair
+        All given pairs, including disabled ones.
     """
 
     model: ModelName
     recommended: ModelName
     reason: str
-    homography: HomographyFit | None
-    rigid: RigidFit | None
-    quality: Mapping[str, ModelQuality]
-    refused: Mapping[str, str]
+    quality: Mapping[ModelName, ModelQuality]
+    refused: Mapping[ModelName, str]
     coverage: Coverage
-    verdict: str
-    depth_fit: DepthFit
-    depth_advice: DepthAdvice
-    distortion: DistortionAdvice
+    depth_offset: DepthOffset | None
     warnings: tuple[str, ...]
-    pairs: tuple[Correspondence, ...]
+    pairs: tuple[PointPair, ...]
     rig: Rig
     date: datetime
 
@@ -204,39 +191,39 @@ class CalibrationReport:
         return self.quality[self.model]
 
     @property
-    def distortion_used(self) -> bool:
-        """Whether the fits contain the estimated lens distortion."""
-        return self.rig is self.distortion.rig
+    def homography(self) -> Fit | None:
+        """The fitted homography."""
+        return self.quality["homography"].fit if "homography" in self.quality else None
+
+    @property
+    def rigid(self) -> Fit | None:
+        """The fitted pose."""
+        return self.quality["rigid"].fit if "rigid" in self.quality else None
+
+    @property
+    def verdict(self) -> str:
+        """Grade and next step, in words."""
+        return f"{grade(self.chosen)} {next_step(self.chosen, self.coverage)}"
 
     def to_json(self) -> dict[str, Any]:
         """Return the whole report as JSON values."""
-        chosen, rigid = self.chosen, self.rigid
+        homography, rigid, offset = self.homography, self.rigid, self.depth_offset
+        H: Any = None if homography is None else homography.alignment.homography
+        pose: Any = None if rigid is None else rigid.alignment.pose
         return {
             "model": self.model,
             "recommended": self.recommended,
             "reason": self.reason,
-            "homography": None if self.homography is None else self.homography.H_p_t.tolist(),
-            "T_proximity_tactile": None if rigid is None else rigid.T_proximity_tactile.tolist(),
-            "depth_fit": self.depth_fit,
-            "depth_advice": vars(self.depth_advice),
-            "distortion": {
-                "found": self.distortion.found,
-                "used": self.distortion_used,
-                "sentence": self.distortion.sentence,
-                "k1": {name: list(values) for name, values in self.distortion.k1.items()},
-            },
-            "depth_scale": None if rigid is None else rigid.pose.scale,
-            "depth_offset_m": None if rigid is None else rigid.pose.offset_m,
+            "homography": None if H is None else H.tolist(),
+            "T_proximity_tactile": None if pose is None else pose.tolist(),
+            "depth_offset_m": None if rigid is None else rigid.alignment.offset_m,
+            "fitted_offset": None if offset is None else vars(offset),
             "pose_uncertainty": None if rigid is None else _pose_uncertainty(rigid),
-            **chosen.summary,
+            **self.chosen.summary,
             "verdict": self.verdict,
             "warnings": list(self.warnings),
-            "points": len(chosen.pairs),
-            "coverage": {
-                "cells": [list(row) for row in self.coverage.cells],
-                "share": self.coverage.share,
-                "depth_range_m": None if self.coverage.depth_range_m is None else list(self.coverage.depth_range_m),
-            },
+            "points": len(self.chosen.pairs),
+            "coverage": {"cells": self.coverage.cells, "depth_range_m": self.coverage.depth_range_m},
             "models": {name: quality.to_json() for name, quality in self.quality.items()},
             "refused": dict(self.refused),
             "date": self.date.isoformat(),
@@ -250,7 +237,7 @@ class CalibrationReport:
             proximity_serial=self.rig.proximity.serial,
             tactile_serial=self.rig.tactile.serial,
             verdict=self.verdict,
-            points=tuple(ClickedPair(**vars(pair)) for pair in self.pairs),
+            points=self.pairs,
             snapshots=snapshots,
             quality=ModelSummary(**self.chosen.summary),
         )
@@ -262,139 +249,96 @@ class CalibrationReport:
 
         Parameters
         ----------
+        preset : Preset
+        snapshots : tuple of SnapshotRecord
+            The images that were clicked on.
         set_tolerance : bool
             Also set ``tolerance.t`` to the smallest value that the calibration supports.
 
         Raises
         ------
         CalibrationError
-            A fitted value is outside the preset's limits, such as a depth scale of 1.4.
+            A fitted value is outside the preset's limits, such as an offset of 0.2 m.
         """
-        section = preset.alignment.model_copy(update={"model": self.model, "calibration": self.record(snapshots)})
-        if self.homography is not None:
-            matrix: Any = tuple(tuple(row) for row in self.homography.H_p_t.tolist())
-            section = section.model_copy(
-                update={
-                    "homography": HomographyAlignment(
-                        H_p_t=matrix, plane_distance_m=preset.alignment.homography.plane_distance_m
-                    )
-                }
-            )
-        if self.rigid is not None:
-            pose: Any = self.rigid.T_proximity_tactile
-            section = section.model_copy(
-                update={
-                    "rigid": RigidAlignment(T_proximity_tactile=pose),
-                    "depth_scale": float(self.rigid.pose.scale),
-                    "depth_offset_m": float(self.rigid.pose.offset_m),
-                }
-            )
-        tolerance = preset.tolerance
-        if set_tolerance:
-            tolerance = tolerance.model_copy(update={"t": round(min(self.chosen.effect.supported_tolerance, 1.0), 4)})
+        values: dict[str, Any] = {"model": self.model, "calibration": self.record(snapshots)}
+        section = preset.alignment
         try:
-            section = AlignmentSection.model_validate(section.model_dump())
+            if self.homography is not None:
+                H: Any = self.homography.alignment.homography
+                values["homography"] = HomographyAlignment(
+                    H_p_t=H.tolist(), plane_distance_m=section.homography.plane_distance_m
+                )
+            if self.rigid is not None:
+                pose: Any = self.rigid.alignment.pose
+                values["rigid"] = RigidAlignment(T_proximity_tactile=pose)
+                values |= {"depth_scale": 1.0, "depth_offset_m": self.rigid.alignment.offset_m}
+            section = AlignmentSection.model_validate(section.model_copy(update=values).model_dump())
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             raise CalibrationError(
                 f"the fit does not make a preset: {'.'.join(map(str, first['loc']))} is {first['input']!r} "
                 f"({first['msg']}); check the pairs and their tactile depths"
             ) from error
+        tolerance = preset.tolerance
+        if set_tolerance:
+            tolerance = tolerance.model_copy(update={"t": round(min(self.chosen.effect.supported_tolerance, 1.0), 4)})
         return preset.model_copy(
             update={"alignment": section, "tolerance": tolerance, "rig": self.rig, "modified": now()}
         )
 
     def words(self) -> str:
         """Return the whole report as text."""
-        lines = [f"Model: {self.model}. {self.reason}", self.depth_advice.reason]
-        if self.distortion_used:  # otherwise the verdict says it
-            lines.append(self.distortion.result)
-        lines += ["", _table(self)]
-        chosen = self.chosen
+        lines = [f"Model: {self.model}. {self.reason}"]
+        if self.depth_offset is not None:
+            lines.append(self.depth_offset.words())
+        lines += ["", *_table(self.quality)]
         lines += [f"Not fitted, {name}: {reason}" for name, reason in self.refused.items()]
         if self.rigid is not None:
-            lines.append(_pose_words(self.rigid))
+            sigma = _pose_uncertainty(self.rigid)
+            size = f"{sigma['translation_mm']:.2f} mm and {sigma['rotation_deg']:.3f} degrees"
+            lines.append(f"Pose: uncertain by {size} (one sigma)")
         low_high = self.coverage.depth_range_m
         depth = f"; depth {1e3 * low_high[0]:.0f} to {1e3 * low_high[1]:.0f} mm" if low_high else "; no depths"
         cells = " / ".join(" ".join(str(count) for count in row) for row in self.coverage.cells)
         lines.append(f"Points per cell of the image: {cells}{depth}")
         lines.append(f"Pairs under the {self.model} model (px: dX, dY, length, cross-validated; mm):")
-        for pair in chosen.pairs:
-            mark = "" if pair.used else "  rejected: the others contradict it"
-            lines.append(
-                f"  {pair.id:>6}  {pair.residual_u:8.2f} {pair.residual_v:8.2f} {pair.residual_px:8.2f} "
-                f"{shown(pair.left_out_px, 8)}  {shown(pair.residual_mm, 7)}{mark}"
-            )
+        lines += [
+            f"  {pair.id:>6}  {pair.dx:8.2f} {pair.dy:8.2f} {pair.residual_px:8.2f} {_shown(pair.left_out_px, 8)}  "
+            f"{_shown(pair.residual_mm, 7)}{'' if pair.used else '  rejected: the others contradict it'}"
+            for pair in self.chosen.pairs
+        ]
         lines += [f"Warning: {warning}" for warning in self.warnings]
         return "\n".join([*lines, "", f"Verdict: {self.verdict}"])
 
 
-#: Title, unit and value of the numbers that both models are compared by.
-NUMBERS: tuple[tuple[str, str, Callable[[ModelQuality], float | None]], ...] = (
+_NUMBERS: tuple[tuple[str, str, Callable[[ModelQuality], float | None]], ...] = (
     ("residual, RMS", "px", lambda q: q.rms_px),
-    ("worst residual", "px", lambda q: q.worst_px),
+    ("worst residual", "px", lambda q: None if q.rms_px is None else q.worst.residual_px),
     ("cross-validated residual", "px", lambda q: q.cross_validated_px),
     ("expected alignment error", "px", lambda q: q.alignment_px),
     ("  its 95 % bound", "px", lambda q: q.alignment_bound_95_px),
     ("expected alignment error", "mm", lambda q: q.alignment_mm),
     ("patch boundary error", "mm", lambda q: q.effect.boundary_mm),
     ("supported tolerance t", "", lambda q: q.effect.supported_tolerance),
-    ("condition number", "", lambda q: q.condition),
+    ("condition number", "", lambda q: q.fit.condition),
 )
 
 
-def _table(report: CalibrationReport) -> str:
-    names = list(report.quality)
-    lines = ["".join([f"{'':32}", *(f"{name:>12}" for name in names)])]
-    for title, unit, value in NUMBERS:
-        cells = [shown(value(report.quality[name]), 12, 4 if not unit else 2) for name in names]
+def _table(quality: Mapping[ModelName, ModelQuality]) -> list[str]:
+    lines = ["".join([f"{'':32}", *(f"{name:>12}" for name in quality)])]
+    for title, unit, value in _NUMBERS:
+        cells = [_shown(value(one), 12, 2 if unit else 4) for one in quality.values()]
         lines.append("".join([f"{title + (f' ({unit})' if unit else ''):32}", *cells]))
-    return "\n".join(lines)
+    return lines
 
 
-def _pose_words(rigid: RigidFit) -> str:
-    sigma = _pose_uncertainty(rigid)
-    text = f"Pose: uncertain by {sigma['translation_mm']:.2f} mm and {sigma['rotation_deg']:.3f} degrees (one sigma)"
-    if sigma["scale"] is not None:
-        text += f"; tactile depth x {rigid.pose.scale:.4f} ± {sigma['scale']:.4f}"
-    if sigma["offset_mm"] is not None:
-        text += f"; tactile depth {minus(f'{1e3 * rigid.pose.offset_m:+.2f}')} mm ± {sigma['offset_mm']:.2f} mm"
-    return text
+def _pose_uncertainty(rigid: Fit) -> dict[str, float]:
+    turn_rad, shift_m = rigid.pose_sigma
+    return {"rotation_deg": math.degrees(turn_rad), "translation_mm": 1e3 * shift_m}
 
 
-def _pose_uncertainty(rigid: RigidFit) -> dict[str, float | None]:
-    (turn_rad, shift_m), (scale, offset_m) = rigid.pose_sigma, rigid.depth_sigma
-    return {
-        "rotation_deg": math.degrees(turn_rad),
-        "translation_mm": 1e3 * shift_m,
-        "scale": scale,
-        "offset_mm": None if offset_m is None else 1e3 * offset_m,
-    }
-
-
-def shown(value: float | None, width: int, decimals: int = 2) -> str:
-    """Format a number to a width in characters; a dash for an unknown one."""
+def _shown(value: float | None, width: int, decimals: int = 2) -> str:
     return f"{'-':>{width}}" if value is None or math.isnan(value) else f"{value:{width}.{decimals}f}"
-
-
-def verdict(quality: ModelQuality, coverage: Coverage, proximity: Float64Array, rig: Rig) -> str:
-    """Return the grade of a fit and the next step.
-
-    Parameters
-    ----------
-    quality : ModelQuality
-        Of the chosen model.
-    coverage : Coverage
-    proximity : float64, shape (N, 2)
-        Proximity depth pixels of the pairs that the fit uses.
-    rig : Rig
-    """
-    return f"{grade(quality)} {next_step(quality, coverage, proximity, rig)}"
-
-
-def distortion_verdict(quality: ModelQuality, distortion: DistortionAdvice) -> str:
-    """Return the grade of a fit to pairs that show lens distortion, and the offer to estimate it."""
-    return f"{grade(quality)} {distortion.sentence}"
 
 
 def grade(quality: ModelQuality) -> str:
@@ -414,117 +358,34 @@ def grade(quality: ModelQuality) -> str:
     return f"{numbers} {quality.agreement.words()}".strip()
 
 
-def next_step(quality: ModelQuality, coverage: Coverage, proximity: Float64Array, rig: Rig) -> str:
+def next_step(quality: ModelQuality, coverage: Coverage) -> str:
     """Return the step that improves the calibration most, one sentence."""
-    used = len(proximity)
+    used, bad = sum(pair.used for pair in quality.pairs), quality.far_from_fit()[:3]
     if quality.excluded:
         worst = max((pair for pair in quality.pairs if not pair.used), key=lambda pair: pair.residual_px)
         them = "them" if len(quality.excluded) > 1 else "it"
-        return (
+        step = (
             f"Click {listed(quality.excluded)} again or delete {them}: rejected, because the others contradict {them} "
-            f"(pair {worst.id} by {worst.residual_px:.0f} px){_or_doubtful(quality)}."
+            f"(pair {worst.id} by {worst.residual_px:.0f} px)."
         )
-    if quality.doubtful:
-        who = "one of them" if len(quality.doubtful) > 1 else "it"
-        return f"Click {listed(quality.doubtful)} again: {who} may be wrong, and the others do not decide."
-    missing = ADVISED_POINTS - used
-    if missing > 0:
-        return f"Click at least {missing} more: with six the quality can be estimated."
-    found = (
-        quality.agreement.next_step()
-        or _large_residuals(quality)
-        or _weakest_place(quality, proximity, rig)
-        or _shallow_points(quality, coverage)
-        or _wrong_off_its_plane(quality)
-        or _suspicious_pair(quality)
-    )
-    if found:
-        return found
-    if quality.alignment_px > GOOD_PX:
-        wanted = int(np.ceil(used * (quality.alignment_px / GOOD_PX) ** 2))
-        return f"Add points to lower the error; about {min(wanted, 60)} in all, clicked with the same care."
-    return "Check it on the live image and save it; nothing more is needed."
-
-
-def _or_doubtful(quality: ModelQuality) -> str:
-    return f"; if that is right, look at {listed(quality.doubtful)}" if quality.doubtful else ""
-
-
-def _large_residuals(quality: ModelQuality) -> str:
-    """Return advice on pairs whose residual is much larger than the median: their clicks, not their places, are bad."""
-    bad, usual = _far_from_fit(quality)
-    if not bad:
-        return ""
-    errors = " and ".join(f"{pair.residual_px:.1f}" for pair in bad[:3])
-    return (
-        f"Click {listed([pair.id for pair in bad[:3]])} again: {errors} px from the fit, half of all pairs are within "
-        f"{usual:.1f} px."
-    )
-
-
-def _far_from_fit(quality: ModelQuality) -> tuple[list[PairQuality], float]:
-    """Return the pairs to click again, the worst first, and the median residual, pixels."""
-    kept = sorted((pair for pair in quality.pairs if pair.used), key=lambda pair: -pair.residual_px)
-    if quality.degrees <= 0:
-        return [], 0.0
-    usual = float(np.median([pair.residual_px for pair in kept]))
-    return [pair for pair in kept if pair.residual_px > max(_SUSPICIOUS * usual, _CLICK_AGAIN_PX)], usual
-
-
-def standing_out(quality: ModelQuality) -> frozenset[str]:
-    """Return the ids of the pairs to look at: rejected, doubtful, or far from the fit, not merely the worst."""
-    return frozenset({*quality.excluded, *quality.doubtful, *(pair.id for pair in _far_from_fit(quality)[0])})
-
-
-def _weakest_place(quality: ModelQuality, proximity: Float64Array, rig: Rig) -> str:
-    """Return advice on the most uncertain place, if it is far from all points, above `GOOD_PX` and above the median."""
-    uncertainty = quality.map
-    gaps = np.hypot(*(uncertainty.proximity[:, None] - proximity[None]).transpose(2, 0, 1)).min(axis=1)
-    far = gaps > _FAR_PX
-    if not far.any():
-        return ""
-    worst = int(np.argmax(np.where(far, uncertainty.sigma_px, -1.0)))
-    if uncertainty.sigma_px[worst] < max(1.3 * np.median(uncertainty.sigma_px), GOOD_PX):
-        return ""
-    place = place_name(uncertainty.proximity[worst], rig.proximity.intrinsics.shape)
-    return (
-        f"Add points {place}: none within {10 * int(gaps[worst] // 10)} px, and the error grows to "
-        f"{uncertainty.sigma_px[worst]:.1f} px there."
-    )
-
-
-def _shallow_points(quality: ModelQuality, coverage: Coverage) -> str:
-    if quality.model != "rigid" or coverage.depth_span_mm >= ADVISED_SPAN_MM:
-        return ""
-    return (
-        f"Add points at another inflation level: all lie within {coverage.depth_span_mm:.0f} mm of depth, "
-        f"{ADVISED_SPAN_MM:.0f} mm or more determine the pose well."
-    )
-
-
-def _wrong_off_its_plane(quality: ModelQuality) -> str:
-    if quality.model != "homography" or quality.effect.boundary_mm <= GOOD_MM:
-        return ""
-    return "Check the tactile depths and take the rigid model: off its plane this homography is wrong."
-
-
-def _suspicious_pair(quality: ModelQuality) -> str:
-    kept = [pair for pair in quality.pairs if pair.used and np.isfinite(pair.left_out_px)]
-    if not kept or quality.cross_validated_px is None:
-        return ""
-    worst = max(kept, key=lambda pair: pair.left_out_px)
-    usual = float(np.median([pair.left_out_px for pair in kept]))
-    if worst.left_out_px < _SUSPICIOUS * max(usual, 0.3):
-        return ""
-    return f"Look at pair {worst.id} again: the others put it {worst.left_out_px:.1f} px away."
-
-
-def place_name(pixel: Float64Array, shape: tuple[int, int]) -> str:
-    """Return the region of an image (height, width) with a pixel, such as ``"at the upper left"``."""
-    row = ("upper", "middle", "lower")[int(np.clip(3 * pixel[1] / shape[0], 0, 2))]
-    column = ("left", "middle", "right")[int(np.clip(3 * pixel[0] / shape[1], 0, 2))]
-    if row == column == "middle":
-        return "in the middle"
-    if row == "middle":
-        return f"at the {column}"
-    return f"at the {row} {column}"
+    elif used < ADVISED_POINTS:
+        step = f"Click at least {ADVISED_POINTS - used} more: with six the quality can be estimated."
+    elif quality.agreement.found:
+        step = quality.agreement.next_step()
+    elif bad:
+        errors = " and ".join(f"{pair.residual_px:.1f}" for pair in bad)
+        names = listed([pair.id for pair in bad])
+        step = f"Click {names} again: {errors} px from the fit, much more than the others."
+    elif quality.model == "rigid" and coverage.depth_span_mm < ADVISED_SPAN_MM:
+        step = (
+            f"Add points at another inflation level: all lie within {coverage.depth_span_mm:.0f} mm of depth, "
+            f"{ADVISED_SPAN_MM:.0f} mm or more determine the pose well."
+        )
+    elif quality.model == "homography" and quality.effect.boundary_mm > GOOD_MM:
+        step = "Check the tactile depths and take the rigid model: off its plane this homography is wrong."
+    elif quality.alignment_px > GOOD_PX:
+        wanted = min(int(np.ceil(used * (quality.alignment_px / GOOD_PX) ** 2)), 60)
+        step = f"Add points where there are few, about {wanted} in all, clicked with the same care."
+    else:
+        step = "Check it on the live image and save it; nothing more is needed."
+    return step

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
-from ..contact.kernels.compiling import kernel
 from ..errors import CalibrationError
 from ..model.alignment import SnapshotRecord
 from ..model.arrays import AnyArray, Float64Array, Uint8Array, Uint16Array
@@ -25,17 +23,7 @@ _ROWS_AT_ONCE = 32
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """Pixelwise median of frames, on which points are clicked.
-
-    Attributes
-    ----------
-    frame : SensorFrame
-        Medians of all images, with sequence number and time stamps of the first frame.
-    frames : int
-        Number of frames.
-    sha256 : str
-        Hash of the four images.
-    """
+    """Pixelwise median of frames, with number and times of the first one; their number, and the images' hash."""
 
     frame: SensorFrame
     frames: int
@@ -47,12 +35,7 @@ class Snapshot:
 
 
 def take_snapshot(frames: Iterable[SensorFrame]) -> Snapshot:
-    """Return the pixelwise median of frames.
-
-    Parameters
-    ----------
-    frames : iterable of SensorFrame
-        All of one size. All are held in memory, about 3 MB each at 640 x 480.
+    """Return the pixelwise median of frames; all are held in memory, about 3 MB each at 640 x 480.
 
     Raises
     ------
@@ -67,33 +50,48 @@ def take_snapshot(frames: Iterable[SensorFrame]) -> Snapshot:
         colors = [frame.tactile_color for frame in kept if frame.tactile_color is not None]
         first = SensorFrame(
             sequence=first.sequence,
-            proximity_depth=median_counts([frame.proximity_depth for frame in kept]),
-            tactile_depth=median_counts([frame.tactile_depth for frame in kept]),
-            proximity_color=_median_color([frame.proximity_color for frame in kept]),
-            tactile_color=_median_color(colors) if len(colors) == len(kept) else None,
+            proximity_depth=_by_bands(_median_counts, [frame.proximity_depth for frame in kept]),
+            tactile_depth=_by_bands(_median_counts, [frame.tactile_depth for frame in kept]),
+            proximity_color=_by_bands(_median_color, [frame.proximity_color for frame in kept]),
+            tactile_color=_by_bands(_median_color, colors) if len(colors) == len(kept) else None,
             proximity_time_s=first.proximity_time_s,
             tactile_time_s=first.tactile_time_s,
         )
     return Snapshot(first, len(kept), content_hash(first))
 
 
-def median_counts(images: Sequence[Uint16Array]) -> Uint16Array:
-    """Return the median of raw depth images (H, W); 0 and 65535 are left out.
+def _by_bands(median: Callable[[AnyArray], AnyArray], images: Sequence[AnyArray]) -> AnyArray:
+    """Return the median of images, computed for some rows at once."""
+    for image in images:
+        if image.shape != images[0].shape:
+            raise CalibrationError(
+                f"images of {images[0].shape[1]} x {images[0].shape[0]} and {image.shape[1]} x {image.shape[0]} pixels "
+                "cannot be averaged; take all from one rig"
+            )
+    tops = range(0, len(images[0]), _ROWS_AT_ONCE)
+    return np.concatenate([median(np.stack([image[top : top + _ROWS_AT_ONCE] for image in images])) for top in tops])
+
+
+def _median_counts(stack: Uint16Array) -> Uint16Array:
+    """Return the median of raw depths (N, H, W) over N; 0 and 65535 are left out, and 0 is where nothing is left.
 
     For an even number of values it is the mean of the two middle ones, because the lower one alone is too near. Where
-    these two belong to two surfaces, it is the nearer one; 0 if no image has depth.
-
-    Raises
-    ------
-    CalibrationError
-        There is no image, or their sizes differ.
+    these two belong to two surfaces, it is the nearer one.
     """
-    _check_sizes(images)
-    out = np.empty(images[0].shape, np.uint16)
-    for top in range(0, len(out), _ROWS_AT_ONCE):
-        band = slice(top, top + _ROWS_AT_ONCE)
-        _median_rows(np.stack([image[band] for image in images], axis=2), out[band])
-    return out
+    valid = valid_depth(stack)
+    ordered = np.sort(np.where(valid, stack, np.uint16(65535)), axis=0)
+    count = valid.sum(axis=0)[None]
+    low, high = (
+        np.take_along_axis(ordered, np.maximum(middle, 0), axis=0)[0] for middle in ((count - 1) // 2, count // 2)
+    )
+    gap = high - low
+    middle = low + gap // 2 + (gap & low + gap // 2 & 1)  # halves are rounded to even values, so they add no bias
+    return np.where(count[0] == 0, 0, np.where(gap <= _SAME_SURFACE * low, middle, low)).astype(np.uint16)
+
+
+def _median_color(stack: Uint8Array) -> Uint8Array:
+    middle = (len(stack) - 1) // 2
+    return np.asarray(np.partition(stack, middle, axis=0)[middle])
 
 
 def content_hash(frame: SensorFrame) -> str:
@@ -113,13 +111,7 @@ def depth_under(counts: Uint16Array, unit_m: float, u: float, v: float, radius: 
     A plane is fitted to the valid pixels around it on the same surface, which averages noise and follows the slope. A
     pixel within 1.5 pixels of the place must have depth.
 
-    Parameters
-    ----------
-    counts : uint16, shape (H, W)
-    unit_m : float
-    u, v : float
-    radius : int
-        Half side of the square window, pixels.
+    ``radius`` is half the side of the square window, pixels.
     """
     height, width = counts.shape
     column, row = round(u), round(v)
@@ -143,53 +135,3 @@ def depth_under(counts: Uint16Array, unit_m: float, u: float, v: float, radius: 
 def _plane_at_origin(across: Float64Array, depth: Float64Array) -> float:
     design = np.column_stack([np.ones(len(across)), across])
     return float(np.linalg.lstsq(design, depth, rcond=None)[0][0])
-
-
-def _median_color(images: Sequence[Uint8Array]) -> Uint8Array:
-    _check_sizes(images)
-    out = np.empty_like(images[0])
-    for top in range(0, len(out), _ROWS_AT_ONCE):
-        band = slice(top, top + _ROWS_AT_ONCE)
-        stack = np.stack([image[band] for image in images])
-        middle = (len(images) - 1) // 2
-        out[band] = np.partition(stack, middle, axis=0)[middle]
-    return out
-
-
-def _check_sizes(images: Sequence[AnyArray]) -> None:
-    if not images:
-        raise CalibrationError("a median needs at least one image; there is none")
-    for image in images:
-        if image.shape != images[0].shape:
-            raise CalibrationError(
-                f"images of {images[0].shape[1]} x {images[0].shape[0]} and {image.shape[1]} x {image.shape[0]} pixels "
-                "cannot be averaged; take all from one rig"
-            )
-
-
-@partial(kernel, allocates=True)
-def _median_rows(stack: Uint16Array, out: Uint16Array) -> None:
-    """Write the median of the valid values of each pixel; ``stack`` is (rows, columns, images)."""
-    height, width, count = stack.shape
-    values = np.empty(count, np.uint16)
-    for row in range(height):
-        for column in range(width):
-            kept = 0
-            for i in range(count):
-                value = stack[row, column, i]
-                if value == 0 or value == 65535:  # noqa: PLR1714 - numba compiles comparisons best
-                    continue
-                place = kept
-                while place > 0 and values[place - 1] > value:
-                    values[place] = values[place - 1]
-                    place -= 1
-                values[place] = value
-                kept += 1
-            if kept == 0:
-                out[row, column] = 0
-                continue
-            low = values[(kept - 1) // 2]
-            gap = values[kept // 2] - low
-            middle = low + gap // 2
-            # halves are rounded to even values, so they add no bias
-            out[row, column] = middle + (gap & middle & 1) if gap <= _SAME_SURFACE * low else low

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Annotated, Any, Literal
+from math import isnan
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
 from .frames import Matrix4, camera_pose
 from .sections import Section, described
@@ -17,25 +18,67 @@ Matrix3 = tuple[Row3, Row3, Row3]
 
 _Text = Annotated[str, Field(max_length=10_000)]
 _NonNegative = Annotated[float, Field(ge=0.0)]
+_Pixel = Annotated[float, Field(ge=-1e7, le=1e7)]
+_Depth = Annotated[
+    Annotated[float, Field(ge=0.001, le=10.0)] | None,
+    BeforeValidator(lambda value: None if isinstance(value, float) and isnan(value) else value),
+]
+Side = Literal["proximity", "tactile"]
+Place = tuple[float, float]
 
 
 class _Record(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class ClickedPair(_Record):
-    """One pair of clicks; see `tactune.core.calibration.Correspondence`."""
+class PointPair(_Record):
+    """One place on the membrane or on a pressed object, clicked in both cameras' images.
+
+    ``proximity_image`` names the image whose pixels the proximity side is given in; points in colour lie on the
+    membrane, which the proximity depth does not see. ``tactile_depth_m`` is the raw tactile depth, None where there is
+    none. ``proximity_depth_m`` is the distance that the proximity camera measures at a point of contact. ``snapshot``
+    counts the snapshots of a calibration from 0. A pair is pending while one side is None.
+    """
 
     id: Annotated[str, Field(min_length=1, max_length=200)]
-    proximity_u: float
-    proximity_v: float
-    tactile_u: float
-    tactile_v: float
-    tactile_depth_m: float | None = None
     enabled: bool = True
+    proximity_u: _Pixel | None = None
+    proximity_v: _Pixel | None = None
+    tactile_u: _Pixel | None = None
+    tactile_v: _Pixel | None = None
+    tactile_depth_m: _Depth = None
     proximity_image: Literal["depth", "color"] = "depth"
     snapshot: Annotated[int, Field(ge=0)] | None = None
-    proximity_depth_m: float | None = None
+    proximity_depth_m: _Depth = None
+    origin: Annotated[str, Field(max_length=200)] = ""
+
+    @model_validator(mode="after")
+    def _measures_what_was_clicked(self) -> Self:
+        if self.proximity_depth_m is not None and self.proximity_image == "color":
+            raise ValueError(
+                "proximity_depth_m is set, but the point was clicked in colour, where the proximity depth looks "
+                "through the membrane; leave it empty"
+            )
+        return self
+
+    @property
+    def proximity(self) -> Place | None:
+        """The proximity pixel; None while it is missing."""
+        return None if self.proximity_u is None or self.proximity_v is None else (self.proximity_u, self.proximity_v)
+
+    @property
+    def tactile(self) -> Place | None:
+        """The tactile pixel; None while it is missing."""
+        return None if self.tactile_u is None or self.tactile_v is None else (self.tactile_u, self.tactile_v)
+
+    @property
+    def complete(self) -> bool:
+        """Whether both sides are clicked."""
+        return self.proximity is not None and self.tactile is not None
+
+    def place(self, side: Side) -> Place | None:
+        """Return one side."""
+        return self.proximity if side == "proximity" else self.tactile
 
 
 class SnapshotRecord(_Record):
@@ -66,7 +109,7 @@ class CalibrationRecord(_Record):
     proximity_serial: str = ""
     tactile_serial: str = ""
     verdict: _Text = ""
-    points: tuple[ClickedPair, ...] = ()
+    points: tuple[PointPair, ...] = ()
     snapshots: tuple[SnapshotRecord, ...] = ()
     quality: ModelSummary
 

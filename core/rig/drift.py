@@ -14,7 +14,7 @@ from typing import Final, Literal
 import cv2
 import numpy as np
 
-from ..calibration.rigid import color_lens
+from ..calibration.geometry import color_lens
 from ..contact.alignment import make_alignment
 from ..contact.checks import rig_in_use
 from ..contact.kernels.chain import Region

@@ -23,14 +23,14 @@ from bag_maker import D405, L515, make_bag
 from folder_scenes import RIG, ListSource, make_frame
 from tactune.app.analysis.live_tab import write_picture
 from tactune.app.calibration.keeping import Keeper
-from tactune.app.calibration.session import PointPair, Session, SessionState, Snapshot
+from tactune.app.calibration.session import Session, SessionState, Snapshot
 from tactune.app.document.document import Document
 from tactune.app.document.keeping import KeptState
 from tactune.app.document.recovery import Autosave, unsaved_work
 from tactune.app.settings import Settings
 from tactune.core import ContactPipeline, open_source
-from tactune.core.calibration.correspondences import Correspondence, write_points
-from tactune.core.calibration.correspondences import read_points as read_pairs
+from tactune.core.calibration.points import read_points as read_pairs
+from tactune.core.calibration.points import write_points
 from tactune.core.calibration.snapshots import content_hash
 from tactune.core.errors import ExportError, SourceError
 from tactune.core.estimation.object_mesh import load_mesh
@@ -39,6 +39,7 @@ from tactune.core.lab import table
 from tactune.core.lab.scan import load_scan
 from tactune.core.lab.start_pose import load_transform, save_transform
 from tactune.core.lab.start_pose import read_pairs as read_scan_pairs
+from tactune.core.model.alignment import PointPair
 from tactune.core.model.clouds import PointCloud
 from tactune.core.model.files import write_csv
 from tactune.core.model.rig_file import load_rig
@@ -210,7 +211,7 @@ def said_as_errors(keeper: Kept) -> Iterator[Kept]:
 
 
 SNAPSHOTS = [Snapshot(content_hash(frame), "here", frame) for frame in FRAMES[:2]]
-PAIR = PointPair(key=1, proximity=(1.0, 2.0), tactile=(2.0, 3.0), tactile_depth_m=0.3)
+PAIR = PointPair(id="1", proximity_u=1.0, proximity_v=2.0, tactile_u=4.0, tactile_v=5.0, tactile_depth_m=0.3)
 
 
 def calibrate(folder: Path, n: int) -> None:
@@ -291,7 +292,7 @@ def cloud(name: str) -> Kind:
 
 PICTURE = QImage(64, 64, QImage.Format.Format_RGB32)
 MARKS = [Marks(markers=tuple(Marker(frame=k, name=f"{n} {k}", time_s=0.1) for k in range(99))) for n in range(2)]
-POINTS = [Correspondence(str(k), 1.0, 2.0, 4.0, 5.0, 0.3) for k in range(50)]
+POINTS = [PAIR.model_copy(update={"id": str(k)}) for k in range(50)]
 SCENE = table.Scene("cup", "low")
 CELL = table.Cell("usual", "standard", "cup", "low", "", 0, "straight", rmse_mm=0.5)
 
@@ -315,7 +316,6 @@ KINDS: dict[str, Kind] = {
     "cloud.ply": cloud("a.ply"),
     "cloud.csv": cloud("a.csv"),
     "points": Kind(lambda f, n: write_points(f / "a.csv", POINTS[n:]), lambda f: read_pairs(f / "a.csv")),
-    "QGIS points": Kind(lambda f, n: write_points(f / "a.points", POINTS[n:]), lambda f: read_pairs(f / "a.points")),
     "transform": Kind(lambda f, n: save_transform(f / "a.json", POSE), lambda f: load_transform(f / "a.json"), 400),
     "poses": Kind(lambda f, n: save_poses(f / "a.csv", [{"sequence": n, "time_s": 0.1, "lost": 0}] * 999)),
     "picture": Kind(lambda f, n: write_picture(PICTURE, f"{n}\n" * 999, f / "a.png", "It was")),

@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from tactune.core.calibration.correspondences import Correspondence
-from tactune.core.calibration.homography import direct_linear_transform, normalisation
-from tactune.core.calibration.rigid import RigidPoints, color_lens, color_pose, ray_seen
+from tactune.core.calibration.geometry import Alignment, moved, proximity_pixels
+from tactune.core.calibration.points import PointArrays
+from tactune.core.model.alignment import PointPair
 from tactune.core.model.arrays import BoolArray, Float64Array
 from tactune.core.model.frames import Rig
 
@@ -42,17 +42,17 @@ class Clicks:
 
     Attributes
     ----------
-    noisy, true : RigidPoints
+    noisy, true : PointArrays
     """
 
-    noisy: RigidPoints
-    true: RigidPoints
+    noisy: PointArrays
+    true: PointArrays
 
-    def correspondences(self) -> list[Correspondence]:
+    def pairs(self) -> list[PointPair]:
         """Return the noisy clicks as pairs with ids from 1."""
         points = self.noisy
         return [
-            Correspondence(
+            PointPair(
                 id=str(i + 1),
                 proximity_u=float(points.proximity[i, 0]),
                 proximity_v=float(points.proximity[i, 1]),
@@ -114,7 +114,7 @@ def make_clicks(
     chosen = rng.choice(count, round(wrong * count), replace=False)
     height, width = rig.proximity.intrinsics.shape
     proximity[chosen] = rng.uniform((0, 0), (width - 1, height - 1), (len(chosen), 2))
-    noisy = RigidPoints(
+    noisy = PointArrays(
         tactile=true.tactile + noise.tactile_px * rng.standard_normal((count, 2)),
         tactile_depth_m=true.tactile_depth_m + noise.depth_m * rng.standard_normal(count),
         proximity=proximity,
@@ -124,17 +124,13 @@ def make_clicks(
     return Clicks(noisy, true)
 
 
-def project_points(points_m: Float64Array, rig: Rig, in_color: BoolArray) -> RigidPoints:
+def project_points(points_m: Float64Array, rig: Rig, in_color: BoolArray) -> PointArrays:
     """Return what both cameras see of points (N, 3) of the proximity frame."""
-    T_t_p = np.linalg.inv(np.asarray(rig.T_proximity_tactile))
-    of_tactile = points_m @ T_t_p[:3, :3].T + T_t_p[:3, 3]
-    T_c_p = color_pose(rig)
-    in_depth_image = rig.proximity.intrinsics.project(points_m)
-    in_color_image = color_lens(rig).project(points_m @ T_c_p[:3, :3].T + T_c_p[:3, 3])
-    return RigidPoints(
+    of_tactile = moved(np.linalg.inv(np.asarray(rig.T_proximity_tactile)), points_m)
+    return PointArrays(
         tactile=rig.tactile.intrinsics.project(of_tactile),
         tactile_depth_m=of_tactile[:, 2],
-        proximity=np.where(in_color[:, None], in_color_image, in_depth_image),
+        proximity=proximity_pixels(rig, points_m, in_color),
         in_color=in_color,
         proximity_depth_m=np.full(len(points_m), np.nan),
     )
@@ -150,7 +146,7 @@ def judged_places(rig: Rig) -> tuple[Float64Array, Float64Array]:
     return seen.places, seen.proximity
 
 
-def cramer_rao(true: RigidPoints, rig: Rig, noise: ClickNoise) -> Float64Array:
+def cramer_rao(true: PointArrays, rig: Rig, noise: ClickNoise) -> Float64Array:
     """Return the smallest covariance (6, 6) of any unbiased estimate of the pose.
 
     The Fisher information of the pose *and* of every point's true place, by numeric derivatives of the
@@ -197,27 +193,11 @@ def expected_length(covariance: Float64Array) -> float:
     return float(np.sqrt(np.pi / 2) * lengths.mean())
 
 
-def normalised_transform(source: npt.ArrayLike, target: npt.ArrayLike) -> Float64Array:
-    """Return the normalised direct linear transform (Hartley and Zisserman, algorithm 4.2), in the points' units."""
-    source, target = np.asarray(source, np.float64), np.asarray(target, np.float64)
-    (source_center, source_scale), (target_center, target_scale) = normalisation(source), normalisation(target)
-    H = direct_linear_transform((source - source_center) * source_scale, (target - target_center) * target_scale)
-    return np.asarray(
-        np.linalg.inv(_similarity(target_center, target_scale)) @ H @ _similarity(source_center, source_scale)
-    )
-
-
-def _similarity(center: Float64Array, scale: float) -> Float64Array:
-    return np.array([[scale, 0.0, -scale * center[0]], [0.0, scale, -scale * center[1]], [0.0, 0.0, 1.0]])
-
-
 def _seen_from(pose: Float64Array, places: Float64Array, in_color: BoolArray, rig: Rig) -> Float64Array:
     """Project tactile places by the true pose moved by a rotation vector and a translation."""
     T_p_t = np.asarray(rig.T_proximity_tactile)
-    rays = ray_seen(rig.tactile.intrinsics, places[:, :2])
-    turned = np.column_stack([rays * places[:, 2:], places[:, 2]]) @ T_p_t[:3, :3].T
-    points = Rotation.from_rotvec(pose[:3]).apply(turned) + T_p_t[:3, 3] + pose[3:]
-    return project_points(points, rig, in_color).proximity
+    turned = Alignment(np.eye(4)).points_m(rig, places) @ T_p_t[:3, :3].T
+    return proximity_pixels(rig, Rotation.from_rotvec(pose[:3]).apply(turned) + T_p_t[:3, 3] + pose[3:], in_color)
 
 
 def _numeric_derivative(

@@ -52,7 +52,7 @@ class Mark:
     ``arrow`` is the residual in image pixels, drawn from the mark, enlarged by the layer's factor.
     """
 
-    key: int
+    key: str
     u: float
     v: float
     label: str = ""

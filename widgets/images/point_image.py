@@ -142,9 +142,9 @@ class PointImage(ImagePane):
     """
 
     placed = pyqtSignal(float, float, object)  # u, v, modifiers
-    pressed = pyqtSignal(int, object)  # key, modifiers: a mark was pressed
+    pressed = pyqtSignal(str, object)  # key, modifiers: a mark was pressed
     #: Key, u, v, done: a mark was moved; ``done`` when the button was released.
-    dragged = pyqtSignal(int, float, float, bool)
+    dragged = pyqtSignal(str, float, float, bool)
     pointed = pyqtSignal(float, float)  # u, v: the mouse is over this place; nan, nan when it left
     nudged = pyqtSignal(float, float)  # du, dv
     deleteRequested = pyqtSignal()

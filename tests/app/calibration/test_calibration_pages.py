@@ -14,24 +14,23 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QPushButton
 
-from pairs import snapshot_of, with_pairs
-from simulated_clicks import project_points
+from pairs import moved, snapshot_of, with_pairs
 from tactune.app.calibration.finder import find_pairs
 from tactune.app.calibration.fitting import fit
 from tactune.app.calibration.keeping import Keeper
-from tactune.app.calibration.overlay import OverlayMode, make_overlay
+from tactune.app.calibration.overlay import make_overlay
 from tactune.app.calibration.pictures import image_choices, picture
-from tactune.app.calibration.prediction import Alignment, proximity_partner, tactile_partner
+from tactune.app.calibration.prediction import proximity_partner, tactile_partner
 from tactune.app.calibration.recheck_window import RecheckWindow
-from tactune.app.calibration.session import Choices, PointPair, Session, Snapshot
+from tactune.app.calibration.session import Choices, Session, Snapshot
 from tactune.app.worker.playback import PlaybackState
+from tactune.core.calibration.geometry import Alignment
 from tactune.core.errors import CalibrationError
-from tactune.core.model.frames import SensorFrame, rigid_transform
-from tactune.core.model.intrinsics import Distortion
+from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
 
 LEFT = Qt.MouseButton.LeftButton
-SAVE = 4
+SAVE = 3
 
 
 # Frames
@@ -124,7 +123,8 @@ def test_removing_a_snapshot_takes_its_points_and_undo_brings_both_back(open_wiz
     wizard.go_to(0)
     wizard.frames.list.setCurrentRow(0)
     QTest.mouseClick(wizard.frames.remove, LEFT)
-    assert {pair.snapshot for pair in wizard.session.state.pairs} == {state.snapshots[1].digest}
+    left = wizard.session.state
+    assert {left.snapshot_of(pair) for pair in left.pairs} == {state.snapshots[1]}
     wizard.session.undo_stack.undo()
     assert wizard.session.state.pairs == state.pairs
 
@@ -189,19 +189,17 @@ def test_a_click_without_depth_is_told_in_words(open_wizard, scene, frames, feed
     wizard.session.click("proximity", 130.0, 100.0)
     assert wizard.session.state.pairs[0].tactile_depth_m is None
     assert "No tactile depth under point 1" in wizard.points.hint.text()
-    assert "no depth here" in wizard.points.table.rows()[0].hint
+    assert "no depth here" in wizard.points.table.records()[0].hint
 
 
 def test_a_wrong_pair_is_rejected_highlighted_and_named(open_wizard, scene, frames, feed, qtbot):
     state = with_pairs(scene, frames, feed)
-    wrong = state.pairs[4]
-    moved = wrong.model_copy(update={"proximity": (wrong.proximity[0] + 25, wrong.proximity[1] - 11)})
     wizard = open_wizard()
-    wizard.session.edit("all", state.with_pair(moved))
+    wizard.session.edit("all", state.with_pair(moved(state.pairs[4], 25, -11)))
     qtbot.waitUntil(lambda: wizard.outcome.report is not None)
-    rows = {row.key: row for row in wizard.points.table.rows()}
-    assert [key for key, row in rows.items() if row.worst] == [5]
-    assert "rejected" in rows[5].hint
+    rows = {row.pair.id: row for row in wizard.points.table.records()}
+    assert [name for name, row in rows.items() if row.marked] == ["5"]
+    assert "rejected" in rows["5"].hint
     assert "pair 5" in wizard.quality.step.text()
 
     wizard.go_to(1)
@@ -209,7 +207,7 @@ def test_a_wrong_pair_is_rejected_highlighted_and_named(open_wizard, scene, fram
     assert shown.index(0, 0).data() == "5", "the worst is on top"
     assert wizard.points.drop.text() == "Remove 1 rejected pair"
     QTest.mouseClick(wizard.points.drop, LEFT)
-    assert [pair.key for pair in wizard.session.state.pairs] == [key for key in rows if key != 5]
+    assert [pair.id for pair in wizard.session.state.pairs] == [name for name in rows if name != "5"]
     qtbot.waitUntil(lambda: not wizard.points.drop.isVisible())
     QTest.mouseClick(wizard.undo, LEFT)
     assert len(wizard.session.state.pairs) == len(rows)
@@ -220,16 +218,14 @@ def test_pairs_with_large_residuals_are_named_before_points_elsewhere(scene, fra
     assert "save it" in fit(state, scene.rig).report.verdict, "exact pairs need none elsewhere"
     shaken, rng = state, np.random.default_rng(0)
     for pair in state.pairs:
-        place = tuple((np.array(pair.proximity) + rng.normal(0, 0.7, 2)).tolist())
-        shaken = shaken.with_pair(pair.model_copy(update={"proximity": place}))
+        shaken = shaken.with_pair(moved(pair, *rng.normal(0, 0.7, 2).tolist()))
     assert "Add points" in fit(shaken, scene.rig).report.verdict
     for key, (u, v) in ((7, (2.2, -2.0)), (18, (-2.1, 2.0))):
-        pair = state.pairs[key - 1]
-        state = state.with_pair(pair.model_copy(update={"proximity": (pair.proximity[0] + u, pair.proximity[1] + v)}))
+        state = state.with_pair(moved(state.pairs[key - 1], u, v))
     outcome = fit(state, scene.rig)
     report = outcome.report
     assert not report.chosen.excluded
-    assert outcome.worst == {7, 18}
+    assert outcome.worst == {"7", "18"}
     assert "Click pairs" in report.verdict
     assert {"7", "18"} == set(report.verdict.split("Click pairs ")[1].split(" again")[0].split(" and "))
 
@@ -237,10 +233,9 @@ def test_pairs_with_large_residuals_are_named_before_points_elsewhere(scene, fra
 def test_the_largest_residual_of_good_pairs_is_not_red(scene, frames, feed):
     state = with_pairs(scene, frames, feed)
     for pair in state.pairs:
-        off_px = 0.7 if pair.key == 9 else 0.1
-        state = state.with_pair(pair.model_copy(update={"proximity": (pair.proximity[0] + off_px, pair.proximity[1])}))
+        state = state.with_pair(moved(pair, 0.7 if pair.id == "9" else 0.1, 0.0))
     outcome = fit(state, scene.rig)
-    assert max(outcome.fits, key=lambda key: outcome.fits[key].residual_px) == 9
+    assert max(outcome.fits, key=lambda name: outcome.fits[name].residual_px) == "9"
     assert not outcome.worst
 
 
@@ -319,13 +314,6 @@ def test_a_chessboard_is_found_and_undone(open_wizard, feed, frames, qtbot):
         QTest.mouseClick(wizard.undo, LEFT)
     assert finder.target.currentText() == "Membrane texture" and not finder.columns.isVisible()
 
-    wizard.session.add_snapshot(chessboard_snapshot(frames, feed))
-    look_for(finder, 3)
-    assert finder.target.currentText() == "Asymmetric circles"
-    QTest.mouseClick(finder.search, LEFT)
-    qtbot.waitUntil(lambda: "circles is seen" in finder.words.text())
-    assert not wizard.session.state.pairs
-
 
 def test_next_waits_for_the_search_and_the_search_can_be_cancelled(open_wizard, feed, frames, qtbot, monkeypatch):
     def endless(choices, snapshots, rig, progress):
@@ -360,9 +348,9 @@ def test_one_button_is_primary_at_one_place_on_every_page(open_wizard, scene, fr
     assert primary() == ["Find points"]
     wizard.session.edit("all", with_pairs(scene, frames, feed))
     qtbot.waitUntil(lambda: wizard.outcome.report is not None)
-    assert [wizard.steps.button(step).text()[-1] for step in range(4)] == ["✓"] * 4
+    assert [wizard.steps.button(step).text()[-1] for step in range(3)] == ["✓"] * 3
     places = set()
-    for step, text in enumerate(("Next", "Next", "Next", "Next", "Save preset")):
+    for step, text in enumerate(("Next", "Next", "Next", "Save preset")):
         wizard.go_to(step)
         assert primary() == [text]
         push = wizard.save if step == SAVE else wizard.next
@@ -377,14 +365,14 @@ def test_every_page_is_undone(open_wizard, scene, frames, feed, qtbot):
     wizard.session.edit("all", with_pairs(scene, frames, feed))
     qtbot.waitUntil(lambda: wizard.outcome.report is not None)
     wizard.go_to(2)
-    homography = wizard.model.choices.button(2)
-    QTest.mouseClick(homography, LEFT, pos=QPoint(8, homography.height() // 2))
+    wizard.quality.model.setFocus()
+    QTest.keyClicks(wizard.quality.model, "H")
     qtbot.waitUntil(lambda: wizard.outcome.report.model == "homography")
     assert wizard.steps.button(2).text().endswith("!")
-    wizard.model.depth_fit.setFocus()
-    QTest.keyClicks(wizard.model.depth_fit, "O")
-    qtbot.waitUntil(lambda: wizard.outcome.report.depth_fit == "offset")
-    assert "an offset would be" in wizard.model.depth_reason.text()
+    wizard.quality.depth_fit.setFocus()
+    QTest.keyClicks(wizard.quality.depth_fit, "O")
+    qtbot.waitUntil(lambda: wizard.outcome.report.depth_offset.used)
+    assert "±" in wizard.quality.offset.text()
     wizard.go_to(SAVE)
     box = wizard.check.set_tolerance
     QTest.mouseClick(box, LEFT, pos=QPoint(8, box.height() // 2))
@@ -393,37 +381,6 @@ def test_every_page_is_undone(open_wizard, scene, frames, feed, qtbot):
         QTest.keyClick(wizard, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
     assert wizard.session.state == before
     assert not box.isChecked() and wizard.frames.average.value() == 10
-
-
-def test_lens_distortion_is_offered_used_and_undone(open_wizard, scene, frames, qtbot):
-    update = {"distortion": Distortion.BROWN_CONRADY, "coefficients": (-0.2, 0.0, 0.0, 0.0, 0.0)}
-    bent = scene.rig.with_lenses(
-        scene.rig.tactile.intrinsics.model_copy(update=update), scene.rig.proximity.intrinsics
-    ).model_copy(update={"T_proximity_tactile": rigid_transform(scene.T_p_t)})
-    space = np.concatenate([scene.points(0.2), scene.points(1.0)])
-    seen = project_points(space, bent, np.ones(len(space), bool))
-    shaken = np.random.default_rng(0).normal(0, 0.3, (len(space), 4))
-    pairs = [
-        PointPair(key=0, proximity=tuple(left), tactile=tuple(right), tactile_depth_m=depth_m, origin="test")
-        for left, right, depth_m in zip(
-            (seen.proximity + shaken[:, :2]).tolist(),
-            (seen.tactile + shaken[:, 2:]).tolist(),
-            seen.tactile_depth_m.tolist(),
-            strict=True,
-        )
-    ]
-    wizard = open_wizard()
-    wizard.session.add_pairs(pairs, "Add pairs")
-    qtbot.waitUntil(lambda: wizard.outcome.distortion.rig is not None, timeout=20_000)
-    wizard.go_to(3)
-    button = wizard.quality.distortion
-    assert button.isVisible() and "k1" in button.toolTip() and "Estimate lens distortion" in wizard.quality.step.text()
-    QTest.mouseClick(button, LEFT)
-    qtbot.waitUntil(lambda: wizard.outcome.report is not None and wizard.outcome.report.distortion_used, timeout=20_000)
-    assert "k1 = -0.2" in wizard.quality.estimated.text() and button.text() == "Remove lens distortion"
-    assert wizard.outcome.report.rig.tactile.intrinsics.has_distortion
-    QTest.keyClick(wizard, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
-    qtbot.waitUntil(lambda: button.text() == "Estimate lens distortion", timeout=20_000)
 
 
 # Check
@@ -440,9 +397,9 @@ def test_the_overlay_fits_with_the_true_pose_and_not_with_a_wrong_one(scene, fra
     moved[0, 3] += 0.004
     assert right < 0.4 * difference(moved)[0]
     assert overlay.known.mean() > 0.5
-    pictures = [overlay.composed(mode, 0.5).tobytes() for mode in OverlayMode]
-    assert len(set(pictures)) == len(OverlayMode)
-    np.testing.assert_array_equal(overlay.composed(OverlayMode.BLINK, 0.5, True), overlay.tactile)
+    shown = overlay.blended(1.0)
+    np.testing.assert_array_equal(shown[overlay.known], overlay.tactile[overlay.known])
+    np.testing.assert_array_equal(shown[~overlay.known], overlay.proximity[~overlay.known])
 
 
 def test_points_are_marked_once_there_is_a_map_under_them(open_wizard, scene, frames, feed, qtbot):
@@ -450,7 +407,7 @@ def test_points_are_marked_once_there_is_a_map_under_them(open_wizard, scene, fr
     wizard.session.edit("all", with_pairs(scene, frames, feed))
     qtbot.waitUntil(lambda: wizard.outcome.report is not None)
     shown = wizard.quality.map
-    wizard.go_to(3)
+    wizard.go_to(2)
     assert "Drawing the map" in shown.empty_label.text() and not shown.layer.marks
     qtbot.waitUntil(lambda: bool(shown.layer.marks), timeout=15000)
     assert "Drawing" not in shown.empty_label.text()
@@ -462,18 +419,11 @@ def test_the_check_page_shows_both_alignments(open_wizard, scene, frames, feed, 
     wizard.go_to(SAVE)
     qtbot.waitUntil(lambda: "No calibration yet" in page.image.empty_label.text())
     wizard.session.edit("all", with_pairs(scene, frames, feed))
-    qtbot.waitUntil(
-        lambda: page.image.empty_label.text() == "" and "cm²" in page.table.item(4, 0).text(), timeout=60_000
-    )
-    blended = page.image.grab().toImage()
+    qtbot.waitUntil(lambda: page.image.empty_label.text() == "" and "cm²" in page.areas.text(), timeout=60_000)
+    shown = page.image.grab().toImage()
     QTest.mouseClick(page.modes.button(1), LEFT)
-    assert page.mode is OverlayMode.CHECKER
-    assert page.image.grab().toImage() != blended
-    assert page.table.horizontalHeaderItem(0).text() == "New"
-    for row, unit in enumerate(("px", "mm", "mm", "%")):
-        new, present = (page.table.item(row, column).text() for column in range(2))
-        assert unit in new and unit in present
-        assert "✓ better" in new and "better" not in present
+    qtbot.waitUntil(lambda: page.image.grab().toImage() != shown)
+    assert "px" in page.errors.text() and "new" in page.errors.text() and "present" in page.errors.text()
     assert "does not use it" not in page.set_tolerance.text()
     document.edit("contact_test", "membrane")
     assert "membrane test does not use it" in page.set_tolerance.text()
@@ -526,7 +476,7 @@ def test_a_damaged_file_is_set_aside_and_said(scene, frames, feed, tmp_path, qap
     session.edit("all", with_pairs(scene, frames, feed))
     keeper.close()
     content = json.loads(keeper.file.read_text())
-    content["pairs"][0]["proximity"] = ["a", "b"]
+    content["pairs"][0]["proximity_u"] = "a"
     keeper.file.write_text(json.dumps(content))
 
     again = Session(scene.rig, lambda *_: None)
@@ -539,6 +489,38 @@ def test_a_damaged_file_is_set_aside_and_said(scene, frames, feed, tmp_path, qap
     second.close()
     assert keeper.file.with_suffix(".damaged").exists()
     assert len(list(tmp_path.glob("snapshot-*.npz"))) == len(session.state.snapshots), "a person may mend the file"
+
+
+def places_of(state):
+    return [(pair.id, pair.proximity, pair.tactile, pair.tactile_depth_m) for pair in state.pairs]
+
+
+def test_a_calibration_kept_by_the_program_before_is_restored(scene, frames, feed, tmp_path, qapp):
+    """As version 1 wrote it: pairs with keys, places and digests."""
+    session = Session(scene.rig, lambda *_: None)
+    keeper = Keeper(session, tmp_path)
+    state = with_pairs(scene, frames, feed)
+    session.edit("all", state)
+    session.click("tactile", 10.0, 20.0)
+    keeper.close()
+    content = json.loads(keeper.file.read_text())
+    content["version"] = 1
+    content["pairs"] = [
+        {
+            "key": int(pair.id), "enabled": True, "proximity": pair.proximity, "tactile": pair.tactile,
+            "tactile_depth_m": pair.tactile_depth_m, "proximity_image": pair.proximity_image,
+            "snapshot": session.state.snapshot_of(pair).digest, "origin": pair.origin,
+        }
+        for pair in session.state.pairs
+    ]  # fmt: skip
+    content["choices"] |= {"target": "charuco", "depth_fit": "both", "marker_share": 0.7, "estimate_distortion": True}
+    keeper.file.write_text(json.dumps(content))
+    again = Session(scene.rig, lambda *_: None)
+    second = Keeper(again, tmp_path)
+    assert second.restore() is not None
+    assert again.state.pairs == session.state.pairs
+    assert again.state.digests == state.digests
+    second.close()
 
 
 def wait_for_disk(keeper):
@@ -587,7 +569,7 @@ def test_damaged_images_keep_their_points(scene, frames, feed, tmp_path, qapp, c
     again = Session(scene.rig, lambda *_: None)
     second = Keeper(again, tmp_path)
     assert second.restore() is not None
-    assert again.state.pairs == session.state.pairs
+    assert places_of(again.state) == places_of(session.state)
     assert len(again.state.snapshots) == len(session.state.snapshots) - 1
     second.close()
 
@@ -625,6 +607,6 @@ def test_lost_images_keep_their_points(scene, frames, feed, tmp_path, qapp):
     again = Session(scene.rig, lambda *_: None)
     second = Keeper(again, tmp_path)
     assert second.restore() is not None
-    assert again.state.pairs == state.pairs
-    assert len(again.state.snapshots) == 1
+    assert places_of(again.state) == places_of(state)
+    assert {again.state.snapshot_of(pair) for pair in again.state.pairs} == {None, again.state.snapshots[0]}
     second.close()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from math import nan
-
 import numpy as np
 import pyqtgraph as pg
 import pytest
@@ -11,10 +9,12 @@ from PyQt6.QtCore import QPointF, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QWidget
 
-from tactune.widgets.basics.point_table import PointRow, PointTable
+from pairs import pair_at
+from tactune.app.calibration.point_table import PointRow, PointTable
+from tactune.core.calibration.report import PairQuality
 from tactune.widgets.images.marks import COLORS, REACH, Mark, MarkKind
 from tactune.widgets.images.point_image import Loupe, PointImage
-from tactune.widgets.plots.calibration_plots import CoverageGrid, Residual, ResidualPlot, round_limit
+from tactune.widgets.plots.calibration_plots import CoverageGrid
 
 LEFT = Qt.MouseButton.LeftButton
 PLAIN = Qt.KeyboardModifier.NoModifier
@@ -69,26 +69,26 @@ def test_a_drag_on_free_ground_pans_and_places_nothing(image, qtbot):
 
 
 def test_a_mark_is_taken_hold_of_and_keeps_its_grip(image, qtbot):
-    image.set_marks([Mark(7, 40.0, 30.0), Mark(8, 100.0, 90.0)])
+    image.set_marks([Mark("7", 40.0, 30.0), Mark("8", 100.0, 90.0)])
     viewport = image.view.viewport()
     moves = []
     image.dragged.connect(lambda *args: moves.append(args))
     grip = image.screen_place(40, 30).toPoint() + QPointF(3, -2).toPoint()
     with qtbot.waitSignal(image.pressed) as pressed:
         QTest.mousePress(viewport, LEFT, PLAIN, grip)
-    assert pressed.args[0] == 7
+    assert pressed.args[0] == "7"
     goal = image.screen_place(60, 50).toPoint() + QPointF(3, -2).toPoint()
     QTest.mouseMove(viewport, goal)
     QTest.mouseRelease(viewport, LEFT, PLAIN, goal)
     key, u, v, done = moves[-1]
-    assert (key, done) == (7, True)
+    assert (key, done) == ("7", True)
     assert (u, v) == pytest.approx((60, 50), abs=0.5)
 
 
 def test_the_nearest_mark_within_reach_is_hit(image):
-    image.set_marks([Mark(1, 40, 30), Mark(2, 42, 30)])
+    image.set_marks([Mark("1", 40, 30), Mark("2", 42, 30)])
     place = image.screen_place(41.4, 30)
-    assert image.layer.mark_at(place).key == 2
+    assert image.layer.mark_at(place).key == "2"
     assert image.layer.mark_at(image.screen_place(40, 30) - QPointF(REACH + 1, 0)) is None
 
 
@@ -122,7 +122,7 @@ def test_keys_ask(image, qtbot, key, signal):
 
 
 def test_arrows_and_ghost_change_the_picture(image):
-    image.set_marks([Mark(1, 40, 30, arrow=(0.5, 0.0))])
+    image.set_marks([Mark("1", 40, 30, arrow=(0.5, 0.0))])
     plain = image.grab().toImage()
     image.layer.set_arrow_factor(100)
     assert image.grab().toImage() != plain
@@ -149,10 +149,13 @@ def test_the_loupe_stays_inside_and_tells_what_a_click_snaps_to(qtbot):
 
 
 ROWS = [
-    PointRow(1, True, (1.0, 2.0), (3.0, 4.0), 0.3, 0.1, 0.2, 0.22, 0.14, 0.3),
-    PointRow(2, False, (5.0, 6.0), (7.0, 8.0)),
-    PointRow(3, True, (9.0, 2.0), (3.0, 4.0), 0.29, 3.0, 4.0, 5.0, 3.1, 6.0, worst=True, hint="look again"),
-]
+    PointRow(pair_at(1, (1, 2), (3, 4), tactile_depth_m=0.3), PairQuality("1", True, 0.1, 0.2, 0.14, 0.3)),
+    PointRow(pair_at(2, (5, 6), (7, 8), enabled=False)),
+    PointRow(
+        pair_at(3, (9, 2), (3, 4), tactile_depth_m=0.29), PairQuality("3", True, 3.0, 4.0, 3.1, 6.0),
+        hint="look again", marked=True,
+    ),
+]  # fmt: skip
 
 
 @pytest.fixture
@@ -160,7 +163,7 @@ def table(qtbot):
     made = PointTable()
     qtbot.addWidget(made)
     made.resize(1100, 200)
-    made.set_rows(ROWS)
+    made.set_records(ROWS)
     made.show()
     return made
 
@@ -170,80 +173,38 @@ def cell(table, row, column, role=Qt.ItemDataRole.DisplayRole):
     return model.data(model.index(row, column), role)
 
 
-def test_the_table_shows_numbers_dashes_and_the_worst(table):
-    assert cell(table, 0, 6) == "300.0"
-    assert cell(table, 1, 6) == "–"
-    assert cell(table, 2, 10) == "3.10"
-    assert cell(table, 2, 0, Qt.ItemDataRole.ToolTipRole) == "look again"
-    assert cell(table, 2, 3, Qt.ItemDataRole.BackgroundRole) is not None
-    assert cell(table, 0, 3, Qt.ItemDataRole.BackgroundRole) is None
+def test_the_table_shows_the_worst_first_and_dashes(table):
+    assert [cell(table, row, 0) for row in range(3)] == ["3", "1", "2"]
+    assert (cell(table, 0, 10), cell(table, 1, 6), cell(table, 2, 6)) == ("3.10", "300.0", "–")
+    assert cell(table, 0, 2, Qt.ItemDataRole.ToolTipRole) == "look again"
+    assert cell(table, 0, 3, Qt.ItemDataRole.BackgroundRole) is not None
+    assert cell(table, 1, 3, Qt.ItemDataRole.BackgroundRole) is None
 
 
 def test_a_fit_that_is_being_computed_is_no_missing_residual(table):
-    table.set_rows([*ROWS, PointRow(4, True, (1.0, 2.0), (3.0, 4.0))])
-    assert cell(table, 3, 9) == "–"
+    table.set_records([*ROWS, PointRow(pair_at(4, (1, 2), (3, 4)))])
+    shown = lambda column: {cell(table, row, 0): cell(table, row, column) for row in range(4)}
+    assert shown(9)["4"] == "–"
     table.show_pending(True)
-    assert [cell(table, row, 9) for row in range(4)] == ["0.22", "–", "5.00", "…"]
-    assert cell(table, 3, 6) == "–", "a depth comes from no fit"
+    assert shown(9) == {"1": "0.22", "2": "–", "3": "5.00", "4": "…"}
+    assert shown(6)["4"] == "–", "a depth comes from no fit"
     table.show_pending(False)
-    assert cell(table, 3, 9) == "–"
+    assert shown(9)["4"] == "–"
 
 
-def test_sorting_by_residual_puts_the_worst_first_and_unknown_last(table):
-    table.sortByColumn(9, Qt.SortOrder.DescendingOrder)
-    assert [cell(table, row, 0) for row in range(3)] == ["3", "1", "2"]
-
-
-def test_a_check_mark_asks_and_changes_nothing_by_itself(table, qtbot):
-    model = table.model()
-    with qtbot.waitSignal(table.enabledToggled) as caught:
-        model.setData(model.index(1, 1), Qt.CheckState.Checked, Qt.ItemDataRole.CheckStateRole)
-    assert caught.args == [2, True]
-    assert table.rows()[1].enabled is False
-
-
-def test_space_switches_the_selected_rows(table, qtbot):
-    table.select([1, 3])
-    told = []
-    table.enabledToggled.connect(lambda key, on: told.append((key, on)))
-    QTest.keyClick(table, Qt.Key.Key_Space)
-    assert told == [(1, False), (3, False)]
-
-
-def test_the_selection_stays_with_its_pairs(table, qtbot):
-    table.select([3])
-    with qtbot.assertNotEmitted(table.selectionEdited):
-        table.set_rows(ROWS[1:])
-    assert table.selected_keys() == (3,)
-    with qtbot.waitSignal(table.selectionEdited) as caught:
-        QTest.keyClick(table, Qt.Key.Key_Up)
-    assert caught.args == [(2,)]
-
-
-@pytest.mark.parametrize(("largest", "limit"), [(0.0, 1.0), (0.3, 0.5), (1.0, 1.0), (1.2, 2.0), (37.0, 50.0)])
-def test_the_outer_ring_is_round(largest, limit):
-    assert round_limit([Residual(largest, 0.0)]) == pytest.approx(limit)
-
-
-def test_plots_paint_in_every_state(qtbot):
-    plot, grid = ResidualPlot(), CoverageGrid()
-    for widget in (plot, grid):
-        qtbot.addWidget(widget)
-        widget.resize(300, 240)
-        widget.show()
-    empty = plot.grab().toImage()
-    plot.set_residuals([Residual(0.3, -0.2), Residual(900.0, 0.0, "7", True)], limit=1.0)
-    assert plot.grab().toImage() != empty
-    plot.set_residuals([], message="Not fitted")
-    grid.grab()
-    grid.set_coverage([[0, 1, 5, 2]] * 3, [280.0, nan, 310.0][::2])
+def test_the_coverage_paints_in_every_state(qtbot):
+    grid = CoverageGrid()
+    qtbot.addWidget(grid)
+    grid.resize(300, 240)
+    empty = grid.grab().toImage()
+    grid.set_coverage([[0, 1, 5, 2]] * 3, [280.0, 310.0])
     assert "3 parts are empty" in grid.toolTip()
-    grid.grab()
+    assert grid.grab().toImage() != empty
 
 
 def test_every_kind_of_mark_has_a_colour(image):
     for kind in MarkKind:
-        image.set_marks([Mark(1, 80.0, 60.0, "1", kind)])
+        image.set_marks([Mark("1", 80.0, 60.0, "1", kind)])
         shown = image.view.grab().toImage()
         colors = {shown.pixelColor(x, y).name() for x in range(shown.width()) for y in range(0, shown.height(), 2)}
         assert COLORS[kind].name() in colors

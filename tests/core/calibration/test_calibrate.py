@@ -7,23 +7,32 @@ import numpy as np
 import pytest
 
 from simulated_clicks import ClickNoise, judged_places, make_clicks
-from tactune.core.calibration import Correspondence, calibrate
+from tactune.core.calibration import calibrate
 from tactune.core.calibration.quality import PROXIMITY_NOISE_M, TACTILE_NOISE_M, patch_effect
-from tactune.core.calibration.recheck import replacement
-from tactune.core.calibration.report import place_name
-from tactune.core.calibration.rigid import MIN_POINTS
+from tactune.core.calibration.recheck import is_worse, present_error_px
 from tactune.core.contact import pipeline as pipeline_module
 from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import CalibrationError
+from tactune.core.model.alignment import PointPair
 from tactune.core.preset import Preset
 from tactune.core.preset.file import preset_from_text, preset_json
 
 CLEAN = ClickNoise(0.0, 0.0, 0.0)
+RANDOM = np.random.default_rng(0).uniform(0, 639, 12)
 
 
 def clicked(rig, count=12, seed=0, **options):
-    return make_clicks(rig, count, seed, **options).correspondences()
+    return make_clicks(rig, count, seed, **options).pairs()
+
+
+def changed(pair, **values):
+    return pair.model_copy(update=values)
+
+
+def pair_of(name, proximity, tactile, depth_m=None):
+    (pu, pv), (tu, tv) = (map(float, place) for place in (proximity, tactile))
+    return PointPair(id=str(name), proximity_u=pu, proximity_v=pv, tactile_u=tu, tactile_v=tv, tactile_depth_m=depth_m)
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +44,6 @@ def usual(rig):
 def test_points_that_span_depth_make_it_recommend_rigid(rig):
     report = calibrate(clicked(rig, color_share=0.5), rig)
     assert (report.model, report.recommended) == ("rigid", "rigid")
-    assert "mm of depth" in report.reason
     plane, rigid = report.quality["homography"], report.quality["rigid"]
     assert rigid.cross_validated_px < 0.6 * plane.cross_validated_px
     assert plane.excluded == rigid.excluded == ()
@@ -43,9 +51,9 @@ def test_points_that_span_depth_make_it_recommend_rigid(rig):
 
 
 def test_wrong_depths_make_it_recommend_the_homography(rig, plane):
-    tactile, proximity = plane.clicks(0, 12)
-    points = [Correspondence(str(i), *proximity[i], *tactile[i], 0.2 + 0.01 * (i % 5)) for i in range(len(tactile))]
-    report = calibrate(points, rig)
+    clicks = plane.clicks(0, 12)
+    pairs = [pair_of(i, clicks.proximity[i], clicks.tactile[i], 0.2 + 0.01 * (i % 5)) for i in range(12)]
+    report = calibrate(pairs, rig)
     assert report.model == "homography"
     assert plane.error(report.homography).mean() < 4.0
 
@@ -54,7 +62,7 @@ def test_a_homography_that_is_wrong_off_its_plane_is_not_good(rig):
     rng = np.random.default_rng(0)
     tactile = rng.uniform((60, 60), (540, 420), (20, 2))
     depth = rng.uniform(0.28, 0.32, 20)  # contradicts pixels that are all shifted alike
-    pairs = [Correspondence(str(i), u + 40.0, v, u, v, depth[i]) for i, (u, v) in enumerate(tactile)]
+    pairs = [pair_of(i, (u + 40.0, v), (u, v), depth[i]) for i, (u, v) in enumerate(tactile)]
     report = calibrate(pairs, rig, "homography")
     assert report.chosen.alignment_px < 0.1
     assert report.chosen.effect.boundary_mm > 5
@@ -69,89 +77,74 @@ def test_distortion_left_in_the_clicks_is_named_and_contained_in_the_bound(rig):
         return pixels + from_centre * (from_centre**2).sum(axis=-1, keepdims=True) * 6.0 / 400**3
 
     places, true = judged_places(rig)
-    for factor in (0, 1):
+    for bent in (False, True):
         pairs = clicked(rig, 120, 0)
-        if factor:
-            moved = [distorted(np.array(pair.proximity)) for pair in pairs]
-            pairs = [
-                replace(pair, proximity_u=float(u), proximity_v=float(v))
-                for pair, (u, v) in zip(pairs, moved, strict=True)
-            ]
-        report = calibrate(pairs, rig, "rigid", membrane=places)
-        seen = distorted(true) if factor else true
+        if bent:
+            moved = [distorted(np.array(pair.proximity)).tolist() for pair in pairs]
+            pairs = [changed(pair, proximity_u=u, proximity_v=v) for pair, (u, v) in zip(pairs, moved, strict=True)]
+        report = calibrate(pairs, rig, "rigid", depth_fit="none", membrane=places)
+        seen = distorted(true) if bent else true
         error = np.sqrt(np.mean(np.sum((report.rigid.predict(places) - seen) ** 2, axis=1)))
         assert error < report.chosen.alignment_bound_95_px < 4 * error
-        assert ("lens distortion" in report.verdict) == bool(factor)
+        assert ("lens distortion" in report.verdict) == bent
 
 
 def test_clicks_several_times_as_noisy_as_stated_are_never_good(rig):
     report = calibrate(clicked(rig, 300, 0, noise=ClickNoise(2.5, 2.5, 0.0005)), rig, "rigid")
     assert report.chosen.cross_validated_px > 4.0
-    assert report.verdict.startswith("Usable")
-    assert "Regions left out of the fit are off by" in report.verdict
+    assert report.chosen.agreement.sloppy and report.verdict.startswith("Usable")
 
 
 def test_points_without_depth_give_a_homography_and_say_why(rig, plane):
-    tactile, proximity = plane.clicks(0, 8)
-    points = [Correspondence(str(i), *proximity[i], *tactile[i]) for i in range(8)]
-    report = calibrate(points, rig)
+    clicks = plane.clicks(0, 8)
+    pairs = [pair_of(i, clicks.proximity[i], clicks.tactile[i]) for i in range(8)]
+    report = calibrate(pairs, rig)
     assert report.model == "homography"
     assert "only 0 of the 8 pairs have a tactile depth" in report.refused["rigid"]
     with pytest.raises(CalibrationError, match="tactile depth"):
-        calibrate(points, rig, "rigid")
+        calibrate(pairs, rig, "rigid")
 
 
 def test_clicks_in_colour_reach_the_homography_through_the_extrinsic(rig):
     in_depth = calibrate(clicked(rig, noise=CLEAN), rig, "homography")
     in_color = calibrate(clicked(rig, noise=CLEAN, color_share=1.0), rig, "homography")
-    assert np.abs(in_depth.homography.residuals_px - in_color.homography.residuals_px).max() < 1e-6
+    assert np.abs(in_depth.homography.residuals_px - in_color.homography.residuals_px).max() < 1e-4
 
 
 def test_four_points_never_show_a_residual_of_zero_as_quality(rig):
-    report = calibrate(clicked(rig, MIN_POINTS), rig, "homography")
+    report = calibrate(clicked(rig, 4), rig, "homography")
     quality = report.quality["homography"]
-    assert quality.rms_px is quality.worst_px is quality.cross_validated_px is quality.click_noise_px is None
+    assert quality.rms_px is quality.cross_validated_px is None
     assert report.to_json()["rms_px"] is None
-    assert "mean nothing" in report.verdict
-    assert "a homography fits any 4 pairs" in report.verdict and "Click at least 2 more" in report.verdict
+    assert "mean nothing" in report.verdict and "at least 2 more" in report.verdict
     assert " 0.00" not in report.words().split("Points per cell")[0]
 
 
 def test_a_wrong_pair_is_left_out_of_both_models_and_named(rig):
-    points = clicked(rig, 14)
-    points[4] = replace(points[4], proximity_u=points[4].proximity_u - 60)
-    report = calibrate(points, rig)
-    assert report.quality["rigid"].excluded == ("5",)
-    assert report.quality["homography"].excluded == ("5",)
+    pairs = clicked(rig, 14)
+    pairs[4] = changed(pairs[4], proximity_u=pairs[4].proximity_u - 60)
+    report = calibrate(pairs, rig)
+    assert report.quality["rigid"].excluded == report.quality["homography"].excluded == ("5",)
     assert "pair 5" in report.verdict
 
 
 def test_a_disabled_wrong_pair_does_no_harm_and_stays_in_the_record(rig):
-    points = clicked(rig, 12)
-    bad = replace(points[4], id="bad", proximity_u=5.0, enabled=False)
-    report = calibrate([*points, bad], rig)
+    pairs = clicked(rig, 12)
+    report = calibrate([*pairs, changed(pairs[4], id="bad", proximity_u=5.0, enabled=False)], rig)
     assert report.chosen.excluded == ()
     assert [pair.id for pair in report.record().points][-1] == "bad"
 
 
-def test_an_empty_corner_is_named_as_the_next_step(rig):
-    points = [p for p in clicked(rig, 60, 3) if not (p.tactile_u < 330 and p.tactile_v < 260)][:14]
-    report = calibrate(points, rig)
-    assert "Add points at the upper left: none within" in report.verdict
-
-
 def test_points_of_one_depth_are_asked_for_another_inflation_level(rig):
-    points = [p for p in clicked(rig, 200, 1) if 0.262 < p.tactile_depth_m < 0.275][:24]
-    report = calibrate(points, rig, "rigid")
+    pairs = [pair for pair in clicked(rig, 200, 1) if 0.262 < pair.tactile_depth_m < 0.275][:24]
+    report = calibrate(pairs, rig, "rigid")
     assert report.coverage.depth_span_mm < 14
-    assert "another inflation level" in report.verdict or "none within" in report.verdict
+    assert "another inflation level" in report.verdict
 
 
 @pytest.mark.parametrize(("noise", "word"), [(ClickNoise(0.1, 0.1, 1e-4), "Good"), (ClickNoise(3, 3, 2e-3), "Poor")])
 def test_the_verdict_follows_the_noise(rig, noise, word):
-    report = calibrate(clicked(rig, 20, 5, noise=noise), rig)
-    assert report.verdict.startswith(word)
-    assert report.quality["rigid"].click_noise_px == pytest.approx(noise.tactile_px, rel=0.5)
+    assert calibrate(clicked(rig, 20, 5, noise=noise), rig).verdict.startswith(word)
 
 
 @pytest.mark.parametrize("seeds", [16, pytest.param(40, marks=pytest.mark.long)])
@@ -177,14 +170,11 @@ def test_the_tolerance_follows_its_formula():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (
-            lambda points: [*points, replace(points[0], id="again", tactile_depth_m=0.2)],
-            "1 and again are the same points",
-        ),
-        (lambda points: [*points, points[0]], "2 pairs have the id '1'"),
-        (lambda points: points[:3], "at least 4"),
-        (lambda points: [replace(p, enabled=False) for p in points], "there are 0"),
-        (lambda points: [replace(p, proximity_u=u) for p, u in zip(points, RANDOM, strict=True)], "agree"),
+        (lambda pairs: [*pairs, changed(pairs[0], id="again", tactile_depth_m=0.2)], "1 and again are the same points"),
+        (lambda pairs: [*pairs, pairs[0]], "2 pairs have the id '1'"),
+        (lambda pairs: pairs[:3], "at least 4"),
+        (lambda pairs: [changed(pair, enabled=False) for pair in pairs], "there are 0"),
+        (lambda pairs: [changed(p, proximity_u=u) for p, u in zip(pairs, RANDOM.tolist(), strict=True)], "agree"),
     ],
 )
 def test_impossible_pairs_are_refused_with_the_reason(rig, change, words):
@@ -192,54 +182,29 @@ def test_impossible_pairs_are_refused_with_the_reason(rig, change, words):
         calibrate(change(clicked(rig)), rig)
 
 
-def test_pairs_within_a_pixel_of_each_other_are_told(rig):
-    points, jitter = clicked(rig), np.random.default_rng(0).normal(0, 0.1, (12, 4))
-    near = [
-        replace(p, proximity_u=300 + a, proximity_v=200 + b, tactile_u=300 + c, tactile_v=250 + d)
-        for p, (a, b, c, d) in zip(points, jitter, strict=True)
-    ]
-    assert calibrate([*points[:2], *near[2:8]], rig).verdict.startswith("Poor")
+@pytest.mark.parametrize(("offset_m", "certain"), [(0.0, False), (0.015, True)])
+def test_an_offset_of_the_depth_is_corrected_only_if_it_is_certain(rig, offset_m, certain):
+    noise = ClickNoise(0.07, 0.07, 0.0003)
+    for seed in range(4):
+        pairs = clicked(rig, 150, seed, noise=noise, color_share=0.5)
+        waves = [np.sin(p.tactile_u / 60 + seed) * np.sin(p.tactile_v / 60 + seed) for p in pairs]
+        pairs = [
+            changed(p, tactile_depth_m=p.tactile_depth_m - offset_m + 0.0005 * wave)
+            for p, wave in zip(pairs, waves, strict=True)
+        ]
+        report = calibrate(pairs, rig, "rigid")
+        assert report.depth_offset.used == certain, report.depth_offset.words()
+        assert "±" in report.words()
+        assert report.rigid.alignment.offset_m == (report.depth_offset.offset_m if certain else 0.0)
 
 
-def test_a_lens_that_folds_its_image_over_is_refused(rig):
-    k1 = {"distortion": "brown_conrady", "coefficients": (-3, 0, 0, 0, 0)}
-    lens = rig.tactile.intrinsics.model_copy(update=k1)
-    folded = rig.model_copy(update={"tactile": rig.tactile.model_copy(update={"intrinsics": lens})})
-    with pytest.raises(CalibrationError, match=r"pair.*: the tactile lens of the rig takes no ray to that pixel"):
-        calibrate(clicked(rig), folded)
-
-
-RANDOM = np.random.default_rng(0).uniform(0, 639, 12)
-
-
-def test_pairs_that_agree_on_two_alignments_are_refused(rig):
-    points = clicked(rig, 30)
-    shifted = [replace(p, proximity_u=p.proximity_u + 40) if int(p.id) % 5 < 3 else p for p in points]
-    with pytest.raises(CalibrationError, match=r"two different alignments: 18 pairs \(1, 2, .* 12 pairs \(3, 4, "):
-        calibrate(shifted, rig, "rigid")
-
-
-def test_a_depth_scale_without_proximity_depths_is_warned_about(rig):
-    assert "do not determine the depth scale" in calibrate(clicked(rig), rig, depth_fit="both").warnings[0]
-
-
-def test_a_depth_correction_is_fitted_as_recommended_or_asked_for(rig):
-    report = calibrate(clicked(rig, 20), rig, depth_fit="auto")
-    assert report.depth_fit == report.depth_advice.depth_fit == "none"
-    assert report.rigid.pose.offset_m == 0.0
+def test_an_offset_that_was_asked_for_is_in_the_preset(rig):
     report = calibrate(clicked(rig, 20), rig, depth_fit="offset")
-    assert report.to_json()["depth_fit"] == "offset"
-    assert not any("scale" in words for words in report.warnings)
-    assert report.apply_to(Preset()).alignment.depth_offset_m == report.rigid.pose.offset_m != 0.0
-
-
-def test_a_fit_that_no_preset_allows_is_refused(rig):
-    report = calibrate(clicked(rig, 20), rig, depth_fit="both")
-    solution = report.rigid.solution
-    theta = np.append(solution.theta[:6], [1.4, 0.0])
-    wild = replace(report, rigid=replace(report.rigid, solution=replace(solution, theta=theta)))
-    with pytest.raises(CalibrationError, match=r"depth_scale is 1\.4"):
-        wild.apply_to(Preset())
+    assert report.apply_to(Preset()).alignment.depth_offset_m == report.depth_offset.offset_m != 0.0
+    wild = replace(report.rigid, theta=np.append(report.rigid.theta[:6], 0.4))
+    quality = {"rigid": replace(report.quality["rigid"], fit=wild)}
+    with pytest.raises(CalibrationError, match=r"depth_offset_m is 0\.4"):
+        replace(report, quality=quality).apply_to(Preset())
 
 
 def test_pairs_from_another_rig_are_warned_about(rig, usual):
@@ -252,8 +217,7 @@ def test_pairs_from_another_rig_are_warned_about(rig, usual):
 
 def test_the_report_is_json_with_the_promised_keys(usual):
     data = json.loads(json.dumps(usual.to_json(), allow_nan=False))
-    assert {"model", "homography", "T_proximity_tactile", "rms_px", "cross_validated_px"} <= data.keys()
-    assert {"supported_tolerance", "verdict"} <= data.keys()
+    assert {"model", "rms_px", "cross_validated_px", "supported_tolerance", "verdict"} <= data.keys()
     assert np.shape(data["homography"]) == (3, 3)
     assert np.shape(data["T_proximity_tactile"]) == (4, 4)
     assert len(data["models"]["rigid"]["pairs"]) == 12
@@ -262,7 +226,7 @@ def test_the_report_is_json_with_the_promised_keys(usual):
 def test_a_preset_keeps_the_calibration_and_aligns_by_it(rig, usual):
     preset = usual.apply_to(Preset(), set_tolerance=True)
     assert preset_from_text(preset_json(preset), "memory") == preset
-    assert preset.value("alignment.rigid.T_proximity_tactile") == tuple(map(tuple, usual.rigid.T_proximity_tactile))
+    assert np.array(preset.alignment.rigid.T_proximity_tactile) == pytest.approx(usual.rigid.alignment.pose)
     assert preset.alignment.calibration.proximity_serial == "SIM-L515"
     assert preset.tolerance.t == pytest.approx(usual.chosen.effect.supported_tolerance, abs=1e-4)
     assert preset.rig == rig
@@ -279,22 +243,14 @@ def test_the_record_alone_makes_the_pipeline_repeat_nothing(rig, usual, monkeypa
     assert len(made) == 2
 
 
-@pytest.mark.parametrize(
-    ("pixel", "words"),
-    [((10, 10), "at the upper left"), ((630, 240), "at the right"), ((320, 470), "at the lower middle")],
-)
-def test_places_are_named(pixel, words):
-    assert place_name(np.array(pixel), (480, 640)) == words
-
-
-@pytest.mark.parametrize(("shift_mm", "boundary_mm"), [((4.0, 0.0, 0.0), 4.0), ((0.0, 0.0, 5.0), 5.0)])
-def test_the_present_alignment_is_judged_by_the_new_one(rig, shift_mm, boundary_mm):
+def test_the_present_alignment_is_judged_by_the_new_pairs(rig):
     report = calibrate(clicked(rig, 40), rig, "rigid")
     moved = np.array(rig.T_proximity_tactile)
-    moved[:3, 3] += 1e-3 * np.array(shift_mm)
-    errors = replacement(report, Preset().with_value("alignment.rigid.T_proximity_tactile", moved.tolist()))
-    assert not errors.worse
-    assert errors.present.boundary_mm == pytest.approx(boundary_mm, rel=0.25)
-    assert errors.present.supported_tolerance > errors.new.supported_tolerance
-    exact = replacement(report, report.apply_to(Preset()))
-    assert exact.present.boundary_mm == pytest.approx(report.chosen.effect.boundary_mm)
+    moved[0, 3] += 0.004
+    present = Preset().with_value("alignment.rigid.T_proximity_tactile", moved.tolist())
+    assert present_error_px(report, present) == pytest.approx(4e-3 * rig.proximity.intrinsics.fx / 0.29, rel=0.2)
+    assert not is_worse(report, present)
+    saved = report.apply_to(Preset())
+    assert present_error_px(report, saved) == pytest.approx(report.chosen.alignment_px, abs=0.3)
+    assert not is_worse(report, saved)
+    assert is_worse(calibrate(clicked(rig, 8, noise=ClickNoise(1.5, 1.5, 0.001)), rig, "rigid"), saved)

@@ -4,14 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tactune.core.calibration.detect import (
-    detect_charuco,
-    detect_chessboard,
-    detect_circles,
-    match_detections,
-    snap_to_feature,
-)
-from tactune.core.calibration.homography import fit_homography
+from tactune.core.calibration.detect import detect_chessboard, snap_to_feature
 from tactune.core.errors import CalibrationError
 
 H = np.array([[0.95, 0.06, 20], [-0.05, 0.92, 40], [1e-4, 5e-5, 1]])
@@ -34,27 +27,13 @@ def chessboard():
     return picture, corners
 
 
-def dots(asymmetric):
-    picture = np.full((480, 640), 240, np.uint8)
-    centers = [
-        (80 + 55 * (2 * column + row % 2), 50 + 40 * row) if asymmetric else (80 + 70 * column, 60 + 55 * row)
-        for row in range(9 if asymmetric else 6)
-        for column in range(4 if asymmetric else 7)
-    ]
-    for center in centers:
-        cv2.circle(picture, center, 13, 15, -1, cv2.LINE_AA)
-    return picture, np.array(centers, float)
-
-
-def test_a_chessboard_is_found_and_matched_by_order():
+def test_a_chessboard_is_found_in_the_same_order_by_both_cameras():
     picture, corners = chessboard()
-    pairs = match_detections(detect_chessboard(seen(picture, H), 9, 6), detect_chessboard(seen(picture, TILT), 9, 6))
-    assert len(pairs) == 54
-    left, right = (np.array([pair[side] for pair in pairs]) for side in (1, 2))
-    order = [int(np.argmin(np.hypot(*(mapped(H, corners) - pixel).T))) for pixel in left]
-    assert sorted(order) == list(range(54))
-    assert np.hypot(*(left - mapped(H, corners)[order]).T).max() < 0.25
-    assert np.hypot(*(right - mapped(TILT, corners)[order]).T).max() < 0.25
+    for view in (H, TILT):
+        found = detect_chessboard(seen(picture, view), 9, 6)
+        assert np.hypot(*(found - mapped(view, corners)).T).max() < 0.25
+        turned = detect_chessboard(np.ascontiguousarray(np.rot90(seen(picture, view), 2)), 9, 6)
+        assert turned[0].sum() < turned[-1].sum()
 
 
 @pytest.mark.parametrize(("columns", "rows"), [(8, 6), (7, 6), (9, 5), (6, 8)])
@@ -73,57 +52,15 @@ def test_a_real_board_that_has_more_corners_is_refused(number, shared_data):
                 detect_chessboard(image, *size)
 
 
-def test_half_a_turn_between_both_images_is_undone():
-    picture, _ = chessboard()
-    left = detect_chessboard(seen(picture, H), 9, 6)
-    right = detect_chessboard(seen(picture, TILT), 9, 6)
-    turned = type(right)(right.ids, right.pixels[::-1])
-    straight = match_detections(left, right)
-    assert [pair[2].tolist() for pair in match_detections(left, turned)] == [pair[2].tolist() for pair in straight]
+def test_what_is_not_there_is_refused_in_words():
+    nothing = np.full((480, 640, 3), 128, np.uint8)
+    for size, words in (((9, 6), "no chessboard of 9 x 6"), ((2, 9), "too small")):
+        with pytest.raises(CalibrationError, match=words):
+            detect_chessboard(nothing, *size)
 
 
-@pytest.mark.parametrize(("asymmetric", "columns", "rows"), [(True, 4, 9), (False, 7, 6)])
-def test_grids_of_circles_are_found(asymmetric, columns, rows):
-    picture, centers = dots(asymmetric)
-    detections = [detect_circles(seen(picture, view), columns, rows, asymmetric=asymmetric) for view in (H, TILT)]
-    pairs = match_detections(*detections)
-    assert len(pairs) == columns * rows
-    for _, left, right in pairs:
-        gaps = np.hypot(*(mapped(H, centers) - left).T)
-        assert gaps.min() < 0.5
-        assert np.hypot(*(mapped(TILT, centers)[gaps.argmin()] - right)) < 0.5
-
-
-def test_charuco_corners_are_matched_by_their_printed_ids():
-    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_250)
-    board = cv2.aruco.CharucoBoard((7, 5), 1.0, 0.7, dictionary)
-    picture = cv2.copyMakeBorder(board.generateImage((560, 400)), 40, 40, 40, 40, cv2.BORDER_CONSTANT, value=255)
-    hidden = seen(picture, TILT)
-    hidden[:, 420:] = 128
-    whole, part = detect_charuco(seen(picture, H), 7, 5), detect_charuco(hidden, 7, 5)
-    pairs = match_detections(whole, part)
-    assert 4 <= len(part.ids) < len(whole.ids) == 24
-    left, right = (np.array([pair[side] for pair in pairs]) for side in (1, 2))
-    assert np.hypot(*(mapped(TILT @ np.linalg.inv(H), left) - right).T).max() < 1.0
-
-
-@pytest.mark.parametrize(
-    "find",
-    [
-        lambda image: detect_chessboard(image, 9, 6),
-        lambda image: detect_charuco(image, 7, 5),
-        lambda image: detect_circles(image, 4, 9),
-        lambda image: detect_circles(image, 1, 9),
-        lambda image: detect_charuco(image, 7, 5, dictionary="DICT_9X9"),
-    ],
-)
-def test_what_is_not_there_is_refused_in_words(find):
-    with pytest.raises(CalibrationError, match=r"no .* is seen|too small|no marker dictionary"):
-        find(np.full((480, 640, 3), 128, np.uint8))
-
-
-@pytest.mark.parametrize(("bright", "kind"), [(False, np.uint8), (True, np.uint8), (False, np.uint16)])
-def test_a_click_beside_a_droplet_snaps_to_its_centre(bright, kind):
+@pytest.mark.parametrize("bright", [False, True])
+def test_a_click_beside_a_droplet_snaps_to_its_centre(bright):
     rng = np.random.default_rng(0)
     big = np.zeros((800, 800), np.uint8)
     center = (403, 391)
@@ -131,7 +68,7 @@ def test_a_click_beside_a_droplet_snaps_to_its_centre(bright, kind):
     ink = cv2.resize(big, (100, 100), interpolation=cv2.INTER_AREA).astype(float) / 255
     true = (np.array(center) + 0.5) / 8 - 0.5
     image = (60 + 120 * ink if bright else 180 - 120 * ink) + 2 * rng.standard_normal(ink.shape)
-    image = (image * (200 if kind is np.uint16 else 1)).astype(kind)
+    image = image.astype(np.uint8)
     for angle in np.linspace(0, 6, 9):
         click = true + 5.5 * np.array([np.cos(angle), np.sin(angle)])
         snapped = snap_to_feature(image, *click)
@@ -180,12 +117,9 @@ def test_crossing_lines_snap_and_their_ends_do_not():
 def test_real_boards_as_well_as_opencv(number, shared_data):
     files = [shared_data / "stereo_boards" / f"{side}0{number}.jpg" for side in ("left", "right")]
     left, right = (cv2.imread(str(file), cv2.IMREAD_GRAYSCALE) for file in files)
-    a, b = detect_chessboard(left, 9, 6).pixels, detect_chessboard(right, 9, 6).pixels
-    fit = fit_homography(a, b)
+    a, b = detect_chessboard(left, 9, 6), detect_chessboard(right, 9, 6)
     refined, _ = cv2.findHomography(a, b, 0)
-    opencv = np.sqrt(np.mean(np.sum((mapped(refined, a) - b) ** 2, axis=1)))
-    assert fit.used.all()
-    assert abs(fit.rms_px - opencv) < 0.02
+    assert np.sqrt(np.mean(np.sum((mapped(refined, a) - b) ** 2, axis=1))) < 3.0
     rng = np.random.default_rng(number)
     for u, v in a:
         angle, radius = rng.uniform(0, 2 * np.pi), 6 * np.sqrt(rng.uniform())

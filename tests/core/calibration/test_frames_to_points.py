@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from simulated_clicks import judged_places, make_clicks
 from tactune.core.calibration import calibrate
+from tactune.core.calibration.geometry import Alignment
 from tactune.core.calibration.recheck import recheck
-from tactune.core.calibration.rigid import Pose
-from tactune.core.calibration.snapshots import content_hash, depth_under, median_counts, take_snapshot
+from tactune.core.calibration.snapshots import content_hash, depth_under, take_snapshot
 from tactune.core.calibration.texture import match_texture
 from tactune.core.errors import CalibrationError
 from tactune.core.model.frames import SensorFrame
@@ -30,27 +30,28 @@ def frames():
 @pytest.fixture(scope="module")
 def preset(rig):
     """A preset with a calibration from thirty clicks."""
-    return calibrate(make_clicks(rig, 30, 0).correspondences(), rig).apply_to(Preset())
+    return calibrate(make_clicks(rig, 30, 0).pairs(), rig).apply_to(Preset())
 
 
 @pytest.fixture(scope="module")
 def matches(frames, rig):
-    return match_texture(frames, rig.model_copy(update={"T_proximity_tactile": None}))
+    return match_texture(frames, rig.model_copy(update={"T_proximity_tactile": None}))[0]
 
 
 def test_texture_gives_the_pose_without_a_click_or_a_stated_pose(matches, rig):
     places, true = judged_places(rig)
-    pose, stated = matches.fit.T_proximity_tactile, np.array(rig.T_proximity_tactile)
-    assert np.hypot(*(matches.fit.predict(places) - true).T).mean() < 0.25
+    fit = calibrate(matches, rig, "rigid").rigid
+    pose, stated = fit.alignment.pose, np.array(rig.T_proximity_tactile)
+    assert np.hypot(*(fit.predict(places) - true).T).mean() < 0.25
     assert 1e3 * np.linalg.norm(pose[:3, 3] - stated[:3, 3]) < 0.7
     assert np.degrees(Rotation.from_matrix(pose[:3, :3] @ stated[:3, :3].T).magnitude()) < 0.15
 
 
 def test_texture_pairs_of_two_levels_are_right_and_usable(matches, rig):
-    assert len(matches.pairs) >= 100
-    assert {pair.snapshot for pair in matches.pairs} == {0, 1}
-    assert {pair.proximity_image for pair in matches.pairs} == {"color"}
-    report = calibrate(matches.pairs, rig)
+    assert len(matches) >= 100
+    assert {pair.snapshot for pair in matches} == {0, 1}
+    assert {pair.proximity_image for pair in matches} == {"color"}
+    report = calibrate(matches, rig)
     assert report.model == "rigid"
     assert report.chosen.excluded == ()
     assert report.chosen.rms_px < 0.3
@@ -95,22 +96,19 @@ def test_a_recheck_measures_the_homography_that_a_preset_uses(frames, rig, prese
 
 
 def test_the_median_leaves_out_what_is_no_depth():
-    stack = np.array([[0, 900, 65535, 70], [300, 902, 65535, 90], [400, 906, 0, 80], [65535, 0, 0, 65535]], np.uint16)
-    images = [row.reshape(2, 2) for row in stack]
-    assert median_counts(images).tolist() == [[300, 902], [0, 80]]
     rng = np.random.default_rng(0)
     many = rng.choice(np.array([0, 65535, 100, 101, 102, 900], np.uint16), (7, 45, 33))
-    found = median_counts(list(many))
+    color = np.zeros((45, 33, 3), np.uint8)
+    frames = [SensorFrame(number, depth, depth, color) for number, depth in enumerate(many)]
+    found = take_snapshot(frames).frame.tactile_depth
     for row, column in rng.integers(0, (45, 33), (50, 2)):
         valid = np.sort([value for value in many[:, row, column] if value not in (0, 65535)])
         middle = valid[[(len(valid) - 1) // 2, len(valid) // 2]] if len(valid) else np.zeros(1)
         wanted = middle[0] if np.ptp(middle) > 10 else np.rint(middle.mean())  # two surfaces are not averaged
         assert found[row, column] == wanted
-    noisy = 3000 + 10 * rng.standard_normal((4, 200, 200))
-    for count in (2, 3, 4):
-        assert median_counts(list(np.rint(noisy[:count]).astype(np.uint16))).mean() == pytest.approx(3000, abs=0.5)
-    with pytest.raises(CalibrationError, match="2 x 2 and 33 x 45"):
-        median_counts([images[0], found])
+    other = SensorFrame(9, many[0, :4], many[0, :4], color[:4])
+    with pytest.raises(CalibrationError, match="33 x 4 pixels"):
+        take_snapshot([frames[0], other])
 
 
 def test_a_snapshot_is_quieter_than_a_frame_and_named_by_its_content(rig):
@@ -132,9 +130,8 @@ def test_a_snapshot_is_quieter_than_a_frame_and_named_by_its_content(rig):
 def test_the_texture_of_two_averaged_frames_is_off_by_no_more_than_the_bound(rig):
     source = SimulatorSource("cup", sensor="datasheet")
     frames = [take_snapshot([source.read(index), source.read(index + 1)]).frame for index in (2, 30)]
-    quality = calibrate(match_texture(frames, rig).pairs, rig, "rigid").chosen
-    points = Pose.of(rig.T_proximity_tactile).points_m(rig.tactile.intrinsics, quality.map.places)
-    off = quality.map.proximity - rig.proximity.intrinsics.project(points)
+    quality = calibrate(match_texture(frames, rig)[0], rig, "rigid").chosen
+    off = quality.fit.predict(quality.map.places) - Alignment.of_rig(rig).pixels(rig, quality.map.places)
     assert np.sqrt((off**2).sum(axis=1).mean()) < quality.alignment_bound_95_px < 0.1
     assert quality.agreement.words() == ""
 

@@ -61,7 +61,7 @@ def test_a_real_camera_agrees_with_opencvs_own_calibration(tmp_path, shared_data
 
 def test_boards_that_all_face_the_camera_are_refused(tmp_path):
     draw_boards(tmp_path, [(0, 0)] * 5)
-    with pytest.raises(CalibrationError, match=r"too uncertain|centre of|view of"):
+    with pytest.raises(CalibrationError, match=r"too uncertain|view of"):
         fit_lens(tmp_path, 8, 6)
 
 
@@ -91,9 +91,6 @@ def test_nominal_lenses_are_those_of_real_cameras():
     assert nominal_lens(1280, 720, MODELS["D435"].views_deg["colour"]).fx == pytest.approx(927.2, rel=0.02)
 
 
-@pytest.mark.parametrize(
-    ("change", "words"), [({"fx": 9.0}, "fx is 9 px, a view of 177 degrees"), ({"cy": -40.0}, "cy")]
-)
-def test_no_camera_has_such_a_lens(change, words):
-    with pytest.raises(CalibrationError, match=words):
-        check_lens(LENS.model_copy(update=change), "tactile camera")
+def test_no_camera_has_such_a_lens():
+    with pytest.raises(CalibrationError, match="fx is 9 px, a view of 177 degrees"):
+        check_lens(LENS.model_copy(update={"fx": 9.0}), "tactile camera")

@@ -1,0 +1,197 @@
+"""Point pairs on disk as CSV, and as arrays for the fits."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pydantic import ValidationError
+
+from ..errors import CalibrationError
+from ..model.alignment import PointPair
+from ..model.arrays import BoolArray, Float64Array
+from ..model.files import atomic_path
+from ..model.loading import read_file
+
+_REQUIRED = ("id", "enabled", "proximity_u", "proximity_v", "tactile_u", "tactile_v", "tactile_depth_m")
+_OPTIONAL = ("proximity_image", "snapshot", "proximity_depth_m", "origin")
+#: Size limit of a file: 100,000 points.
+_MAX_BYTES = 20_000_000
+#: Points count as collinear if their spread across the best line is below this share of the spread along it.
+_LINE_SHARE = 2e-3
+
+
+def read_points(path: Path | str) -> list[PointPair]:
+    """Read clicked pairs of points from a CSV file.
+
+    Parameters
+    ----------
+    path : Path or str
+        A file as the calibration wizard exports it, UTF-8. Its first line names the columns: ``id, enabled,
+        proximity_u, proximity_v, tactile_u, tactile_v`` (pixels, column and row, pixel centres at integers) and
+        ``tactile_depth_m`` (raw tactile depth, metres; empty if unknown). Optional: ``proximity_image`` (``depth`` or
+        ``color``: the image in which the proximity side was clicked), ``snapshot`` (number of the inflation level,
+        from 0), ``proximity_depth_m`` (distance measured by the proximity camera at a point of contact, metres) and
+        ``origin``.
+
+    Returns
+    -------
+    list of PointPair
+        In the order of the rows.
+
+    Raises
+    ------
+    CalibrationError
+        The file cannot be read, has another header or an invalid row; the message names line, column and value.
+    """
+    try:
+        text = read_file(Path(path), _MAX_BYTES).decode("utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = "it is no UTF-8 text" if isinstance(error, UnicodeDecodeError) else error.strerror or error
+        raise CalibrationError(f"cannot read the points {path}: {reason}; choose a CSV file") from error
+    reader = csv.reader(io.StringIO(text), strict=True)
+    header: list[str] = []
+    pairs: dict[str, PointPair] = {}
+    try:
+        for row in reader:
+            values = [value.strip() for value in row]
+            if not any(values):
+                continue
+            if not header:
+                header = _checked_header(values, path)
+                continue
+            pair = _pair(header, values, f"{path}, line {reader.line_num}")
+            if pair.id in pairs:
+                raise CalibrationError(
+                    f"{path}, line {reader.line_num}: id {pair.id!r} is taken by an earlier row; give each pair its own"
+                )
+            pairs[pair.id] = pair
+    except csv.Error as error:
+        raise CalibrationError(f"{path}, line {reader.line_num}: not CSV ({error}); correct the row") from error
+    if not header:
+        raise CalibrationError(f"{path} is empty; its first line should be {','.join(_REQUIRED)}")
+    return list(pairs.values())
+
+
+def _checked_header(header: list[str], path: Path | str) -> list[str]:
+    missing = [name for name in _REQUIRED if name not in header]
+    unknown = [name for name in header if name not in (*_REQUIRED, *_OPTIONAL)]
+    if missing or unknown or len(set(header)) < len(header):
+        what = f"lacks the column {missing[0]}" if missing else f"has the column {(unknown or header)[0]!r}"
+        what = what if missing or unknown else "names a column twice"
+        raise CalibrationError(f"{path}: the header {what}; it should be {','.join(_REQUIRED)}")
+    return header
+
+
+def _pair(header: list[str], values: list[str], where: str) -> PointPair:
+    if len(values) != len(header):
+        raise CalibrationError(f"{where}: there are {len(values)} values for {len(header)} columns; correct the row")
+    fields = dict(zip(header, values, strict=True))
+    empty = {name for name, value in fields.items() if not value or value.lower() in {"nan", "none"}}
+    for name in _REQUIRED[:-1]:  # a tactile depth may be missing
+        if name in empty:
+            raise CalibrationError(f"{where}: {name} is {fields[name]!r}; give a value")
+    try:
+        return PointPair.model_validate({name: value for name, value in fields.items() if name not in empty})
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        named = f"{first['loc'][0]} is {first['input']!r} ({first['msg']})" if first["loc"] else first["msg"]
+        raise CalibrationError(f"{where}: {named}; correct the row") from error
+
+
+def write_points(path: Path | str, pairs: Sequence[PointPair]) -> None:
+    """Write complete pairs as CSV, atomically; floats are exact. Optional columns appear if any row has a value."""
+    extra = [name for name in _OPTIONAL if any(getattr(pair, name) not in (None, "", "depth") for pair in pairs)]
+    file = io.StringIO()
+    writer = csv.DictWriter(file, [*_REQUIRED, *extra], extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(pair.model_dump() | {"enabled": int(pair.enabled)} for pair in pairs)
+    with atomic_path(Path(path)) as temporary:
+        temporary.write_text(file.getvalue(), "utf-8")
+
+
+@dataclass(frozen=True, eq=False)
+class PointArrays:
+    """Complete pairs as arrays.
+
+    Attributes
+    ----------
+    tactile, proximity : float64, shape (N, 2)
+        Pixels; proximity in the depth or the colour image.
+    tactile_depth_m : float64, shape (N,)
+        Raw depth; nan if unknown.
+    in_color : bool, shape (N,)
+        Whether the proximity colour image was clicked.
+    proximity_depth_m : float64, shape (N,)
+        Distance measured by the proximity camera at contact; nan if unknown.
+    """
+
+    tactile: Float64Array
+    tactile_depth_m: Float64Array
+    proximity: Float64Array
+    in_color: BoolArray
+    proximity_depth_m: Float64Array
+
+    @staticmethod
+    def of(pairs: Sequence[PointPair]) -> PointArrays:
+        """Return pairs as arrays."""
+
+        def column(*names: str) -> Float64Array:
+            rows = [[getattr(pair, name) for name in names] for pair in pairs]
+            return np.array(rows, np.float64).reshape(len(pairs), len(names))
+
+        return PointArrays(
+            column("tactile_u", "tactile_v"),
+            column("tactile_depth_m").ravel(),
+            column("proximity_u", "proximity_v"),
+            np.array([pair.proximity_image == "color" for pair in pairs], bool),
+            column("proximity_depth_m").ravel(),
+        )
+
+    def __len__(self) -> int:
+        return len(self.tactile)
+
+    @property
+    def places(self) -> Float64Array:
+        """Tactile pixel and raw depth, shape (N, 3)."""
+        return np.column_stack([self.tactile, self.tactile_depth_m])
+
+    def keep(self, which: BoolArray) -> PointArrays:
+        """Return the points selected by a boolean mask."""
+        return PointArrays(**{name: values[which] for name, values in vars(self).items()})
+
+    @staticmethod
+    def joined(parts: Sequence[PointArrays]) -> PointArrays:
+        """Return all points of some parts, at least one."""
+        return PointArrays(**{name: np.concatenate([vars(part)[name] for part in parts]) for name in vars(parts[0])})
+
+
+def listed(names: Sequence[str], most: int = 5) -> str:
+    """Return pairs by name, such as ``"pairs 3, 5 and 6"``; the first ones if they are more than ``most``."""
+    if len(names) > most:
+        return f"{len(names)} pairs ({', '.join(names[:most])}, ...)"
+    return f"pair {names[0]}" if len(names) == 1 else f"pairs {', '.join(names[:-1])} and {names[-1]}"
+
+
+def check_points(points: PointArrays, least: int, name: str, **sides: Float64Array) -> None:
+    """Raise `CalibrationError` if there are too few different pairs, or if the points of a side are collinear."""
+    count = len(points)
+    different = len(np.unique(np.column_stack([points.tactile, points.proximity]), axis=0))
+    if different < least:
+        there = f"there are {count}" if different == count else f"only {different} of the {count} pairs differ"
+        raise CalibrationError(f"a {name} needs at least {least} pairs, {there}; add points elsewhere")
+    for side, places in sides.items():
+        if on_a_line(places):
+            raise CalibrationError(
+                f"the {side} points lie on one line, which determines no {name}; add points to both sides of the line"
+            )
+
+
+def on_a_line(points: Float64Array) -> bool:
+    """Tell whether points (N, 2 or 3) are collinear."""
+    values = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(values[1] <= _LINE_SHARE * values[0])

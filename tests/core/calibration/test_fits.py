@@ -1,0 +1,255 @@
+"""Fits of both models: right, as good as theory allows, robust against wrong pairs, and refused where nothing fits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from simulated_clicks import (
+    ClickNoise,
+    alignment_covariance,
+    cramer_rao,
+    expected_length,
+    judged_places,
+    make_clicks,
+)
+from tactune.core.calibration.fits import fit_homography, fit_rigid
+from tactune.core.calibration.geometry import mapped
+from tactune.core.calibration.quality import bound
+from tactune.core.errors import CalibrationError
+from tactune.core.model.frames import ColorCamera
+from tactune.core.model.intrinsics import Distortion
+
+CLEAN = ClickNoise(0.0, 0.0, 0.0)
+
+
+# Homography
+
+
+@pytest.mark.parametrize("count", [4, 5, 12, 300])
+def test_clean_points_give_the_homography(plane, rig, count):
+    for H in (plane.mild, plane.strong):
+        fit = fit_homography(plane.clicks(count, count, H, sigma=0.0), rig)
+        assert plane.error(fit, H).max() < 1e-6
+
+
+def test_noise_costs_no_more_than_with_opencvs_refinement(plane, rig):
+    for H in (plane.mild, plane.strong):
+        errors = []
+        for seed in range(60):
+            points = plane.clicks(seed, 20, H)
+            refined, _ = cv2.findHomography(points.tactile, points.proximity, 0)
+            theirs = np.hypot(*(mapped(refined, plane.grid) - mapped(H, plane.grid)).T).mean()
+            errors.append((plane.error(fit_homography(points, rig), H).mean(), theirs))
+        ours, theirs = np.mean(errors, axis=0)
+        assert ours < 1.005 * theirs
+
+
+@pytest.mark.parametrize("count", [10, 14, 30])
+def test_30_percent_wrong_pairs_of_a_plane_are_found(plane, rig, count):
+    for seed in range(5):
+        points = plane.clicks(seed, count, wrong=0.3)
+        fit = fit_homography(points, rig)
+        assert not (fit.used & ~plane.right(points)).any()
+        assert fit.used.sum() >= 0.65 * count
+
+
+@pytest.mark.parametrize("wrong", [0.6, 1.0])
+@pytest.mark.parametrize("count", [6, 10, 25])
+def test_mostly_wrong_pairs_of_a_plane_are_never_silently_used(plane, rig, count, wrong):
+    for seed in range(4):
+        points = plane.clicks(seed, count, wrong=wrong)
+        try:
+            fit = fit_homography(points, rig)
+        except CalibrationError:
+            continue
+        assert not (fit.used & ~plane.right(points)).any()
+
+
+def test_one_click_of_eight_that_is_15_px_off_is_named(plane, rig):
+    named = 0
+    for seed in range(20):
+        points = plane.clicks(seed, 8)
+        points.proximity[2] += (12.0, -9.0)
+        named += not fit_homography(points, rig).used[2]
+    assert named >= 17
+
+
+def line(count, scatter):
+    along = np.linspace(0, 500, count)
+    return np.column_stack([along, 0.4 * along + scatter * np.random.default_rng(0).standard_normal(count)])
+
+
+@pytest.mark.parametrize(
+    ("tactile", "words"),
+    [
+        (line(8, 1e-3), "on one line"),
+        (np.vstack([line(3, 0.0), [[300.0, 20.0]]]), "line"),
+        (np.vstack([line(9, 1e-4), [[300.0, 20.0]]]), "line|agree"),
+        (np.repeat([[0.0, 0], [100, 0], [0, 100]], 3, axis=0), "differ"),
+        (line(3, 1.0), "at least 4"),
+    ],
+)
+def test_points_that_determine_nothing_are_refused(plane, rig, tactile, words):
+    with pytest.raises(CalibrationError, match=words):
+        fit_homography(plane.points(tactile, mapped(plane.mild, tactile)), rig)
+
+
+def test_a_mirrored_image_and_swapped_partners_are_refused(plane, rig):
+    points = plane.clicks(0, 8)
+    points.proximity[:, 0] = 640 - points.proximity[:, 0]
+    with pytest.raises(CalibrationError, match="mirrored"):
+        fit_homography(points, rig)
+    corners = np.array([[50.0, 50], [550, 60], [560, 400], [40, 420]])
+    with pytest.raises(CalibrationError, match="swapped"):
+        fit_homography(plane.points(corners, mapped(plane.mild, corners)[[1, 0, 2, 3]]), rig)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10**6), count=st.integers(4, 40))
+def test_the_answer_is_right_or_refused(plane, rig, seed, count):
+    rng = np.random.default_rng(seed)
+    H = np.eye(3) + rng.uniform(-1, 1, (3, 3)) * [[0.3, 0.3, 100], [0.3, 0.3, 100], [3e-4, 3e-4, 0]]
+    tactile = rng.uniform((0, 0), (640, 480), (count, 2))
+    proximity = mapped(H, tactile)
+    try:
+        fit = fit_homography(plane.points(tactile, proximity), rig)
+    except CalibrationError:
+        return
+    assert np.abs(mapped(fit.alignment.homography, tactile) - proximity)[fit.used].max() < 1e-4
+
+
+# Rigid
+
+
+def distorted(rig, model):
+    bent = {"distortion": model, "coefficients": (0.12, -0.05, 0.002, -0.001, 0.01)}
+    color = rig.proximity_color
+    return rig.model_copy(
+        update={
+            "tactile": rig.tactile.model_copy(update={"intrinsics": rig.tactile.intrinsics.model_copy(update=bent)}),
+            "proximity_color": ColorCamera(
+                intrinsics=color.intrinsics.model_copy(update=bent), T_color_depth=color.T_color_depth
+            ),
+        }
+    )
+
+
+@pytest.mark.parametrize("model", [Distortion.NONE, Distortion.BROWN_CONRADY, Distortion.MODIFIED_BROWN_CONRADY])
+@pytest.mark.parametrize("color_share", [0.0, 0.5, 1.0])
+def test_clean_clicks_give_the_pose(rig, model, color_share):
+    bent = distorted(rig, model)
+    fit = fit_rigid(make_clicks(bent, 8, 0, CLEAN, color_share).noisy, bent)
+    assert np.abs(fit.alignment.pose - np.array(rig.T_proximity_tactile)).max() < 1e-6
+    assert np.abs(fit.residuals_px).max() < 1e-3
+
+
+def test_twelve_clicks_reach_the_cramer_rao_bound(rig):
+    noise, (places, true) = ClickNoise(), judged_places(rig)
+    errors, bounds = [], []
+    for seed in range(80):
+        clicks = make_clicks(rig, 12, seed, noise, color_share=0.3)
+        errors.append(np.hypot(*(fit_rigid(clicks.noisy, rig).predict(places) - true).T).mean())
+        if seed % 4 == 0:
+            covariance = alignment_covariance(cramer_rao(clicks.true, rig, noise), places, rig)
+            bounds.append(expected_length(covariance))
+    assert np.mean(errors) < 1.10 * np.mean(bounds)
+
+
+@pytest.mark.long
+def test_the_95_percent_bound_holds_in_95_percent_of_trials(rig):
+    places, true = (side[::17] for side in judged_places(rig))
+    whole = []
+    for seed in range(600):
+        fit = fit_rigid(make_clicks(rig, 10, seed, color_share=0.5).noisy, rig)
+        error = np.hypot(*(fit.predict(places) - true).T)
+        whole.append(np.sqrt(np.mean(error**2)) <= bound(fit.sensitivity(places), fit.degrees))
+    assert 0.93 <= np.mean(whole) <= 0.97
+
+
+def test_a_pair_left_out_is_where_a_fit_without_it_puts_it(rig):
+    points = make_clicks(rig, 12, 0).noisy
+    fit = fit_rigid(points, rig)
+    others = fit_rigid(points.keep(np.arange(12) != 4), rig)
+    found = points.proximity[4] - others.alignment.pixels(rig, points.places[4:5])[0]
+    assert fit.left_out_residuals_px()[4] == pytest.approx(found, abs=0.1)
+
+
+@pytest.mark.parametrize("count", [10, 30])
+def test_30_percent_wrong_pairs_are_found(rig, count):
+    for seed in range(4):
+        clicks = make_clicks(rig, count, seed, wrong=0.3, color_share=0.5)
+        fit = fit_rigid(clicks.noisy, rig)
+        assert not (fit.used & ~right(clicks)).any()
+        assert fit.used.sum() >= 0.65 * count
+
+
+@pytest.mark.parametrize("wrong", [0.6, 1.0])
+@pytest.mark.parametrize("count", [8, 20, 50])
+def test_mostly_wrong_pairs_are_never_silently_used(rig, count, wrong):
+    for seed in range(3):
+        clicks = make_clicks(rig, count, seed, wrong=wrong)
+        try:
+            fit = fit_rigid(clicks.noisy, rig)
+        except CalibrationError as error:
+            assert "agree" in str(error)
+        else:
+            assert not (fit.used & ~right(clicks)).any()
+
+
+def right(clicks):
+    """Pairs that noise alone could have moved."""
+    return np.hypot(*(clicks.noisy.proximity - clicks.true.proximity).T) < 8.0
+
+
+def test_two_wrong_of_eight_are_named_in_four_of_five_cases(rig):
+    places, true = judged_places(rig)
+    named, errors = 0, []
+    for seed in range(60):
+        points, rng = make_clicks(rig, 8, seed).noisy, np.random.default_rng(1000 + seed)
+        chosen = rng.choice(8, 2, replace=False)
+        angle, radius = rng.uniform(0, 2 * np.pi, 2), rng.uniform(10, 30, 2)
+        points.proximity[chosen] += np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+        try:
+            fit = fit_rigid(points, rig)
+        except CalibrationError:
+            continue
+        named += not fit.used[chosen].any()
+        errors.append(np.hypot(*(fit.predict(places) - true).T).mean())
+    assert named >= 48
+    assert np.median(errors) < 2.6
+
+
+@settings(max_examples=12, deadline=None)
+@given(offset_m=st.floats(-0.01, 0.01), seed=st.integers(0, 50))
+def test_an_offset_of_the_depth_is_recovered(rig, offset_m, seed):
+    points = make_clicks(rig, 40, seed, CLEAN, color_share=0.5).noisy
+    points = replace(points, tactile_depth_m=points.tactile_depth_m - offset_m)
+    assert fit_rigid(points, rig, offset=True).alignment.offset_m == pytest.approx(offset_m, abs=1e-3)
+
+
+def test_a_distance_measured_at_contact_determines_the_offset(rig):
+    clicks = make_clicks(rig, 20, 4)
+    distance = fit_rigid(clicks.true, rig).alignment.points_m(rig, clicks.true.places)[:, 2]
+    biased = replace(clicks.noisy, tactile_depth_m=clicks.noisy.tactile_depth_m - 0.002)
+    noisy = distance + 0.001 * np.random.default_rng(0).standard_normal(20)
+    sigmas = []
+    for points in (biased, replace(biased, proximity_depth_m=noisy)):
+        fit = fit_rigid(points, rig, offset=True)
+        sigmas.append(float(np.sqrt(fit.covariance[6, 6])))
+        assert abs(fit.alignment.offset_m - 0.002) < 4 * sigmas[-1]
+    assert sigmas[1] < 0.95 * sigmas[0]
+
+
+def test_points_on_a_line_in_space_and_too_few_are_refused(rig):
+    points = make_clicks(rig, 8, 0, CLEAN).noisy
+    tactile = np.array([100.0, 100.0]) + np.linspace(0, 1, 8)[:, None] * [300.0, 200.0]
+    with pytest.raises(CalibrationError, match="line"):
+        fit_rigid(replace(points, tactile=tactile, tactile_depth_m=np.full(8, 0.3)), rig)
+    with pytest.raises(CalibrationError, match="at least 4"):
+        fit_rigid(points.keep(np.arange(8) < 3), rig)
