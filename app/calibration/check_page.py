@@ -74,19 +74,14 @@ class CheckPage(QWidget):
     def _lay_out(self) -> None:
         self.modes, self.which = QButtonGroup(self), QButtonGroup(self)
         tools = QHBoxLayout()
-        for number, (title, tip) in enumerate(_MODES):
-            self.modes.addButton(AccentButton(title, tip), number)
-        for number, (_, title) in enumerate(_WHICH):
-            self.which.addButton(AccentButton(title, f"Overlay the images with the {title.lower()} alignment"), number)
-        for button in self.modes.buttons():
-            tools.addWidget(button)
-        tools.addWidget(self.share, 1)
-        tools.addWidget(self.pixels)
-        tools.addWidget(QLabel("Alignment"))
-        for button in self.which.buttons():
-            tools.addWidget(button)
-        for group in (self.modes, self.which):
-            group.buttons()[0].setChecked(True)
+        modes = [AccentButton(title, tip) for title, tip in _MODES]
+        which = [AccentButton(title, f"Overlay the images with the {title.lower()} alignment") for _, title in _WHICH]
+        for group, buttons in ((self.modes, modes), (self.which, which)):
+            for number, button in enumerate(buttons):
+                group.addButton(button, number)
+            buttons[0].setChecked(True)
+        for widget in (*modes, self.share, self.pixels, QLabel("Alignment"), *which):
+            tools.addWidget(widget, 1 if widget is self.share else 0)
         self.numbers = QWidget()
         form = QFormLayout(self.numbers)
         form.setContentsMargins(0, 0, 0, 0)
