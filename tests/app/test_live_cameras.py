@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import sys
 
 import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QCheckBox, QDialogButtonBox, QLabel
+from PyQt6.QtWidgets import QCheckBox, QDialogButtonBox, QLabel
 
 from fakes import FakeCameras, FakeSource
 from hands import press, show_source, type_into
@@ -17,7 +16,6 @@ from tactune.app.sources import search as search_module
 from tactune.app.sources.search import CameraSearch
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.worker import SourceRequest
-from tactune.core.sources.base import CameraHealth
 from tactune.widgets.basics.controls import CollapsibleSection
 
 LEFT = Qt.MouseButton.LeftButton
@@ -79,13 +77,6 @@ def test_the_cameras_are_listed_and_guessed_by_their_model(window, finding, qtbo
     assert window.document.preset.cameras.proximity.serial == ""
 
 
-def test_the_serials_of_the_preset_are_chosen_again(window, finding, qtbot):
-    window.document.edit("cameras.tactile.serial", "d003")
-    finding(L515, D405, D405_TOO)
-    dialog = chooser(window, qtbot)
-    assert dialog.page.tactile.currentData() == "d003"
-
-
 def test_one_camera_twice_cannot_be_opened(window, finding, qtbot):
     finding(L515, D405)
     dialog = chooser(window, qtbot)
@@ -136,38 +127,6 @@ def test_a_driver_that_hangs_is_given_up(window, answering, qtbot, monkeypatch):
     qtbot.waitUntil(lambda: dialog.note.text().startswith("The camera driver does not answer"))
 
 
-def test_a_search_that_hangs_does_not_keep_the_dialog(window, answering, qtbot):
-    answering("import time; time.sleep(60)")
-    QTest.keyClick(window, Qt.Key.Key_F3)
-    qtbot.waitUntil(lambda: window.sources.dialog is not None)
-    dialog = window.sources.dialog
-    qtbot.waitUntil(lambda: dialog.note.text().startswith("Searching"))
-    QTest.keyClick(dialog, Qt.Key.Key_Escape)
-    qtbot.waitUntil(lambda: window.sources.dialog is None)
-
-
-def test_typed_serial_numbers_choose_the_cameras(window, finding, qtbot):
-    finding(L515, D405, D405_TOO)
-    dialog = chooser(window, qtbot)
-    dialog.name.selectAll()
-    QTest.keyClicks(dialog.name, "cameras:f001,d003")
-    assert dialog.page.tactile.currentData() == "d003"
-    QTest.keyClick(dialog.name, Qt.Key.Key_Return)
-    qtbot.waitUntil(lambda: window.opened_names == ["cameras:f001,d003"])
-    assert window.document.preset.cameras.tactile.serial == "d003"
-
-
-def test_refreshing_finds_what_was_plugged_in_meanwhile(window, answering, qtbot, tmp_path):
-    answer = tmp_path / "answer.json"
-    answer.write_text(json.dumps({"devices": []}))
-    answering(f"print(open({str(answer)!r}).read())")
-    dialog = chooser(window, qtbot)
-    answer.write_text(json.dumps({"devices": [L515, D405]}))
-    QTest.keyClick(dialog, Qt.Key.Key_F5)
-    qtbot.waitUntil(lambda: dialog.page.list.topLevelItemCount() == 2)
-    qtbot.waitUntil(lambda: open_button(dialog).isEnabled())
-
-
 def test_the_real_search_answers_in_words_without_cameras(qtbot):
     found, failed = [], []
     search = CameraSearch()
@@ -176,16 +135,6 @@ def test_the_real_search_answers_in_words_without_cameras(qtbot):
     search.start()
     qtbot.waitUntil(lambda: bool(found or failed), timeout=search_module.PATIENCE_MS + 5000)
     assert found or failed[0].endswith(".")
-
-
-def test_a_missing_interpreter_is_said(qtbot, monkeypatch):
-    monkeypatch.setattr(sys, "executable", "/nowhere/python")
-    failed = []
-    search = CameraSearch()
-    search.failed.connect(failed.append)
-    search.start()
-    qtbot.waitUntil(lambda: len(failed) == 1)
-    assert failed[0].startswith("The search for cameras cannot be started")
 
 
 # Settings
@@ -263,16 +212,6 @@ def test_a_choice_and_a_flag(window, cameras, panel, qtbot):
     assert window.document.preset.cameras.tactile.options == {"enable_auto_exposure": 0.0}
 
 
-def test_reset_goes_back_to_the_camera_s_default(window, cameras, panel, qtbot):
-    row = panel.rows["tactile", "exposure"]
-    type_into(row.widget.entry, "1234")
-    qtbot.waitUntil(lambda: cameras.values["tactile", "exposure"] == 1234)
-    assert "8500" in row.reset.toolTip()
-    QTest.mouseClick(row.reset, LEFT)
-    qtbot.waitUntil(lambda: cameras.values["tactile", "exposure"] == 8500)
-    assert window.document.preset.cameras.tactile.options == {}
-
-
 def test_a_refusal_is_said(window, cameras, panel, qtbot):
     cameras.refuses.add("exposure")
     type_into(panel.rows["tactile", "exposure"].widget.entry, "1234")
@@ -286,13 +225,6 @@ def test_another_preset_sets_the_cameras(window, cameras, panel, preset, qtbot):
     assert panel.rows["proximity", "laser_power"].widget.value() == 12
 
 
-def test_the_delay_is_entered_in_milliseconds(window, panel):
-    entry = panel.delay.widget.entry
-    type_into(entry, "12.5")
-    assert window.document.preset.cameras.tactile_delay_s == pytest.approx(0.0125)
-    assert "milliseconds" in entry.toolTip()
-
-
 def test_changed_cameras_are_offered_to_be_opened_again(window, qtbot):
     cameras = FakeCameras()
     cameras.name = "realsense:f001,d002"
@@ -303,14 +235,6 @@ def test_changed_cameras_are_offered_to_be_opened_again(window, qtbot):
     assert window.opened_names == ["cameras:"]
 
 
-def test_without_cameras_the_panel_says_so(window, qtbot):
-    QTest.keyClick(window, Qt.Key.Key_F4)
-    panel = window.cameras.panel
-    qtbot.waitUntil(panel.isVisible)
-    assert "is a recording or the simulator" in note(panel, "Proximity")
-    panel.close()
-
-
 def test_after_the_cameras_a_recording_has_none(window, panel, qtbot):
     assert "L515" in title(panel, "Proximity")
     window.open_request(SourceRequest("tiny", lambda progress: FakeSource()))
@@ -318,11 +242,3 @@ def test_after_the_cameras_a_recording_has_none(window, panel, qtbot):
     assert title(panel, "Proximity") == "Proximity camera"
     # the rows that are gone are deleted by the event loop
     qtbot.waitUntil(lambda: "without camera settings" in note(panel, "Proximity"))
-
-
-def test_a_camera_that_is_not_connected_is_no_recording(window, qtbot):
-    panel = window.cameras.panel
-    panel.set_health((CameraHealth("proximity", "missing", "L515", "f001"),))
-    assert "This camera is not connected" in note(panel, "Proximity")
-    assert "without camera settings" in note(panel, "Tactile")
-    QApplication.processEvents()

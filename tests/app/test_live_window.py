@@ -7,19 +7,13 @@ import time
 
 import pytest
 from PyQt6.QtCore import Qt
-from PyQt6.QtGui import QImage
 from PyQt6.QtTest import QTest
 
-from contrast import contrast_ratio
-from fakes import FakeSource
-from hands import show_source
-from seen_clouds import canvas_of
 from tactune.app.window.frame_presenter import badge, source_sentence
 from tactune.app.worker import reading
 from tactune.app.worker.processing import FrameProcessor
 from tactune.app.worker.results import CloudName, SourceState
 from tactune.core.sources.base import CameraHealth, Health
-from tactune.widgets.basics.stale_badge import BADGE_COLORS
 
 
 @pytest.fixture
@@ -45,13 +39,6 @@ def test_the_view_of_a_missing_camera_says_what_to_do_and_the_others_wait(window
     assert window.status.state.text() == "No frames"
 
 
-def test_the_age_of_the_last_frame_is_told_anew(window, cameras, qtbot):
-    cameras.faults["proximity"] = "stalled"
-    qtbot.waitUntil(lambda: "1 s old" in badges(window)["proximity"])
-    qtbot.waitUntil(lambda: "2 s old" in badges(window)["proximity"])
-    assert "sends no images: check its cable" in badges(window)["proximity"]
-
-
 def test_all_marks_go_when_the_camera_is_back(window, cameras, qtbot):
     cameras.faults["tactile"] = "missing"
     qtbot.waitUntil(lambda: badges(window)["patch"] != "")
@@ -60,30 +47,6 @@ def test_all_marks_go_when_the_camera_is_back(window, cameras, qtbot):
     qtbot.waitUntil(lambda: set(badges(window).values()) == {""})
     assert {pane.badge.text() for pane in window.strip.panes.values()} == {""}
     qtbot.waitUntil(lambda: window.result.frame.sequence == 1)
-
-
-def test_another_source_takes_the_marks_away(window, cameras, qtbot):
-    cameras.faults["tactile"] = "missing"
-    qtbot.waitUntil(lambda: badges(window)["patch"] != "")
-    show_source(qtbot, window, FakeSource())
-    assert set(badges(window).values()) == {""}
-
-
-@pytest.mark.parametrize("theme", ["light", "dark"])
-def test_the_mark_is_to_be_seen_and_to_be_read(window, cameras, qtbot, theme):
-    window.set_theme(theme, remember=False)
-    view = window.views.views[CloudName.TACTILE]
-    canvas = canvas_of(view)
-    plate, _, ink = BADGE_COLORS[theme]
-    assert contrast_ratio(plate, ink) > 7
-    assert plate not in colors_of(canvas.grab().toImage())
-    cameras.faults["tactile"] = "missing"
-    qtbot.waitUntil(lambda: view.badge() != "")
-    assert {plate, ink} <= colors_of(canvas.grab().toImage())
-
-
-def colors_of(image: QImage) -> set[str]:
-    return {image.pixelColor(x, y).name() for y in range(0, image.height() // 2) for x in range(0, image.width(), 2)}
 
 
 def test_what_concerns_the_whole_source_is_said_above_the_views(window, cameras, qtbot):
@@ -190,10 +153,6 @@ def test_words_of_a_badge(given, roles, words):
     said = badge(given, roles, now_s=103.5, shown=True)
     assert said.startswith(words)
     assert bool(said) == bool(words)
-
-
-def test_a_badge_before_the_first_frame_speaks_of_none():
-    assert "last frame" not in badge(state(), ("tactile",), now_s=103.5, shown=False)
 
 
 def test_what_a_view_says_already_is_not_said_twice():

@@ -12,15 +12,13 @@ import pytest
 
 from tactune.app.doctor import report as doctor_report
 from tactune.app.doctor import system as doctor_system
-from tactune.app.doctor.cameras import check_all_drivers, check_cameras, check_driver, check_udev_rules
+from tactune.app.doctor.cameras import check_all_drivers, check_cameras, check_driver
 from tactune.app.doctor.checks import Check, Child, State, python_child, run_checks, run_child
 from tactune.app.doctor.system import (
     check_cache_folder,
-    check_compiled_code,
     check_packages,
     check_python,
     check_qt_libraries,
-    check_shared_memory,
     check_window,
 )
 
@@ -97,13 +95,6 @@ def test_packages(monkeypatch):
     assert "not installed: numpy" in missing.found
 
 
-def test_compiled_code():
-    assert only(check_compiled_code(answering('[4, "omp"]'))).found == "numba, 4 threads by omp"
-    assert only(check_compiled_code(answering('[4, "workqueue"]'))).state is State.WARN
-    assert only(check_compiled_code(answering("", "crashed (SIGILL)"))).state is State.FAIL
-    assert only(check_compiled_code(answering("nonsense"))).state is State.FAIL
-
-
 def test_the_cache_folder(tmp_path, monkeypatch):
     assert only(check_cache_folder(tmp_path / "new")).state is State.OK
     (tmp_path / "file").write_text("")
@@ -115,11 +106,6 @@ def test_the_cache_folder(tmp_path, monkeypatch):
     assert only(check_cache_folder(tmp_path)).state is State.WARN
     usage.free = 1e8
     assert only(check_cache_folder(tmp_path)).state is State.FAIL
-
-
-def test_shared_memory():
-    assert only(check_shared_memory(answering(""))).state is State.OK
-    assert only(check_shared_memory(answering("", "SourceError: there are no 32 MB"))).state is State.FAIL
 
 
 # Cameras
@@ -149,14 +135,6 @@ def test_the_drivers_of_all_packages():
         (State.FAIL, "b fails", "Remove it."),
     ]
     assert "crashed (SIGSEGV)" in only(check_all_drivers(lambda _: CRASH)).found
-
-
-def test_udev_rules(tmp_path):
-    line = only(check_udev_rules([tmp_path, tmp_path / "none"]))
-    assert line.state is State.WARN
-    assert "udevadm control --reload-rules" in line.remedy
-    (tmp_path / "99-realsense-libusb.rules").write_text("")
-    assert only(check_udev_rules([tmp_path])).state is State.OK
 
 
 @pytest.fixture
@@ -193,12 +171,6 @@ def test_cameras_on_usb(tmp_path, plug_in, monkeypatch):
     assert [line.state for line in closed] == [State.FAIL] * 2
     assert "no permission" in closed[0].found
     assert "udev" in closed[0].remedy
-
-
-def test_a_camera_that_is_unplugged_while_we_look_is_passed_over(tmp_path, plug_in):
-    plug_in()
-    (tmp_path / "usb" / "2-1" / "speed").unlink()
-    assert only(check_cameras(tmp_path / "usb", tmp_path / "nodes")).state is State.WARN
 
 
 # Window

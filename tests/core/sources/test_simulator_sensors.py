@@ -8,15 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactune.core.errors import SourceError
 from tactune.core.sources import simulator
-from tactune.core.sources.registry import open_source
 from tactune.core.sources.simulator.cache import CLEAN_CODE
 from tactune.core.sources.simulator.noise import NoiseModel
-from tactune.core.sources.simulator.render import CLEAN_UNIT_M, EDGE_FLAG
+from tactune.core.sources.simulator.render import CLEAN_UNIT_M
 from tactune.core.sources.simulator.scene import simulator_rig
 from tactune.core.sources.simulator.scenes import Variant
-from tactune.core.sources.simulator.sensors import DEFAULT_SENSOR, SENSORS, SensorModel, find_sensor
+from tactune.core.sources.simulator.sensors import SENSORS
 from tactune.core.sources.simulator.source import SimulatorSource
 
 RIG = simulator_rig()
@@ -120,40 +118,6 @@ def test_systematic_errors_are_as_the_model_says(name):
     assert np.isnan(error).mean() == pytest.approx(sensor.tof_dropout_share, rel=0.1)
 
 
-def test_noise_grows_with_distance_and_incidence():
-    sensor = replace(SENSORS["clean"], tof_white_m=0.001, tof_correlated_m=0.001)
-    model = NoiseModel(RIG, 0, 1.0, sensor)
-    near = np.nanstd(proximity_error(model, 0))
-    far = np.nanstd(proximity_error(model, 0, wall=2 * WALL))
-    assert far / near == pytest.approx(1.5, rel=0.02)
-    turned = np.nanstd(proximity_error(model, 0, cosine=FACING // 2))
-    assert turned / near == pytest.approx(1.35, rel=0.02)
-
-
-def test_flying_pixels_are_as_frequent_as_the_model_says():
-    wall = WALL.copy()
-    wall[:, 320:] *= 2
-    flags = PLAIN.copy()
-    flags[:, 319:321] = EDGE_FLAG
-    for name in ("half", "datasheet", "worn"):
-        sensor = replace(SENSORS[name], tof_dropout_share=0.0)
-        depth = NoiseModel(RIG, 0, 1.0, sensor).proximity_depth(0, wall, wall, FACING, flags)[:, 319:321] * 0.00025
-        between = (depth > 0.32) & (depth < 0.58)
-        assert between.mean() == pytest.approx(0.87 * sensor.tof_flying_share, abs=0.08)
-
-
-def test_lengths_follow_the_image_width():
-    def half(camera):
-        small = {"width": 320, "height": 240, "fx": 230.0, "fy": 230.0, "cx": 160.0, "cy": 120.0}
-        return camera.model_copy(update={"intrinsics": camera.intrinsics.model_copy(update=small)})
-
-    rig = RIG.model_copy(update={"proximity": half(RIG.proximity), "tactile": half(RIG.tactile)})
-    model = NoiseModel(rig, 0, 1.0, replace(SENSORS["clean"], tof_correlated_m=0.003, tof_correlated_px=8.0))
-    errors = [proximity_error(model, frame, WALL[::2, ::2], FACING[::2, ::2], PLAIN[::2, ::2]) for frame in range(4)]
-    shares = [covariance(error, error, 4) / covariance(error, error) for error in errors]
-    assert np.mean(shares) == pytest.approx(np.exp(-0.25), abs=0.06)
-
-
 @pytest.mark.parametrize("name", EACH)
 def test_frames_are_the_same_each_time_and_others_with_another_seed_or_index(name):
     sensor = SENSORS[name]
@@ -193,26 +157,6 @@ def test_the_data_sheet_sensor_measures_what_it_always_did():
     assert np.abs(tactile[places].ravel().astype(int) - TACTILE).max() <= 1
 
 
-def test_sensors_are_listed_from_clean_to_worn_and_held_out_ones_say_so():
-    names = list(SENSORS)
-    assert names[0] == "clean" and names[names.index("held-tof") - 1] == "worn"
-    assert [name for name in names if SENSORS[name].held_out] == names[names.index("held-tof") :]
-    assert all(sensor.name == name and sensor.about for name, sensor in SENSORS.items())
-    assert not SENSORS[DEFAULT_SENSOR].held_out
-    assert [name for name in names if SENSORS[name].exact] == ["clean"]
-    assert SensorModel("mine", "").exact
-    for name in names:
-        assert name in simulator.KIND.description
-
-
-def test_unknown_sensors_are_refused():
-    for ask in (lambda: find_sensor("new"), lambda: SimulatorSource("cup", sensor="new")):
-        with pytest.raises(SourceError, match="no sensor 'new'; choose one of clean, white, half, datasheet"):
-            ask()
-    with pytest.raises(SourceError, match=r"sim:cup\?sensor=new: there is no sensor 'new'; known are clean, white"):
-        open_source("sim:cup?sensor=new")
-
-
 def test_a_source_has_its_sensor_in_its_name_and_keeps_it_without_the_object():
     with SimulatorSource("cube", variant=MEDIUM, sensor="heavy", seed=3) as source, source.with_object_away() as away:
         assert source.name == "sim:cube?press=medium&sensor=heavy&seed=3"
@@ -241,3 +185,25 @@ def test_the_cache_key_covers_every_file_that_clean_images_depend_on():
     later |= {"between.py", "tray.py"}  # what is between the solved states, and when
     assert set(CLEAN_CODE) | later == folder
     assert not set(CLEAN_CODE) & later
+
+
+def test_noise_grows_with_distance_and_incidence():
+    sensor = replace(SENSORS["clean"], tof_white_m=0.001, tof_correlated_m=0.001)
+    model = NoiseModel(RIG, 0, 1.0, sensor)
+    near = np.nanstd(proximity_error(model, 0))
+    far = np.nanstd(proximity_error(model, 0, wall=2 * WALL))
+    assert far / near == pytest.approx(1.5, rel=0.02)
+    turned = np.nanstd(proximity_error(model, 0, cosine=FACING // 2))
+    assert turned / near == pytest.approx(1.35, rel=0.02)
+
+
+def test_flying_pixels_are_as_frequent_as_the_model_says():
+    wall = WALL.copy()
+    wall[:, 320:] *= 2
+    flags = PLAIN.copy()
+    flags[:, 319:321] = EDGE_FLAG
+    for name in ("half", "datasheet", "worn"):
+        sensor = replace(SENSORS[name], tof_dropout_share=0.0)
+        depth = NoiseModel(RIG, 0, 1.0, sensor).proximity_depth(0, wall, wall, FACING, flags)[:, 319:321] * 0.00025
+        between = (depth > 0.32) & (depth < 0.58)
+        assert between.mean() == pytest.approx(0.87 * sensor.tof_flying_share, abs=0.08)

@@ -67,17 +67,6 @@ def test_stamps_go_on_rising_by_the_period(clock: Clock) -> None:
         assert other.skew_s == pytest.approx(0.0021)
 
 
-def test_waiting_ends_when_it_is_told(clock: Clock) -> None:
-    source = LiveLoop(recording(5, 10.0))
-    source.next_frame()
-    began_s = clock.now_s
-    assert not source.wait(0.04)
-    assert clock.now_s - began_s == pytest.approx(0.04)
-    assert not source.wait(0.04)
-    assert source.wait(0.04)
-    assert clock.now_s - began_s == pytest.approx(0.1)
-
-
 def test_frames_whose_time_has_passed_are_left_out(clock: Clock) -> None:
     source = LiveLoop(recording(5, 10.0))
     assert source.next_frame().sequence == 0
@@ -86,13 +75,6 @@ def test_frames_whose_time_has_passed_are_left_out(clock: Clock) -> None:
     assert source.health().dropped == 6
     assert source.next_frame().sequence == 8
     assert source.health().dropped == 6
-
-
-def test_one_image_is_shown_for_ever(clock: Clock) -> None:
-    source = LiveLoop(recording(1))
-    frames = [source.next_frame() for _ in range(5)]
-    assert [frame.sequence for frame in frames] == [0, 1, 2, 3, 4]
-    assert frames[4].proximity_time_s == pytest.approx(frames[0].proximity_time_s + 4 / 30)
 
 
 def test_what_is_live_already_or_empty_is_refused(tmp_path) -> None:

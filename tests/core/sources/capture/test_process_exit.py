@@ -113,14 +113,6 @@ except KeyboardInterrupt:
     assert (answer, words) == ("True \n", "")
 
 
-def test_no_source_is_opened_twice_without_a_main_guard_or_a_file() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", OPEN + "source.close()"], capture_output=True, text=True, check=True, timeout=300
-    )
-    assert len(done.stdout.splitlines()) == 1
-    assert done.stderr == ""
-
-
 def test_the_process_loads_neither_a_window_nor_kernels_nor_a_driver() -> None:
     program = """
 import sys

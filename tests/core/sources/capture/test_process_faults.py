@@ -106,16 +106,6 @@ def test_it_is_told_and_mended(
         assert source.options()[0].value == 64.0
 
 
-def test_counts_go_on_over_a_restart(nothing_left: None, tmp_path: Path, until: Until) -> None:
-    with ProcessSource(partial(open_troubled, tmp_path)) as source:
-        until(lambda: source.health().unmatched >= 5)
-        unmatched = source.health().unmatched
-        kill(source, signal.SIGKILL)
-        until(lambda: source.health().stale)
-        assert source.health().unmatched >= unmatched
-        until(lambda: source.health().unmatched > unmatched)
-
-
 def test_a_source_that_cannot_be_opened_again_is_tried_until_it_can(
     nothing_left: None, tmp_path: Path, until: Until
 ) -> None:
@@ -142,17 +132,6 @@ def test_odd_frames_are_left_out_and_told(nothing_left: None, tmp_path: Path, un
         assert {frame.tactile_depth.shape for frame in take(source, 20)} == {(14, 20)}
 
 
-def test_odd_frames_only_open_the_source_again(nothing_left: None, tmp_path: Path, until: Until) -> None:
-    with ProcessSource(partial(open_troubled, tmp_path)) as source:
-        order("size 1000")(source, tmp_path)
-        until(lambda: "has been restarted" in source.health().message)
-        assert re.match(
-            r"Capturing failed: frame \d+: tactile_depth is 10 x 7 pixels, the rig says 20 x 14;",
-            source.health().message,
-        )
-        until(lambda: not source.health().stale)
-
-
 def test_another_rig_after_a_restart_ends_the_source(nothing_left: None, tmp_path: Path) -> None:
     with ProcessSource(partial(open_troubled, tmp_path)) as source:
         take(source, 3)
@@ -176,14 +155,6 @@ def test_a_lossless_source_says_that_it_cannot_go_on(nothing_left: None) -> None
         kill(source, signal.SIGKILL)
         with pytest.raises(SourceError, match=r"recorded: the capture process was ended by signal 9 \(SIGKILL\)"):
             take(source, 30)
-
-
-def test_a_lossless_source_passes_an_error_on(nothing_left: None, tmp_path: Path) -> None:
-    (tmp_path / "orders.txt").write_text("raise")
-    with ProcessSource(partial(open_troubled, tmp_path), lossless=True) as source:
-        take(source, 19)
-        with pytest.raises(SourceError, match=r"^troubled: frame 20 is damaged; clean the lens$"):
-            source.next_frame()
 
 
 def test_a_parent_that_was_stopped_itself_takes_no_process_for_dead(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import sys
 import threading
 from collections.abc import Callable
 from functools import partial
@@ -151,13 +150,6 @@ def test_what_cannot_be_opened_says_so_as_without_the_process(
     assert "\n" not in str(caught.value)
 
 
-def test_an_opener_that_the_process_cannot_import_is_told(nothing_left: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(open_for_ever, "__module__", "__main__")
-    monkeypatch.setattr(sys.modules["__main__"], "open_for_ever", open_for_ever, raising=False)
-    with pytest.raises(SourceError, match="cannot be imported in the capture process; define it in a module"):
-        ProcessSource(open_for_ever)
-
-
 def test_opening_is_left_by_an_exception_of_the_progress(nothing_left: None) -> None:
     def progress(share: float, words: str) -> None:
         if words == "solving":
@@ -184,17 +176,6 @@ def test_a_forgotten_source_ends_its_process(nothing_left: None, tmp_path: Path)
     assert source.next_frame() is not None
     del source
     gc.collect()
-
-
-def test_waiting(nothing_left: None, tmp_path: Path) -> None:
-    (tmp_path / "orders.txt").write_text("end")
-    with ProcessSource(partial(open_troubled, tmp_path)) as source:
-        assert source.wait(10.0)
-        numbers = [frame.sequence for frame in source]
-        assert numbers == list(range(1, 20))
-        assert source.wait(0.0)
-        assert source.next_frame() is None
-        assert not source.health().stale
 
 
 def test_no_camera_is_told() -> None:
