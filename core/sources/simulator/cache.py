@@ -87,13 +87,7 @@ def load_scene(path: Path, count: int) -> SolvedScene | None:
 
 
 def save_scene(path: Path, scene: SolvedScene, *, small: bool = False) -> None:
-    """Write a scene to a file, whole or not at all, and remove the files that were used least recently.
-
-    Raises
-    ------
-    ExportError
-        The operating system refuses.
-    """
+    """Write a scene to a file, whole or not at all, and remove the files that were used least recently."""
     how = (".webp", [cv2.IMWRITE_WEBP_QUALITY, 101]) if small else (".png", [cv2.IMWRITE_PNG_COMPRESSION, 1])
     with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w", compresslevel=9 if small else 1) as archive:
         archive.writestr("facts.json", json.dumps([asdict(entry) for entry in scene.facts]))

@@ -209,18 +209,7 @@ def _add_grain(random: _Random, stream: int64, clean: Uint8Array, bank: npt.NDAr
 
 
 class NoiseModel:
-    """The measurement errors of one rig with one seed.
-
-    Parameters
-    ----------
-    rig : Rig
-    seed : int
-        From 0; frames of different seeds are independent.
-    level : float
-        Factor on all errors of the sensor. 0: exact to the quantisation.
-    sensor : SensorModel, optional
-        The errors; `DEFAULT_SENSOR` by default.
-    """
+    """The measurement errors of one rig with one seed."""
 
     def __init__(self, rig: Rig, seed: int, level: float, sensor: SensorModel | None = None) -> None:
         sensor = sensor or SENSORS[DEFAULT_SENSOR]

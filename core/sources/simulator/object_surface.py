@@ -20,20 +20,6 @@ def object_surface(kind: int, spacing_m: float) -> tuple[Float64Array, Int64Arra
 
     Surface nets (Gibson 1998): each voxel that the surface crosses gets a vertex at the mean of the crossed edges, and
     each crossed edge gets a quad. The vertices are then moved onto the surface.
-
-    Parameters
-    ----------
-    kind : int
-        One of the simulator's objects.
-    spacing_m : float
-        Side of a voxel, metres.
-
-    Returns
-    -------
-    vertices : float64, shape (N, 3)
-        Metres.
-    quads : int64, shape (M, 4)
-        Vertex indices, counter-clockwise seen from outside.
     """
     count = 2 * math.ceil(_HALF_M / spacing_m) + 2
     axis = np.asarray((np.arange(count) - (count - 1) / 2) * spacing_m, np.float64)

@@ -185,13 +185,7 @@ def read_options(name: str, options: Mapping[str, str]) -> tuple[Variant, Light]
 
 
 def resolve_scene(name: str, variant: Variant | None = None, cells: tuple[int, int] | None = None) -> Scene:
-    """Return a scene by its name.
-
-    Raises
-    ------
-    SourceError
-        No such scene or object, or an option that the scene does not have.
-    """
+    """Return a scene by its name."""
     variant = variant or Variant()
     _check(name, variant)
     shape = variant.object if name in SPECIAL_SCENES else name

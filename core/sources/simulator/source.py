@@ -47,30 +47,6 @@ class SimulatorSource(SeekableSource):
     The clean images of a scene are computed once (some ten seconds) and cached in the user's cache folder; those of the
     default scene come with the package. Noise is added frame by frame. A frame depends on scene, sensor, seed, noise
     and its index only.
-
-    Parameters
-    ----------
-    scene : str
-        One of `scenes.SCENES`.
-    seed : int
-        From 0; chooses the noise.
-    noise : float
-        Factor on all errors of the sensor, offsets included; 0: none.
-    progress : callable, optional
-        Told the share done, 0 to 1, and what is being done.
-    cells : tuple of int, optional
-        Resolution of the membrane's mesh along its sides, even numbers; the design's own by default.
-    variant : Variant, optional
-        Which press, object, gap, print and membrane.
-    light : {"normal", "bright", "dim"}
-        Light on the colour cameras, which shifts the mask's colours.
-    sensor : str
-        One of `sensors.SENSORS`: the errors of both cameras.
-
-    Raises
-    ------
-    SourceError
-        No such scene or sensor, or an option that it does not have, or a seed, noise or light that is not allowed.
     """
 
     def __init__(

@@ -65,12 +65,6 @@ BOOKS: Final = (Book(3.0, 0.35, 0.040), Book(6.0, 0.50, -0.045), Book(9.0, 0.40,
 class Tray:
     """The tray, its books and the sensor below it as they move.
 
-    Parameters
-    ----------
-    facts : sequence of PressFacts
-        Those of the solved rolls `scenes.TRAY_ROLLS_DEG`, which give the membrane's torque.
-    books : sequence of Book
-
     Attributes
     ----------
     time_s : float
