@@ -116,17 +116,6 @@ class RigNoise(Section):
         ),
         Field(ge=-1.0, le=1.0),
     ] = 0.0
-    slow_m: Annotated[
-        float | None,
-        described(
-            "Slow error",
-            "Standard deviation of the proximity camera's error that varies over a large part of the image. null: not "
-            "measured.",
-            unit="m",
-            hidden=True,
-        ),
-        Field(ge=0.0, le=1.0),
-    ] = None
     measured: Annotated[datetime, described("Measured", "Date and time of the measurement.", hidden=True)]
     frames: Annotated[
         int,

@@ -18,7 +18,7 @@ from ..model.loading import MAX_JSON_BYTES, parse_json, read_file
 from .preset import SCHEMA_NAME, SCHEMA_VERSION, Preset, parse_preset
 
 #: Fields that earlier versions wrote and this one does not know. A preset with one loads, and a note names it.
-GONE: Final[tuple[str, ...]] = ()
+GONE: Final = ("noise.slow_m",)
 
 
 def shipped_presets() -> list[str]:
@@ -82,11 +82,11 @@ def preset_and_note(text: str, origin: str) -> tuple[Preset, str]:
 
 
 def _taken_out(document: Any, path: str) -> bool:
-    """Remove the value at a dotted path from plain data; return whether there was one."""
+    """Remove the value at a dotted path from plain data; return whether there was one that said something."""
     *parents, last = path.split(".")
     for parent in parents:
         document = document.get(parent) if isinstance(document, dict) else None
-    return isinstance(document, dict) and document.pop(last, document) is not document
+    return isinstance(document, dict) and document.pop(last, None) is not None
 
 
 def preset_json(preset: Preset) -> str:
