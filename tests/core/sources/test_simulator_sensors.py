@@ -11,7 +11,7 @@ import pytest
 from tactune.core.sources import simulator
 from tactune.core.sources.simulator.cache import CLEAN_CODE
 from tactune.core.sources.simulator.noise import NoiseModel
-from tactune.core.sources.simulator.render import CLEAN_UNIT_M
+from tactune.core.sources.simulator.render import CLEAN_UNIT_M, EDGE_FLAG
 from tactune.core.sources.simulator.scene import simulator_rig
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.sensors import SENSORS
