@@ -204,16 +204,8 @@ class SourceInfo:
 class SourceState:
     """State of the source, sent separately from its frames because it matters most while none come.
 
-    Attributes
-    ----------
-    health : Health
-        The source's own report.
-    stale : bool
-        Whether the last frame is too old to show the present.
-    problem : str
-        Why no frame can be read, as one sentence.
-    last_frame_s : float
-        When the last frame came, by ``time.monotonic``; only while ``stale``.
+    ``stale``: the last frame is too old to show the present; it came at ``last_frame_s`` by ``time.monotonic``.
+    ``problem`` says why no frame can be read.
     """
 
     health: Health = field(default_factory=Health)
@@ -226,12 +218,7 @@ class SourceState:
 class ComparedSide:
     """One of two compared presets on one frame.
 
-    Attributes
-    ----------
-    patch, area_mm2, problem
-        As in `Result`.
-    ms : float
-        Time of the contact test on this frame; steps that were cached count as when they were last computed.
+    ``ms`` is the time of the contact test; steps that were cached count as when they were last computed.
     """
 
     side: Side
@@ -244,14 +231,9 @@ class ComparedSide:
 
 @dataclass(frozen=True, eq=False)
 class ComparedFrame:
-    """Two compared presets on one frame.
+    """Two compared presets on one frame; no overlap if one cannot be used with this rig.
 
-    Attributes
-    ----------
-    overlap : PatchOverlap or None
-        None if a preset cannot be used with this rig.
-    difference : DepthCloud or None
-        Both patches in one view, if wanted.
+    ``difference`` shows both patches in one view, if wanted.
     """
 
     a: ComparedSide
@@ -264,20 +246,10 @@ class ComparedFrame:
 class Result:
     """One processed frame.
 
-    Attributes
-    ----------
-    patch : ContactPatch or None
-        None if the preset cannot be used with this rig; ``problem`` says why.
-    warnings : tuple of str
-        The pipeline's warnings about preset and rig, such as another serial number.
-    playback : PlaybackState
-        The state of playback when the frame was read.
-    processed, dropped : int
-        Frames processed since the start, and frames that were replaced by newer ones before they were shown.
-    unmatched : int
-        Images without a partner from the other camera.
-    compared : ComparedFrame or None
-        The frame with two compared presets. ``rendered`` then holds no clouds and no strip unless one is present.
+    ``patch`` is None if the preset cannot be used with this rig; ``problem`` says why. ``playback`` is as of reading.
+    ``processed`` counts all frames since the start, ``dropped`` those that were replaced by newer ones before they were
+    shown, ``unmatched`` images without a partner from the other camera. With ``compared``, ``rendered`` holds no clouds
+    and no strip unless one of the two is the present preset.
     """
 
     source: SourceInfo

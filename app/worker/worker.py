@@ -43,48 +43,22 @@ PAUSE_S = 0.15
 
 
 class Worker(QThread):
-    """Owns the source and the pipeline; every public method may be called from the GUI thread.
+    """Owns the source and the pipeline; every public method may be called from the GUI thread."""
 
-    Signals
-    -------
-    resultReady()
-        `take` has a new result.
-    opening(name: str, fraction: float, text: str)
-    opened(SourceInfo)
-    openFailed(name: str, sentence: str)
-        The sentence is empty if opening was cancelled. The former source continues.
-    failed(sentence: str)
-        Reading or processing a frame failed. A recording pauses; a live source continues.
-    recovered()
-        A frame of a live source was processed again.
-    playbackChanged(PlaybackState)
-        Playing, looping, frozen or speed changed; each result carries its frame number.
-    stateChanged(SourceState)
-        The state of the source changed, also while no frame comes.
-    optionsChanged(options: tuple[CameraOption, ...])
-        The settings of the source's cameras; empty for recordings.
-    optionRefused(sentence: str)
-    examined(findings: tuple[Finding, ...], preset: Preset)
-        What is wrong with the newest frame and this preset.
-    recordingStarted(path: Path)
-    recordingFailed(sentence: str), when it cannot be started
-    recordingEnded(RecordingEnd)
-    """
-
-    resultReady = pyqtSignal()
-    opening = pyqtSignal(str, float, str)
-    opened = pyqtSignal(object)
-    openFailed = pyqtSignal(str, str)
-    failed = pyqtSignal(str)
-    recovered = pyqtSignal()
-    playbackChanged = pyqtSignal(object)
-    stateChanged = pyqtSignal(object)
-    optionsChanged = pyqtSignal(object)
+    resultReady = pyqtSignal()  # `take` has a new result
+    opening = pyqtSignal(str, float, str)  # name, share done, step
+    opened = pyqtSignal(object)  # SourceInfo
+    openFailed = pyqtSignal(str, str)  # name, sentence or "" if cancelled; the former source continues
+    failed = pyqtSignal(str)  # reading or processing: a recording pauses, a live source continues
+    recovered = pyqtSignal()  # a frame of a live source was processed again
+    playbackChanged = pyqtSignal(object)  # PlaybackState; each result carries its frame number
+    stateChanged = pyqtSignal(object)  # SourceState, also while no frame comes
+    optionsChanged = pyqtSignal(object)  # tuple of CameraOption, empty for recordings
     optionRefused = pyqtSignal(str)
-    examined = pyqtSignal(object, object)
-    recordingStarted = pyqtSignal(object)
-    recordingFailed = pyqtSignal(str)
-    recordingEnded = pyqtSignal(object)
+    examined = pyqtSignal(object, object)  # tuple of Finding on the newest frame, Preset
+    recordingStarted = pyqtSignal(object)  # Path
+    recordingFailed = pyqtSignal(str)  # it cannot be started
+    recordingEnded = pyqtSignal(object)  # RecordingEnd
 
     def __init__(self, preset: Preset, parent: QObject | None = None) -> None:
         super().__init__(parent)
