@@ -5,18 +5,15 @@ from __future__ import annotations
 from PyQt6.QtCore import QEvent, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QColor, QKeyEvent, QPainter, QPaintEvent, QPalette, QPen
 from PyQt6.QtWidgets import (
-    QAbstractItemView,
     QApplication,
     QComboBox,
     QDialogButtonBox,
     QFrame,
-    QHeaderView,
     QLabel,
     QProgressBar,
     QPushButton,
     QSizePolicy,
     QSpinBox,
-    QTableView,
     QToolButton,
     QWidget,
 )
@@ -233,20 +230,6 @@ class ChoiceBox(QComboBox):
                 event.accept()
                 return True
         return super().event(event)
-
-
-def read_only_table(table: QTableView, name: str, tip: str) -> tuple[QHeaderView, QHeaderView]:
-    """Set up a table whose rows are read and selected; return the headers of its columns and its rows."""
-    table.setAccessibleName(name)
-    table.setToolTip(tip)
-    table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
-    table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
-    table.setTabKeyNavigation(False)
-    columns, rows = table.horizontalHeader(), table.verticalHeader()
-    assert columns is not None and rows is not None
-    rows.hide()
-    rows.setDefaultSectionSize(table.fontMetrics().height() + 6)
-    return columns, rows
 
 
 def paint_focus(widget: QWidget) -> None:

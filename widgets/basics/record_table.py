@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import isfinite
@@ -224,18 +222,6 @@ class RecordTable(QTableView):
             self._selection.setCurrentIndex(shown[0], QItemSelectionModel.SelectionFlag.NoUpdate)
             self.scrollTo(shown[0])
         self._showing = False
-
-    def csv(self) -> str:
-        """Return all rows as CSV under their titles; numbers have six digits, missing ones are empty."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(column.title for column in self._model.columns)
-        for record in self._model.records:
-            values = [column.value(record) for column in self._model.columns]
-            writer.writerow(
-                value if isinstance(value, str) else f"{value:.6g}" if isfinite(value) else "" for value in values
-            )
-        return text.getvalue()
 
     def copy(self) -> None:
         """Copy the selected rows, or all, with their titles to the clipboard."""
