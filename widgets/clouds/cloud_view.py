@@ -305,11 +305,10 @@ class CloudView(QWidget):
             self._canvas.update()
             self.cameraChanged.emit(camera)
 
-    def pick(self, at: QPointF, pixels: int | None = None) -> tuple[int, Place] | None:
+    def pick(self, at: QPointF) -> tuple[int, Place] | None:
         """Return the flat pixel and the place of the point that is seen at a position of the canvas, or None.
 
-        That is the point nearest to the eye among those drawn there, or else the nearest beside it. ``pixels`` allows
-        only the first pixels of the cloud.
+        That is the point nearest to the eye among those drawn there, or else the nearest beside it.
         """
         width, height = self._size()
         wipe = self._scene.wipe
@@ -318,7 +317,6 @@ class CloudView(QWidget):
         if cloud is None:
             return None
         found = cloud.near(self.camera().pixel_matrix(width, height), (at.x(), at.y()), PICK_PX)
-        found = found if pixels is None else found[found < pixels]
         if not len(found):
             return None
         points = cloud.places(found)
