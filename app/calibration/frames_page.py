@@ -8,7 +8,6 @@ from PyQt6.QtCore import QSize, Qt, QTimer
 from PyQt6.QtGui import QIcon, QImage, QPixmap
 from PyQt6.QtWidgets import (
     QGridLayout,
-    QGroupBox,
     QHBoxLayout,
     QLabel,
     QListWidget,
@@ -105,8 +104,8 @@ class FramesPage(QWidget):
         self.note.setMinimumHeight(2 * self.fontMetrics().height() + 4)
         self.note.setAlignment(Qt.AlignmentFlag.AlignTop)
         left = vbox((images, 1), transport, taking, self.note)
-        box = QGroupBox("Snapshots")
-        vbox((self.list, 1), self.span, self.remove, within=box)
+        box = QWidget()
+        vbox(QLabel("Snapshots"), (self.list, 1), self.span, self.remove, within=box, margins=0)
         box.setFixedWidth(300)
         hbox((left, 1), box, within=self, margins=(8, 8, 8, 4))
 

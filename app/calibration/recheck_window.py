@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
-from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QCloseEvent
-from PyQt6.QtWidgets import QComboBox, QDialog, QGridLayout, QLabel, QWidget
+from PyQt6.QtWidgets import QComboBox, QDialog, QFormLayout, QWidget
 
 from ...core.calibration.recheck import Drift, recheck
 from ...core.errors import TactuneError, minus
@@ -33,12 +31,8 @@ _NO_UNTOUCHED = (
 _LOST = "The inflation was not checked: the preset's untouched frame cannot be found; capture it again."
 
 
-@dataclass(frozen=True)
-class Rechecked:
-    """Result of a check: drift of the alignment and of the membrane, or for each the reason why it was not checked."""
-
-    alignment: Drift | str
-    membrane: MembraneDrift | str
+#: Result of a check: drift of the alignment and of the membrane, or for each the reason why it was not checked.
+Rechecked = tuple[Drift | str, MembraneDrift | str]
 
 
 def recheck_all(preset: Preset, preset_path: Path | None, rig: Rig, frame: SensorFrame) -> Rechecked:
@@ -48,14 +42,14 @@ def recheck_all(preset: Preset, preset_path: Path | None, rig: Rig, frame: Senso
     try:
         alignment = recheck(preset, rig, frame)
     except TactuneError as error:
-        alignment = _sentence(error)
+        alignment = f"The alignment was not checked: {error}."
     if preset.untouched is not None and preset_path is not None:
         try:
             untouched = load_untouched(preset.untouched, preset_path)
             membrane = compare_with_untouched(preset, rig, frame, untouched)
         except TactuneError as error:
             membrane = f"The inflation was not checked: {error}."
-    return Rechecked(alignment, membrane)
+    return alignment, membrane
 
 
 class RecheckWindow(QDialog):
@@ -74,7 +68,7 @@ class RecheckWindow(QDialog):
         )
         self.image = PointImage("Tactile camera: offset of each point from where the calibration expects it")
         self.image.set_loupe_wanted(False)
-        self.numbers = QGridLayout()
+        self.numbers = QFormLayout()
         self.factor = QComboBox()
         self.factor.addItems(list(_FACTORS))
         self.factor.setCurrentIndex(1)
@@ -91,7 +85,7 @@ class RecheckWindow(QDialog):
         self.image.layer.set_arrow_factor(_FACTORS[self.factor.currentText()])
         self.leave.clicked.connect(self.close)
         self._job.done.connect(self._show)
-        self._job.failed.connect(self._fail)
+        self._job.failed.connect(lambda sentence: self._show((sentence, "")))
 
     def check(self, preset: Preset, rig: Rig, frame: SensorFrame, preset_path: Path | None = None) -> None:
         """Check a preset on a frame, on another thread; its untouched frame lies beside ``preset_path``."""
@@ -107,51 +101,30 @@ class RecheckWindow(QDialog):
         super().closeEvent(event)
 
     def _show(self, found: Rechecked) -> None:
-        self.drift = found.alignment if isinstance(found.alignment, Drift) else None
-        self.membrane_drift = found.membrane if isinstance(found.membrane, MembraneDrift) else None
-        self.sentence.setText(found.alignment if isinstance(found.alignment, str) else found.alignment.sentence)
-        self.membrane.setText(found.membrane if isinstance(found.membrane, str) else found.membrane.sentence)
-        self._show_numbers(*_alignment_rows(self.drift), *_membrane_rows(self.membrane_drift))
+        alignment, membrane = found
+        self.drift = alignment if isinstance(alignment, Drift) else None
+        self.membrane_drift = membrane if isinstance(membrane, MembraneDrift) else None
+        self.sentence.setText(alignment if isinstance(alignment, str) else alignment.sentence)
+        self.membrane.setText(membrane if isinstance(membrane, str) else membrane.sentence)
+        while self.numbers.rowCount():
+            self.numbers.removeRow(0)
+        rows: list[tuple[str, str]] = []
+        if self.drift is not None:
+            drift = self.drift
+            again = f"{drift.found} of {drift.stored}" if drift.stored else "none stored in the preset"
+            rows += [
+                ("Drift, median", f"{drift.drift_px:.2f} px, {drift.drift_mm:.2f} mm"),
+                ("95 % of the points within", f"{drift.worst_px:.2f} px, of {len(drift.tactile)} compared"),
+                ("Clicked points found again", again),
+            ]
+        if isinstance(membrane, MembraneDrift):
+            rows += [
+                ("Tactile depth changed by", _change(membrane.tactile)),
+                ("Proximity depth changed by", _change(membrane.proximity)),
+            ]
+        for title, value in rows:
+            self.numbers.addRow(title, wrapped_label(value, selectable=True))
         self.image.set_marks([] if self.drift is None else _marks(self.drift))
-
-    def _fail(self, sentence: str) -> None:
-        self._show(Rechecked(sentence, ""))
-
-    def _show_numbers(self, *rows: tuple[str, str]) -> None:
-        while (item := self.numbers.takeAt(0)) is not None:
-            widget = item.widget()
-            if widget is not None:
-                widget.deleteLater()
-        for number, (title, value) in enumerate(rows):
-            shown = QLabel(value)
-            shown.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-            self.numbers.addWidget(QLabel(title), number // 2, 2 * (number % 2))
-            self.numbers.addWidget(shown, number // 2, 2 * (number % 2) + 1)
-        self.numbers.setColumnStretch(1, 1)
-        self.numbers.setColumnStretch(3, 1)
-
-
-def _alignment_rows(drift: Drift | None) -> list[tuple[str, str]]:
-    if drift is None:
-        return []
-    return [
-        ("Drift, median", f"{drift.drift_px:.2f} px, {drift.drift_mm:.2f} mm"),
-        ("95 % of the points within", f"{drift.worst_px:.2f} px"),
-        (
-            "Clicked points found again",
-            f"{drift.found} of {drift.stored}" if drift.stored else "none stored in the preset",
-        ),
-        ("Points compared", str(len(drift.tactile))),
-    ]
-
-
-def _membrane_rows(drift: MembraneDrift | None) -> list[tuple[str, str]]:
-    if drift is None:
-        return []
-    return [
-        ("Tactile depth changed by", _change(drift.tactile)),
-        ("Proximity depth changed by", _change(drift.proximity)),
-    ]
 
 
 def _change(change: DepthChange | None) -> str:
@@ -172,8 +145,3 @@ def _marks(drift: Drift) -> list[Mark]:
         )
         for number, (place, offset, length) in enumerate(zip(drift.tactile, drift.offsets_px, lengths, strict=True))
     ]
-
-
-def _sentence(error: TactuneError) -> str:
-    text = str(error)
-    return text[:1].upper() + text[1:]

@@ -65,25 +65,9 @@ _POINTS = "Points (*.csv)"
 
 
 class CalibrationWizard(QDialog):
-    """Leads from frames to a saved alignment. Closing it loses nothing.
+    """Leads from frames of a source to an alignment in the document. Closing it loses nothing: ``folder`` keeps it."""
 
-    Parameters
-    ----------
-    feed : FrameFeed
-        The current source.
-    document : Document
-        The preset that the alignment is saved into, as one undoable step.
-    folder : Path
-        Where the state is saved when the wizard is closed.
-    dialogs : Dialogs
-
-    Signals
-    -------
-    fileSaveRequested()
-        The alignment is in the document, which is to be saved to its file.
-    """
-
-    fileSaveRequested = pyqtSignal()
+    fileSaveRequested = pyqtSignal()  # the alignment is in the document, which is to be saved to its file
 
     def __init__(
         self,
@@ -203,7 +187,7 @@ class CalibrationWizard(QDialog):
     # Steps
 
     def _below_views(self) -> int:
-        """Return the height below the images of a page: messages must not cover its table."""
+        """Return the height below the images of a page, where messages must not cover anything."""
         views: dict[QWidget | None, QWidget] = {self.points: self.points.view, self.check: self.check.image}
         view = views.get(self.stack.currentWidget())
         return 0 if view is None else self.stack.height() - view.mapTo(self.stack, view.rect().bottomLeft()).y()

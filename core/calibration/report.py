@@ -148,7 +148,7 @@ class DepthOffset:
 
     def words(self) -> str:
         """Return it in one sentence."""
-        size = minus(f"{1e3 * self.offset_m:+.2f} ± {1e3 * self.sigma_m:.2f} mm")
+        size = minus(f"{1e3 * self.offset_m:+z.2f} ± {1e3 * self.sigma_m:.2f} mm")
         return f"Offset of the tactile depth: {size}, {'corrected' if self.used else 'not corrected'}."
 
 
@@ -156,21 +156,9 @@ class DepthOffset:
 class CalibrationReport:
     """Fits of both models, the recommendation and the next step.
 
-    Attributes
-    ----------
-    model : {"homography", "rigid"}
-        The model asked for, or with ``"auto"`` the recommended one.
-    recommended : {"homography", "rigid"}
-    reason : str
-        Reason of the recommendation.
-    quality : mapping of model name to ModelQuality
-    refused : mapping of model name to the reason why it was not fitted
-    coverage : Coverage
-    depth_offset : DepthOffset or None
-        None if the pairs do not determine one.
-    warnings : tuple of str
-    pairs : tuple of PointPair
-        All given pairs, including disabled ones.
+    ``model`` is the model asked for, or with ``"auto"`` the recommended one, ``reason`` why it is recommended. ``refused``
+    says why a model was not fitted. ``depth_offset`` is None if the pairs do not determine one. ``pairs`` are all given
+    ones, including disabled ones.
     """
 
     model: ModelName
