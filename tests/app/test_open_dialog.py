@@ -5,14 +5,11 @@ from __future__ import annotations
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QComboBox, QDialogButtonBox
+from PyQt6.QtWidgets import QComboBox, QDialogButtonBox
 
 from fakes import FakeSource
 from hands import CONTROL, LEFT
 from tactune.core.sources.folder import export_folder
-from tactune.core.sources.simulator.names import NAME_FIELDS
-from tactune.core.sources.simulator.scenes import SCENES
-from tactune.core.sources.simulator.sensors import SENSORS
 
 CAMERAS, RECENT, SIMULATOR, FILES = range(4)
 
@@ -92,12 +89,6 @@ def test_a_wrong_option_is_said_while_it_is_typed(window, qtbot):
     assert dialog.note.text() == ""
 
 
-def test_every_scene_and_sensor_is_offered():
-    fields = {field.key: field for field in NAME_FIELDS}
-    assert tuple(fields["scene"].choices) == SCENES
-    assert tuple(fields["sensor"].choices) == tuple(SENSORS)
-
-
 # Opening
 
 
@@ -133,19 +124,6 @@ def test_a_click_on_the_toolbar_opens_the_dialog_with_the_present_name(window, q
     QTest.mouseClick(window.toolbar.source, LEFT)
     qtbot.waitUntil(lambda: window.sources.dialog is not None)
     assert window.sources.dialog.name.text() == "tiny"
-
-
-def test_a_very_long_name_is_answered_and_does_not_widen_the_dialog(window, qtbot):
-    dialog = open_dialog(window, qtbot)
-    width = dialog.width()
-    for name in ("sim:cup?seed=" + "9" * 5000, "x" * 5000):
-        dialog.name.clear()
-        QApplication.clipboard().setText(name)
-        QTest.keyClick(dialog.name, Qt.Key.Key_V, CONTROL)
-        QTest.keyClick(dialog.name, Qt.Key.Key_Return)
-        qtbot.waitUntil(lambda: dialog.name.isEnabled() and dialog.note.text() != "")
-        QApplication.processEvents()
-        assert dialog.width() == width
 
 
 # Recent sources
@@ -188,14 +166,6 @@ def test_an_empty_list_says_what_it_is_for_and_opens_the_simulator(window, qtbot
     assert not dialog.page.list.isVisible() and "will be listed here" in dialog.page.none.text()
     QTest.mouseClick(dialog.page.simulator, LEFT)
     qtbot.waitUntil(lambda: shows(window, "sim:cup"))
-
-
-def test_strange_names_are_listed(window, qtbot):
-    names = ["x" * 5000, "folder:/tmp/\udcff"]
-    for name in reversed(names):
-        window.settings.add_recent("sources", name)
-    listed = open_dialog(window, qtbot, RECENT).page.list
-    assert all(listed.item(row).text().startswith(name) for row, name in enumerate(names))
 
 
 # Files and others

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QLabel
 
-from fakes import FakeSource, tiny_frame, tiny_rig
+from fakes import FakeSource
 from hands import press, show_source, text_of
 from tactune.app.window import recording
 from tactune.app.worker import worker
 from tactune.app.worker.threads import wait_for_abandoned
 from tactune.app.worker.worker import SourceRequest
-from tactune.core.output import bag
 from tactune.core.sources.registry import open_source
 
 LEFT = Qt.MouseButton.LeftButton
@@ -153,26 +149,6 @@ def test_without_a_source_there_is_nothing_to_record(window, qtbot, folder):
     assert not window.actions_.record.isChecked()
 
 
-def test_nothing_recorded_is_said_and_leaves_no_file(window, cameras, qtbot, folder):
-    begin(window, qtbot)
-    end(window, qtbot)
-    assert "Nothing was recorded: no frame arrived" in told(window)
-    assert list(folder.iterdir()) == []
-
-
-def test_a_disk_without_room_for_the_first_frame_is_told_as_such(window, cameras, qtbot, monkeypatch):
-    def refuse(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(bag.Writer, "flush", refuse)
-    press_record(window)
-    qtbot.waitUntil(lambda: window.recording.running)
-    cameras.release()
-    qtbot.waitUntil(lambda: not window.recording.running)
-    assert "Nothing was recorded: cannot write" in told(window)
-    assert "No space left on device" in told(window)
-
-
 def test_a_disk_without_room_is_refused(window, cameras, qtbot, monkeypatch):
     monkeypatch.setattr(recording, "free_bytes", lambda folder: 300_000_000)
     press_record(window)
@@ -188,28 +164,6 @@ def test_a_disk_that_fills_up_ends_the_recording_in_time(window, cameras, qtbot,
     qtbot.waitUntil(lambda: not window.recording.running)
     assert "It ended because only 1.0 MB are free" in told(window)
     assert len(recorded(folder)) == 4
-
-
-def test_a_folder_that_cannot_be_made_is_said(window, cameras, qtbot, tmp_path):
-    (tmp_path / "file").write_text("")
-    window.settings.set("folder/recordings", str(tmp_path / "file" / "below"))
-    press_record(window)
-    assert "Cannot record in" in told(window)
-    assert not window.recording.running
-
-
-def test_drops_are_red(window, cameras, qtbot):
-    bar = window.recording_bar
-    begin(window, qtbot)
-    qtbot.waitUntil(lambda: "0 dropped" in text_of(bar))
-    (dropped,) = [label for label in bar.findChildren(QLabel) if label.text() == "0 dropped"]
-    calm = dropped.palette().windowText().color()
-    for index in range(2):
-        window.worker.recorder.put(tiny_frame(index, tiny_rig(32, 24)))
-    qtbot.waitUntil(lambda: dropped.text() == "2 dropped")
-    assert dropped.palette().windowText().color() != calm
-    assert re.search("[GM]B free", text_of(bar))
-    assert re.search(r"\b\d+:\d\d\b", text_of(bar))
 
 
 def test_frames_that_never_reached_the_recorder_are_told(window, cameras, qtbot):

@@ -12,7 +12,7 @@ import pytest
 from fakes import tiny_frame, tiny_rig
 from tactune.app.window.recording import clock, duration, size
 from tactune.app.worker.recorder import Recorder, RecordingRequest
-from tactune.core.errors import FrameError, TactuneError
+from tactune.core.errors import FrameError
 from tactune.core.output.writer import RecordingStatus
 from tactune.core.preset import Preset
 
@@ -112,12 +112,6 @@ def test_every_frame_between_start_and_stop_is_recorded(recorder, made, ends, tm
     assert end.reason == ""
 
 
-def test_a_second_start_changes_nothing(recorder, made, tmp_path):
-    recorder.start(request(tmp_path))
-    recorder.start(request(tmp_path))
-    assert len(made) == 1
-
-
 def test_stopping_does_not_wait_for_the_disk(recorder, made, ends, tmp_path):
     recorder.start(request(tmp_path))
     recorder.put(frame(0))
@@ -180,16 +174,6 @@ def test_a_watcher_that_fails_is_told_and_neither_reading_nor_recording_ends(rec
     assert seen == [0, 1]
     assert told == ["Frame 2 could not be used (RuntimeError: broken)."]
     assert [sequence for sequence, _ in made[0].frames] == [0, 1, 2]
-
-
-def test_a_file_that_cannot_be_begun_is_a_sentence(ends, tmp_path):
-    def refuse(_):
-        raise OSError(28, "No space left on device")
-
-    recorder = Recorder(ends.append, refuse)
-    with pytest.raises(TactuneError, match=r"a\.mcap cannot be recorded: No space left on device; choose"):
-        recorder.start(request(tmp_path))
-    assert not recorder.running
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(7.9, "0:07"), (750, "12:30"), (3723, "1:02:03")])

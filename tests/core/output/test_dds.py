@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import socket
 import struct
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -19,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fast_dds import HOW_TO_BUILD, WAIT_S, FastDds, build, can_build
+from fast_dds import HOW_TO_BUILD, FastDds, build, can_build
 from sockets import free_domain
 from tactune.core import ContactPipeline, load_preset, open_source
 from tactune.core.errors import PublishError
@@ -124,19 +121,6 @@ def test_fast_dds_receives_every_bit(processed: Processed, fast_dds_program: Pat
     assert "tactile_depth_optical_frame" in {t.child_frame_id for t in transforms.decoded("/tf_static").transforms}
 
 
-def test_cyclone_dds_decodes_cloud_and_pose_by_types_of_its_own(processed: Processed, domain: int) -> None:
-    command = [sys.executable, SUPPORT / "cyclone_subscriber.py", str(domain), "rt/contact/patch", "rt/object/pose"]
-    with published(processed, DdsSink(domain)):
-        finished = subprocess.run(command, check=True, stdout=subprocess.PIPE, timeout=WAIT_S)
-    seen = json.loads(finished.stdout)
-    patch = processed[1]
-    assert (seen["frame"], seen["fields"]) == ("proximity_depth_optical_frame", ["x", "y", "z"])
-    assert seen["width"] == len(patch.points) > 1000
-    assert bytes.fromhex(seen["points"]) == patch.points.astype("<f4").tobytes()
-    assert seen["position"] == [0.1, -0.02, 0.3]
-    assert seen["covariance"] == np.diag(np.arange(1.0, 7.0)).ravel().tolist()
-
-
 def test_a_subscriber_that_hangs_loses_its_own_frames_only(
     processed: Processed, fast_dds_program: Path, domain: int
 ) -> None:
@@ -156,35 +140,6 @@ def test_a_subscriber_that_hangs_loses_its_own_frames_only(
         assert status.sent > sent + 50
         os.kill(slow.process.pid, signal.SIGCONT)
         slow.wait_for_more("/proximity/points")
-
-
-PUBLISH_AREA = """
-import sys, time
-from tactune.core.output.dds import DdsSink
-from tactune.core.output.messages import NUMBER, number
-from tactune.core.output.publisher import LiveMessage
-
-sink = DdsSink(int(sys.argv[1]))
-sink.start({"/contact/area_mm2": NUMBER})
-while True:
-    sink.send([LiveMessage("/contact/area_mm2", NUMBER, number(7.5), 0)])
-    time.sleep(0.03)
-"""
-
-
-def test_either_side_may_be_killed_and_come_back(fast_dds_program: Path, domain: int) -> None:
-    area = {"/contact/area_mm2": "reliable"}
-    with FastDds(fast_dds_program, domain, area) as lasting:
-        for _ in range(2):
-            with subprocess.Popen([sys.executable, "-c", PUBLISH_AREA, str(domain)]) as publisher:
-                try:
-                    lasting.wait_for_more("/contact/area_mm2")
-                    for _ in range(2):
-                        with FastDds(fast_dds_program, domain, area) as killed:
-                            killed.wait_for_more("/contact/area_mm2")
-                finally:
-                    publisher.kill()
-        assert lasting.decoded("/contact/area_mm2").data == 7.5
 
 
 def udp_sockets() -> dict[int, tuple[str, int, bytes]]:
