@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fakes import at_rest
+from fakes import FakeSource, at_rest
 from tactune.app.cli.main import main
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.sources.base import SeekableSource
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
@@ -20,22 +19,12 @@ from tactune.core.sources.simulator.source import SimulatorSource
 REAL_PAIR_PRESET = Path(__file__).resolve().parents[1] / "data" / "real_pair.json"
 
 
-class Excerpt(SeekableSource):
-    """A few frames of another source."""
-
-    def __init__(self, whole: SeekableSource, indices: list[int]) -> None:
-        super().__init__("excerpt", whole.rig, len(indices))
-        self._whole, self._indices = whole, indices
-
-    def read(self, index):
-        return self._whole.read(self._indices[index])
-
-
 @pytest.fixture(scope="module")
 def pressed_cup(tmp_path_factory):
     """Frames without contact, with some, and with much, as a folder that every way can read."""
     folder = tmp_path_factory.mktemp("identical") / "cup"
-    export_folder(Excerpt(SimulatorSource("cup"), [0, 30, 45]), folder)
+    simulator = SimulatorSource("cup")
+    export_folder(FakeSource(frames=[simulator.read(index) for index in (0, 30, 45)], rig=simulator.rig), folder)
     return folder
 
 

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
+from fakes import FakeSource
 from tactune.core.errors import MissingExtraError, SourceError
 from tactune.core.model.frames import ColorCamera, DepthCamera, GroundTruth, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.sources.base import CameraHealth, CameraOption, CameraRole, FrameSource, Health, Progress
-from tactune.core.sources.base import SeekableSource as Seekable
 
 Size = tuple[int, int]
 POSE = tuple(tuple(float(row == column) for column in range(4)) for row in range(4))
@@ -80,45 +80,26 @@ def same_frame(one: SensorFrame, other: SensorFrame, *, pose: bool = True) -> bo
     return facts(one) == facts(other)
 
 
-class Recorded(Seekable):
+def recorded(rig: Rig, frames: Sequence[SensorFrame], rate_hz: float = 30.0) -> FakeSource:
     """A recording of frames that were made before."""
-
-    def __init__(self, rig: Rig, frames: Sequence[SensorFrame], rate_hz: float = 30.0) -> None:
-        super().__init__("recorded", rig, len(frames))
-        self._frames = frames
-        self._rate_hz = rate_hz
-
-    @property
-    def frame_rate_hz(self) -> float:
-        return self._rate_hz
-
-    def read(self, index: int) -> SensorFrame:
-        return self._frames[index]
-
-    def untouched(self) -> SensorFrame:
-        return make_frame(self.rig, 999, truth=True, truth_depth=True)
+    untouched = make_frame(rig, 999, truth=True, truth_depth=True)
+    return FakeSource(frames=frames, rig=rig, name="recorded", rate_hz=rate_hz, untouched=untouched)
 
 
-def open_recorded(rig: Rig, frames: Sequence[SensorFrame], progress: Progress) -> Recorded:
+def open_recorded(rig: Rig, frames: Sequence[SensorFrame], progress: Progress) -> FakeSource:
     progress(0.5, "half way")
     time.sleep(0.3)
-    return Recorded(rig, frames)
+    return recorded(rig, frames)
 
 
-class Noting(Recorded):
-    """Leaves a file in a folder for each frame that is read."""
+def open_noting(rig: Rig, frames: Sequence[SensorFrame], folder: Path, progress: Progress) -> FakeSource:
+    """Open a recording that leaves a file in a folder for each frame that is read."""
 
-    folder = Path()
+    def make(index: int, _rig: Rig) -> SensorFrame:
+        (folder / f"read {index}").touch()
+        return frames[index]
 
-    def read(self, index: int) -> SensorFrame:
-        (self.folder / f"read {index}").touch()
-        return super().read(index)
-
-
-def open_noting(rig: Rig, frames: Sequence[SensorFrame], folder: Path, progress: Progress) -> Noting:
-    source = Noting(rig, frames)
-    source.folder = folder
-    return source
+    return FakeSource(len(frames), rig, make=make)
 
 
 class Troubled(FrameSource):

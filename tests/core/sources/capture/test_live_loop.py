@@ -7,7 +7,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from capture_sources import Recorded, Troubled, make_frame, make_rig
+from capture_sources import Troubled, make_frame, make_rig, recorded
+from fakes import FakeSource
 from tactune.core.errors import SourceError
 from tactune.core.sources.capture import live
 from tactune.core.sources.capture.live import LiveLoop
@@ -37,8 +38,8 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     return made
 
 
-def recording(count: int, rate_hz: float = 30.0) -> Recorded:
-    return Recorded(RIG, [make_frame(RIG, number) for number in range(count)], rate_hz)
+def recording(count: int, rate_hz: float = 30.0) -> FakeSource:
+    return recorded(RIG, [make_frame(RIG, number) for number in range(count)], rate_hz)
 
 
 def test_it_loops_in_time_and_without_drift(clock: Clock) -> None:
