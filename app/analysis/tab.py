@@ -6,14 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from PyQt6.QtCore import Qt
-from PyQt6.QtGui import QKeySequence, QUndoStack
-from PyQt6.QtWidgets import QToolButton, QWidget
+from PyQt6.QtWidgets import QWidget
 
 from ..context import Context
 from ..worker.results import Result
 
-#: The entry-point group: each entry names a `TabKind`.
+#: The entry-point group for tabs of other packages: each entry names a `TabKind`.
 TABS: Final = "tactune.tabs"
 
 
@@ -30,26 +28,6 @@ class AnalysisTab(QWidget):
 
     def shut_down(self) -> None:
         """Stop all threads, for good."""
-
-
-def undo_buttons(tab: QWidget, stack: QUndoStack) -> list[QToolButton]:
-    """Return Undo and Redo of a tab's own work, with the usual shortcuts inside the tab."""
-    made = []
-    for create, keys, word in (
-        (stack.createUndoAction, QKeySequence.StandardKey.Undo, "Undo"),
-        (stack.createRedoAction, QKeySequence.StandardKey.Redo, "Redo"),
-    ):
-        action = create(tab, word)
-        assert action is not None
-        action.setIconText(word)  # on the button; what would be undone is in its tooltip, too long for a toolbar
-        action.setShortcuts(keys)
-        action.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
-        tab.addAction(action)
-        button = QToolButton()
-        button.setDefaultAction(action)
-        button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        made.append(button)
-    return made
 
 
 @dataclass(frozen=True)

@@ -80,7 +80,7 @@ class AnalysisLauncher(QObject):
     Attributes
     ----------
     actions : dict of str to QAction
-        One action for each tab, by entry-point name and in the order of the titles.
+        One action for each tab, by name and in the order of the menu.
     window : AnalysisWindow or None
     """
 

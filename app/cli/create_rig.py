@@ -1,4 +1,4 @@
-"""The command ``tactune create-rig``: what *Create rig…* does in the window."""
+"""The command ``tactune preset create-rig``: what *Create rig…* does in the window."""
 
 from __future__ import annotations
 

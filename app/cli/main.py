@@ -12,9 +12,10 @@ import sys
 from importlib.metadata import version
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
+from typer.core import TyperGroup
 
 from ...core.errors import MissingExtraError, TactuneError
 from .calibrate import calibrate, recheck
@@ -36,32 +37,55 @@ USAGE_STATUS = 2
 #: Packages of the extra ``gui``.
 GUI_PACKAGES = ("PyQt6", "pyqtgraph")
 
+#: The commands as the help lists them.
+GROUPS = {
+    "Every day": ("gui", "run", "calibrate", "record", "convert", "devices", "doctor"),
+    "Robot": ("serve", "track", "recheck", "warmup", "preset"),
+    "Lab": ("tune", "lab"),
+}
+
 #: Suffixes of pictures of the window.
 PICTURES = (".png", ".jpg")
 
+
+class _Commands(TyperGroup):
+    """The command ``tactune``, whose help is one screen: commands in groups, no summary cut."""
+
+    def format_help(self, ctx: typer.Context, formatter: Any) -> None:  # type: ignore[override]
+        """Write usage, the groups of commands, and the options in a line."""
+        self.format_usage(ctx, formatter)
+        self.format_help_text(ctx, formatter)
+        formatter.write_paragraph()
+        wide = max(map(len, self.commands))
+        for title, names in GROUPS.items():
+            formatter.write(f"{title}:\n")
+            for name in names:
+                formatter.write(f"  {name:{wide}}  {self.commands[name].get_short_help_str(80)}\n")
+        formatter.write("\nOptions: --version, --help, --install-completion (of the Tab key, in this shell)\n")
+
+
 commands = typer.Typer(
+    cls=_Commands,
     help="Tune a soft-membrane tactile sensor with two depth cameras, and run it headless. "
     "Without a command: open the window.",
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
-    add_completion=False,
 )
-preset_commands.command()(suggest)
-preset_commands.command()(check)
-commands.add_typer(preset_commands, name="preset")
-commands.add_typer(lab_commands, name="lab")
-commands.command()(run)
-commands.command()(calibrate)
-commands.command("create-rig")(create_rig)
-commands.command()(devices)
-commands.command()(doctor)
-commands.command()(recheck)
-commands.command()(record)
-commands.command()(serve)
-commands.command()(convert)
-commands.command()(track)
-commands.command()(tune)
-commands.command()(warmup)
+commands.command(short_help="Compute contact patches without a window.")(run)
+commands.command(short_help="Fit the alignment to clicked points and report its quality.")(calibrate)
+commands.command(short_help="Record into a ROS 2 bag (MCAP).")(record)
+commands.command(short_help="Convert a recording to MCAP or to a folder of images.")(convert)
+commands.command(short_help="List the connected cameras.")(devices)
+commands.command(short_help="Check this computer: packages, camera driver, USB, Qt, memory.")(doctor)
+commands.command(short_help="Publish contact patches live for Foxglove and ROS 2.")(serve)
+commands.command(short_help="Track the pose of a known object by its contact patches.")(track)
+commands.command(short_help="Check whether the cameras or the membrane have changed.")(recheck)
+commands.command(short_help="Compile in advance, so that a robot's first frame is fast.")(warmup)
+commands.command(short_help="Search for preset values with the best error and run time.")(tune)
+for function, name in ((suggest, "suggest"), (check, "check"), (create_rig, "create-rig")):
+    preset_commands.command(name)(function)
+commands.add_typer(preset_commands, name="preset", short_help="Make, show, check and improve presets and rigs.")
+commands.add_typer(lab_commands, name="lab", short_help="For papers: tables of methods, strain, scans, run times.")
 
 
 def main() -> int:
@@ -114,7 +138,7 @@ def _start(
         raise typer.Exit(_open_window(SOURCE, None, None, 0))
 
 
-@commands.command()
+@commands.command(short_help="Open the window, as without a command.")
 def gui(
     *,
     source: SourceOption = SOURCE,

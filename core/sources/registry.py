@@ -141,5 +141,5 @@ def _guess(name: str) -> tuple[SourceKind, str]:
         raise SourceError(f"{name!r} is no source: nothing is at that path; give an existing path or one of {forms}")
     raise SourceError(
         f"{name!r} is neither a folder with rig.json nor an .mcap, nor a RealSense .bag or .db3; "
-        f"tactune create-rig writes rig.json for a folder of images; known sources are {forms}"
+        f"tactune preset create-rig writes rig.json for a folder of images; known sources are {forms}"
     )

@@ -1,4 +1,4 @@
-"""``tactune create-rig``: the rig of a folder of images, without a window."""
+"""``tactune preset create-rig``: the rig of a folder of images, without a window."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ def bare(recording: Path) -> Path:
 
 def test_the_message_of_a_folder_without_a_rig_names_the_command_and_that_makes_it_a_source(tactune, bare):
     refused = tactune("run", "--source", bare, "--json")
-    assert refused.status == 2 and "rig.json" in refused.err and "tactune create-rig" in refused.err
-    assert tactune("create-rig", bare, "--proximity", "L515=60,61,31.5,23.5", "--tactile", "D405").status == 0
+    assert refused.status == 2 and "rig.json" in refused.err and "tactune preset create-rig" in refused.err
+    assert tactune("preset", "create-rig", bare, "--proximity", "L515=60,61,31.5,23.5", "--tactile", "D405").status == 0
     rig = load_rig(bare / "rig.json")
     lens = rig.proximity.intrinsics
     assert (lens.fx, lens.fy, lens.cx, lens.cy) == (60, 61, 31.5, 23.5)
     assert (rig.proximity.model, rig.tactile.model) == ("L515", "D405")
     assert (rig.proximity.depth_unit_m, rig.tactile.depth_unit_m) == (0.00025, 0.0001)
-    info = tactune("create-rig", bare)
+    info = tactune("preset", "create-rig", bare)
     assert info.status == 2 and "already there" in info.err
 
 
@@ -38,7 +38,7 @@ def test_what_is_assumed_and_what_cannot_be_read_is_said(tactune, bare):
         images = sorted(bare.rglob(f"{name}.png")) if name == "proximity_color" else [last]
         for path in images:
             cv2.imwrite(str(path), cv2.resize(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), size))
-    done = tactune("create-rig", bare, "--proximity", "D435=60,61,31.5,23.5")
+    done = tactune("preset", "create-rig", bare, "--proximity", "D435=60,61,31.5,23.5")
     assert done.status == 0
     assert "the colour lens of the D435 is the maker's" in done.err
     assert "the depth lens of the D405 is the maker's" in done.err
@@ -57,7 +57,7 @@ def test_what_is_assumed_and_what_cannot_be_read_is_said(tactune, bare):
     ],
 )
 def test_a_lens_that_no_camera_has_is_refused_and_nothing_is_written(tactune, bare, lens, words):
-    refused = tactune("create-rig", bare, "--proximity", lens)
+    refused = tactune("preset", "create-rig", bare, "--proximity", lens)
     assert refused.status == 2 and words in refused.err
     assert not (bare / "rig.json").exists()
 
@@ -71,5 +71,5 @@ def test_a_lens_is_fitted_to_pictures_of_a_chessboard(tactune, tmp_path, shared_
     for name in ("proximity_depth", "tactile_depth"):
         cv2.imwrite(str(folder / f"{name}.png"), np.ones((480, 640), np.uint16))
     cv2.imwrite(str(folder / "proximity_color.png"), np.ones((480, 640, 3), np.uint8))
-    assert tactune("create-rig", folder, "--tactile", f"D405={boards}").status == 0
+    assert tactune("preset", "create-rig", folder, "--tactile", f"D405={boards}").status == 0
     assert load_rig(folder / "rig.json").tactile.intrinsics.fx == pytest.approx(535.9, rel=0.01)

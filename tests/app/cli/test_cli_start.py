@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import typer
 
+from tactune.app.cli import main
 from tactune.app.cli.common import default_preset
 
 Tactune = Callable[..., Any]
@@ -22,11 +24,24 @@ def test_version(tactune: Tactune) -> None:
     assert tactune("--version").out == f"tactune {version('tactune')}\n"
 
 
-def test_help_names_every_command(tactune: Tactune) -> None:
+def test_help_is_one_screen_with_every_command(tactune: Tactune) -> None:
     finished = tactune("--help")
     assert finished.status == 0
-    for command in ("gui", "run", "convert", "preset"):
-        assert f"\n  {command} " in finished.out
+    lines = finished.out.splitlines()
+    assert len(lines) <= 24 and max(map(len, lines)) <= 80 and "..." not in finished.out, "one screen, nothing cut"
+    commands = typer.main.get_command(main.commands).commands
+    assert [line.split()[0] for line in lines if line.startswith("  ") and line.split()[0] in commands] == [
+        name for names in main.GROUPS.values() for name in names
+    ]
+    assert sorted(commands) == sorted(name for names in main.GROUPS.values() for name in names)
+
+
+def test_the_tab_key_completes_commands() -> None:
+    words = {"COMP_WORDS": "tactune re", "COMP_CWORD": "1", "_TACTUNE_COMPLETE": "complete_bash"}
+    done = subprocess.run(
+        [sys.executable, "-m", "tactune.app"], capture_output=True, text=True, env=os.environ | words, check=False
+    )
+    assert done.stdout.split() == ["record", "recheck"]
 
 
 def test_the_installed_command_is_the_module(tmp_path: Path) -> None:
