@@ -28,7 +28,8 @@ def test_help_is_one_screen_with_every_command(tactune: Tactune) -> None:
     finished = tactune("--help")
     assert finished.status == 0
     lines = finished.out.splitlines()
-    assert len(lines) <= 24 and max(map(len, lines)) <= 80 and "..." not in finished.out, "one screen, nothing cut"
+    assert len(lines) <= 24 and max(map(len, lines)) <= 80, "one screen"
+    assert not any(line.endswith("...") for line in lines[1:]), "no summary is cut"
     commands = typer.main.get_command(main.commands).commands
     assert [line.split()[0] for line in lines if line.startswith("  ") and line.split()[0] in commands] == [
         name for names in main.GROUPS.values() for name in names
