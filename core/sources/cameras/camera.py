@@ -1,7 +1,7 @@
 """The interface of camera drivers: a `CameraDriver` lists and opens devices, a `Camera` delivers images.
 
 Threads, pairing, time stamps, reopening and all messages are shared by all makers: see
-`feed`, `assembler` and `source`. A package adds a driver by an entry point in the group ``tactune.cameras``
+`camera_thread`, `pairing` and `source`. A package adds a driver by an entry point in the group ``tactune.cameras``
 that names a subclass of `CameraDriver`; ``docs/guide/extending.md`` has an example.
 """
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import pickle
 import signal
-import sys
 import time
 from collections import deque
 from contextlib import suppress
@@ -52,7 +51,7 @@ def main(connection: Connection, order: bytes) -> None:
     for name in ("SIGINT", "SIGHUP"):  # only the parent handles Ctrl+C; it then closes its source
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.__stdout__.fileno())  # type: ignore[union-attr]  # drivers print
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what a driver prints must not mix with a command's output
     _Capture(connection).run(order)
 
 
