@@ -61,18 +61,16 @@ def in_parallel(task: Callable[[int, int], object], count: int, size: int = ROWS
     """
     parts = iter(range(0, count, size))
 
-    def work() -> None:
+    def help_out() -> None:
         for first in parts:
             task(first, min(first + size, count))
 
     helpers = min(get_threads(), -(-count // size)) - 1
-    if helpers <= 0:
-        work()
-        return
-    pool = _helpers()
-    futures = [pool.submit(work) for _ in range(helpers)]
+    pool = _helpers() if helpers > 0 else None
+    futures = [pool.submit(help_out) for _ in range(helpers)] if pool is not None else []
     try:
-        work()
+        for first in parts:
+            task(first, min(first + size, count))
     finally:
         begun = [future for future in futures if not future.cancel()]
         for future in begun:
