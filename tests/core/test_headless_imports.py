@@ -51,7 +51,7 @@ print(sorted({name.partition(".")[0] for name in sys.modules} & {"PyQt6", "OpenG
 def test_the_commands_that_need_no_window_import_none() -> None:
     program = """
 import sys
-from tactune.app.cli import main, methods, run
+from tactune.app.cli import lab, main, run, serve
 print(sorted({name.partition(".")[0] for name in sys.modules} & {"PyQt6", "pyqtgraph", "open3d"}))
 """
     done = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True, text=True)
