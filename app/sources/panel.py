@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from PyQt6.QtCore import pyqtSignal
@@ -9,9 +11,7 @@ from PyQt6.QtWidgets import (
     QCheckBox,
     QDialog,
     QDialogButtonBox,
-    QGridLayout,
     QLabel,
-    QVBoxLayout,
     QWidget,
 )
 
@@ -19,8 +19,8 @@ from ...core.preset import CamerasSection, Preset
 from ...core.sources.base import CameraHealth, CameraOption, CameraRole
 from ...widgets.basics.controls import CollapsibleSection, dialog_buttons, wrapped_label
 from ...widgets.basics.fields import FieldSpec, field_spec
-from ...widgets.basics.layouts import scrolling, vbox
-from ...widgets.parameters.form import ParameterRow
+from ...widgets.basics.layouts import STRETCH, scrolling, vbox
+from ...widgets.parameters.form import Form, ParameterRow
 
 DELAY_PATH = "cameras.tactile_delay_s"
 _TITLES: dict[CameraRole, str] = {"proximity": "Proximity camera", "tactile": "Tactile camera"}
@@ -129,27 +129,17 @@ class CameraPanel(QDialog):
         self.delay = ParameterRow(field_spec(Preset, DELAY_PATH))
         self._options: tuple[CameraOption, ...] = ()
         self._cameras: dict[CameraRole, CameraHealth] = {}
-        self._sections: dict[CameraRole, CollapsibleSection] = {}
+        self._sections = {role: CollapsibleSection(title) for role, title in _TITLES.items()}
         self._bodies: dict[CameraRole, QWidget] = {}
-        column_widget = QWidget()
-        self._column = QVBoxLayout(column_widget)
-        self._column.setContentsMargins(4, 4, 4, 4)
-        for role, title in _TITLES.items():
-            self._sections[role] = _section(title)
-            self._column.addWidget(self._sections[role])
+        timing, column = CollapsibleSection("Timing"), QWidget()
+        vbox(Form([self.delay]), within=timing.body, margins=0)
+        vbox(*self._sections.values(), timing, STRETCH, within=column, margins=4)
+        for role, section in self._sections.items():
+            vbox(within=section.body, margins=0)
             self._replace_body(role, _note(_NO_CAMERAS))
-        timing = _section("Timing")
-        grid_widget = QWidget()
-        grid = QGridLayout(grid_widget)
-        grid.setColumnStretch(1, 1)
-        self.delay.add_to(grid)
-        _fill(timing, grid_widget)
-        self._column.addWidget(timing)
-        self._column.addStretch(1)
-        scroll = scrolling(column_widget)
         buttons = dialog_buttons(QDialogButtonBox.StandardButton.Close)
         buttons.rejected.connect(self.close)
-        vbox((scroll, 1), buttons, within=self)
+        vbox((scrolling(column), 1), buttons, within=self)
         self.delay.edited.connect(lambda _, value, gesture: self.delayEdited.emit(float(value), gesture))
         self.resize(460, 620)
 
@@ -161,11 +151,11 @@ class CameraPanel(QDialog):
 
     def set_options(self, options: tuple[CameraOption, ...], cameras: CamerasSection) -> None:
         """Show the options that the devices report now."""
-        shape, before = _shape(options), _shape(self._options)
-        self._options = options
+        before, self._options = self._options, options
         for role in _TITLES:
-            if shape.get(role) != before.get(role):
-                self._rebuild(role, [option for option in options if option.camera == role])
+            present, former = ([each for each in some if each.camera == role] for some in (options, before))
+            if [replace(option, value=0.0) for option in present] != [replace(option, value=0.0) for option in former]:
+                self._rebuild(role, present)
         for option in options:
             self.rows[option.camera, option.name].option = option
         self.set_cameras(cameras)
@@ -174,64 +164,32 @@ class CameraPanel(QDialog):
         """Show which devices have the two roles; a source without cameras has none."""
         self._cameras = {camera.role: camera for camera in cameras}
         for role, title in _TITLES.items():
-            self._sections[role].button.setText(" ".join([title, *_device_words(self._cameras.get(role))]))
+            camera = self._cameras.get(role)
+            device = "" if camera is None else camera.model
+            serial = f"(serial {camera.serial})" if camera is not None and camera.serial else ""
+            self._sections[role].button.setText(" ".join(filter(None, (title, device, serial))))
             body = self._bodies[role]
             if isinstance(body, QLabel):
                 body.setText(self._why_nothing(role))
 
     def _rebuild(self, role: CameraRole, options: list[CameraOption]) -> None:
         self.rows = {key: row for key, row in self.rows.items() if key[0] != role}
-        if not options:
-            self._replace_body(role, _note(self._why_nothing(role)))
-            return
-        body = QWidget()
-        grid = QGridLayout(body)
-        grid.setColumnStretch(1, 1)
-        for option in options:
-            row = OptionRow(option, body)
-            row.add_to(grid)
-            row.chosen.connect(
-                lambda value, gesture, name=option.name: self.optionEdited.emit(role, name, value, gesture)
-            )
-            self.rows[role, option.name] = row
-        self._replace_body(role, body)
+        rows = {(role, option.name): OptionRow(option) for option in options}
+        for (_, name), row in rows.items():
+            row.chosen.connect(partial(self.optionEdited.emit, role, name))
+        self.rows |= rows
+        self._replace_body(role, Form(rows.values()) if rows else _note(self._why_nothing(role)))
 
     def _why_nothing(self, role: CameraRole) -> str:
         return _NOT_CONNECTED if role in self._cameras else _NO_CAMERAS
 
     def _replace_body(self, role: CameraRole, body: QWidget) -> None:
-        old = self._bodies.get(role)
-        if old is not None:
+        if (old := self._bodies.get(role)) is not None:
             old.hide()
             old.deleteLater()
         self._bodies[role] = body
-        _fill(self._sections[role], body)
-
-
-def _device_words(camera: CameraHealth | None) -> list[str]:
-    if camera is None:
-        return []
-    return [word for word in (camera.model, f"(serial {camera.serial})" if camera.serial else "") if word]
-
-
-def _shape(options: tuple[CameraOption, ...]) -> dict[CameraRole, list[object]]:
-    """Return everything that the rows depend on, except values."""
-    shape: dict[CameraRole, list[object]] = {}
-    for option in options:
-        parts = (option.name, option.minimum, option.maximum, option.step, option.default, option.choices)
-        shape.setdefault(option.camera, []).append((*parts, option.read_only, option.unit))
-    return shape
-
-
-def _section(title: str) -> CollapsibleSection:
-    section = CollapsibleSection(title)
-    QVBoxLayout(section.body).setContentsMargins(0, 0, 0, 0)
-    return section
-
-
-def _fill(section: CollapsibleSection, body: QWidget) -> None:
-    layout = section.body.layout()
-    if layout is not None:
+        layout = self._sections[role].body.layout()
+        assert layout is not None
         layout.addWidget(body)
 
 

@@ -103,12 +103,7 @@ class Sink(Protocol):
     def start(self, topics: Mapping[str, str]) -> None:
         """Announce topics, given with their types, and let clients connect; called once, before everything else.
 
-        Raises
-        ------
-        PublishError
-            It is not possible; the message says why and what to do.
-        MissingExtraError
-            A package is not installed.
+        Raises `PublishError` where that is not possible, `MissingExtraError` where a package is not installed.
         """
 
     def wanted(self) -> Collection[str]:
@@ -129,17 +124,10 @@ class Sink(Protocol):
 
 @dataclass(frozen=True)
 class OutputStatus:
-    """State of a sink and of what it got.
+    """State of a sink: frames sent (poses where clients listen to poses only), and their rate over the last seconds.
 
-    Attributes
-    ----------
-    sink : SinkStatus
-    rate_hz : float
-        Frames sent per second over the last seconds; poses if clients listen to poses only; 0 without a client.
-    sent, missed : int
-        Frames sent (or poses), and frames and poses that came while the sink was still sending another.
-    error : str
-        Why the last frame could not be sent; empty if it was.
+    ``missed`` counts frames and poses that came while the sink was still sending another; ``error`` says why the last
+    frame could not be sent.
     """
 
     sink: SinkStatus
