@@ -10,17 +10,7 @@ from .mesh import MembraneDesign
 
 @dataclass(frozen=True)
 class NamedMembrane:
-    """One membrane.
-
-    Attributes
-    ----------
-    name : str
-    about : str
-        What is particular about it, in a few words.
-    design : MembraneDesign
-    held_out : bool
-        Whether it is reserved for judging methods, not for developing them.
-    """
+    """One membrane; a held-out one is reserved for judging methods, not for developing them."""
 
     name: str
     about: str

@@ -84,24 +84,10 @@ _FOLD_M: Final = 0.0012
 class Variant:
     """Options of a scene.
 
-    Attributes
-    ----------
-    press : {"", "none", "low", "medium", "high"}
-        A still press instead of the scene's own motion; "none" shows the untouched membrane.
-    side : {"right", "left"}
-        On which side of the centre, seen by the cameras, the high press is: nearer to the tactile or
-        to the proximity camera. The left one is the right one turned by 180 degrees about the centre.
-    object : str
-        Object of a special scene.
-    move : {"", "slide", "lift"}
-        A press that turns and moves across a wrinkled membrane instead of the scene's own motion; lift takes the cup's
-        handle off the membrane for half of the time.
-    gap_mm : float
-        Gap of the object of ``hover``.
-    grid : {"droplets", "dots"}
-        Print on the membrane.
-    membrane : str
-        One of `membranes.MEMBRANES`.
+    ``press`` holds a press instead of the scene's own motion, "none" shows the untouched membrane. A high press is on
+    the ``side`` of the centre that is nearer to the tactile ("right") or to the proximity camera, there turned by 180
+    degrees. ``object`` hovers at ``gap_mm``. ``move`` turns and moves an object across a folded membrane; "lift" takes
+    the cup's handle off it for half of the time. ``membrane`` is one of `membranes.MEMBRANES`, ``grid`` its print.
     """
 
     press: Press = ""
@@ -116,14 +102,8 @@ class Variant:
 class Step(NamedTuple):
     """Where the object is at one solved step of its path.
 
-    Attributes
-    ----------
-    x_m, y_m : float
-        Shift from its offset, metres.
-    depth_m : float
-        How deep its origin is past first touch, metres; gaps are negative.
-    turn_deg : (float, float, float)
-        Turns of the object about its origin, about x, y and z of the membrane's frame in that order, degrees.
+    Shift from its offset and depth of its origin past first touch, metres (gaps are negative); turns about its origin,
+    about x, y and z of the membrane's frame in that order, degrees.
     """
 
     x_m: float
@@ -136,23 +116,10 @@ class Step(NamedTuple):
 class Scene:
     """One scene with all its parameters.
 
-    Attributes
-    ----------
-    name : str
-        Scene and variant, usable as a file name.
-    pressed : PressedObject
-    design : MembraneDesign
-    print : {"droplets", "dots"}
-    way : tuple of Step
-        Where the object goes, one solved step after the other.
-    drawn : tuple of int
-        The steps that are drawn.
-    frames : tuple of float
-        Index into ``drawn`` for each frame; between two of them the images are interpolated.
-    held_out : bool
-        Whether object or membrane is reserved for judging methods, not for developing them.
-    loaded : bool
-        Whether ``drawn`` are the rolls of the tray, among which `tray.carried` chooses by its load.
+    ``name`` holds scene and variant, usable as a file name. ``way`` is where the object goes, one solved step after
+    the other, ``drawn`` are the steps that are drawn, and ``frames`` the index into ``drawn`` for each frame; between
+    two of them the images are interpolated. ``held_out``: object or membrane is reserved for judging methods.
+    ``loaded``: ``drawn`` are the rolls of the tray, among which `tray.carried` chooses by its load.
     """
 
     name: str

@@ -41,16 +41,7 @@ DELAY_S: Final = 0.050
 
 @dataclass(frozen=True)
 class Book:
-    """A book that is put on the tray.
-
-    Attributes
-    ----------
-    time_s : float
-        When.
-    mass_kg : float
-    y_m : float
-        Where, from the roll axis along the tray's y axis, metres.
-    """
+    """A book that is put on the tray at a time, ``y_m`` from the roll axis along the tray's y axis."""
 
     time_s: float
     mass_kg: float
@@ -63,13 +54,9 @@ BOOKS: Final = (Book(3.0, 0.35, 0.040), Book(6.0, 0.50, -0.045), Book(9.0, 0.40,
 
 
 class Tray:
-    """The tray, its books and the sensor below it as they move.
+    """The tray, its books and the sensor below it as they move; rolls over the ground in radians.
 
-    Attributes
-    ----------
-    time_s : float
-    roll_rad, sensor_rad : float
-        Rolls of the tray and of the sensor over the ground, radians.
+    ``facts`` are those of the solved rolls `scenes.TRAY_ROLLS_DEG`, which give the membrane's torque.
     """
 
     def __init__(self, facts: Sequence[PressFacts], books: Sequence[Book] = BOOKS) -> None:
