@@ -13,28 +13,17 @@ from ...core.errors import minus
 
 Kind = Literal["flag", "choice", "number", "range", "rectangle", "matrix"]
 
-#: Model unit -> (factor, suffix) of the displayed number.
-_SHOWN_UNITS: dict[str, tuple[float, str]] = {
-    "": (1.0, ""),
-    "m": (1000.0, " mm"),
-    "s": (1000.0, " ms"),
-    "mm2": (1.0, " mm²"),
-    "px": (1.0, " px"),
-    "points": (1.0, ""),
-    "sigma": (1.0, " σ"),
-    "share": (100.0, " %"),
-    "deg/2": (1.0, ""),
-}
-
-_UNIT_WORDS = {
-    "m": "millimetres",
-    "s": "milliseconds",
-    "mm2": "square millimetres",
-    "px": "pixels",
-    "points": "a number of points",
-    "sigma": "standard deviations",
-    "share": "per cent",
-    "deg/2": "half degrees, 0 to 179",
+#: Model unit -> factor and suffix of the displayed number, and the unit in words.
+_UNITS: dict[str, tuple[float, str, str]] = {
+    "": (1.0, "", ""),
+    "m": (1000.0, " mm", "millimetres"),
+    "s": (1000.0, " ms", "milliseconds"),
+    "mm2": (1.0, " mm²", "square millimetres"),
+    "px": (1.0, " px", "pixels"),
+    "points": (1.0, "", "a number of points"),
+    "sigma": (1.0, " σ", "standard deviations"),
+    "share": (100.0, " %", "per cent"),
+    "deg/2": (1.0, "", "half degrees, 0 to 179"),
 }
 
 
@@ -72,8 +61,9 @@ class FieldSpec:
     @property
     def tooltip(self) -> str:
         parts = [self.description]
-        if self.unit in _UNIT_WORDS and self.kind != "matrix":
-            parts.append(f"In {_UNIT_WORDS[self.unit]}.")
+        words = _UNITS.get(self.unit, (1.0, "", ""))[2]
+        if words and self.kind != "matrix":
+            parts.append(f"In {words}.")
         if self.kind in ("number", "range"):
             low, high = (minus(format_number(bound * self.factor)) for bound in (self.minimum, self.maximum))
             parts.append(f"Allowed: {'above ' if self.open_minimum else ''}{low} to {high}{self.suffix}.")
@@ -148,7 +138,7 @@ def field_spec(model: type[BaseModel], path: str) -> FieldSpec:
 def _read_field(path: str, info: FieldInfo) -> FieldSpec:
     extra: dict[str, Any] = info.json_schema_extra if isinstance(info.json_schema_extra, dict) else {}
     unit = str(extra.get("unit", ""))
-    factor, suffix = _SHOWN_UNITS.get(unit, (1.0, f" {unit}"))
+    factor, suffix, _ = _UNITS.get(unit, (1.0, f" {unit}", ""))
     title = info.title or path.rpartition(".")[2].replace("_", " ").capitalize()
     default = info.get_default(call_default_factory=True)
     common: dict[str, Any] = {

@@ -156,7 +156,7 @@ class PixelItem(pg.GraphicsObject):  # type: ignore[misc]  # pyqtgraph has no ty
         ``right``, of the same size, is shown right of the place given to `set_split`.
         """
         self._pixels = pixels, right  # the QImages only borrow this memory
-        self._image, self._right = _image_of(pixels), _image_of(right)
+        self._image, self._right = image_of(pixels), image_of(right)
         if pixels is not None:
             height, width = pixels.shape[:2]
             rect = QRectF(-0.5, -0.5, width * stride, height * stride)
@@ -182,7 +182,7 @@ class PixelItem(pg.GraphicsObject):  # type: ignore[misc]  # pyqtgraph has no ty
             painter.restore()
 
 
-def _image_of(pixels: Uint8Array | None) -> QImage:
+def image_of(pixels: Uint8Array | None) -> QImage:
     if pixels is None:
         return QImage()
     height, width = pixels.shape[:2]

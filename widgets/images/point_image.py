@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import ceil, floor
 from typing import Any, Final
 
-import numpy as np
 from PyQt6.QtCore import QEvent, QObject, QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
 from PyQt6.QtWidgets import QWidget
 
 from ...core.model.arrays import Uint8Array
 from ..basics.theme import theme_colors
-from .image_pane import ARROW_KEYS, ZOOM_KEYS, ImagePane
+from .image_pane import ARROW_KEYS, ZOOM_KEYS, ImagePane, image_of
 from .marks import COLORS, Mark, MarkKind, MarkLayer
 
 #: Edge of the magnified square in screen pixels, and the image pixels that it spans.
@@ -32,6 +30,7 @@ class Loupe(QWidget):
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
         self._pixels: Uint8Array | None = None
+        self._image = QImage()  # borrows the memory of the pixels
         self._corner = (0, 0)
         self._swatch: QColor | None = None
         self._place = (0.0, 0.0)
@@ -47,6 +46,7 @@ class Loupe(QWidget):
     def set_pixels(self, pixels: Uint8Array | None, corner: tuple[int, int] = (0, 0)) -> None:
         """Take the image, or the part of it that begins at ``corner``: uint8 (h, w, 4), ``QImage.Format_RGB32``."""
         self._pixels, self._corner = pixels, corner
+        self._image = image_of(pixels)
         self.update()
 
     def show_at(self, cursor: QPointF, place: tuple[float, float]) -> None:
@@ -86,7 +86,9 @@ class Loupe(QWidget):
         painter = QPainter(self)
         colors = theme_colors()
         painter.fillRect(self.rect(), QColor(colors.base))
-        self._paint_pixels(painter)
+        if not self._image.isNull():  # the centre of a pixel lies at its integer coordinates
+            left, top = (at - begin - SPAN / 2 + 0.5 for at, begin in zip(self._place, self._corner, strict=True))
+            painter.drawImage(QRectF(0, 0, EDGE, EDGE), self._image, QRectF(left, top, SPAN, SPAN))
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         middle = EDGE / 2
         for pen in (QPen(QColor(0, 0, 0, 150), 3), QPen(QColor(255, 255, 255), 1)):
@@ -108,25 +110,6 @@ class Loupe(QWidget):
         painter.setPen(QPen(QColor(colors.border), 1))
         painter.setBrush(Qt.BrushStyle.NoBrush)
         painter.drawRect(QRectF(0.5, 0.5, self.width() - 1, self.height() - 1))
-
-    def _paint_pixels(self, painter: QPainter) -> None:
-        if self._pixels is None:
-            return
-        height, width = self._pixels.shape[:2]
-        scale = EDGE / SPAN
-        left, top = (at - begin - SPAN / 2 for at, begin in zip(self._place, self._corner, strict=True))
-        first_u, last_u = max(0, floor(left + 0.5)), min(width, ceil(left + SPAN + 0.5))
-        first_v, last_v = max(0, floor(top + 0.5)), min(height, ceil(top + SPAN + 0.5))
-        if first_u >= last_u or first_v >= last_v:
-            return
-        part = np.ascontiguousarray(self._pixels[first_v:last_v, first_u:last_u])
-        columns, rows = part.shape[1], part.shape[0]
-        image = QImage(part.tobytes(), columns, rows, 4 * columns, QImage.Format.Format_RGB32)
-        painter.setClipRect(0, 0, EDGE, EDGE)
-        painter.drawImage(
-            QRectF((first_u - 0.5 - left) * scale, (first_v - 0.5 - top) * scale, columns * scale, rows * scale), image
-        )
-        painter.setClipping(False)
 
 
 #: Moving less than this, in screen pixels, is still a click.
