@@ -56,14 +56,6 @@ MCAP_SUFFIX = ".mcap"
 
 #: Keys that ``--truth`` adds to a record beside ``touched``, with their units.
 TRUTH_KEYS = {"iou": "", "precision": "", "recall": "", "rmse_mm": " mm"}
-#: Keys of the membrane's largest in-plane strain, from the simulator's solver.
-STRAIN_KEYS = {
-    "true_strain_length_percent": "along the length",
-    "true_strain_width_percent": "along the width",
-    "true_max_strain_percent": "in any direction",
-}
-
-
 #: What ``--estimate`` reads from each patch.
 Estimate = Literal["tilt", "tilt-filtered", "tilt-pca"]
 EstimateOption = Annotated[
@@ -124,6 +116,7 @@ def run(
     from ...core.contact.pipeline import ContactPipeline
     from ...core.sources.presets import load_preset
     from ...core.warmup import warm_up_if_needed
+    from .watching import Watching
 
     origin = preset or default_preset(source)
     chosen = load_preset(origin).with_values(parse_settings(settings or []))
@@ -136,7 +129,7 @@ def run(
         warn(*check_rig(chosen, opened.rig))
         lost_before = opened.health().dropped
         with (
-            _watching(chosen, origin, opened) if watch else nullcontext() as look,
+            closing(Watching(chosen, origin, opened)) if watch else nullcontext() as look,
             stop_on_signals() as stopped,
             patch_output(out, file_format, opened, chosen) as save,
         ):
@@ -160,12 +153,6 @@ def run(
                 typer.echo(f"{opened.name} ended after {done} of the {frames} frames asked for")
         if stopped.is_set():
             tell_of_stop(opened, done, frames)
-
-
-def _watching(preset: Preset, origin: str, source: FrameSource) -> closing[Watching]:
-    from .watching import Watching
-
-    return closing(Watching(preset, origin, source))
 
 
 @contextmanager
@@ -300,18 +287,11 @@ def patch_record(patch: ContactPatch) -> Record:
 def truth_record(patch: ContactPatch, truth: GroundTruth | None, rig: Rig) -> Record:
     """Return the scores against the truth; all are None if the source has no truth."""
     if truth is None:
-        return dict.fromkeys(("touched", *TRUTH_KEYS, *STRAIN_KEYS))
+        return dict.fromkeys(("touched", *TRUTH_KEYS))
     from ...core.model.metrics import compare_with_truth
 
     scores = compare_with_truth(patch, truth, rig)
-    known = truth.strain
-    strains = (known.length, known.width, known.largest) if known is not None else (None, None, None)
-    percent = [None if strain is None else round(100 * strain, 2) for strain in strains]
-    return (
-        {"touched": bool(truth.contact.any())}
-        | {key: finite_or_none(scores[key]) for key in TRUTH_KEYS}
-        | dict(zip(STRAIN_KEYS, percent, strict=True))
-    )
+    return {"touched": bool(truth.contact.any())} | {key: finite_or_none(scores[key]) for key in TRUTH_KEYS}
 
 
 def summary(records: list[Record], source: str, preset: str) -> list[str]:
@@ -366,12 +346,6 @@ def truth_lines(records: list[Record]) -> list[str]:
             lines.append(
                 f"{key}: median {median(known):.3f}{unit} over {counted(len(known), 'frame')} with true contact"
             )
-    strains = {
-        words: max((record[key] for record in records if record.get(key) is not None), default=None)
-        for key, words in STRAIN_KEYS.items()
-    }
-    if None not in strains.values():
-        lines.append("true strain up to " + ", ".join(f"{strain:.1f} % {words}" for words, strain in strains.items()))
     if without:
         false = sum(bool(record["points"]) for record in without)
         lines.append(f"{counted(len(without), 'frame')} without true contact, {false} of them with false points")

@@ -73,15 +73,6 @@ def test_the_title_bar_and_where_there_is_room_all_of_it_lie_on_the_screen(qtbot
     assert room.contains(with_title_bar) or height < with_title_bar.height()
 
 
-def test_each_key_goes_to_its_tab_also_from_the_analysis_window(qtbot, window):
-    analysis = opened(qtbot, window)
-    analysis.activateWindow()
-    qtbot.waitUntil(analysis.isActiveWindow)
-    QTest.keyClick(analysis, Qt.Key.Key_T, Qt.KeyboardModifier.ControlModifier)
-    assert analysis.tabs.currentIndex() == 1
-    assert analysis.made["strain"].sequences[-1] == 3
-
-
 def test_only_the_visible_tab_takes_frames_and_a_closed_window_none(qtbot, window):
     analysis = opened(qtbot, window)
     compare = analysis.made["compare"]
@@ -142,12 +133,3 @@ def test_a_tab_that_cannot_be_opened_says_why_and_leaves_the_others_alone(qtbot,
     assert "no such sensor" in label.text() and len(raised) == 1
     analysis.open_on("compare")
     assert analysis.made["compare"].sequences[-1] == 3
-
-
-def test_the_window_neither_lies_over_the_main_window_nor_outlives_it(window, qtbot):
-    window.analysis.open("strain")
-    shown = window.analysis.window
-    handle = shown.windowHandle()
-    assert handle.transientParent() is None and not shown.windowFlags() & Qt.WindowType.WindowStaysOnTopHint
-    window.close_without_asking()
-    qtbot.waitUntil(lambda: not shown.isVisible())

@@ -10,7 +10,6 @@ from PyQt6.QtTest import QTest
 from fakes import tiny_frame, tiny_rig
 from hands import CONTROL, LEFT, cells, drag_slider, shows_preset_of_document, tolerance_slider, type_path
 from tactune.app.document.comparison import Side
-from tactune.app.worker import processing
 from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.processing import FrameProcessor
 from tactune.app.worker.results import CloudName, SourceInfo, Wanted
@@ -75,20 +74,6 @@ def test_clouds_in_which_two_presets_do_not_differ_are_drawn_once(preset):
     assert a[CloudName.PROXIMITY] is b[CloudName.PROXIMITY]
     assert a[CloudName.TACTILE] is not b[CloudName.TACTILE], "the offset moves it"
     assert a[CloudName.PATCH] is not b[CloudName.PATCH]
-
-
-@pytest.mark.parametrize(("interval", "part"), [("COUNTING_INTERVAL_S", "histogram"), ("STRIP_INTERVAL_S", "strip")])
-def test_histograms_and_images_are_drawn_less_often_than_frames_run(preset, monkeypatch, interval, part):
-    monkeypatch.setattr(processing, interval, 3600.0)
-    processor, running = FrameProcessor(), PlaybackState(playing=True)
-
-    def drawn(index, state):
-        return getattr(processor.process(INFO, tiny_frame(index, RIG), preset, Wanted(), state).rendered, part)
-
-    assert [drawn(index, running) is not None for index in range(3)] == [True, False, False]
-    assert drawn(3, PlaybackState(playing=False)) is not None, "a frame that stands still is drawn"
-    processor.forget()
-    assert drawn(0, running) is not None, "another source begins with everything"
 
 
 def test_the_first_picture_of_a_cold_start_waits_for_no_images(preset):
@@ -222,19 +207,6 @@ def test_use_a_is_one_step_and_ends_the_comparison(compared, qtbot):
     assert compared.document.preset == before
 
 
-def test_escape_ends_it_and_the_menu_takes_it_up_again(compared, qtbot):
-    QTest.mouseClick(compared.comparison_panel.swap, LEFT)
-    QTest.keyClick(compared.comparison_panel.table, Qt.Key.Key_Escape)
-    assert compared.context.comparison.sides is None
-    qtbot.waitUntil(lambda: compared.result.compared is None)
-    assert not compared.actions_.compare.isChecked()
-    choose_in_menu(compared, "&Edit", compared.actions_.compare)
-    qtbot.waitUntil(lambda: compared.result.compared is not None)
-    assert [side.name for side in compared.context.comparison.sides] == ["Present", "As opened"]
-    QTest.mouseClick(compared.comparison_panel.close_button, LEFT)
-    assert compared.context.comparison.sides is None
-
-
 def test_a_step_of_the_history_a_shipped_preset_and_a_file_can_be_compared(compared, qtbot, tmp_path):
     document, box = compared.document, compared.comparison_panel.boxes[0]
     document.edit("outliers.enabled", True)
@@ -265,19 +237,6 @@ def test_a_step_of_the_history_a_shipped_preset_and_a_file_can_be_compared(compa
     qtbot.waitUntil(lambda: side().name == "other.json")
     assert side().preset.tolerance.t == 0.07
     assert box.currentText() == "other.json"
-
-
-def test_a_file_that_is_no_preset_is_refused_in_one_sentence(compared, qtbot, tmp_path):
-    broken = tmp_path / "broken.json"
-    broken.write_text("{}")
-    before = compared.context.comparison.sides
-    box = compared.comparison_panel.boxes[0]
-    box.setCurrentIndex(box.findText("File…"))
-    box.activated.emit(box.currentIndex())
-    type_path(qtbot, broken)
-    qtbot.waitUntil(lambda: any("broken.json" in sentence for sentence in compared.messages.sentences()))
-    assert compared.context.comparison.sides == before
-    assert box.currentText() == "As opened"
 
 
 def test_pointing_at_an_image_reads_the_side_under_the_mouse(compared, qtbot):

@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QFileDialog, QLineEdit
 
 from fakes import FakeCameras, FakeSource, at_rest
-from hands import CONTROL, CONTROL_SHIFT, LEFT, show_source, type_path
+from hands import CONTROL_SHIFT, LEFT, show_source, type_path
 from tactune.app.timeline import marks as marks_module
 from tactune.app.timeline.marks import MarksKeeper
 from tactune.core.contact.pipeline import ContactPipeline
@@ -145,23 +144,6 @@ def test_an_export_has_exactly_the_marked_frames(marked_window, qtbot, tmp_path)
     assert window.context.trim is None
 
 
-def test_patches_are_exported_for_the_marked_frames(marked_window, qtbot, tmp_path):
-    window = marked_window
-    mark(qtbot, window, 20, 22)
-    folder = tmp_path / "patches"
-    folder.mkdir()
-    window.actions_.export_patches.trigger()
-    qtbot.waitUntil(lambda: isinstance(QApplication.activeModalWidget(), QFileDialog))
-    dialog = QApplication.activeModalWidget()
-    entry = dialog.findChild(QLineEdit, "fileNameEdit")
-    entry.setText(str(folder))
-    QTest.keyClick(entry, Qt.Key.Key_Return)
-    if dialog.isVisible():
-        dialog.accept()
-    qtbot.waitUntil(lambda: window.messages.message("export") is not None)
-    assert sorted(path.name for path in folder.iterdir()) == [f"patch_{index:06d}.ply" for index in (20, 21, 22)]
-
-
 def test_a_recording_has_exactly_the_marked_frames(marked_window, qtbot, tmp_path):
     window = marked_window
     window.settings.set("folder/recordings", str(tmp_path))
@@ -172,30 +154,6 @@ def test_a_recording_has_exactly_the_marked_frames(marked_window, qtbot, tmp_pat
     [file] = tmp_path.glob("session_*.mcap")
     with McapSource(file) as written:
         assert [frame.sequence for frame in written] == [9, 10, 11, 12, 13, 14]
-
-
-def test_a_recording_that_is_behind_the_out_mark_ends(marked_window, qtbot, tmp_path):
-    window = marked_window
-    window.settings.set("folder/recordings", str(tmp_path))
-    window.worker.set_speed(0.1)
-    mark(qtbot, window, 9, 14)
-    QTest.keyClick(window, Qt.Key.Key_F9)
-    qtbot.waitUntil(lambda: window.messages.message("recording") is None and window.result.playback.running)
-    window.worker.seek(18)
-    window.worker.play()
-    qtbot.waitUntil(lambda: window.messages.message("recording") is not None)
-    [file] = tmp_path.glob("session_*.mcap")
-    with McapSource(file) as written:
-        frames = [frame.sequence for frame in written]
-    assert frames == list(range(9, 9 + len(frames))), "looping, it would record the first frames again"
-
-
-def test_an_out_mark_before_the_in_mark_removes_it(plain_window, qtbot):
-    window = plain_window
-    mark(qtbot, window, 15, 8)
-    assert window.context.trim == (0, 9)
-    mark(qtbot, window, 12, LENGTH - 1)
-    assert window.context.trim == (12, LENGTH)
 
 
 def test_a_marker_is_added_removed_and_survives_a_restart(strip_window, qtbot, make_window, scene):
@@ -257,29 +215,6 @@ def test_letters_typed_into_a_field_set_no_marks(plain_window):
         QTest.keyClick(entry, Qt.Key.Key_Escape)
     assert window.timeline.keeper.marks.trim is None
     assert window.timeline.keeper.marks.markers == ()
-
-
-def test_a_frame_can_be_typed(plain_window, qtbot):
-    window, entry = plain_window, plain_window.transport.position
-    for text, index in (("12", 11), ("5", 4), ("99", 8), ("1", 0)):
-        QTest.keyClick(window, Qt.Key.Key_G, CONTROL)
-        qtbot.waitUntil(entry.hasFocus)
-        QTest.keyClicks(entry, text)
-        QTest.keyClick(entry, Qt.Key.Key_Return)
-        qtbot.waitUntil(lambda index=index: at_rest(window, index))
-        assert entry.value() == index + 1 and not entry.hasFocus()
-
-
-def test_hiding_the_strip_is_remembered(strip_window, make_window, qtbot, scene):
-    window = strip_window
-    QTest.keyClick(window, Qt.Key.Key_T, CONTROL_SHIFT)
-    assert window.time_strip.isHidden()
-    window.close_without_asking()
-    again = make_window()
-    show_scene(qtbot, again, scene, 0)
-    assert again.time_strip.isHidden()
-    again.actions_.show_time.trigger()
-    qtbot.waitUntil(lambda: computed(again))
 
 
 def test_a_single_frame_has_no_strip_and_a_live_source_scrolls(make_window, qtbot):
@@ -346,14 +281,3 @@ def test_a_process_that_was_killed_is_replaced_and_ends_with_the_window(strip_wi
     window.close_without_asking()
     with pytest.raises(ProcessLookupError):
         os.kill(number, 0)
-
-
-def test_many_markers_are_drawn_as_one_item(strip_window, qtbot, scene):
-    window = strip_window
-    markers = [{"frame": number % LENGTH, "name": f"m{number}", "time_s": 0.0} for number in range(3000)]
-    (scene / "markers.json").write_text(json.dumps({"markers": markers}))
-    before = len(window.time_strip.plot_widget.items())
-    show_source(qtbot, window, FakeSource())
-    show_scene(qtbot, window, scene, 3)
-    assert len(window.timeline.keeper.marks.markers) == 3000
-    assert len(window.time_strip.plot_widget.items()) < before + 10

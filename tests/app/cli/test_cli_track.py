@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import csv
-import tracemalloc
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,10 +13,8 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
-from fakes import FakeSource
-from tactune.app.cli import track
 from tactune.core.estimation.object_mesh import simulated_mesh
-from tactune.core.estimation.pose import PoseEstimate, PoseTracker
+from tactune.core.estimation.pose import PoseEstimate
 from tactune.core.estimation.pose_files import pose_record, save_poses
 from tactune.core.sources.simulator.source import SimulatorSource
 
@@ -149,32 +145,3 @@ def test_a_source_that_fails_leaves_the_poses_until_then(tactune, cup, tmp_path)
     assert broken.name in done.err
     with out.open(encoding="utf-8", newline="") as file:
         assert len(list(csv.DictReader(file))) == FRAMES - 2
-
-
-class Endless(FakeSource):
-    """Small frames whose times increase."""
-
-    def read(self, index):
-        return replace(super().read(3), sequence=index, proximity_time_s=index / 30)
-
-
-def test_rows_are_written_as_frames_come_and_none_is_kept(tactune, cup, tmp_path, monkeypatch):
-    kept = []
-
-    def follow(_tracker, patch, time_s):
-        if patch.sequence == 50:
-            tracemalloc.start()
-        if patch.sequence in (100, 350):
-            kept.append(tracemalloc.get_traced_memory()[0])
-        return PoseEstimate(patch.sequence, time_s, np.eye(4), np.eye(6), (), 0.0, 1.0, lost=False)
-
-    monkeypatch.setattr(track, "open_with_progress", lambda *_: Endless(375))
-    monkeypatch.setattr(PoseTracker, "is_enough", lambda *_: False)
-    monkeypatch.setattr(PoseTracker, "track", follow)
-    out = tmp_path / "poses.csv"
-    try:
-        assert tactune(*arguments(cup, "--out", out, "--preset", "default", "-n", 375)).status == 0
-    finally:
-        tracemalloc.stop()
-    assert len(out.read_text().splitlines()) == 376
-    assert kept[1] - kept[0] < 200_000, f"250 records have 0.5 MB: {kept}"

@@ -17,7 +17,6 @@ from tactune.core.model.clouds import ray_table
 from tactune.core.model.patch import AlignedDepth, ContactPatch
 from tactune.core.preset import CameraNoise, RigNoise, now
 from tactune.core.sources.simulator.scene import simulator_rig
-from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.source import SimulatorSource
 
 RIG = simulator_rig()
@@ -214,41 +213,6 @@ def test_a_search_neither_invents_nor_forgets_a_free_slide(seed):
     assert along @ (found.T_proximity_object - true)[:3, 3] == pytest.approx(0.02, abs=0.005), "stays where it was"
 
 
-def test_handle_that_leaves_contact_and_returns():
-    source = SimulatorSource("cup", cells=(68, 40), variant=Variant(move="lift"))
-    pipeline, mesh = ContactPipeline(PRESET, source.rig), simulated_mesh(source.scene, source.name)
-    tracker, gone, back = PoseTracker(mesh, PRESET, source.rig), [], []
-    tracker.start(source.read(0).truth.T_proximity_object)
-    was_touching = True
-    for frame, patch in frames_of(source, pipeline, range(0, source.length, 2)):
-        found = tracker.track(patch, frame.proximity_time_s)
-        true = np.array(frame.truth.T_proximity_object)
-        touching = handle_touches(frame, true)
-        if was_touching and not touching:
-            gone.append([])
-        if touching and not was_touching:
-            back.append([])
-        was_touching = touching
-        assert not found.lost
-        error = pose_error(found, true, mesh)
-        assert error.position_m < 4e-3
-        if gone and not back:
-            gone[-1].append("turn" in [direction.kind for direction in found.free])
-        if back:
-            back[-1].append(error.full_position_m < 3e-3 and np.degrees(error.full_angle_rad) < 4)
-    assert any(gone[0][:3]), "the free direction is told within 5 frames"
-    assert any(back[-1][:5]), "the pose is back within 10 frames"
-    assert all(back[-1][5:])
-
-
-def handle_touches(frame, true):
-    v, u = np.nonzero(frame.truth.contact)
-    depth = frame.truth.depth_m[v, u]
-    points = np.column_stack([ray_table(RIG.proximity.intrinsics)[v, u] * depth[:, None], depth])
-    own = (points - true[:3, 3]) @ true[:3, :3]
-    return bool((np.hypot(own[:, 0], own[:, 2]) > 0.042).any())
-
-
 def test_wrong_mesh_and_small_patch_and_bad_pose_are_refused():
     bolt, true = mesh_of("bolt"), pose_of((20, 15, 40))
     patch = pressed(bolt, true, 0.03, 0.05)
@@ -261,11 +225,3 @@ def test_wrong_mesh_and_small_patch_and_bad_pose_are_refused():
         tracker.start(np.diag([2.0, 1, 1, 1]))
     assert not tracker.started
     assert PoseTracker(mesh_of("sphere"), PRESET, RIG).track(patch, 0.0).lost
-
-
-def test_plate_with_one_side_is_found():
-    corners = np.array([[-0.03, -0.1, 0], [0.03, -0.1, 0], [0.03, 0.1, 0], [-0.03, 0.1, 0]])
-    plate = ObjectMesh(corners, np.array([[0, 2, 1], [0, 3, 2]], np.int32), "plate")
-    true = pose_of((10, 5, 20))
-    found = PoseTracker(plate, PRESET, RIG).find(pressed(plate, true, 0.03, 0.05))
-    assert abs(found[:3, 2] @ true[:3, 2]) > np.cos(np.radians(1))
