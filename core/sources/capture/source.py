@@ -44,29 +44,15 @@ _SOON_S: Final = 5.0
 class ProcessSource(FrameSource):
     """A live source in a separate process.
 
-    Frames come through shared memory, copied once. A capture process that dies, hangs or fails is
-    restarted. Meanwhile `health` states the cause and marks the last frame as stale, and `wait` returns
-    False. Sequence numbers and times keep increasing. Frames that are not fetched in time are dropped,
-    the oldest first, and counted in `health`. All methods may be called from any thread.
+    Frames come through shared memory, copied once. A capture process that dies, hangs or fails is restarted. Meanwhile
+    `health` states the cause and marks the last frame as stale, and `wait` returns False. Sequence numbers and times
+    keep increasing. Frames that are not fetched in time are dropped, the oldest first, and counted in `health`. All
+    methods may be called from any thread.
 
-    Parameters
-    ----------
-    opener : callable
-        Opens the source in the capture process; its argument is a progress callable. It is pickled, so it
-        must be a function of a module (not of the main script or a notebook), or `functools.partial` of one.
-    progress : callable, optional
-        Called in this thread with the fraction done, 0 to 1, and the current step. If it raises an
-        exception, opening is cancelled.
-    lossless : bool
-        If True, no frame is dropped: the capture process waits for the caller, and after a failure
-        `next_frame` raises an error instead of continuing with missing frames.
-
-    Raises
-    ------
-    TactuneError
-        The source cannot be opened; class and message are the same as without the process.
-    SourceError
-        The opener cannot be sent to another process, or the process ends or hangs while opening.
+    ``opener`` is called in the capture process with a progress callable. It is pickled, so it must be a function of a
+    module (not of the main script or a notebook), or `functools.partial` of one. An exception of ``progress`` cancels
+    opening. With ``lossless`` no frame is dropped: the capture process waits for the caller, and after a failure
+    `next_frame` raises an error. Errors of opening have the class and message that they have without the process.
     """
 
     def __init__(self, opener: Opener, progress: Progress | None = None, *, lossless: bool = False) -> None:
@@ -98,14 +84,7 @@ class ProcessSource(FrameSource):
         return self._supervisor.pid
 
     def next_frame(self) -> SensorFrame | None:
-        """Return the next frame, or None at the end; block until there is one.
-
-        Raises
-        ------
-        TactuneError
-            The source cannot continue: the rig has changed after a restart, the source is closed, or it is lossless
-            and has failed.
-        """
+        """Return the next frame, or None at the end; block until there is one. `TactuneError` if it cannot continue."""
         return self._supervisor.next_frame()
 
     def wait(self, timeout_s: float) -> bool:
@@ -137,13 +116,7 @@ class ProcessSource(FrameSource):
 
 
 class Supervisor:
-    """One thread that runs one capture process at a time; one condition guards all state.
-
-    Parameters
-    ----------
-    start : Start
-        First message to each process. A lossless source is not restarted: frames would be missing.
-    """
+    """One thread that runs one capture process at a time; one condition guards all state."""
 
     def __init__(self, start: Start) -> None:
         self.kept_options: dict[tuple[CameraRole, str], float] = {}
