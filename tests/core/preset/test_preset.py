@@ -136,6 +136,14 @@ def test_a_mark_of_the_encoding_before_a_preset_is_skipped(tmp_path):
     assert load_preset(tmp_path / "windows.json") == load_preset("simulator")
 
 
+def test_a_preset_that_an_earlier_version_wrote_opens_with_all_that_it_holds():
+    text = (Path(__file__).parents[2] / "data" / "first_preset.json").read_text()
+    read, note = preset_and_note(text, "first")
+    assert note.startswith("noise.slow_m")
+    assert [pair.tactile_u for pair in read.alignment.calibration.points] == [3.0, 3.0]
+    assert (read.noise.bias_m, read.cameras.tactile_delay_s, read.untouched.frames) == (0.0004, 0.01, 15)
+
+
 def test_a_preset_with_a_field_that_is_gone_says_which_and_loads(tmp_path, monkeypatch):
     preset = Preset(name="old").with_value("tolerance.t", 0.04)
     document = json.loads(preset_json(preset))
