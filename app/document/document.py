@@ -93,20 +93,9 @@ class Document(QObject):
         return f"{self.preset.name} *" if self.dirty else self.preset.name
 
     def edit(self, path: str, value: Any, gesture: int = 0) -> bool:
-        """Change one field as one undoable step.
+        """Change one field, such as ``"mask.hue"``, as one undoable step; return False if the preset refused the value.
 
-        Parameters
-        ----------
-        path : str
-            Dotted path of the field, such as ``"mask.hue"``.
-        value : object
-        gesture : int
-            Edits of one field with the same number (one drag) become one step; 0 never merges.
-
-        Returns
-        -------
-        bool
-            False if the preset refused the value; `refused` gives the reason.
+        Edits of one field with the same ``gesture`` (one drag) become one step; 0 never merges.
         """
         return self.edit_many({path: value}, gesture)
 
@@ -130,13 +119,7 @@ class Document(QObject):
         self._replace(preset, None)
 
     def open(self, path: Path) -> None:
-        """Read a preset file.
-
-        Raises
-        ------
-        PresetError
-            The file cannot be used; the document is unchanged.
-        """
+        """Read a preset file."""
         self._replace(load_preset(path), path)
 
     def restore(self, preset: Preset, path: Path | None) -> None:
@@ -149,13 +132,7 @@ class Document(QObject):
         self.fileChanged.emit()
 
     def save(self, path: Path) -> None:
-        """Write the preset to a file, which becomes the document's. Its untouched frame is written first.
-
-        Raises
-        ------
-        ExportError
-            A file cannot be written. The document stays unsaved.
-        """
+        """Write the preset to a file, which becomes the document's. Its untouched frame is written first."""
         lost = self._bring_untouched(path)
         save_preset(self.preset.model_copy(update={"modified": now()}), path)
         self._path = path

@@ -14,21 +14,7 @@ _MERGE_ID = 1
 
 
 class StateStep(QUndoCommand):
-    """Replace one state by another. Both are kept as they are, so undo restores exactly what was there.
-
-    Parameters
-    ----------
-    text : str
-        What the step does, for menus and tooltips.
-    show : callable
-        Makes a state the present one.
-    before, after
-        The states, immutable and comparable.
-    gesture : int
-        Steps of the same gesture (one drag of a slider, one run of typing) merge; 0 never merges.
-    target : hashable
-        What the step edits. Steps of one gesture merge only if they edit the same target.
-    """
+    """Replace one state by another. Both are kept as they are, so undo restores exactly what was there."""
 
     def __init__(
         self, text: str, show: Callable[[Any], None], before: Any, after: Any, gesture: int, target: Hashable
@@ -72,11 +58,6 @@ class History(QObject, Generic[T]):
     """A present state and the undo stack of every edit made to it.
 
     The state is immutable, so whoever holds one (a worker, an undo step) holds a consistent whole.
-
-    Parameters
-    ----------
-    state
-        The state to begin with; comparable.
 
     Signals
     -------

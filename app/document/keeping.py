@@ -43,14 +43,6 @@ class KeptState(QObject, Generic[T], metaclass=_AbstractQObject):
     Writing starts ``delay_ms`` after the first change. It happens on a thread of its own and in order, so a slow disk
     never stalls the window. A subclass says what the state is (`present`) and how it is written (`write`).
 
-    Parameters
-    ----------
-    folder : Path
-        Where the files lie.
-    noun : str
-        Name of the state in messages, such as ``"calibration"``.
-    delay_ms : int
-
     Signals
     -------
     failed(sentence: str)
@@ -183,14 +175,6 @@ def remove_unnamed(
 
     Another window may be about to name a new one, and writes what its undo steps need again. None is removed where a
     state cannot be read or was set aside.
-
-    Parameters
-    ----------
-    folder : Path
-    states, attachments : str
-        Glob patterns of the JSON files and of what they name.
-    names : callable
-        Returns the file names in the content of one JSON file.
     """
     if any(folder.glob("*.damaged*")):
         return

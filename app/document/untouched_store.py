@@ -16,13 +16,7 @@ _KEPT: Final = 20
 
 
 class UntouchedStore:
-    """A folder of untouched frames, named by their content; its methods may be called from any thread.
-
-    Parameters
-    ----------
-    folder : Path
-        Created with the first untouched frame.
-    """
+    """A folder of untouched frames, named by their content; its methods may be called from any thread."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -30,13 +24,7 @@ class UntouchedStore:
         self.place = folder / "preset.json"
 
     def keep(self, frame: SensorFrame, frames: int) -> UntouchedRecord:
-        """Save an untouched frame and return its record for the preset.
-
-        Raises
-        ------
-        ExportError
-            It cannot be written.
-        """
+        """Save an untouched frame and return its record for the preset."""
         return save_untouched(frame, frames, self.place)
 
     def home(self, record: UntouchedRecord | None, path: Path | None) -> Path | None:

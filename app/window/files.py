@@ -27,14 +27,7 @@ EXPORT_FILTERS = ["PLY, binary (*.ply)", "NumPy (*.npz)", "Table (*.csv)"]
 
 
 class FileFlows(QObject):
-    """Opens, saves and exports, with dialogs and messages.
-
-    Parameters
-    ----------
-    context : Context
-    autosave : Autosave
-        Takes over unsaved work that is restored.
-    """
+    """Opens, saves and exports, with dialogs and messages."""
 
     def __init__(self, context: Context, autosave: Autosave) -> None:
         super().__init__(context)

@@ -44,18 +44,7 @@ def age(seconds: float) -> str:
 
 
 def badge(state: SourceState, roles: tuple[CameraRole, ...], now_s: float, shown: bool) -> str:
-    """Return the text over a view of one or both cameras; empty while frames come.
-
-    Parameters
-    ----------
-    state : SourceState
-    roles : tuple of "proximity", "tactile"
-        The cameras that the view needs.
-    now_s : float
-        The present time by ``time.monotonic``.
-    shown : bool
-        Whether a last frame is on the screen.
-    """
+    """Return the text over a view of one or both cameras; empty while frames come."""
     sentences = [sentence for camera in state.health.cameras if (sentence := camera_sentence(camera))]
     own = [camera_sentence(camera) for camera in state.health.cameras if camera.role in roles]
     parts = [sentence for sentence in own if sentence]

@@ -13,15 +13,7 @@ _Kernels = tuple[str, bool]
 
 
 class BackgroundCompiler:
-    """Compiles the kernels of the contact tests that are asked for, one test after the other.
-
-    Parameters
-    ----------
-    changed : callable
-        Called on the compiling thread when `missing` has changed.
-    views : bool
-        Compile what the window reads of a patch, too.
-    """
+    """Compiles the kernels of the contact tests that are asked for, one test after the other."""
 
     def __init__(self, changed: Callable[[], object], views: bool = True) -> None:
         self._changed, self._views = changed, views

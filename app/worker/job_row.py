@@ -12,16 +12,7 @@ from .jobs import Job
 
 
 class JobRow(QWidget):
-    """Visible while one of the jobs reports progress; work that reports none, as on each frame, shows nothing.
-
-    Parameters
-    ----------
-    *jobs : Job
-    name : str
-        Of the progress bar, for screen readers.
-    tip : str
-        Tooltip of *Cancel*.
-    """
+    """Visible while one of the jobs reports progress; work that reports none, as on each frame, shows nothing."""
 
     def __init__(self, *jobs: Job, name: str = "Progress", tip: str = "Cancel") -> None:
         super().__init__()

@@ -25,13 +25,7 @@ STRIP_INTERVAL_S = 0.06
 
 
 class PatchFinder:
-    """The pipeline of one preset, made when it is first needed.
-
-    Parameters
-    ----------
-    missing : callable
-        Returns why a preset's contact test must still wait, as `BackgroundCompiler.missing`; empty if it need not.
-    """
+    """The pipeline of one preset, made when it is first needed."""
 
     def __init__(self, missing: Callable[[Preset], str] = lambda preset: "") -> None:
         self._missing = missing
@@ -75,13 +69,7 @@ class PatchFinder:
 
 
 class FrameProcessor:
-    """Holds the pipelines of the present source and counts processed frames.
-
-    Parameters
-    ----------
-    missing : callable
-        As of `PatchFinder`.
-    """
+    """Holds the pipelines of the present source and counts processed frames."""
 
     def __init__(self, missing: Callable[[Preset], str] = lambda preset: "") -> None:
         self._missing = missing
@@ -113,11 +101,6 @@ class FrameProcessor:
         """Return the patch and everything the window shows of a frame.
 
         A frame that is ``held`` may stay on the screen although the recording plays, so all of it is drawn.
-
-        Raises
-        ------
-        Exception
-            Any exception of pipeline or drawing, except that preset and rig do not fit: that is `Result.problem`.
         """
         self._present.find(frame, preset, info.rig)
         finders = self._find_compared(frame, info.rig, compared)

@@ -38,15 +38,7 @@ class OpeningCancelledError(TactuneError):
 def open_requested(
     request: SourceRequest, wanted: Callable[[], bool], report: Callable[[float, str], None]
 ) -> FrameSource:
-    """Open a source, and report progress.
-
-    Raises
-    ------
-    OpeningCancelledError
-        ``wanted`` returned False.
-    Exception
-        Any exception of ``request.open``.
-    """
+    """Open a source, and report progress."""
     last_report_s = 0.0
 
     def progress(fraction: float, text: str) -> None:
@@ -78,13 +70,7 @@ class FrameReader:
         self._ahead: tuple[int, Future[SensorFrame | None]] | None = None
 
     def read(self, index: int) -> SensorFrame | None:
-        """Return frame ``index`` of a recording; None at the end.
-
-        Raises
-        ------
-        Exception
-            Any exception of the source.
-        """
+        """Return frame ``index`` of a recording; None at the end."""
         ahead, self._ahead = self._ahead, None
         if ahead is not None and ahead[0] == index:
             return ahead[1].result()

@@ -19,12 +19,7 @@ class Mailbox(Generic[T]):
     """Passes the newest item from one thread to another; older items are dropped and counted.
 
     A queue between a fast producer and a slow consumer grows and shows the past; one slot shows the present.
-
-    Parameters
-    ----------
-    improves : callable, optional
-        Returns whether the second item is a better version of the first; the first then does not
-        count as dropped.
+    An item that ``improves`` the one before does not count it as dropped.
     """
 
     def __init__(self, improves: Callable[[T, T], bool] = lambda _old, _new: False) -> None:
@@ -34,14 +29,7 @@ class Mailbox(Generic[T]):
         self._dropped = 0
 
     def put(self, item: T) -> bool:
-        """Store an item; an item that nobody took is replaced.
-
-        Returns
-        -------
-        bool
-            True if the slot was empty, so the consumer must be woken; one wake-up is enough for any
-            number of items.
-        """
+        """Store an item in place of one that nobody took; return True if the consumer must be woken."""
         with self._lock:
             waiting, self._item = self._item, item
             if waiting is not None and not self._improves(waiting, item):
