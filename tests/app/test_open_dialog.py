@@ -112,20 +112,6 @@ def test_an_error_is_said_in_the_dialog_and_can_be_corrected(window, qtbot, reco
     qtbot.waitUntil(lambda: shows(window, f"folder:{recording}"))
 
 
-def test_escape_changes_nothing(window, qtbot):
-    dialog = open_dialog(window, qtbot)
-    type_name(dialog, "sim:octopus")
-    QTest.keyClick(dialog, Qt.Key.Key_Escape)
-    qtbot.waitUntil(lambda: window.sources.dialog is None)
-    assert window.result.source.name == "tiny"
-
-
-def test_a_click_on_the_toolbar_opens_the_dialog_with_the_present_name(window, qtbot):
-    QTest.mouseClick(window.toolbar.source, LEFT)
-    qtbot.waitUntil(lambda: window.sources.dialog is not None)
-    assert window.sources.dialog.name.text() == "tiny"
-
-
 # Recent sources
 
 

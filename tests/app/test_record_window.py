@@ -82,16 +82,6 @@ def test_the_key_records_every_frame_and_the_file_plays_them(window, cameras, qt
     assert "40 frames" in told(window)
 
 
-def test_frames_are_recorded_that_were_never_shown(window, cameras, qtbot, folder):
-    begin(window, qtbot)
-    QTest.keyClick(window, Qt.Key.Key_F)
-    qtbot.waitUntil(lambda: window.transport.state.frozen)
-    cameras.give(qtbot, 20)
-    assert window.result.frame.sequence == 0
-    end(window, qtbot)
-    assert len(recorded(folder)) == 20
-
-
 def test_the_file_can_be_opened_from_the_message(window, cameras, qtbot, folder):
     begin(window, qtbot)
     cameras.give(qtbot, 3)
@@ -143,12 +133,6 @@ def test_closing_the_window_finishes_the_file(window, cameras, qtbot, folder):
     assert_same(recorded(folder), cameras.given[1:])
 
 
-def test_without_a_source_there_is_nothing_to_record(window, qtbot, folder):
-    press_record(window)
-    assert not window.actions_.record.isEnabled()
-    assert not window.actions_.record.isChecked()
-
-
 def test_a_disk_without_room_is_refused(window, cameras, qtbot, monkeypatch):
     monkeypatch.setattr(recording, "free_bytes", lambda folder: 300_000_000)
     press_record(window)
@@ -164,17 +148,6 @@ def test_a_disk_that_fills_up_ends_the_recording_in_time(window, cameras, qtbot,
     qtbot.waitUntil(lambda: not window.recording.running)
     assert "It ended because only 1.0 MB are free" in told(window)
     assert len(recorded(folder)) == 4
-
-
-def test_frames_that_never_reached_the_recorder_are_told(window, cameras, qtbot):
-    with qtbot.waitSignal(window.worker.stateChanged, check_params_cb=lambda state: state.health.dropped == 5):
-        cameras.dropped = 5
-    begin(window, qtbot)
-    cameras.release(3)
-    cameras.dropped = 8
-    qtbot.waitUntil(lambda: "3 dropped" in text_of(window.recording_bar))
-    end(window, qtbot)
-    assert "Not recorded: 3 frames. Frames are lost by the cameras" in told(window)
 
 
 def test_the_window_closes_while_a_recording_is_made_of_a_source_that_hangs(window, qtbot, folder, monkeypatch):

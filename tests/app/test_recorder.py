@@ -10,7 +10,6 @@ from threading import enumerate as enumerate_threads
 import pytest
 
 from fakes import tiny_frame, tiny_rig
-from tactune.app.window.recording import clock, duration, size
 from tactune.app.worker.recorder import Recorder, RecordingRequest
 from tactune.core.errors import FrameError
 from tactune.core.output.writer import RecordingStatus
@@ -93,12 +92,6 @@ def test_finished_recordings_pile_up_no_threads(tmp_path):
     recorder.close()
 
 
-def test_without_a_recording_frames_pass_by(recorder, made):
-    recorder.put(frame(0))
-    assert made == []
-    assert recorder.status() is None
-
-
 def test_every_frame_between_start_and_stop_is_recorded(recorder, made, ends, tmp_path):
     recorder.start(request(tmp_path))
     recorder.put(frame(0))
@@ -174,20 +167,3 @@ def test_a_watcher_that_fails_is_told_and_neither_reading_nor_recording_ends(rec
     assert seen == [0, 1]
     assert told == ["Frame 2 could not be used (RuntimeError: broken)."]
     assert [sequence for sequence, _ in made[0].frames] == [0, 1, 2]
-
-
-@pytest.mark.parametrize(("seconds", "text"), [(7.9, "0:07"), (750, "12:30"), (3723, "1:02:03")])
-def test_clock(seconds, text):
-    assert clock(seconds) == text
-
-
-@pytest.mark.parametrize(("seconds", "text"), [(45, "45 s"), (1000, "16 min"), (12_000, "3 h 20 min"), (1e6, "277 h")])
-def test_duration(seconds, text):
-    assert duration(seconds) == text
-
-
-@pytest.mark.parametrize(
-    ("count", "text"), [(850, "1 kB"), (850_000, "850 kB"), (12.34e6, "12.3 MB"), (540e9, "540 GB")]
-)
-def test_size(count, text):
-    assert size(count) == text

@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import os
 import struct
-import time
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -16,14 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import lz4.frame
-import numpy as np
 import pytest
 
-from attacks import SECONDS, bounded
+from attacks import bounded
 from tactune.core.calibration.lens import fit_lens
 from tactune.core.errors import TactuneError
 from tactune.core.lab.start_pose import load_transform
-from tactune.core.model.loading import parse_json, read_file
 from tactune.core.model.rig_file import load_rig
 from tactune.core.output.cloud_files import read_points
 from tactune.core.output.markers import load_marks
@@ -161,22 +158,3 @@ def test_a_picture_that_claims_gigapixels_is_not_decoded(tmp_path: Path) -> None
         (tmp_path / f"{n}.png").write_bytes(png(30_000, 30_000, zlib.compress(bytes(1000))))
     with bounded(0), pytest.raises(TactuneError):
         fit_lens(tmp_path, 9, 6, 0.02)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "text", [DEEP, '{"a":' * 50_000, "[" * 50_000, "1" * 5000, '{"a": 1, "a": 2}', b"\xff", " " * 13_000_000]
-)
-def test_json_that_is_refused(text: str | bytes) -> None:
-    with pytest.raises(ValueError, match=r"JSON|digits|twice|MB"):
-        parse_json(text)
-
-
-def test_a_file_beyond_its_limit_is_not_read(tmp_path: Path) -> None:
-    with (tmp_path / "a").open("wb") as file:
-        file.truncate(10_000_000_000)
-    start = time.perf_counter()
-    with pytest.raises(OSError, match=r"10000\.0 MB, more than the 1\.0 MB"):
-        read_file(tmp_path / "a", 1_000_000)
-    assert time.perf_counter() - start < SECONDS
-    assert np.frombuffer(read_file(__file__), np.uint8).size

@@ -20,7 +20,6 @@ from capture_sources import same_frame
 from tactune.core import ContactPipeline, load_preset, open_source
 from tactune.core.errors import SourceError
 from tactune.core.model.frames import SensorFrame
-from tactune.core.output import SessionWriter
 from tactune.core.sources import FrameSource
 from tactune.core.sources.base import CameraHealth, Health
 from tactune.core.sources.mcap.source import McapSource
@@ -198,37 +197,6 @@ def test_a_signal_while_queued_frames_are_written_loses_none(
     assert done.status == 0
     assert (sent, ended) == ([1], [])
     assert length_of(tmp_path / "a.mcap") == 4
-
-
-def test_dropped_frames_are_told(
-    tmp_path: Path, live: LiveSource, tactune: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from tactune.core.output import bag, writer
-
-    write = bag.Bag.write
-
-    def slowly(self: bag.Bag, *message: Any) -> None:
-        time.sleep(0.1)
-        write(self, *message)
-
-    monkeypatch.setattr(bag.Bag, "write", slowly)
-    monkeypatch.setattr(writer.SessionWriter.__init__, "__kwdefaults__", {
-        **writer.SessionWriter.__init__.__kwdefaults__, "queue_bytes": 1
-    })  # fmt: skip
-    done = tactune("record", "-s", "live:x", "-o", tmp_path / "a.mcap", "--seconds", 0.5)
-    assert done.status == 0
-    assert " dropped, because the disk was too slow; record to a faster one\n" in done.err
-    assert length_of(tmp_path / "a.mcap") < live.given
-
-
-def test_converting_says_that_poses_are_left_out(tmp_path: Path, recording: Path, tactune: Run) -> None:
-    with open_source(str(recording)) as source, SessionWriter(tmp_path / "p.mcap", source.rig, poses=True) as writer:
-        frame = source.next_frame()
-        assert frame is not None
-        writer.put(frame, wait=True)
-        writer.put_pose(np.eye(4), np.eye(6), frame.sequence, frame.proximity_time_s)
-    done = tactune("convert", tmp_path / "p.mcap", tmp_path / "images")
-    assert "the poses of the object in mcap:" in done.err and "tactune track" in done.err
 
 
 def test_converting_there_and_back_changes_no_bit(tmp_path: Path, recording: Path, tactune: Run) -> None:

@@ -15,7 +15,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -26,12 +25,10 @@ from foxglove_client import WAIT_S, FoxgloveClient
 from sockets import listening
 from tactune.app.worker import compiling
 from tactune.core import ContactPatch, ContactPipeline, load_preset, open_source
-from tactune.core.errors import CalibrationError
 from tactune.core.estimation.object_mesh import simulated_mesh
 from tactune.core.estimation.pose import PoseTracker
 from tactune.core.estimation.tilt import TiltEstimator
 from tactune.core.model.frames import SensorFrame
-from tactune.core.output.foxglove import FoxgloveSink
 from tactune.core.output.publisher import LIVE_TOPICS
 from tactune.core.preset import Preset
 from tactune.core.sources.simulator.source import SimulatorSource
@@ -126,23 +123,6 @@ def test_frames_go_on_while_the_object_is_searched_and_the_end_ends_the_search(
     assert len(searches) == 1
 
 
-def test_a_mesh_that_fits_nothing_is_said_once_and_frames_go_on(
-    mesh: Path, monkeypatch: pytest.MonkeyPatch, tactune: Callable[..., Finished]
-) -> None:
-    told = []
-
-    def refuse(*frame: object) -> None:
-        raise CalibrationError("the mesh cup.obj does not fit the contact")
-
-    monkeypatch.setattr(PoseTracker, "find", refuse)
-    monkeypatch.setattr(PoseTracker, "track", lambda *frame: SimpleNamespace(lost=True))
-    monkeypatch.setattr(FoxgloveSink, "tell", lambda sink, *words: told.append(words))
-    done = tactune("serve", "--foxglove", "--port", 0, "--source", "sim:cup", "--mesh", mesh, "--unit", "m", "-n", 75)
-    assert "published 75 frames" in done.out
-    assert done.err.count("cup.obj does not fit the contact; there is no pose until it fits.") == 1
-    assert told == [("object", "the mesh cup.obj does not fit the contact; there is no pose until it fits.")]
-
-
 def test_frames_go_on_with_the_former_test_while_a_client_s_is_compiled(
     monkeypatch: pytest.MonkeyPatch, tactune: Callable[..., Finished]
 ) -> None:
@@ -191,23 +171,6 @@ def test_frames_go_on_with_the_former_test_while_a_client_s_is_compiled(
     watching.join(WAIT_S)
     assert done.status == 0
     assert seen == ["the new test"]
-
-
-def test_either_side_may_be_killed_and_come_back(tactune: Callable[..., Finished]) -> None:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = str(free.getsockname()[1])
-    for _ in range(2):
-        with serving("--port", port) as (process, _):
-            for _ in range(2):
-                with FoxgloveClient(int(port)) as client:
-                    client.subscribe(["/contact/patch"])
-                    assert next(client.messages())[0] == "/contact/patch"
-                    client.vanish()
-            taken = tactune("serve", "--foxglove", "--port", port, "--source", "sim:cup").sentence
-            assert f"port {port} is taken" in taken
-            process.kill()
-            process.wait(WAIT_S)
 
 
 @pytest.mark.parametrize(
@@ -283,14 +246,6 @@ def test_the_layout_names_topics_that_exist(tmp_path: Path, tactune: Callable[..
     layout = json.loads(text)
     panels = re.findall(r'"(\w+!\w+)"', json.dumps(layout["layout"]))
     assert sorted(panels) == sorted(layout["configById"])
-
-
-def test_a_client_that_comes_late_gets_the_static_transforms(server: tuple[subprocess.Popen[str], int]) -> None:
-    for _ in range(2):
-        with FoxgloveClient(server[1]) as client:
-            client.subscribe(["/tf_static", "/tactune/rig"])
-            seen = next(client.frames(["/tf_static", "/tactune/rig"]))
-            assert "tactile_depth_optical_frame" in [one.child_frame_id for one in seen["/tf_static"].transforms]
 
 
 def test_tilt_is_published_where_asked(server: tuple[subprocess.Popen[str], int]) -> None:

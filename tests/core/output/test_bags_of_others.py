@@ -15,8 +15,6 @@ from tactune.core.errors import SourceError
 from tactune.core.model.frames import Rig, SensorFrame
 from tactune.core.model.intrinsics import Distortion
 from tactune.core.output import RecordingStatus
-from tactune.core.output.messages import image_head, stamped
-from tactune.core.sources.mcap.messages import IMAGE, TYPES
 from tactune.core.sources.mcap.source import McapSource
 
 Same = Callable[[SensorFrame, SensorFrame], bool]
@@ -143,15 +141,6 @@ def test_a_bag_without_lenses_and_rig_is_refused(tmp_path: Path, ours: Path) -> 
         McapSource(bare)
 
 
-def test_a_pose_that_is_none_is_refused(tmp_path: Path, ours: Path) -> None:
-    plain = {"compression": CompressionType.NONE, "enable_crcs": False}
-    copy = rewrite(ours, tmp_path / "copy.mcap", without=("/tactune",), **plain)
-    far = copy.read_bytes().replace(np.float64(0.04).tobytes(), np.float64(40.0).tobytes())
-    copy.write_bytes(far)
-    with pytest.raises(SourceError, match=r"the pose of .* in .*: a pose has a rotation and metres up to 3"):
-        McapSource(copy)
-
-
 def test_a_topic_of_another_type_is_refused(tmp_path: Path, ours: Path) -> None:
     copy = rewrite(ours, tmp_path / "copy.mcap", compression=CompressionType.NONE)
     copy.write_bytes(copy.read_bytes().replace(b"sensor_msgs/msg/Image", b"sensor_msgs/msg/Imago"))
@@ -159,60 +148,3 @@ def test_a_topic_of_another_type_is_refused(tmp_path: Path, ours: Path) -> None:
         SourceError, match=r"has messages of the type sensor_msgs/msg/Imago in cdr, but sensor_msgs/msg/"
     ):
         McapSource(copy)
-
-
-@pytest.mark.parametrize(
-    ("encoding", "pixels"),
-    [
-        ("bgr8", lambda rgb: rgb[..., ::-1]),
-        ("rgba8", lambda rgb: np.dstack([rgb, np.zeros(rgb.shape[:2], np.uint8)])),
-        ("bgra8", lambda rgb: np.dstack([rgb[..., ::-1], np.zeros(rgb.shape[:2], np.uint8)])),
-    ],
-)
-def test_other_colour_encodings_and_padded_rows(
-    tmp_path: Path,
-    ours: Path,
-    rig: Rig,
-    frames: list[SensorFrame],
-    encoding: str,
-    pixels: Callable[[np.ndarray], np.ndarray],
-) -> None:
-    rgb = frames[0].proximity_color
-    image = pixels(rgb)
-    height, width, channels = image.shape
-    padded = np.full((height, width * channels + 5), 77, np.uint8)
-    padded[:, : width * channels] = image.reshape(height, -1)
-    message_type = TYPES.types[IMAGE]
-    header = TYPES.deserialize_cdr(stamped(image_head("f", encoding, (0, 0), 1), 10**9), IMAGE).header
-    data = TYPES.serialize_cdr(message_type(header, height, width, encoding, 0, padded.shape[1], padded.ravel()), IMAGE)
-    with McapSource(_with_color(ours, tmp_path / "copy.mcap", bytes(data))) as source:
-        np.testing.assert_array_equal(source.read(0).proximity_color, rgb)
-
-
-def test_an_unknown_encoding_and_a_wrong_size_are_told(tmp_path: Path, ours: Path) -> None:
-    for head, sentence in (
-        (
-            image_head("f", "jpeg", (3, 9), 2) + bytes(54),
-            r"/proximity/color/image .*it is encoded as 'jpeg'; known are",
-        ),
-        (image_head("f", "rgb8", (3, 8), 3) + bytes(72), r"has 8 x 3 pixels, but its lens is said to have 9 x 3"),
-        (image_head("f", "rgb8", (3, 9), 3), r"has a message that is no sensor_msgs/msg/Image|has 0 bytes"),
-    ):
-        with pytest.raises(SourceError, match=sentence):
-            McapSource(_with_color(ours, tmp_path / "copy.mcap", head))
-
-
-def _with_color(ours: Path, target: Path, data: bytes) -> Path:
-    """Copy a bag with another message in place of every colour image."""
-    with ours.open("rb") as source, target.open("wb") as file:
-        writer = Writer(file)
-        writer.start("ros2")
-        channels: dict[str, int] = {}
-        for schema, channel, message in make_reader(source).iter_messages():
-            if channel.topic not in channels:
-                number = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.topic] = writer.register_channel(channel.topic, "cdr", number)
-            body = data if channel.topic == "/proximity/color/image" else message.data
-            writer.add_message(channels[channel.topic], message.log_time, body, message.publish_time)
-        writer.finish()
-    return target

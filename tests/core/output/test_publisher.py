@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -101,10 +100,6 @@ def test_every_topic_arrives_bit_for_bit(processed: tuple[SensorFrame, ContactPa
     assert float(values["total ms"]) == pytest.approx(sum(patch.stage_ms.values()), abs=0.01)
 
 
-def test_what_was_not_estimated_is_not_sent(processed: tuple[SensorFrame, ContactPatch, Preset]) -> None:
-    assert frame_messages(*processed, 0).get("/contact/tilt") is None
-
-
 class Collecting:
     """A sink that keeps messages; it can be told to wait before it sends, or to fail."""
 
@@ -200,19 +195,6 @@ def test_a_warning_is_told_once_and_until_it_is_taken_back(
     assert [state.message for state in states] == ["The mesh fits nothing.", "The mesh fits nothing.", ""]
     assert [state.level for state in states] in ([1, 1, 0], [b"\1", b"\1", b"\0"])
     assert sink.told == [("object", "The mesh fits nothing."), ("object", "")]
-
-
-def test_no_stamp_lies_in_the_future_where_the_first_frame_was_late(
-    processed: tuple[SensorFrame, ContactPatch, Preset],
-) -> None:
-    frame, patch, preset = processed
-    sink = Collecting(["/contact/area_mm2"])
-    with Publisher([sink]) as publisher:
-        publisher.put(frame, patch, preset)
-        sink.wait_for(lambda messages: len(messages) == 1)
-        publisher.put(replace(frame, proximity_time_s=frame.proximity_time_s + 0.5), patch, preset)
-        sink.wait_for(lambda messages: len(messages) == 2)
-        assert sink.messages[0].stamp_ns < sink.messages[1].stamp_ns <= time.time_ns()
 
 
 def test_nothing_is_built_for_nobody(processed: tuple[SensorFrame, ContactPatch, Preset]) -> None:

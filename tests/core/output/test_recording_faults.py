@@ -5,24 +5,18 @@ from __future__ import annotations
 import os
 import random
 import resource
-import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from commands import read_line
 from tactune.core.errors import SourceError
 from tactune.core.model.frames import Rig, SensorFrame
 from tactune.core.output import RecordingStatus, SessionWriter, bag
-from tactune.core.sources.folder import FolderSource, export_folder
 from tactune.core.sources.mcap.messages import Topic
 from tactune.core.sources.mcap.reader import MAGIC, McapFile
 from tactune.core.sources.mcap.source import McapSource
@@ -33,23 +27,6 @@ Frames = Callable[[int], list[SensorFrame]]
 Same = Callable[[SensorFrame, SensorFrame], bool]
 Record = Callable[..., RecordingStatus]
 
-#: Records one frame of the folder after the other until it is killed.
-_CHILD = """
-import itertools, sys
-from dataclasses import replace
-from tactune.core.output import SessionWriter
-from tactune.core.sources.folder import FolderSource
-source = FolderSource(sys.argv[1])
-writer = SessionWriter(sys.argv[2], source.rig)
-said = False
-for n in itertools.count():
-    frame = replace(source.read(n % source.length), sequence=n, proximity_time_s=n / 30, tactile_time_s=n / 30)
-    writer.put(frame, wait=True)
-    if not said and writer.status().frames >= 20:
-        said = True
-        print("going", flush=True)
-"""
-
 
 def plays(path: Path, frames: list[SensorFrame], same: Same) -> int:
     """Check that a file is a prefix of the frames, and return how long it is."""
@@ -57,34 +34,6 @@ def plays(path: Path, frames: list[SensorFrame], same: Same) -> int:
         assert all(same(played, frame) for played, frame in zip(source, frames, strict=False))
         assert source.position == source.length
         return source.length
-
-
-def test_a_killed_recording_plays_up_to_its_last_chunk(
-    tmp_path: Path, rig: Rig, make_frames: Frames, same_frame: Same
-) -> None:
-    with SessionWriter(tmp_path / "some.mcap", rig) as writer:
-        for frame in make_frames(3):
-            writer.put(frame, wait=True)
-    with McapSource(tmp_path / "some.mcap") as source:
-        export_folder(source, tmp_path / "folder")
-    killed = tmp_path / "killed.mcap"
-    with subprocess.Popen(
-        [sys.executable, "-c", _CHILD, tmp_path / "folder", killed], stdout=subprocess.PIPE, text=True
-    ) as child:
-        assert child.stdout is not None
-        assert read_line(child.stdout) == "going\n"
-        os.kill(child.pid, signal.SIGKILL)
-    folder = FolderSource(tmp_path / "folder")
-    with McapSource(killed) as source:
-        assert source.length is not None
-        assert source.length >= 10
-        assert source.health().message == (
-            f"this recording was cut off; it plays up to its last complete frame, number {source.length}"
-        )
-        for n, frame in enumerate(source):
-            expected = replace(folder.read(n % 3), sequence=n, proximity_time_s=n / 30, tactile_time_s=n / 30)
-            assert same_frame(frame, expected)
-        assert source.rig == rig
 
 
 def test_a_file_cut_anywhere_plays_a_prefix_or_is_refused(
@@ -218,22 +167,6 @@ def test_a_full_queue_drops_and_counts_or_waits(
     assert (status.frames, status.dropped) == (4, before + 2)
     kept = [frames[0], frames[1], *frames[4:]]
     assert plays(tmp_path / "slow.mcap", kept, same_frame) == 4
-
-
-def test_an_error_of_the_thread_is_told_and_nobody_waits_for_it(
-    tmp_path: Path, rig: Rig, make_frames: Frames, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: object) -> None:
-        raise MemoryError("no memory")
-
-    monkeypatch.setattr(bag.Bag, "write", fail)
-    writer = SessionWriter(tmp_path / "a.mcap", rig, queue_bytes=1)
-    accepted = [writer.put(frame, wait=True) for frame in make_frames(4)]
-    status = writer.close()
-    assert not accepted[-1]
-    assert (status.frames, status.dropped) == (0, 4)
-    assert status.error == f"cannot continue writing {tmp_path / 'a.mcap'} (MemoryError: no memory)"
-    assert not (tmp_path / "a.mcap").exists()
 
 
 def test_a_recording_keeps_one_pose_of_each_of_its_frames(tmp_path: Path, rig: Rig, make_frames: Frames) -> None:

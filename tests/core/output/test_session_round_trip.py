@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from commands import Finished
 from tactune.core import ContactPipeline, load_preset, open_source
 from tactune.core.errors import ExportError, FrameError, PresetError, SourceError
 from tactune.core.model.frames import GroundTruth, Rig, SensorFrame
@@ -91,18 +90,6 @@ def test_the_simulator_comes_back_and_gives_the_same_patches(tmp_path: Path, rec
             assert again.provenance.tobytes() == patch.provenance.tobytes()
 
 
-def test_images_are_free_of_the_file(tmp_path: Path, rig: Rig, make_frames: MakeFrame, record: Record) -> None:
-    record(tmp_path / "a.mcap", rig, make_frames(1))
-    source = McapSource(tmp_path / "a.mcap")
-    frame = source.next_frame()
-    source.close()
-    for image in (frame.proximity_depth, frame.tactile_depth, frame.proximity_color):
-        assert image.flags.aligned  # an unaligned array would make the kernels compile once more
-        assert image.flags.c_contiguous
-    with pytest.raises(SourceError, match="is closed; open it again"):
-        source.read(0)
-
-
 def test_frames_without_what_is_optional(
     tmp_path: Path, make_rig: MakeRig, make_frame: MakeFrame, record: Record
 ) -> None:
@@ -162,29 +149,6 @@ def test_a_damaged_rig_is_refused(tmp_path: Path, rig: Rig, make_frames: MakeFra
     (tmp_path / "b.mcap").write_bytes(data.replace(b'"fx": 460.1', b'"fx": 660.1', 1))
     with pytest.raises(SourceError, match=r"the checksum of rig\.json is wrong"):
         McapSource(tmp_path / "b.mcap")
-
-
-def test_a_negative_number_names_no_file(
-    tmp_path: Path, rig: Rig, make_frame: MakeFrame, record: Record, tactune: Callable[..., Finished]
-) -> None:
-    record(tmp_path / "a.mcap", rig, [replace(make_frame(rig), sequence=-4)])
-    finished = tactune("convert", tmp_path / "a.mcap", tmp_path / "b")
-    assert (finished.status, (tmp_path / "b").exists()) == (2, False)
-    assert "the number -4" in finished.err
-
-
-def test_two_frames_of_one_number_are_not_written_to_one_file(
-    tmp_path: Path, rig: Rig, make_frames: MakeFrame, record: Record, tactune: Callable[..., Finished]
-) -> None:
-    record(tmp_path / "a.mcap", rig, [*make_frames(2), *make_frames(2)])
-    for words in (
-        ["run", "-s", tmp_path / "a.mcap", "-o", tmp_path / "out"],
-        ["convert", tmp_path / "a.mcap", tmp_path / "b"],
-    ):
-        finished = tactune(*words)
-        assert finished.status == 2
-        assert "two frames have the number 100" in finished.err
-    assert not (tmp_path / "b").exists()
 
 
 def test_a_damaged_preset_says_so_and_the_frames_still_play(

@@ -36,16 +36,6 @@ def test_an_export_gives_back_every_bit(tmp_path: Path) -> None:
     assert same_frame(untouched, stored)
 
 
-def test_truth_on_whole_counts_needs_the_png_only(tmp_path: Path) -> None:
-    counts = np.arange(35, dtype=np.uint16).reshape(5, 7) * 1800
-    depth_m = np.where(counts > 0, counts.astype(np.float32) * np.float32(UNIT_M), np.float32(np.nan))
-    frame = make_frame(0, truth=GroundTruth(counts > 9, depth_m))
-    export_folder(ListSource([frame]), tmp_path / "out")
-    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "out/000000/truth_depth.png"), -1), counts)
-    assert not (tmp_path / "out/000000/truth_depth.npy").exists()
-    assert same_frame(frame, FolderSource(tmp_path / "out").read(0))
-
-
 def test_fine_truth_is_rounded_in_the_png_for_other_programs(recording: Path) -> None:
     truth = make_frame(0).truth
     assert truth is not None
@@ -54,18 +44,6 @@ def test_fine_truth_is_rounded_in_the_png_for_other_programs(recording: Path) ->
     assert counts.dtype == np.uint16
     assert counts[0, 0] == 0
     np.testing.assert_allclose(counts.ravel()[1:] * UNIT_M, truth.depth_m.ravel()[1:], atol=UNIT_M / 2 + 1e-6)
-
-
-def test_truth_beyond_16_bits_is_unknown_in_the_png_but_kept(tmp_path: Path) -> None:
-    depth_m = np.full((5, 7), 0.25, np.float32)
-    depth_m[1, 2] = 65535 * UNIT_M
-    depth_m[3, 4] = 20.0
-    frame = make_frame(0, truth=GroundTruth(np.ones((5, 7), bool), depth_m))
-    export_folder(ListSource([frame]), tmp_path / "out")
-    counts = cv2.imread(str(tmp_path / "out/000000/truth_depth.png"), cv2.IMREAD_UNCHANGED)
-    assert np.argwhere(counts != 1000).tolist() == [[1, 2], [3, 4]]
-    assert counts[1, 2] == counts[3, 4] == 0
-    assert same_frame(frame, FolderSource(tmp_path / "out").read(0))
 
 
 def test_truth_in_a_png_is_in_counts_with_0_and_65535_unknown(recording: Path) -> None:

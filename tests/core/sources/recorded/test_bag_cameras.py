@@ -111,40 +111,6 @@ def test_the_colour_cameras_pose_goes_by_way_of_the_reference(open_bag: Opener, 
     np.testing.assert_allclose(T_c_d[:3, :3] @ in_depth + T_c_d[:3, 3], in_color, atol=1e-12)
 
 
-def test_tactile_colour_belongs_to_the_tactile_depth_image(open_bag: Opener, tmp_path: Path) -> None:
-    lens = {"K": (20.0, 21.0, 3.5, 2.5)}
-    colors = [np.full((6, 8, 3), value, np.uint8) for value in (10, 20, 30)]
-    tactile = Device("D405", depth_images(5, [1.0, 2.0, 3.0]), color_images(6, [1.0, 2.0, 3.0], images=colors, **lens))
-    source = open_bag(make_bag(tmp_path / "two.bag", Device("L515", depth_images(4, [2.99])), tactile))
-    frame = source.read(0)
-    np.testing.assert_array_equal(frame.tactile_depth, tactile.depth.images[2])
-    assert frame.tactile_color is not None
-    assert (frame.tactile_color == 30).all()
-
-
-def test_a_colour_camera_beside_depth_is_not_aligned_even_with_the_same_lens(open_bag: Opener, tmp_path: Path) -> None:
-    pose = (Rotation.identity(), (0.015, 0.0, 0.0))
-    color = Images([np.full((6, 8, 3), 9, np.uint8)], [1.0], [1.0], "rgb8", pose=pose)
-    rig = open_bag(make_bag(tmp_path / "one.bag", Device("L515", depth_images(4, [1.0]), color))).rig
-    assert rig.proximity_color is not None
-    assert rig.proximity_color.T_color_depth[0][3] == 0.015
-
-
-def test_colour_in_the_depth_cameras_own_pixels_needs_no_colour_camera(open_bag: Opener, tmp_path: Path) -> None:
-    color = Images([np.full((6, 8, 3), 9, np.uint8)], [1.0], [1.0], "rgb8")
-    path = make_bag(
-        tmp_path / "two.bag",
-        Device("L515", depth_images(4, [1.0]), color),
-        Device("D405", depth_images(5, [1.0]), color),
-    )
-    source = open_bag(path)
-    assert source.rig.proximity_color is None
-    frame = source.read(0)
-    frame.check_against(source.rig)
-    assert frame.tactile_color is not None
-    assert (frame.tactile_color == 9).all()
-
-
 def test_tactile_colour_is_brought_to_tactile_depth_pixels(open_bag: Opener, tmp_path: Path) -> None:
     depth = np.full((6, 8), 1000, np.uint16)
     depth[0, :] = 0
@@ -160,13 +126,6 @@ def test_tactile_colour_is_brought_to_tactile_depth_pixels(open_bag: Opener, tmp
     expected[5, 3] = 0
     assert frame.tactile_color is not None
     np.testing.assert_array_equal(frame.tactile_color, expected)
-
-
-def test_indexing_tells_how_far_it_is(open_bag: Opener, two_cameras: Path) -> None:
-    told: list[tuple[float, str]] = []
-    open_bag(two_cameras, lambda share, words: told.append((share, words)))
-    assert [share for share, _ in told] == sorted(share for share, _ in told)
-    assert told[-1][0] == 1.0
 
 
 def test_one_camera_is_for_viewing_only(open_bag: Opener, tmp_path: Path) -> None:

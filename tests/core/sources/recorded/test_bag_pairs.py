@@ -83,15 +83,6 @@ def test_a_lost_image_leaves_its_partner_out_and_shifts_nothing(open_bag: Opener
         np.testing.assert_array_equal(frame.tactile_depth, tactile.images[of_tactile])
 
 
-def test_no_image_is_used_twice_when_one_camera_is_slower(open_bag: Opener, tmp_path: Path) -> None:
-    source = open_bag(
-        two_files(tmp_path, on_global_time(1, times(6, EPOCH_S)), on_global_time(2, times(3, EPOCH_S, 2 * RATE_S)))
-    )
-    assert source.length == 3
-    assert source.health().unmatched == 3
-    assert [frame.skew_s for frame in source] == pytest.approx([0, 0, 0], abs=1e-6)
-
-
 def test_an_image_between_two_others_is_used_once(open_bag: Opener, tmp_path: Path) -> None:
     proximity = on_global_time(1, [EPOCH_S + offset for offset in (0, 0.0333, 0.0633, 0.1)])
     tactile = on_global_time(2, [EPOCH_S + offset for offset in (0, 0.0480, 0.1)])
@@ -164,12 +155,6 @@ def test_the_same_camera_twice_is_refused(tmp_path: Path) -> None:
         BagSource(f"{path},{copy}")
 
 
-def test_more_than_two_cameras_in_two_files_are_refused(tmp_path: Path) -> None:
-    both, one = make_bag(tmp_path / "a.bag", L515, D405), make_bag(tmp_path / "b.bag", D405)
-    with pytest.raises(SourceError, match=r"the two files have 3 depth cameras .*; give files with one camera each"):
-        BagSource(f"{both},{one}")
-
-
 def test_paths_may_contain_commas(open_bag: Opener, tmp_path: Path) -> None:
     folder = tmp_path / "lab, 3,2"
     folder.mkdir()
@@ -179,17 +164,3 @@ def test_paths_may_contain_commas(open_bag: Opener, tmp_path: Path) -> None:
     assert open_bag(first).rig.tactile.model == "none"
     with open_source(f"{second},{first}") as source:
         assert source.rig.proximity.model == L515.name
-
-
-@pytest.mark.parametrize("name", ["{}/a.bag,{}/gone.bag", "{}/gone.bag,{}/a.bag"])
-def test_the_file_that_is_missing_is_named(tmp_path: Path, name: str) -> None:
-    make_bag(tmp_path / "a.bag", L515)
-    with pytest.raises(SourceError, match=r"there is no file [^,]*gone\.bag; check the path"):
-        BagSource(name.replace("{}", str(tmp_path)))
-
-
-def test_a_damaged_second_file_closes_the_first(tmp_path: Path) -> None:
-    good = make_bag(tmp_path / "good.bag", L515)
-    (tmp_path / "bad.bag").write_bytes(good.read_bytes()[:200])
-    with pytest.raises(SourceError, match=r"bad\.bag: this is no readable RealSense recording"):
-        BagSource(f"{good},{tmp_path / 'bad.bag'}")
