@@ -86,7 +86,7 @@ class Gather(QWidget):
         apply.clicked.connect(self.use)
         apply.setVisible(not self.at_once)
         self.undo.clicked.connect(self._document.undo_stack.undo)
-        self._document.undo_stack.canUndoChanged.connect(self._show_undo)
+        self._document.presetChanged.connect(self._show_undo)
         context.worker.playbackChanged.connect(self._playback_changed)
         context.worker.opened.connect(self._source_opened)
 
@@ -265,7 +265,7 @@ class Gather(QWidget):
         self.apply.setEnabled(self.found is not None and not self.busy)
         self._show_undo()
 
-    def _show_undo(self) -> None:
+    def _show_undo(self, *_: object) -> None:
         self.undo.setEnabled(self._document.undo_stack.canUndo() and not self.busy)
 
     # Rows for the layout

@@ -79,7 +79,6 @@ class UntouchedPanel(Gather):
         self.save = push_button("&Save preset", "Save the preset; the untouched frame is written beside it (Ctrl+S)")
         self.save.setShortcut("Ctrl+S")
         self.save.clicked.connect(context.saveRequested)
-        self._document.undo_stack.indexChanged.connect(self._show_undo)
         self._document.fileChanged.connect(self._show_undo)
         self.sentence.setMinimumHeight(2 * self.sentence.fontMetrics().lineSpacing())
         row = self.applying_row(self.save)
@@ -133,7 +132,7 @@ class UntouchedPanel(Gather):
         """Return the field and its value."""
         return "untouched", self.found.record.model_dump()
 
-    def _show_undo(self) -> None:
+    def _show_undo(self, *_: object) -> None:
         super()._show_undo()
         self.save.setEnabled(self._document.dirty and not self.busy)
 
@@ -164,7 +163,7 @@ class CaptureWindow(QDialog):
         self._redraw.setSingleShot(True)
         self._redraw.setInterval(_PREVIEW_MS)
         self._redraw.timeout.connect(self._show_frame)
-        context.frameShown.connect(lambda: self._redraw.isActive() or self._redraw.start())
+        context.frameShown.connect(self._redraw_soon)
         keeper.changed.connect(self._show_untouched)
         self._show_frame()
         self._show_untouched()
@@ -181,6 +180,10 @@ class CaptureWindow(QDialog):
         """Stop capturing."""
         self.panel.close_down()
         super().done(result)
+
+    def _redraw_soon(self) -> None:
+        if not self._redraw.isActive():
+            self._redraw.start()
 
     def _show_frame(self) -> None:
         if self._context.result is not None:

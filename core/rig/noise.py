@@ -195,29 +195,6 @@ def depth_noises(frames: Sequence[SensorFrame], rig: Rig, progress: Progress) ->
     return proximity, tactile
 
 
-def image_noise(counts: Uint16Array, camera: DepthCamera) -> CameraNoise:
-    """Measure the noise of one tactile image, or of an average: its residual from smooth surfaces.
-
-    Which part of it changes from frame to frame cannot be told; ``changing_share`` is 0. Raises a `FrameError` if the
-    camera sees no smooth surface.
-    """
-    depth = _metres([counts], camera)[0]
-    seen = np.isfinite(depth)
-    distance_m = float(np.median(depth[seen])) if seen.any() else 1.0
-    surface = distance_m - distance_m**2 / depth
-    fixed, tile_px = _fixed_autocovariances("tactile", surface, np.ones_like(depth), seen, 0.0)
-    unknown = np.full(len(_LAGS), np.nan), np.ones(len(_LAGS))
-    parts, length_px = _fit_noise(unknown, fixed, tile_px, lengths_px=(0.0, tile_px / _TILE_LENGTHS))
-    white, shared = parts[:2] + parts[2:]  # of one image it makes no difference what changes
-    return CameraNoise(
-        white_m=float(np.sqrt(white + camera.depth_unit_m**2 / 12)),
-        correlated_m=float(np.sqrt(shared)),
-        length_px=length_px if shared > 0 else 0.0,
-        changing_share=0.0,
-        distance_m=distance_m,
-    )
-
-
 #: Autocovariances at `_LAGS` and their standard errors, m^2.
 Autocovariances = tuple[Float64Array, Float64Array]
 
