@@ -26,12 +26,7 @@ from .kernels.threads import in_parallel
 
 @dataclass(frozen=True, eq=False)
 class AlignmentModel:
-    """An alignment model, with its tables for the kernels.
-
-    Attributes
-    ----------
-    tables : kernels.Alignment
-    """
+    """An alignment model, with its tables for the kernels."""
 
     tables: kernels.Alignment
 
@@ -68,13 +63,7 @@ class AlignmentModel:
 
 
 def make_alignment(section: AlignmentSection, rig: Rig) -> AlignmentModel:
-    """Build the model that a preset asks for, with its tables.
-
-    Raises
-    ------
-    RigMismatchError
-        Neither the preset nor the rig has a pose.
-    """
+    """Build the model that a preset asks for; `RigMismatchError` if neither the preset nor the rig has a pose."""
     (height, width), (tactile_height, tactile_width) = rig.proximity.intrinsics.shape, rig.tactile.intrinsics.shape
     rigid = section.model == "rigid"
     factor, offset = rig.tactile.depth_unit_m * section.depth_scale, section.depth_offset_m
@@ -105,13 +94,7 @@ def make_alignment(section: AlignmentSection, rig: Rig) -> AlignmentModel:
 
 
 def tactile_pose(section: AlignmentSection, rig: Rig) -> Float64Array:
-    """Return ``T_p_t`` (4 x 4): the preset's own, or else the rig's.
-
-    Raises
-    ------
-    RigMismatchError
-        Neither has one.
-    """
+    """Return ``T_p_t`` (4 x 4): the preset's own, or else the rig's; `RigMismatchError` if neither has one."""
     pose = section.rigid.T_proximity_tactile or rig.T_proximity_tactile
     if pose is None:
         raise RigMismatchError(
@@ -125,12 +108,8 @@ def tactile_homography(section: AlignmentSection, rig: Rig) -> Float64Array:
     """Return ``H_p_t`` (3 x 3): the preset's own, or else the one that the pose induces.
 
     For the frontal plane z = d in the proximity frame, ``H_t_p = K_t (R + t n^T / d) K_p^-1`` with
-    ``T_t_p = [R | t]`` and n = (0, 0, 1) (Hartley and Zisserman, Multiple View Geometry, eq. 13.2).
-
-    Raises
-    ------
-    RigMismatchError
-        There is no pose, or the tactile camera lies in that plane and sees it edge on.
+    ``T_t_p = [R | t]`` and n = (0, 0, 1) (Hartley and Zisserman, Multiple View Geometry, eq. 13.2). `RigMismatchError`
+    if there is no pose, or the tactile camera lies in that plane.
     """
     if section.homography.H_p_t is not None:
         return np.asarray(section.homography.H_p_t)

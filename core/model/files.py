@@ -59,15 +59,7 @@ def atomic_path(target: Path | str, *, follow_link: bool = False) -> Iterator[Pa
 
 
 def remove_leftovers(folder: Path, name: str = "*") -> None:
-    """Remove temporary files of writers that were killed more than an hour ago.
-
-    Parameters
-    ----------
-    folder : Path
-        Searched with its subfolders only where ``name`` is ``*``.
-    name : str
-        Name of the file or folder that was being written.
-    """
+    """Remove temporary files of killed writers of a file or folder; of all, also in subfolders, for the name ``*``."""
     stem, suffix = (("*", "*")) if name == "*" else (glob.escape(Path(name).stem), glob.escape(Path(name).suffix))
     pattern = f".{stem}-{'[0-9a-f]' * 8}{suffix}"
     with suppress(OSError):

@@ -31,14 +31,7 @@ _LENS_FIELDS = tuple(Intrinsics.model_fields)
 
 
 def load_rig(path: Path | str) -> Rig:
-    """Read a rig file.
-
-    Raises
-    ------
-    SourceError
-        There is no such file, it is not JSON, or a field is missing, unknown or out of range. The message names the
-        file, the field and the value.
-    """
+    """Read a rig file; `SourceError` names the file, and a field that is missing, unknown or out of range."""
     return parse_rig(read_json_object(Path(path)), str(path))
 
 
@@ -77,20 +70,7 @@ def rig_to_json(rig: Rig) -> dict[str, Any]:
 
 
 def parse_rig(data: dict[str, Any], origin: str) -> Rig:
-    """Return the rig described by a decoded JSON object.
-
-    Parameters
-    ----------
-    data : dict
-        As described at the top of this module.
-    origin : str
-        Name of the source, for messages.
-
-    Raises
-    ------
-    SourceError
-        A field is missing, unknown or out of range.
-    """
+    """Return the rig of a decoded JSON object, as at the top of this module; ``origin`` names it in a `SourceError`."""
     nested = dict(data)
     for key in ("proximity", "tactile", "proximity_color"):
         if isinstance(nested.get(key), dict):

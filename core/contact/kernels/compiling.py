@@ -77,7 +77,7 @@ class Compiled:
     #: Number of kernels loaded from the cache, and compiled in this process.
     loaded: int
     compiled: int
-    folders: tuple[Path, ...]  # tuple of Path: Cache folders; empty if none is writable
+    folders: tuple[Path, ...]  # cache folders; empty if none is writable
 
 
 def compiled_so_far() -> Compiled:
