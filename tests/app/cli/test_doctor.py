@@ -16,9 +16,11 @@ from tactune.app.doctor.cameras import check_all_drivers, check_cameras, check_d
 from tactune.app.doctor.checks import Check, Child, State, python_child, run_checks, run_child
 from tactune.app.doctor.system import (
     check_cache_folder,
+    check_compiled_code,
     check_packages,
     check_python,
     check_qt_libraries,
+    check_shared_memory,
     check_window,
 )
 
@@ -66,9 +68,6 @@ def test_a_check_that_fails_itself_is_a_line_and_the_others_go_on():
     assert "ZeroDivisionError: dust" in lines[0].found
 
 
-# Python, packages, folders
-
-
 @pytest.mark.parametrize(
     ("version", "state", "words"),
     [((3, 10, 4), State.FAIL, "3.11 or newer"), ((3, 11, 7), State.OK, ""), ((3, 13, 0), State.WARN, "L515")],
@@ -79,20 +78,34 @@ def test_python(version, state, words):
     assert words in line.remedy
 
 
-def test_packages(monkeypatch):
-    assert only(check_packages(answering({}))).state is State.OK
-    broken = only(check_packages(answering({"cv2": "ImportError: libGL.so.1"})))
-    assert broken.state is State.FAIL
-    assert "cv2: ImportError: libGL.so.1" in broken.found
-    assert only(check_packages(lambda _: CRASH)).state is State.FAIL
+@pytest.mark.parametrize(
+    ("check", "answer", "state", "words"),
+    [
+        (check_packages, {}, State.OK, "numpy"),
+        (check_packages, {"cv2": "ImportError: libGL.so.1"}, State.FAIL, "cv2: ImportError: libGL.so.1"),
+        (check_compiled_code, '[4, "omp"]', State.OK, "4 threads by omp"),
+        (check_compiled_code, '[4, "workqueue"]', State.WARN, "workqueue"),
+        (check_shared_memory, "", State.OK, "MB for frames"),
+        (check_driver, {"version": "2.54.2.5684", "no_l515": ""}, State.OK, "2.54.2.5684"),
+        (check_driver, {"version": "2.57.7.1", "no_l515": "it knows no L515"}, State.WARN, "2.57.7.1"),
+        (check_driver, {"problem": "it is not installed: pip install it", "installed": False}, State.WARN, "not inst"),
+        (check_driver, {"problem": "needs libudev: apt", "installed": True}, State.FAIL, "needs libudev"),
+        (check_all_drivers, {"drivers": ["RealSense", "Acme"]}, State.OK, "RealSense, Acme"),
+        (check_all_drivers, {"problems": ["a is no driver; update it"]}, State.FAIL, "a is no driver"),
+    ],
+)
+def test_what_child_processes_answer(check, answer, state, words):
+    line = only(check(answering(answer)))
+    assert line.state is state
+    assert words in line.found
+    assert bool(line.remedy) is (state is not State.OK)
 
-    def nothing(name):
-        raise PackageNotFoundError(name)
 
-    monkeypatch.setattr(doctor_system, "version", nothing)
-    missing = only(check_packages(answering({})))
-    assert missing.state is State.FAIL
-    assert "not installed: numpy" in missing.found
+@pytest.mark.parametrize("check", [check_packages, check_compiled_code, check_shared_memory, check_driver])
+def test_a_child_process_that_crashes_is_a_failure(check):
+    line = only(check(lambda _: CRASH))
+    assert line.state is State.FAIL
+    assert "crashed (SIGSEGV)" in line.found
 
 
 def test_the_cache_folder(tmp_path, monkeypatch):
@@ -106,35 +119,6 @@ def test_the_cache_folder(tmp_path, monkeypatch):
     assert only(check_cache_folder(tmp_path)).state is State.WARN
     usage.free = 1e8
     assert only(check_cache_folder(tmp_path)).state is State.FAIL
-
-
-# Cameras
-
-
-def test_the_driver():
-    fine = only(check_driver(answering({"version": "2.54.2.5684", "no_l515": ""})))
-    assert (fine.state, fine.remedy) == (State.OK, "")
-    newer = only(check_driver(answering({"version": "2.57.7.1", "no_l515": "the driver 2.57.7 knows no L515"})))
-    assert newer.state is State.WARN
-    assert newer.remedy == "The driver 2.57.7 knows no L515."
-    absent = only(check_driver(answering({"problem": "it is not installed: pip install it", "installed": False})))
-    assert (absent.state, absent.found, absent.remedy) == (State.WARN, "it is not installed", "Pip install it")
-    assert only(check_driver(answering({"problem": "needs libudev: apt", "installed": True}))).state is State.FAIL
-    crash = only(check_driver(lambda _: CRASH))
-    assert crash.state is State.FAIL
-    assert "crashed (SIGSEGV)" in crash.found
-
-
-def test_the_drivers_of_all_packages():
-    fine = only(check_all_drivers(answering({"drivers": ["RealSense", "Acme"], "problems": []})))
-    assert (fine.state, fine.found) == (State.OK, "RealSense, Acme")
-    problems = ["a is no driver; update it", "b fails; remove it"]
-    lines = check_all_drivers(answering({"drivers": [], "problems": problems}))
-    assert [(line.state, line.found, line.remedy) for line in lines] == [
-        (State.FAIL, "a is no driver", "Update it."),
-        (State.FAIL, "b fails", "Remove it."),
-    ]
-    assert "crashed (SIGSEGV)" in only(check_all_drivers(lambda _: CRASH)).found
 
 
 @pytest.fixture
@@ -173,9 +157,6 @@ def test_cameras_on_usb(tmp_path, plug_in, monkeypatch):
     assert "udev" in closed[0].remedy
 
 
-# Window
-
-
 def test_window(monkeypatch):
     assert [line.state for line in check_window({})] == [State.OK, State.WARN]
     assert [line.state for line in check_window({"DISPLAY": ":0"})] == [State.OK, State.OK]
@@ -197,9 +178,6 @@ def test_qt_libraries(tmp_path):
     assert line.found == "missing: libxcb-cursor.so.0, libnew.so.3"
     assert only(check_qt_libraries(answering("\tlibc.so.6 => /lib/libc.so.6\n"), files)).state is State.OK
     assert only(check_qt_libraries(answering("", "no answer"), files)).state is State.WARN
-
-
-# The command
 
 
 def test_the_report_is_lines_with_remedies_or_json_and_its_status_tells(tactune, monkeypatch):

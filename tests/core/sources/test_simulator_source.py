@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import os
 
-import cv2
 import numpy as np
 import pytest
 
@@ -61,11 +60,6 @@ def look_up(image, intrinsics, points):
     u, v = np.round(intrinsics.project(points)).astype(int).T
     seen = (u >= 0) & (u < intrinsics.width) & (v >= 0) & (v < intrinsics.height)
     return image[v.clip(0, intrinsics.height - 1), u.clip(0, intrinsics.width - 1)], seen
-
-
-def components(mask, smallest):
-    sizes = cv2.connectedComponentsWithStats(mask.astype(np.uint8))[2][1:, cv2.CC_STAT_AREA]
-    return int((sizes >= smallest).sum())
 
 
 def test_frames_fit_the_rig_and_the_apex_is_where_it_belongs(exact):
