@@ -40,31 +40,10 @@ def run_gui(
     size: tuple[int, int] | None = None,
     theme: str | None = None,
 ) -> int:
-    """Open the main window on a source and run it until it is closed.
+    """Open the main window on a source, run it until it is closed, and return the program's exit status.
 
-    Parameters
-    ----------
-    source : str
-        As `tactune.core.sources.registry.open_source` takes it.
-    preset : str
-        A file or a shipped name.
-    screenshot : Path or None
-        Save a picture of the window here once ``after`` frames have been processed, then end.
-    after : int
-    size : (int, int) or None
-        Width and height of the window; None: as at the last start.
-    theme : "light", "dark", "system" or None
-        None: as at the last start.
-
-    Returns
-    -------
-    int
-        The exit status of the program.
-
-    Raises
-    ------
-    TactuneError
-        The preset cannot be used, or no picture could be taken.
+    With ``screenshot`` save a picture of it there once ``after`` frames have been processed, then end. Without ``size``
+    and ``theme`` the window is as at the last start. Raise a `TactuneError` where preset or picture fail.
     """
     start_preset, preset_path = start_with(preset)
     application = make_application()
