@@ -18,7 +18,7 @@ from tactune.app.cli.main import commands
 from tactune.app.gui import run_gui, start_with
 from tactune.app.worker import compiling
 from tactune.app.worker.results import CloudName
-from tactune.core.contact import warmup
+from tactune.core import warmup
 from tactune.core.errors import ExportError, PresetError
 from tactune.core.preset.file import save_preset
 from tactune.core.sources.folder import export_folder
