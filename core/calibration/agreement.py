@@ -59,16 +59,9 @@ _STEPS = {
 class Agreement:
     """A fit whose uncertainty contains smooth errors.
 
-    Attributes
-    ----------
-    probability : float
-        Of a smooth error.
-    cause : {"lens", "depth", "surface", "field", ""}
-        The most likely kind of it.
-    cross_validated_px : float or None
-        Root mean square residual of regions under the fit of the other pairs; None if they determine no model.
-    expected_px : float
-        The same for independent clicks of the stated noise.
+    ``probability`` is that of a smooth error, ``cause`` its most likely kind. ``cross_validated_px`` is the RMS
+    residual of regions under the fit of the other pairs, None if they determine no model; ``expected_px`` is the same
+    for independent clicks of the stated noise.
     """
 
     fit: Fit
@@ -122,14 +115,8 @@ class Agreement:
 def judge_agreement(fit: Fit, pairs: Float64Array, places: Float64Array, rig: Rig) -> Agreement:
     """Compare the regions of a fit.
 
-    Parameters
-    ----------
-    fit : Fit
-    pairs : float64, shape (N, 3)
-        Tactile u, v and depth (metres; nan if unknown) of all pairs of the fit.
-    places : float64, shape (M, 3)
-        Places of the membrane over which the alignment is judged.
-    rig : Rig
+    ``pairs`` (N, 3) are tactile u, v and depth (metres; nan if unknown) of all pairs of the fit, ``places`` (M, 3)
+    those of the membrane over which the alignment is judged.
     """
     if fit.degrees <= 0:
         return Agreement(fit)

@@ -67,14 +67,8 @@ _MAX_RMS_SHARE = 0.05
 class Model(ABC):
     """A model of the alignment with parameters theta (P,), and the pairs that it is fitted to.
 
-    Attributes
-    ----------
-    sample : int
-        Number of pairs that determine theta.
-    largest_px : float
-        Largest residual of an inlier.
-    measured : float64, shape (N, M)
-        Clicked proximity pixels, and the distance at contact where any was measured (metres).
+    ``sample`` pairs determine theta; ``largest_px`` is the largest residual of an inlier; ``measured`` (N, M) are the
+    clicked proximity pixels, and the distance at contact where any was measured (metres).
     """
 
     name: ClassVar[str]
@@ -157,16 +151,13 @@ class HomographyModel(Model):
         self.to_normal, self.from_normal = _normalising(points.tactile), np.linalg.inv(_normalising(points.proximity))
 
     def alignment(self, theta: Float64Array) -> Alignment:
-        """Return the homography in pixels."""
         H = self.from_normal @ np.append(theta, 1.0).reshape(3, 3) @ self.to_normal
         return Alignment(homography=H / H[2, 2] if abs(H[2, 2]) > 1e-12 * np.abs(H[2]).max() else H)
 
     def seen(self, theta: Float64Array, places: Float64Array) -> Float64Array:
-        """Map tactile pixels."""
         return mapped(self.alignment(theta).homography, places[:, :2])
 
     def proposals(self, noise_px: float) -> list[Float64Array]:
-        """Return the linear fit to all pairs, and MAGSAC's."""
         tactile, proximity = self.points.tactile, self.points.proximity
         found = [cv2.findHomography(tactile, proximity, 0)[0]]
         for kind, factor in product((cv2.USAC_MAGSAC, cv2.RANSAC), _THRESHOLDS if len(tactile) > self.sample else ()):
@@ -203,23 +194,19 @@ class RigidModel(Model):
             self.noise = np.column_stack([self.noise, variance])
 
     def alignment(self, theta: Float64Array) -> Alignment:
-        """Return the pose with the offset."""
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(theta[:3])[0], theta[3:6]
         return Alignment(pose, offset_m=float(theta[6]) if self.offset else 0.0)
 
     def seen(self, theta: Float64Array, places: Float64Array) -> Float64Array:
-        """Project into the image that was clicked, and measure the distance."""
         points = self.alignment(theta).points_m(self.rig, places)
         pixels = proximity_pixels(self.rig, points, self.points.in_color)
         return pixels if self.noise.shape[1] == 2 else np.column_stack([pixels, points[:, 2]])
 
     def prior(self, theta: Float64Array) -> Float64Array:
-        """The offset is small."""
         return theta[6:] / _OFFSET_SIGMA_M
 
     def proposals(self, noise_px: float) -> list[Float64Array]:
-        """Return SQPnP of all pairs, and of RANSAC's inliers."""
         rays, focal = self._rays_of_depth_camera(), self.rig.proximity.intrinsics.fx
         found = []
         try:
@@ -253,18 +240,8 @@ class RigidModel(Model):
 class Fit:
     """A fitted model with its statistics.
 
-    Attributes
-    ----------
-    model : Model
-    theta : float64, shape (P,)
-    used : bool, shape (N,)
-        Inliers.
-    whitening : float64, shape (N, M, M)
-        Makes each pair's residual one of unit noise.
-    cost : float
-        Squared length of the inliers' whitened residuals.
-    degrees : int
-        Degrees of freedom: measurements minus parameters.
+    ``used`` (N,) are the inliers, ``whitening`` (N, M, M) makes each pair's residual one of unit noise, ``cost`` is the
+    squared length of the inliers' whitened residuals, ``degrees`` the number of measurements minus that of parameters.
     """
 
     model: Model
@@ -494,13 +471,15 @@ def _likeliest(model: Model, theta: Float64Array) -> tuple[float, BoolArray]:
     """Return the largest log evidence of the k nearest pairs being right, and which they are."""
     noise_px, size = model.noise_px(theta), model.sample
     with np.errstate(all="ignore"):
-        lengths = np.nan_to_num(np.hypot(*model.residuals_px(theta).T), nan=np.inf)
-    order = np.argsort(lengths, kind="stable")
-    nearest = lengths[order]
+        off = np.nan_to_num(np.abs(model.measured - model.seen(theta, model.points.places)), nan=np.inf)
+        squares = (off[:, :2] ** 2).sum(axis=1) / noise_px**2 + (off[:, 2:] ** 2 / model.noise[:, 2:]).sum(axis=1)
+    order = np.argsort(squares, kind="stable")
+    nearest = np.hypot(*off[order, :2].T)
     k = np.arange(size + 1, len(nearest) + 1)
-    cost = np.cumsum((nearest / noise_px) ** 2)[size:]
+    cost = np.cumsum(squares[order])[size:]
     evidence = _log_evidence(len(nearest), k, size, cost, noise_px)
-    evidence[~((nearest[size:] <= model.largest_px) & np.isfinite(evidence))] = -np.inf
+    allowed = np.maximum.accumulate(nearest)[size:] <= model.largest_px
+    evidence[~(allowed & np.isfinite(evidence))] = -np.inf
     best = int(evidence.argmax())
     used = np.zeros(len(nearest), bool)
     used[order[: k[best]]] = True

@@ -118,16 +118,7 @@ def write_points(path: Path | str, pairs: Sequence[PointPair]) -> None:
 class PointArrays:
     """Complete pairs as arrays.
 
-    Attributes
-    ----------
-    tactile, proximity : float64, shape (N, 2)
-        Pixels; proximity in the depth or the colour image.
-    tactile_depth_m : float64, shape (N,)
-        Raw depth; nan if unknown.
-    in_color : bool, shape (N,)
-        Whether the proximity colour image was clicked.
-    proximity_depth_m : float64, shape (N,)
-        Distance measured by the proximity camera at contact; nan if unknown.
+    Pixels (N, 2), of proximity in the image that ``in_color`` (N,) says; depths (N,) in metres, nan if unknown.
     """
 
     tactile: Float64Array

@@ -28,21 +28,9 @@ _WORSE_FACTOR, _WORSE_PX = 1.2, 0.1
 class Drift:
     """Alignment error in the current frame.
 
-    Attributes
-    ----------
-    drift_px, drift_mm : float
-        Median distance between predicted and found places, in proximity pixels, and across the line of sight.
-    worst_px : float
-        95th percentile of the distances.
-    stored, found : int
-        Number of points in the preset, and of those found again.
-    recalibrate : bool
-    sentence : str
-        The result in words.
-    tactile : float64, shape (N, 2)
-        Compared places, tactile pixels.
-    offsets_px : float64, shape (N, 2)
-        Found minus predicted proximity depth pixel.
+    ``drift_px`` and ``drift_mm`` are the median distance between predicted and found places, ``worst_px`` the 95th
+    percentile; ``stored`` and ``found`` count the preset's points, and those found again. ``tactile`` (N, 2) are the
+    compared places, ``offsets_px`` (N, 2) found minus predicted proximity depth pixel.
     """
 
     drift_px: float

@@ -59,14 +59,8 @@ class PairQuality:
 class ModelQuality:
     """Quality of one model's fit.
 
-    Attributes
-    ----------
-    rms_px : float or None
-        RMS residual of the used pairs; None if the model fits exactly for lack of surplus ones.
-    alignment_px, alignment_mm : float
-        Expected root mean square alignment error over the membrane, from the click noise and smooth errors.
-    alignment_bound_95_px : float
-        95 % bound of the root mean square alignment error.
+    ``rms_px`` is the RMS residual of the used pairs, None if the model fits exactly for lack of surplus ones. The
+    alignment error is that over the membrane, root mean square, from the click noise and smooth errors.
     """
 
     model: ModelName
@@ -156,7 +150,7 @@ class DepthOffset:
 class CalibrationReport:
     """Fits of both models, the recommendation and the next step.
 
-    ``model`` is the model asked for, or with ``"auto"`` the recommended one, ``reason`` why it is recommended. ``refused``
+    ``model`` is the model asked for, or with ``"auto"`` the recommended one, for which ``reason`` says why. ``refused``
     says why a model was not fitted. ``depth_offset`` is None if the pairs do not determine one. ``pairs`` are all given
     ones, including disabled ones.
     """

@@ -223,18 +223,3 @@ def test_points_file_round_trip(open_wizard, scene, qtbot, tmp_path: Path):
 
     wizard.import_points(tmp_path / "missing.csv")
     assert any("missing.csv" in sentence for sentence in wizard.messages.sentences())
-
-
-def test_degenerate_points_are_refused_in_words(open_wizard, scene, qtbot):
-    wizard = open_wizard()
-    for step in range(5):
-        wizard.session.click("proximity", 40 + 20 * step, 60 + 10 * step)
-        wizard.session.click("tactile", 50 + 20 * step, 62 + 10 * step)
-    qtbot.waitUntil(lambda: "line" in wizard.outcome.sentence)
-    assert wizard.outcome.report is None
-    assert "line" in wizard.verdict.text()
-    wizard.resize(wizard.minimumSizeHint())
-    QApplication.processEvents()
-    words = wizard.verdict
-    needed = words.fontMetrics().boundingRect(words.rect(), Qt.TextFlag.TextWordWrap, words.text())
-    assert words.rect().contains(needed), "the footer is not cut"

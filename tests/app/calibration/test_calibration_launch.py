@@ -52,16 +52,6 @@ def window(qtbot, tmp_path, scene, frames):
     QApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
 
 
-def test_what_needs_a_source_is_disabled_without_one(window, scene, frames, qtbot):
-    actions = window.actions_
-    needing = [actions.calibrate, actions.recheck, actions.record, actions.suggest_all]
-    needing += [window.panel.eyedroppers["set"], *window.panel.suggests.values()]
-    assert not any(needs.isEnabled() for needs in needing)
-    window.open_request(SourceRequest("tiny", lambda progress: TinySource(scene, frames)))
-    qtbot.waitUntil(lambda: window.result is not None, timeout=15000)
-    assert all(needs.isEnabled() for needs in needing)
-
-
 def test_snapshots_come_from_the_present_source(window, scene, frames, qtbot, monkeypatch):
     monkeypatch.setattr(snapshots, "MOVED_LIMIT_M", 1.0)  # every frame of this source is of another press
     window.open_request(SourceRequest("tiny", lambda progress: TinySource(scene, frames)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import threading
 from dataclasses import replace
 
 import cv2
@@ -14,17 +13,15 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QPushButton
 
 from pairs import moved, snapshot_of, with_pairs
-from tactune.app.calibration.finder import find_pairs
 from tactune.app.calibration.fitting import fit
 from tactune.app.calibration.keeping import Keeper
 from tactune.app.calibration.overlay import make_overlay
 from tactune.app.calibration.pictures import image_choices, picture
 from tactune.app.calibration.prediction import proximity_partner, tactile_partner
 from tactune.app.calibration.recheck_window import RecheckWindow
-from tactune.app.calibration.session import Choices, Session, Snapshot
+from tactune.app.calibration.session import Session
 from tactune.app.worker.playback import PlaybackState
 from tactune.core.calibration.geometry import Alignment
-from tactune.core.errors import CalibrationError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
 
@@ -147,17 +144,6 @@ def test_partners_are_found_both_ways(scene, frames):
     assert tactile_partner(alignment, scene.rig, frames[1.0], "color", (-5000.0, 0.0)) is None
 
 
-def test_the_homography_predicts_in_the_colour_image_too(scene, frames, feed):
-    state = with_pairs(scene, frames, feed).with_choices(model="homography")
-    outcome = fit(state, scene.rig)
-    assert outcome.alignment.homography is not None
-    left, right = scene.proximity_pixels(1.0), scene.tactile_pixels(1.0)
-    found = proximity_partner(outcome.alignment, scene.rig, frames[1.0], "color", tuple(right[31]))
-    assert found == pytest.approx(tuple(left[31]), abs=8)
-    back = tactile_partner(outcome.alignment, scene.rig, frames[1.0], "color", found)
-    assert back == pytest.approx(tuple(right[31]), abs=1.0)
-
-
 # Points
 
 
@@ -241,18 +227,6 @@ def test_the_page_says_what_a_click_snapped_to(open_wizard, hand, scene, frames,
     assert wizard.session.state.pairs[0].tactile == pytest.approx(tuple(bare), abs=0.6)
     QTest.mouseClick(wizard.undo, LEFT)
     assert "snap to" not in page.hint.text()
-
-
-def test_clicks_in_the_depth_image_are_marked_so(open_wizard, frames, feed):
-    wizard = open_wizard()
-    wizard.session.add_snapshot(snapshot_of(frames[0.2], feed))
-    wizard.session.set_display(proximity_image="depth")
-    wizard.session.click("proximity", 100.0, 100.0)
-    wizard.session.click("tactile", 80.0, 100.0)
-    wizard.session.set_display(proximity_image="color")
-    assert wizard.session.state.pairs[0].proximity_image == "depth"
-    assert not wizard.points.view.images["proximity"].layer.marks
-    assert len(wizard.points.view.images["tactile"].layer.marks) == 1
 
 
 # Find points
@@ -389,17 +363,6 @@ def test_the_overlay_fits_with_the_true_pose_and_not_with_a_wrong_one(scene, fra
     np.testing.assert_array_equal(shown[~overlay.known], overlay.proximity[~overlay.known])
 
 
-def test_points_are_marked_once_there_is_a_map_under_them(open_wizard, scene, frames, feed, qtbot):
-    wizard = open_wizard()
-    wizard.session.edit("all", with_pairs(scene, frames, feed))
-    qtbot.waitUntil(lambda: wizard.outcome.report is not None)
-    shown = wizard.quality.map
-    wizard.go_to(2)
-    assert "Drawing the map" in shown.empty_label.text() and not shown.layer.marks
-    qtbot.waitUntil(lambda: bool(shown.layer.marks), timeout=15000)
-    assert "Drawing" not in shown.empty_label.text()
-
-
 def test_the_check_page_shows_both_alignments(open_wizard, scene, frames, feed, document, qtbot):
     wizard = open_wizard()
     page = wizard.check
@@ -420,12 +383,6 @@ def test_the_check_page_shows_both_alignments(open_wizard, scene, frames, feed, 
     assert document.preset.tolerance.t == pytest.approx(
         wizard.outcome.report.chosen.effect.supported_tolerance, abs=1e-4
     )
-
-
-def test_texture_without_a_colour_image_is_said_of_the_snapshot(scene, frames):
-    snapshot = Snapshot("digest", "Frames 3 to 7", replace(frames[0.2], tactile_color=None), 5, 0.0)
-    with pytest.raises(CalibrationError, match=r"^Frames 3 to 7: the tactile camera has no colour image"):
-        find_pairs(Choices(), [snapshot], scene.rig, lambda *_: None)
 
 
 # Re-check
@@ -508,34 +465,6 @@ def test_a_calibration_kept_by_the_program_before_is_restored(scene, frames, fee
     assert again.state.pairs == session.state.pairs
     assert again.state.digests == state.digests
     second.close()
-
-
-def wait_for_disk(keeper):
-    written = threading.Event()
-    keeper.on_disk(written.set)
-    assert written.wait(30)
-
-
-def test_images_that_another_window_may_still_undo_to_stay(scene, frames, feed, tmp_path, qapp):
-    sessions = [Session(scene.rig, lambda *_: None) for _ in range(2)]
-    first, second = (Keeper(session, tmp_path) for session in sessions)
-    state = with_pairs(scene, frames, feed)
-    sessions[1].edit("all", state)
-    second.flush()
-    sessions[1].edit("remove", type(state)())
-    second.flush()
-    wait_for_disk(second)
-    first.close()
-    sessions[1].undo_stack.undo()
-    second.close()
-    again = Session(scene.rig, lambda *_: None)
-    taken = Keeper(sessions[0], tmp_path)  # the first slot
-    third = Keeper(again, tmp_path)
-    third.restore()
-    assert again.state.snapshots
-    assert len(again.state.snapshots) == len(state.snapshots)
-    third.close()
-    taken.close()
 
 
 @pytest.mark.parametrize("damage", ["lost", "half", "other"])

@@ -12,7 +12,7 @@ from PyQt6.QtWidgets import QApplication, QWidget
 from pairs import pair_at
 from tactune.app.calibration.point_table import PointRow, PointTable
 from tactune.core.calibration.report import PairQuality
-from tactune.widgets.images.marks import COLORS, REACH, Mark, MarkKind
+from tactune.widgets.images.marks import Mark
 from tactune.widgets.images.point_image import Loupe, PointImage
 from tactune.widgets.plots.calibration_plots import CoverageGrid
 
@@ -33,14 +33,6 @@ def image(qtbot):
     qtbot.waitExposed(made)
     QApplication.processEvents()
     return made
-
-
-def test_places_survive_the_way_to_the_screen_and_back(image):
-    for place in ((0.0, 0.0), (80.25, 59.5), (159.0, 119.0)):
-        assert image.image_place(image.screen_place(*place)) == pytest.approx(place, abs=1e-6)
-    image.zoom(7.3)
-    QApplication.processEvents()
-    assert image.image_place(image.screen_place(81.125, 60.5)) == pytest.approx((81.125, 60.5), abs=1e-6)
 
 
 def test_a_click_places_a_point_to_a_fraction_of_a_pixel(image, qtbot):
@@ -83,13 +75,6 @@ def test_a_mark_is_taken_hold_of_and_keeps_its_grip(image, qtbot):
     key, u, v, done = moves[-1]
     assert (key, done) == ("7", True)
     assert (u, v) == pytest.approx((60, 50), abs=0.5)
-
-
-def test_the_nearest_mark_within_reach_is_hit(image):
-    image.set_marks([Mark("1", 40, 30), Mark("2", 42, 30)])
-    place = image.screen_place(41.4, 30)
-    assert image.layer.mark_at(place).key == "2"
-    assert image.layer.mark_at(image.screen_place(40, 30) - QPointF(REACH + 1, 0)) is None
 
 
 @pytest.mark.parametrize(
@@ -200,21 +185,3 @@ def test_the_coverage_paints_in_every_state(qtbot):
     grid.set_coverage([[0, 1, 5, 2]] * 3, [280.0, 310.0])
     assert "3 parts are empty" in grid.toolTip()
     assert grid.grab().toImage() != empty
-
-
-def test_every_kind_of_mark_has_a_colour(image):
-    for kind in MarkKind:
-        image.set_marks([Mark("1", 80.0, 60.0, "1", kind)])
-        shown = image.view.grab().toImage()
-        colors = {shown.pixelColor(x, y).name() for x in range(shown.width()) for y in range(0, shown.height(), 2)}
-        assert COLORS[kind].name() in colors
-
-
-def test_the_caption_of_the_loupe_is_not_clipped(qtbot):
-    parent = QWidget()
-    qtbot.addWidget(parent)
-    loupe = Loupe(parent)
-    loupe.set_snapped((13.0, 16.0), "dot centre, 5.9 px away, and some more words")
-    room = loupe.rect().adjusted(2, loupe.width(), -2, 0)
-    needed = loupe.fontMetrics().boundingRect(room, Qt.TextFlag.TextWordWrap, loupe.text())
-    assert room.width() >= needed.width() and room.height() >= needed.height()

@@ -73,9 +73,3 @@ def test_a_bad_row_is_named_with_line_field_and_value(tmp_path, text, words):
 def test_a_file_that_is_not_there_is_named(tmp_path):
     with pytest.raises(CalibrationError, match=r"nowhere\.csv.*No such file"):
         read_points(tmp_path / "nowhere.csv")
-
-
-def test_devices_and_folders_are_no_points_files(tmp_path):
-    for path, words in ((tmp_path, "Is a directory"), ("/dev/zero", "no ordinary file")):
-        with pytest.raises(CalibrationError, match=words):
-            read_points(path)
