@@ -87,6 +87,7 @@ class ParameterRow(QObject):
         self._grid: QGridLayout | None = None
         self._line = 0
         self._is_shown = True
+        self._is_wide: bool | None = None
         self.editor.edited.connect(self._edited)
         if isinstance(self.widget, NumbersEditor):
             self.widget.refused.connect(self.refuse)
@@ -150,9 +151,11 @@ class ParameterRow(QObject):
 
     def _place_editor(self) -> None:
         """Put the editor beside the label, or below it if it is too wide."""
-        if self._grid is None:
+        wide = self.spec.kind == "rectangle" or (self.spec.kind == "matrix" and self.editor.value() is not None)
+        if self._grid is None or wide == self._is_wide:  # each call lays out the whole panel
             return
-        if self.spec.kind == "rectangle" or (self.spec.kind == "matrix" and self.editor.value() is not None):
+        self._is_wide = wide
+        if wide:
             self._grid.addWidget(self.widget, self._line + 1, 0, 1, COLUMNS)
         else:
             self._grid.addWidget(self.widget, self._line, 1)
