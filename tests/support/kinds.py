@@ -57,7 +57,6 @@ from tactune.core.sources.folder_rig import write_rig
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.cache import SolvedScene, load_scene, save_scene
 from tactune.core.sources.simulator.scene import CleanState, PressFacts, simulator_rig
-from tactune.core.tuning.advice.example_file import load_example, save_example
 from tactune.core.tuning.advice.proposal import Example
 from tactune.core.tuning.measure import Measured
 from tactune.core.tuning.plan import Axis, Clip, Plan
@@ -325,9 +324,7 @@ KINDS: dict[str, Kind] = {
         lambda f, n: table.save_cells(table_plan(f), SCENE, 0, [CELL]),
         lambda f: table.load_cells(table_plan(f), SCENE, 0) is not None,
     ),
-    "example": Kind(
-        lambda f, n: save_example(Example(FRAMES[n], None, None), f / "a.npz"), lambda f: load_example(f / "a.npz")
-    ),
+    "example": Kind(lambda f, n: Example(FRAMES[n]).save(f / "a.npz"), lambda f: Example.load(f / "a.npz")),
     "simulator's cache": Kind(solved_scene, lambda f: load_scene(f / "cup.zip", 1) is not None, 200),
     "search": Kind(search, lambda f: search(f, 0), 600, grows=True, keeps_state=True),
     "unsaved preset": Kind(autosave, lambda f: len(unsaved_work(f)) == len(list(f.glob("unsaved-*.json")))),

@@ -5,11 +5,11 @@ from __future__ import annotations
 import time
 from threading import Event
 
-from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtCore import QPoint, QPointF, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
-from hands import CONTROL, LEFT, drag_over, drag_slider, show_source, text_of, tolerance_slider
+from hands import CONTROL, LEFT, drag_slider, show_source, text_of, tolerance_slider
 from printed_source import PrintedSource
 from tactune.app.advice import window as suggest_window
 from tactune.core.errors import AdviceError
@@ -155,31 +155,37 @@ def test_a_part_that_fails_leaves_the_window_usable(main, qtbot, monkeypatch):
     qtbot.waitUntil(lambda: not window.busy and len(window.cards) == 1)
 
 
-def test_with_examples_a_value_is_chosen_on_the_curve_live(main, qtbot):
+def test_contact_that_is_marked_by_a_rectangle_is_kept_and_counts(main, qtbot, make_window):
     QTest.keyClick(main, Qt.Key.Key_L, CONTROL)
     examples = main.suggest.examples_window
-    QTest.mouseClick(examples.paint, LEFT)
-    QTest.mouseClick(examples.tools["disc"], LEFT)
-    drag_over(examples.image, (80, 60), (85, 60), (90, 60))
+    QTest.mouseClick(examples.untouched, LEFT)
+    assert examples.marked.rectangle is None
+    QTest.mouseClick(examples.touched, LEFT)  # the same frame: the mark is replaced
+    assert len(main.suggest.examples.examples) == 1
+    before = examples.marked.rectangle
+    viewport = examples.image.view.viewport()
+    left, top, width, height = before
+    corner, middle = (
+        examples.image.view.mapFromScene(examples.image.box.mapViewToScene(QPointF(*at)))
+        for at in ((left - 0.5, top - 0.5), (left + width / 2 - 0.5, top + height / 2 - 0.5))
+    )
+    QTest.mousePress(viewport, LEFT, pos=corner)
+    for share in (0.2, 0.4, 0.6):
+        QTest.mouseMove(viewport, corner + (middle - corner) * share)
+        qtbot.wait(20)
+    QTest.mouseRelease(viewport, LEFT, pos=corner + (middle - corner) * 0.6)
+    after = examples.marked.rectangle
+    assert after[0] > left and after[2] < width
+    QTest.mouseClick(examples.undo, LEFT)
+    assert examples.marked.rectangle == before
+    QTest.mouseClick(examples.redo, LEFT)
+    assert examples.marked.rectangle == after
     window = ask(qtbot, main, "tolerance")
-    [card] = window.cards
-    plot = card.curve
-    qtbot.waitUntil(plot.isVisible)
-    assert "Present 3 %: missed" in plot.readout.text()
+    assert "1 frame with marked contact" in window.cards[0].evidence.text()
 
-    viewport = plot.plot.viewport()
-    QTest.mouseClick(viewport, LEFT, pos=plot.point_at(0.002).toPoint())
-    low = card.proposal.changes["tolerance.t"]
-    assert low < 0.008, "below the gap of 2 mm at 250 mm, where the disc is missed"
-    QTest.keyClick(plot, Qt.Key.Key_Right)
-    chosen = card.proposal.changes["tolerance.t"]
-    assert chosen > low
-    assert f"Suggested {100 * chosen:g} %" in plot.readout.text()
-    assert main.context.comparison.sides[1].preset.tolerance.t == chosen
-
-    drag_slider(tolerance_slider(main), 0.3, 0.5)
-    present = main.document.preset.tolerance.t
-    assert present != 0.03
-    assert f"Present {100 * present:g} %" in plot.readout.text()
-    QTest.mouseClick(window.apply, LEFT)
-    assert main.document.preset.tolerance.t == chosen
+    main.close_without_asking()
+    qtbot.waitUntil(main.worker.isFinished)
+    other = make_window()
+    show_source(qtbot, other, PrintedSource(), 6)
+    qtbot.waitUntil(lambda: len(other.suggest.examples.examples) == 1)
+    assert other.suggest.examples.state[0].rectangle == after
