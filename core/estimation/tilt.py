@@ -91,8 +91,6 @@ class Tilt:
         Radians, -pi/2 to pi/2; None if not determined: no contact, or the patch is a line or a dot.
     roll_sigma_rad, pitch_sigma_rad : float or None
         Their standard deviations, radians; None where the angle is.
-    roll_pitch_covariance_rad2 : float
-        Covariance of roll and pitch; 0 unless both are determined.
     axis_rad : float or None
         Direction of the long axis in the image, radians, -pi/2 to pi/2, from +u (right) towards +v (down); None for a
         patch that is about as wide as long.
@@ -113,7 +111,6 @@ class Tilt:
     roll_sigma_rad: float | None = None
     pitch_rad: float | None = None
     pitch_sigma_rad: float | None = None
-    roll_pitch_covariance_rad2: float = 0.0
     axis_rad: float | None = None
     axis_sigma_rad: float | None = None
     fixed_share: float = 0.0
@@ -248,7 +245,6 @@ class TiltEstimator:
             roll_sigma_rad=roll[1],
             pitch_rad=pitch[0],
             pitch_sigma_rad=pitch[1],
-            roll_pitch_covariance_rad2=float(whole[0, 1]) if None not in (roll[0], pitch[0]) else 0.0,
             axis_rad=axis[0],
             axis_sigma_rad=axis[1],
             fixed_share=1.0 - float(np.trace(changing) / np.trace(whole)),

@@ -73,11 +73,7 @@ class TiltFilter:
                     values[f"{name}_rad"], values[f"{name}_sigma_rad"] = float(track.state[0]), sigma
                     values[f"{name}_rate_rad_s"] = float(track.state[1])
                     values[f"{name}_rate_sigma_rad_s"] = math.sqrt(track.covariance[1, 1])
-        before, after = (
-            (each["roll_sigma_rad"] or 0.0) * (each["pitch_sigma_rad"] or 0.0) for each in (vars(tilt), values)
-        )
-        covariance = tilt.roll_pitch_covariance_rad2 * after / before if before else 0.0  # the same correlation
-        return replace(tilt, roll_pitch_covariance_rad2=covariance, **values)
+        return replace(tilt, **values)
 
     def _step(self, name: str, tilt: Tilt, dt_s: float) -> None:
         """Predict one angle and correct it by the measurement, if there is one."""
