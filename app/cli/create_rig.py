@@ -1,4 +1,4 @@
-"""The command ``tactune preset create-rig``: what *Create rig…* does in the window."""
+"""The command ``tactune preset create-rig``: the rig of a folder of images."""
 
 from __future__ import annotations
 

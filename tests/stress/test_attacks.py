@@ -26,7 +26,7 @@ from tactune.core.output.cloud_files import read_points
 from tactune.core.output.markers import load_marks
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
-from tactune.core.tuning.advice.example_file import load_example
+from tactune.core.tuning.advice.proposal import Example
 
 MIB = 2**20
 pytestmark = pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="measures memory as Linux tells it")
@@ -118,7 +118,7 @@ FILES: dict[str, tuple[Callable[[Path], object], Callable[[Path], Any]]] = {
     "claim.npz": (lambda p: npz_of_zeros(p, "points.npy", npy_header("(10000000000, 3)"), 0), read_points),
     "example.npz": (
         lambda p: npz_of_zeros(p, "contact.npy", npy_header("(629145600,)", "|b1"), 600 * MIB),
-        load_example,
+        Example.load,
     ),
     "count.ply": (lambda p: p.write_bytes(LARGE_PLY), read_points),
     "deep.preset.json": (lambda p: p.write_text(DEEP), load_preset),

@@ -177,16 +177,16 @@ class _NoWork:
         return future
 
 
-CLIP = Clip("folder:rec", "folder:/rec", range(3), "0", True)
+CLIP = Clip("folder:rec", "folder:/rec", range(3), True)
 PLANS = [
-    Plan(Preset(), (Axis("tolerance.t", low=0.004, high=0.02 + n, count=3),), (CLIP,), ("iou",), "grid", 3, 0, "")
+    Plan(Preset(), (Axis("tolerance.t", low=0.004, high=0.02 + n, count=3),), (CLIP,), ("iou",), "grid", 3, 0)
     for n in range(2)
 ]
 
 
 def search(folder: Path, n: int) -> bool:
     study = Study(PLANS[n], folder / "s.log")
-    list(study.run(Workers(_NoWork(), lambda: 1)))  # type: ignore[arg-type]
+    list(study.run(Workers(_NoWork(), 1)))  # type: ignore[arg-type]
     trials, _ = study.results()
     values = {str(trial.values["tolerance.t"]) for trial in trials}
     return len(trials) == 3 and values == set(map(str, PLANS[n].axes[0].steps()))

@@ -49,7 +49,8 @@ class Db3File:
         self._database = sqlite3.connect(uri, uri=True, check_same_thread=False)
         self._lock = Lock()
         try:
-            self._ids = dict(self._database.execute("SELECT name, id FROM topics"))
+            used = "SELECT name, id FROM topics WHERE id IN (SELECT DISTINCT topic_id FROM messages)"
+            self._ids = dict(self._database.execute(used))
             self.cameras = self._find_cameras()
         except BaseException:
             self.close()
@@ -60,7 +61,7 @@ class Db3File:
         self._database.close()
 
     def _find_cameras(self) -> list[Camera]:
-        streams = find_streams(name for name in self._ids if len(self._rows(name)))
+        streams = find_streams(self._ids)
         numbers = sorted(number for number, kind in streams if kind == "Depth")
         cameras = []
         for done, number in enumerate(numbers, start=1):
