@@ -221,6 +221,7 @@ MEASUREMENTS = {
 }
 
 if __name__ == "__main__":
+    sys.stdout.reconfigure(line_buffering=True)
     cv2.setNumThreads(1)
     for chosen in sys.argv[1:] or MEASUREMENTS:
         MEASUREMENTS[chosen]()

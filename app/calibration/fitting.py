@@ -92,10 +92,7 @@ def image_marks(
     *,
     everywhere: bool = False,
 ) -> list[Mark]:
-    """Return the marks of one image: pairs clicked in images with the same pixels.
-
-    Only pairs of the current snapshot, or of all snapshots with ``everywhere``.
-    """
+    """Return the marks of one image: pairs of the current snapshot, or of all, clicked in images with its pixels."""
     marks = []
     few, fits, worst = len(state.pairs) <= _MAX_LABELS, outcome.fits, outcome.worst
     for pair in state.pairs:
@@ -140,15 +137,9 @@ def _hint(pair: PointPair, fit: PairQuality | None, stands_out: bool) -> str:
 
 
 class Fitter(QObject):
-    """Fits the session's pairs whenever they change. Only the newest state is fitted.
+    """Fits the session's pairs whenever they change. Only the newest state is fitted."""
 
-    Signals
-    -------
-    fitted(Outcome)
-    busyChanged(bool)
-    """
-
-    fitted = pyqtSignal(object)
+    fitted = pyqtSignal(object)  # Outcome
     busyChanged = pyqtSignal(bool)
 
     def __init__(self, session: Session, parent: QObject | None = None) -> None:

@@ -24,20 +24,10 @@ TITLES: dict[Side, str] = {"proximity": "Proximity camera (left)", "tactile": "T
 
 
 class PairView(QWidget):
-    """Two linked `PointImage` widgets.
+    """Two linked `PointImage` widgets; ``snapper`` returns the feature near a pixel of a picture, or None."""
 
-    Parameters
-    ----------
-    snapper : callable
-        Returns the feature near a pixel of a picture, or None.
-
-    Signals
-    -------
-    placed(side: str, u: float, v: float, landing: str)
-        A click where there is no mark yet, snapped unless snapping is off or Ctrl is held, and what it snapped to;
-        empty if it was not to snap.
-    """
-
+    #: Side, u, v of a click where there is no mark yet, snapped unless snapping is off or Ctrl is held, and what it
+    #: snapped to; empty if it was not to snap.
     placed = pyqtSignal(str, float, float, str)
 
     def __init__(self, snapper: Snapper) -> None:

@@ -143,14 +143,9 @@ class Session(History[SessionState]):
     """What the wizard's pages edit; every edit is one undoable step.
 
     ``read_depth`` returns the tactile depth in metres at a pixel of a snapshot, or None.
-
-    Signals
-    -------
-    selectionChanged(tuple of str)
-        Other pairs are selected. Selecting is not an undo step.
     """
 
-    selectionChanged = pyqtSignal(object)
+    selectionChanged = pyqtSignal(object)  # ids; selecting is not an undo step
 
     def __init__(self, rig: Rig, read_depth: DepthReader, parent: QObject | None = None) -> None:
         super().__init__(SessionState(), parent)

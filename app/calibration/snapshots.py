@@ -52,24 +52,13 @@ class Collector(QObject):
     A recording is read frame by frame, because frames that play may be dropped. From a paused frame on, only those are
     averaged that show the membrane in the same place.
 
-    Attributes
-    ----------
-    asked : int
-        Number of frames that were asked for.
-    moved_on : bool
-        Whether the snapshot ended where the membrane moves away from the paused frame.
-
-    Signals
-    -------
-    progress(share: float, words: str)
-    taken(Snapshot)
-    failed(sentence: str)
-        Empty if the job was cancelled.
+    ``asked`` is the number of frames that were asked for, ``moved_on`` whether the snapshot ended where the membrane
+    moves away from the paused frame.
     """
 
     progress = pyqtSignal(float, str)
     taken = pyqtSignal(object)
-    failed = pyqtSignal(str)
+    failed = pyqtSignal(str)  # empty if the job was cancelled
 
     def __init__(self, feed: FrameFeed, parent: QObject | None = None) -> None:
         super().__init__(parent)
