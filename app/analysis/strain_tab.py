@@ -121,7 +121,7 @@ class StrainTab(LiveTab):
 
         def measure(progress: Progress) -> StrainView:
             untouched = self.untouched(result, home, progress).frame
-            frame, averaged = average_still(frames, rig)
+            frame, averaged = average_still(frames)
             truth = frame.truth.strain if frame.truth is not None else None
             displacement_mm = math.nan
             try:

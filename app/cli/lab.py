@@ -187,7 +187,7 @@ def strain(
         for frame in itertools.islice(opened, total):
             untouched = untouched or frame
             latest.append(frame)
-            still, averaged = average_still(list(latest), opened.rig)
+            still, averaged = average_still(list(latest))
             try:
                 displacement = indentation_m(still, untouched, opened.rig)
                 measured = measure_strain(still, opened.rig, spacing_mm / 1e3)

@@ -22,6 +22,7 @@ from ..errors import TactuneError
 from ..model.arrays import AnyArray, BoolArray, Float64Array, IndexArray, Int64Array
 from ..model.clouds import valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
+from ..model.robust import spread
 
 #: Default distance of neighbouring dots on the flat sheet, metres, and the range of possible ones.
 SPACING_M: Final = 0.010
@@ -41,8 +42,9 @@ _STEEPEST: Final = 2.0
 #: Strains beyond these do not come from a pair of neighbours.
 _LEAST_STRAIN, _MOST_STRAIN = -0.5, 2.0
 
-#: The membrane has moved if more tiles of this side length, pixels, change their mean depth by more than this, metres.
-_TILE_PX, _MOVED_M, _MOVED_TILES = 32, 0.0006, 3
+#: The membrane has moved if two tiles of this side length, pixels, change by more than this number of standard
+#: deviations of their noise, or if the mean square of all tiles exceeds that of noise by this factor.
+_TILE_PX, _MOVED_SIGMAS, _MOVED_FACTOR = 32, 6.0, 2.0
 
 Cell = tuple[int, int]
 #: Largest distance of a dot from its predicted place, in lattice steps.
@@ -104,14 +106,6 @@ class StrainMeasurement:
 def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -> StrainMeasurement:
     """Measure strain from the grid of dots in a frame.
 
-    Parameters
-    ----------
-    frame : SensorFrame
-        With a tactile colour image.
-    rig : Rig
-    spacing_m : float
-        Distance of neighbouring dots on the flat sheet, metres.
-
     Raises
     ------
     StrainError
@@ -163,24 +157,14 @@ def indentation_m(frame: SensorFrame, untouched: SensorFrame, rig: Rig) -> float
     return max(float(np.nanmax(moved)), 0.0)
 
 
-def average_still(frames: Sequence[SensorFrame], rig: Rig) -> tuple[SensorFrame, int]:
-    """Return the pixelwise median of the newest frame and the frames before it in which the membrane is at rest.
+def average_still(frames: Sequence[SensorFrame]) -> tuple[SensorFrame, int]:
+    """Return the pixelwise median of the newest frame and those before it while the membrane rests, and how many.
 
-    Parameters
-    ----------
-    frames : sequence of SensorFrame
-        At least one, oldest first.
-
-    Returns
-    -------
-    frame : SensorFrame
-        With the sequence number, time stamps and truth of the newest frame.
-    count : int
-        Number of averaged frames.
+    ``frames``, oldest first, belong to one rig. The result has the number, time stamps and truth of the newest.
     """
     newest, still = frames[-1], [frames[-1]]
     for frame in reversed(frames[:-1]):
-        if (frame.tactile_color is None) != (newest.tactile_color is None) or _moved(frame, newest, rig.tactile):
+        if (frame.tactile_color is None) != (newest.tactile_color is None) or _moved(frame, newest):
             break
         still.append(frame)
     if len(still) == 1:
@@ -195,16 +179,27 @@ def average_still(frames: Sequence[SensorFrame], rig: Rig) -> tuple[SensorFrame,
     )  # fmt: skip
 
 
-def _moved(frame: SensorFrame, newest: SensorFrame, camera: DepthCamera) -> bool:
-    known = valid_depth(frame.tactile_depth) & valid_depth(newest.tactile_depth)
-    change_m = np.where(known, newest.tactile_depth.astype(np.float64) - frame.tactile_depth, 0.0) * camera.depth_unit_m
+def _moved(frame: SensorFrame, newest: SensorFrame) -> bool:
+    """Tell whether the membrane has moved between two frames by more than the noise of the tiles' inverse depths.
+
+    Movement is smooth, noise is not: a tile minus the mean of its neighbours on either side contains noise only.
+    """
+    before, now = frame.tactile_depth, newest.tactile_depth
+    known = valid_depth(before) & valid_depth(now)
+    moved = np.where(known, 1.0 / np.maximum(now, 1) - 1.0 / np.maximum(before, 1), 0.0)
     height, width = (size // _TILE_PX for size in known.shape)
-    count, total = (
+    share, total = (
         cv2.resize(image[: height * _TILE_PX, : width * _TILE_PX], (width, height), interpolation=cv2.INTER_AREA)
-        for image in (known.astype(np.float64), change_m)
+        for image in (known.astype(np.float64), moved)
     )
-    moved = (count > 0.5) & (np.abs(total) > _MOVED_M * count)
-    return bool(np.count_nonzero(moved) > _MOVED_TILES)
+    change = np.where(share >= 0.5, total / np.maximum(share, 1e-9), np.nan)
+    aside = (change[:-2] + change[2:]) / 2 - change[1:-1], (change[:, :-2] + change[:, 2:]) / 2 - change[:, 1:-1]
+    noise = np.concatenate([part[np.isfinite(part)] for part in aside])
+    change = change[np.isfinite(change)]
+    if not noise.size:
+        return bool(change.any())
+    sigmas = change / max(spread(noise) / math.sqrt(1.5), np.finfo(float).tiny)
+    return bool(np.count_nonzero(np.abs(sigmas) > _MOVED_SIGMAS) > 1 or np.mean(sigmas**2) > _MOVED_FACTOR)
 
 
 def _smooth_depth_m(frame: SensorFrame, camera: DepthCamera) -> Float64Array:
@@ -312,13 +307,7 @@ class DotLattice:
     piece: Int64Array
 
     def neighbours(self, axis: int) -> Int64Array:
-        """Return the indices of neighbouring dots, int64, shape (M, 2).
-
-        Parameters
-        ----------
-        axis : int
-            1: along the rows, from each column to the next; 0: along the columns.
-        """
+        """Return the indices of neighbouring dots, int64, shape (M, 2): along the rows (axis 1) or columns (0)."""
         places = {
             (int(piece), int(row), int(column)): number
             for number, (piece, (row, column)) in enumerate(zip(self.piece, self.cells, strict=True))
@@ -351,12 +340,7 @@ def order_dots(pixels: Float64Array, linked: Linked = lambda a, b: True) -> DotL
     A piece starts at a dot with eight symmetric neighbours. It then grows by the dot nearest to its predicted place;
     the prediction is the mean step between ordered dots nearby. Growth passes around missing dots. Rows are the
     direction nearer to the image's u axis.
-
-    Parameters
-    ----------
-    pixels : float64, shape (N, 2)
-    linked : callable
-        Called with two indices; returns False if part of the surface between the dots is hidden.
+    ``linked`` tells of two dots, by index, whether the surface between them is visible.
     """
     cells, piece = np.zeros((len(pixels), 2), np.int64), np.full(len(pixels), -1, np.int64)
     free = np.ones(len(pixels), bool)

@@ -10,9 +10,9 @@ from typing import Final
 
 import cv2
 import numpy as np
+import trimesh
 from scipy.spatial import cKDTree
 
-from tactune.core.lab.scan import import_trimesh
 from tactune.core.lab.start_pose import save_transform, transformed
 from tactune.core.model.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Uint8Array
 from tactune.core.model.frames import GroundTruth, Matrix4, Rig
@@ -125,13 +125,12 @@ def _looked_up(image: Float32Array, u: Float32Array, v: Float32Array, how: int) 
 
 
 def _coloured_files(path: Path, vertices: Float64Array, quads: Int64Array, painter: _Painter) -> dict[Path, bytes]:
-    mesh = import_trimesh().Trimesh(vertices, _halves(quads), vertex_colors=painter.colors(vertices), process=False)
+    mesh = trimesh.Trimesh(vertices, _halves(quads), vertex_colors=painter.colors(vertices), process=False)
     return {path: mesh.export(file_type="ply")}
 
 
 def _textured_files(path: Path, vertices: Float64Array, quads: Int64Array, painter: _Painter) -> dict[Path, bytes]:
     """Give each quad a square block of one texture."""
-    trimesh = import_trimesh()
     import PIL.Image
 
     across = math.ceil(math.sqrt(len(quads)))

@@ -1,0 +1,65 @@
+"""The commands of the lab: table, strain and bench; the one of scans is tested with scans."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import pytest
+
+from tactune.core.lab import table
+from tactune.core.sources.registry import open_source
+
+GRID = "sim:cup?press=low&grid=dots"
+
+
+def test_the_table_prints_cell_by_cell_and_goes_on_where_it_stopped(tactune, tmp_path, monkeypatch):
+    monkeypatch.setattr(table, "available_threads", lambda: 1)  # in this process: with coarse scenes
+    command = [
+        "lab", "table", "--objects", "cup", "--presses", "low,medium", "--membranes", "standard", "--seeds", 1,
+        "--methods", "straight,fusion-rigid", "--work", tmp_path / "work",
+    ]  # fmt: skip
+    status, out, err = tactune(*command, "--csv", tmp_path / "cells.csv")
+    assert status == 0
+    assert [line[:4] for line in err.splitlines()] == ["1/2 ", "2/2 "]
+    assert [line.split()[1] for line in out.splitlines()[1:3]] == ["straight", "fusion-rigid"]
+    rows = list(csv.DictReader((tmp_path / "cells.csv").read_text().splitlines()))
+    assert [(row["press"], row["method"]) for row in rows] == [
+        (press, method) for press in ("low", "medium") for method in ("straight", "fusion-rigid")
+    ]
+    status, out, _ = tactune(*command, "--json")
+    assert status == 0
+    assert {cell["rmse_mm"] for cell in json.loads(out)["cells"]} == {float(row["rmse_mm"]) for row in rows}
+    status, _, err = tactune("lab", "table", "--sensors", "blind")
+    assert status == 2 and "no sensor 'blind'" in err
+
+
+def test_strain_beside_the_solvers(tactune, tmp_path):
+    pytest.importorskip("matplotlib")
+    with open_source(GRID) as source:
+        facts = source.facts(0)
+    lines, figure = tmp_path / "strain.csv", tmp_path / "strain.png"
+    command = ["lab", "strain", "--source", GRID, "--frames", 3, "--average", 2]
+    status, out, _ = tactune(*command, "--json", "--csv", lines, "--plot", figure)
+    assert status == 0
+    records = json.loads(out)["frames"]
+    assert [record["averaged_frames"] for record in records] == [1, 2, 2]
+    assert records[2]["solver_length_percent"] == pytest.approx(100 * facts.strain_length_seen, abs=0.01)
+    assert records[2]["length_percent"] == pytest.approx(100 * facts.strain_length_seen, abs=5)
+    assert len(list(csv.DictReader(lines.read_text().splitlines()))) == 3
+    assert figure.read_bytes().startswith(b"\x89PNG")
+    status, out, _ = tactune(*command)
+    assert status == 0 and len(out.splitlines()) == 4
+    status, _, err = tactune("lab", "strain", "--source", "sim:cup?press=low", "--frames", 1)
+    assert status == 2 and "grid of dots" in err
+
+
+def test_the_bench_compares_and_checks_stability(tactune):
+    pytest.importorskip("open3d")
+    status, out, _ = tactune("lab", "bench", "--scenes", "empty", "--engines", "tactune", "--rounds", 3, "--json")
+    assert status == 0
+    assert [row["engine"] for row in json.loads(out)["rows"]] == ["numpy", "tactune"]
+    status, out, _ = tactune("lab", "bench", "--stability", 4)
+    assert status == 0 and "0 patches differ" in out
+    status, _, err = tactune("lab", "bench", "--scenes", "nowhere")
+    assert status == 2 and "'nowhere'" in err

@@ -1,0 +1,167 @@
+"""The Compare tab: methods side by side on the frame that the main window shows."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication
+
+from fakes import FakeSource, tiny_frame
+from hands import show_source
+from tactune.app.analysis import compare_work
+from tactune.app.analysis.compare_tab import best_columns
+from tactune.app.analysis.compare_work import CONTACT_ROW, FALSE_ROW, MISSED_ROW, TRUTH
+from tactune.core.lab.methods import make_method
+from tactune.core.model.frames import GroundTruth
+from tactune.core.model.metrics import compare_with_truth
+
+
+def known_frame(index, rig, truth=True):
+    """A disc touches; its truth is known, two columns off."""
+    frame = tiny_frame(index, rig)
+    if not truth:
+        return frame
+    depth_m = (frame.proximity_depth * np.float32(rig.proximity.depth_unit_m)).astype(np.float32)
+    return replace(frame, truth=GroundTruth(np.roll(frame.proximity_color[..., 0] == 200, 2, axis=1), depth_m))
+
+
+def source(untouched=True, truth=True) -> FakeSource:
+    made = FakeSource(make=lambda index, rig: known_frame(index, rig, truth))
+    frame = tiny_frame(0, made.rig)
+    deeper = frame.tactile_depth.copy()
+    deeper[10:30, 10:40] += 100  # 10 mm: there the membrane has come nearer since
+    kept = replace(frame, tactile_depth=deeper) if untouched else None
+    return FakeSource(make=lambda index, rig: known_frame(index, rig, truth), untouched=kept)
+
+
+def open_on(qtbot, window, shown):
+    show_source(qtbot, window, shown, 3)
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow)
+    QTest.keyClick(window, Qt.Key.Key_F7)
+    tab = window.analysis.window.made["compare"]
+    settle(qtbot, window, tab)
+    return tab
+
+
+def settle(qtbot, window, tab) -> None:
+    """Wait until what is shown is what is chosen."""
+    qtbot.waitUntil(
+        lambda: (
+            tab.found is not None
+            and tab.found.result.frame is window.result.frame
+            and tab.found.result.preset is window.document.preset
+            and tab.found.methods == tab.chosen
+            and not tab.job.busy
+        )
+    )
+
+
+@pytest.fixture
+def window(make_window):
+    made = make_window()
+    made.settings.set("compare/methods", "fusion-rigid,tactile-only")
+    return made
+
+
+def outcomes(tab):
+    return {outcome.name: outcome for outcome in tab.found.outcomes}
+
+
+def tick(qtbot, window, tab, name: str) -> None:
+    """Select a method's row and tick it by the space bar."""
+    tab.table.select([name])
+    QTest.keyClick(tab.table, Qt.Key.Key_Space)
+    settle(qtbot, window, tab)
+
+
+def test_each_method_has_a_view_and_the_numbers_that_python_gives(qtbot, window):
+    tab = open_on(qtbot, window, source())
+    frame, rig = window.result.frame, window.result.source.rig
+    assert tab.grid.shown() == [TRUTH, "fusion-rigid", "tactile-only"]
+    for name in tab.chosen:
+        patch = make_method(name, window.document.preset, rig, source().untouched())(frame)
+        known = compare_with_truth(patch, frame.truth, rig)
+        assert len(patch.points) > 50
+        text = tab.grid.tiles[name].caption.text()
+        assert f"{len(patch.points):,} points" in text and " ms · " in text
+        assert f"RMSE {known['rmse_mm']:.2f} mm · IoU {known['iou']:.3f}" in text
+        assert outcomes(tab)[name].rmse_mm == pytest.approx(known["rmse_mm"])
+    assert outcomes(tab)[TRUTH].points == np.count_nonzero(frame.truth.contact)
+
+
+def test_methods_are_ticked_by_keys_remembered_and_share_one_camera(qtbot, window):
+    tab = open_on(qtbot, window, source())
+    view = tab.grid.tiles["fusion-rigid"].view
+    before = view.camera()
+    QTest.mousePress(view, Qt.MouseButton.LeftButton, pos=QPoint(80, 80))
+    QTest.mouseMove(view, QPoint(120, 100))
+    QTest.mouseRelease(view, Qt.MouseButton.LeftButton, pos=QPoint(120, 100))
+    assert view.camera() != before
+    tick(qtbot, window, tab, "fusion-homography")
+    assert tab.grid.shown() == [TRUTH, "fusion-rigid", "fusion-homography", "tactile-only"]
+    assert tab.grid.tiles["fusion-homography"].view.camera() == view.camera()
+    tick(qtbot, window, tab, "fusion-rigid")
+    assert window.settings.text("compare/methods") == "fusion-homography,tactile-only"
+    assert not tab.grid.tiles["fusion-rigid"].isVisible()
+    QTest.keyClick(tab.table, Qt.Key.Key_C, Qt.KeyboardModifier.ControlModifier)
+    assert "fusion-rigid" in QApplication.clipboard().text()
+
+
+def test_it_follows_frames_and_presets(qtbot, window):
+    tab = open_on(qtbot, window, source())
+    few = outcomes(tab)["fusion-rigid"].points
+    window.worker.seek(5)
+    qtbot.waitUntil(lambda: tab.found.result.frame.sequence == 5)
+    assert "Frame 6" in tab.status.text() and outcomes(tab)["fusion-rigid"].points > few
+    window.document.edit("tolerance.t", 0.2)
+    qtbot.waitUntil(lambda: outcomes(tab)["fusion-rigid"].points == 64 * 48)
+
+
+def test_colours_show_agreement_with_the_truth(qtbot, window):
+    tab = open_on(qtbot, window, source())
+    tab.color_by.setFocus()
+    QTest.keyClick(tab.color_by, Qt.Key.Key_Down)
+    qtbot.waitUntil(lambda: tab.found.by_truth)
+    truth, index = window.result.frame.truth.contact, outcomes(tab)["fusion-rigid"].cloud.index
+    found = window.result.frame.proximity_color[..., 0] == 200
+    np.testing.assert_array_equal(index == CONTACT_ROW, found & truth)
+    np.testing.assert_array_equal(index == FALSE_ROW, found & ~truth)
+    np.testing.assert_array_equal(index == MISSED_ROW, truth & ~found)
+
+
+def test_without_untouched_frame_or_truth_the_rest_is_compared(qtbot, window):
+    tab = open_on(qtbot, window, source(untouched=False, truth=False))
+    assert tab.grid.shown() == ["fusion-rigid", "tactile-only"]
+    assert "untouched" in tab.grid.tiles["tactile-only"].view.message()
+    assert outcomes(tab)["fusion-rigid"].points > 0
+    assert "RMSE" not in tab.grid.tiles["fusion-rigid"].caption.text() and not tab.color_by.isEnabled()
+
+
+def test_a_method_that_breaks_leaves_the_others_alone(qtbot, window, monkeypatch):
+    def broken(name, *rest):
+        raise ZeroDivisionError("a defect")
+
+    monkeypatch.setattr(compare_work, "make_method", broken)
+    tab = open_on(qtbot, window, source())
+    assert "a defect" in tab.grid.tiles["tactile-only"].view.message()
+    assert outcomes(tab)["fusion-rigid"].points > 0
+
+
+def test_the_comparison_is_exported_with_a_picture(qtbot, window, tmp_path):
+    tab = open_on(qtbot, window, source())
+    tab.save_to(tmp_path / "a.png")
+    qtbot.waitUntil(lambda: (tmp_path / "a.csv").exists() and (tmp_path / "a.png").exists())
+    rows = list(csv.DictReader((tmp_path / "a.csv").read_text().splitlines()))
+    assert [row["method"] for row in rows] == [TRUTH, "fusion-rigid", "tactile-only"]
+    assert float(rows[1]["rmse_mm"]) == pytest.approx(outcomes(tab)["fusion-rigid"].rmse_mm, rel=1e-4)
+
+
+@pytest.mark.parametrize(("count", "size", "columns"), [(1, (500, 500), 1), (4, (1000, 800), 2), (6, (1600, 600), 3)])
+def test_views_are_as_large_as_possible(count, size, columns):
+    assert best_columns(count, *size) == columns

@@ -1,0 +1,99 @@
+"""The benchmark: exact engines agree, slower engines take longer, shortfalls are found."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+
+from tactune.core.errors import TactuneError
+from tactune.core.lab import bench
+from tactune.core.lab.bench import (
+    ENGINES,
+    OURS,
+    Check,
+    bandwidth_bytes_per_s,
+    compare_engines,
+    import_seconds,
+    least_bytes,
+    rows_text,
+    time_in_turns,
+)
+from tactune.core.lab.bench_scenes import BenchScene, make_scene, scene_names, synthetic_scene
+from tactune.core.lab.reference import reference_patch
+
+# Importing it takes 2 s in every test process that collects this file.
+pytestmark = [
+    pytest.mark.skipif(find_spec("open3d") is None, reason="needs the extra lab"),
+    pytest.mark.filterwarnings("ignore:Open3D was built with CUDA:ImportWarning"),
+]
+
+
+@pytest.fixture(scope="module")
+def scene() -> BenchScene:
+    return replace(synthetic_scene(3000, 160, 120), name="small")
+
+
+def test_baseline_and_pipeline_agree_with_the_float64_reference(scene: BenchScene) -> None:
+    expected = reference_patch(scene.preset, scene.rig, scene.frame, np.float64).pixels
+    assert len(expected) > 1000
+    for name in ("numpy", "tactune"):
+        points, pixels = ENGINES[name](scene)()
+        np.testing.assert_array_equal(pixels(), expected)
+        assert len(points) == len(expected)
+    near, pixels = ENGINES["open3d"](scene)()
+    assert len(np.intersect1d(pixels(), expected)) > 0.9 * len(expected) and len(near) > 1000
+
+
+def test_a_slower_engine_takes_longer() -> None:
+    timings = time_in_turns({"fast": lambda: None, "slow": lambda: time.sleep(0.003)}, 5)
+    assert timings["slow"].median_ms >= 3.0
+    assert timings["slow"].median_ms > 10 * timings["fast"].median_ms
+    assert timings["fast"].lower_ms <= timings["fast"].median_ms <= timings["fast"].upper_ms
+
+
+def test_rows_and_names() -> None:
+    rows = compare_engines(["empty"], ["tactune"], 3)
+    assert [(row.engine, row.differing_px) for row in rows] == [("numpy", 0), ("tactune", 0)]
+    assert rows[0].ratio == 1.0 and rows[1].ratio > 1.0 and math.isnan(rows[1].rmse_mm)
+    assert "tactune" in rows_text(rows)
+    with pytest.raises(TactuneError, match="no scene 'nowhere'"):
+        make_scene("nowhere")
+    assert "empty" in scene_names()
+
+
+def test_a_check_that_falls_short_says_so_and_the_gate_finds_a_slow_pipeline(monkeypatch) -> None:
+    assert str(Check("speed", 5.9, 6)).startswith("SHORT speed: 5.90 (must be >= 6)")
+    assert Check("speed", 6.0, 6).holds
+    assert not Check("pixels", 1, 0, at_least=False).holds
+    assert not Check("nothing measured", math.nan, 6).holds
+
+    def slowed(*args, **options):
+        return [replace(row, ratio=1.0) for row in compare_engines(*args, **options)]
+
+    monkeypatch.setattr(bench, "compare_engines", slowed)
+    assert [check.holds for check in bench.whole_pipeline(3, ["empty"])] == [False, True]
+
+
+def test_the_roofline_counts_each_byte_once(scene: BenchScene) -> None:
+    pixels = 160 * 120
+    assert least_bytes(scene, 90) == 2 * 2 * pixels + pixels + 90 * (12 + 3)
+    assert bandwidth_bytes_per_s(8 << 20) > 1e8
+
+
+def test_imports_are_timed_in_processes_of_their_own() -> None:
+    slow, quick = import_seconds(("time.sleep(0.2)", "pass"), 3)
+    assert slow > 0.2 > quick
+
+
+def test_the_pipeline_imports_no_large_library_before_it_needs_one() -> None:
+    large = {"scipy.spatial", "scipy.ndimage", "cv2", "open3d", "matplotlib"}
+    program = f"import sys; {OURS}; print(sorted({large} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
+    assert done.stdout == "[]\n"

@@ -1,0 +1,206 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.sparse.linalg import spsolve
+from scipy.spatial import cKDTree
+
+from tactune.core.errors import FrameError, TactuneError
+from tactune.core.lab import mechanics as module
+from tactune.core.lab.mechanics import (
+    MembraneMechanics,
+    MembraneMesh,
+    curvature_radius,
+    enclosed_volume,
+    stiffness_and_areas,
+)
+from tactune.core.model.metrics import pixel_scores
+from tactune.core.preset import Preset
+
+WITHIN = 0.02  # 2 %
+
+
+@pytest.fixture(autouse=True)
+def housing(monkeypatch):
+    monkeypatch.setattr(module, "HOUSING_M3", 0.002)
+
+
+def disc(radius: float, rings: int, height) -> MembraneMesh:
+    """A disc of rings of 6, 12, 18... nodes, lifted by a function of the radius."""
+    from scipy.spatial import Delaunay
+
+    rims = [np.zeros((1, 2))]
+    for ring in range(1, rings + 1):
+        angle = np.arange(6 * ring) / (6 * ring) * 2 * np.pi
+        rims.append(radius * ring / rings * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    flat = np.concatenate(rims)
+    triangles = Delaunay(flat).simplices
+    a, b, c = np.moveaxis(flat[triangles], 1, 0)
+    turned = (b - a)[:, 0] * (c - a)[:, 1] < (b - a)[:, 1] * (c - a)[:, 0]
+    triangles[turned] = triangles[turned][:, ::-1]
+    r = np.linalg.norm(flat, axis=1)
+    positions = np.column_stack([flat, 0.3 + height(r)])
+    step = 1e-6
+    slope = (height(r + step) - height(r - step)) / (2 * step)
+    normals = np.column_stack([-slope[:, None] * flat / np.maximum(r, 1e-12)[:, None], np.ones(len(r))])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return MembraneMesh(flat, positions, normals, triangles, r > radius * 0.999, np.ones((1, 1), bool), 1.0)
+
+
+def test_a_flat_membrane_bulges_by_p_a2_minus_r2_over_4t():
+    radius, tension, pressure = 0.1, 80.0, 900.0
+    mesh = disc(radius, 11, lambda r: 0.0 * r)
+    stiffness, areas = stiffness_and_areas(mesh.positions, mesh.triangles)
+    inner = ~mesh.rim
+    w = spsolve((tension * stiffness[inner][:, inner]).tocsc(), pressure * areas[inner])
+    r = np.linalg.norm(mesh.positions[inner, :2], axis=1)
+    exact = pressure * (radius**2 - r**2) / (4 * tension)
+    assert 350 < len(mesh.pixels) < 480
+    assert areas.sum() == pytest.approx(np.pi * radius**2, rel=WITHIN)
+    np.testing.assert_allclose(w, exact, atol=WITHIN * exact.max())
+    assert w.max() == pytest.approx(exact.max(), rel=WITHIN)
+
+
+def test_radius_and_volume_of_a_spherical_cap():
+    sphere, radius = 0.3, 0.08
+    mesh = disc(radius, 20, lambda r: np.sqrt(sphere**2 - r**2) - np.sqrt(sphere**2 - radius**2))
+    stiffness, areas = stiffness_and_areas(mesh.positions, mesh.triangles)
+    cap = sphere - np.sqrt(sphere**2 - radius**2)
+    assert curvature_radius(mesh, stiffness, areas) == pytest.approx(sphere, rel=WITHIN)
+    assert enclosed_volume(mesh) == pytest.approx(np.pi * cap**2 * (3 * sphere - cap) / 3, rel=WITHIN)
+
+
+@pytest.mark.parametrize(("nodes", "share"), [(440, 0.3), (440, 0.7), (1500, 0.5)])
+def test_contact_radius_under_a_flat_plate(shallow, nodes, share, monkeypatch):
+    monkeypatch.setattr(module, "REGULARISATION", 1e-3)
+    method = mechanics(shallow, nodes)
+    contact_radius = share * shallow.radius_m
+    frame = shallow.frame(contact_radius)
+    problem = method.problem
+    x = problem.solve(method.way_m(frame.tactile_depth))
+    force = float(problem.contact_pressure(x) @ problem.areas_m2) / problem.air_pressure(x)
+    assert problem.air_pressure(x) == pytest.approx(shallow.pressure(contact_radius), rel=WITHIN)
+    assert np.sqrt(force / np.pi) == pytest.approx(contact_radius, rel=WITHIN)
+
+    patch = method.find(frame)
+    points = patch.points.astype(float)
+    camera = shallow.rig.tactile.intrinsics
+    area = np.sum(points[:, 2] ** 2) / (camera.fx * camera.fy)
+    assert np.sqrt(area / np.pi) == pytest.approx(contact_radius, rel=WITHIN)
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    np.testing.assert_allclose(middle[:2], (0.02, 0.0), atol=0.002)
+    assert pixel_scores(patch.mask, frame.truth.contact).iou > 0.93
+
+
+def test_the_minimum_is_no_worse_than_any_feasible_neighbour(bulged):
+    """Random steps in the null space of A that keep the pressures positive do not lower the objective."""
+    method = mechanics(bulged)
+    problem = method.problem
+    way = method.way_m(bulged.frame(0.5 * bulged.radius_m, noise_m=0.0005).tactile_depth)
+    P, q = problem.program(way)
+    x = problem.solve(way)
+    assert np.abs(problem.A @ x).max() < 1e-6
+    assert x[problem.positive].min() > -1e-6
+    random = np.random.default_rng(0)
+    best = x @ P @ x / 2 + q @ x
+    moved = problem.positive.start
+    for _ in range(20):
+        target = np.maximum(x[problem.positive] + random.normal(0, 0.1, len(x) - moved), 0)
+        free = problem.A[:, :moved]
+        rest = spsolve(free.tocsc(), -problem.A[:, problem.positive] @ target)
+        other = np.concatenate([rest, target])
+        assert other @ P @ other / 2 + q @ other >= best - 1e-6 * abs(best)
+
+
+def test_the_program_is_the_membranes_balance_in_si_units(bulged):
+    """The rows of A are the mechanics: written out with tension, areas and gas law they agree."""
+    method = mechanics(bulged)
+    problem, mesh = method.problem, method.problem.mesh
+    x = problem.solve(method.way_m(bulged.frame(0.5 * bulged.radius_m).tactile_depth))
+    p0 = bulged.gauge_pressure_pa
+    stiffness, areas = stiffness_and_areas(mesh.positions, mesh.triangles)
+    tension = p0 * problem.radius_m / 2
+    u = np.zeros(len(problem.inner))
+    u[problem.inner] = 1e-3 * x[: problem.positive.start - 1]
+    rise = (problem.air_pressure(x) - 1.0) * p0
+    contact = problem.contact_pressure(x) * p0
+    unbalanced = tension * (stiffness @ u) - areas * (rise - contact)
+    assert np.abs(unbalanced[~mesh.rim]).max() < 1e-6 * p0 * areas.mean()
+    volume = bulged.housing_m3 + enclosed_volume(mesh)
+    assert rise == pytest.approx(-(101_325.0 + p0) / volume * float(areas @ u), rel=1e-6)
+
+
+def test_ways_along_rays_are_displacements_along_normals(bulged):
+    """A membrane moved away by 1 mm has moved by that times the z of its normals, however rays meet it."""
+    aside = replace(bulged, radius_m=0.04, apex_m=0.01, aside_m=0.11)
+    method = mechanics(aside, nodes=120)
+    mesh = method.problem.mesh
+    counts = replace(aside, rim_m=aside.rim_m + 0.001).frame(0.0).tactile_depth
+    P, q = method.problem.program(method.way_m(counts))
+    fitted_mm = -q / np.where(P.diagonal() > 0, P.diagonal(), np.inf)
+    inner = ~mesh.rim
+    inside = cKDTree(mesh.pixels[mesh.rim]).query(mesh.pixels[inner])[0] > 1.5 * mesh.spacing_px
+    assert mesh.facing[inner][inside].min() < 0.85
+    np.testing.assert_allclose(fitted_mm[: inner.sum()][inside], mesh.normals[inner, 2][inside], rtol=0.03)
+
+
+def test_nothing_presses_on_the_untouched_membrane(bulged):
+    patch = mechanics(bulged).find(bulged.frame(0.0, noise_m=0.0003, seed=5))
+    assert len(patch.points) == 0
+    assert not patch.mask.any()
+
+
+def test_the_cup_is_found_by_its_pressure(cup_frames):
+    rig, untouched, pressed = cup_frames
+    patch = MembraneMechanics(Preset(), rig, untouched).find(pressed)
+    scores = pixel_scores(patch.mask, pressed.truth.contact)
+    assert scores.recall > 0.8
+    assert scores.precision > 0.3
+
+
+def test_false_matches_of_the_stereo_camera_leave_the_patch_alone(shallow):
+    method, frame = mechanics(shallow), shallow.frame(0.6 * shallow.radius_m)
+    counts = frame.tactile_depth.copy()
+    counts[118:123, 60:65] += 8000
+    counts[60:64, 158:162] = 65535
+    clean = method.way_m(frame.tactile_depth)
+    np.testing.assert_allclose(method.way_m(counts), clean, atol=2e-4)
+
+
+def test_failures_are_told_and_do_not_spoil_the_next_frame(bulged, monkeypatch):
+    method, frame = mechanics(bulged), bulged.frame(0.5 * bulged.radius_m)
+    before = method.find(frame).points
+    half = frame.tactile_depth.copy()
+    half[:, :160] = 0
+    for counts in (np.zeros_like(half), half):
+        with pytest.raises(TactuneError, match="nodes"):
+            method.find(with_tactile(frame, counts))
+    np.testing.assert_array_equal(method.find(frame).points, before)
+    monkeypatch.setattr(module, "_MAX_STEPS", 2)
+    with pytest.raises(TactuneError, match="gave up after 2 steps"):
+        mechanics(bulged).find(frame)
+
+
+def test_untouched_frames_that_show_no_membrane_are_refused(bulged, cup_frames):
+    frame = bulged.frame(0.0)
+    with pytest.raises(TactuneError, match="take a new untouched frame"):
+        MembraneMechanics(Preset(), bulged.rig, with_tactile(frame, np.zeros_like(frame.tactile_depth)))
+    strip = frame.tactile_depth.copy()
+    strip[:118] = strip[130:] = 0
+    with pytest.raises(TactuneError, match="nodes within the membrane's outline have depth"):
+        MembraneMechanics(Preset(), bulged.rig, with_tactile(frame, strip), nodes=50)
+    with pytest.raises(TactuneError, match="not bulge"):
+        flat = np.where(frame.tactile_depth > 0, 25_000, 0).astype(np.uint16)
+        MembraneMechanics(Preset(), bulged.rig, with_tactile(frame, flat))
+    with pytest.raises(FrameError):
+        MembraneMechanics(Preset(), bulged.rig, cup_frames[1])
+
+
+def mechanics(membrane, nodes=440) -> MembraneMechanics:
+    return MembraneMechanics(Preset(), membrane.rig, membrane.frame(0.0), nodes)
+
+
+def with_tactile(frame, counts):
+    return replace(frame, tactile_depth=counts)

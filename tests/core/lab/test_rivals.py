@@ -1,0 +1,154 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactune.core.errors import FrameError, RigMismatchError, TactuneError
+from tactune.core.lab.bench_scenes import synthetic_scene
+from tactune.core.lab.membrane_view import MembraneView
+from tactune.core.lab.methods import make_method, method_names, method_tip
+from tactune.core.lab.single_camera import proximity_only, tactile_only, tactile_threshold
+from tactune.core.model.clouds import deproject
+from tactune.core.model.metrics import pixel_scores
+from tactune.core.preset import Preset
+from tactune.core.sources.presets import load_preset
+
+BASELINE_M, RIM_M = 0.02, 0.25
+
+
+def corrected(scale: float, offset_m: float) -> Preset:
+    return Preset().with_values({"alignment.depth_scale": scale, "alignment.depth_offset_m": offset_m})
+
+
+def inside(truth_depth, pixels: int = 6):
+    """Pixels that see the membrane, and so do all within some pixels."""
+    import cv2
+
+    seen = np.isfinite(truth_depth).astype(np.uint8)
+    return cv2.erode(seen, np.ones((2 * pixels + 1,) * 2, np.uint8)).astype(bool)
+
+
+class TestMembraneView:
+    def test_depth_is_that_of_the_membrane_on_each_proximity_ray(self, bulged):
+        frame = bulged.frame(0.4 * bulged.radius_m)
+        found = MembraneView(Preset().alignment, bulged.rig).depth_m(frame.tactile_depth)
+        sure = inside(frame.truth.depth_m)
+        assert sure.sum() > 20_000
+        assert np.isfinite(found[sure]).all()
+        assert np.abs(found - frame.truth.depth_m)[sure].max() < 4e-4
+        assert np.sqrt(np.mean((found - frame.truth.depth_m)[sure] ** 2)) < 1e-4
+        far = ~np.isfinite(frame.truth.depth_m)
+        assert np.isnan(found[~far]).mean() < 0.003
+        assert np.isfinite(found[far]).sum() < 0.02 * far.sum()
+
+    def test_depth_scale_and_offset_are_applied(self, bulged):
+        frame = bulged.frame(0.0)
+        wrong = np.rint((frame.tactile_depth - 300.0) / 1.02).astype(np.uint16)
+        wrong[frame.tactile_depth == 0] = 0
+        found = MembraneView(corrected(1.02, 0.003).alignment, bulged.rig)
+        sure = inside(frame.truth.depth_m)
+        assert np.abs(found.depth_m(wrong) - frame.truth.depth_m)[sure].max() < 4e-4
+        everywhere = np.ones(wrong.shape, bool)
+        np.testing.assert_allclose(
+            found.points(everywhere, wrong),
+            MembraneView(Preset().alignment, bulged.rig).points(everywhere, frame.tactile_depth),
+            atol=2e-5,
+        )
+
+    def test_points_lie_on_the_membrane(self, bulged):
+        contact = 0.4 * bulged.radius_m
+        counts = bulged.frame(contact).tactile_depth
+        chosen = np.zeros(counts.shape, bool)
+        chosen[100:140, 120:260] = True
+        x, y, z = MembraneView(Preset().alignment, bulged.rig).points(chosen, counts).astype(float).T
+        assert len(x) == np.count_nonzero(chosen & (counts > 0))
+        r = np.hypot(x - BASELINE_M, y)
+        np.testing.assert_allclose(z, RIM_M + bulged.height(r, contact), atol=1e-5)
+
+    def test_a_tactile_mask_is_seen_from_the_proximity_camera(self, bulged):
+        contact = 0.5 * bulged.radius_m
+        frame = bulged.frame(contact)
+        _, r = bulged.depth_m(bulged.rig.tactile.intrinsics, 0.0, contact)
+        picked = MembraneView(Preset().alignment, bulged.rig).pick(r < contact, frame.tactile_depth)
+        assert pixel_scores(picked, frame.truth.contact).iou > 0.97
+        assert not MembraneView(Preset().alignment, bulged.rig).pick(r < 0, frame.tactile_depth).any()
+
+    def test_no_depth_is_nowhere(self, bulged):
+        counts = bulged.frame(0.0).tactile_depth.copy()
+        counts[:] = 65535
+        view = MembraneView(Preset().alignment, bulged.rig)
+        assert np.isnan(view.depth_m(counts)).all()
+        assert len(view.points(np.ones(counts.shape, bool), counts)) == 0
+
+    def test_a_pose_is_needed(self, bulged):
+        with pytest.raises(RigMismatchError, match="calibrate"):
+            MembraneView(Preset().alignment, bulged.rig.model_copy(update={"T_proximity_tactile": None}))
+
+
+class TestProximityOnly:
+    def test_a_plate_through_the_untouched_frame_is_contact(self, bulged):
+        untouched, frame = bulged.frame(0.0), bulged.frame(0.5 * bulged.radius_m)
+        patch = proximity_only(Preset(), bulged.rig, untouched)(frame)
+        depth = frame.proximity_depth * bulged.rig.proximity.depth_unit_m
+        in_front = depth < untouched.truth.depth_m - 0.002
+        assert in_front.sum() > 5000
+        assert pixel_scores(patch.mask, in_front).iou > 0.99
+        np.testing.assert_array_equal(
+            patch.points, deproject(frame.proximity_depth, bulged.rig.proximity, np.flatnonzero(patch.mask))
+        )
+
+    def test_nothing_behind_the_untouched_frame_and_without_depth_is_contact(self, bulged):
+        find = proximity_only(Preset(), bulged.rig, bulged.frame(0.0))
+        assert len(find(bulged.frame(0.5 * bulged.radius_m, gap_m=0.002)).points) == 0
+        frame = bulged.frame(0.5 * bulged.radius_m)
+        for nothing in (0, 65535):
+            assert not find(replace(frame, proximity_depth=np.full_like(frame.proximity_depth, nothing))).mask.any()
+        with pytest.raises(FrameError, match="640 x 480"):
+            find(synthetic_scene(100).frame)
+
+
+class TestTactileOnly:
+    def test_the_share_of_the_most_deformed_points_is_contact(self, bulged):
+        untouched, frame = bulged.frame(0.0), bulged.frame(0.5 * bulged.radius_m)
+        dent = untouched.tactile_depth.astype(int) - frame.tactile_depth
+        seen = (untouched.tactile_depth > 0) & (frame.tactile_depth > 0)
+        points = tactile_only(Preset(), bulged.rig, untouched)(frame).points
+        assert len(points) == pytest.approx(0.6 * np.count_nonzero(seen & (dent > 150)), rel=0.01)
+
+    def test_the_threshold_is_absolute(self, bulged):
+        untouched, frame = bulged.frame(0.0), bulged.frame(0.5 * bulged.radius_m)
+        dent = (untouched.tactile_depth.astype(int) - frame.tactile_depth) * bulged.rig.tactile.depth_unit_m
+        seen = (untouched.tactile_depth > 0) & (frame.tactile_depth > 0)
+        points = tactile_threshold(Preset(), bulged.rig, untouched)(frame).points
+        assert len(points) == pytest.approx(np.count_nonzero(seen & (dent > 0.005)), abs=30)
+
+    def test_points_and_mask_lie_on_the_dent(self, bulged):
+        frame = bulged.frame(0.5 * bulged.radius_m)
+        patch = tactile_only(Preset(), bulged.rig, bulged.frame(0.0))(frame)
+        x, y, z = patch.points.astype(float).T
+        r = np.hypot(x - BASELINE_M, y)
+        np.testing.assert_allclose(z, RIM_M + bulged.height(r, 0.5 * bulged.radius_m), atol=1e-4)
+        scores = pixel_scores(patch.mask, frame.truth.contact)
+        assert scores.precision > 0.95  # the most deformed are in the middle of the plate
+        assert 0.5 < scores.recall < 0.8
+
+    @pytest.mark.parametrize("rival", [tactile_only, tactile_threshold])
+    def test_nothing_is_deformed_in_the_untouched_frame(self, bulged, rival):
+        patch = rival(Preset(), bulged.rig, bulged.frame(0.0))(bulged.frame(0.0, noise_m=0.0002, seed=3))
+        assert len(patch.points) == 0
+        assert not patch.mask.any()
+
+
+def test_every_method_finds_the_cup_and_says_what_it_does(cup_frames):
+    rig, untouched, pressed = cup_frames
+    preset = load_preset("simulator")
+    for name in method_names():
+        patch = make_method(name, preset, rig, untouched)(pressed)
+        assert pixel_scores(patch.mask, pressed.truth.contact).recall > 0.5, name
+        assert len(method_tip(name)) > 20
+    with pytest.raises(TactuneError, match="untouched"):
+        make_method("proximity-only", preset, rig)
+    with pytest.raises(TactuneError, match="no method 'magic'"):
+        make_method("magic", preset, rig)

@@ -1,0 +1,202 @@
+"""Contact by paint: the clean-up, and the way from the simulator's painted scan to the scores of a recording."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from painted_scan import PaintFlaws, write_painted_scan
+from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.errors import CalibrationError, TactuneError
+from tactune.core.lab.start_pose import HEADER, load_transform, pose_from_pairs, transformed
+from tactune.core.lab.scan import PaintSettings, Scan, load_scan, painted_contact, scan_truth, surface_points
+from tactune.core.model.clouds import pixel_areas_m2
+from tactune.core.model.metrics import compare_with_truth, symmetric_rmse_m, truth_cloud
+from tactune.core.sources.presets import load_preset
+from tactune.core.sources.registry import open_source
+
+pytest.importorskip("trimesh")
+
+SOURCE = "sim:cup?press=medium&sensor=datasheet"
+FRAME = 3
+PINK, PURPLE = (235, 110, 170), (90, 50, 140)
+SIDE_M = 0.001
+
+
+def plate(pink, count=101):
+    """A flat mesh of 1 mm squares, pink where the function of x and y (millimetres) says so."""
+    y, x = np.mgrid[:count, :count].astype(float)
+    number = np.arange(count * count).reshape(count, count)
+    a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]))
+    triangles = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32)
+    vertices = np.stack([x.ravel(), y.ravel(), np.zeros(count * count)], 1) * SIDE_M
+    colors = np.where(pink(x, y).ravel()[:, None], PINK, PURPLE).astype(np.uint8)
+    return Scan(vertices, triangles, colors)
+
+
+def disc(x0, y0, radius):
+    return lambda x, y: np.hypot(x - x0, y - y0) < radius
+
+
+def spots(x, y):
+    """Three spots of 707, 314 and 28 mm2, the first with a hole of 28 mm2."""
+    large = disc(30, 30, 15)(x, y) & ~disc(30, 30, 3)(x, y)
+    return large | disc(70, 70, 10)(x, y) | disc(10, 80, 3)(x, y)
+
+
+def area_mm2(scan, contact):
+    return contact.sum() * SIDE_M**2 * 1e6
+
+
+@pytest.mark.parametrize(
+    "least, largest, expected",
+    [
+        (0, 0, 707 - 28 + 314 + 28),
+        (40, 0, 707 + 314),  # the hole is filled, the small spot dropped
+        (40, 1, 707),
+        (400, 0, 707),
+        (0, 2, 707 - 28 + 314),
+        (0, 1, 707 - 28),
+        (800, 0, 0),
+    ],
+)
+def test_small_spots_and_holes_go_and_the_largest_stay(least, largest, expected):
+    scan = plate(spots)
+    contact = painted_contact(scan, PaintSettings(least_area_mm2=least, largest=largest))
+    assert area_mm2(scan, contact) == pytest.approx(expected, abs=30)
+
+
+def test_points_spread_evenly_over_the_contact():
+    scan = plate(disc(50, 50, 20))
+    points, normals = surface_points(scan, painted_contact(scan, PaintSettings()), 0.0005)
+    assert len(points) * 0.25 == pytest.approx(np.pi * 20**2, rel=0.03)
+    assert np.hypot(*(1e3 * points[:, :2] - 50).T).max() < 21
+    np.testing.assert_allclose(np.abs(normals), np.broadcast_to([0, 0, 1], normals.shape))
+
+
+@pytest.fixture(scope="module")
+def source():
+    with open_source(SOURCE) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def scans(source, tmp_path_factory):
+    """The cup as a clean and a flawed mesh with coloured vertices, and as a coarse one with a texture."""
+    folder = tmp_path_factory.mktemp("my scans")
+    flaws = PaintFlaws(noise=12, specks=40, seed=1)
+    return {
+        "clean": write_painted_scan(source, FRAME, folder / "clean.ply"),
+        "flawed": write_painted_scan(source, FRAME, folder / "flawed.ply", flaws),
+        "texture": write_painted_scan(source, FRAME, folder / "a cup.obj", flaws),
+    }
+
+
+@pytest.fixture(scope="module")
+def direct_mm(source):
+    """RMSE of the preset's pipeline against the simulator's own truth."""
+    frame = source.read(FRAME)
+    patch = ContactPipeline(load_preset("simulator"), source.rig).process(frame)
+    return compare_with_truth(patch, frame.truth, source.rig)["rmse_mm"]
+
+
+@pytest.mark.parametrize("kind", ["clean", "flawed", "texture"])
+def test_a_scan_shows_the_solvers_contact(source, scans, kind):
+    scan, pose = load_scan(scans[kind][0]), load_transform(scans[kind][-1])
+    np.testing.assert_array_equal(pose, source.facts(FRAME).T_proximity_object)
+    contact = painted_contact(scan, PaintSettings())
+    truth = truth_cloud(source.read(FRAME).truth, source.rig).points
+    # Points 0.6 mm apart, as the truth's pixels are, lie 0.27 mm from the nearest of others on the same surface.
+    assert symmetric_rmse_m(transformed(pose, surface_points(scan, contact)[0]), truth) < 0.35e-3
+    area_mm2 = 1e6 * pixel_areas_m2(truth[:, 2], source.rig.proximity.intrinsics).sum()
+    assert scan_truth(scan, contact, pose).area_mm2 == pytest.approx(area_mm2, rel=0.03)
+
+
+def test_the_scores_with_the_true_transform_are_the_direct_ones(tactune, scans, direct_mm, tmp_path):
+    for kind in ("clean", "texture"):
+        status, out, err = tactune(
+            "lab", "scan", "--source", SOURCE, "--scan", scans[kind][0], "--transform", scans[kind][-1],
+            "--frame", FRAME, "--frames", 1, "--csv", tmp_path / "scores.csv", "--json",
+        )  # fmt: skip
+        assert status == 0 and "--unit" in err
+        (record,) = json.loads(out)["results"]
+        assert record["rmse_mm"] == pytest.approx(direct_mm, abs=0.1)
+        assert record["hausdorff_mm"] > record["rmse_mm"]
+        assert (record["sequence"], record["failure"]) == (FRAME, "")
+        (row,) = csv.DictReader((tmp_path / "scores.csv").read_text().splitlines())
+        assert float(row["rmse_mm"]) == pytest.approx(record["rmse_mm"])
+
+
+def test_noisy_pairs_and_icp_come_near_the_direct_scores(tactune, scans, direct_mm, tmp_path):
+    """Four points picked 2 mm off; the scan's numbers are millimetres."""
+    trimesh = pytest.importorskip("trimesh")
+    scan, true = load_scan(scans["flawed"][0]), load_transform(scans["flawed"][-1])
+    random = np.random.default_rng(11)
+    touched = surface_points(scan, painted_contact(scan, PaintSettings()))[0]
+    picked = touched[[np.argmin(touched @ way) for way in ([1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0])]]
+    there = transformed(true, picked) + random.normal(0, 0.002, (4, 3))
+    pairs, in_mm, kept = tmp_path / "pairs.csv", tmp_path / "mm.ply", tmp_path / "kept.json"
+    rows = [",".join(map(repr, map(float, row))) for row in np.column_stack([1e3 * picked, there])]
+    pairs.write_text("\n".join([",".join(HEADER), *rows]) + "\n")
+    mesh = trimesh.load_mesh(scans["flawed"][0], process=False)
+    mesh.apply_scale(1e3)
+    mesh.export(in_mm)
+    status, out, err = tactune(
+        "lab", "scan", "--source", SOURCE, "--scan", in_mm, "--unit", "mm", "--frame", FRAME, "--frames", 1, "--json",
+        "--pairs", pairs, "--refine", "--save-transform", kept, "--methods", "fusion-rigid,proximity-only",
+    )  # fmt: skip
+    assert (status, err) == (0, "")
+    found = json.loads(out)
+    assert found["refined"]["converged"]
+
+    def off_m(pose):
+        return np.sqrt(np.mean(np.sum((transformed(pose, touched) - transformed(true, touched)) ** 2, axis=1)))
+
+    assert off_m(load_transform(kept)) < min(1.5e-3, off_m(pose_from_pairs(picked, there)))
+    fusion, proximity = found["results"]
+    assert fusion["method"] == "fusion-rigid" and fusion["rmse_mm"] < proximity["rmse_mm"]
+
+
+def test_pairs_that_give_no_pose_are_refused():
+    points = np.random.default_rng(0).normal(0, 0.05, (4, 3))
+    line = np.outer([0, 1, 2, 3], [0.01, 0, 0])
+    for first, second in ((points[:2], points[:2]), (line, line), (points * 0, points), (1e3 * points, points)):
+        with pytest.raises(CalibrationError):
+            pose_from_pairs(first, second)
+
+
+@pytest.mark.parametrize(
+    "more, words",
+    [
+        ((), ("--transform", "--pairs")),
+        (("--transform", "{pose}", "--pairs", "{pose}"), ("either",)),
+        (("--transform", "{pose}", "--paint", "hue=20:30"), ("--paint",)),
+        (("--transform", "{pose}", "--paint", "colour=pink"), ("'colour'", "known are")),
+        (("--transform", "{pose}", "--paint", "hue=pink"), ("hue=150:179",)),
+        (("--transform", "{pose}", "--methods", "magic"), ("'magic'",)),
+        (("--transform", "{pose}", "--frame", "4000"), ("no frame 4000",)),
+        (("--transform", "{pose}", "--unit", "mm"), ("the unit",)),
+        (("--transform", "{away}"), ("behind the proximity camera",)),
+    ],
+)
+def test_what_cannot_be_evaluated_ends_with_a_sentence(tactune, scans, tmp_path, more, words):
+    away = tmp_path / "away.txt"
+    away.write_text("1 0 0 0\n0 1 0 0\n0 0 1 -1\n0 0 0 1\n")
+    names = {"{pose}": scans["clean"][-1], "{away}": away}
+    command = ["lab", "scan", "--source", SOURCE, "--scan", scans["clean"][0]]
+    status, _, err = tactune(*command, *(names.get(word, word) for word in more))
+    assert status == 2
+    assert all(word in err for word in words), err
+
+
+def test_meshes_without_colour_or_triangles_are_refused(tmp_path):
+    plain = tmp_path / "plain.obj"
+    plain.write_text("v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 3\n")
+    empty = tmp_path / "empty.ply"
+    empty.write_text("nothing")
+    for path in (plain, empty, tmp_path / "missing.ply", tmp_path / "scan.stl"):
+        with pytest.raises(TactuneError):
+            load_scan(path)

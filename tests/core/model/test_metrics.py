@@ -1,0 +1,156 @@
+"""Metrics against brute force, Open3D, and general properties."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+
+from tactune.core.contact.pipeline import ContactPatch
+from tactune.core.model.frames import DepthCamera, GroundTruth, Rig
+from tactune.core.model.intrinsics import Distortion, Intrinsics
+from tactune.core.model.metrics import (
+    PixelScores,
+    TruthTree,
+    compare_with_truth,
+    pixel_scores,
+    symmetric_rmse_m,
+    truth_cloud,
+)
+from tactune.core.model.patch import AlignedDepth
+from tactune.core.model.provenance import Provenance
+
+LENS = Intrinsics(
+    width=6,
+    height=4,
+    fx=5.0,
+    fy=6.0,
+    cx=2.5,
+    cy=1.5,
+    distortion=Distortion.INVERSE_BROWN_CONRADY,
+    coefficients=(0.1, -0.05, 0.01, 0.02, 0.03),
+)
+RIG = Rig(
+    proximity=DepthCamera(intrinsics=LENS, depth_unit_m=0.001),
+    tactile=DepthCamera(intrinsics=LENS, depth_unit_m=0.001),
+)
+
+masks = npst.arrays(bool, (3, 4))
+
+
+# --- masks -----------------------------------------------------------------------------------------
+
+
+def test_pixel_scores_by_hand() -> None:
+    mask = np.array([[1, 1, 1, 0, 0, 0]], bool)
+    truth = np.array([[0, 1, 1, 1, 1, 1]], bool)
+    assert pixel_scores(mask, truth) == PixelScores(iou=2 / 6, precision=2 / 3, recall=2 / 5)
+
+
+def test_pixel_scores_of_empty_masks() -> None:
+    none, some = np.zeros((2, 2), bool), np.array([[1, 0], [0, 0]], bool)
+    assert pixel_scores(none, none) == PixelScores(1.0, 1.0, 1.0)
+    assert pixel_scores(none, some) == PixelScores(iou=0.0, precision=1.0, recall=0.0)
+    assert pixel_scores(some, none) == PixelScores(iou=0.0, precision=0.0, recall=1.0)
+
+
+def test_pixel_scores_refuse_masks_of_two_cameras() -> None:
+    with pytest.raises(ValueError, match=r"\(2, 2\) and \(2, 3\)"):
+        pixel_scores(np.zeros((2, 2), bool), np.zeros((2, 3), bool))
+
+
+@given(masks, masks)
+def test_pixel_scores_are_shares_and_swap(mask: np.ndarray, truth: np.ndarray) -> None:
+    scores, swapped = pixel_scores(mask, truth), pixel_scores(truth, mask)
+    assert 0.0 <= scores.iou <= min(scores.precision, scores.recall) <= 1.0
+    assert (scores.iou, scores.precision, scores.recall) == (swapped.iou, swapped.recall, swapped.precision)
+    assert (scores.iou == 1.0) == np.array_equal(mask, truth)
+    assert pixel_scores(mask.T, truth.T) == scores
+
+
+# --- distances of clouds and outlines -------------------------------------------------------------
+
+
+def two_clouds(seed: int, first: int, second: int):
+    random = np.random.default_rng(seed)
+    return random.normal(0.0, 0.05, (first, 3)), random.normal(0.01, 0.03, (second, 3))
+
+
+def directed(points, others):
+    """Every distance to every other point, the least of each."""
+    return np.array([min(math.dist(p, q) for q in others) for p in points])
+
+
+@given(st.integers(0, 10_000), st.integers(1, 40), st.integers(1, 40))
+def test_distances_against_a_brute_force_oracle(seed, first, second):
+    patch, truth = two_clouds(seed, first, second)
+    there, back = directed(patch, truth), directed(truth, patch)
+    expected = (math.sqrt(sum(d * d for d in there) / first) + math.sqrt(sum(d * d for d in back) / second)) / 2
+    assert symmetric_rmse_m(patch, truth) == pytest.approx(expected)
+    both = [patch.astype(np.float32), patch[:1].astype(np.float32)]
+    found = TruthTree(truth).symmetric_rmses_m(both)
+    assert found == pytest.approx([symmetric_rmse_m(each, truth) for each in both], rel=1e-5)
+
+
+def test_no_distance_to_nothing():
+    some, none = np.zeros((2, 3), np.float32), np.empty((0, 3), np.float32)
+    for patch, truth in ((some, none), (none, some), (none, none)):
+        assert math.isnan(symmetric_rmse_m(patch, truth))
+        assert math.isnan(TruthTree(truth).symmetric_rmses_m([patch])[0])
+
+
+# --- patch against truth ---------------------------------------------------------------------------
+
+
+def make_truth() -> GroundTruth:
+    contact = np.zeros((4, 6), bool)
+    contact[1, 2:5] = contact[3, 0] = True
+    depth_m = np.linspace(0.2, 0.3, 24, dtype=np.float32).reshape(4, 6)
+    depth_m[1, 3] = np.nan
+    return GroundTruth(contact, depth_m)
+
+
+def make_patch(mask: np.ndarray, points: np.ndarray) -> ContactPatch:
+    provenance = np.where(mask, Provenance.CONTACT, Provenance.OUTSIDE_TOLERANCE).astype(np.uint8)
+    nothing = np.full(mask.shape, np.nan, np.float32)
+    return ContactPatch(0, points, provenance, AlignedDepth(nothing, nothing), RIG, {})
+
+
+def test_the_true_cloud_is_the_true_depth_on_contact_pixels() -> None:
+    truth = make_truth()
+    assert truth.depth_m is not None
+    pixels = [(2, 1), (4, 1), (0, 3)]
+    depths = np.array([truth.depth_m[v, u] for u, v in pixels])
+    expected = np.column_stack([LENS.normalise(pixels), np.ones(3)]) * depths[:, None]
+    cloud = truth_cloud(truth, RIG)
+    assert cloud.points.dtype == np.float32
+    np.testing.assert_allclose(cloud.points, expected, rtol=1e-6)
+
+
+def test_truth_without_depth_has_no_cloud() -> None:
+    truth = GroundTruth(np.ones((4, 6), bool))
+    assert truth_cloud(truth, RIG).points.shape == (0, 3)
+    scores = compare_with_truth(make_patch(truth.contact, np.ones((24, 3), np.float32)), truth, RIG)
+    assert scores["iou"] == 1.0
+    assert math.isnan(scores["rmse_mm"])
+
+
+def test_a_patch_is_scored_in_pixels_and_millimetres() -> None:
+    truth = make_truth()
+    cloud = truth_cloud(truth, RIG).points
+    mask = truth.contact.copy()
+    mask[3, 0] = False
+    mask[0, 0:2] = True
+    far = cloud + np.float32([0.0, 0.0, 0.004])
+    scores = compare_with_truth(make_patch(mask, far), truth, RIG)
+    assert scores == {
+        "iou": 3 / 6,
+        "precision": 3 / 5,
+        "recall": 3 / 4,
+        "rmse_mm": pytest.approx(1e3 * symmetric_rmse_m(far, cloud)),
+    }
+    assert scores["rmse_mm"] == pytest.approx(4.0, rel=1e-4)
