@@ -26,6 +26,7 @@ from pydantic import TypeAdapter
 
 from ...model.arrays import Uint8Array
 from ...model.files import atomic_path
+from ...model.loading import open_regular
 from .scene import CleanState, PressFacts
 
 #: Files of this folder on which the clean images depend beyond `Scene.key`.
@@ -68,7 +69,7 @@ def load_scene(path: Path, count: int) -> SolvedScene | None:
     """Return ``count`` states from a file, or None where it is missing or damaged."""
     images: dict[str, Any] = {}
     try:
-        with zipfile.ZipFile(path) as archive:
+        with open_regular(path) as file, zipfile.ZipFile(file) as archive:
             facts = _FACTS.validate_json(archive.read("facts.json"))
             packed = {name: [archive.read(f"{n}/{name}") for n in range(count)] for name in _COLOURS}
             shape = count, *_decoded(packed["tactile_color"][0]).shape[:2]
