@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -30,7 +31,6 @@ from .common import (
 if TYPE_CHECKING:
     from ...core.model.frames import Rig, SensorFrame
     from ...core.preset import Preset, RigNoise
-    from ...core.rig.untouched import UntouchedAverage
     from ...core.sources import FrameSource
 
 preset_commands = typer.Typer(
@@ -114,7 +114,10 @@ def validate(presets: Annotated[list[str], typer.Argument(metavar="FILE...")]) -
             bad += 1
             typer.echo(f"tactune: {error}", err=True)
         else:
-            typer.echo(f"{origin}: good, {_describe(preset)}" + (f", {older}" if older else ""))
+            rig = preset.rig
+            cameras = [] if rig is None else [f"{it.model} {it.serial}".strip() for it in (rig.proximity, rig.tactile)]
+            made_for = f"for {' and '.join(cameras)}" if cameras else "for any rig"
+            typer.echo(f"{origin}: good, preset {preset.name!r} {made_for}" + (f", {older}" if older else ""))
             tell_notes(preset)
     if bad:
         raise typer.Exit(2)
@@ -155,7 +158,8 @@ def capture_untouched(
     save_preset(chosen.model_copy(update={"untouched": record, "modified": now()}), preset)
     if captured.frames < frames:
         warn(f"{opened.name} ended after {captured.frames} of the {frames} frames asked for")
-    noise = _noise_words(captured, opened.rig.tactile.depth_unit_m)
+    before, after = (1e3 * opened.rig.tactile.depth_unit_m * counts for counts in captured.noise_counts)
+    noise = "" if math.isnan(before) else f": noise of the tactile depth {before:.2f} mm before, {after:.2f} mm after"
     typer.echo(f"averaged {counted(captured.frames, 'frame')} of {opened.name}{noise}")
     typer.echo(f"wrote {preset.parent / record.file}, named in {preset}")
 
@@ -212,47 +216,25 @@ def schema() -> None:
     typer.echo(json.dumps(json_schema(), indent=2))
 
 
-def _describe(preset: Preset) -> str:
-    cameras = (
-        f"for {preset.rig.proximity.model} {preset.rig.proximity.serial} and "
-        f"{preset.rig.tactile.model} {preset.rig.tactile.serial}".replace("  ", " ").rstrip()
-        if preset.rig
-        else "for any rig"
-    )
-    return f"preset {preset.name!r} {cameras}"
-
-
 def _check_untouched(preset: Preset, path: Path, rig: Rig, membrane: SensorFrame, *, force: bool) -> None:
     """Warn of signs that the membrane is touched; refuse it if contact is certain."""
     from ...core.rig.drift import touch_doubts
+    from ...core.rig.untouched import load_untouched
     from ...core.warmup import warm_up_if_needed
 
+    earlier = None
+    with suppress(PresetError):  # lost or damaged: the new one replaces it
+        earlier = None if preset.untouched is None else load_untouched(preset.untouched, path)
     with CliProgress() as progress:
         warm_up_if_needed(progress.preparing)
-    for sentence, certain in touch_doubts(preset, rig, membrane, _earlier(preset, path)):
+    for sentence, certain in touch_doubts(preset, rig, membrane, earlier):
         if certain and not force:
             raise CalibrationError(f"{sentence}, or keep it with --force")
         warn(sentence)
 
 
-def _earlier(preset: Preset, path: Path) -> SensorFrame | None:
-    from ...core.rig.untouched import load_untouched
-
-    try:
-        return None if preset.untouched is None else load_untouched(preset.untouched, path)
-    except PresetError:  # lost or damaged: the new one replaces it
-        return None
-
-
 def check_target(target: Path, preset: str | None, *, force: bool) -> None:
-    """Raise unless the preset can be written there: not over a shipped one, and over another file with ``force`` only.
-
-    Raises
-    ------
-    PresetError
-    ExportError
-        The operating system refuses.
-    """
+    """Raise unless the preset can be written there: never over a shipped one, over another file only by ``force``."""
     import importlib.resources
 
     from ...core.model.files import check_writable
@@ -298,11 +280,3 @@ def _measure_noise(source: FrameSource, preset: Preset, origin: str, count: int)
     if len(frames) < count:
         warn(f"{source.name} has only {len(frames)} frames, fewer than {count}; all of them were measured")
     return noise
-
-
-def _noise_words(captured: UntouchedAverage, unit_m: float) -> str:
-    """Return the depth noise before and after averaging in words; empty if unknown."""
-    single, averaged = (1e3 * unit_m * counts for counts in captured.noise_counts)
-    if math.isnan(single):
-        return ""
-    return f": noise of the tactile depth {single:.2f} mm in one frame, {averaged:.2f} mm in the untouched frame"

@@ -86,7 +86,8 @@ class Gather(QWidget):
         apply.clicked.connect(self.use)
         apply.setVisible(not self.at_once)
         self.undo.clicked.connect(self._document.undo_stack.undo)
-        self._document.presetChanged.connect(self._show_undo)
+        self._can_undo = self._document.undo_stack.canUndo()
+        self._document.undo_stack.canUndoChanged.connect(self._note_undo)
         context.worker.playbackChanged.connect(self._playback_changed)
         context.worker.opened.connect(self._source_opened)
 
@@ -265,8 +266,12 @@ class Gather(QWidget):
         self.apply.setEnabled(self.found is not None and not self.busy)
         self._show_undo()
 
-    def _show_undo(self, *_: object) -> None:
-        self.undo.setEnabled(self._document.undo_stack.canUndo() and not self.busy)
+    def _note_undo(self, can_undo: bool) -> None:
+        self._can_undo = can_undo  # the stack, which is being deleted, may be the one that says it
+        self._show_undo()
+
+    def _show_undo(self) -> None:
+        self.undo.setEnabled(self._can_undo and not self.busy)
 
     # Rows for the layout
 

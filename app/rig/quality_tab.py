@@ -12,7 +12,6 @@ from PyQt6.QtWidgets import (
     QDoubleSpinBox,
     QGridLayout,
     QLabel,
-    QSpinBox,
     QWidget,
 )
 
@@ -83,19 +82,13 @@ class QualityTab(QWidget):
         self.region_item = RegionItem(self.panes["proximity"])
         self._tactile_outline = Outline(self.panes["tactile"])
         self.lines = {name: _text() for name in ("proximity", "tactile", "bias")}
-        self.entries = {name: _pixels(name) for name in ("Left", "Top", "Width", "Height")}
+        self.region: Rectangle = (0, 0, 2, 2)
         self.true_distance = QDoubleSpinBox()
         self.copy = push_button("Copy numbers", "Copy all values as text (Ctrl+Shift+C)", "Ctrl+Shift+C")
-        self.centre = push_button("Centre", "Move the region to the centre of the image")
+        self.centre = push_button("Region to the centre", "Move the region to the centre of the image")
         self.status = wrapped_label(_WAITING)
         self._lay_out()
         self._connect()
-
-    @property
-    def region(self) -> Rectangle:
-        """Left, top, width and height in proximity pixels."""
-        left, top, width, height = (entry.value() for entry in self.entries.values())
-        return left, top, width, height
 
     def show_result(self, result: Result) -> None:
         """Take a frame of the main window."""
@@ -110,12 +103,10 @@ class QualityTab(QWidget):
         self._measure_soon()
 
     def set_region(self, region: Rectangle) -> None:
-        """Measure in another rectangle."""
-        for entry, value in zip(self.entries.values(), region, strict=True):
-            entry.blockSignals(True)
-            entry.setValue(value)
-            entry.blockSignals(False)
-        self._region_changed()
+        """Measure in another rectangle: left, top, width and height in proximity pixels."""
+        self.region = region
+        self.region_item.set_rectangle(region)
+        self._measure_again()
 
     def stop(self) -> None:
         """Discard the frames and cancel the job."""
@@ -151,8 +142,7 @@ class QualityTab(QWidget):
             "True distance from the cameras' front glass to the target along the optical axis, in mm, measured "
             "independently; the accuracy of the distance is shown if it is set"
         )
-        region = (QLabel("Region"), *self.entries.values(), self.centre)
-        row = hbox(*region, 12, QLabel("True distance"), self.true_distance, STRETCH, self.copy)
+        row = hbox(self.centre, 12, QLabel("True distance"), self.true_distance, STRETCH, self.copy)
         vbox(intro, (grid, 1), self.status, row, within=self)
         self.copy.setEnabled(False)
 
@@ -160,8 +150,6 @@ class QualityTab(QWidget):
         for pane in self.panes.values():
             pane.resized.connect(self._fit)
             pane.doubleClicked.connect(self._fit)
-        for entry in self.entries.values():
-            entry.valueChanged.connect(self._region_changed)
         self.region_item.edited.connect(lambda region, _: self.set_region(region))
         self.true_distance.valueChanged.connect(self._measure_again)
         self.centre.clicked.connect(self._to_centre)
@@ -175,10 +163,6 @@ class QualityTab(QWidget):
         self._forget()
         if same_size:
             return
-        for name, limit in (("Left", size.width - 1), ("Top", size.height - 1)):
-            self.entries[name].setRange(0, limit)
-        self.entries["Width"].setRange(2, size.width)
-        self.entries["Height"].setRange(2, size.height)
         self._to_centre()
 
     def _forget(self) -> None:
@@ -199,15 +183,6 @@ class QualityTab(QWidget):
         size = self._rig.proximity.intrinsics
         width, height = round(_START_SHARE * size.width), round(_START_SHARE * size.height)
         self.set_region(((size.width - width) // 2, (size.height - height) // 2, width, height))
-
-    def _region_changed(self) -> None:
-        if self._rig is None:
-            return
-        size = self._rig.proximity.intrinsics
-        self.entries["Width"].setMaximum(size.width - self.entries["Left"].value())
-        self.entries["Height"].setMaximum(size.height - self.entries["Top"].value())
-        self.region_item.set_rectangle(self.region)
-        self._measure_again()
 
     def _measure_again(self) -> None:
         self._newer, self._last_s = True, 0.0
@@ -293,14 +268,3 @@ def _text() -> QLabel:
     label = wrapped_label(selectable=True)
     label.setTextFormat(Qt.TextFormat.RichText)
     return label
-
-
-def _pixels(name: str) -> QSpinBox:
-    entry = QSpinBox()
-    entry.setRange(0, 16384)
-    entry.setPrefix(f"{name[0].lower()} " if name in ("Width", "Height") else ("x " if name == "Left" else "y "))
-    entry.setSuffix(" px")
-    entry.setAccessibleName(f"Region: {name.lower()}")
-    entry.setToolTip(f"{name} of the region, in proximity pixels; it can also be dragged in the image")
-    entry.setKeyboardTracking(False)
-    return entry

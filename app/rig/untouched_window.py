@@ -79,7 +79,8 @@ class UntouchedPanel(Gather):
         self.save = push_button("&Save preset", "Save the preset; the untouched frame is written beside it (Ctrl+S)")
         self.save.setShortcut("Ctrl+S")
         self.save.clicked.connect(context.saveRequested)
-        self._document.fileChanged.connect(self._show_undo)
+        self._clean = self._document.undo_stack.isClean()
+        self._document.undo_stack.cleanChanged.connect(self._note_clean)
         self.sentence.setMinimumHeight(2 * self.sentence.fontMetrics().lineSpacing())
         row = self.applying_row(self.save)
         vbox(self.taking_row(caption("A&verage", self.frames)), self.sentence, row, within=self, margins=0)
@@ -132,9 +133,13 @@ class UntouchedPanel(Gather):
         """Return the field and its value."""
         return "untouched", self.found.record.model_dump()
 
-    def _show_undo(self, *_: object) -> None:
+    def _note_clean(self, clean: bool) -> None:
+        self._clean = clean
+        self._show_undo()
+
+    def _show_undo(self) -> None:
         super()._show_undo()
-        self.save.setEnabled(self._document.dirty and not self.busy)
+        self.save.setEnabled(not self._clean and not self.busy)
 
 
 class CaptureWindow(QDialog):

@@ -81,20 +81,6 @@ def test_shipped_files_and_recordings_are_never_written(tactune: Tactune, wall: 
     assert shipped.read_bytes() == before
 
 
-def test_a_folder_is_refused_before_anything_is_measured(tactune: Tactune, wall: Path, tmp_path: Path) -> None:
-    finished = tactune("preset", "measure-rig", "--source", wall, "--out", tmp_path, "--force")
-    assert "is no ordinary file" in finished.sentence
-    assert not finished.out
-
-
-def test_a_place_that_cannot_be_written_is_refused_before_anything_is_measured(
-    tactune: Tactune, wall: Path, mine: Path
-) -> None:
-    out = mine / "below-a-file.json"
-    finished = tactune("preset", "measure-rig", "--source", wall.with_name("no-such-source"), "--out", out)
-    assert f"cannot write {out}" in finished.sentence  # before the source is opened
-
-
 def test_without_a_file_nothing_is_written(tactune: Tactune, wall: Path) -> None:
     finished = tactune("preset", "measure-rig", "--source", wall, "--json")
     assert finished.status == 0

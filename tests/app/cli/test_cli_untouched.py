@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 import pytest
 
-from tactune.core.errors import ExportError
 from tactune.core.preset import Preset
 from tactune.core.preset.file import save_preset
 from tactune.core.rig.untouched import load_untouched
@@ -53,33 +52,10 @@ def test_capturing_puts_a_file_beside_the_preset(tactune: Tactune, recording: Pa
     assert preset.created == LAST_YEAR < preset.modified
 
 
-def test_fewer_frames_than_asked_for_are_said(tactune: Tactune, recording: Path, mine: Path) -> None:
-    finished = tactune("preset", "capture-untouched", "--source", recording, "--preset", mine)
-    assert finished.status == 0
-    assert "ended after 4 of the 15 frames" in finished.err
-
-
 @pytest.mark.parametrize("preset", ["default", "gone.json"])
 def test_only_a_preset_file_can_take_it(tactune: Tactune, recording: Path, preset: str) -> None:
     sentence = tactune("preset", "capture-untouched", "--source", recording, "--preset", preset).sentence
     assert f"{preset} is no preset file" in sentence
-
-
-def test_a_crash_before_the_preset_is_written_leaves_the_old_pair(
-    tactune: Tactune, recording: Path, captured: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    before = load_preset(captured)
-    set_tactile_depth(recording, 2900)
-
-    def fail(*_: object) -> None:
-        raise ExportError("the disk is full")
-
-    monkeypatch.setattr("tactune.core.preset.file.save_preset", fail)
-    words = ("preset", "capture-untouched", "--source", recording, "--preset", captured)
-    assert tactune(*words).status == 2
-    assert load_preset(captured) == before
-    assert before.untouched is not None
-    assert (load_untouched(before.untouched, captured).tactile_depth == 3000).all()
 
 
 def test_a_touched_membrane_is_no_untouched_frame_where_the_mask_hides_the_prints(
@@ -134,22 +110,6 @@ def test_a_lost_untouched_frame_is_told_and_another_can_be_given(
     assert "capture-untouched" in refusal
     given = tactune(*words, "--untouched", recording)
     assert (given.status, given.err) == (0, "")
-
-
-def test_recordings_hold_the_presets_untouched_frame(
-    tactune: Tactune, recording: Path, captured: Path, tmp_path: Path
-) -> None:
-    record = load_preset(captured).untouched
-    assert record is not None
-    recorded, converted, folder = (tmp_path / name for name in ("a.mcap", "b.mcap", "c"))
-    words = ("--source", recording, "--preset", captured, "--out", recorded)
-    assert tactune("record", *words).status == 0
-    assert tactune("convert", recording, converted, "--preset", captured).status == 0
-    for file in (recorded, converted):
-        assert (load_untouched(record, file).tactile_depth == 3000).all()
-        assert tactune("run", "--source", file, "--method", "proximity-only", "--json").status == 0
-    assert tactune("convert", recorded, folder).status == 0
-    assert (folder / "untouched").is_dir()
 
 
 def test_recheck_says_that_all_holds(tactune: Tactune, recording: Path, captured: Path) -> None:

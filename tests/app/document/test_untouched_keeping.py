@@ -15,12 +15,10 @@ from fakes import tiny_frame, tiny_rig
 from hands import CONTROL, press, type_path
 from tactune.app.document.document import Document
 from tactune.app.document.untouched_store import UntouchedStore
-from tactune.core.calibration.snapshots import content_hash
-from tactune.core.errors import ExportError, PresetError
+from tactune.core.errors import PresetError
 from tactune.core.output import SessionWriter
 from tactune.core.preset import Preset
 from tactune.core.rig.untouched import load_untouched
-from tactune.core.sources.mcap.source import McapSource
 from tactune.core.sources.presets import load_preset
 
 RIG = tiny_rig()
@@ -74,19 +72,6 @@ def test_undo_and_saving_again_bring_the_former_untouched_frame_back(
     document.save(tmp_path / "p" / "mine.json")
     assert load_preset(tmp_path / "p" / "mine.json").untouched == former
     assert kept_beside(tmp_path / "p" / "mine.json").any()
-
-
-def test_where_the_untouched_frame_cannot_be_written_the_preset_stays_unsaved(
-    document: Document, tmp_path: Path
-) -> None:
-    record = document.preset.untouched
-    assert record is not None
-    (tmp_path / "p").mkdir()
-    (tmp_path / "p" / record.file).write_bytes(b"another file")
-    with pytest.raises(ExportError, match="in the way"):
-        document.save(tmp_path / "p" / "mine.json")
-    assert document.dirty
-    assert not (tmp_path / "p" / "mine.json").exists()
 
 
 def test_a_lost_untouched_frame_is_a_warning_when_saving(document: Document, tmp_path: Path) -> None:
@@ -146,16 +131,6 @@ def test_a_captured_untouched_frame_outlives_a_crash(qtbot, window, make_window,
     assert after.document.preset.untouched == record
     after.document.save(tmp_path / "rescued.json")
     assert kept_beside(tmp_path / "rescued.json").any()
-
-
-def test_a_recording_holds_the_presets_untouched_frame(qtbot, window, tmp_path):
-    capture(qtbot, window)
-    qtbot.waitUntil(lambda: window.untouched.keeper.frame is not None)
-    with qtbot.waitSignal(window.worker.recordingEnded):
-        window.worker.start_recording(tmp_path / "with.mcap")
-        window.worker.stop_recording()
-    with McapSource(tmp_path / "with.mcap") as source:
-        assert content_hash(source.untouched()) == window.document.preset.untouched.sha256
 
 
 def test_the_untouched_frame_of_a_recorded_preset_is_saved_from_the_recording(qtbot, window, store, tmp_path):

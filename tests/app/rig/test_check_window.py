@@ -95,8 +95,7 @@ def test_the_quality_of_a_wall_is_what_was_put_in(open_checks, rig, qtbot):
     tab.copy.click()
     assert "Temporal noise: " in QGuiApplication.clipboard().text()
 
-    tab.entries["Left"].setValue(60)
-    tab.entries["Width"].setValue(500)
+    tab.region_item.edited.emit((60, 36, WIDTH - 60, 48), 1)
     assert tab.region == (60, 36, WIDTH - 60, 48)
     tab.true_distance.setValue(297.0)
     wait(qtbot, lambda: tab.quality.proximity.region == tab.region and tab.quality.tactile.z_accuracy > 0)
