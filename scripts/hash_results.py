@@ -22,6 +22,8 @@ from typing import Any
 import numpy as np
 
 from tactune.core import ContactPipeline, Preset, SensorFrame, load_preset, open_source
+from tactune.core.lab.methods import make_method, method_names
+from tactune.core.rig.untouched import untouched_frame
 
 OBJECTS = ("cube", "cup", "octopus")
 #: Hashed frames of a press: approach, touch, deep, release.
@@ -82,7 +84,24 @@ def print_run(title: str, source: str, options: list[str]) -> None:
     for line in lines:
         for key in [key for key in line if key.endswith("_ms") or key in ("ms", "timestamp")]:
             del line[key]
+    # Earlier versions had two more keys, which named other methods: so the hashes of both can be compared.
+    lines = [_with_method(line) for line in lines]
     print(title, "exit", done.returncode, "lines", len(lines), digest(lines), flush=True)
+
+
+def _with_method(line: dict[str, Any]) -> dict[str, Any]:
+    items = list(line.items())
+    place = list(line).index("averaged_frames") + 1
+    return dict([*items[:place], ("method", "fusion"), ("failure", ""), *items[place:]])
+
+
+def print_methods(source: str, preset: Preset) -> None:
+    """Print one line per method of the lab: points and mask in the first frame of a press."""
+    with open_source(source) as opened:
+        untouched, frame = untouched_frame(opened), next(iter(opened))
+        for name in method_names():
+            patch = make_method(name, preset, opened.rig, untouched)(frame)
+            print("method", name, len(patch.points), digest(patch.points, patch.mask), flush=True)
 
 
 def main() -> None:
@@ -94,10 +113,7 @@ def main() -> None:
         print_run(f"run sim:{name}", f"sim:{name}?sensor=datasheet", ["--frames", "40", "--truth"])
     test = ["--set", f"contact_test={second_test()}"]
     print_run("run membrane", "sim:cup?press=high&sensor=datasheet", ["--frames", "4", "--truth", *test])
-    for method in ("fusion-homography", "proximity-only", "tactile-only", "tactile-threshold", "mechanics"):
-        print_run(
-            f"run {method}", "sim:cup?press=medium&sensor=datasheet", ["--frames", "1", "--truth", "--method", method]
-        )
+    print_methods("sim:cup?press=medium&sensor=datasheet", simulator)
     if (DATA / "real_pair").is_dir():
         real = f"folder:{DATA / 'real_pair'}"
         for offset in (0.0, REAL_OFFSET_M):
