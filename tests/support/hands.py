@@ -65,16 +65,6 @@ def image_position(pane, u, v):
     return QPointF(pane.view.mapFromScene(pane.box.mapViewToScene(QPointF(u, v))))
 
 
-def drag_over(pane, *places, button=LEFT, modifier=Qt.KeyboardModifier.NoModifier):
-    """Press at the first image place, move over the others, let go."""
-    viewport = pane.view.viewport()
-    points = [image_position(pane, *place).toPoint() for place in places]
-    QTest.mousePress(viewport, button, modifier, points[0])
-    for point in points[1:]:
-        QTest.mouseMove(viewport, point)
-    QTest.mouseRelease(viewport, button, modifier, points[-1])
-
-
 def tolerance_slider(window):
     slider = window.panel.rows["tolerance.t"].widget.slider
     window.panel.ensureWidgetVisible(slider)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from tactune.core.contact.checks import preset_notes
 from tactune.core.model.rig_file import load_rig
 from tactune.core.preset import Preset
 from tactune.core.preset import file as preset_file
-from tactune.core.preset.file import preset_json, save_preset
+from tactune.core.preset.file import save_preset
 from tactune.core.preset.preset import json_schema
 from tactune.core.rig.untouched import load_untouched, save_untouched
 from tactune.core.sources.presets import load_preset
@@ -262,18 +261,6 @@ def test_validate_names_fields_that_are_gone_in_files_and_recordings(
     finished = tactune("preset", "validate", file, old)
     assert finished.status == 0
     assert finished.out.count("cameras.tactile_delay_s") == 2
-
-
-def test_validate_refuses_a_pipe_and_goes_on(tactune: Tactune, tmp_path: Path) -> None:
-    beside = tmp_path / "beside.json"
-    save_preset(Preset(name="beside"), beside)
-    read, write = os.pipe()
-    os.write(write, preset_json(Preset(name="from a pipe")).encode())
-    os.close(write)
-    found = tactune("preset", "validate", f"/dev/fd/{read}", beside)
-    os.close(read)
-    assert found.status == 2
-    assert "no ordinary file" in found.err and "'beside'" in found.out
 
 
 def test_schema_is_the_schema(tactune: Tactune) -> None:

@@ -13,7 +13,7 @@ import pytest
 from side_by_side import HEIGHT, WIDTH, counts
 from tactune.core.errors import FrameError
 from tactune.core.model.frames import SensorFrame
-from tactune.core.preset import CameraNoise, Preset, RigNoise
+from tactune.core.preset import CameraNoise, Preset
 from tactune.core.rig.bias import MeasuredBias, choose_bias
 from tactune.core.rig.noise import describe, measure_noise
 from tactune.core.rig.untouched import untouched_frame
@@ -299,22 +299,3 @@ def test_a_simulated_sensor_gives_back_its_model(name):
 @pytest.mark.parametrize("name", SENSORS)
 def test_every_simulated_sensor_gives_back_its_model(name):
     check(name)
-
-
-def test_sentences_are_plain():
-    noise = RigNoise(
-        proximity=camera(),
-        tactile=camera(white_m=0.0002, correlated_m=0.0008, length_px=6.8, changing_share=0.52),
-        bias_m=-0.0031,
-        bias_sigma_m=0.0002,
-        bias_from="prints",
-        measured="2026-11-22T10:00:00Z",
-        frames=60,
-    )
-    assert describe(noise) == [
-        "Tactile noise 0.82 mm at 300 mm distance (0.80 mm over 7 px, 0.20 mm from pixel to pixel); "
-        "52 % of its variance changes from frame to frame.",
-        "Proximity noise 1.00 mm at 300 mm distance (from pixel to pixel); "
-        "100 % of its variance changes from frame to frame.",
-        "The proximity camera reads 3.1 ± 0.2 mm nearer than the tactile camera (measured on prints).",
-    ]

@@ -134,10 +134,7 @@ def test_a_depth_unit_that_puts_the_membrane_where_it_cannot_be(unit_m, distance
     rig, frame = scene(PRESSED)
     rig = rig.model_copy(update={"tactile": rig.tactile.model_copy(update={"depth_unit_m": unit_m})})
     finding = findings(SHIPPED, rig, frame)["depth_unit"]
-    assert finding.sentence == (
-        f"The tactile camera sees the membrane at {distance} in the median: check its depth_unit_m {unit_m:g} "
-        "in rig.json."
-    )
+    assert distance in finding.sentence and f"{unit_m:g}" in finding.sentence
     assert finding.explains_empty
 
 
