@@ -1,9 +1,7 @@
-"""Point clouds as files: writing PLY, NPZ and CSV, and reading the points of these, also of other programs."""
+"""Point clouds as files: PLY, NPZ and CSV."""
 
 from __future__ import annotations
 
-import io
-import math
 import re
 from pathlib import Path
 from typing import Any, Final
@@ -13,12 +11,11 @@ import numpy.typing as npt
 
 from ..contact.masking import colors_at
 from ..contact.pipeline import ContactPatch
-from ..errors import ExportError, SourceError
-from ..model.arrays import AnyArray, Float64Array
+from ..errors import ExportError
+from ..model.arrays import AnyArray
 from ..model.clouds import PointCloud
 from ..model.files import atomic_path
 from ..model.frames import Rig, SensorFrame
-from ..model.loading import parse_npz, read_file
 
 SUFFIXES: Final = (".ply", ".npz", ".csv")
 _XYZ, _RGB = ("x", "y", "z"), ("red", "green", "blue")
@@ -104,73 +101,3 @@ def write_cloud(path: Path | str, cloud: PointCloud) -> None:
             titles = [f"{name}_m" if name in _XYZ else name for name in columns]
             formats = [_CSV_FORMATS.get(values.dtype.str[1:], "%d") for values in columns.values()]
             np.savetxt(temporary, records, fmt=formats, delimiter=",", header=",".join(titles), comments="")
-
-
-def read_points(path: Path | str) -> tuple[Float64Array, int]:
-    """Read the points of a cloud file: ``.ply`` of any program, ``.npz`` and ``.csv`` as `write_cloud` writes them.
-
-    Returns
-    -------
-    points : float64, shape (N, 3)
-        In the file's unit, without points that have a nan.
-    dropped : int
-        Number of points with a nan.
-
-    Raises
-    ------
-    SourceError
-        No such file, or none that can be read, or a coordinate is infinite.
-    """
-    path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise SourceError(f"{path} has the suffix {path.suffix!r}; clouds are {', '.join(SUFFIXES)}")
-    try:
-        data = read_file(path)
-        if suffix == ".npz":
-            points = np.asarray(parse_npz(data)["points"], np.float64)
-        elif suffix == ".csv":
-            titles = data.partition(b"\n")[0].decode().removeprefix("\ufeff").strip().split(",")
-            if titles[:3] != ["x_m", "y_m", "z_m"]:
-                raise ValueError("its header does not begin with x_m,y_m,z_m")
-            rows = io.BytesIO(data.partition(b"\n")[2].strip())
-            table = np.empty((0, len(titles)))
-            if rows.getbuffer().nbytes:
-                table = np.loadtxt(rows, delimiter=",", ndmin=2, comments=None)
-            if table.shape[1] != len(titles):
-                raise ValueError(f"it has {table.shape[1]} columns, its header {len(titles)}")
-            points = table[:, :3]
-        else:
-            points = _ply_points(data)
-        if points.ndim != 2 or points.shape[1] != 3:
-            raise ValueError(f"its points have the shape {points.shape}")
-    except OSError as error:
-        raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
-    except Exception as error:  # the libraries check with whatever Python raises
-        detail = " ".join(str(error).split())[:200] or type(error).__name__
-        raise SourceError(f"{path} is no readable {suffix} cloud ({detail}); export it again") from error
-    if np.isinf(points).any():
-        raise SourceError(f"{path} holds an infinite coordinate; export it again")
-    known = ~np.isnan(points).any(axis=1)
-    return points[known], int(np.count_nonzero(~known))
-
-
-def _ply_points(data: bytes) -> Float64Array:
-    """Return the vertices of a PLY file."""
-    from trimesh.exchange.ply import load_ply
-
-    stated = re.search(rb"element vertex (\d{1,12})\s", data[:10_000])
-    if stated is not None and int(stated[1]) == 0:  # the library wants some
-        return np.empty((0, 3))
-    points = np.asarray(load_ply(io.BytesIO(data))["vertices"], np.float64)
-    if stated is None or len(points) != int(stated[1]):  # the library takes what a text file has
-        raise ValueError(f"it has {len(points)} of its points")
-    return points
-
-
-def unit_doubt(points: Float64Array, path: Path) -> str:
-    """Return a sentence if a non-empty cloud is unlikely to be in metres, else an empty string."""
-    size = math.dist(points.min(axis=0), points.max(axis=0))
-    if size > 5.0:
-        return f"{path} is {size:.0f} m across if its unit is metres; if it is millimetres, divide by 1000 first"
-    return ""

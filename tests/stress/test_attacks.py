@@ -22,7 +22,6 @@ from tactune.core.calibration.lens import fit_lens
 from tactune.core.errors import TactuneError
 from tactune.core.lab.start_pose import load_transform
 from tactune.core.model.rig_file import load_rig
-from tactune.core.output.cloud_files import read_points
 from tactune.core.output.markers import load_marks
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
@@ -109,18 +108,16 @@ def folder(path: Path, name: str, put: Callable[[Path], None]) -> None:
 
 
 DEEP = "[" * 100_000 + "]" * 100_000
-LARGE_PLY = b"ply\nformat binary_little_endian 1.0\nelement vertex 999999999999\nproperty float x\nend_header\n"
 
 FILES: dict[str, tuple[Callable[[Path], object], Callable[[Path], Any]]] = {
     "chunks.mcap": (mcap_of_large_chunks, play),
     "messages.mcap": (mcap_of_tiny_messages, play),
-    "cloud.npz": (lambda p: npz_of_zeros(p, "points.npy", npy_header("(26214400, 3)"), 600 * MIB), read_points),
-    "claim.npz": (lambda p: npz_of_zeros(p, "points.npy", npy_header("(10000000000, 3)"), 0), read_points),
+    "cloud.npz": (lambda p: npz_of_zeros(p, "contact.npy", npy_header("(26214400, 3)"), 600 * MIB), Example.load),
+    "claim.npz": (lambda p: npz_of_zeros(p, "contact.npy", npy_header("(10000000000, 3)"), 0), Example.load),
     "example.npz": (
         lambda p: npz_of_zeros(p, "contact.npy", npy_header("(629145600,)", "|b1"), 600 * MIB),
         Example.load,
     ),
-    "count.ply": (lambda p: p.write_bytes(LARGE_PLY), read_points),
     "deep.preset.json": (lambda p: p.write_text(DEEP), load_preset),
     "deep.rig.json": (lambda p: p.write_text(DEEP), load_rig),
     "deep.marks.json": (lambda p: p.write_text(DEEP), load_marks),

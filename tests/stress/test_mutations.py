@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import random
 import re
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,7 +14,6 @@ from attacks import bounded
 from fuzz_recordings import damaged
 from kinds import KINDS
 from tactune.core.errors import TactuneError
-from tactune.core.output.cloud_files import read_points
 
 pytestmark = pytest.mark.long
 
@@ -105,15 +103,3 @@ def test_damaged_files_are_read_or_refused_and_kept(
             other.write_bytes(whole)
     assert refused > kind.damaged // 10
     assert capfd.readouterr().err == "", "a library writes to the terminal"
-
-
-def test_an_encrypted_archive_is_refused(tmp_path: Path) -> None:
-    KINDS["cloud.npz"].write(tmp_path, 0)
-    data = bytearray((tmp_path / "a.npz").read_bytes())
-    with zipfile.ZipFile(tmp_path / "a.npz") as archive:
-        first = archive.infolist()[0].header_offset
-    data[first + 6] |= 1
-    data[data.index(b"PK\x01\x02") + 8] |= 1
-    (tmp_path / "a.npz").write_bytes(data)
-    with pytest.raises(TactuneError, match="encrypted"):
-        read_points(tmp_path / "a.npz")

@@ -45,7 +45,7 @@ from tactune.core.model.files import write_csv
 from tactune.core.model.rig_file import load_rig
 from tactune.core.output import SessionWriter
 from tactune.core.output.bag import PatchWriter
-from tactune.core.output.cloud_files import read_points, write_cloud
+from tactune.core.output.cloud_files import write_cloud
 from tactune.core.output.foxglove import save_layout
 from tactune.core.output.markers import Marker, Marks, load_marks, save_marks
 from tactune.core.output.writer import export_mcap
@@ -286,7 +286,7 @@ def copied(name: str) -> Callable[[Path, int], object]:
 
 
 def cloud(name: str) -> Kind:
-    return Kind(lambda f, n: write_cloud(f / name, CLOUDS[n]), lambda f: read_points(f / name))
+    return Kind(lambda f, n: write_cloud(f / name, CLOUDS[n]))
 
 
 PICTURE = QImage(64, 64, QImage.Format.Format_RGB32)
@@ -311,7 +311,7 @@ KINDS: dict[str, Kind] = {
     "converted recording": Kind(lambda f, n: export_mcap(ListSource(FRAMES[n:]), f / "a.mcap"), play_all, 100),
     "patches": Kind(write_patches, grows=True),
     "markers": Kind(lambda f, n: save_marks(f / "a.json", MARKS[n]), lambda f: load_marks(f / "a.json")),
-    "cloud.npz": Kind(lambda f, n: write_cloud(f / "a.npz", CLOUDS[n]), lambda f: read_points(f / "a.npz"), 400),
+    "cloud.npz": cloud("a.npz"),
     "cloud.ply": cloud("a.ply"),
     "cloud.csv": cloud("a.csv"),
     "points": Kind(lambda f, n: write_points(f / "a.csv", POINTS[n:]), lambda f: read_pairs(f / "a.csv")),

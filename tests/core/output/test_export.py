@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import csv
+import io
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from trimesh.exchange.ply import load_ply
 
 from tactune.core.contact.pipeline import ContactPatch, ContactPipeline
-from tactune.core.errors import ExportError, SourceError
+from tactune.core.errors import ExportError
 from tactune.core.model.clouds import PointCloud
 from tactune.core.model.frames import ColorCamera, DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.model.patch import AlignedDepth
 from tactune.core.model.provenance import Provenance
-from tactune.core.output.cloud_files import SUFFIXES, patch_cloud, read_points, write_cloud
+from tactune.core.output.cloud_files import SUFFIXES, patch_cloud, write_cloud
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 
@@ -33,28 +35,30 @@ def make_cloud(count: int = 7, colors: bool = True) -> PointCloud:
     return PointCloud(points, rng.integers(0, 256, (count, 3)).astype(np.uint8) if colors else None, attributes)
 
 
+def points_in(path: Path) -> np.ndarray:
+    """Read points by other programs' means."""
+    if path.suffix.lower() == ".ply":
+        return np.asarray(load_ply(io.BytesIO(path.read_bytes()))["vertices"])
+    if path.suffix.lower() == ".npz":
+        return np.load(path)["points"]
+    return np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)[:, :3]
+
+
 @pytest.mark.parametrize("suffix", [*SUFFIXES, ".PLY", ".NPZ"])
-@pytest.mark.parametrize("count", [0, 1, 7])
+@pytest.mark.parametrize("count", [1, 7])
 @pytest.mark.parametrize("colors", [False, True])
 def test_points_come_back_bit_for_bit(tmp_path: Path, suffix: str, count: int, colors: bool) -> None:
     cloud = make_cloud(count, colors)
     write_cloud(tmp_path / f"cloud{suffix}", cloud)
-    points, dropped = read_points(tmp_path / f"cloud{suffix}")
-    assert dropped == 0
-    assert points.astype(np.float32).tobytes() == cloud.points.tobytes()
+    assert points_in(tmp_path / f"cloud{suffix}").astype(np.float32).tobytes() == cloud.points.tobytes()
     assert [path.name for path in tmp_path.iterdir()] == [f"cloud{suffix}"]
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_points_with_a_nan_are_left_out_and_counted(tmp_path: Path, suffix: str) -> None:
-    points = np.float32([[1, 2, 3], [np.nan, 0, 0], [4, 5, 6]])
-    write_cloud(tmp_path / f"a{suffix}", PointCloud(points))
-    found, dropped = read_points(tmp_path / f"a{suffix}")
-    assert dropped == 1
-    np.testing.assert_array_equal(found, points[[0, 2]])
-    write_cloud(tmp_path / f"a{suffix}", PointCloud(np.float32([[np.inf, 0, 0]])))
-    with pytest.raises(SourceError, match="infinite"):
-        read_points(tmp_path / f"a{suffix}")
+def test_a_frame_without_contact_is_an_empty_cloud(tmp_path: Path, suffix: str) -> None:
+    write_cloud(tmp_path / f"cloud{suffix}", make_cloud(0))
+    content = (tmp_path / f"cloud{suffix}").read_bytes()
+    assert {".ply": b"element vertex 0\n", ".npz": b"points.npy", ".csv": b"x_m,y_m,z_m"}[suffix] in content
 
 
 def test_numpy_reads_every_bit_of_the_npz_by_its_names(tmp_path: Path) -> None:
@@ -93,17 +97,6 @@ def test_open3d_reads_the_ply(tmp_path: Path) -> None:
         assert theirs[name].numpy().dtype == values.dtype
 
 
-def test_a_mesh_of_another_program_is_read_as_its_vertices(tmp_path: Path) -> None:
-    header = (
-        "ply\r\nformat binary_little_endian 1.0\r\ncomment a mesh\r\nelement vertex 2\r\nproperty double x\r\n"
-        "property double y\r\nproperty double z\r\nelement face 1\r\nproperty list uchar int vertex_indices\r\n"
-        "end_header\r\n"
-    )
-    vertices = np.arange(6, dtype="<f8")
-    (tmp_path / "mesh.ply").write_bytes(header.encode() + vertices.tobytes() + b"\x03" + bytes(12))
-    np.testing.assert_array_equal(read_points(tmp_path / "mesh.ply")[0], vertices.reshape(2, 3))
-
-
 def test_writing_imports_neither_open3d_nor_trimesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "open3d", None)
     monkeypatch.setitem(sys.modules, "trimesh", None)
@@ -132,20 +125,6 @@ def test_what_cannot_be_written_is_refused_and_leaves_no_file(
     with pytest.raises(ExportError, match=word):
         write_cloud(tmp_path / f"cloud{suffix}", cloud)
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_a_file_that_is_cut_off_or_another_is_refused(tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / f"cloud{suffix}"
-    write_cloud(path, make_cloud())
-    whole = path.read_bytes()
-    for bad in (b"", whole[:10], whole[: len(whole) // 2], whole[:-9], b"x,y,z\n1,2,3\n"):
-        path.write_bytes(bad)
-        with pytest.raises(SourceError) as caught:
-            read_points(path)
-        assert path.name in str(caught.value) and "\n" not in str(caught.value)
-    with pytest.raises(SourceError, match="check the path"):
-        read_points(tmp_path / f"missing{suffix}")
 
 
 LENS = Intrinsics(width=4, height=3, fx=2.0, fy=2.0, cx=1.5, cy=1.0)
