@@ -10,6 +10,7 @@ from collections import deque
 from contextlib import suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection
+from multiprocessing.shared_memory import SharedMemory
 from queue import Empty, SimpleQueue
 from threading import Condition, Event, Lock, Thread
 from typing import Any, Final
@@ -53,6 +54,7 @@ def main(connection: Connection, order: bytes) -> None:
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what a driver prints must not mix with a command's output
     _Capture(connection).run(order)
+    os._exit(0)  # the source is closed; taking down its libraries takes seconds
 
 
 class _Capture:
@@ -99,6 +101,14 @@ class _Capture:
 
     def _serve(self, source: FrameSource, lossless: bool) -> None:
         memory = create_memory(source.rig)
+        try:
+            self._capture(source, memory, lossless)
+        finally:
+            if self._stop.is_set():
+                with suppress(FileNotFoundError):  # usually the parent has done so
+                    memory.unlink()
+
+    def _capture(self, source: FrameSource, memory: SharedMemory, lossless: bool) -> None:
         self._health = source.health()
         self._send(Opened(source.name, source.rig, source.frame_rate_hz, self._health, memory.name))
         while not self._stop.is_set():
