@@ -13,7 +13,7 @@ from ...core.errors import PresetError, TactuneError
 from ...core.preset import Preset, now
 from ...core.preset.file import save_preset
 from ...core.rig.untouched import copy_untouched
-from ...core.sources.presets import load_preset
+from ...core.sources.presets import load_preset, load_preset_and_note
 from ...core.tuning.advice.proposal import Proposal
 from ...widgets.basics.fields import field_spec
 from .history import History
@@ -35,7 +35,7 @@ class Document(QObject):
     refused(path: str, sentence: str)
         The preset does not allow an edit; nothing changed.
     warned(sentence: str)
-        The preset was saved, but not its untouched frame.
+        The preset was saved, but not its untouched frame; or it was opened, and a field of it is gone.
     """
 
     presetChanged = pyqtSignal(object)
@@ -120,7 +120,10 @@ class Document(QObject):
 
     def open(self, path: Path) -> None:
         """Read a preset file."""
-        self._replace(load_preset(path), path)
+        preset, note = load_preset_and_note(path)
+        self._replace(preset, path)
+        if note:
+            self.warned.emit(f"{path.name}: {note}.")
 
     def restore(self, preset: Preset, path: Path | None) -> None:
         """Restore unsaved work after a crash. It counts as unsaved."""

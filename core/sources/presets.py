@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 from ..errors import PresetError
@@ -21,22 +22,19 @@ def load_preset(path_or_name: Path | str) -> Preset:
     Raises
     ------
     PresetError
-        No such file, not a preset, or a field that is unknown or out of range.
+        No such file, not a preset, or a field that is unknown or out of range. A field that earlier versions wrote and
+        this one does not know is no error: a warning of the logger ``tactune`` names it.
     SourceError
         The ``.mcap`` file is no recording.
     """
-    return load_preset_and_note(path_or_name)[0]
+    preset, note = load_preset_and_note(path_or_name)
+    if note:  # a program sees it on standard error, unless it configures logging
+        logging.getLogger(__name__).warning("%s: %s", path_or_name, note)
+    return preset
 
 
 def load_preset_and_note(path_or_name: Path | str) -> tuple[Preset, str]:
-    """Load a preset as `load_preset` does.
-
-    Returns
-    -------
-    preset : Preset
-    note : str
-        From which older schema version it was converted; empty for the current one.
-    """
+    """Load a preset as `load_preset` does; the note names its fields that are gone, and is empty if there are none."""
     path = Path(path_or_name)
     recorded = path.suffix == ".mcap" and path.is_file()
     return preset_and_note(*(_recorded_text(path) if recorded else preset_text(path_or_name)))
