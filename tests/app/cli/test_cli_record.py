@@ -120,11 +120,11 @@ def test_nothing_is_overwritten_unless_forced(tmp_path: Path, recording: Path, t
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (("record", "-s", "sim:tea", "-o", "{}/a.mcap"), "there is no scene 'tea'"),
-        (("record", "-s", "sim", "-o", "{}/a.bag"), "a recording is a .mcap file; name it so"),
+        (("record", "-s", "sim:tea", "-o", "{}/a.mcap"), "no scene 'tea'"),
+        (("record", "-s", "sim", "-o", "{}/a.bag"), ".mcap"),
         (("record", "-s", "sim", "-o", "{}/a.mcap", "-p", "nowhere"), "cannot read preset nowhere"),
         (("convert", "{}/none.bag", "{}/a.mcap"), "nothing is at that path"),
-        (("convert", "sim", "{}/a.bag"), ".bag is read only; name a .mcap or a folder"),
+        (("convert", "sim", "{}/a.bag"), "read only"),
     ],
 )
 def test_what_cannot_be_done_is_told_and_leaves_no_file(
