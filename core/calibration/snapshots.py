@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import CalibrationError
-from ..model.alignment import SnapshotRecord
 from ..model.arrays import AnyArray, Float64Array, Uint8Array, Uint16Array
 from ..model.clouds import valid_depth
 from ..model.frames import SensorFrame
@@ -28,10 +27,6 @@ class Snapshot:
     frame: SensorFrame
     frames: int
     sha256: str
-
-    def record(self, name: str = "") -> SnapshotRecord:
-        """Return the record of the snapshot for a preset."""
-        return SnapshotRecord(name=name, sha256=self.sha256, frames=self.frames)
 
 
 def take_snapshot(frames: Iterable[SensorFrame]) -> Snapshot:

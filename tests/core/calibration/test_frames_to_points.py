@@ -116,7 +116,6 @@ def test_a_snapshot_is_quieter_than_a_frame_and_named_by_its_content(rig):
     assert kept < 0.9 * min(noise[1:])
     assert snapshot.frames == 9
     assert snapshot.sha256 == content_hash(snapshot.frame) != content_hash(held[0])
-    assert snapshot.record("held").sha256 == snapshot.sha256
     with pytest.raises(CalibrationError, match="at least one frame"):
         take_snapshot([])
 
