@@ -94,7 +94,7 @@ class TestProximityOnly:
         depth = frame.proximity_depth * bulged.rig.proximity.depth_unit_m
         in_front = depth < untouched.truth.depth_m - 0.002
         assert in_front.sum() > 5000
-        assert pixel_scores(patch.mask, in_front).iou > 0.99
+        assert pixel_scores(patch.mask, in_front).iou > 0.98
         np.testing.assert_array_equal(
             patch.points, deproject(frame.proximity_depth, bulged.rig.proximity, np.flatnonzero(patch.mask))
         )
