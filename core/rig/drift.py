@@ -48,7 +48,7 @@ _MIN_PIXELS, _MAX_PIXELS, _ROUNDS = 200, 20_000, 4
 #: Texture: most and fewest places, their distance and window, and how near tracking back must end, pixels.
 _MAX_PLACES, _MIN_PLACES, _APART_PX, _WINDOW_PX, _RETURN_PX = 300, 20, 12, 15, 0.5
 #: Places follow a common motion within this, pixels. A common shift beyond the second, metres, is no touch.
-_SCATTER_PX, _FAR_M = 3.0, 0.002
+_SCATTER_PX, _FAR_M = 3.0, 0.001
 #: A change of the apex moves the texture sideways by at most this share of it.
 _PRESSURE_SHIFT: Final = 0.06
 

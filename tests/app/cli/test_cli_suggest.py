@@ -81,7 +81,7 @@ def test_stored_examples_count(tactune: Tactune, tmp_path: Path) -> None:
     finished = tactune(*command, "--example", tmp_path / "cup.npz")
     assert "1 frame with marked contact" in finished.out and "(weak)" not in finished.out
     (tmp_path / "bad.npz").write_bytes(b"nothing")
-    assert "paint it again" in tactune(*command, "--example", tmp_path / "bad.npz").sentence
+    assert "mark it again" in tactune(*command, "--example", tmp_path / "bad.npz").sentence
 
 
 def test_the_present_frame_can_be_chosen(tactune: Tactune) -> None:
