@@ -90,7 +90,7 @@ def test_a_moved_camera_is_told_and_the_button_opens_the_re_check(window, moving
 
 def test_a_dismissed_message_does_not_come_back(window, moving, qtbot):
     moving.move()
-    look(qtbot, window, moving, 6)  # the first may have been read before
+    look(qtbot, window, moving, 9)  # the first may have been read before
     [dismiss] = window.messages.message(KEY).findChildren(QToolButton)
     QTest.mouseClick(dismiss, Qt.MouseButton.LeftButton)
     look(qtbot, window, moving, 3)
