@@ -91,13 +91,7 @@ class FrameTracker:
         self._time_s = -math.inf
 
     def track(self, result: Result, progress: Progress) -> Tracked | None:
-        """Return the pose in a frame; None without a patch. The first patch that is large enough is searched.
-
-        Raises
-        ------
-        CalibrationError
-            The mesh fits that patch nowhere.
-        """
+        """Return the pose in a frame; None without a patch. The first patch that is large enough is searched."""
         patch = result.patch
         if patch is None:
             return None

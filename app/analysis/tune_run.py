@@ -80,13 +80,7 @@ class TuneRun(QObject):
         return self._process is not None
 
     def start(self, request: Request) -> None:
-        """Begin or continue a search; forget the former one's trials.
-
-        Raises
-        ------
-        ExportError
-            The folder for searches cannot be written.
-        """
+        """Begin or continue a search; forget the former one's trials."""
         self.request, self.trials, self.front, self.stopping = request, {}, (), False
         name = hashlib.sha256(request.source.encode()).hexdigest()[:12]
         preset = self._folder / f"{name}.preset.json"

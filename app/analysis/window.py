@@ -129,13 +129,6 @@ class AnalysisWindow(QDialog):
     """Stays open beside the main window; passes each frame to the visible tab, and to others that go on.
 
     While closed it takes no frames and keeps what was entered. A tab is made when it is first visible.
-
-    Parameters
-    ----------
-    kinds : mapping of str to TabKind
-    context : Context
-    play : QAction
-        What the space bar does.
     """
 
     def __init__(self, kinds: Mapping[str, TabKind], context: Context, play: QAction) -> None:

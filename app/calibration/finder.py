@@ -39,13 +39,7 @@ class Found:
 
 
 def find_pairs(choices: Choices, snapshots: Sequence[Snapshot], rig: Rig, progress: Progress) -> Found:
-    """Search every snapshot for points.
-
-    Raises
-    ------
-    CalibrationError
-        Nothing was found in any snapshot; the message is the last one's.
-    """
+    """Search every snapshot for points."""
     digests, many = tuple(snapshot.digest for snapshot in snapshots), counted(len(snapshots), "snapshot")
     if choices.target == "texture":
         for snapshot in snapshots:

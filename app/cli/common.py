@@ -109,11 +109,6 @@ class CliProgress:
     """Progress on standard error: a bar on a terminal, elsewhere one sentence before a long preparation.
 
     A context manager.
-
-    Parameters
-    ----------
-    quiet : bool
-        No bar, because something else is written to the same terminal.
     """
 
     def __init__(self, quiet: bool = False) -> None:
@@ -182,11 +177,6 @@ def stop_on_signals() -> Iterator[threading.Event]:
 class LineOutput:
     """Standard output as a stream of lines for a reader that may be slow or go away.
 
-    Parameters
-    ----------
-    stopped : threading.Event
-        Set by a signal. Set here when the reader has gone.
-
     Attributes
     ----------
     reader_gone : bool
@@ -237,13 +227,7 @@ class LineOutput:
 
 
 def parse_settings(texts: Sequence[str]) -> dict[str, Any]:
-    """Return the preset fields that ``FIELD=VALUE`` texts set, with the switches of their sections.
-
-    Raises
-    ------
-    PresetError
-        A text has no ``=``.
-    """
+    """Return the preset fields that ``FIELD=VALUE`` texts set, with the switches of their sections."""
     return _turning_sections_on(dict(_parse_setting(text) for text in texts))
 
 

@@ -203,15 +203,7 @@ def process_frames(
     lines: LineOutput | None = None,
     tilt: Estimator | None = None,
 ) -> tuple[int, list[Record]]:
-    """Process and save up to ``frames`` frames, until ``stopped`` is set.
-
-    Returns
-    -------
-    done : int
-        Number of frames.
-    records : list of dict
-        What the summary needs of each; none with ``lines``, which may go on for days.
-    """
+    """Process and save up to ``frames`` frames, until ``stopped`` is set."""
     records: list[Record] = []
     done, scored = 0, False
     total = number_of_frames(source, frames)

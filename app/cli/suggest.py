@@ -138,13 +138,7 @@ def check(
 
 
 def recent_frames(source: FrameSource, last: int | None) -> tuple[SensorFrame, ...]:
-    """Return the frames up to the present one, which is the last.
-
-    Raises
-    ------
-    AdviceError
-        The source has no such frame.
-    """
+    """Return the frames up to the present one, which is the last."""
     if last is not None and source.length is not None and last >= source.length:
         raise AdviceError(f"{source.name}: there is no frame {last}; frames run from 0 to {source.length - 1}")
     first = 0 if last is None else max(last - _RECENT + 1, 0)

@@ -20,18 +20,6 @@ class Watching:
 
     A live source's look runs on another thread, so no frame waits for it; a recording waits, so its result is the same
     each time.
-
-    Parameters
-    ----------
-    preset : Preset
-    origin : str
-        Where the preset came from, as given to `load_preset`.
-    source : FrameSource
-
-    Raises
-    ------
-    CalibrationError
-        There is no untouched frame to compare with.
     """
 
     def __init__(self, preset: Preset, origin: str, source: FrameSource) -> None:

@@ -33,15 +33,6 @@ class Gather(QWidget):
 
     A paused recording plays meanwhile and then stands at its frame again. A loop gives each frame once. Where a source
     has or gives fewer frames than wanted, `min_frames` are enough.
-
-    Parameters
-    ----------
-    context : Context
-    start : QPushButton
-    entry : QWidget
-        How much is gathered.
-    apply : QPushButton
-        Puts the result into the preset.
     """
 
     #: Smallest number of different frames.

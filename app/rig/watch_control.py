@@ -18,18 +18,7 @@ _KEY = "watch"
 
 
 class WatchControl(QObject):
-    """Looks at one frame in ten seconds of a live source, on another thread, while its action is ticked.
-
-    Parameters
-    ----------
-    context : Context
-    keeper : UntouchedKeeper
-        Has the preset's untouched frame.
-    action : QAction
-        Checkable.
-    recheck : callable
-        Opens the re-check.
-    """
+    """Looks at one frame in ten seconds of a live source, on another thread, while its action is ticked."""
 
     def __init__(self, context: Context, keeper: UntouchedKeeper, action: QAction, recheck: Callable[[], None]) -> None:
         super().__init__(context)

@@ -27,11 +27,6 @@ class OpenDialog(QDialog):
 
     The dialog stays open until the source is: it shows the progress, and an error as a sentence.
 
-    Parameters
-    ----------
-    pages : sequence of SourcePage
-    parent : QWidget, optional
-
     Signals
     -------
     requested(name: str)

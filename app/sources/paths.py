@@ -10,13 +10,7 @@ from ...core.sources.registry import source_kinds
 
 
 def recording_name(paths: list[Path]) -> str:
-    """Return the name of the source that opens a folder, a file, or two files of two cameras.
-
-    Raises
-    ------
-    SourceError
-        No source opens them, or not together.
-    """
+    """Return the name of the source that opens a folder, a file, or two files of two cameras."""
     if len(paths) == 1 and paths[0].is_dir():
         return f"folder:{paths[0]}"
     kinds = {recording_scheme(path): _kind_of(path) for path in paths}

@@ -36,11 +36,6 @@ class FoundCamera:
 class CameraSearch(QObject):
     """Searches for cameras, one search at a time.
 
-    Parameters
-    ----------
-    arguments : sequence of str
-        Arguments of the Python interpreter; the program prints the JSON of `list_devices`.
-
     Signals
     -------
     found(cameras: list[FoundCamera], hint: str)

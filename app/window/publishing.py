@@ -164,16 +164,7 @@ class _Start:
 
 
 class PublishControl(QObject):
-    """Switches publishing on and off. It is off at every start of the window, whatever it was before.
-
-    Parameters
-    ----------
-    context : Context
-    action : QAction
-        Opens the window.
-    indicator : QPushButton
-        In the status bar; shown while something is published.
-    """
+    """Switches publishing on and off. It is off at every start of the window, whatever it was before."""
 
     _set_by_client = pyqtSignal(str, object)
 

@@ -173,13 +173,7 @@ def _is_crossing(gray: Uint8Array, u: float, v: float) -> bool:
 
 
 def detect_chessboard(image: Uint8Array, columns: int, rows: int) -> Float64Array:
-    """Return the inner corners of a chessboard (columns x rows, 2), in rows from the upper left.
-
-    Raises
-    ------
-    CalibrationError
-        The board is not completely visible, or it has more corners.
-    """
+    """Return the inner corners of a chessboard (columns x rows, 2), in rows from the upper left."""
     if min(columns, rows) < 3:
         raise CalibrationError(f"a chessboard of {columns} x {rows} is too small; give at least 3 x 3 inner corners")
     gray = to_gray(image)

@@ -365,11 +365,6 @@ def fit_homography(points: PointArrays, rig: Rig, *, use: BoolArray | None = Non
     """Fit the homography from tactile to proximity depth pixels; outliers are rejected.
 
     ``use`` are the inliers, if already known; ``names`` those of the pairs in messages.
-
-    Raises
-    ------
-    CalibrationError
-        There are too few pairs, they are collinear or mirrored, or they do not agree on one homography.
     """
     check_points(points, HomographyModel.sample, "homography", tactile=points.tactile, proximity=points.proximity)
     model = HomographyModel(points, rig, names or _numbers(points), CLICK_SIGMA_PX)
@@ -397,11 +392,6 @@ def fit_rigid(
     """Fit the tactile camera's pose in the proximity frame to points with depth; outliers are rejected.
 
     ``sigma_px`` is the noise of a click, ``offset`` whether an offset of the tactile depth is fitted, too.
-
-    Raises
-    ------
-    CalibrationError
-        There are too few pairs, they are collinear, or they do not agree on one pose.
     """
     check_points(points, 4 + offset, RigidModel.name, tactile=Alignment(np.eye(4)).points_m(rig, points.places))
     return _fit_robustly(RigidModel(points, rig, names or _numbers(points), sigma_px, offset), None)

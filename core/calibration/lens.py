@@ -71,13 +71,7 @@ def check_lens(lens: Intrinsics, camera: str) -> None:
 
 
 def make_rig(cameras: Mapping[str, dict[str, Any]]) -> Rig:
-    """Return the rig of cameras as ``rig.json`` describes them, by its keys; colour and depth camera stand together.
-
-    Raises
-    ------
-    TactuneError
-        A value is missing, out of range or implausible.
-    """
+    """Return the rig of cameras as ``rig.json`` describes them, by its keys; colour and depth camera stand together."""
     data: dict[str, Any] = dict(cameras)
     if "proximity_color" in data:
         data["proximity_color"] = data["proximity_color"] | {"T_color_depth": np.eye(4).tolist()}
@@ -117,11 +111,6 @@ def fit_lens(
     The board has ``columns`` x ``rows`` inner corners, is whole and at different tilts; the size of its squares does
     not matter. ``size`` is the width and height that the pictures must have. k3 is left at 0: few pictures do not
     determine it.
-
-    Raises
-    ------
-    CalibrationError
-        Too few pictures, another size, or a fit that no one should use; the message states the number.
     """
     try:
         paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in PICTURE_ENDINGS)

@@ -49,13 +49,6 @@ def recheck(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
 
     The preset's points and other textured places of the membrane are located in the proximity colour image by local
     matching.
-
-    Raises
-    ------
-    CalibrationError
-        There is no tactile colour image or too little texture.
-    RigMismatchError
-        Neither preset nor rig has the pose between the cameras.
     """
     frame.check_against(rig)
     if frame.tactile_color is None:

@@ -229,14 +229,6 @@ class CalibrationReport:
     ) -> Preset:
         """Return the preset with this alignment, its record and its rig.
 
-        Parameters
-        ----------
-        preset : Preset
-        snapshots : tuple of SnapshotRecord
-            The images that were clicked on.
-        set_tolerance : bool
-            Also set ``tolerance.t`` to the smallest value that the calibration supports.
-
         Raises
         ------
         CalibrationError

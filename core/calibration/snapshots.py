@@ -30,13 +30,7 @@ class Snapshot:
 
 
 def take_snapshot(frames: Iterable[SensorFrame]) -> Snapshot:
-    """Return the pixelwise median of frames; all are held in memory, about 3 MB each at 640 x 480.
-
-    Raises
-    ------
-    CalibrationError
-        There is no frame, or their sizes differ.
-    """
+    """Return the pixelwise median of frames; all are held in memory, about 3 MB each at 640 x 480."""
     kept = list(frames)
     if not kept:
         raise CalibrationError("a snapshot needs at least one frame; the source gave none")

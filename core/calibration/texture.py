@@ -45,11 +45,6 @@ def match_texture(frames: Sequence[SensorFrame], rig: Rig) -> tuple[list[PointPa
 
     There is one frame per inflation level, preferably an average. The rig's stated pose is the initial one; without it,
     descriptors give one.
-
-    Raises
-    ------
-    CalibrationError
-        A frame has no tactile colour image, or too few pairs agree.
     """
     for frame in frames:
         frame.check_against(rig)

@@ -18,15 +18,7 @@ _FARTHEST: Final = 1e9
 
 
 def load_meshes(path: Path | str, suffixes: Sequence[str]) -> list[Any]:
-    """Return trimesh's meshes of a file, each with at most one texture.
-
-    Raises
-    ------
-    SourceError
-        The file cannot be read, has no triangles, or a vertex is not finite.
-    MissingExtraError
-        trimesh is not installed.
-    """
+    """Return trimesh's meshes of a file, each with at most one texture."""
     path = user_path(path)
     if path.suffix.lower() not in suffixes:
         raise SourceError(f"{path} has the suffix {path.suffix!r}; a mesh is one of {', '.join(suffixes)}")
@@ -71,11 +63,6 @@ def read_triangles(path: Path | str, suffixes: Sequence[str]) -> tuple[Float64Ar
         In the file's unit; coincident ones are merged.
     triangles : int32, shape (M, 3)
         Vertex numbers, counter-clockwise seen from outside if the surface is closed.
-
-    Raises
-    ------
-    SourceError, MissingExtraError
-        As `load_meshes`.
     """
     parts = [(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)) for mesh in load_meshes(path, suffixes)]
     vertices, triangles, _ = merge(parts, path)

@@ -133,13 +133,6 @@ def load_mesh(path: Path | str, unit: str | None = None) -> ObjectMesh:
         ``.obj``, ``.ply`` or ``.stl``.
     unit : {"m", "cm", "mm", "in"}, optional
         By default m if the object then is 10 mm to 2 m large, else mm: a cup of 95 is not 95 m.
-
-    Raises
-    ------
-    SourceError
-        The file cannot be read, has no triangles, a vertex is not finite, or the object is too large or too small.
-    MissingExtraError
-        trimesh is not installed.
     """
     if unit is not None and unit not in UNITS_M:
         raise SourceError(f"there is no unit {unit!r}; choose one of {', '.join(UNITS_M)}")

@@ -48,11 +48,6 @@ def open_poses(path: Path) -> Iterator[Callable[[Mapping[str, Any]], None]]:
 
     A ``.tum`` file holds no lost frames, and its times increase, as ``evo`` demands; other files are CSV with all
     columns. After a `TactuneError`, such as of an unplugged camera, the poses until then are kept.
-
-    Raises
-    ------
-    ExportError
-        There is nothing to write, or the file cannot be written.
     """
     is_tum, rows, known, last_s = path.suffix.lower() == TUM_SUFFIX, 0, False, -math.inf
     failure: TactuneError | None = None

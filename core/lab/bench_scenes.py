@@ -43,13 +43,7 @@ def scene_names() -> tuple[str, ...]:
 
 @lru_cache(maxsize=16)
 def make_scene(name: str) -> BenchScene:
-    """Build a scene by its name.
-
-    Raises
-    ------
-    TactuneError
-        There is no such scene; the message lists the known ones.
-    """
+    """Build a scene by its name."""
     if name not in _SCENES:
         raise TactuneError(f"there is no scene {name!r}; known are {', '.join(_SCENES)}")
     return replace(_SCENES[name](), name=name)

@@ -52,13 +52,7 @@ _MAX_STEPS = 60
 
 
 class MembraneMechanics:
-    """Finds the nodes of an elastic, pressurised membrane that carry contact pressure.
-
-    Raises
-    ------
-    TactuneError
-        The untouched frame shows no inflated membrane.
-    """
+    """Finds the nodes of an elastic, pressurised membrane that carry contact pressure."""
 
     def __init__(self, preset: Preset, rig: Rig, untouched: SensorFrame, nodes: int = NODES) -> None:
         untouched.check_against(rig)
@@ -283,11 +277,6 @@ class MembraneProblem:
     Minimise ``x' P x / 2 + q' x`` subject to ``A x = 0`` and contact pressures >= 0. ``x`` holds the displacements of
     all nodes but the rim's in millimetres, the rise of the air's pressure and the contact pressures of the same nodes,
     both in units of the untouched gauge pressure. The frames differ in P, which is diagonal, and in q only.
-
-    Raises
-    ------
-    TactuneError
-        The membrane does not bulge.
     """
 
     def __init__(self, mesh: MembraneMesh) -> None:
@@ -329,15 +318,7 @@ class MembraneProblem:
         return _diagonal(diagonal), q
 
     def solve(self, way_m: Float64Array) -> Float64Array:
-        """Return x for these displacements.
-
-        Raises
-        ------
-        TactuneError
-            The solver gave up.
-        MissingExtraError
-            PIQP is not installed.
-        """
+        """Return x for these displacements."""
         try:
             import piqp
         except ImportError as error:

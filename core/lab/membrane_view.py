@@ -25,17 +25,6 @@ class MembraneView:
     For each proximity ray the point is sought whose expected tactile depth is the measured one,
     ``z <- z + (measured - expected)``, which converges where the membrane's slope along the tactile
     image row is below the cameras' angle to it, so everywhere but at steep folds.
-
-    Parameters
-    ----------
-    section : AlignmentSection
-        The pose, or the rig's where it has none, and the depth scale and offset.
-    rig : Rig
-
-    Raises
-    ------
-    RigMismatchError
-        Neither the preset nor the rig has a pose.
     """
 
     def __init__(self, section: AlignmentSection, rig: Rig) -> None:

@@ -71,16 +71,7 @@ class Scan:
 
 
 def load_scan(path: Path | str, unit_m: float = 1.0) -> Scan:
-    """Read a ``.ply`` or ``.obj`` with colours of the vertices, or with a texture beside it.
-
-    Raises
-    ------
-    SourceError
-        The file cannot be read, has no triangles or no colours, or the size is implausible, probably because of a wrong
-        unit.
-    MissingExtraError
-        trimesh or Pillow is not installed.
-    """
+    """Read a ``.ply`` or ``.obj`` with colours of the vertices, or with a texture beside it."""
     try:
         import PIL.Image  # noqa: F401  # without Pillow, trimesh silently loads no texture
     except ImportError as error:
@@ -188,11 +179,6 @@ def surface_points(scan: Scan, contact: BoolArray, spacing_m: float = SPACING_M)
     """Return evenly spread points on the surface in contact, and the unit normals of their triangles, each (K, 3).
 
     Contact is interpolated linearly between vertices and ends at 0.5. The result is deterministic.
-
-    Raises
-    ------
-    TactuneError
-        The contact is too large.
     """
     touching = np.flatnonzero(contact[scan.triangles].any(axis=1))
     areas = scan.areas_m2[touching]
@@ -239,11 +225,6 @@ def refine_pose(contact_points: npt.ArrayLike, patch_points: npt.ArrayLike, star
     Each contact point (scan's frame) is paired with the nearest patch point (proximity frame), and each patch point
     with the nearest contact point. Contact is smooth, so mainly its outline determines the lateral position. If one
     cloud lies within the other, only the pairs that start at the larger cloud show the offset.
-
-    Raises
-    ------
-    CalibrationError
-        A cloud is too small, or the clouds are out of reach of each other.
     """
     contact, patch = (_thinned(points) for points in (contact_points, patch_points))
     trees = cKDTree(contact), cKDTree(patch)
@@ -289,13 +270,7 @@ class ScanTruth:
 
 
 def scan_truth(scan: Scan, contact: BoolArray, pose: Matrix4) -> ScanTruth:
-    """Transform a scan's contact to the proximity frame by ``T_proximity_scan``.
-
-    Raises
-    ------
-    TactuneError
-        The pose puts contact behind the camera; also see `surface_points`.
-    """
+    """Transform a scan's contact to the proximity frame by ``T_proximity_scan``."""
     found, normals = surface_points(scan, contact)
     points = transformed(pose, found)
     if len(points) and points[:, 2].min() <= 0:

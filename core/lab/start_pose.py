@@ -30,13 +30,7 @@ HEADER: Final = ("scan_x", "scan_y", "scan_z", "patch_x_m", "patch_y_m", "patch_
 
 
 def pose_from_pairs(object_points: npt.ArrayLike, patch_points: npt.ArrayLike) -> Matrix4:
-    """Fit ``T_proximity_object`` to corresponding points, (N, 3) in metres each, by least squares (Kabsch 1976).
-
-    Raises
-    ------
-    CalibrationError
-        There are fewer than three pairs, the points coincide or are collinear, or the unit is wrong.
-    """
+    """Fit ``T_proximity_object`` to corresponding points, (N, 3) in metres each, by least squares (Kabsch 1976)."""
     mesh, patch = np.asarray(object_points, np.float64), np.asarray(patch_points, np.float64)
     if mesh.shape != patch.shape or mesh.ndim != 2 or len(mesh) < _MIN_PAIRS:
         raise CalibrationError(f"a pose needs at least {_MIN_PAIRS} pairs of points, not {len(mesh)}; pick more")
@@ -115,11 +109,6 @@ def read_pairs(path: Path | str, unit_m: float = 1.0) -> tuple[Float64Array, Flo
 
     A line is a point in the object's frame and unit, as a mesh viewer shows it, and the same point in the proximity
     depth frame in metres. Returns both in metres, (N, 3) each.
-
-    Raises
-    ------
-    SourceError
-        The file cannot be read, has another header, or a value that is no finite number.
     """
     rows = [row for row in csv.reader(_read(path).splitlines()) if any(word.strip() for word in row)]
     if not rows or tuple(word.strip() for word in rows[0]) != HEADER:

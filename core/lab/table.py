@@ -159,13 +159,7 @@ def plan_table(
     held_out: bool = False,
     rig_measured: bool = True,
 ) -> Plan:
-    """Choose the cells of a table. Empty names: all that methods are developed on; with ``held_out``, all others.
-
-    Raises
-    ------
-    TactuneError
-        A name is unknown, or held out of development without ``held_out``.
-    """
+    """Choose the cells of a table. Empty names: all that methods are developed on; with ``held_out``, all others."""
     chosen = methods or table_methods()
     check_methods(chosen, table_methods())
     held = {name: name in HELD_OUT for name in (*OBJECTS, *HELD_OUT)}
@@ -201,19 +195,7 @@ def _chosen(what: str, names: Sequence[str], known: dict[str, bool], held_out: b
 
 
 def measure_table(plan: Plan, processes: int = 0) -> Iterator[list[Cell]]:
-    """Yield the cells of one press after another, the stored ones first; stop iterating to cancel.
-
-    Parameters
-    ----------
-    plan : Plan
-    processes : int
-        How many measure at once; by default as many as there are processors, 1 for this process alone.
-
-    Raises
-    ------
-    TactuneError
-        A scene cannot be opened, a cell cannot be stored, or a process has ended.
-    """
+    """Yield the cells of one press after another, the stored ones first; stop iterating to cancel."""
     missing: list[tuple[Scene, int]] = []
     for scene, seed in itertools.product(plan.scenes, plan.seeds):
         known = load_cells(plan, scene, seed)
@@ -308,13 +290,7 @@ class _Rig:
 
 
 def measured_rig(preset: Preset, source: FrameSource) -> Preset:
-    """Return the preset with noise and bias of a simulated rig, measured while nothing touches the membrane.
-
-    Raises
-    ------
-    TactuneError
-        The source is no simulator, or the noise cannot be measured.
-    """
+    """Return the preset with noise and bias of a simulated rig, measured while nothing touches the membrane."""
     from ..sources.simulator.source import SimulatorSource  # on demand: it loads the solver
 
     if not isinstance(source, SimulatorSource):

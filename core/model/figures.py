@@ -10,13 +10,7 @@ from .files import atomic_path
 
 
 def pyplot() -> Any:
-    """Import ``matplotlib.pyplot`` for drawing without a display.
-
-    Raises
-    ------
-    MissingExtraError
-        matplotlib is not installed.
-    """
+    """Import ``matplotlib.pyplot`` for drawing without a display."""
     try:
         import matplotlib
     except ImportError as error:

@@ -28,18 +28,6 @@ def atomic_path(target: Path | str, *, follow_link: bool = False) -> Iterator[Pa
 
     The temporary file has the suffix of the target, for writers that choose a format by it. Its folder is created if
     missing. On any error the temporary file is removed and ``target`` is unchanged.
-
-    Parameters
-    ----------
-    target : path
-    follow_link : bool
-        If ``target`` is a link, replace the file it points to, for a file that a person opened by this name. Otherwise
-        the link itself is replaced: somebody may have planted it under a name that a program derives.
-
-    Raises
-    ------
-    ExportError
-        ``target`` is a folder or a device, or the operating system refuses: no permission, disk full.
     """
     final = Path(os.path.realpath(target)) if follow_link else Path(target)
     temporary = final.parent / f".{final.stem}-{secrets.token_hex(4)}{final.suffix}"
@@ -69,13 +57,7 @@ def remove_leftovers(folder: Path, name: str = "*") -> None:
 
 
 def check_writable(target: Path | str) -> None:
-    """Raise if a file cannot be written there, so that nobody waits for a result in vain. Nothing is left behind.
-
-    Raises
-    ------
-    ExportError
-        As `atomic_path`.
-    """
+    """Raise if a file cannot be written there, so that nobody waits for a result in vain. Nothing is left behind."""
     final = Path(target).absolute()
     folder = next(parent for parent in final.parents if parent.exists())
     temporary = folder / f".{secrets.token_hex(8)}"
@@ -103,13 +85,7 @@ def json_fields(fields: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write rows with equal keys as CSV, atomically; None becomes an empty cell.
-
-    Raises
-    ------
-    ExportError
-        The file cannot be written.
-    """
+    """Write rows with equal keys as CSV, atomically; None becomes an empty cell."""
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, list(rows[0]) if rows else [], lineterminator="\n")
         writer.writeheader()

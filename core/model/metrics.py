@@ -95,13 +95,7 @@ def truth_cloud(truth: GroundTruth, rig: Rig) -> PointCloud:
 
 
 def true_contact(frame: SensorFrame, rig: Rig) -> tuple[Float32Array, float]:
-    """Return the points of the true contact (metres, proximity depth frame) and its area in mm^2.
-
-    Raises
-    ------
-    TactuneError
-        The frame has no ground truth.
-    """
+    """Return the points of the true contact (metres, proximity depth frame) and its area in mm^2."""
     if frame.truth is None:
         raise TactuneError("the scene has no ground truth, so no method can be scored on it; choose a simulated one")
     points = truth_cloud(frame.truth, rig).points

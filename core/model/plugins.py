@@ -17,22 +17,7 @@ from typing import Any
 
 @cache
 def added_by_others(group: str, kind: type[Any]) -> tuple[dict[str, Any], dict[str, str]]:
-    """Import what other packages add to a group, once.
-
-    Parameters
-    ----------
-    group : str
-        Such as ``"tactune.sources"``.
-    kind : type
-        What each object must be an instance or a subclass of.
-
-    Returns
-    -------
-    found : dict of str to object
-        By the names of the entry points.
-    problems : dict of str to str
-        One sentence for each that cannot be loaded, with the entry point and its package.
-    """
+    """Import what other packages add to a group, once."""
     found: dict[str, Any] = {}
     problems: dict[str, str] = {}
     for entry in entry_points(group=group):

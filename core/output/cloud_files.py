@@ -30,13 +30,6 @@ _CSV_FORMATS: Final = {"f4": "%.9g", "f8": "%.17g"}
 def patch_cloud(patch: ContactPatch, frame: SensorFrame, rig: Rig) -> PointCloud:
     """Return a patch's points with their colours and attributes.
 
-    Parameters
-    ----------
-    patch : ContactPatch
-    frame : SensorFrame
-        The frame that the patch was found in.
-    rig : Rig
-
     Returns
     -------
     PointCloud
@@ -62,11 +55,6 @@ def write_cloud(path: Path | str, cloud: PointCloud) -> None:
     ``.npz`` and ``.ply`` keep every bit of points, colours and attributes (8 to 32 bit integers and floats; bool
     becomes uint8). ``.csv`` has a header ``x_m,y_m,z_m,red,green,blue,…`` and digits enough to give the same numbers
     back.
-
-    Raises
-    ------
-    ExportError
-        Unknown suffix, an attribute that the format cannot hold, or a place that cannot be written.
     """
     path = Path(path)
     suffix = path.suffix.lower()

@@ -108,15 +108,6 @@ class MembraneDrift:
 def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouched: SensorFrame) -> MembraneDrift:
     """Compare the present untouched membrane with the untouched frame.
 
-    Parameters
-    ----------
-    preset : Preset
-        Its alignment relates the two cameras.
-    rig : Rig
-    frame : SensorFrame
-        One frame without contact, or the median of several.
-    untouched : SensorFrame
-
     Raises
     ------
     CalibrationError
@@ -305,13 +296,6 @@ class Watch:
     rig : Rig
     untouched : SensorFrame or None
         The preset's untouched frame.
-
-    Raises
-    ------
-    CalibrationError
-        There is no untouched frame.
-    FrameError
-        The untouched frame is of another rig.
     """
 
     def __init__(self, preset: Preset, rig: Rig, untouched: SensorFrame | None) -> None:
@@ -334,13 +318,7 @@ class Watch:
         return time_s >= self._next_s or time_s < self._next_s - INTERVAL_S
 
     def look(self, frame: SensorFrame, time_s: float) -> WatchReport | None:
-        """Measure one frame, taken at ``time_s`` by any clock, and return what it decides.
-
-        Raises
-        ------
-        FrameError
-            The frame is of another rig.
-        """
+        """Measure one frame, taken at ``time_s`` by any clock, and return what it decides."""
         self._next_s = time_s + INTERVAL_S
         frame.check_against(self._rig)
         self.drift = None
@@ -375,11 +353,6 @@ def touch_doubts(
         One frame, or the median of several.
     earlier : SensorFrame or None
         The preset's current untouched frame.
-
-    Raises
-    ------
-    FrameError
-        The membrane is of another rig.
     """
     try:
         patch = ContactPipeline(preset, rig).process(membrane)

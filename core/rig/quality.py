@@ -233,11 +233,6 @@ def measure_quality(
         Left, top, width, height in proximity pixels.
     true_distance_m : float, optional
         Distance from the cameras to the target along the optical axis, measured otherwise, for the Z accuracy.
-
-    Raises
-    ------
-    FrameError
-        There is no frame, a frame has another size than the rig's, or the region does not lie within the image.
     """
     frames = list(frames)[-NOISE_FRAMES:]
     if not frames:

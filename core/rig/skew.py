@@ -132,15 +132,6 @@ def measure_skew(
     section : AlignmentSection
         The preset's alignment, which relates the pixels of both cameras.
     progress : callable, optional
-
-    Raises
-    ------
-    SkewError
-        There is too little motion, both cameras see different motions, or several delays fit.
-    FrameError
-        A camera sees too little depth.
-    RigMismatchError
-        Neither preset nor rig has the pose between the cameras.
     """
     if len(samples) < _MIN_SAMPLES:
         raise SkewError(

@@ -71,16 +71,6 @@ def average_untouched(frames: Iterable[SensorFrame]) -> UntouchedAverage:
 
     The median is exact up to 59 frames. Beyond, it is the median of the medians of blocks of 30 frames (Rousseeuw &
     Bassett 1990, "The remedian"), so at most 60 frames and 33 medians are in memory.
-
-    Parameters
-    ----------
-    frames : iterable of SensorFrame
-        All of one size, at most `MAX_FRAMES`.
-
-    Raises
-    ------
-    CalibrationError
-        There is no frame, there are too many, their sizes differ, or the membrane moved.
     """
     blocks: list[SensorFrame] = []
     held: list[SensorFrame] = []
@@ -115,13 +105,7 @@ def save_untouched(frame: SensorFrame, frames: int, preset_path: Path) -> Untouc
 
 
 def load_untouched(record: UntouchedRecord, preset_path: Path) -> SensorFrame:
-    """Read the untouched frame that a preset names; its path may also be that of a recording that holds both.
-
-    Raises
-    ------
-    PresetError
-        The file is missing, damaged, or does not match the preset's hash.
-    """
+    """Read the untouched frame that a preset names; its path may also be that of a recording that holds both."""
     if preset_path.suffix == ".mcap":
         return _checked(_recorded(preset_path), record, f"the untouched frame in {preset_path}")
     path = preset_path.parent / record.file
@@ -137,15 +121,7 @@ def load_untouched(record: UntouchedRecord, preset_path: Path) -> SensorFrame:
 
 
 def copy_untouched(record: UntouchedRecord, preset_path: Path, to: Path) -> None:
-    """Copy a preset's untouched frame beside another preset file, unless it is already there.
-
-    Raises
-    ------
-    PresetError
-        The untouched frame is missing, damaged, or does not match the preset's hash.
-    ExportError
-        It cannot be written, or the target file exists with other content.
-    """
+    """Copy a preset's untouched frame beside another preset file, unless it is already there."""
     target = to.parent / record.file
     if target.is_file():
         try:

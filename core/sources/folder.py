@@ -66,17 +66,7 @@ class _Stamp(BaseModel):
 
 
 class FolderSource(SeekableSource):
-    """A recording in a folder; the module's docstring describes the format.
-
-    Parameters
-    ----------
-    path : path of the folder
-
-    Raises
-    ------
-    SourceError
-        Something is missing or cannot be read; the message names the file and the remedy.
-    """
+    """A recording in a folder; the module's docstring describes the format."""
 
     def __init__(self, path: Path | str) -> None:
         self._path = user_path(path)

@@ -51,13 +51,7 @@ class RawImage:
         return self.channel(shape, ("mono16", "16UC1"), np.dtype(np.uint16))
 
     def channel(self, shape: tuple[int, int], encodings: Sequence[str], dtype: np.dtype[Any]) -> AnyArray:
-        """Return an image of one channel, shape (H, W), in one of some encodings, all of this type.
-
-        Raises
-        ------
-        DamagedFileError
-            It is of another encoding or size, or too short.
-        """
+        """Return an image of one channel, shape (H, W), in one of some encodings, all of this type."""
         if self.encoding not in encodings:
             raise DamagedFileError(f"it is encoded as {self.encoding[:40]!r}; known are {', '.join(encodings)}")
         rows = self._rows(shape, dtype.itemsize)

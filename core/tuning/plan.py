@@ -99,13 +99,7 @@ class Axis:
 
 
 def parse_axis(text: str) -> Axis:
-    """Read ``FIELD=VALUES`` such as ``outliers.k=10,20`` or ``tolerance.t=0.005:0.03:6log``.
-
-    Raises
-    ------
-    TuneError
-        There is no ``=`` or no value, or the range is empty, reversed, or has too few or too many steps.
-    """
+    """Read ``FIELD=VALUES`` such as ``outliers.k=10,20`` or ``tolerance.t=0.005:0.03:6log``."""
     path, _, given = (part.strip() for part in text.partition("="))
     if (found := _RANGE.fullmatch(given)) is not None and not given.startswith(("[", "{", '"')):
         low, high, count, log = found.groups()
@@ -128,13 +122,7 @@ def parse_axis(text: str) -> Axis:
 
 
 def check_axes(axes: Sequence[Axis], base: Preset) -> tuple[Axis, ...]:
-    """Check axes against the preset's schema and return them with values in the preset's types.
-
-    Raises
-    ------
-    TactuneError
-        A field does not exist, is given twice, cannot vary or has no effect, or a value is not allowed.
-    """
+    """Check axes against the preset's schema and return them with values in the preset's types."""
     checked = {axis.path: _checked(axis, base) for axis in axes}
     if len(checked) < len(axes):
         raise TuneError("a field is given twice with --set; give all its values at once, separated by commas")
@@ -190,13 +178,7 @@ def default_axes(preset: Preset) -> tuple[Axis, ...]:
 
 
 def grid_of(axes: Sequence[Axis]) -> list[dict[str, Any]]:
-    """Return all combinations of the axes' values; fields of early steps vary slowest, so that steps are shared.
-
-    Raises
-    ------
-    TuneError
-        A range has no number of steps, or there are more than `MAX_GRID` combinations.
-    """
+    """Return all combinations of the axes' values; fields of early steps vary slowest, so that steps are shared."""
     columns = {axis.path: axis.steps() for axis in sorted(axes, key=lambda axis: STAGE_OF.get(axis.path, 0))}
     if (count := math.prod(map(len, columns.values()))) > MAX_GRID:
         raise TuneError(
@@ -261,11 +243,6 @@ def make_plan(
 
     Defaults: `default_axes`; all frames; the RMSE and the time, or without truth the stability and the time; the grid
     with all its points if each axis has steps and no number of trials is given, else TPE with `TRIALS`.
-
-    Raises
-    ------
-    TactuneError
-        An unknown field, value, objective or source, or nothing to search.
     """
     if not sources:
         raise TuneError("there is nothing to search on; give --source, such as --source 'sim:cup?press=medium'")

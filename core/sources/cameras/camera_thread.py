@@ -34,11 +34,6 @@ class CameraThread:
         Called with the role, every image and its arrival, seconds on the computer's clock, on this camera's thread.
     note_reopened : callable
         Called with the role where the next image comes from a camera that was opened again.
-
-    Raises
-    ------
-    SourceError
-        It cannot be opened.
     """
 
     def __init__(

@@ -16,11 +16,6 @@ class LiveLoop(FrameSource):
     The n-th frame is due n periods after the first, by the clock, so nothing drifts. A frame that
     cannot be read in time is skipped and counted as dropped, as with a camera. Time stamps keep
     increasing when the recording starts over.
-
-    Raises
-    ------
-    SourceError
-        The source is live already, or has no frames.
     """
 
     def __init__(self, source: FrameSource) -> None:

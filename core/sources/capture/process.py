@@ -37,13 +37,7 @@ _spawning = Lock()
 
 
 class CaptureProcess:
-    """One capture process and its pipe; a restart makes another one.
-
-    Raises
-    ------
-    SourceError
-        The opener cannot be sent to another process, or no process can be started.
-    """
+    """One capture process and its pipe; a restart makes another one."""
 
     def __init__(self, start: Start) -> None:
         try:

@@ -140,13 +140,7 @@ def _slot_bytes(rig: Rig) -> int:
 
 
 def write_frame(memory: SharedMemory, slot: int, frame: SensorFrame) -> FrameReady:
-    """Copy a frame's arrays into a slot.
-
-    Raises
-    ------
-    FrameError
-        They are larger than the rig's images.
-    """
+    """Copy a frame's arrays into a slot."""
     buffers: list[pickle.PickleBuffer] = []
     pickled = pickle.dumps(frame, protocol=5, buffer_callback=buffers.append)
     arrays = [buffer.raw() for buffer in buffers]

@@ -52,11 +52,6 @@ class McapFile:
         Type and encoding of the messages of each topic that has some.
     metadata : dict of str to dict
         Tables of texts by their names.
-
-    Raises
-    ------
-    SourceError
-        Not an MCAP file, or damaged; the message says what to do.
     """
 
     def __init__(self, path: Path, progress: Progress | None = None) -> None:

@@ -57,17 +57,6 @@ class McapSource(SeekableSource):
     Recordings of `SessionWriter` are read bit for bit. One that was cut off plays up to its last complete chunk, and
     `health` says so. In other bags with the same topics, a frame consists of the images nearest in log time; without
     an attached rig, the camera infos give it.
-
-    Parameters
-    ----------
-    path : path of the ``.mcap`` file
-    progress : callable, optional
-        Called with the fraction of the file that is indexed, 0 to 1, and the current step.
-
-    Raises
-    ------
-    SourceError
-        No such file, damaged, or without frames of both depth cameras.
     """
 
     def __init__(self, path: Path | str, progress: Progress | None = None) -> None:
@@ -104,13 +93,7 @@ class McapSource(SeekableSource):
         return 1.0 / self._gap_s if self._gap_s > 0 else super().frame_rate_hz
 
     def preset(self) -> Preset | None:
-        """Return the preset in the recording, or None if it has none.
-
-        Raises
-        ------
-        PresetError
-            This version cannot use the preset.
-        """
+        """Return the preset in the recording, or None if it has none."""
         found = self.preset_text()
         return None if found is None else preset_from_text(*found)
 

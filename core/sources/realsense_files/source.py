@@ -36,20 +36,6 @@ class BagSource(SeekableSource):
 
     A recording with one depth camera is for viewing only, and `health` says so: the rig's tactile camera is then a
     copy in the same place with the model ``"none"`` and depth 0.
-
-    Parameters
-    ----------
-    name : path of the file, or two paths with a comma between them
-        A path may contain commas: if the whole name is a file, that file is opened; else it is split at the first
-        comma with a file on either side.
-    progress : callable, optional
-        Receives the fraction of the images that are indexed, and the current step.
-
-    Raises
-    ------
-    SourceError
-        No such file, damaged, not a RealSense recording, or two that do not belong together; the message says what
-        to do.
     """
 
     def __init__(self, name: Path | str, progress: Progress | None = None) -> None:
@@ -266,13 +252,7 @@ def _moment(time_s: float) -> str:
 
 
 def open_recordings(text: str, progress: Progress | None) -> list[RecordingFile]:
-    """Open one recording, or two whose paths are separated by a comma.
-
-    Raises
-    ------
-    SourceError
-        No such file, damaged, or no such recording; none stays open.
-    """
+    """Open one recording, or two whose paths are separated by a comma."""
     paths = recording_files(text)
     if not paths:
         raise SourceError(f"bag:{text}: there is no file {_missing(text)}; check the path")
