@@ -52,7 +52,7 @@ lab_commands = typer.Typer(
 )
 
 
-@lab_commands.command()
+@lab_commands.command(short_help="Compare methods on simulated presses with known truth.")
 def table(
     *,
     methods: Annotated[
@@ -92,6 +92,8 @@ def table(
     from ...core.sources.presets import load_preset
     from ...core.sources.simulator.sensors import DEFAULT_SENSOR
 
+    if csv_file is not None:
+        check_writable(csv_file)
     chosen = load_preset(preset)
     plan = plan_table(
         chosen,
@@ -271,7 +273,7 @@ def _draw_strain(records: list[Record], path: Path) -> None:
 # Truth from a painted scan
 
 
-@lab_commands.command()
+@lab_commands.command(short_help="Compare methods with the contact on a painted 3D scan.")
 def scan(  # noqa: PLR0915  # one thought: options, pose, frames, words
     *,
     source: SourceOption = SOURCE,
@@ -329,6 +331,8 @@ def scan(  # noqa: PLR0915  # one thought: options, pose, frames, words
     )
     from ...core.sources.presets import load_preset
 
+    for target in filter(None, (csv_file, save_transform)):
+        check_writable(target)
     settings, unit_m = _paint(paint or []), UNITS_M[unit or MeshUnit.M]
     names = () if not methods else _names(methods) or method_names()
     check_methods(names)
@@ -443,7 +447,7 @@ def _start_pose(transform: Path | None, pairs: Path | None, unit_m: float) -> Ma
 # Speed
 
 
-@lab_commands.command()
+@lab_commands.command(short_help="Measure the pipeline's run time and error.")
 def bench(
     *,
     scenes: Annotated[str, typer.Option("--scenes", metavar="A,B", help="Scenes, or 'all'.")] = "all",

@@ -82,8 +82,9 @@ commands.command(short_help="Track the pose of a known object by its contact pat
 commands.command(short_help="Check whether the cameras or the membrane have changed.")(recheck)
 commands.command(short_help="Compile in advance, so that a robot's first frame is fast.")(warmup)
 commands.command(short_help="Search for preset values with the best error and run time.")(tune)
-for function, name in ((suggest, "suggest"), (check, "check"), (create_rig, "create-rig")):
-    preset_commands.command(name)(function)
+preset_commands.command(short_help="Suggest values, with the evidence for each.")(suggest)
+preset_commands.command(short_help="Say what is wrong with a preset on a frame.")(check)
+preset_commands.command("create-rig", short_help="Write the rig.json of a folder of images.")(create_rig)
 commands.add_typer(preset_commands, name="preset", short_help="Make, show, check and improve presets and rigs.")
 commands.add_typer(lab_commands, name="lab", short_help="For papers: tables of methods, strain, scans, run times.")
 

@@ -34,11 +34,14 @@ if TYPE_CHECKING:
     from ...core.sources import FrameSource
 
 preset_commands = typer.Typer(
-    help="Make, show and check presets.", no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False
+    help="Make, show, check and improve presets and rigs.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
 )
 
 
-@preset_commands.command()
+@preset_commands.command(short_help="Write a new preset.")
 def new(
     *,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The preset file to write.")],
@@ -101,7 +104,7 @@ def show(preset: Annotated[str, typer.Argument(metavar="FILE|NAME", help="A file
     typer.echo(preset_json(load_preset(preset)), nl=False)
 
 
-@preset_commands.command()
+@preset_commands.command(short_help="Check preset files.")
 def validate(presets: Annotated[list[str], typer.Argument(metavar="FILE...")]) -> None:
     """Check preset files; the exit status is 2 if one of them cannot be used."""
     from ...core.sources.presets import load_preset_and_note
@@ -123,7 +126,7 @@ def validate(presets: Annotated[list[str], typer.Argument(metavar="FILE...")]) -
         raise typer.Exit(2)
 
 
-@preset_commands.command("capture-untouched")
+@preset_commands.command("capture-untouched", short_help="Average frames of the untouched membrane.")
 def capture_untouched(
     *,
     source: UntouchedSource,
@@ -164,7 +167,7 @@ def capture_untouched(
     typer.echo(f"wrote {preset.parent / record.file}, named in {preset}")
 
 
-@preset_commands.command("measure-rig")
+@preset_commands.command("measure-rig", short_help="Measure the cameras' noise and bias.")
 def measure_rig(
     *,
     source: Annotated[

@@ -101,7 +101,7 @@ def run(
         bool,
         typer.Option(
             "--watch",
-            help="Look once in ten seconds whether a camera moved, the pressure changed or a lens is dirty, and warn.",
+            help="Look once in ten seconds whether a camera moved or the pressure changed, and warn.",
         ),
     ] = False,
     estimate: EstimateOption = None,
@@ -110,7 +110,7 @@ def run(
     if out is None and not json_lines and not truth and not watch and estimate is None:
         raise typer.BadParameter(
             "give --out DIR or FILE.mcap for the patches, --json for one line per frame, --truth for a comparison, "
-            "--watch for the drift watchdog, or --estimate tilt"
+            "--watch for the check for drift, or --estimate tilt"
         )
     from ...core.contact.checks import check_rig
     from ...core.contact.pipeline import ContactPipeline

@@ -208,9 +208,11 @@ def _camera_noise(
 ) -> CameraNoise:
     """Measure one camera; ``membrane_m`` is the membrane's distance for a time-of-flight camera, None for stereo."""
     depths = _metres(images, camera)
-    count = np.isfinite(depths).sum(axis=0)
+    count, added = np.isfinite(depths).sum(axis=0), np.zeros(images[0].shape)
+    for depth in depths:  # one at a time: a copy of 300 frames takes too much memory
+        added += np.nan_to_num(depth)
     with np.errstate(invalid="ignore"):
-        mean = np.asarray(np.nansum(depths, axis=0, dtype=np.float64) / count, np.float32)
+        mean = np.asarray(added / count, np.float32)
     seen = count >= _MIN_SEEN * len(depths)
     if seen.mean() < _MIN_USABLE:
         raise FrameError(

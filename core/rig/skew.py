@@ -146,6 +146,8 @@ def measure_skew(
                 f"{1e3 * MIN_MOTION_M:.0f} mm are needed; press an object into the membrane and pull it out, several "
                 "times and irregularly"
             )
+        if len(series.time_s) < _MIN_SAMPLES:
+            raise SkewError(f"the {camera} camera gave only {counted(len(series.time_s), 'time stamp')}; record longer")
     delays_s, near, far = _resampled(proximity, tactile)
     curve = _correlations(near, far)
     known = np.flatnonzero(np.isfinite(curve))
@@ -177,6 +179,8 @@ def measure_skew(
     estimates = []
     for group in np.array_split(np.arange(len(near)), _GROUPS):
         part = _correlations(np.delete(near, group, axis=0), np.delete(far[around], group, axis=1))
+        if not np.isfinite(part).any():
+            raise SkewError("the series of both cameras overlap too little in time; record longer and measure again")
         top = int(np.clip(np.nanargmax(part), 1, len(part) - 2))
         estimates.append(_refined(delays_s[around], part, top))
     jackknife = 2 * np.sqrt((_GROUPS - 1) / _GROUPS * np.sum((np.array(estimates) - np.mean(estimates)) ** 2))
@@ -193,17 +197,26 @@ def _resampled(proximity: MotionSeries, tactile: MotionSeries) -> tuple[Float64A
     """Return the delays (K,), and on a fine grid of M times the changes of both depths.
 
     Those of the proximity depth and its powers have shape (M, 4), a constant first; those of the tactile depth (K, M),
-    a row for each delay, nan outside of its series.
+    a row for each delay, nan where it is unknown.
     """
     reach = round(MAX_DELAY_S / _STEP_S)
     delays_s: Float64Array = np.arange(-reach, reach + 1, dtype=np.float64) * _STEP_S
     half = _CHANGE_OVER_S / 2
     grid = np.arange(proximity.time_s[0] + half, proximity.time_s[-1] - half, _GRID_S)
     later = grid + delays_s[:, None]
-    near, far = (CubicSpline(each.time_s, each.depth_m, extrapolate=False) for each in (proximity, tactile))
-    before, after = (depth / np.max(proximity.depth_m) for depth in (near(grid - half), near(grid + half)))
+    before, after = (_between(proximity, at) / np.max(proximity.depth_m) for at in (grid - half, grid + half))
     powers = [np.ones_like(grid), *(after**power - before**power for power in (1, 2, 3))]
-    return delays_s, np.column_stack(powers), far(later + half) - far(later - half)
+    known = np.isfinite(before) & np.isfinite(after)
+    change = _between(tactile, later + half) - _between(tactile, later - half)
+    return delays_s, np.column_stack(powers)[known], change[:, known]
+
+
+def _between(series: MotionSeries, time_s: Float64Array) -> Float64Array:
+    """Return the depth at any times by a spline; nan outside of the series and in its gaps."""
+    depth_m = np.asarray(CubicSpline(series.time_s, series.depth_m, extrapolate=False)(time_s))
+    after = np.searchsorted(series.time_s, time_s).clip(1, len(series.time_s) - 1)
+    depth_m[np.diff(series.time_s)[after - 1] > MAX_GAP_S] = np.nan
+    return depth_m
 
 
 def _correlations(near: Float64Array, far: Float64Array) -> Float64Array:
@@ -255,7 +268,7 @@ def pressed_depths(
 
 
 def _series(time_s: Float64Array, depth_m: Float32Array, camera: str) -> MotionSeries:
-    """Return the median over the pixels with the largest indentation; frames without depth are left out."""
+    """Return the mean over the pixels with the largest indentation; frames without depth are left out."""
     flat = depth_m.reshape(len(depth_m), -1)
     flat = flat[:, np.isfinite(flat).mean(axis=0) >= _SEEN]
     if flat.shape[1] < _MIN_PIXELS:
@@ -263,6 +276,9 @@ def _series(time_s: Float64Array, depth_m: Float32Array, camera: str) -> MotionS
     deepest = _quantile(np.where(np.isfinite(flat), flat, np.float32(-np.inf)), _DEEPEST)
     core = flat[:, deepest >= _CORE * np.percentile(deepest, 99.0)]
     known = np.isfinite(core).any(axis=1)
+    known &= time_s > np.append(-np.inf, np.fmax.accumulate(time_s)[:-1])  # a spline needs increasing times
+    if not known.any():
+        raise SkewError(f"the {camera} camera's images have no time stamps; record with live cameras")
     return MotionSeries(time_s[known], np.nanmean(core[known], axis=1, dtype=np.float64))
 
 

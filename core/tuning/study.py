@@ -186,7 +186,10 @@ class Study:
         undefined = [name for name in self.plan.objectives if name not in figures]
         if undefined and not failure:
             failure = f"{undefined[0]} is undefined on these frames"
-        trial.set_user_attr("measured", (figures, failure))
+        try:
+            trial.set_user_attr("measured", (figures, failure))
+        except optuna.exceptions.UpdateFinishedTrialError as error:
+            raise TuneError(f"another search continues in {self.path}; give each its own --study") from error
         if failure:
             self._study.tell(trial, state=TrialState.FAIL)
             return

@@ -37,6 +37,12 @@ def test_help_is_one_screen_with_every_command(tactune: Tactune) -> None:
     assert sorted(commands) == sorted(name for names in main.GROUPS.values() for name in names)
 
 
+@pytest.mark.parametrize("group", ["preset", "lab"])
+def test_no_summary_of_a_group_is_cut(tactune: Tactune, group: str) -> None:
+    lines = tactune(group, "--help").out.splitlines()
+    assert "Commands:" in lines and not any(line.endswith("...") for line in lines[1:])
+
+
 def test_the_tab_key_completes_commands() -> None:
     words = {"COMP_WORDS": "tactune re", "COMP_CWORD": "1", "_TACTUNE_COMPLETE": "complete_bash"}
     done = subprocess.run(
