@@ -80,12 +80,18 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def parse_npy(data: bytes) -> AnyArray:
     """Return the array in the bytes of an ``.npy``; `ValueError` if they are damaged or hold Python objects."""
-    return np.asarray(_load(data))
+    loaded = _load(data)
+    if not isinstance(loaded, np.ndarray):
+        raise ValueError("it is an archive of arrays, not a single one")
+    return loaded
 
 
 def parse_npz(data: bytes) -> dict[str, AnyArray]:
     """Return the arrays in the bytes of an ``.npz`` by name; `ValueError` if they are damaged or far too large."""
-    return dict(_load(data))
+    loaded = _load(data)
+    if not isinstance(loaded, dict):
+        raise ValueError("it is a single array, no archive of arrays")
+    return loaded
 
 
 def _load(data: bytes) -> Any:

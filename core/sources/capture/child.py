@@ -47,8 +47,9 @@ class _StoppedError(TactuneError):
     """Raised to cancel the opening of a source that is no longer needed."""
 
 
-def main(connection: Connection, order: bytes) -> None:
-    """Run the capture process; ``order`` is a pickled `Start`."""
+def main(connection: Connection, order: bytes, folder: str) -> None:
+    """Run the capture process in the parent's working folder; ``order`` is a pickled `Start`."""
+    os.chdir(folder)  # multiprocessing goes to the one in which the parent began
     for name in ("SIGINT", "SIGHUP"):  # only the parent handles Ctrl+C; it then closes its source
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
@@ -100,6 +101,7 @@ class _Capture:
         self._send(Opening(fraction, text))
 
     def _serve(self, source: FrameSource, lossless: bool) -> None:
+        self._health = source.health()
         memory = create_memory(source.rig)
         try:
             self._capture(source, memory, lossless)
@@ -109,7 +111,6 @@ class _Capture:
                     memory.unlink()
 
     def _capture(self, source: FrameSource, memory: SharedMemory, lossless: bool) -> None:
-        self._health = source.health()
         self._send(Opened(source.name, source.rig, source.frame_rate_hz, self._health, memory.name))
         while not self._stop.is_set():
             self._round_s = time.monotonic()
@@ -122,6 +123,7 @@ class _Capture:
             frame = source.next_frame()
             self._round_s = time.monotonic()  # the steps below do not wait for the source
             if frame is None:
+                self._send(Heartbeat(self._health_of(source), 0.0))  # with the last counts
                 self._send(Ended())
                 return
             with self._slots:
@@ -184,9 +186,10 @@ class _Capture:
 
     def _converse(self) -> None:
         """Receive messages and send heartbeats until the parent has gone; then end the process."""
+        parent = os.getppid()
         with suppress(EOFError, OSError):
             due_s = time.monotonic()
-            while True:
+            while os.getppid() == parent:  # a fork of the parent keeps the pipe open
                 if self._connection.poll(max(0.0, due_s - time.monotonic())):
                     message = self._connection.recv()
                     if isinstance(message, GiveBack):

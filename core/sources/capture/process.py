@@ -8,6 +8,8 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from multiprocessing import resource_tracker
+from pathlib import Path
 from threading import Lock
 from types import ModuleType
 from typing import Any, Final
@@ -49,7 +51,9 @@ class CaptureProcess:
             ) from error
         self._connection, theirs = _SPAWN.Pipe()
         self._sending = Lock()
-        self._process = _SPAWN.Process(target=main, args=(theirs, order), name="tactune capture", daemon=True)
+        self._process = _SPAWN.Process(
+            target=main, args=(theirs, order, str(Path.cwd())), name="tactune capture", daemon=True
+        )
         try:
             with _as_imported_program():
                 self._process.start()
@@ -104,6 +108,8 @@ def _as_imported_program() -> Iterator[None]:
     """
     has_masks = hasattr(signal, "pthread_sigmask")
     with _spawning:
+        if has_masks:
+            resource_tracker.ensure_running()  # its start would unblock the signal again
         script, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if has_masks else set()
         try:

@@ -28,6 +28,8 @@ SLOTS: Final = 8
 #: Interval of the capture process's heartbeats, seconds.
 HEARTBEAT_S: Final = 0.2
 _ALIGNMENT: Final = 64
+#: Slots are whole pages: an attached memory is rounded up to pages on some systems, which must not move the slots.
+_PAGE: Final = 4096
 #: Where POSIX systems keep shared memory; elsewhere it is not limited.
 _SHARED: Final = Path("/dev/shm")  # noqa: S108  # only asked for its size
 
@@ -110,8 +112,8 @@ class Ended:
 
 def as_tactune_error(error: Exception, what: str) -> TactuneError:
     """Return an error that can be sent; ``what`` introduces one that is no `TactuneError`."""
-    if isinstance(error, TactuneError):
-        return error
+    if isinstance(error, TactuneError):  # classes of other modules may not survive the pipe
+        return error if type(error).__module__ == TactuneError.__module__ else SourceError(str(error))
     return SourceError(f"{what} ({type(error).__name__}: {error})")
 
 
@@ -136,7 +138,8 @@ def _slot_bytes(rig: Rig) -> int:
     """Return the size of a slot that holds every array of a frame of this rig, its truth included."""
     proximity, tactile = math.prod(rig.proximity.intrinsics.shape), math.prod(rig.tactile.intrinsics.shape)
     color = math.prod(rig.proximity_color_shape)
-    return sum(map(_aligned, (2 * proximity, 2 * tactile, 3 * color, 3 * tactile, proximity, 4 * proximity)))
+    sizes = 2 * proximity, 2 * tactile, 3 * color, 3 * tactile, proximity, 4 * proximity
+    return -(-sum(map(_aligned, sizes)) // _PAGE) * _PAGE
 
 
 def write_frame(memory: SharedMemory, slot: int, frame: SensorFrame) -> FrameReady:

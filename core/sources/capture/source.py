@@ -279,7 +279,7 @@ class Supervisor:
         process = CaptureProcess(self._start)
         with self._changed:
             self._process = process
-        problem: TactuneError | str = "hangs"
+        problem: TactuneError | str = ""
         try:
             problem = self._serve(process)
         finally:

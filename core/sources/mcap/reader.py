@@ -23,13 +23,15 @@ from mcap.reader import SeekingReader
 from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
 from mcap.stream_reader import get_chunk_data_stream
 
-from ...errors import SourceError
+from ...errors import SourceError, TactuneError
 from ...model.arrays import Uint64Array
 from ..base import Progress
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 #: Chunk number of a message that lies outside of chunks.
 _OUTSIDE: Final = 2**64 - 1
+#: The last record, with the magic bytes behind it.
+_FOOTER_BYTES: Final = 9 + 20 + len(MAGIC)
 #: A chunk unpacks to at most this, plus 8 times the size of the file. One frame takes 20 MB.
 _LARGEST_CHUNK: Final = 2**26
 #: A file has at most this many messages, plus one for each 8 of its bytes.
@@ -123,6 +125,8 @@ class McapFile:
         """Index a finished file by its summary; return whether it has a usable one."""
         self._forget_index()
         try:
+            if not self._summary_is_whole():
+                return False
             self._file.seek(0)
             summary = SeekingReader(self._file, record_size_limit=self._size).get_summary()
             if summary is None or summary.statistics is None:
@@ -147,9 +151,18 @@ class McapFile:
                 for opcode, offset, length in _records(records):
                     if opcode == Opcode.MESSAGE_INDEX:
                         self._add_places(start, records[offset : offset + length])
+        except TactuneError:  # the progress callable cancels
+            raise
         except Exception:  # the library checks with whatever Python raises
             return False
         return True
+
+    def _summary_is_whole(self) -> bool:
+        """Return whether the summary's checksum is right, which the library does not check, or not given."""
+        footer = self._read(self._size - _FOOTER_BYTES, _FOOTER_BYTES)
+        start, checksum = struct.unpack_from("<9xQ8xI", footer)
+        summary = self._read(start, self._size - _FOOTER_BYTES - start)
+        return not checksum or zlib.crc32(summary + footer[:25]) == checksum
 
     def _index_by_scan(self) -> bool:
         """Index a file up to its last complete chunk by the head of every record; return whether it has an end."""
@@ -157,7 +170,7 @@ class McapFile:
         offset, chunk, chunks = len(MAGIC), 0, 0
         indexes: list[bytes] = []  # of this chunk, so far
         ended = False
-        with suppress(ValueError, IndexError, KeyError, EOFError, RuntimeError, struct.error):
+        try:
             while offset + 9 <= self._size and not ended:
                 opcode, length = struct.unpack("<BQ", self._read(offset, 9))
                 start = offset + 9
@@ -180,6 +193,10 @@ class McapFile:
                     self._add_metadata(start, length)
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self._declare(opcode, self._read(start, length))
+        except (TactuneError, OSError):  # cancelled, or the disk fails
+            raise
+        except Exception:  # the library and its decompressors raise a dozen kinds; what comes before plays
+            ended = False
         if not ended:
             with suppress(Exception):  # its indexes may be cut off, or a power failure left a hole there
                 self._add_chunk(chunk, [])
@@ -263,7 +280,7 @@ class McapFile:
             if self._file.closed:
                 raise SourceError(f"{self.path} is closed; open it again")
             yield
-        except SourceError:
+        except TactuneError:  # also of a progress callable that cancels
             raise
         except OSError as error:
             raise SourceError(f"cannot read {self.path}: {error.strerror or error}; check the disk") from error

@@ -46,7 +46,14 @@ class BagFile:
             self.is_complete = False
             self._reader = _Unfinished(path)
             self._reader.open()
-        self._topics = {each.topic: each for each in self._reader.connections if each.msgcount}
+        self._topics: dict[str, str] = {}  # type of the messages of each topic
+        self._entries: dict[str, list[IndexData]] = {}
+        for each in self._reader.connections:  # a merged bag has several of one topic
+            if each.msgcount:
+                self._topics[each.topic] = each.msgtype
+                self._entries.setdefault(each.topic, []).extend(self._reader.indexes[each.id])
+        for entries in self._entries.values():
+            entries.sort()
         self._lock = Lock()
         self._chunks: OrderedDict[int, bytes] = OrderedDict()
         try:
@@ -135,7 +142,7 @@ class BagFile:
         }
 
     def _index(self, topic: str) -> list[IndexData]:
-        return self._reader.indexes[self._topics[topic].id] if topic in self._topics else []
+        return self._entries.get(topic, [])
 
     def _first(self, topic: str) -> Any:
         """Return the first message of a topic."""
@@ -145,7 +152,7 @@ class BagFile:
         return self._parsed(entries[0], topic)
 
     def _parsed(self, entry: IndexData, topic: str) -> Any:
-        return _STORE.deserialize_ros1(bytes(self._message(entry)), self._topics[topic].msgtype)
+        return _STORE.deserialize_ros1(bytes(self._message(entry)), self._topics[topic])
 
     def _message(self, entry: IndexData) -> memoryview:
         with self._lock:

@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from pydantic import ValidationError
 
-from ...errors import SourceError
+from ...errors import SourceError, TactuneError
 from ...model.arrays import Float64Array, Int64Array, Uint8Array, Uint16Array
 from ...model.frames import DepthCamera, camera_pose
 from ...model.intrinsics import Distortion, Intrinsics
@@ -123,7 +123,7 @@ def damage_told(path: Path, what: str) -> Iterator[None]:
     """Turn damage, in whichever way a library reports it, into a `SourceError` of one sentence."""
     try:
         yield
-    except SourceError:
+    except TactuneError:  # also of a progress callable that cancels
         raise
     except OSError as error:
         raise SourceError(f"cannot read {path}: {error.strerror or error}; check the disk") from error
