@@ -59,11 +59,10 @@ class Tray:
     ``facts`` are those of the solved rolls `scenes.TRAY_ROLLS_DEG`, which give the membrane's torque.
     """
 
-    def __init__(self, facts: Sequence[PressFacts], books: Sequence[Book] = BOOKS) -> None:
+    def __init__(self, facts: Sequence[PressFacts]) -> None:
         self._rolls: Float64Array = np.radians(TRAY_ROLLS_DEG)
         self._torques = np.array([each.torque_nm[0] for each in facts])
         self._stiffness = -float(np.gradient(self._torques, self._rolls)[len(facts) // 2])
-        self._books = tuple(books)
         self._commands: list[tuple[float, float]] = []
         self._rate = self._sensor_rate = 0.0
         self.time_s = self.roll_rad = self.sensor_rad = 0.0
@@ -88,7 +87,7 @@ class Tray:
         while self.time_s < until_s - _STEP_S / 2:
             while self._commands and self._commands[0][0] <= self.time_s:
                 self._sensor_rate = self._commands.pop(0)[1]
-            on = [book for book in self._books if book.time_s <= self.time_s]
+            on = [book for book in BOOKS if book.time_s <= self.time_s]
             torque = float(np.interp(self.relative_rad, self._rolls, self._torques))
             inertia = _TRAY_INERTIA_KG_M2
             c, s = math.cos(self.roll_rad), math.sin(self.roll_rad)

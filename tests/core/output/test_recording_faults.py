@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import random
 import resource
+import struct
 import threading
 import time
 from collections.abc import Callable
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tactune.core.errors import SourceError
+from tactune.core.errors import AdviceError, SourceError
 from tactune.core.model.frames import Rig, SensorFrame
 from tactune.core.output import RecordingStatus, SessionWriter, bag
 from tactune.core.sources.mcap.messages import Topic
@@ -67,6 +68,23 @@ def test_a_hole_that_a_power_failure_left_ends_the_recording(
     for hole in (data[: starts[3]] + bytes(len(data) - starts[3]), data[: starts[2] - 200] + bytes(5000)):
         (tmp_path / "hole.mcap").write_bytes(hole)
         assert plays(tmp_path / "hole.mcap", frames, same_frame) in (2, 3)
+
+
+def test_a_broken_record_ends_the_recording_and_cancelling_is_no_damage(
+    tmp_path: Path, rig: Rig, make_frames: Frames, record: Record, same_frame: Same
+) -> None:
+    frames, path = make_frames(3), tmp_path / "whole.mcap"
+    record(path, rig, frames)
+    data = path.read_bytes()
+    attachment = struct.pack("<BQQQI", 9, 20, 0, 0, 500)  # its name is longer than the record
+    (tmp_path / "broken.mcap").write_bytes(data[: data.rindex(LZ4_MAGIC) - 52] + attachment)  # up to the last chunk
+    assert plays(tmp_path / "broken.mcap", frames, same_frame) == 2
+
+    def cancel(share: float, words: str) -> None:
+        raise AdviceError("cancelled")
+
+    with pytest.raises(AdviceError, match="cancelled"):
+        McapSource(path, cancel)
 
 
 def test_a_damaged_frame_is_told_and_the_others_play(
