@@ -161,7 +161,6 @@ def _record_frames(source: FrameSource, writer: SessionWriter, frames: int | Non
 
 
 def _tell(source: FrameSource, status: RecordingStatus, lost_before: int) -> None:
-
     if status.error:
         kept = f"; the {counted(status.frames, 'frame')} before are in the file" if status.frames else ""
         raise ExportError(status.error + kept)

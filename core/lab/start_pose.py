@@ -69,12 +69,6 @@ def transformed(pose: Matrix4, points: npt.ArrayLike) -> Float64Array:
     return np.asarray(np.asarray(points, np.float64).reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3])
 
 
-def pair_errors_m(pose: Matrix4, object_points: npt.ArrayLike, patch_points: npt.ArrayLike) -> Float64Array:
-    """Return the distance between the points of each pair under a pose, metres, shape (N,)."""
-    apart = transformed(pose, object_points) - np.asarray(patch_points, np.float64).reshape(-1, 3)
-    return np.asarray(np.linalg.norm(apart, axis=1))
-
-
 def save_transform(path: Path | str, pose: Matrix4) -> None:
     """Write a pose as JSON, ``{"T_proximity_scan": 4 x 4}``, atomically; raises `ExportError`."""
     rows = ",\n    ".join(json.dumps(row) for row in rigid_transform(pose))

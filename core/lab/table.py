@@ -354,6 +354,7 @@ def time_table(plan: Plan) -> dict[tuple[str, str, str], float]:
     Measured in turn, on all cores, on the frames of the first object and membrane.
     """
     times: dict[tuple[str, str, str], float] = {}
+    rigs: dict[str, _Rig] = {}
     first, seed = plan.scenes[0], plan.seeds[0]
     for scene in plan.scenes:
         if (scene.object, scene.membrane, scene.side) != (
@@ -363,7 +364,8 @@ def time_table(plan: Plan) -> dict[tuple[str, str, str], float]:
         ):
             continue
         with open_source(scene.source(seed)) as source:
-            rig = _Rig.measured(plan, source)
+            rig = rigs.get(scene.sensor) or _Rig.measured(plan, source)
+            rigs[scene.sensor] = rig
             frames = list(itertools.islice(source, FRAMES))
             for name in plan.methods:
                 with suppress(TactuneError):
@@ -459,13 +461,11 @@ def table_text(cells: Sequence[Cell], times: dict[tuple[str, str, str], float]) 
 
 def _verdict(cells: Sequence[Cell]) -> Iterator[str]:
     """Yield how the membrane test compares with the best tolerance of each frame, case by case."""
-    by_frame = {
-        (cell.sensor, cell.membrane, cell.object, cell.press, cell.side, cell.seed, cell.method): cell for cell in cells
-    }
+    best_of = {_press_of(cell): cell for cell in cells if cell.method == BEST_T}
     over: dict[tuple[str, ...], float] = {}
     for case in _names(cells, "sensor", "membrane", "press"):
         mine = [cell for cell in cells if (cell.sensor, cell.membrane, cell.press, cell.method) == (*case, MEMBRANE)]
-        best = [by_frame.get((c.sensor, c.membrane, c.object, c.press, c.side, c.seed, BEST_T)) for c in mine]
+        best = [best_of.get(_press_of(cell)) for cell in mine]
         both = [(a, b) for a, b in zip(mine, best, strict=True) if b is not None and None not in (a.rmse_mm, b.rmse_mm)]
         if both:
             over[case] = mean_rmse_mm(a for a, _ in both) / mean_rmse_mm(b for _, b in both)
