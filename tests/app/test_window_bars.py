@@ -24,7 +24,7 @@ TIMES = {"average": 2.0, "fusion": 2.5, "equilibrium": 6.6, "edge": 0.4, "cluste
 
 @pytest.mark.parametrize("theme", ["dark", "light"])
 def test_the_arrow_to_actions_without_room_is_seen_and_named(make_window, qtbot, theme):
-    window = make_window(size=(1000, 700))
+    window = make_window(size=(900, 700))
     window.toolbar.show_source("folder:/home/somebody/recordings/cup")
     window.toolbar.show_preset("a preset with a long name", None)
     window.set_theme(theme, remember=False)

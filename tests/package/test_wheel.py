@@ -109,12 +109,7 @@ def test_the_wheel_holds_the_guide(robot: Path) -> None:
     assert "membrane" in page.read_text("utf-8")
 
 
-@pytest.mark.parametrize(
-    "method",
-    [pytest.param((), marks=pytest.mark.long), ("--method", "proximity-only")],
-    ids=["compiled", "proximity-only"],
-)
-def test_the_headless_job_runs_there(robot: Path, tmp_path: Path, method: tuple[str, ...]) -> None:
+def test_the_headless_job_runs_there(robot: Path, tmp_path: Path) -> None:
     words = [
         "run",
         "--source",
@@ -126,7 +121,8 @@ def test_the_headless_job_runs_there(robot: Path, tmp_path: Path, method: tuple[
         "--out",
         str(tmp_path),
         "--json",
-        *method,
+        "--set",
+        "contact_test=tolerance",
     ]
     done = subprocess.run([robot / "tactune", *words], check=False, capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 0, done.stderr

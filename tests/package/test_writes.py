@@ -11,11 +11,9 @@ ROOT = Path(__file__).resolve().parents[2]
 WRITERS = {"write_text", "write_bytes", "savez", "savez_compressed", "savetxt", "savefig", "imwrite", "ZipFile"}
 #: Files that are written in another way.
 OTHERS = {
-    "core/bench/measure.py": "asks the kernel through /proc",
     "core/model/files.py": "is atomic_path, which brings what was written to the disk",
     "core/model/untouched_archive.py": "writes to memory",
     "core/output/bag.py": "a recording grows, and a killed one plays up to its last chunk",
-    "core/output/cloud_files.py": "writes to the path of write_cloud, which is atomic",
     "core/sources/folder.py": "the whole folder gets its name when it is complete",
     "core/tuning/study.py": "a journal grows by lines",
 }

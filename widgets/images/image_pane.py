@@ -274,6 +274,8 @@ class ImagePane(QWidget):
         self.box.addItem(self.wipe_line, ignoreBounds=True)
         self.empty_label = QLabel("", self.view)
         self.empty_label.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.empty_label.setWordWrap(True)
+        self.empty_label.setMargin(8)
         self.empty_label.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self.badge = StaleBadge(self.view)
 

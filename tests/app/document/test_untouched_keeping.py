@@ -103,8 +103,8 @@ def test_tidying_keeps_what_unsaved_work_names(store: UntouchedStore, tmp_path: 
 def capture(qtbot, window) -> None:
     window.actions_.capture_untouched.trigger()
     opened = window.untouched.window
-    opened.frames.setValue(3)
-    QTest.mouseClick(opened.take, Qt.MouseButton.LeftButton)
+    opened.panel.frames.setValue(3)
+    QTest.mouseClick(opened.panel.start, Qt.MouseButton.LeftButton)
     qtbot.waitUntil(lambda: window.document.preset.untouched is not None)
     opened.close()
 

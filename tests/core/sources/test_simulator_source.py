@@ -257,7 +257,7 @@ def test_a_scene_is_computed_once_and_survives_a_cache_that_fails(tmp_path, monk
             return fake.facts[index]
 
     monkeypatch.setattr(source, "Press", FakePress)
-    monkeypatch.setattr(source, "Membrane", lambda design: None)
+    monkeypatch.setattr(source, "_inflated", lambda design: None)
     told = []
     SimulatorSource("cube", progress=lambda share, words: told.append((share, words)))
     assert told[-1] == (1.0, "The scene cube is ready")
