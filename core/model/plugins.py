@@ -10,6 +10,7 @@ Our own are plain imports of the modules that list them.
 
 from __future__ import annotations
 
+import inspect
 from functools import cache
 from importlib.metadata import entry_points
 from typing import Any
@@ -17,7 +18,10 @@ from typing import Any
 
 @cache
 def added_by_others(group: str, kind: type[Any]) -> tuple[dict[str, Any], dict[str, str]]:
-    """Import what other packages add to a group, once."""
+    """Import what other packages add to a group, once: objects of a kind, or classes of an abstract one.
+
+    Returns them, and a sentence for each that cannot be used, by the names of the entry points.
+    """
     found: dict[str, Any] = {}
     problems: dict[str, str] = {}
     for entry in entry_points(group=group):
@@ -31,7 +35,8 @@ def added_by_others(group: str, kind: type[Any]) -> tuple[dict[str, Any], dict[s
             detail = f"{type(error).__name__}: {' '.join(str(error).split())}"
             problems[entry.name] = f"{where} cannot be loaded ({detail}); update or uninstall the package"
             continue
-        if isinstance(loaded, kind) or (isinstance(loaded, type) and issubclass(loaded, kind)):
+        is_class = inspect.isabstract(kind) and isinstance(loaded, type) and issubclass(loaded, kind)
+        if isinstance(loaded, kind) or is_class:
             found[entry.name] = loaded
         else:
             problems[entry.name] = f"{where} is no {kind.__name__}; update or uninstall the package"

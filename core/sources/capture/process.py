@@ -104,17 +104,21 @@ class CaptureProcess:
 def _as_imported_program() -> Iterator[None]:
     """Keep `multiprocessing` from running the caller's script again, and Ctrl+C from the start of the process.
 
-    A robot's script then needs no main guard. The new process inherits the blocked signal until it ignores it.
+    A robot's script then needs no main guard. The new process inherits the blocked signal until it ignores it. A
+    daemonic process may start one too: it ends with its pipe.
     """
+    own = multiprocessing.current_process()
     has_masks = hasattr(signal, "pthread_sigmask")
     with _spawning:
         if has_masks:
             resource_tracker.ensure_running()  # its start would unblock the signal again
         script, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if has_masks else set()
+        daemonic, own.daemon = own.daemon, False
         try:
             yield
         finally:
+            own.daemon = daemonic
             sys.modules["__main__"] = script
             if has_masks:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)
