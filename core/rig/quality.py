@@ -246,7 +246,7 @@ def measure_quality(
             f"the region {width} x {height} at ({left}, {top}) does not lie within the proximity image of "
             f"{size.width} x {size.height} pixels; move it"
         )
-    beside = left, top, min(width, rig.tactile.intrinsics.width), min(height, rig.tactile.intrinsics.height)
+    beside = _cut(region, rig.tactile)
     compared: tuple[float, float, float, str] = (math.nan, math.nan, math.nan, "")
     try:
         beside = _tactile_region(frames[-1], rig, preset, region)
@@ -342,6 +342,13 @@ def _tactile_region(frame: SensorFrame, rig: Rig, preset: Preset, region: Rectan
     if (last - first < 2).any():
         raise FrameError("the tactile camera does not see the region; move it")
     return int(first[0]), int(first[1]), int(last[0] - first[0]), int(last[1] - first[1])
+
+
+def _cut(region: Rectangle, camera: DepthCamera) -> Rectangle:
+    """Return a region clipped to an image."""
+    size = camera.intrinsics
+    left, top = min(region[0], size.width - 1), min(region[1], size.height - 1)
+    return left, top, min(region[2], size.width - left), min(region[3], size.height - top)
 
 
 def _window(region: Rectangle) -> tuple[slice, slice]:

@@ -1,4 +1,4 @@
-"""The drift watchdog in the window: one message with its number for a live source, and the re-check one click away."""
+"""The check for drift in the window: one message with its number for a live source, and the re-check one click away."""
 
 from __future__ import annotations
 

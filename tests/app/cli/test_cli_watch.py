@@ -1,4 +1,4 @@
-"""``tactune run --watch``: the drift watchdog without a window."""
+"""``tactune run --watch``: the check for drift without a window."""
 
 from __future__ import annotations
 
