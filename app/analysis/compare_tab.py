@@ -46,6 +46,7 @@ class CompareTab(LiveTab):
 
     COLUMNS = ("frame", "method", "averaged_frames", "median_ms", "points", "area_mm2", "rmse_mm", "iou", "remark")
     EXPORT = "comparison"
+    KEEPS_ALL = False
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)

@@ -52,6 +52,8 @@ class LiveTab(AnalysisTab):
     #: Name of the exported file without its suffix, and filters of other formats, for `write_rows`.
     EXPORT = "frames"
     FILTERS: tuple[str, ...] = ()
+    #: Whether the rows of all frames are kept; else those of the shown frame.
+    KEEPS_ALL = True
 
     shown = pyqtSignal(object)
 
@@ -146,7 +148,7 @@ class LiveTab(AnalysisTab):
     def _begin(self, result: Result, former: SourceInfo | None) -> None:
         self.job.cancel()
         self.messages.clear("reset")  # its rows belong to the former source
-        if former is not None and self.rows:
+        if former is not None and self.rows and self.KEEPS_ALL:
             rows = list(self.rows.values())
             sentence = (
                 f"The curve of {former.name} ({counted(len(rows), 'frame')}) ended because {result.source.name} was "

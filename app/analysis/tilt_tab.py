@@ -120,6 +120,7 @@ class TiltTab(LiveTab):
     def begin(self, result: Result) -> None:
         """Start the filter anew."""
         self._filter.restart()
+        self._show_none()
 
     def work(self, result: Result) -> Work:
         """Return the estimate of the tilt of a frame."""
@@ -136,8 +137,7 @@ class TiltTab(LiveTab):
     def show_found(self, result: Result, found: Any) -> Row | None:
         """Show the plane and the angles."""
         if found is None or result.patch is None:
-            self.tilt = self._newest = None
-            self.cloud.set_cloud(None)
+            self._show_none()
             self.cloud.set_message(result.problem)
             self.status.setText(result.problem)
             return None
@@ -148,6 +148,14 @@ class TiltTab(LiveTab):
         angles += [getattr(filtered, name) for name in (*_ANGLES[:4], *_RATES)]
         degrees = [None if angle is None else round(math.degrees(angle), 4) for angle in angles]
         return (found.sequence, round(found.time_s, 6), found.method, found.points, *degrees)
+
+    def _show_none(self) -> None:
+        """Show no tilt: those of other frames would be taken for this one's."""
+        self.tilt = self._newest = None
+        self.cloud.set_cloud(None)
+        for label in (self.roll, self.pitch, self.axis):
+            label.setText("")
+        self.copy.setEnabled(False)
 
     def _show(self) -> None:
         """Draw the newest frame's plane and angles, alone or filtered."""

@@ -216,7 +216,8 @@ class Gather(QWidget):
         self._played = self._played or (playback is not None and playback.running)
 
     def _source_opened(self, info: SourceInfo) -> None:
-        if self.info is not None and info is not self.info and (self.busy or self.found is not None):
+        waits = self.found is not None and not self.at_once  # for `apply`; else it is in the preset already
+        if self.info is not None and info is not self.info and (self.busy or waits):
             self._return_to = None  # a place in the other source
             self._stop_taking()
             self._job.cancel()

@@ -87,11 +87,6 @@ class OpenDialog(QDialog):
         self.list.setCurrentRow(self.pages.index(page))
         self.list.setFocus()
 
-    def open_name(self, name: str) -> None:
-        """Ask for a source as if its name were typed and Open pressed."""
-        self.name.setText(name)
-        self._open()
-
     def show_progress(self, share: float, words: str) -> None:
         """Show how far the source is opened."""
         self.progress.setRange(0, 100 if share > 0 else 0)

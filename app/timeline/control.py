@@ -33,13 +33,10 @@ class Timeline(QObject):
 
     Signals
     -------
-    timesChanged(seconds: float64 array (N,))
-        The times of a recording's frames since the first one are better known.
     availableChanged(bool)
         Whether the source has frames to mark.
     """
 
-    timesChanged = pyqtSignal(object)
     availableChanged = pyqtSignal(bool)
 
     def __init__(self, context: Context, strip: TimeStrip) -> None:
@@ -226,10 +223,8 @@ class Timeline(QObject):
         series, former = self._series, self._former
         if series is None:
             return
-        seconds = series.seconds()
         older = former.values if former is not None and former is not series and not series.complete else None
-        self._strip.set_series(seconds, series.values, series.computed, older)
-        self.timesChanged.emit(seconds)
+        self._strip.set_series(series.seconds(), series.values, series.computed, older)
 
     def _frame_shown(self) -> None:
         result = self._context.result

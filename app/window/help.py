@@ -23,7 +23,7 @@ from ..context import TASK
 from .actions import plain_text
 
 #: The extras that running needs; the others are for development.
-_RUNS = re.compile(r'extra == "(gui|realsense|scan|tune)"')
+_RUNS = re.compile(r'extra == "(gui|realsense|open3d|tune|live)"')
 
 
 def guide_file() -> Path:

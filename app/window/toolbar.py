@@ -8,13 +8,75 @@ from functools import partial
 from pathlib import Path
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtWidgets import QMenu, QPushButton, QSizePolicy, QSlider, QSpinBox, QToolBar, QToolButton, QWidget
+from PyQt6.QtGui import QKeyEvent
+from PyQt6.QtWidgets import (
+    QAbstractSpinBox,
+    QMenu,
+    QPushButton,
+    QSizePolicy,
+    QSlider,
+    QSpinBox,
+    QToolBar,
+    QToolButton,
+    QWidget,
+)
 
 from ...widgets.basics.controls import action_button
 from ...widgets.basics.icons import icon
 from ...widgets.basics.layouts import hbox
 from ..worker.playback import PlaybackState
 from .actions import Actions, Menus
+
+
+class FrameNumber(QSpinBox):
+    """The frame on the screen, from 1. Enter goes to the number that is typed; Esc brings back the one on the screen.
+
+    Signals
+    -------
+    sought(index: int)
+    """
+
+    sought = pyqtSignal(int)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._index, self._length = 0, 1  # type: int, int | None
+        self.setAccessibleName("Frame number")
+        self.setToolTip("Frame, from 1 (files and commands count from 0). Type a number to go to it")
+        self.setPrefix("frame ")
+        self.setButtonSymbols(QAbstractSpinBox.ButtonSymbols.NoButtons)  # Previous and Next stand beside it
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)  # not by the wheel: while it has the focus it stands still
+        self.setKeyboardTracking(False)  # a number counts once it is finished
+        self._show()
+        self.valueChanged.connect(lambda number: self.sought.emit(number - 1))
+
+    def show_frame(self, index: int, length: int | None) -> None:
+        """Show a frame; what a person types stays until it is finished."""
+        known = length == self._length
+        self._index, self._length = index, length
+        if not (known and self.hasFocus()):
+            self._show()
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:
+        """Leave with Enter or Esc, and follow the frames again."""
+        key = event.key() if event is not None else 0
+        if key == Qt.Key.Key_Escape:
+            self._show()
+        elif key in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
+            before = self.value()
+            self.interpretText()
+            if self.value() == before:  # that of a frame shown before, perhaps: others came since
+                self.sought.emit(before - 1)
+        else:
+            super().keyPressEvent(event)
+            return
+        self.clearFocus()
+
+    def _show(self) -> None:
+        with QSignalBlocker(self):
+            self.setRange(1, self._length or 99_999_999)
+            self.setSuffix(f" of {self._length}" if self._length is not None else "")
+            self.setValue(self._index + 1)
 
 
 class Transport(QWidget):
@@ -41,13 +103,8 @@ class Transport(QWidget):
         self.slider.valueChanged.connect(self.seekRequested)
         self.slider.sliderPressed.connect(lambda: self.held.emit(True))
         self.slider.sliderReleased.connect(lambda: self.held.emit(False))
-        self.position = QSpinBox()
-        self.position.setAccessibleName("Frame number")
-        self.position.setToolTip("Frame, from 1 (files and commands count from 0). Type a number to go to it")
-        self.position.setPrefix("frame ")
-        self.position.setKeyboardTracking(False)  # a number counts once it is finished
-        self.position.valueChanged.connect(lambda number: self.seekRequested.emit(number - 1))
-        self.position.editingFinished.connect(self.position.clearFocus)  # and follow the frames again
+        self.position = FrameNumber()
+        self.position.sought.connect(self.seekRequested)
         actions.go_to.triggered.connect(self._go_to)
         buttons = map(action_button, (actions.previous, actions.play, actions.next, actions.loop, actions.freeze))
         hbox(*buttons, 4, (self.slider, 1), 4, self.position, within=self, margins=0, spacing=4)
@@ -63,11 +120,7 @@ class Transport(QWidget):
         self._state = state
         if changed:
             self._show_mode()
-        if not self.position.hasFocus() or state.length is None:  # what a person types stays until it is finished
-            with QSignalBlocker(self.position):
-                self.position.setRange(1, state.length or 99_999_999)
-                self.position.setSuffix(f" of {state.length}" if state.length is not None else "")
-                self.position.setValue(state.index + 1)
+        self.position.show_frame(state.index, state.length)
         if state.length is None:
             return
         last = max(0, state.length - 1)
@@ -115,7 +168,7 @@ class ToolBar(QToolBar):
         self.setMovable(False)
         self.setContextMenuPolicy(Qt.ContextMenuPolicy.PreventContextMenu)
         self._menus = menus
-        self.source = QPushButton()
+        self.source = _WholeButton()
         self.source.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.source.clicked.connect(actions.open_source.trigger)
         self.preset = _menu_button(menus.preset, "The preset being tuned")
@@ -183,8 +236,12 @@ def _chosen(choose: Callable[[str], None], name: str, _checked: bool = False) ->
     choose(name)
 
 
+class _WholeButton(QPushButton):
+    """Is never narrower than its text: the style sheet's ``min-width`` of buttons would let the toolbar cut it."""
+
+
 def _menu_button(menu: QMenu, tip: str) -> QPushButton:
-    button = QPushButton()
+    button = _WholeButton()
     button.setMenu(menu)
     button.setToolTip(tip)
     button.setFocusPolicy(Qt.FocusPolicy.TabFocus)

@@ -14,10 +14,10 @@ from .jobs import Job
 class JobRow(QWidget):
     """Visible while one of the jobs reports progress; work that reports none, as on each frame, shows nothing."""
 
-    def __init__(self, *jobs: Job, name: str = "Progress", tip: str = "Cancel") -> None:
+    def __init__(self, *jobs: Job) -> None:
         super().__init__()
-        self.bar, self.cancel = ProgressBar(), push_button("Cancel", tip)
-        self.bar.setAccessibleName(name)
+        self.bar, self.cancel = ProgressBar(), push_button("Cancel", "Cancel")
+        self.bar.setAccessibleName("Progress")
         hbox((self.bar, 1), self.cancel, within=self, margins=0)
         policy = self.sizePolicy()
         policy.setRetainSizeWhenHidden(True)  # so that the layout does not jump

@@ -123,6 +123,13 @@ def test_it_follows_frames_and_presets(qtbot, window):
     qtbot.waitUntil(lambda: outcomes(tab)["fusion-rigid"].points == 64 * 48)
 
 
+def test_another_source_ends_no_curve(qtbot, window):
+    tab = open_on(qtbot, window, source())
+    show_source(qtbot, window, source(), 2)
+    settle(qtbot, window, tab)
+    assert tab.messages.keys() == [] and len(tab.rows) == len(tab.found.outcomes)
+
+
 def test_colours_show_agreement_with_the_truth(qtbot, window):
     tab = open_on(qtbot, window, source())
     tab.color_by.setFocus()

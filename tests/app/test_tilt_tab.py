@@ -66,6 +66,16 @@ def test_a_frame_without_contact_has_no_angles(qtbot, window):
     assert tab.axis.text() == "Long axis not determined"
 
 
+def test_a_preset_that_does_not_fit_leaves_no_angles_of_another_frame(qtbot, window):
+    tab = opened(qtbot, window)
+    assert tab.roll.text() and tab.copy.isEnabled()
+    assert window.document.edit("rig", small_rig(64).model_dump(mode="json"))
+    qtbot.waitUntil(lambda: window.result.patch is None)
+    qtbot.waitUntil(lambda: tab.tilt is None)
+    assert (tab.roll.text(), tab.axis.text(), tab.copy.isEnabled()) == ("", "", False)
+    assert tab.cloud.message() == tab.status.text() == window.result.problem != ""
+
+
 def test_rows_are_exported_removed_brought_back_and_offered_when_the_source_changes(qtbot, window, tmp_path):
     tab = opened(qtbot, window)
     first = tab.tilt

@@ -13,6 +13,7 @@ from PyQt6.QtWidgets import QLabel, QToolButton
 from contrast import contrast_ratio
 from fakes import tiny_frame, tiny_rig
 from tactune.app.window.status import FrameStatus
+from tactune.app.window.toolbar import FrameNumber
 from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.processing import FrameProcessor
 from tactune.app.worker.results import SourceInfo, SourceState, Wanted
@@ -114,3 +115,40 @@ def test_a_change_of_playback_that_a_picture_has_overtaken_keeps_the_number_of_t
     assert transport.state.index == transport.slider.value() == window.result.playback.index == 3
     window.worker.playbackChanged.emit(replace(late, loop=not late.loop))
     assert transport.state.loop != late.loop
+
+
+@pytest.fixture
+def number(qtbot):
+    made = FrameNumber()
+    qtbot.addWidget(made)
+    made.show()
+    qtbot.waitExposed(made)
+    made.show_frame(3, 8)
+    made.setFocus()
+    made.selectAll()
+    return made
+
+
+def test_enter_goes_to_the_typed_frame_also_to_the_one_before_the_newest(number):
+    sought = []
+    number.sought.connect(sought.append)
+    number.show_frame(6, 8)  # played on while somebody types
+    QTest.keyClicks(number, "4")
+    QTest.keyClick(number, Qt.Key.Key_Return)
+    assert sought == [3]
+    number.selectAll()
+    QTest.keyClicks(number, "7")
+    QTest.keyClick(number, Qt.Key.Key_Return)
+    assert sought == [3, 6]
+
+
+def test_escape_brings_the_shown_frame_back_and_goes_nowhere(number):
+    sought = []
+    number.sought.connect(sought.append)
+    QTest.keyClicks(number, "2")
+    number.show_frame(5, 8)
+    assert number.text() == "frame 2 of 8"
+    QTest.keyClick(number, Qt.Key.Key_Escape)
+    assert number.text() == "frame 6 of 8" and not number.hasFocus()
+    number.show_frame(0, None)
+    assert number.text() == "frame 1" and sought == []

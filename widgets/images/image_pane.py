@@ -273,6 +273,7 @@ class ImagePane(QWidget):
         self.wipe_line = WipeLine(self.box)
         self.box.addItem(self.wipe_line, ignoreBounds=True)
         self.empty_label = QLabel("", self.view)
+        self.empty_label.setWordWrap(True)
         self.empty_label.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self.empty_label.setWordWrap(True)
         self.empty_label.setMargin(8)
