@@ -153,7 +153,7 @@ def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouch
 def _proximity_change(
     preset: Preset, rig: Rig, frame: SensorFrame, untouched: SensorFrame, inflation_m: float
 ) -> DepthChange | None:
-    """Return the change where the proximity camera sees the membrane, minus that of the inflation; None if too few."""
+    """Return the change where the proximity camera sees the membrane, minus that of the inflation if it shows there; None if too few."""
     height, width = rig.proximity.intrinsics.shape
     aligned = make_alignment(preset.alignment, rig).align(
         untouched.proximity_depth, untouched.tactile_depth, Region(0, 0, width, height)
@@ -164,10 +164,15 @@ def _proximity_change(
     change, x, y, before = _changes(frame.proximity_depth, where, rig.proximity)
     if len(change) < _MIN_PIXELS:
         return None
-    rim, apex = np.nanquantile(aligned.measured_m, [0.02, 0.98])
+    # Both distances are those along the tactile camera's axis; the bulge is needed along the proximity camera's.
+    proximity_m = untouched.proximity_depth * rig.proximity.depth_unit_m
+    membrane_m = proximity_m + aligned.measured_m - aligned.expected_m
+    rim, apex = np.nanquantile(membrane_m, [0.02, 0.98])
     bulge = (before - rim) / (apex - rim) if inflation_m else np.zeros_like(before)
-    fitted = _fit(change - inflation_m * bulge, np.column_stack([np.ones_like(x), x, y]))
-    return _sum_up(change, fitted[0] + fitted[1] * x + fitted[2] * y)
+    # A tactile camera that moved along its axis looks like inflation, too: the smaller of both motions counts.
+    columns = np.column_stack([np.ones_like(x), x, y])
+    planes = [columns @ _fit(of_camera, columns) for of_camera in (change - inflation_m * bulge, change)]
+    return min((_sum_up(change, plane) for plane in planes), key=lambda summed: summed.moved_m)
 
 
 def _changes(
