@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +19,7 @@ from ...model.loading import parse_json
 from ...model.rig_file import parse_rig
 from ...model.untouched_archive import parse_untouched
 from ...preset import Preset
-from ...preset.file import preset_from_text
+from ...preset.file import preset_and_note
 from ..base import Health, Progress, SeekableSource
 from ..ros_image import DamagedFileError, RawImage
 from .messages import (
@@ -93,9 +94,14 @@ class McapSource(SeekableSource):
         return 1.0 / self._gap_s if self._gap_s > 0 else super().frame_rate_hz
 
     def preset(self) -> Preset | None:
-        """Return the preset in the recording, or None if it has none."""
+        """Return the recorded preset, or None; a warning of the logger ``tactune`` names fields that are gone."""
         found = self.preset_text()
-        return None if found is None else preset_from_text(*found)
+        if found is None:
+            return None
+        preset, note = preset_and_note(*found)
+        if note:
+            logging.getLogger(__name__).warning("%s: %s", found[1], note)
+        return preset
 
     def preset_text(self) -> tuple[str, str] | None:
         """Return the text of the preset and what messages call it, or None if there is none."""
