@@ -16,15 +16,12 @@ from tactune.widgets.clouds.cloud_view import CloudView
 from tactune.widgets.clouds.view_camera import ViewCamera
 
 
-def test_orbiting_one_view_turns_all_and_each_says_so_once(qtbot: QtBot) -> None:
+def test_orbiting_one_view_turns_all(qtbot: QtBot) -> None:
     window = three_linked(qtbot)
     views = window.findChildren(CloudView)
     for view in views:
         view.set_cloud(cloud_of(wall()))
     for dragged in views:
-        heard: list[list[ViewCamera]] = [[], [], []]
-        for view, cameras in zip(views, heard, strict=True):
-            view.cameraChanged.connect(cameras.append)
         before = dragged.camera()
         pictures = [picture(view) for view in views]
         drag(dragged, (100, 100), (140, 120), Qt.MouseButton.LeftButton)
@@ -33,11 +30,8 @@ def test_orbiting_one_view_turns_all_and_each_says_so_once(qtbot: QtBot) -> None
         assert after.elevation > before.elevation
         assert (after.distance, after.target) == (before.distance, before.target)
         assert [view.camera() for view in views] == [after] * 3
-        assert heard[0] == heard[1] == heard[2]
-        assert 1 <= len(heard[0]) <= 2, "one signal for each movement of the mouse, and no echo"
         for view, old in zip(views, pictures, strict=True):
             assert (picture(view) != old).any()
-            view.cameraChanged.disconnect()
 
 
 def turn_wheel(view: CloudView, at: QPointF, steps: float) -> None:

@@ -79,8 +79,6 @@ class CloudView(QWidget):
     #: Whether the view follows the mouse while no button is pressed.
     FOLLOWS_MOUSE = False
 
-    #: The camera moved (user, call or linked view); carries the `ViewCamera`.
-    cameraChanged = pyqtSignal(object)
     #: The wipe was dragged; carries the share of the width left of it.
     wipeDragged = pyqtSignal(float)
     #: The button below the message was pressed.
@@ -303,7 +301,6 @@ class CloudView(QWidget):
         if camera != self._scene.camera:
             self._scene.camera = camera
             self._canvas.update()
-            self.cameraChanged.emit(camera)
 
     def pick(self, at: QPointF) -> tuple[int, Place] | None:
         """Return the flat pixel and the place of the point that is seen at a position of the canvas, or None.
