@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from ...core.contact.pipeline import ContactPatch, ContactPipeline
     from ...core.estimation.object_mesh import ObjectMesh
     from ...core.estimation.pose import PoseEstimate, PoseTracker
-    from ...core.model.arrays import Float64Array
     from ...core.preset import Preset
     from ...core.sources import FrameSource
 
@@ -58,7 +57,11 @@ def track(
     unit: UnitOption = None,
     start: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Pose in the first frame, T_proximity_object: four lines of four numbers."),
+        typer.Option(
+            metavar="FILE",
+            help="Pose in the first frame, T_proximity_object: four lines of four numbers, or JSON as tactune lab scan "
+            "writes it.",
+        ),
     ] = None,
     out: Annotated[
         Path | None,
@@ -81,6 +84,7 @@ def track(
     """
     from ...core.contact.pipeline import ContactPipeline
     from ...core.estimation.pose import PoseTracker
+    from ...core.estimation.pose_files import load_transform
     from ...core.sources.presets import load_preset
     from ...core.warmup import warm_up_if_needed
 
@@ -92,7 +96,7 @@ def track(
     with open_with_progress(source, chosen.cameras) as opened:
         tracker = PoseTracker(_mesh(mesh, unit, opened), chosen, opened.rig)
         if start is not None:
-            tracker.start(_read_pose(start))
+            tracker.start(load_transform(start))
         with CliProgress() as progress:
             warm_up_if_needed(progress.preparing, chosen)
         pipeline, lost_before = ContactPipeline(chosen, opened.rig), opened.health().dropped
@@ -106,15 +110,6 @@ def track(
             typer.echo(f"wrote {out}")
         if stopped.is_set():
             tell_of_stop(opened, done, frames)
-
-
-def _read_pose(path: Path) -> Float64Array:
-    import numpy as np
-
-    try:
-        return np.loadtxt(path, ndmin=2)
-    except (OSError, ValueError) as error:
-        raise SourceError(f"cannot read the pose in {path} ({error}); it has four lines of four numbers") from error
 
 
 def _mesh(path: Path | None, unit: str | None, source: FrameSource) -> ObjectMesh:

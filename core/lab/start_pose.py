@@ -13,10 +13,10 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from ..errors import CalibrationError, SourceError
+from ..estimation.pose_files import read_text
 from ..model.arrays import Float64Array
-from ..model.files import atomic_path, user_path
+from ..model.files import atomic_path
 from ..model.frames import Matrix4, rigid_transform
-from ..model.loading import parse_json, read_file
 
 _MIN_PAIRS: Final = 3
 #: Points count as collinear if their spread across the line is below this share of the spread along it.
@@ -25,7 +25,6 @@ _ON_A_LINE: Final = 0.02
 _ONE_PLACE_M: Final = 1e-4
 #: Size ratio between object and patch beyond which the unit must be wrong.
 _OTHER_UNIT: Final = 3.0
-_FILE_BYTES: Final = 10_000_000
 HEADER: Final = ("scan_x", "scan_y", "scan_z", "patch_x_m", "patch_y_m", "patch_z_m")
 
 
@@ -76,35 +75,13 @@ def save_transform(path: Path | str, pose: Matrix4) -> None:
         temporary.write_text(f'{{\n  "T_proximity_scan": [\n    {rows}\n  ]\n}}\n', encoding="utf-8")
 
 
-def load_transform(path: Path | str) -> Matrix4:
-    """Read a pose from a file of `save_transform`, or from four lines of four numbers.
-
-    Raises
-    ------
-    SourceError
-        The file cannot be read or holds no rigid transform in metres.
-    """
-    text = _read(path)
-    try:
-        if text.lstrip().startswith("{"):
-            return rigid_transform(parse_json(text)["T_proximity_scan"])
-        lines = [line.replace(",", " ").split() for line in text.splitlines() if line.strip()]
-        return rigid_transform([[float(word) for word in line] for line in lines])
-    except (ValueError, TypeError, KeyError) as error:
-        detail = " ".join(str(error).split())
-        raise SourceError(
-            f'{path} holds no pose ({detail}); it is JSON {{"T_proximity_scan": 4 x 4}} or '
-            "four lines of four numbers, metres"
-        ) from error
-
-
 def read_pairs(path: Path | str, unit_m: float = 1.0) -> tuple[Float64Array, Float64Array]:
     """Read point pairs for `pose_from_pairs` from a CSV file with the columns of `HEADER`.
 
     A line is a point in the object's frame and unit, as a mesh viewer shows it, and the same point in the proximity
     depth frame in metres. Returns both in metres, (N, 3) each.
     """
-    rows = [row for row in csv.reader(_read(path).splitlines()) if any(word.strip() for word in row)]
+    rows = [row for row in csv.reader(read_text(path).splitlines()) if any(word.strip() for word in row)]
     if not rows or tuple(word.strip() for word in rows[0]) != HEADER:
         raise SourceError(f"{path} lacks the header {','.join(HEADER)}; put it into the first line")
     try:
@@ -114,13 +91,3 @@ def read_pairs(path: Path | str, unit_m: float = 1.0) -> tuple[Float64Array, Flo
     if not np.isfinite(table).all():
         raise SourceError(f"{path} has a number that is not finite; each line is six finite numbers")
     return table[:, :3] * unit_m, table[:, 3:]
-
-
-def _read(path: Path | str) -> str:
-    path = user_path(path)
-    try:
-        return read_file(path, _FILE_BYTES).decode("utf-8-sig")
-    except OSError as error:
-        raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
-    except ValueError as error:
-        raise SourceError(f"{path} is no text file; write it as text") from error

@@ -16,6 +16,8 @@ from scipy.spatial.transform import Rotation
 from tactune.core.estimation.object_mesh import simulated_mesh
 from tactune.core.estimation.pose import PoseEstimate
 from tactune.core.estimation.pose_files import pose_record, save_poses
+from tactune.core.lab.start_pose import save_transform
+from tactune.core.model.frames import rigid_transform
 from tactune.core.sources.simulator.source import SimulatorSource
 
 FRAMES = 20
@@ -112,6 +114,13 @@ def test_patches_and_poses_together_as_ros_reads_them(tactune, cup, truths, tmp_
     covariance = np.reshape(stamped.pose.covariance, (6, 6))
     assert np.linalg.eigvalsh(covariance).min() > 0
     assert 0 not in found["/object/pose"], "a lost pose is not published"
+
+
+def test_a_pose_that_lab_scan_wrote_is_a_start(tactune, cup, tmp_path):
+    start = tmp_path / "start.json"
+    save_transform(start, rigid_transform(np.loadtxt(cup / "start.txt")))
+    done = tactune("track", "--source", "sim:cup", "--start", start, "-n", 1, "--truth")
+    assert done.status == 0
 
 
 def test_wrong_mesh_and_wrong_options_end_with_one_sentence(tactune, cup, tmp_path):

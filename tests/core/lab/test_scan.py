@@ -11,8 +11,9 @@ import pytest
 from painted_scan import PaintFlaws, write_painted_scan
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import CalibrationError, TactuneError
+from tactune.core.estimation.pose_files import load_transform
 from tactune.core.lab.scan import PaintSettings, Scan, load_scan, painted_contact, scan_truth, surface_points
-from tactune.core.lab.start_pose import HEADER, load_transform, pose_from_pairs, transformed
+from tactune.core.lab.start_pose import HEADER, pose_from_pairs, transformed
 from tactune.core.model.clouds import pixel_areas_m2
 from tactune.core.model.metrics import compare_with_truth, symmetric_rmse_m, truth_cloud
 from tactune.core.sources.presets import load_preset
