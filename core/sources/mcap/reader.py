@@ -12,10 +12,12 @@ from array import array
 from collections import OrderedDict
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Final
 
+import lz4.frame
 import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -253,6 +255,9 @@ class McapFile:
         chunk = Chunk.read(_stream(self._read(start, length)))
         if chunk.uncompressed_size > _LARGEST_CHUNK + 8 * self._size:
             raise ValueError(f"a chunk claims to hold {chunk.uncompressed_size / 2**20:.0f} MiB")
+        if chunk.compression == "lz4":  # the library would unpack all of it, however much more than it claims
+            data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=chunk.uncompressed_size)
+            chunk = replace(chunk, compression="", data=data)
         stream, size = get_chunk_data_stream(chunk, validate_crc=True)
         self._cache[start] = memoryview(stream.read(size))
         while len(self._cache) > _CACHED_CHUNKS or (
