@@ -153,7 +153,7 @@ def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouch
 def _proximity_change(
     preset: Preset, rig: Rig, frame: SensorFrame, untouched: SensorFrame, inflation_m: float
 ) -> DepthChange | None:
-    """Return the change where the proximity camera sees the membrane, less the inflation if it shows; None if too few."""
+    """Return the change where the proximity camera sees the membrane, less inflation that shows; None if too few."""
     height, width = rig.proximity.intrinsics.shape
     aligned = make_alignment(preset.alignment, rig).align(
         untouched.proximity_depth, untouched.tactile_depth, Region(0, 0, width, height)
