@@ -73,7 +73,8 @@ class TrackTab(LiveTab):
         self.simulated.clicked.connect(self._open_simulated)
         self.unit.activated.connect(self._read_again)
         self.track_button.toggled.connect(self._toggled)
-        self.job.failed.connect(lambda _: self.track_button.setChecked(False))
+        self.job.failed.connect(self._stop_after)
+        self.working.cancel.clicked.connect(lambda: self.track_button.setChecked(False))
         self._loading.done.connect(self._opened)
         self._loading.failed.connect(
             lambda sentence: self.messages.state("mesh", Severity.WARNING, sentence and as_sentence(sentence))
@@ -161,6 +162,11 @@ class TrackTab(LiveTab):
             self.job.cancel()
         self._show()
         self.again()
+
+    def _stop_after(self, sentence: str) -> None:
+        """End tracking after an error; what another source cancelled goes on with that source."""
+        if sentence:
+            self.track_button.setChecked(False)
 
     def begin(self, result: Result) -> None:
         """Offer the simulator's own object where there is one."""

@@ -179,6 +179,13 @@ class SkewTab(Gather):
         self.curve.follow_theme()
         self.motion.follow_theme(lambda _colors: self._draw())
 
+    def begin(self) -> None:
+        """Take frames, without the curves of the measurement before."""
+        if not self.busy:
+            self.skew = None
+            self._draw()
+        super().begin()
+
     def keep(self, frame: SensorFrame) -> Sample:
         """Return the frame, subsampled."""
         return Sample.of(frame)
@@ -195,10 +202,9 @@ class SkewTab(Gather):
 
     def show_found(self, found: Skew | None) -> None:
         """Show a measurement."""
-        if found is not None or self.busy:
+        if found is not None:  # else the curves stay until the next measurement begins
             self.skew = found
             self._draw()
-        if found is not None:
             self.sentence.setText(found.sentence)
             self.apply.setText(f"Set the tactile delay to {1e3 * self.change()[1]:.1f} ms")
             self.apply.setEnabled(found.significant)

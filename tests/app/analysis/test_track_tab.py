@@ -141,6 +141,23 @@ def test_a_search_can_be_given_up(qtbot, tab, monkeypatch, cup_file, how):
     assert tab.tracked is None
 
 
+def test_another_source_begins_the_search_anew(qtbot, tab, monkeypatch):
+    begun = []
+
+    def search_for_ever(_tracker, _patch, progress):
+        begun.append(tab.result.source.name)
+        while True:
+            progress(0.5)
+            Event().wait(0.01)
+
+    monkeypatch.setattr(PoseTracker, "find", search_for_ever)
+    QTest.mouseClick(tab.track_button, LEFT)
+    qtbot.waitUntil(lambda: bool(begun))
+    show_source(qtbot, tab.context.window, open_source("sim:cube?press=medium"), 3)
+    qtbot.waitUntil(lambda: begun[-1] != begun[0])
+    assert tab.track_button.isChecked()
+
+
 def test_poses_are_published_and_recorded_also_behind_another_tab(qtbot, tab, tmp_path):
     tab.main.settings.set("folder/recordings", str(tmp_path))
     publishing = tab.main.publishing.window
