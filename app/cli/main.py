@@ -85,6 +85,7 @@ commands.command(short_help="Search for preset values with the best error and ru
 preset_commands.command(short_help="Suggest values, with the evidence for each.")(suggest)
 preset_commands.command(short_help="Say what is wrong with a preset on a frame.")(check)
 preset_commands.command("create-rig", short_help="Write the rig.json of a folder of images.")(create_rig)
+commands.command("create-rig", hidden=True)(create_rig)  # the name by which scripts know it
 commands.add_typer(preset_commands, name="preset", short_help="Make, show, check and improve presets and rigs.")
 commands.add_typer(lab_commands, name="lab", short_help="For papers: tables of methods, strain, scans, run times.")
 

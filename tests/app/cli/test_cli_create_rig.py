@@ -38,7 +38,7 @@ def test_what_is_assumed_and_what_cannot_be_read_is_said(tactune, bare):
         images = sorted(bare.rglob(f"{name}.png")) if name == "proximity_color" else [last]
         for path in images:
             cv2.imwrite(str(path), cv2.resize(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), size))
-    done = tactune("preset", "create-rig", bare, "--proximity", "D435=60,61,31.5,23.5")
+    done = tactune("create-rig", bare, "--proximity", "D435=60,61,31.5,23.5")
     assert done.status == 0
     assert "the colour lens of the D435 is the maker's" in done.err
     assert "the depth lens of the D405 is the maker's" in done.err
