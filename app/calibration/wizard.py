@@ -135,6 +135,7 @@ class CalibrationWizard(QDialog):
         footer = hbox((self.verdict, 1), self.leave, self.back, *self.page_actions.values(), self.next, self.save)
         for push in (*self.page_actions.values(), self.next, self.save):
             push.setMinimumWidth(120)
+            push.setProperty("wide", True)  # a style sheet's width wins over the one above
         area = QWidget()
         vbox(self.stack, within=area, margins=0)
         self.messages = Messages(area, self._below_views)

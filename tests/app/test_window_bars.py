@@ -8,8 +8,9 @@ from types import SimpleNamespace
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QLabel, QToolButton
+from PyQt6.QtWidgets import QLabel, QToolButton
 
+from contrast import contrast_ratio
 from fakes import tiny_frame, tiny_rig
 from tactune.app.window.status import FrameStatus
 from tactune.app.window.toolbar import FrameNumber
@@ -17,16 +18,26 @@ from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.processing import FrameProcessor
 from tactune.app.worker.results import SourceInfo, SourceState, Wanted
 from tactune.core.preset import Preset
+from tactune.widgets.basics.theme import theme_colors
 
 TIMES = {"average": 2.0, "fusion": 2.5, "equilibrium": 6.6, "edge": 0.4, "clusters": 0.8, "points": 0.5}
 
 
-def test_every_button_has_room_in_the_smallest_window(make_window):
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_the_arrow_to_actions_without_room_is_seen_and_named(make_window, qtbot, theme):
     window = make_window(size=(900, 700))
     window.toolbar.show_source("folder:/home/somebody/recordings/cup")
     window.toolbar.show_preset("a preset with a long name", None)
-    QApplication.processEvents()
-    assert not window.toolbar.findChild(QToolButton, "qt_toolbar_ext_button").isVisible()
+    window.set_theme(theme, remember=False)
+    arrow = window.toolbar.findChild(QToolButton, "qt_toolbar_ext_button")
+    qtbot.waitUntil(arrow.isVisible)
+    for expanded in (False, True):
+        arrow.setChecked(expanded)
+        image = window.toolbar.grab(arrow.geometry()).toImage()
+        middle = {image.pixelColor(x, image.height() // 2).name() for x in range(3, image.width() - 3)}
+        contrasts = [contrast_ratio(pixel, theme_colors().window) for pixel in middle]
+        assert max(contrasts) > 4.5 and min(contrasts) < 2
+    assert arrow.toolTip() == arrow.accessibleName() == "More actions"
 
 
 @pytest.fixture(scope="module")
