@@ -105,6 +105,10 @@ def _subdivided(mesh: Any, path: Path | str) -> Any:
             f"{path} has a texture that is missing or cannot be read; "
             "put its image (and an .obj's .mtl) into the same folder"
         )
+    try:
+        image.load()  # until now Pillow has read the image's header only
+    except (OSError, ValueError, SyntaxError) as error:
+        raise SourceError(f"the texture of {path} is damaged ({error}); export the scan again") from error
     corners = np.asarray(mesh.vertices)[mesh.faces]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     edge = _TEXTURE_EDGE_M

@@ -81,7 +81,11 @@ def read_pairs(path: Path | str, unit_m: float = 1.0) -> tuple[Float64Array, Flo
     A line is a point in the object's frame and unit, as a mesh viewer shows it, and the same point in the proximity
     depth frame in metres. Returns both in metres, (N, 3) each.
     """
-    rows = [row for row in csv.reader(read_text(path).splitlines()) if any(word.strip() for word in row)]
+    text = read_text(path)
+    try:
+        rows = [row for row in csv.reader(text.splitlines()) if any(word.strip() for word in row)]
+    except csv.Error as error:
+        raise SourceError(f"{path} is no table of point pairs ({error}); each line is six numbers") from error
     if not rows or tuple(word.strip() for word in rows[0]) != HEADER:
         raise SourceError(f"{path} lacks the header {','.join(HEADER)}; put it into the first line")
     try:

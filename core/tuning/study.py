@@ -99,8 +99,16 @@ class Study:
         """Measure trials until the plan's number is reached; yield the number that is measured each time it grows.
 
         Close the iterator or let ``stopped`` return True to cancel. Trials that have been counted are in the file.
-        Raises a `TactuneError` if a batch cannot be measured or the workers are gone.
+        Raises a `TactuneError` if a batch cannot be measured, the workers are gone, or the disk is full.
         """
+        try:
+            yield from self._measure(workers, stopped)
+        except OSError as error:
+            raise ExportError(f"cannot write {self.path}: {error.strerror or error}; trials so far are kept") from error
+        except optuna.exceptions.UpdateFinishedTrialError as error:
+            raise TuneError(f"another search continues in {self.path}; give each its own --study") from error
+
+    def _measure(self, workers: Workers, stopped: Callable[[], bool]) -> Iterator[int]:
         self._prepare()
         running: dict[Future[list[Measured]], list[optuna.Trial]] = {}
         done = begun = len(self.results()[0])
@@ -186,10 +194,7 @@ class Study:
         undefined = [name for name in self.plan.objectives if name not in figures]
         if undefined and not failure:
             failure = f"{undefined[0]} is undefined on these frames"
-        try:
-            trial.set_user_attr("measured", (figures, failure))
-        except optuna.exceptions.UpdateFinishedTrialError as error:
-            raise TuneError(f"another search continues in {self.path}; give each its own --study") from error
+        trial.set_user_attr("measured", (figures, failure))
         if failure:
             self._study.tell(trial, state=TrialState.FAIL)
             return
