@@ -46,6 +46,9 @@ settings.load_profile("tactune")
 # A shell makes what it runs in the background ignore interrupts, and so would every program that a test starts.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+# So does nohup with hang-ups, which the programs then rightly ignore.
+if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def _compile_locked(compile_kernel: Callable[..., Any]) -> Callable[..., Any]:

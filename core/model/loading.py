@@ -36,7 +36,9 @@ _parsing = threading.Lock()
 def open_regular(path: Path | str) -> BinaryIO:
     """Open a file for reading; `OSError` for a pipe, a device or a socket, reading which might never end."""
     without_waiting = getattr(os, "O_NONBLOCK", 0)  # else opening a pipe waits for its writer
-    file = open(path, "rb", opener=lambda name, flags: os.open(name, flags | without_waiting))  # noqa: SIM115
+    file = open(  # noqa: SIM115  # whoever calls closes it
+        path, "rb", opener=lambda name, flags: os.open(name, flags | without_waiting)
+    )
     if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
         file.close()
         raise OSError("it is no ordinary file")

@@ -251,7 +251,8 @@ def _scratch_of(scalar: Any, count: int) -> Any:
         _fill_in(array, data, [context.get_constant(types.intp, count)], [size], size, None)
         return array._getvalue()
 
-    return _array_operation(f"Return a stack array of {count} {scalar}.", lambda: array_type(), emit)  # noqa: PLW0108
+    doc = f"Return a stack array of {count} {scalar}."
+    return _array_operation(doc, lambda: array_type(), emit)  # noqa: PLW0108  # numba types the call of a function
 
 
 def float_scratch(count: int) -> Any:
