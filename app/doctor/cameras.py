@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from .checks import Check, RunChild, State, python_child, run_child
 
-RULES_FOLDERS = ("/etc/udev/rules.d", "/run/udev/rules.d", "/usr/lib/udev/rules.d", "/lib/udev/rules.d")
+_RULES_FOLDERS = ("/etc/udev/rules.d", "/run/udev/rules.d", "/usr/lib/udev/rules.d", "/lib/udev/rules.d")
 _USB = Path("/sys/bus/usb/devices")
 _NODES = Path("/dev/bus/usb")
 _INTEL = "8086"
@@ -19,21 +18,17 @@ _INSTALL_RULES = (
     f"Save {_RULES_URL} (the raw file) in /etc/udev/rules.d, run "
     "'sudo udevadm control --reload-rules && sudo udevadm trigger', and plug the cameras in again."
 )
-_DRIVER = """
+_DRIVERS = """
 import json
 from tactune.core.errors import TactuneError
+from tactune.core.sources.cameras.drivers import camera_drivers
 from tactune.core.sources.cameras.realsense import driver_version, load_driver, no_l515_sentence
+answer = {"version": driver_version(), "no_l515": no_l515_sentence(driver_version()), "others": camera_drivers()[1]}
 try:
     load_driver()
-    print(json.dumps({"version": driver_version(), "no_l515": no_l515_sentence(driver_version())}))
 except TactuneError as error:
-    print(json.dumps({"problem": str(error), "installed": bool(driver_version())}))
-"""
-_ALL_DRIVERS = """
-import json
-from tactune.core.sources.cameras.drivers import camera_drivers
-drivers, problems = camera_drivers()
-print(json.dumps({"drivers": [driver.title for driver in drivers], "problems": problems}))
+    answer["problem"] = str(error)
+print(json.dumps(answer))
 """
 
 
@@ -46,43 +41,33 @@ class UsbCamera:
     node: Path
 
 
-def check_driver(run: RunChild = run_child) -> list[Check]:
-    """Import the camera driver with its system libraries, and check its support for the L515."""
+def check_drivers(run: RunChild = run_child) -> list[Check]:
+    """Import the RealSense driver with its system libraries, and those of other packages; a broken one is a line."""
     name = "Camera driver"
-    child = run(python_child(_DRIVER))
+    child = run(python_child(_DRIVERS))
     if child.problem:
-        remedy = "Reinstall it: pip install --force-reinstall 'tactune[realsense]'"
+        remedy = "Reinstall it: pip install --force-reinstall 'tactune[realsense]'; uninstall other camera packages."
         return [Check(name, State.FAIL, f"importing pyrealsense2: {child.problem}", remedy)]
     answer = child.answer()
-    if "problem" in answer:
-        words, _, remedy = str(answer["problem"]).rpartition(": ")
-        state = State.FAIL if answer.get("installed") else State.WARN
-        return [Check(name, state, words, f"{remedy[:1].upper()}{remedy[1:]}")]
-    found = f"pyrealsense2 {answer.get('version')}"
-    if answer.get("no_l515"):
-        sentence = str(answer["no_l515"])
-        return [Check(name, State.WARN, found, f"{sentence[0].upper()}{sentence[1:]}.")]
-    return [Check(name, State.OK, f"{found}, with support for L515 and D405")]
+    version, problem, no_l515 = (str(answer.get(key, "")) for key in ("version", "problem", "no_l515"))
+    if problem:
+        words, _, remedy = problem.rpartition(": ")
+        line = Check(name, State.FAIL if version else State.WARN, words, _capital(remedy))
+    elif no_l515:
+        line = Check(name, State.WARN, f"pyrealsense2 {version}", f"{_capital(no_l515)}.")
+    else:
+        line = Check(name, State.OK, f"pyrealsense2 {version}, with support for L515 and D405")
+    others = [other.rpartition("; ") for other in answer.get("others", [])]
+    return [line, *(Check(name, State.FAIL, words, f"{_capital(remedy)}.") for words, _, remedy in others)]
 
 
-def check_all_drivers(run: RunChild = run_child) -> list[Check]:
-    """Load the camera drivers of all installed packages; a broken one is a line."""
-    name = "Camera packages"
-    child = run(python_child(_ALL_DRIVERS))
-    if child.problem:
-        remedy = "Uninstall the packages with camera drivers one by one to find the one that causes this."
-        return [Check(name, State.FAIL, f"loading the camera drivers: {child.problem}", remedy)]
-    answer = child.answer()
-    lines = []
-    for problem in answer.get("problems", []):
-        words, _, remedy = problem.rpartition("; ")
-        lines.append(Check(name, State.FAIL, words, f"{remedy[:1].upper()}{remedy[1:]}."))
-    return lines or [Check(name, State.OK, ", ".join(answer.get("drivers", [])) or "no driver")]
+def _capital(words: str) -> str:
+    return words[:1].upper() + words[1:]
 
 
-def check_udev_rules(folders: Iterable[str | Path] = RULES_FOLDERS) -> list[Check]:
+def check_udev_rules() -> list[Check]:
     """Check for the udev rule that lets all users open the cameras."""
-    found = [file for folder in folders for file in sorted(Path(folder).glob("*realsense*.rules"))]
+    found = [file for folder in _RULES_FOLDERS for file in sorted(Path(folder).glob("*realsense*.rules"))]
     if found:
         return [Check("udev rules", State.OK, str(found[0]))]
     return [Check("udev rules", State.WARN, "no rule for RealSense cameras; only root can use them", _INSTALL_RULES)]
@@ -103,9 +88,7 @@ def check_cameras(usb: Path = _USB, nodes: Path = _NODES) -> list[Check]:
             lines.append(Check("Cameras", State.OK, f"{camera.product} on USB 3 ({camera.speed_mbit:.0f} Mbit/s)"))
     if lines:
         return lines
-    remedy = "Plug the cameras in with the cables that came with them; 'lsusb -d 8086:' shows them."
-    if not nodes.is_dir():
-        remedy = "This system shows no USB devices; in a container, start it with --device /dev/bus/usb."
+    remedy = "Plug the cameras in with the cables that came with them; in a container, share /dev/bus/usb."
     return [Check("Cameras", State.WARN, "no RealSense camera is plugged in", remedy)]
 
 

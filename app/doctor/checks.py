@@ -1,7 +1,4 @@
-"""``tactune doctor``: small independent checks of this computer.
-
-A check that could crash, hang or load a broken library runs in a child process with a time limit.
-"""
+"""What the checks of ``tactune doctor`` share: their lines, and child processes for what could crash or hang."""
 
 from __future__ import annotations
 
@@ -10,7 +7,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
@@ -36,10 +32,9 @@ class Check:
     found: str
     remedy: str = ""
 
-    def lines(self) -> list[str]:
-        """Format the check for a terminal."""
+    def text(self) -> str:
         first = f"{self.state:<5}{self.name:<16}{self.found}"
-        return [first, f"{'':<21}{self.remedy}"] if self.remedy else [first]
+        return f"{first}\n{'':<21}{self.remedy}" if self.remedy else first
 
     def to_json(self) -> dict[str, str]:
         return {key: str(value) for key, value in asdict(self).items()}
@@ -88,18 +83,3 @@ def run_child(command: Sequence[str], patience_s: float = PATIENCE_S) -> Child:
 def python_child(code: str, *arguments: str) -> list[str]:
     """Return the command that runs Python code in its own process."""
     return [sys.executable, "-P", "-c", code, *arguments]
-
-
-def run_checks(checks: Sequence[Callable[[], Sequence[Check]]]) -> list[Check]:
-    """Run all checks in parallel and return their lines in order. A check that raises is a line, too."""
-    with ThreadPoolExecutor(max_workers=4) as pool:
-        return [line for lines in pool.map(_guarded, checks) for line in lines]
-
-
-def _guarded(check: Callable[[], Sequence[Check]]) -> Sequence[Check]:
-    try:
-        return check()
-    except Exception as error:
-        name = check.__name__.removeprefix("check_").replace("_", " ")
-        problem = f"could not be checked ({type(error).__name__}: {error})"
-        return [Check(name, State.WARN, problem, "Please report this with the line above.")]

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
 from ..errors import RigMismatchError
 from ..model.alignment import AlignmentSection
@@ -44,10 +43,7 @@ class AlignmentModel:
         return aligned
 
     def tactile_pixels(self, pixels: IndexArray, depth_m: Float32Array, rig: Rig) -> tuple[Float32Array, Float32Array]:
-        """Return the tactile pixels ``u``, ``v``, shape (N,), of flat proximity pixels at some depths.
-
-        nan where there is none, as behind the camera; they may lie outside the image.
-        """
+        """Return the tactile pixels ``u``, ``v`` (N,) of flat proximity pixels at some depths; nan for none."""
         tables = self.tables
         if not tables.rigid:
             partners = tables.table[pixels]
@@ -66,13 +62,14 @@ def make_alignment(section: AlignmentSection, rig: Rig) -> AlignmentModel:
     """Build the model that a preset asks for; `RigMismatchError` if neither the preset nor the rig has a pose."""
     (height, width), (tactile_height, tactile_width) = rig.proximity.intrinsics.shape, rig.tactile.intrinsics.shape
     rigid = section.model == "rigid"
-    factor, offset = rig.tactile.depth_unit_m * section.depth_scale, section.depth_offset_m
     planes, table = np.empty(0, np.float32), np.empty(0, np.int32)
     translation: Float64Array = np.zeros(3)
     if rigid:
         T_t_p = np.linalg.inv(tactile_pose(section, rig))
         translation = np.asarray(T_t_p[:3, 3], np.float64)
-        planes = kernels.planes_of(rotated_rays(T_t_p, rig))
+        rays = ray_table(rig.proximity.intrinsics).astype(np.float64)
+        homogeneous = np.concatenate([rays, np.ones((height, width, 1))], axis=2)
+        planes = kernels.planes_of((homogeneous @ T_t_p[:3, :3].T).astype(np.float32))
     else:
         shapes = (height, width), (tactile_height, tactile_width)
         table = kernels.flat(homography_table(tactile_homography(section, rig), *shapes))
@@ -82,8 +79,8 @@ def make_alignment(section: AlignmentSection, rig: Rig) -> AlignmentModel:
             rigid,
             kernels.ImageSizes(width, height, tactile_width, tactile_height),
             np.float32(rig.proximity.depth_unit_m),
-            np.float32(factor),
-            np.float32(offset),
+            np.float32(rig.tactile.depth_unit_m * section.depth_scale),
+            np.float32(section.depth_offset_m),
             translation.astype(np.float32),
             planes,
             table,
@@ -125,21 +122,10 @@ def tactile_homography(section: AlignmentSection, rig: Rig) -> Float64Array:
     return np.asarray(H_p_t / H_p_t[2, 2])
 
 
-def rotated_rays(T_t_p: npt.ArrayLike, rig: Rig) -> Float32Array:
-    """Return each proximity ray ``(x/z, y/z, 1)`` rotated into the tactile frame, float32 (H, W, 3)."""
-    rays = ray_table(rig.proximity.intrinsics).astype(np.float64)
-    homogeneous = np.concatenate([rays, np.ones((*rays.shape[:2], 1))], axis=2)
-    return np.ascontiguousarray(homogeneous @ np.asarray(T_t_p)[:3, :3].T, dtype=np.float32)
-
-
 def homography_table(
     H_p_t: Float64Array, proximity_shape: tuple[int, int], tactile_shape: tuple[int, int]
 ) -> Int32Array:
-    """Return the flat tactile pixel nearest to each proximity pixel's preimage, -1 outside the image.
-
-    Pixels whose preimage lies beyond the homography's horizon, seen from the tactile image's
-    centre, have no partner either.
-    """
+    """Return the flat tactile pixel nearest to each proximity pixel's preimage; -1 outside the image or the horizon."""
     (height, width), (tactile_height, tactile_width) = proximity_shape, tactile_shape
     v, u = np.mgrid[:height, :width].astype(np.float64)
     x, y, w = np.einsum("ij,jvu->ivu", np.linalg.inv(H_p_t), np.stack([u, v, np.ones_like(u)]))

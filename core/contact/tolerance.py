@@ -36,8 +36,8 @@ class ToleranceSection(Section):
             scale="log",
             slider=(0.001, 0.3),
             step=0.001,
+            limits=(0.0, 1.0),
         ),
-        Field(ge=0.0, le=1.0),
     ] = 0.03
 
 
@@ -56,8 +56,8 @@ class OutlierSection(Section):
             unit="points",
             slider=(1, 100),
             advanced=True,
+            limits=(1, 1000),
         ),
-        Field(ge=1, le=1000),
     ] = 20
     ratio: Annotated[
         float,
@@ -79,8 +79,8 @@ class OutlierSection(Section):
             unit="mm2",
             slider=(0.0, 500.0),
             step=5.0,
+            limits=(0.0, 1e6),
         ),
-        Field(ge=0.0, le=1e6),
     ] = 0.0
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
 from .frames import Matrix4, camera_pose
-from .sections import Section, described
+from .sections import Section, described, stored
 
 Row3 = tuple[float, float, float]
 Matrix3 = tuple[Row3, Row3, Row3]
@@ -155,8 +155,8 @@ class HomographyAlignment(Section):
             unit="m",
             step=0.001,
             advanced=True,
+            limits=(0.05, 2.0),
         ),
-        Field(ge=0.05, le=2.0),
     ] = 0.30
 
     @field_validator("H_p_t")
@@ -186,9 +186,12 @@ class AlignmentSection(Section):
     depth_scale: Annotated[
         float,
         described(
-            "Depth scale", "Factor on the tactile depth that makes both sensors agree.", step=0.001, advanced=True
+            "Depth scale",
+            "Factor on the tactile depth that makes both sensors agree.",
+            step=0.001,
+            advanced=True,
+            limits=(0.8, 1.25),
         ),
-        Field(ge=0.8, le=1.25),
     ] = 1.0
     depth_offset_m: Annotated[
         float,
@@ -197,15 +200,14 @@ class AlignmentSection(Section):
             "Added to the scaled tactile depth so that both sensors agree on the same surface.",
             unit="m",
             step=0.0005,
+            limits=(-0.1, 0.1),
         ),
-        Field(ge=-0.1, le=0.1),
     ] = 0.0
     calibration: Annotated[
         CalibrationRecord | None,
-        described(
+        stored(
             "Calibration",
             "The clicks, snapshots and quality of the calibration that made this alignment. Empty: set by hand.",
-            hidden=True,
         ),
     ] = None
 

@@ -19,11 +19,11 @@ _MAX_FOLDED = 0.9
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """Points with optional colours and per-point attributes."""
+    """Points (N, 3), metres, with optional RGB colours (N, 3) and per-point attributes (N,)."""
 
-    points: Float32Array  # (N, 3): Metres, proximity depth frame
-    colors: Uint8Array | None = None  # (N, 3), or None: RGB
-    attributes: dict[str, npt.NDArray[np.generic]] = field(default_factory=dict)  # dict of str to 1-D array of length N
+    points: Float32Array
+    colors: Uint8Array | None = None
+    attributes: dict[str, npt.NDArray[np.generic]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.points)
@@ -34,11 +34,7 @@ def ray_table(intrinsics: Intrinsics) -> Float32Array:
     """Return the camera's rays ``(x / z, y / z)``, float32, shape (H, W, 2), made once and read-only.
 
     Pixels beyond the fold of the lens model see nothing, as a rule in the corners. Their rays are held at its rim.
-
-    Raises
-    ------
-    SourceError
-        More than `_MAX_FOLDED` of the pixels see nothing.
+    `SourceError` if most pixels see nothing.
     """
     table = intrinsics.rays()
     folded = ~np.isfinite(table).all(axis=2)
@@ -63,21 +59,7 @@ def valid_depth(counts: Uint16Array) -> BoolArray:
 
 
 def deproject(counts: Uint16Array, camera: DepthCamera, pixels: IndexArray) -> Float32Array:
-    """Deproject the selected pixels of a depth image.
-
-    Parameters
-    ----------
-    counts : uint16, shape (H, W)
-        Raw depth.
-    camera : DepthCamera
-    pixels : int, shape (N,)
-        Flat pixel numbers; each must have a depth.
-
-    Returns
-    -------
-    float32, shape (N, 3)
-        Metres in the camera's frame.
-    """
+    """Return the points (N, 3), metres in the camera's frame, of flat pixels that have a depth."""
     depth = counts.ravel()[pixels].astype(np.float32) * np.float32(camera.depth_unit_m)
     points = np.empty((len(pixels), 3), np.float32)
     np.multiply(ray_table(camera.intrinsics).reshape(-1, 2)[pixels], depth[:, None], out=points[:, :2])
@@ -86,19 +68,7 @@ def deproject(counts: Uint16Array, camera: DepthCamera, pixels: IndexArray) -> F
 
 
 def deproject_image(counts: Uint16Array, camera: DepthCamera) -> Float32Array:
-    """Deproject a whole depth image.
-
-    Parameters
-    ----------
-    counts : uint16, shape (H, W)
-        Raw depth.
-    camera : DepthCamera
-
-    Returns
-    -------
-    float32, shape (H, W, 3)
-        Metres in the camera's frame, with the bits of `deproject`; nan where a pixel has no depth.
-    """
+    """Return the point of every pixel (H, W, 3), with the bits of `deproject`; nan where a pixel has no depth."""
     depth = np.multiply(counts, np.float32(camera.depth_unit_m), dtype=np.float32)
     np.putmask(depth, ~valid_depth(counts), np.nan)
     points, rays = np.empty((*counts.shape, 3), np.float32), ray_table(camera.intrinsics)

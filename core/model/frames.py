@@ -31,41 +31,23 @@ Matrix4 = tuple[Row4, Row4, Row4, Row4]
 
 
 def rigid_transform(matrix: Any) -> Matrix4:
-    """Check that a 4 x 4 matrix is a rigid transform and return it as nested tuples.
-
-    Parameters
-    ----------
-    matrix : array_like, shape (4, 4)
-        Translation in metres.
-
-    Raises
-    ------
-    ValueError
-        The matrix has another shape, is not finite, its rotation part is not a rotation, or its
-        translation is too long to be in metres.
-    """
+    """Return a 4 x 4 matrix, translation in metres, as nested tuples; `ValueError` if it is no rigid transform."""
     try:
         raw = np.asarray(matrix)
     except ValueError as error:
         raise ValueError("a pose is a 4 x 4 matrix, this one has rows of different lengths") from error
-    if raw.shape != (4, 4):
-        raise ValueError(f"a pose is a 4 x 4 matrix, this one is {raw.shape}")
-    if raw.dtype.kind not in "iuf":
-        raise ValueError("a pose consists of numbers, this one does not")
+    if raw.shape != (4, 4) or raw.dtype.kind not in "iuf":
+        raise ValueError(f"a pose is a 4 x 4 matrix of numbers, this one has the shape {raw.shape}, type {raw.dtype}")
     array = raw.astype(np.float64)
-    if not np.isfinite(array).all():
-        raise ValueError("a pose has finite entries, this one contains nan or inf")
-    if np.abs(array[:3]).max() > _MAX_SHIFT_M:
+    if not np.abs(array[:3]).max() <= _MAX_SHIFT_M:  # also nan
         raise ValueError(
-            f"a pose has a rotation and metres up to {_MAX_SHIFT_M:g}, this one contains larger numbers, as if it were "
-            "in millimetres"
+            f"a pose has a rotation and metres up to {_MAX_SHIFT_M:g}, this one contains larger numbers or nan; "
+            "is it in mm?"
         )
     rotation = array[:3, :3]
     deviation = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    if deviation <= 1e-3 and np.linalg.det(rotation) < 0:
-        raise ValueError("the upper left 3 x 3 mirrors, which no rotation does; change the sign of one of its columns")
-    if deviation > 1e-3:
-        raise ValueError(f"the upper left 3 x 3 is no rotation (R R^T differs from I by {deviation:.2g})")
+    if deviation > 1e-3 or np.linalg.det(rotation) < 0:
+        raise ValueError(f"the upper left 3 x 3 is no rotation (R R^T differs from I by {deviation:.2g}) or mirrors")
     if not np.array_equal(array[3], (0.0, 0.0, 0.0, 1.0)):
         raise ValueError(f"the last row of a pose is 0 0 0 1, this one is {array[3].tolist()}")
     rows: Any = tuple(tuple(float(value) for value in row) for row in array)
@@ -73,7 +55,7 @@ def rigid_transform(matrix: Any) -> Matrix4:
 
 
 def camera_pose(matrix: Any) -> Matrix4:
-    """Check a pose as `rigid_transform` does, and that it is one between the cameras of a rig: at most 1 m long."""
+    """Return a pose between the cameras of a rig, at most 1 m long, as `rigid_transform` does."""
     pose = rigid_transform(matrix)
     shift = [row[3] for row in pose[:3]]
     if np.linalg.norm(shift) > _MAX_CAMERA_SHIFT_M:
@@ -112,12 +94,8 @@ class ColorCamera(_Frozen):
 class Rig(_Frozen):
     """Both depth cameras of one sensor and their relative pose, if known.
 
-    Attributes
-    ----------
-    proximity_color : ColorCamera or None
-        None: the proximity colour image is already aligned to the proximity depth image.
-    T_proximity_tactile : 4 x 4 or None
-        Factory or nominal pose of the tactile depth camera in the proximity depth frame, metres.
+    Without a colour camera, ``proximity_color`` None, the proximity colour image is aligned to the depth image already.
+    ``T_proximity_tactile`` is the factory or nominal pose of the tactile depth camera in the proximity depth frame.
     """
 
     proximity: DepthCamera

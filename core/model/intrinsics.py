@@ -46,13 +46,7 @@ class Intrinsics(BaseModel):
     cx: _Centre
     cy: _Centre
     distortion: Distortion = Distortion.NONE
-    coefficients: tuple[_Coefficient, _Coefficient, _Coefficient, _Coefficient, _Coefficient] = (
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-    )
+    coefficients: tuple[_Coefficient, _Coefficient, _Coefficient, _Coefficient, _Coefficient] = (0.0,) * 5
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -69,18 +63,7 @@ class Intrinsics(BaseModel):
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def project(self, points: npt.ArrayLike) -> Float64Array:
-        """Project points in the camera's frame to pixels.
-
-        Parameters
-        ----------
-        points : array_like, shape (N, 3)
-            Metres; z must be positive for the result to mean anything.
-
-        Returns
-        -------
-        float64, shape (N, 2)
-            ``(u, v)`` in pixels.
-        """
+        """Project points (N, 3), metres in the camera's frame with z > 0, to pixels ``(u, v)`` (N, 2)."""
         points = np.asarray(points, dtype=np.float64)
         x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
         if self.has_distortion:
@@ -88,20 +71,11 @@ class Intrinsics(BaseModel):
         return np.stack([x * self.fx + self.cx, y * self.fy + self.cy], axis=1)
 
     def normalise(self, pixels: npt.ArrayLike) -> Float64Array:
-        """Return ``(x / z, y / z)`` of pixels, with lens distortion removed.
+        """Return ``(x / z, y / z)`` (N, 2) of pixels ``(u, v)`` (N, 2), with lens distortion removed.
 
         Follows librealsense's ``rs2_deproject_pixel_to_point`` step by step, including its ten fixed-point steps, so
         that both agree to single precision. Like librealsense, it does not remove the distortion of the modified
         Brown-Conrady model; the point clouds of the driver ignore it, too.
-
-        Parameters
-        ----------
-        pixels : array_like, shape (N, 2)
-            ``(u, v)`` in pixels.
-
-        Returns
-        -------
-        float64, shape (N, 2)
         """
         pixels = np.asarray(pixels, dtype=np.float64)
         x, y = (pixels[:, 0] - self.cx) / self.fx, (pixels[:, 1] - self.cy) / self.fy

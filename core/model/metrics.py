@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -19,21 +19,11 @@ from .patch import ContactPatch
 
 @dataclass(frozen=True)
 class PixelScores:
-    """Agreement of a mask with the true mask, pixel by pixel.
+    """Agreement of a mask with the true mask, pixel by pixel; an empty denominator counts as 1."""
 
-    Attributes
-    ----------
-    iou : float
-        Intersection over union; 1 if both masks are empty.
-    precision : float
-        Share of the mask that is true; 1 if the mask is empty.
-    recall : float
-        Share of the truth that is in the mask; 1 if the truth is empty.
-    """
-
-    iou: float
-    precision: float
-    recall: float
+    iou: float  # Intersection over union
+    precision: float  # Share of the mask that is true
+    recall: float  # Share of the truth that is in the mask
 
 
 def pixel_scores(mask: BoolArray, truth: BoolArray) -> PixelScores:
@@ -42,9 +32,7 @@ def pixel_scores(mask: BoolArray, truth: BoolArray) -> PixelScores:
         raise ValueError(f"the masks have the shapes {mask.shape} and {truth.shape}; compare masks of one camera")
     both = int(np.count_nonzero(mask & truth))
     claimed, true = int(np.count_nonzero(mask)), int(np.count_nonzero(truth))
-    return PixelScores(
-        iou=_share(both, claimed + true - both), precision=_share(both, claimed), recall=_share(both, true)
-    )
+    return PixelScores(_share(both, claimed + true - both), _share(both, claimed), _share(both, true))
 
 
 def _share(part: int, whole: int) -> float:
@@ -53,15 +41,7 @@ def _share(part: int, whole: int) -> float:
 
 @dataclass(frozen=True)
 class PatchOverlap:
-    """How far two patches of one frame agree.
-
-    Attributes
-    ----------
-    iou : float
-        Intersection over union of the pixels; 1 if both patches are empty.
-    only_a_mm2, only_b_mm2 : float
-        Area that only one of them covers, projected on the plane across the optical axis.
-    """
+    """How far two patches of one frame agree: intersection over union, and the area that only one of them covers."""
 
     iou: float
     only_a_mm2: float
@@ -79,13 +59,7 @@ def _area_outside_mm2(patch: ContactPatch, other: ContactPatch) -> float:
 
 
 def truth_cloud(truth: GroundTruth, rig: Rig) -> PointCloud:
-    """Deproject the true contact: the true depth at every contact pixel that has one.
-
-    Returns
-    -------
-    PointCloud
-        Metres, proximity depth frame, row-major pixel order; empty if the truth has no depth.
-    """
+    """Deproject the true depth at every contact pixel that has one; empty if the truth has no depth."""
     if truth.depth_m is None:
         return PointCloud(np.empty((0, 3), np.float32))
     pixels = truth.contact & np.isfinite(truth.depth_m)
@@ -103,24 +77,15 @@ def true_contact(frame: SensorFrame, rig: Rig) -> tuple[Float32Array, float]:
 
 
 def compare_with_truth(patch: ContactPatch, truth: GroundTruth, rig: Rig) -> dict[str, float]:
-    """Score a patch.
-
-    Returns
-    -------
-    dict
-        ``iou``, ``precision``, ``recall`` as in `PixelScores`, and ``rmse_mm``, the average symmetric
-        RMSE of the patch's points and `truth_cloud` in millimetres, nan if either is empty.
-    """
-    scores = pixel_scores(patch.mask, truth.contact)
-    rmse_mm = 1e3 * symmetric_rmse_m(patch.points, truth_cloud(truth, rig).points)
-    return {"iou": scores.iou, "precision": scores.precision, "recall": scores.recall, "rmse_mm": rmse_mm}
+    """Return the `PixelScores` of a patch by name, and `symmetric_rmse_m` of both clouds as ``rmse_mm``."""
+    scores = asdict(pixel_scores(patch.mask, truth.contact))
+    return {**scores, "rmse_mm": 1e3 * symmetric_rmse_m(patch.points, truth_cloud(truth, rig).points)}
 
 
 def symmetric_rmse_m(first: npt.ArrayLike, second: npt.ArrayLike) -> float:
-    """Return the average symmetric root mean square distance of two clouds (N, 3) and (M, 3), in their unit (metres).
+    """Return the mean of both directed root mean square distances of two clouds, as in Yin et al.; nan if one is empty.
 
-    Mean of both directed values, as in Yin et al.; each is the root mean square distance of one cloud's points to their
-    nearest neighbours in the other cloud. 0 for equal clouds; nan if either is empty.
+    A directed distance is that of one cloud's points to their nearest neighbours in the other cloud.
     """
     a, b = np.asarray(first, np.float64).reshape(-1, 3), np.asarray(second, np.float64).reshape(-1, 3)
     if len(a) == 0 or len(b) == 0:
@@ -129,16 +94,11 @@ def symmetric_rmse_m(first: npt.ArrayLike, second: npt.ArrayLike) -> float:
 
 
 class TruthTree:
-    """The true cloud of a frame, for scoring many patches of this frame quickly.
+    """The true cloud of a frame (N, 3), in the order of the pixels, for scoring many patches of this frame quickly.
 
-    Parameters
-    ----------
-    truth : float, shape (N, 3)
-        Metres; in the order of the pixels.
-    samples : int
-        Upper limit of the true points whose distance to a patch is measured; every n-th one is. This distance varies
-        smoothly, so the symmetric RMSE stays within 1 % of `symmetric_rmse_m`. The distances from a patch to the truth
-        are not sampled, because few stray points decide them.
+    The distance to a patch is measured from at most ``samples`` true points, every n-th. It varies smoothly, so the
+    symmetric RMSE stays within 1 % of `symmetric_rmse_m`. The distances from a patch are not sampled, because few stray
+    points decide them.
     """
 
     def __init__(self, truth: npt.ArrayLike, samples: int = 6000) -> None:
@@ -147,10 +107,7 @@ class TruthTree:
         self._sample = points[:: max(1, -(-len(points) // samples))]
 
     def symmetric_rmses_m(self, patches: Sequence[Float32Array]) -> list[float]:
-        """Return the symmetric RMSE of each patch, (M, 3), metres; nan if either cloud is empty.
-
-        Points that several patches share are looked up once.
-        """
+        """Return the symmetric RMSE of each patch (M, 3); points that several patches share are looked up once."""
         if self._tree.n == 0 or not patches:
             return [math.nan] * len(patches)
         points = np.concatenate(patches)

@@ -36,12 +36,11 @@ class Lazy(Generic[T]):
 
 @dataclass(frozen=True, eq=False)
 class AlignedDepth:
-    """Both sides of the tolerance test, per proximity pixel; nan where there is none."""
+    """Both sides of the tolerance test by proximity pixel (H, W), metres; nan where there is none."""
 
-    #: (H, W): dp: where the tactile camera would see the proximity point (rigid), or the proximity depth itself
-    #: (homography), metres.
+    #: dp: where the tactile camera would see the proximity point (rigid), or the proximity depth itself (homography).
     expected_m: Float32Array
-    measured_m: Float32Array  # (H, W): dt: the tactile depth there, after scale and offset, metres
+    measured_m: Float32Array  # dt: the tactile depth there, after scale and offset
 
     @classmethod
     def empty(cls, shape: tuple[int, int]) -> AlignedDepth:
@@ -89,11 +88,9 @@ class MembraneFacts:
     used_curvature_per_m: float  # The one that the test used
     #: (H, W): The membrane's gap to the object in equilibrium, along the normal; nan where it is not computed.
     gap_m: Lazy[Float32Array]
-    #: (N,): Proximity less tactile depth as measured at each point of the patch, less ``bias_m``; nan where one is
-    #: missing.
+    #: (N,): Proximity less tactile depth as measured at each point, less ``bias_m``; nan where one is missing.
     difference_m: Lazy[Float32Array]
-    #: Weight of the tactile depth in the depth of the points, 0 to 1; the proximity depth has the rest.
-    tactile_weight: float
+    tactile_weight: float  # In the depth of the points, 0 to 1; the proximity depth has the rest
 
 
 @dataclass(frozen=True, eq=False)

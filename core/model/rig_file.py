@@ -83,8 +83,7 @@ def parse_rig(data: dict[str, Any], origin: str) -> Rig:
 
 def _depth_json(camera: DepthCamera) -> dict[str, Any]:
     serial = {"serial": camera.serial} if camera.serial else {}
-    lens = _lens_json(camera.intrinsics)
-    return {"model": camera.model, **serial, **lens, "depth_unit_m": camera.depth_unit_m}
+    return {"model": camera.model, **serial, **_lens_json(camera.intrinsics), "depth_unit_m": camera.depth_unit_m}
 
 
 def _lens_json(intrinsics: Intrinsics) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from .sections import Section, described
+from .sections import Section, stored
 
 BiasOrigin = Literal["prints", "contact", "unknown"]
 
@@ -23,39 +23,29 @@ class CameraNoise(Section):
     """
 
     white_m: Annotated[
-        _Noise,
-        described(
-            "White noise", "Standard deviation of the part that differs from pixel to pixel.", unit="m", hidden=True
-        ),
+        _Noise, stored("White noise", "Standard deviation of the part that differs from pixel to pixel.", unit="m")
     ]
     correlated_m: Annotated[
-        _Noise,
-        described(
-            "Correlated noise", "Standard deviation of the part that neighbouring pixels share.", unit="m", hidden=True
-        ),
+        _Noise, stored("Correlated noise", "Standard deviation of the part that neighbouring pixels share.", unit="m")
     ]
     length_px: Annotated[
         float,
-        described(
+        stored(
             "Correlation length",
             "Sigma of the Gaussian window that correlates neighbouring pixels. 0: there is no correlated part.",
             unit="px",
-            hidden=True,
+            limits=(0.0, 1000.0),
         ),
-        Field(ge=0.0, le=1000.0),
     ]
     changing_share: Annotated[
         float,
-        described(
+        stored(
             "Changing share",
             "Share of the variance that changes from frame to frame. An average over frames reduces only this share.",
-            hidden=True,
+            limits=(0.0, 1.0),
         ),
-        Field(ge=0.0, le=1.0),
     ]
-    distance_m: Annotated[
-        float, described("Distance", "Depth at which the noise holds.", unit="m", hidden=True), Field(ge=0.01, le=10.0)
-    ]
+    distance_m: Annotated[float, stored("Distance", "Depth at which the noise holds.", unit="m", limits=(0.01, 10.0))]
 
     @property
     def total_m(self) -> float:
@@ -85,40 +75,31 @@ class RigNoise(Section):
     tactile: CameraNoise
     bias_m: Annotated[
         float,
-        described(
+        stored(
             "Bias",
             "Proximity depth minus tactile depth on the same surface, after the alignment's depth scale and offset.",
             unit="m",
-            hidden=True,
+            limits=(-1.0, 1.0),
         ),
-        Field(ge=-1.0, le=1.0),
     ] = 0.0
     bias_sigma_m: Annotated[
-        float,
-        described("Bias uncertainty", "Standard deviation of the bias.", unit="m", hidden=True),
-        Field(ge=0.0, le=1.0),
+        float, stored("Bias uncertainty", "Standard deviation of the bias.", unit="m", limits=(0.0, 1.0))
     ] = 0.005
     bias_from: Annotated[
         BiasOrigin,
-        described(
+        stored(
             "Bias measured on",
             "prints: prints of the mask's colour, which both cameras see. contact: an object pressed into the "
             "membrane. unknown: not measured.",
-            hidden=True,
         ),
     ] = "unknown"
     bias_per_m: Annotated[
         float,
-        described(
+        stored(
             "Bias slope",
             "Growth of the bias per metre of depth. 0: constant, or too small a range of depth to tell.",
-            hidden=True,
+            limits=(-1.0, 1.0),
         ),
-        Field(ge=-1.0, le=1.0),
     ] = 0.0
-    measured: Annotated[datetime, described("Measured", "Date and time of the measurement.", hidden=True)]
-    frames: Annotated[
-        int,
-        described("Frames", "Number of frames that were measured.", unit="frames", hidden=True),
-        Field(ge=1, le=100_000),
-    ]
+    measured: Annotated[datetime, stored("Measured", "Date and time of the measurement.")]
+    frames: Annotated[int, stored("Frames", "Number of frames that were measured.", unit="frames", limits=(1, 100_000))]

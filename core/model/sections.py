@@ -15,12 +15,20 @@ _Byte = Annotated[int, Field(ge=0, le=255)]
 _Pixel = Annotated[int, Field(ge=0, le=16384)]
 
 
-def described(title: str, description: str, *, unit: str = "", **extra: Any) -> Any:
+def described(
+    title: str, description: str, *, unit: str = "", limits: tuple[float, float] | None = None, **extra: Any
+) -> Any:
     """Return a field with its presentation in the GUI: title, tooltip, unit and the slider's scale.
 
     ``advanced=True`` puts the field behind a fold of the panel.
     """
-    return Field(title=title, description=description, json_schema_extra={"unit": unit, **extra})
+    bounds: dict[str, Any] = {} if limits is None else {"ge": limits[0], "le": limits[1]}
+    return Field(title=title, description=description, json_schema_extra={"unit": unit, **extra}, **bounds)
+
+
+def stored(title: str, description: str, **options: Any) -> Any:
+    """Return a field that the panel does not show: what was measured or chosen elsewhere."""
+    return described(title, description, hidden=True, **options)
 
 
 class Section(BaseModel):
@@ -101,19 +109,14 @@ class CameraSection(Section):
 
     serial: Annotated[
         str,
-        described(
-            "Serial number",
-            "Serial number of the camera. Empty: the only connected one of a fitting model.",
-            hidden=True,
-        ),
+        stored("Serial number", "Serial number of the camera. Empty: the only connected one of a fitting model."),
         Field(max_length=64, pattern=r"^[0-9A-Za-z_.-]*$"),
     ] = ""
     options: Annotated[
         dict[Annotated[str, Field(min_length=1, max_length=80)], float],
-        described(
+        stored(
             "Options",
             "Camera settings by the driver's names, such as laser_power. Settings that are not listed are unchanged.",
-            hidden=True,
         ),
     ] = Field(default_factory=dict)
 
@@ -125,15 +128,14 @@ class CamerasSection(Section):
     tactile: CameraSection = CameraSection()
     tactile_delay_s: Annotated[
         float,
-        described(
+        stored(
             "Tactile delay",
             "Delay of the tactile camera's images relative to the proximity camera's with equal time stamps. "
             "It is subtracted from the tactile time stamps before images are paired.",
             unit="s",
             step=0.001,
-            hidden=True,
+            limits=(-2.0, 2.0),
         ),
-        Field(ge=-2.0, le=2.0),
     ] = 0.0
 
 
@@ -142,16 +144,12 @@ class UntouchedRecord(Section):
 
     file: Annotated[
         str,
-        described("File", "Name of the file in the preset's own folder.", hidden=True),
+        stored("File", "Name of the file in the preset's own folder."),
         Field(pattern=r"^untouched-[0-9a-f]{12}\.npz$"),
     ]
     sha256: Annotated[
         str,
-        described("Hash", "SHA-256 of the images in it, so that another file is not mistaken for it.", hidden=True),
+        stored("Hash", "SHA-256 of the images in it, so that another file is not mistaken for it."),
         Field(pattern=r"^[0-9a-f]{64}$"),
     ]
-    frames: Annotated[
-        int,
-        described("Frames", "Number of frames that were averaged.", unit="frames", hidden=True),
-        Field(ge=1, le=100_000),
-    ]
+    frames: Annotated[int, stored("Frames", "Number of frames that were averaged.", unit="frames", limits=(1, 100_000))]

@@ -54,13 +54,7 @@ def preset_from_text(text: str, origin: str) -> Preset:
 
 
 def preset_and_note(text: str, origin: str) -> tuple[Preset, str]:
-    """Parse the text of a preset file; return the preset and a note that names fields that are gone, or nothing.
-
-    Raises
-    ------
-    PresetError
-        Not a preset, a version that this Tactune does not read, or a field that is unknown or out of range.
-    """
+    """Parse the text of a preset file; return the preset and a note that names fields that are gone, or nothing."""
     try:
         document = parse_json(text)
     except ValueError as error:
@@ -101,18 +95,7 @@ def preset_json(preset: Preset) -> str:
 
 
 def save_preset(preset: Preset, path: Path | str) -> None:
-    """Save a preset atomically: whatever was there before is unchanged if that fails.
-
-    Parameters
-    ----------
-    preset : Preset
-    path : path or str
-
-    Raises
-    ------
-    ExportError
-        The file cannot be written.
-    """
+    """Save a preset atomically; `ExportError` if that fails, and whatever was there before is unchanged."""
     path = Path(path)
     remove_leftovers(path.parent, path.name)
     with atomic_path(path, follow_link=True) as temporary:

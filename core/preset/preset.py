@@ -120,19 +120,9 @@ class Preset(_WithTests):
         return int(self.value(self.test.frames_field)) if self.test.frames_field else 1
 
     def with_value(self, path: str, value: Any) -> Preset:
-        """Return a copy with one field changed, validated as a whole.
+        """Return a copy with the field at a dotted path changed, such as ``"mask.hue"``, validated as a whole.
 
-        Parameters
-        ----------
-        path : str
-            Dotted path of the field, such as ``"mask.hue"``.
-        value : object
-            Anything that the field accepts.
-
-        Raises
-        ------
-        PresetError
-            No such field, or a value that it does not allow; the message names both.
+        `PresetError` names a field that does not exist, or a value that is not allowed.
         """
         return self.with_values({path: value})
 
@@ -160,19 +150,13 @@ class PresetDocument(Preset):
 
 
 def parse_preset(document: Document, origin: str) -> Preset:
-    """Validate plain data as a preset.
-
-    Raises
-    ------
-    PresetError
-        Names the first bad fields, each with its path, its value and what is allowed.
-    """
+    """Validate plain data; `PresetError` names the first bad fields, each with path, value and what is allowed."""
     text = json.dumps(document, default=_plain)
     try:
         parsed = PresetDocument.model_validate_json(text, strict=True, by_alias=True)
     except ValidationError as error:
         details = error.errors(include_url=False)
-        sentences = list(dict.fromkeys(_explain(detail) for detail in details[:_MAX_ERRORS]))
+        sentences = [_explain(detail) for detail in details[:_MAX_ERRORS]]
         if len(details) > _MAX_ERRORS:
             sentences.append(f"and {len(details) - _MAX_ERRORS} more")
         raise PresetError(f"{origin}: " + "; ".join(sentences)) from error
@@ -191,13 +175,7 @@ def json_schema() -> Document:
 
 
 def set_path(document: Document, path: str, value: Any) -> None:
-    """Set the value at a dotted path in plain preset data.
-
-    Raises
-    ------
-    PresetError
-        No such field; the message suggests the nearest.
-    """
+    """Set the value at a dotted path in plain preset data; `PresetError` suggests the nearest field."""
     known = preset_paths()
     if path not in known:
         hint = difflib.get_close_matches(path, known, n=1)

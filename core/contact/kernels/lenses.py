@@ -29,43 +29,35 @@ def lens_parameters(intrinsics: Intrinsics) -> tuple[int, Float32Array]:
     return lens, np.array(values, dtype=np.float32)
 
 
-@inline
-def project(x: Any, y: Any, z: Any, lens: Any, c: Any) -> Any:
-    """Project one point (float32) to pixel coordinates, as `Intrinsics.project` does in float64."""
-    x = x / z
-    y = y / z
-    if lens != PINHOLE:
-        r2 = x * x + y * y
-        radial = _ONE + ((c[8] * r2 + c[5]) * r2 + c[4]) * r2
-        if lens == INVERSE:
-            x = x * radial
-            y = y * radial
-        dx = _TWO * c[6] * x * y + c[7] * (r2 + _TWO * x * x)
-        dy = _TWO * c[7] * x * y + c[6] * (r2 + _TWO * y * y)
-        if lens == BROWN:
-            x = x * radial
-            y = y * radial
-        x = x + dx
-        y = y + dy
-    return x * c[0] + c[2], y * c[1] + c[3]
+def _projection(value: Any) -> Any:
+    """Return the projection (x, y, z, lens, parameters) to pixels; ``value`` makes its operands of float32 numbers."""
+
+    @inline
+    def projected(x: Any, y: Any, z: Any, lens: Any, c: Any) -> Any:
+        x = x / z
+        y = y / z
+        if lens != PINHOLE:
+            r2 = x * x + y * y
+            radial = value(_ONE) + ((value(c[8]) * r2 + value(c[5])) * r2 + value(c[4])) * r2
+            if lens == INVERSE:
+                x = x * radial
+                y = y * radial
+            dx = value(_TWO * c[6]) * x * y + value(c[7]) * (r2 + value(_TWO) * x * x)
+            dy = value(_TWO * c[7]) * x * y + value(c[6]) * (r2 + value(_TWO) * y * y)
+            if lens == BROWN:
+                x = x * radial
+                y = y * radial
+            x = x + dx
+            y = y + dy
+        return x * value(c[0]) + value(c[2]), y * value(c[1]) + value(c[3])
+
+    return projected
 
 
 @inline
-def project_lanes(x: Any, y: Any, z: Any, lens: Any, c: Any) -> Any:
-    """Project vectors of points, with the same operations as `project`."""
-    x = x / z
-    y = y / z
-    if lens != PINHOLE:
-        r2 = x * x + y * y
-        radial = floats(_ONE) + ((floats(c[8]) * r2 + floats(c[5])) * r2 + floats(c[4])) * r2
-        if lens == INVERSE:
-            x = x * radial
-            y = y * radial
-        dx = floats(_TWO * c[6]) * x * y + floats(c[7]) * (r2 + floats(_TWO) * x * x)
-        dy = floats(_TWO * c[7]) * x * y + floats(c[6]) * (r2 + floats(_TWO) * y * y)
-        if lens == BROWN:
-            x = x * radial
-            y = y * radial
-        x = x + dx
-        y = y + dy
-    return x * floats(c[0]) + floats(c[2]), y * floats(c[1]) + floats(c[3])
+def _number(number: Any) -> Any:
+    return number
+
+
+#: Of one point (float32), as `Intrinsics.project` does in float64; and of vectors of points, with the same operations.
+project, project_lanes = _projection(_number), _projection(floats)

@@ -13,6 +13,7 @@ from __future__ import annotations
 import inspect
 import operator
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Final
 
 from llvmlite import ir
@@ -59,32 +60,35 @@ COUNTS = Vector("uint16", ir.IntType(16), types.uint16)
 _VECTOR_OF = {types.float32: FLOATS, types.float64: DOUBLES, types.int32: INTS, types.uint16: INTS}
 
 
-def _operation(doc: str, typed: Callable[..., Any], emit: Callable[..., Any]) -> Any:
-    """Return a function for kernels; ``emit`` returns its LLVM value from the builder and the arguments' values."""
-    return _array_operation(doc, typed, lambda context, builder, signature, *values: emit(builder, *values))
+def _array_operation(typed: Callable[..., Any]) -> Callable[..., Any]:
+    """Make a function for kernels of one that returns the LLVM value.
 
-
-def _array_operation(doc: str, typed: Callable[..., Any], emit: Callable[..., Any]) -> Any:
-    """Return a function for kernels that are given arrays.
-
-    Parameters
-    ----------
-    doc : str
-    typed : callable
-        Returns the signature of types for the arguments' types; None if there is no such operation.
-    emit : callable
-        Returns the LLVM value from numba's context, the builder, the signature, and the arguments' values.
+    That one takes numba's context, the builder, the signature, and the arguments' values. ``typed`` returns the
+    signature of types for the arguments' types; None if there is no such operation.
     """
 
-    def function(typing: Any, *arguments: Any) -> Any:
-        signature = typed(*arguments)
-        return signature and (signature, lambda context, builder, sig, values: emit(context, builder, sig, *values))
+    def decorate(emit: Callable[..., Any]) -> Any:
+        def function(typing: Any, *arguments: Any) -> Any:
+            signature = typed(*arguments)
+            return signature and (signature, lambda context, builder, sig, values: emit(context, builder, sig, *values))
 
-    named = inspect.Parameter("typing", inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    parameters = [named, *inspect.signature(typed).parameters.values()]  # numba counts the arguments by them
-    function.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        named = inspect.Parameter("typing", inspect.Parameter.POSITIONAL_OR_KEYWORD)
+        parameters = [named, *inspect.signature(typed).parameters.values()]  # numba counts the arguments by them
+        function.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        function.__doc__ = emit.__doc__
+        return _numba_intrinsic(function)
+
+    return decorate
+
+
+def _operation(doc: str, typed: Callable[..., Any], emit: Callable[..., Any]) -> Any:
+    """Return a function for kernels; ``emit`` returns its LLVM value from the builder and the arguments' values."""
+
+    def function(context: Any, builder: Any, signature: Any, *values: Any) -> Any:
+        return emit(builder, *values)
+
     function.__doc__ = doc
-    return _numba_intrinsic(function)
+    return _array_operation(typed)(function)
 
 
 def _constant(vector: Vector, values: Any) -> ir.Constant:
@@ -114,16 +118,9 @@ def _load(context: Any, builder: Any, signature: Any, array: Any, index: Any) ->
     return value if stored == vector.llvm else builder.zext(value, vector.llvm)
 
 
-load = _array_operation(
-    "Return elements ``index`` to ``index + LANES - 1``; uint16 widens to int32.",
-    lambda array, index: _VECTOR_OF[array.dtype](array, types.intp),
-    _load,
-)
-load_counts = _array_operation(
-    "Return elements ``index`` to ``index + LANES - 1`` of a uint16 array without widening.",
-    lambda array, index: COUNTS(array, types.intp),
-    _load,
-)
+#: Elements ``index`` to ``index + LANES - 1``; uint16 widens to int32, and without widening.
+load = _array_operation(lambda array, index: _VECTOR_OF[array.dtype](array, types.intp))(_load)
+load_counts = _array_operation(lambda array, index: COUNTS(array, types.intp))(_load)
 
 
 def _store(context: Any, builder: Any, signature: Any, array: Any, index: Any, *values: Any) -> Any:
@@ -136,14 +133,14 @@ def _store(context: Any, builder: Any, signature: Any, array: Any, index: Any, *
     return context.get_dummy_value()
 
 
-store = _array_operation(
-    "Write a vector to elements ``index`` onwards; int32 narrows to the array's integer type.",
-    lambda array, index, value: types.void(array, types.intp, value),
-    _store,
-)
+#: Writes a vector to elements ``index`` onwards; int32 narrows to the array's integer type.
+store = _array_operation(lambda array, index, value: types.void(array, types.intp, value))(_store)
 
 
-def _store_points(context: Any, builder: Any, signature: Any, points: Any, index: Any, x: Any, y: Any, z: Any) -> Any:
+@_array_operation(lambda points, index, x, y, z: types.void(points, types.intp, FLOATS, FLOATS, FLOATS))
+def store_points(context: Any, builder: Any, signature: Any, points: Any, index: Any, x: Any, y: Any, z: Any) -> Any:
+    """Write `LANES` points to a flat float32 array of coordinates x, y, z, x, ... from element ``index`` on."""
+
     def shuffled(a: Any, b: Any, order: list[int]) -> Any:
         return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(_WORD, len(order)), order))
 
@@ -153,27 +150,17 @@ def _store_points(context: Any, builder: Any, signature: Any, points: Any, index
     return _store(context, builder, signature, points, index, mixed)
 
 
-store_points = _array_operation(
-    "Write `LANES` points to a flat float32 array of coordinates x, y, z, x, ... from element ``index`` on.",
-    lambda points, index, x, y, z: types.void(points, types.intp, FLOATS, FLOATS, FLOATS),
-    _store_points,
-)
-
-
-def _store_numbers(context: Any, builder: Any, signature: Any, numbers: Any, index: Any, first: Any) -> Any:
+@_array_operation(lambda numbers, index, first: types.void(numbers, types.intp, types.int64))
+def store_numbers(context: Any, builder: Any, signature: Any, numbers: Any, index: Any, first: Any) -> Any:
+    """Write ``first``, ``first + 1``, ... to `LANES` elements of an int64 array from ``index`` on."""
     wide = ir.VectorType(_WIDE, LANES)
     values = builder.add(_same_in_all(builder, wide, first), ir.Constant(wide, list(range(LANES))))
     return _store(context, builder, signature, numbers, index, values)
 
 
-store_numbers = _array_operation(
-    "Write ``first``, ``first + 1``, ... to `LANES` elements of an int64 array from ``index`` on.",
-    lambda numbers, index, first: types.void(numbers, types.intp, types.int64),
-    _store_numbers,
-)
-
-
-def _gather(context: Any, builder: Any, signature: Any, array: Any, indices: Any) -> Any:
+@_array_operation(lambda array, indices: _VECTOR_OF[array.dtype](array, INTS))
+def gather(context: Any, builder: Any, signature: Any, array: Any, indices: Any) -> Any:
+    """Return ``array[indices]``, int32 indices; every lane must be a valid index."""
     array_type, vector = signature.args[0], signature.return_type
     data = context.make_array(array_type)(context, builder, array).data
     stored = ir.VectorType(context.get_data_type(array_type.dtype), LANES)
@@ -185,14 +172,9 @@ def _gather(context: Any, builder: Any, signature: Any, array: Any, indices: Any
     return value if stored == vector.llvm else builder.zext(value, vector.llvm)
 
 
-gather = _array_operation(
-    "Return ``array[indices]``, int32 indices; every lane must be a valid index.",
-    lambda array, indices: _VECTOR_OF[array.dtype](array, INTS),
-    _gather,
-)
-
-
-def _gather_colors(context: Any, builder: Any, signature: Any, image: Any, pixels: Any) -> Any:
+@_array_operation(lambda image, pixels: _tuple_of(INTS, 3)(image, INTS))
+def gather_colors(context: Any, builder: Any, signature: Any, image: Any, pixels: Any) -> Any:
+    """Return red, green and blue (int32) of pixels of a flat uint8 image with at least four bytes."""
     data = context.make_array(signature.args[0])(context, builder, image).data
     words, first = ir.Constant(INTS.llvm, ir.Undefined), _constant(INTS, [0] * LANES)
     is_first = builder.icmp_signed("==", pixels, first)
@@ -211,14 +193,9 @@ def _gather_colors(context: Any, builder: Any, signature: Any, image: Any, pixel
     return context.make_tuple(builder, signature.return_type, channels)
 
 
-gather_colors = _array_operation(
-    "Return red, green and blue (int32) of pixels of a flat uint8 image with at least four bytes.",
-    lambda image, pixels: _tuple_of(INTS, 3)(image, INTS),
-    _gather_colors,
-)
-
-
-def _load_colors(context: Any, builder: Any, signature: Any, image: Any, pixel: Any) -> Any:
+@_array_operation(lambda image, pixel: _tuple_of(INTS, 3)(image, types.intp))
+def load_colors(context: Any, builder: Any, signature: Any, image: Any, pixel: Any) -> Any:
+    """Return red, green and blue (int32) of pixels ``pixel`` to ``pixel + LANES - 1`` of a flat uint8 image."""
     index = builder.mul(pixel, ir.Constant(_WIDE, 3))
     all_channels = ir.VectorType(ir.IntType(8), 3 * LANES)
     loaded = builder.load(_pointer(context, builder, signature.args[0], image, index, all_channels))
@@ -228,13 +205,6 @@ def _load_colors(context: Any, builder: Any, signature: Any, image: Any, pixel: 
         order = _constant(INTS, [3 * lane + channel for lane in range(LANES)])
         channels.append(builder.zext(builder.shuffle_vector(loaded, nothing, order), INTS.llvm))
     return context.make_tuple(builder, signature.return_type, channels)
-
-
-load_colors = _array_operation(
-    "Return red, green and blue (int32) of pixels ``pixel`` to ``pixel + LANES - 1`` of a flat uint8 image.",
-    lambda image, pixel: _tuple_of(INTS, 3)(image, types.intp),
-    _load_colors,
-)
 
 
 def _scratch_of(scalar: Any, count: int) -> Any:
@@ -251,23 +221,13 @@ def _scratch_of(scalar: Any, count: int) -> Any:
         _fill_in(array, data, [context.get_constant(types.intp, count)], [size], size, None)
         return array._getvalue()
 
-    doc = f"Return a stack array of {count} {scalar}."
-    return _array_operation(doc, lambda: array_type(), emit)  # noqa: PLW0108  # numba types the call of a function
+    return _array_operation(lambda: array_type())(emit)  # noqa: PLW0108  # numba types the call of a function
 
 
-def float_scratch(count: int) -> Any:
-    """Return a function for kernels that allocates ``count`` uninitialised float32 on the stack."""
-    return _scratch_of(types.float32, count)
-
-
-def double_scratch(count: int) -> Any:
-    """Return a function for kernels that allocates ``count`` uninitialised float64 on the stack."""
-    return _scratch_of(types.float64, count)
-
-
-def int_scratch(count: int) -> Any:
-    """Return a function for kernels that allocates ``count`` uninitialised int32 on the stack."""
-    return _scratch_of(types.int32, count)
+#: Each returns a function for kernels that allocates ``count`` uninitialised elements on the stack.
+float_scratch, double_scratch, int_scratch = (
+    partial(_scratch_of, scalar) for scalar in (types.float32, types.float64, types.int32)
+)
 
 
 # Arithmetic

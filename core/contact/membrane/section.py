@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Annotated, Final
 
-from pydantic import Field
-
 from ...model.sections import Section, described
 
 #: Mean gaps below this count as near the object, metres.
@@ -25,8 +23,8 @@ class MembraneSection(Section):
             unit="m",
             slider=(0.0, 0.0005),
             step=0.00001,
+            limits=(0.0, 0.005),
         ),
-        Field(ge=0.0, le=0.005),
     ] = 0.00005
     trust_m: Annotated[
         float,
@@ -39,8 +37,8 @@ class MembraneSection(Section):
             slider=(0.004, 0.04),
             step=0.001,
             advanced=True,
+            limits=(0.001, 0.2),
         ),
-        Field(ge=0.001, le=0.2),
     ] = 0.016
     shape_px: Annotated[
         float,
@@ -52,8 +50,8 @@ class MembraneSection(Section):
             slider=(1.0, 12.0),
             step=0.5,
             advanced=True,
+            limits=(0.5, 30.0),
         ),
-        Field(ge=0.5, le=30.0),
     ] = 5.0
     bias: Annotated[
         bool,
@@ -72,8 +70,8 @@ class MembraneSection(Section):
             unit="mm2",
             slider=(0.0, 100.0),
             step=1.0,
+            limits=(0.0, 1e6),
         ),
-        Field(ge=0.0, le=1e6),
     ] = 15.0
     frames: Annotated[
         int,
@@ -83,6 +81,6 @@ class MembraneSection(Section):
             "Averaging restarts where the membrane moves. 1 averages nothing; larger values take effect during "
             "playback only.",
             slider=(1, 30),
+            limits=(1, 300),
         ),
-        Field(ge=1, le=300),
     ] = 1

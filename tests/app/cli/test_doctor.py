@@ -12,17 +12,9 @@ import pytest
 
 from tactune.app.doctor import report as doctor_report
 from tactune.app.doctor import system as doctor_system
-from tactune.app.doctor.cameras import check_all_drivers, check_cameras, check_driver
-from tactune.app.doctor.checks import Check, Child, State, python_child, run_checks, run_child
-from tactune.app.doctor.system import (
-    check_cache_folder,
-    check_compiled_code,
-    check_packages,
-    check_python,
-    check_qt_libraries,
-    check_shared_memory,
-    check_window,
-)
+from tactune.app.doctor.cameras import check_cameras, check_drivers
+from tactune.app.doctor.checks import Check, Child, State, python_child, run_child
+from tactune.app.doctor.system import check_cache_folder, check_packages, check_qt_libraries, check_window
 
 CRASH = Child(problem="crashed (SIGSEGV)")
 
@@ -58,40 +50,25 @@ def test_a_child_imports_nothing_from_the_working_folder(tmp_path, monkeypatch):
     assert Child("[1]").answer() == {}
 
 
-def test_a_check_that_fails_itself_is_a_line_and_the_others_go_on():
+def test_a_check_that_fails_itself_is_a_line_and_the_others_go_on(monkeypatch):
     def check_the_moon():
         raise ZeroDivisionError("dust")
 
-    lines = run_checks([check_the_moon, lambda: [Check("Sun", State.OK, "shines")]])
-    assert [line.state for line in lines] == [State.WARN, State.OK]
-    assert lines[0].name == "the moon"
+    checks = [check_the_moon, lambda: [Check("Sun", State.OK, "shines")]]
+    monkeypatch.setattr(doctor_report, "all_checks", lambda: checks)
+    lines = doctor_report.check_computer()
+    assert [(line.name, line.state) for line in lines] == [("the moon", State.WARN), ("Sun", State.OK)]
     assert "ZeroDivisionError: dust" in lines[0].found
-
-
-@pytest.mark.parametrize(
-    ("version", "state", "words"),
-    [((3, 10, 4), State.FAIL, "3.11 or newer"), ((3, 11, 7), State.OK, ""), ((3, 13, 0), State.WARN, "L515")],
-)
-def test_python(version, state, words):
-    line = only(check_python(version))
-    assert line.state is state
-    assert words in line.remedy
 
 
 @pytest.mark.parametrize(
     ("check", "answer", "state", "words"),
     [
-        (check_packages, {}, State.OK, "numpy"),
-        (check_packages, {"cv2": "ImportError: libGL.so.1"}, State.FAIL, "cv2: ImportError: libGL.so.1"),
-        (check_compiled_code, '[4, "omp"]', State.OK, "4 threads by omp"),
-        (check_compiled_code, '[4, "workqueue"]', State.WARN, "workqueue"),
-        (check_shared_memory, "", State.OK, "MB for frames"),
-        (check_driver, {"version": "2.54.2.5684", "no_l515": ""}, State.OK, "2.54.2.5684"),
-        (check_driver, {"version": "2.57.7.1", "no_l515": "it knows no L515"}, State.WARN, "2.57.7.1"),
-        (check_driver, {"problem": "it is not installed: pip install it", "installed": False}, State.WARN, "not inst"),
-        (check_driver, {"problem": "needs libudev: apt", "installed": True}, State.FAIL, "needs libudev"),
-        (check_all_drivers, {"drivers": ["RealSense", "Acme"]}, State.OK, "RealSense, Acme"),
-        (check_all_drivers, {"problems": ["a is no driver; update it"]}, State.FAIL, "a is no driver"),
+        (check_packages, "", State.OK, "numpy"),
+        (check_drivers, {"version": "2.54.2.5684", "no_l515": ""}, State.OK, "2.54.2.5684"),
+        (check_drivers, {"version": "2.57.7.1", "no_l515": "it knows no L515"}, State.WARN, "2.57.7.1"),
+        (check_drivers, {"problem": "it is not installed: pip install it", "version": ""}, State.WARN, "not installed"),
+        (check_drivers, {"problem": "needs libudev: apt", "version": "2.54"}, State.FAIL, "needs libudev"),
     ],
 )
 def test_what_child_processes_answer(check, answer, state, words):
@@ -101,7 +78,12 @@ def test_what_child_processes_answer(check, answer, state, words):
     assert bool(line.remedy) is (state is not State.OK)
 
 
-@pytest.mark.parametrize("check", [check_packages, check_compiled_code, check_shared_memory, check_driver])
+def test_a_broken_driver_of_another_package_is_a_line():
+    lines = check_drivers(answering({"version": "2.54", "others": ["a is no driver; update it"]}))
+    assert [(line.state, line.remedy) for line in lines] == [(State.OK, ""), (State.FAIL, "Update it.")]
+
+
+@pytest.mark.parametrize("check", [check_packages, check_drivers])
 def test_a_child_process_that_crashes_is_a_failure(check):
     line = only(check(lambda _: CRASH))
     assert line.state is State.FAIL
@@ -111,9 +93,7 @@ def test_a_child_process_that_crashes_is_a_failure(check):
 def test_the_cache_folder(tmp_path, monkeypatch):
     assert only(check_cache_folder(tmp_path / "new")).state is State.OK
     (tmp_path / "file").write_text("")
-    blocked = only(check_cache_folder(tmp_path / "file"))
-    assert blocked.state is State.FAIL
-    assert "XDG_CACHE_HOME" in blocked.remedy
+    assert only(check_cache_folder(tmp_path / "file")).state is State.FAIL
     usage = type("Usage", (), {"free": 1e9})
     monkeypatch.setattr(doctor_system.shutil, "disk_usage", lambda _: usage)
     assert only(check_cache_folder(tmp_path)).state is State.WARN
@@ -141,7 +121,7 @@ def plug_in(tmp_path):
 
 
 def test_cameras_on_usb(tmp_path, plug_in, monkeypatch):
-    assert "container" in only(check_cameras(tmp_path / "usb", tmp_path / "nodes")).remedy
+    assert only(check_cameras(tmp_path / "usb", tmp_path / "nodes")).state is State.WARN
     plug_in()
     plug_in("2-2", "Intel RealSense D405", speed="480", number=8)
     plug_in("2-3", "Bluetooth adapter", number=9)
@@ -213,5 +193,5 @@ def test_the_real_checks_run_here_without_a_traceback():
     assert done.returncode == (0 if report["ok"] else 1)
     states = {check["name"]: check["state"] for check in report["checks"]}
     assert states["Python"] != "fail"
-    assert states["Packages"] == states["Compiled code"] == states["Shared memory"] == "ok"
+    assert states["Packages"] == states["Shared memory"] == "ok"
     assert all(check["remedy"] for check in report["checks"] if check["state"] != "ok")

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tactune.core.contact.checks import check_rig, preset_notes
 from tactune.core.errors import ExportError, PresetError
 from tactune.core.preset import Preset
 from tactune.core.preset import file as preset_file
@@ -185,3 +186,13 @@ def test_every_field_is_listed_and_described():
             node = node["properties"][part]
         assert node["title"]
         assert node["description"].endswith("."), path
+
+
+def test_a_membrane_preset_without_the_mask_or_on_a_homography_is_noted(make_rig):
+    tolerance = Preset(contact_test="tolerance").with_value("alignment.model", "homography")
+    assert preset_notes(tolerance) == []
+    assert [name for name in shipped_presets() if preset_notes(load_preset(name))] == ["default"]  # its mask is off
+    (unmasked,) = preset_notes(Preset(name="cup"))
+    assert "'cup'" in unmasked
+    both = Preset(name="cup").with_value("alignment.model", "homography")
+    assert preset_notes(both) == [unmasked, *check_rig(both, make_rig())]
