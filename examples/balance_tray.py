@@ -15,14 +15,54 @@ from __future__ import annotations
 import argparse
 import math
 import time
+from collections import deque
 from dataclasses import dataclass
 
 from tactune.core import ContactPipeline, TiltEstimator, load_preset
+from tactune.core.sources.simulator.scenes import TRAY_ROLLS_DEG
 from tactune.core.sources.simulator.source import SimulatorSource
-from tactune.core.sources.simulator.tray import BOOKS, Tray
 
 #: The tray is level while its roll is within this angle, degrees.
 LEVEL_DEG = 1.0
+#: Torque of the membrane per roll of the tray, N m per radian, and the time in which the tray follows it, seconds.
+STIFFNESS, LAG_S = 2.43, 0.08
+#: The largest rate of the sensor's actuator, radians per second, and the frames until it follows a command.
+MAX_RATE, DELAY_FRAMES = math.radians(20.0), 2
+
+
+@dataclass(frozen=True)
+class Book:
+    """A book that is put on the tray at a time, ``y_m`` from the roll axis along the tray's y axis."""
+
+    time_s: float
+    mass_kg: float
+    y_m: float
+
+
+BOOKS = (Book(3.0, 0.35, 0.040), Book(6.0, 0.50, -0.045), Book(9.0, 0.40, 0.042))
+
+
+class Tray:
+    """The tray rolls to where the membrane's torque balances its books, while the sensor turns below it."""
+
+    def __init__(self) -> None:
+        self.time_s = self.roll_rad = self.sensor_rad = 0.0
+        self._rates = deque([0.0] * DELAY_FRAMES)
+
+    def advance(self, seconds: float, rate_rad_s: float) -> None:
+        """Move on in time; the sensor gets a command to turn at a rate."""
+        self._rates.append(min(max(rate_rad_s, -MAX_RATE), MAX_RATE))
+        self.time_s += seconds
+        self.sensor_rad += seconds * self._rates.popleft()
+        load = -sum(9.81 * book.mass_kg * book.y_m for book in BOOKS if book.time_s <= self.time_s)
+        balanced = self.sensor_rad + load / STIFFNESS
+        self.roll_rad += (1.0 - math.exp(-seconds / LAG_S)) * (balanced - self.roll_rad)
+
+    @property
+    def state(self) -> int:
+        """The simulated roll that is the nearest one to the tray's roll relative to the sensor."""
+        relative_deg = math.degrees(self.roll_rad - self.sensor_rad)
+        return min(range(len(TRAY_ROLLS_DEG)), key=lambda n: abs(TRAY_ROLLS_DEG[n] - relative_deg))
 
 
 @dataclass(frozen=True)
@@ -41,21 +81,19 @@ def balance(seconds: float, p_per_s: float = 5.0, d: float = 0.1) -> list[Step]:
     preset = load_preset("simulator")
     with SimulatorSource("tray") as source:
         pipeline, estimator = ContactPipeline(preset, source.rig), TiltEstimator(preset, source.rig)
-        tray, period_s = Tray(source.solved_facts()), 1 / source.frame_rate_hz
+        tray, period_s = Tray(), 1 / source.frame_rate_hz
         steps: list[Step] = []
         before: float | None = None
+        rate = 0.0
         for number in range(round(seconds / period_s)):
-            tray.advance(number * period_s)
-            frame = source.draw(number, tray.place)
+            tray.advance(period_s, rate)
+            frame = source.draw(number, tray.state)
             started = time.perf_counter()
             tilt = estimator.estimate(pipeline.process(frame), frame.sequence, frame.proximity_time_s)
             latency_s = time.perf_counter() - started
             measured = None if tilt.roll_rad is None else tilt.roll_rad + tray.sensor_rad
-            if measured is None:
-                tray.command(0.0)  # no contact: stand still
-            else:
-                change = 0.0 if before is None else (measured - before) / period_s
-                tray.command(-(p_per_s * measured + d * change))
+            change = 0.0 if before is None or measured is None else (measured - before) / period_s
+            rate = 0.0 if measured is None else -(p_per_s * measured + d * change)  # no contact: stand still
             before = measured
             steps.append(Step(tray.time_s, tray.roll_rad, measured, tray.sensor_rad, latency_s))
     return steps

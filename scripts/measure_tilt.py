@@ -18,13 +18,13 @@ from tactune.core.sources.simulator.scenes import TRAY_ROLLS_DEG
 from tactune.core.sources.simulator.sensors import SENSORS
 from tactune.core.sources.simulator.source import SimulatorSource
 
-#: Where the tray is drawn, as places among the solved rolls: -4.5, 0.3 and 4.6 degrees.
-PLACES, NOISES_PER_RIG, FIRST_NOISE = (7.0, 16.6, 25.2), 4, 5000
+#: Where the tray is drawn, as places among the solved rolls: -4.5, 0.5 and 4.5 degrees.
+PLACES, NOISES_PER_RIG, FIRST_NOISE = (7, 17, 25), 4, 5000
 
 
 def measure(sensor: str, first_seed: int, noises: int) -> str:
     """Return a line of the table: roll and pitch of the still tray with many noises."""
-    true = np.radians([(np.interp(place, range(len(TRAY_ROLLS_DEG)), TRAY_ROLLS_DEG), 0.0) for place in PLACES])
+    true = np.radians([(TRAY_ROLLS_DEG[place], 0.0) for place in PLACES])
     errors, sigmas = np.full((2, noises, len(PLACES), 2), np.nan)
     preset = load_preset("simulator")
     for number in range(noises):

@@ -16,9 +16,9 @@ def main() -> None:
     simulator = SimulatorSource()
     path = SHIPPED / cache_file(simulator.scene.name, f"{simulator.scene.key} {simulator.rig.model_dump_json()}").name
     solved = simulator.solve_anew(lambda share, words: None)
-    for older in SHIPPED.glob("*.zip"):
+    for older in SHIPPED.glob("*"):
         older.unlink()
-    save_scene(path, solved, small=True)
+    save_scene(path, solved)
     print(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
 
 

@@ -14,8 +14,8 @@ from ...core.errors import MissingExtraError
 from ...core.estimation.object_mesh import ObjectMesh, import_open3d, load_mesh, simulated_mesh
 from ...core.estimation.pose import PoseError, PoseEstimate, PoseTracker, pose_error
 from ...core.model.arrays import Float64Array
-from ...core.sources.simulator.names import read_name
-from ...core.sources.simulator.scenes import read_options, resolve_scene
+from ...core.sources.simulator.names import read_name, source_options
+from ...core.sources.simulator.scenes import resolve_scene
 from ..worker.jobs import Progress
 from ..worker.results import Result
 
@@ -51,9 +51,8 @@ def read_model(path: Path, unit: str | None, progress: Progress) -> Model:
 def simulated_model(name: str, progress: Progress) -> Model:
     """Make the mesh of a simulated source's object, such as that of ``sim:cup?move=slide``."""
     progress(0.1, "Meshing the simulated object")
-    values = read_name(name.removeprefix("live:").removeprefix("sim:"))
-    scene = resolve_scene(values["scene"], read_options(name, values)[0])
-    return shown(simulated_mesh(scene, values["scene"]))
+    options = source_options(read_name(name.removeprefix("live:").removeprefix("sim:")))
+    return shown(simulated_mesh(resolve_scene(options["scene"], options["variant"]), options["scene"]))
 
 
 def shown(mesh: ObjectMesh) -> Model:

@@ -18,7 +18,6 @@ from ...core.sources.simulator.names import (
 from ...widgets.basics.controls import caption
 from .pages import SourcePage
 
-_SCHEME = "sim"
 #: What an empty choice means, by its field.
 _EMPTY = {"press": "moving", "move": "as the scene does"}
 
@@ -44,7 +43,7 @@ class SimulatorPage(SourcePage):
     def show_name(self, name: str) -> bool:
         """Move the fields to a simulator's name."""
         scheme, _, rest = name.partition(":")
-        if scheme != _SCHEME:
+        if scheme != "sim":
             return False
         self.values = read_name(rest)
         self._show()

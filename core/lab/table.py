@@ -35,8 +35,7 @@ from ..rig.noise import NOISE_FRAMES, measure_noise
 from ..rig.untouched import untouched_frame
 from ..sources.base import FrameSource
 from ..sources.registry import open_source
-from ..sources.simulator.membranes import MEMBRANES
-from ..sources.simulator.scenes import HELD_OUT
+from ..sources.simulator.scenes import HELD_OUT, MEMBRANES
 from ..sources.simulator.sensors import DEFAULT_SENSOR, SENSORS
 from .methods import AVERAGED, MEMBRANE, PIPELINES, check_methods, make_method, method_names, needed_frames
 

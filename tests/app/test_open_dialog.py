@@ -73,12 +73,11 @@ def test_fields_write_the_name_and_the_name_moves_the_fields(window, qtbot):
 
 def test_a_scene_that_lacks_an_option_drops_it(window, qtbot):
     dialog = open_dialog(window, qtbot)
-    type_name(dialog, "sim:cup?press=low&seed=7")
+    type_name(dialog, "sim:cup?move=slide&seed=7")
     assert dialog.page is dialog.pages[SIMULATOR]
-    choose(dialog.page.editors["scene"], "hover")
-    assert dialog.name.text() == "sim:hover?seed=7"
-    assert dialog.page.editors["gap"].isEnabled()
-    assert dialog.page.editors["object"].isEnabled()
+    choose(dialog.page.editors["scene"], "tray")
+    assert dialog.name.text() == "sim:tray?seed=7"
+    assert not dialog.page.editors["move"].isEnabled()
 
 
 def test_a_wrong_option_is_said_while_it_is_typed(window, qtbot):

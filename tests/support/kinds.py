@@ -42,6 +42,7 @@ from tactune.core.lab.start_pose import save_transform
 from tactune.core.model.alignment import PointPair
 from tactune.core.model.clouds import PointCloud
 from tactune.core.model.files import write_csv
+from tactune.core.model.frames import TrueStrain
 from tactune.core.model.rig_file import load_rig
 from tactune.core.output import SessionWriter
 from tactune.core.output.bag import PatchWriter
@@ -161,8 +162,8 @@ def solved_scene(folder: Path, n: int) -> None:
     deep, flat = (np.full(shapes[0], n, kind) for kind in (np.uint16, np.uint8))
     colours = [np.full((*shape, 3), n, np.uint8) for shape in shapes]
     state = CleanState(deep, deep, flat, flat, colours[0], np.full(shapes[1], n, np.uint16), colours[1])
-    facts = PressFacts(0.01, 0.2, 0.1, 0.1, 0.1, 0.1, 5.0, (0.0, 0.0, 0.0), 900.0, 1e-6, POSE)
-    save_scene(folder / "cup.zip", SolvedScene([state], [facts]))
+    facts = PressFacts(0.01, TrueStrain(0.2, 0.1, 0.1, 0.1, 0.1), 1e-6, POSE)
+    save_scene(folder / "cup.npz", SolvedScene([state], [facts]))
 
 
 # The search
@@ -325,7 +326,7 @@ KINDS: dict[str, Kind] = {
         lambda f: table.load_cells(table_plan(f), SCENE, 0) is not None,
     ),
     "example": Kind(lambda f, n: Example(FRAMES[n]).save(f / "a.npz"), lambda f: Example.load(f / "a.npz")),
-    "simulator's cache": Kind(solved_scene, lambda f: load_scene(f / "cup.zip", 1) is not None, 200),
+    "simulator's cache": Kind(solved_scene, lambda f: load_scene(f / "cup.npz", 1) is not None, 200),
     "search": Kind(search, lambda f: search(f, 0), 600, grows=True, keeps_state=True),
     "unsaved preset": Kind(autosave, lambda f: len(unsaved_work(f)) == len(list(f.glob("unsaved-*.json")))),
     "calibration": Kind(calibrate, restore_calibration, keeps_state=True),

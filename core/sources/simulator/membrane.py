@@ -1,17 +1,13 @@
 """The inflated membrane: mesh, rubber, air, and the contact problem that gives its shape.
 
-The sheet is a mesh of constant-strain triangles with three displacements a node, made of
-incompressible rubber (neo-Hookean, stiffening with strain as Yeoh's model does) without bending
-stiffness and clamped at its rim. Air in the
-chamber obeys p (V + V_dead) = const, so that pressing at one place bulges the rest. A rigid object
-must not be penetrated: signed distance >= 0 at every node, reaction >= 0, one of the two zero.
-Along the object nodes slide without friction, or stick.
+The sheet is a mesh of constant-strain triangles of incompressible rubber (neo-Hookean, stiffening with strain as Yeoh's
+model does) without bending stiffness, clamped at its rim. Air in the chamber obeys p (V + V_dead) = const, so pressing
+at one place bulges the rest. A rigid object is not penetrated: signed distance >= 0 at every node, reaction >= 0, one
+of the two zero. Along the object nodes slide without friction, or stick.
 
-The equilibrium minimises the energy of rubber, air and atmosphere under that inequality, by
-Nesterov's accelerated gradient with projection to the object's surface and restarts.
-Lengths are metres in the membrane's frame: origin in the centre of the rim's plane, x along the
-long side, z outward, away from the cameras. Everything is float64 and single-threaded, so that the
-same input gives the same bits.
+The equilibrium minimises the energy of rubber, air and atmosphere under that inequality, by Nesterov's accelerated
+gradient with projection to the object's surface and restarts. Lengths are metres in the membrane's frame, see `mesh`.
+Everything is float64 and single-threaded, so that the same input gives the same bits.
 """
 
 from __future__ import annotations
@@ -33,38 +29,25 @@ TOUCH_GAP_M: Final = 1e-7
 _OVERSHOT: Final = 1e3
 #: Shortest step, as a share of the step that the start's stiffness allows.
 _SHORTEST_SHARE: Final = 0.05
+_MAX_ITERATIONS: Final = 6000
 #: A node nearer to the object than this lies on it, metres.
 _ON_SURFACE_M = 1e-9
 
 
 @dataclass(frozen=True)
 class MembraneState:
-    """One equilibrium.
+    """One equilibrium of N nodes."""
 
-    Attributes
-    ----------
-    nodes : float64, shape (N, 3)
-        Positions of the mean surface in the membrane's frame, metres; `Membrane.surface` adds the folds.
-    reaction_n : float64, shape (N,)
-        Force with which the object pushes each node along its normal, newtons; 0 where free. Friction comes on top.
-    gap_m : float64, shape (N,)
-        Signed distance of each node of the surface to the object.
-    pressure_pa : float
-        Absolute air pressure.
-    volume_m3 : float
-        Air volume, dead volume included.
-    residual : float
-        Largest unbalanced nodal force over the gauge pressure's force on a mean node.
-    iterations : int
-    """
-
+    #: (N, 3): positions of the mean surface; `Membrane.surface` adds the folds.
     nodes: Float64Array
+    #: (N,): force with which the object pushes each node along its normal; 0 where free. Friction comes on top.
     reaction_n: Float64Array
+    #: (N,): signed distance of the surface to the object.
     gap_m: Float64Array
-    pressure_pa: float
-    volume_m3: float
+    pressure_pa: float  # absolute
+    volume_m3: float  # dead volume included
+    #: Largest unbalanced nodal force over the gauge pressure's force on a mean node.
     residual: float
-    iterations: int
 
 
 class _Sheet(NamedTuple):
@@ -193,8 +176,8 @@ def _project(
 ) -> None:
     """Move penetrating nodes out to the surface, along the normals at ``base``, or back to where they stick.
 
-    With the step's own start as base a node rests only where its force is along the true normal, even
-    where the distance is a bound and its inner level sets are not parallel to the surface.
+    With the step's own start as base a node rests only where its force is along the true normal, even where the
+    distance is a bound and its inner level sets are not parallel to the surface.
     """
     place = clear.place
     for n in range(nodes.shape[0]):
@@ -231,7 +214,7 @@ def _balance(
     reaction: Float64Array,
     gap: Float64Array,
 ) -> float:
-    """Split the out-of-balance force of each node into reaction and residual; return the largest residual."""
+    """Split each node's out-of-balance force into reaction and residual; return the largest residual."""
     worst = 0.0
     for n in range(nodes.shape[0]):
         gx, gy, gz = gradient[n, 0], gradient[n, 1], gradient[n, 2]
@@ -275,8 +258,8 @@ def _accelerate(nodes: Float64Array, fresh: Float64Array, ahead: Float64Array, m
 @allocating
 def _relax(
     nodes: Float64Array, sheet: _Sheet, thing: _Object, grips: _Grips, step: float, tolerance: float, limit: int
-) -> tuple[int, float, Float64Array, Float64Array]:
-    """Descend to equilibrium in place; return the iterations, the relative residual, the reactions and the gaps."""
+) -> tuple[float, Float64Array, Float64Array]:
+    """Descend to equilibrium in place; return the relative residual, the reactions and the gaps."""
     count = nodes.shape[0]
     reaction, gap = np.zeros(count), np.zeros(count)
     gradient, swept = np.empty_like(nodes), np.empty_like(nodes)
@@ -286,13 +269,11 @@ def _relax(
     momentum = 1.0
     relative = np.inf
     least, kept = np.inf, nodes.copy()
-    done = 0
     for iteration in range(limit):
         gauge = _gradient(ahead, sheet, swept, gradient)
         if iteration % 20 == 19:
             worst = _balance(ahead, gradient, thing, grips, reaction, gap)
             relative = worst / (abs(gauge) * sheet.nodal_area_m2)
-            done = iteration + 1
             if relative < tolerance:
                 nodes[:] = ahead
                 break
@@ -307,7 +288,7 @@ def _relax(
         _project(fresh, ahead, sheet.free, thing, grips, clear)
         momentum = _accelerate(nodes, fresh, ahead, momentum)
         _project(ahead, nodes, sheet.free, thing, grips, clear)
-    return done, relative, reaction, gap
+    return relative, reaction, gap
 
 
 class Membrane:
@@ -321,27 +302,12 @@ class Membrane:
         self.rest = self._inflate()
 
     def press(
-        self,
-        kind: int,
-        pose: Float64Array,
-        start: Float64Array | None = None,
-        limit: int = 6000,
-        held: Float64Array | None = None,
+        self, kind: int, pose: Float64Array, start: Float64Array | None = None, held: Float64Array | None = None
     ) -> MembraneState:
-        """Solve the contact problem with an object in place.
+        """Solve the contact problem with an object whose pose (3, 4) takes points of the membrane's frame to its own.
 
-        Parameters
-        ----------
-        kind : int
-            One of the objects' kinds, or ``NO_OBJECT``.
-        pose : float64, shape (3, 4)
-            Takes points of the membrane's frame to the object's.
-        start : float64, shape (N, 3), optional
-            First guess; the untouched membrane by default.
-        limit : int
-            Maximum number of iterations; see `MembraneState.residual`.
-        held : float64, shape (N, 3), optional
-            Places on the object where nodes stick while they touch; NaN for nodes that slide, as all do by default.
+        ``start``, (N, 3), is the first guess, by default the untouched membrane. ``held``, (N, 3), are places on the
+        object where nodes stick while they touch; NaN for nodes that slide, as all do by default.
         """
         nodes = self.rest.nodes if start is None else start
         thing = _Object(kind, pose, self.mesh.relief_m)
@@ -350,7 +316,7 @@ class Membrane:
         _lay(thing, grips.point, sticks)
         for n in np.flatnonzero(sticks).tolist():
             grips.normal[n] = _normal(thing, grips.point, n)
-        return self._solve(thing, nodes, grips, self.tolerance, limit)
+        return self._solve(thing, nodes, grips, self.tolerance, _MAX_ITERATIONS)
 
     @property
     def _sheet(self) -> _Sheet:
@@ -360,19 +326,16 @@ class Membrane:
 
     def _solve(self, thing: _Object, start: Float64Array, grips: _Grips, tolerance: float, limit: int) -> MembraneState:
         sheet = self._sheet
-        nodes, iterations, share = start.copy(), 0, 0.8
+        nodes, share = start.copy(), 0.8
         while True:
             step = share / self._curvature(nodes)
-            done, residual, reaction, gap = _relax(nodes, sheet, thing, grips, step, tolerance, limit)
-            iterations += done
+            residual, reaction, gap = _relax(nodes, sheet, thing, grips, step, tolerance, limit)
             # Compressed triangles are stiffer than at the start: too long a step overshoots for good.
             if residual < tolerance or share < _SHORTEST_SHARE:
                 break
             share /= 2
         volume = _forces(nodes, sheet, np.empty_like(nodes), np.empty_like(nodes)) + self.design.dead_volume_m3
-        return MembraneState(
-            nodes, reaction, gap, float(self._gas_joule / volume), float(volume), float(residual), int(iterations)
-        )
+        return MembraneState(nodes, reaction, gap, float(self._gas_joule / volume), float(volume), float(residual))
 
     def _curvature(self, nodes: Float64Array) -> float:
         """Estimate the largest eigenvalue of the energy's Hessian by power iteration, warm from call to call."""
@@ -410,13 +373,13 @@ class Membrane:
         return state
 
     def gradient(self, nodes: Float64Array) -> Float64Array:
-        """Return the gradient of the total energy at any nodes: float64, shape (N, 3), newtons."""
+        """Return the gradient of the total energy at any nodes, (N, 3), newtons."""
         gradient = np.empty_like(nodes)
         _gradient(nodes, self._sheet, np.empty_like(nodes), gradient)
         return gradient
 
     def surface(self, nodes: Float64Array) -> Float64Array:
-        """Return the outer surface, folds included: float64, shape (N, 3)."""
+        """Return the outer surface, folds included, (N, 3)."""
         surface = nodes.copy()
         surface[:, 2] += self.mesh.relief_m
         return surface
@@ -434,7 +397,7 @@ class Membrane:
         return np.asarray((1 - ft) * upper + ft * lower)
 
     def stretches(self, nodes: Float64Array) -> Float64Array:
-        """Return the principal stretches of every triangle: float64, shape (T, 2), larger first."""
+        """Return the principal stretches of every triangle, (T, 2), larger first."""
         corners = nodes[self.mesh.triangles]
         edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
         gradient = edges @ self.mesh.inverse
@@ -449,38 +412,14 @@ def object_pose(rotation: Any, origin: Any) -> Float64Array:
     return np.hstack([rotation.T, -(rotation.T @ origin)[:, None]])
 
 
-def contact_torque(
-    membrane: Membrane, state: MembraneState, kind: int, pose: Float64Array
-) -> tuple[float, float, float]:
-    """Return the torque of the reactions on the object about its origin, N m, along the membrane's axes.
-
-    The parameters are those of `contact_share`. Friction, where nodes stick, is not counted.
-    """
-    touching = np.flatnonzero(state.reaction_n)
-    points = membrane.surface(state.nodes)[touching]
-    normals = np.array([normal(kind, pose, *point) for point in points]).reshape(-1, 3)
-    origin = -pose[:, :3].T @ pose[:, 3]
-    x, y, z = np.cross(points - origin, -normals * state.reaction_n[touching, None]).sum(axis=0)
-    return float(x), float(y), float(z)
-
-
 def contact_share(membrane: Membrane, state: MembraneState, kind: int, pose: Float64Array) -> Float64Array:
     """Return how much of each node's share of the sheet is in contact, 0 to 1, shape (N,).
 
-    A node at the edge of contact carries only part of what it would carry if its neighbours touched as well: in
-    one dimension a string that leaves the object a way s beyond its last node, in cells of length h, loads that
-    node with the share 1/2 + s / h, whether pressure or tension about a curved object makes the load. So the whole
-    load is computed with the first free nodes laid onto the object, and the edge is where the share falls through
-    one half. Where nodes simply count as touching or not, the patch is half a cell too wide.
-
-    Parameters
-    ----------
-    membrane : Membrane
-    state : MembraneState
-    kind : int
-        Kind of the object.
-    pose : float64, shape (3, 4)
-        From the membrane's frame to the object's.
+    A node at the edge of contact carries only part of what it would carry if its neighbours touched as well: in one
+    dimension a string that leaves the object a way s beyond its last node, in cells of length h, loads that node with
+    the share 1/2 + s / h. So the whole load is computed with the first free nodes laid onto the object, and the edge is
+    where the share falls through one half. If nodes simply counted as touching or not, the patch would be half a cell
+    too wide.
     """
     mesh = membrane.mesh
     touching = state.reaction_n > 0.0

@@ -1,7 +1,7 @@
 """The membrane before it is inflated: size, material and triangles.
 
-Lengths are metres in the membrane's frame: origin in the centre of the rim's plane, x along the
-long side, z outward, away from the cameras.
+Lengths are metres in the membrane's frame: origin in the centre of the rim's plane, x along the long side, z outward,
+away from the cameras.
 """
 
 from __future__ import annotations
@@ -20,77 +20,46 @@ _FOLD_INNER_M: Final = 0.018
 
 @dataclass(frozen=True)
 class MembraneDesign:
-    """Size, material and air of the membrane.
+    """Size, material and air of the membrane."""
 
-    Attributes
-    ----------
-    width_m, height_m : float
-        Free size of the rubber between the clamps.
-    apex_m : float
-        Height of the inflated, untouched membrane above the rim's plane.
-    dead_volume_m3 : float
-        Air in the housing below the rim's plane.
-    stiffness_n_m : float
-        Shear modulus times thickness.
-    stiffening : float
-        Strain stiffening of the rubber: c in W = mu/2 (I + c I^2), I = tr C - 3.
-    fold_m : float
-        Height of the folds of a twisted membrane, crest over mean; 0 for a smooth one, see `folds`.
-    prestretch : float
-        How far the sheet was stretched, in both directions, when it was clamped.
-    stiffness_slope : float
-        Difference of the stiffness between the right and the left edge, as a share of `stiffness_n_m`.
-    centre_stiffness : float
-        Factor on the stiffness in the centre, such as below 1 for rubber that was cast thinner there.
-    sticks : bool
-        Whether the rubber sticks to the object: a node that touches keeps its place on the object until it comes off.
-        Otherwise it slides without friction.
-    cells : tuple of int
-        Quads along width and height; both even keep the mesh mirror-symmetric.
-    """
-
+    #: Free size of the rubber between the clamps, and height of the untouched membrane over the rim's plane.
     width_m: float = 0.355
     height_m: float = 0.205
     apex_m: float = 0.060
+    #: Air in the housing below the rim's plane.
     dead_volume_m3: float = 0.0090
+    #: Shear modulus times thickness, and c in W = mu/2 (I + c I^2), I = tr C - 3.
     stiffness_n_m: float = 220.0
     stiffening: float = 0.05
+    #: Height of the folds of a twisted membrane, crest over mean, see `_folds`.
     fold_m: float = 0.0
+    #: How far the sheet was stretched, in both directions, when it was clamped.
     prestretch: float = 1.04
+    #: Difference of the stiffness between the right and the left edge, relative; factor on it in the centre.
     stiffness_slope: float = 0.0
     centre_stiffness: float = 1.0
+    #: A node that touches keeps its place on the object until it comes off, instead of sliding without friction.
     sticks: bool = False
+    #: Quads along width and height; both even keep the mesh mirror-symmetric.
     cells: tuple[int, int] = (118, 68)
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """The sheet as triangles.
+    """The sheet as N nodes and T triangles."""
 
-    Attributes
-    ----------
-    flat : float64, shape (N, 3)
-        Clamped, not inflated: node positions in the rim's plane.
-    triangles : int32, shape (T, 3)
-        Node numbers; the normals of the inflated sheet point outward.
-    inverse : float64, shape (T, 2, 2)
-        Inverse of the unstretched edge matrix.
-    area : float64, shape (T,)
-        Unstretched areas, square metres.
-    stiffness : float64, shape (T,)
-        Shear modulus times thickness times unstretched area, N m.
-    relief_m : float64, shape (N,)
-        Height of the outer surface over the mean surface, along z: the folds.
-    free : bool, shape (N,)
-        False on the rim.
-    """
-
+    #: (N, 3): clamped, not inflated.
     flat: Float64Array
+    #: (T, 3): node numbers; the normals of the inflated sheet point outward.
     triangles: Int32Array
+    #: (T, 2, 2): inverse of the unstretched edge matrix.
     inverse: Float64Array
+    #: (T,): unstretched areas, square metres; shear modulus times thickness times area, N m.
     area: Float64Array
     stiffness: Float64Array
+    #: (N,): height of the outer surface over the mean surface along z, the folds.
     relief_m: Float64Array
+    #: (N,): False on the rim.
     free: BoolArray
 
 
@@ -122,27 +91,14 @@ def build_mesh(design: MembraneDesign) -> Mesh:
         centred = np.exp(-((np.hypot(middle[:, 0], middle[:, 1]) / (design.height_m / 3)) ** 2))
         stiffness *= 1.0 + design.stiffness_slope * middle[:, 0] / design.width_m
         stiffness *= 1.0 + (design.centre_stiffness - 1.0) * centred
-    return Mesh(flat, triangles, inverse, area, stiffness, folds(flat, design.fold_m) * free, free)
+    return Mesh(flat, triangles, inverse, area, stiffness, _folds(flat, design.fold_m) * free, free)
 
 
-def folds(flat: Float64Array, height_m: float) -> Float64Array:
-    """Return the height of the folds of a sheet that is twisted about its centre.
+def _folds(flat: Float64Array, height_m: float) -> Float64Array:
+    """Return the height of the folds at nodes of a sheet that is twisted about its centre, (N,).
 
-    Shear leaves tension along the diagonals only, so the folds run out from the turned part as
-    spirals that cross every circle at 45 degrees. They are widest apart, and highest, a little
-    outside of it.
-
-    Parameters
-    ----------
-    flat : float64, shape (N, 3)
-        Places on the flat sheet, metres.
-    height_m : float
-        Crest over mean at the highest.
-
-    Returns
-    -------
-    float64, shape (N,)
-        Metres.
+    Shear leaves tension along the diagonals only, so the folds run out from the turned part as spirals that cross every
+    circle at 45 degrees. They are widest apart, and highest, a little outside of it.
     """
     radius, angle = np.hypot(flat[:, 0], flat[:, 1]), np.arctan2(flat[:, 1], flat[:, 0])
     near = np.maximum(radius, _FOLD_INNER_M) / _FOLD_INNER_M

@@ -4,70 +4,72 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final, get_args
+from typing import Any, Final, get_args
 from urllib.parse import parse_qsl, urlencode
 
 from ...errors import SourceError
-from .membranes import MEMBRANES
 from .objects import OBJECTS
-from .scene_list import DEFAULT_SCENE, MORE_SCENES, SCENE_OPTIONS, SCENES
-from .scenes import MAX_GAP_MM, SPECIAL_SCENES, Light, Move, Press, Side, Variant, read_options, resolve_scene
-from .sensors import DEFAULT_SENSOR, SENSORS
+from .scenes import MAX_GAP_MM, MEMBRANES, Move, Press, Side, Variant, resolve_scene
+from .sensors import DEFAULT_SENSOR, SENSORS, find_sensor
 from .sheet import Print
 
-MAX_SEED: Final = 9_999_999_999
-MAX_NOISE: Final = 100.0
+_MAX_SEED: Final = 9_999_999_999
+_MAX_NOISE: Final = 100.0
 
 
 @dataclass(frozen=True)
 class NameField:
-    """One part of a name, with what a dialog says about it.
-
-    ``choices`` has a few words about each possible value, or "" for none, and is empty for a number, whose least value
-    is 0.
-    """
+    """One part of a name, with what a dialog says about it: a choice with a few words about each, or a number."""
 
     key: str
     title: str
     about: str
-    default: str
     choices: Mapping[str, str] = field(default_factory=dict)
     maximum: float = 0.0
     decimals: int = 0
     unit: str = ""
 
 
-def _named(values: tuple[str, ...], **about: str) -> dict[str, str]:
+def _named(values: Any, **about: str) -> dict[str, str]:
     return dict.fromkeys(values, "") | about
 
 
-_SCENES = _named((*SCENES, *MORE_SCENES), tray="books roll a flat tray that lies 16 mm deep", **SPECIAL_SCENES)
+_SCENES = _named(OBJECTS, tray="a flat tray, 16 mm deep, that rolls")
+_PRESS_ABOUT = "A press that is held. Moving: the object approaches, presses and leaves; none: the untouched membrane"
 _MOVES = _named(
     get_args(Move), slide="turns and slides across folds", lift="so does the cup, half of the time without its handle"
 )
+_MOVE_ABOUT = "How an object moves while it presses, for 5 s; the first opening takes a minute"
 _MEMBRANES = {name: membrane.about for name, membrane in MEMBRANES.items()}
 _SENSORS = {name: sensor.about for name, sensor in SENSORS.items()}
-_PRESS_ABOUT = "A press that is held. Moving: the object approaches, presses and leaves; none: the untouched membrane"
-_MOVE_ABOUT = "How an object moves while it presses, for 5 s; the first opening takes a minute"
 _PRINT_ABOUT = "Pattern printed on the membrane; dots are 10 mm apart"
 _SEED_ABOUT = "Another seed gives other noise with the same statistics"
 _NOISE_ABOUT = "Factor on the sensor's errors; 0 gives perfect images"
 
 NAME_FIELDS: Final = (
-    NameField("scene", "Scene", "What presses the membrane", DEFAULT_SCENE, _SCENES),
-    NameField("object", "Object", "The object that hovers", Variant.object, _named(tuple(OBJECTS))),
-    NameField("press", "Press", _PRESS_ABOUT, "", _named(get_args(Press))),
-    NameField("move", "Move", _MOVE_ABOUT, "", _MOVES),
-    NameField("side", "Side", "Where a high press is, seen by the cameras", Variant.side, _named(get_args(Side))),
-    NameField("gap", "Gap", "Distance of an object that hovers", f"{Variant.gap_mm:g}", {}, MAX_GAP_MM, 2, "mm"),
-    NameField("membrane", "Membrane", "Size, material and air of the membrane", Variant.membrane, _MEMBRANES),
-    NameField("grid", "Print", _PRINT_ABOUT, Variant.grid, _named(get_args(Print))),
-    NameField("light", "Light", "Light on the membrane", "normal", _named(get_args(Light))),
-    NameField("sensor", "Sensor", "Whose errors the cameras have", DEFAULT_SENSOR, _SENSORS),
-    NameField("seed", "Seed", _SEED_ABOUT, "0", {}, MAX_SEED),
-    NameField("noise", "Noise", _NOISE_ABOUT, "1", {}, MAX_NOISE, 2, "×"),
+    NameField("scene", "Scene", "What presses the membrane", _SCENES),
+    NameField("press", "Press", _PRESS_ABOUT, _named(get_args(Press))),
+    NameField("move", "Move", _MOVE_ABOUT, _MOVES),
+    NameField("side", "Side", "Where a high press is, seen by the cameras", _named(get_args(Side))),
+    NameField("gap", "Gap", "Distance at which the object is held", {}, MAX_GAP_MM, 2, "mm"),
+    NameField("membrane", "Membrane", "Size, material and air of the membrane", _MEMBRANES),
+    NameField("grid", "Print", _PRINT_ABOUT, _named(get_args(Print))),
+    NameField("sensor", "Sensor", "Whose errors the cameras have", _SENSORS),
+    NameField("seed", "Seed", _SEED_ABOUT, {}, _MAX_SEED),
+    NameField("noise", "Noise", _NOISE_ABOUT, {}, _MAX_NOISE, 2, "×"),
 )
-_DEFAULTS: Final = {each.key: each.default for each in NAME_FIELDS}
+
+
+def name_values(scene: str, variant: Variant, sensor: str, seed: int, noise: float) -> dict[str, str]:
+    """Return the value of each field as text."""
+    return {
+        "scene": scene, "press": variant.press, "move": variant.move, "side": variant.side,
+        "gap": f"{variant.gap_mm:g}", "membrane": variant.membrane, "grid": variant.grid,
+        "sensor": sensor, "seed": str(seed), "noise": f"{noise:g}",
+    }  # fmt: skip
+
+
+_DEFAULTS: Final = name_values("cup", Variant(), DEFAULT_SENSOR, 0, 1.0)
 
 
 def read_name(rest: str) -> dict[str, str]:
@@ -77,38 +79,41 @@ def read_name(rest: str) -> dict[str, str]:
         given = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
     except ValueError as error:
         raise SourceError(f"sim:{rest}: {query!r} are no options; write them as seed=3&noise=0.5") from error
+    options = tuple(key for key in _DEFAULTS if key != "scene")
     for key, _ in given:
-        if key not in SCENE_OPTIONS:
-            raise SourceError(f"sim:{rest}: the simulator has no option {key!r}; known are {', '.join(SCENE_OPTIONS)}")
+        if key not in options:
+            raise SourceError(f"sim:{rest}: the simulator has no option {key!r}; known are {', '.join(options)}")
     if len(dict(given)) < len(given):
         raise SourceError(f"sim:{rest}: an option is given twice; keep one")
-    values = _DEFAULTS | dict(given) | {"scene": scene or DEFAULT_SCENE}
-    check_values(values)
+    values = _DEFAULTS | dict(given) | {"scene": scene or _DEFAULTS["scene"]}
+    source_options(values)
     return values
 
 
-def check_values(values: Mapping[str, str]) -> None:
-    """Raise `SourceError` if the values of the fields cannot be opened together."""
+def source_options(values: Mapping[str, str]) -> dict[str, Any]:
+    """Return the arguments of a `SimulatorSource`; raises a `SourceError` if it cannot be opened with these values."""
     name = write_name(values)
-    if not (values["seed"].isdecimal() and len(values["seed"]) <= len(str(MAX_SEED))):
-        raise SourceError(f"{name}: seed is {values['seed']!r}, but it must be a whole number from 0, such as seed=3")
-    try:
-        fits = 0.0 <= float(values["noise"]) <= MAX_NOISE
-    except ValueError:
-        fits = False
-    if not fits:
-        raise SourceError(
-            f"{name}: noise is {values['noise']!r}, but it must be a number from 0 (none) to 100, such as noise=0.5"
-        )
-    for key, known in (("sensor", tuple(SENSORS)), ("light", get_args(Light))):
-        if values[key] not in known:
-            raise SourceError(f"{name}: there is no {key} {values[key]!r}; known are {', '.join(known)}")
-    resolve_scene(values["scene"], read_options(name, values)[0])
+    numbers = {}
+    for key, maximum in (("gap", MAX_GAP_MM), ("seed", _MAX_SEED), ("noise", _MAX_NOISE)):
+        try:
+            numbers[key] = float(values[key])
+            fits = 0.0 <= numbers[key] <= maximum and (key != "seed" or values[key].isdecimal())
+        except ValueError:
+            fits = False
+        if not fits:
+            kind = "whole number" if key == "seed" else "number"
+            raise SourceError(f"{name}: {key} is {values[key]!r}; it must be a {kind} from 0 to {maximum:,.0f}")
+    chosen: dict[str, Any] = {key: values[key] for key in ("press", "move", "side", "membrane", "grid")}
+    variant = Variant(gap_mm=numbers["gap"], **chosen)
+    resolve_scene(values["scene"], variant)
+    find_sensor(values["sensor"])
+    kept = {"scene": values["scene"], "variant": variant, "sensor": values["sensor"]}
+    return {**kept, "seed": int(values["seed"]), "noise": numbers["noise"]}
 
 
 def write_name(values: Mapping[str, str]) -> str:
     """Return the name of a source; values that are the default are left out."""
-    query = urlencode({key: values[key] for key in SCENE_OPTIONS if values[key] != _DEFAULTS[key]})
+    query = urlencode({key: values[key] for key in _DEFAULTS if key != "scene" and values[key] != _DEFAULTS[key]})
     return f"sim:{values['scene']}" + (f"?{query}" if query else "")
 
 
@@ -118,9 +123,9 @@ def changed_values(values: Mapping[str, str], key: str, value: str) -> dict[str,
     `SourceError` if the new value cannot be opened with any other values of this scene.
     """
     new = _DEFAULTS | {"scene": values["scene"], key: value}
-    check_values(new)
-    for other in SCENE_OPTIONS:
-        if other != key and is_accepted(new | {other: values[other]}):
+    source_options(new)
+    for other in _DEFAULTS:
+        if other not in ("scene", key) and is_accepted(new | {other: values[other]}):
             new[other] = values[other]
     return new
 
@@ -128,7 +133,7 @@ def changed_values(values: Mapping[str, str], key: str, value: str) -> dict[str,
 def is_accepted(values: Mapping[str, str]) -> bool:
     """Return whether the values can be opened together."""
     try:
-        check_values(values)
+        source_options(values)
     except SourceError:
         return False
     return True

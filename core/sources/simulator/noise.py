@@ -1,8 +1,7 @@
 """From clean images to measurements: the errors of depth cameras, as large as a `SensorModel` says.
 
-Random numbers come from banks made once from the seed; where a frame starts to read in them is a
-hash of seed, frame and row. So any frame can be made at any time, always with the same bits, and
-costs a few milliseconds.
+Random numbers come from banks made once from the seed; where a frame starts to read in them is a hash of seed, frame
+and row. So any frame can be made at any time, always with the same bits, and costs a few milliseconds.
 """
 
 from __future__ import annotations
@@ -18,14 +17,21 @@ from ...model.arrays import Float32Array, Uint8Array, Uint16Array
 from ...model.frames import DepthCamera, Rig
 from .objects import compiled
 from .render import CLEAN_UNIT_M, EDGE_FLAG, REFLECTIVE_FLAG
-from .sensors import DEFAULT_SENSOR, SENSORS, SensorModel
+from .scene import CleanState
+from .sensors import SensorModel
 
-#: Where the amplitudes of a `SensorModel` hold, metres.
+#: Where the amplitudes of a `SensorModel` hold, metres, and the image width at which its lengths do, pixels.
 _NAMED_AT_M: Final = 0.3
-#: Image width at which the lengths of a `SensorModel` hold, pixels.
 _NAMED_WIDTH_PX: Final = 640
-#: Cosine of incidence below which a time-of-flight camera begins to lose pixels.
+#: Shares of the time-of-flight noise that grow with the distance and with 1 / cosine of incidence.
+TOF_DISTANCE_SHARE: Final = 0.5
+_TOF_INCIDENCE_SHARE: Final = 0.35
+#: Cosine of incidence below which a time-of-flight camera begins to lose pixels; period of its drift, frames.
 _GRAZING_COSINE: Final = 0.35
+_DRIFT_FRAMES: Final = 151.0
+STEREO_BASELINE_M: Final = 0.018
+#: Size of the holes of a stereo camera, as the lengths of a `SensorModel`.
+_HOLE_PX: Final = 4.8
 
 _BANK: Final = 1 << 20
 _FIELD: Final = 1024
@@ -69,7 +75,6 @@ class _TofErrors(NamedTuple):
     unit_m: float
     scale: float
     flying_share: float  # of the pixels at a depth step: they mix both sides
-    near_share: float  # of the noise: it does not grow with the distance
     bias_m: Float32Array  # (H, W)
     white_sigma_m: Float32Array  # table
     shared_sigma_m: Float32Array  # table
@@ -157,7 +162,7 @@ def _measure_tof(random: _Random, images: _TofImages, errors: _TofErrors, drift_
                 out[v, u] = 0
                 continue
             z = behind[v, u] * CLEAN_UNIT_M
-            growth = errors.near_share + (1.0 - errors.near_share) * z / _NAMED_AT_M
+            growth = 1.0 - TOF_DISTANCE_SHARE + TOF_DISTANCE_SHARE * z / _NAMED_AT_M
             if level > 0.0 and images.flags[v, u] & REFLECTIVE_FLAG:
                 # The membrane's prints hide what is behind them.
                 z = images.membrane[v, u] * CLEAN_UNIT_M
@@ -211,8 +216,7 @@ def _add_grain(random: _Random, stream: int64, clean: Uint8Array, bank: npt.NDAr
 class NoiseModel:
     """The measurement errors of one rig with one seed."""
 
-    def __init__(self, rig: Rig, seed: int, level: float, sensor: SensorModel | None = None) -> None:
-        sensor = sensor or SENSORS[DEFAULT_SENSOR]
+    def __init__(self, rig: Rig, seed: int, level: float, sensor: SensorModel) -> None:
         level = 0.0 if sensor.exact else level
         self._seed, self.sensor = seed, sensor
         # The order in which the generator is asked is part of what a seed means.
@@ -225,14 +229,11 @@ class NoiseModel:
         self._drift_phase = rng.uniform(0.0, 2 * np.pi)
         self._tof = _tof_errors(rng, rig.proximity, level, sensor, bias_m)
 
-    def proximity_depth(
-        self, frame: int, behind: Uint16Array, membrane: Uint16Array, cosine: Uint8Array, flags: Uint8Array
-    ) -> Uint16Array:
+    def proximity_depth(self, frame: int, state: CleanState) -> Uint16Array:
         """Return the time-of-flight measurement behind the membrane in raw counts."""
-        out = np.empty_like(behind)
-        sensor = self.sensor
-        drift_m = sensor.tof_drift_m * np.sin(2 * np.pi * frame / sensor.tof_drift_frames + self._drift_phase)
-        images = _TofImages(behind, membrane, cosine, flags)
+        out = np.empty_like(state.behind)
+        drift_m = self.sensor.tof_drift_m * np.sin(2 * np.pi * frame / _DRIFT_FRAMES + self._drift_phase)
+        images = _TofImages(state.behind, state.membrane, state.cosine, state.flags)
         _measure_tof(self._random(frame), images, self._tof, drift_m, out)
         return out
 
@@ -255,64 +256,59 @@ class NoiseModel:
 
 
 def _stereo_errors(rng: np.random.Generator, camera: DepthCamera, level: float, sensor: SensorModel) -> _StereoErrors:
-    pixels = camera.intrinsics.width / _NAMED_WIDTH_PX
-    fixed, moving = _parts(sensor.stereo_fixed_share)
-    shared = _SharedNoise(
-        sensor.stereo_correlated_px * fixed,
-        sensor.stereo_correlated_px * moving,
-        _smooth_field(rng, sensor.stereo_length_px * pixels, camera.intrinsics.width),
-        _smooth_field(rng, sensor.stereo_length_px * pixels, camera.intrinsics.width),
-    )
-    holes = _smooth_field(rng, sensor.stereo_hole_px * pixels, camera.intrinsics.width)
+    width = camera.intrinsics.width
+    pixels = width / _NAMED_WIDTH_PX
+    fixed_sigma, moving_sigma = (sensor.stereo_correlated_px * part for part in _parts(sensor.stereo_fixed_share))
+    fixed, moving = (_smooth_field(rng, sensor.stereo_length_px * pixels, width) for _ in range(2))
+    shared = _SharedNoise(fixed_sigma, moving_sigma, fixed, moving)
+    holes = _smooth_field(rng, _HOLE_PX * pixels, width)
     hole_from, saturated_from = (
         float(np.quantile(holes[:, :_FIELD], 1 - min(share * level, 0.5)))
         for share in (sensor.stereo_hole_share, sensor.stereo_saturated_share)
     )
     return _StereoErrors(
-        level,
-        camera.depth_unit_m,
-        camera.intrinsics.fx * sensor.stereo_baseline_m,
-        sensor.stereo_subpixel_steps,
-        sensor.stereo_white_px,
-        shared,
-        holes,
-        hole_from,
-        saturated_from,
+        level=level,
+        unit_m=camera.depth_unit_m,
+        focal_baseline=camera.intrinsics.fx * STEREO_BASELINE_M,
+        subpixel_steps=sensor.stereo_subpixel_steps,
+        white_sigma_px=sensor.stereo_white_px,
+        shared=shared,
+        holes=holes,
+        hole_from=hole_from,
+        saturated_from=saturated_from,
     )
 
 
 def _tof_errors(
     rng: np.random.Generator, camera: DepthCamera, level: float, sensor: SensorModel, bias_m: Float32Array
 ) -> _TofErrors:
-    fixed = moving = np.zeros((1, camera.intrinsics.width), dtype=np.float32)
+    width = camera.intrinsics.width
+    fixed = moving = np.zeros((1, width), dtype=np.float32)
     if sensor.tof_correlated_m > 0.0:
-        width = camera.intrinsics.width
         length_px = sensor.tof_correlated_px * width / _NAMED_WIDTH_PX
         fixed, moving = _smooth_field(rng, length_px, width), _smooth_field(rng, length_px, width)
     cosine = np.linspace(0.0, 1.0, 256)
     growth = np.minimum(1.0 / np.maximum(cosine, 0.05), 6.0)
-    growth = 1.0 - sensor.tof_incidence_share + sensor.tof_incidence_share * growth
+    growth = 1.0 - _TOF_INCIDENCE_SHARE + _TOF_INCIDENCE_SHARE * growth
     grazing = np.clip((_GRAZING_COSINE - cosine) / _GRAZING_COSINE, 0.0, 1.0)
     dropout = sensor.tof_dropout_share + sensor.tof_grazing_dropout_share * grazing
     return _TofErrors(
-        level,
-        camera.depth_unit_m,
-        1.0 + level * (sensor.tof_scale - 1.0),
-        min(sensor.tof_flying_share * level, 1.0),
-        1.0 - sensor.tof_distance_share,
-        bias_m,
-        (level * sensor.tof_white_m * growth).astype(np.float32),
-        (level * sensor.tof_correlated_m * growth).astype(np.float32),
-        (level * dropout).astype(np.float32),
-        _SharedNoise(*_parts(sensor.tof_correlated_fixed_share), fixed, moving),
+        level=level,
+        unit_m=camera.depth_unit_m,
+        scale=1.0 + level * (sensor.tof_scale - 1.0),
+        flying_share=min(sensor.tof_flying_share * level, 1.0),
+        bias_m=bias_m,
+        white_sigma_m=(level * sensor.tof_white_m * growth).astype(np.float32),
+        shared_sigma_m=(level * sensor.tof_correlated_m * growth).astype(np.float32),
+        dropout=(level * dropout).astype(np.float32),
+        shared=_SharedNoise(*_parts(sensor.tof_correlated_fixed_share), fixed, moving),
     )
 
 
 def _smooth_field(rng: np.random.Generator, sigma_px: float, width: int) -> Float32Array:
-    """Return white noise through a Gaussian window, of variance 1, float32 (2^n, 2^n + width).
+    """Return white noise through a Gaussian window, of variance 1, (2^n, 2^n + width).
 
-    It wraps around after 2^n rows and columns; the further columns repeat the first ones, so that a row of an image
-    ``width`` pixels wide never does.
+    It wraps around after 2^n rows and columns; further columns repeat the first, so that a row of an image never does.
     """
     margin = int(4 * sigma_px) + 1
     white = np.pad(rng.standard_normal((_FIELD, _FIELD), dtype=np.float32), margin, mode="wrap")

@@ -1,9 +1,7 @@
 """The rigid objects that press on the membrane, as signed distance functions.
 
-Lengths are metres. In an object's own frame the membrane lies towards -z and the object's size and
-place are chosen so that the origin is near its middle. Distances are negative inside; the smooth
-unions are bounds rather than exact distances away from the surface, which is what sphere tracing and
-projection to the surface need.
+Lengths are metres. In an object's own frame the membrane lies towards -z, and the origin is near the object's centre.
+Distances are negative inside. The smooth unions are lower bounds away from the surface.
 """
 
 from __future__ import annotations
@@ -26,21 +24,19 @@ CUP: Final = 1
 OCTOPUS: Final = 2
 MUG: Final = 3
 HAND: Final = 4
+#: Serves the analytic checks.
 BALL: Final = 5
 TRAY: Final = 6
 
-#: Radius of ``BALL``, which serves the analytic checks, metres.
 BALL_RADIUS_M: Final = 0.040
 
-#: Radius of a sphere about the origin that holds any of the objects, metres.
+#: Radius of a sphere about the origin that holds any of the objects, and up to which distance from it the exact shape
+#: is evaluated, metres.
 _BOUND: Final = 0.080
-#: Up to this distance from that sphere the exact shape is evaluated, metres.
 _NEAR: Final = 0.020
-
 #: Half the thickness of an octopus arm at its thickest, and the width of the smooth union of two, metres.
 _ARM_REACH: Final = 0.0160
 _ARM_UNION: Final = 0.012
-
 #: Step of the finite differences that give the surface normal, metres.
 _NORMAL_STEP: Final = 2e-6
 
@@ -56,7 +52,7 @@ def allocating(function: _Kernel) -> _Kernel:
 
 
 def turn(angles_deg: tuple[float, float, float]) -> Float64Array:
-    """Return the 3 x 3 rotation that turns about the fixed axes x, y and z, in that order, by angles in degrees."""
+    """Return the 3 x 3 rotation that turns about the fixed axes x, y and z, in that order."""
     ax, ay, az = (math.radians(angle) for angle in angles_deg)
     rx = np.array([[1, 0, 0], [0, math.cos(ax), -math.sin(ax)], [0, math.sin(ax), math.cos(ax)]])
     ry = np.array([[math.cos(ay), 0, math.sin(ay)], [0, 1, 0], [-math.sin(ay), 0, math.cos(ay)]])
@@ -67,20 +63,9 @@ def turn(angles_deg: tuple[float, float, float]) -> Float64Array:
 
 @dataclass(frozen=True)
 class PressedObject:
-    """One object: its shape, how it is turned, where it presses and how it looks.
+    """An object: its shape, its rotation about x, y and z, where its origin presses, and its linear RGB.
 
-    Attributes
-    ----------
-    kind : int
-        ``CUBE``, ``CUP``, ``OCTOPUS``, ``MUG``, ``HAND``, ``BALL`` or ``TRAY``.
-    rotation_deg : tuple of float
-        Turns about x, y and z of the membrane's frame, applied in that order, degrees.
-    offset_m : tuple of float
-        Offset of the object's origin from the membrane's centre, x and y, metres.
-    colour : tuple of float
-        Linear RGB of its surface, 0 to 1.
-    held_out : bool
-        Whether it is reserved for judging methods, not for developing them.
+    A held-out one is reserved for judging methods, not for developing them.
     """
 
     kind: int
@@ -88,10 +73,6 @@ class PressedObject:
     offset_m: tuple[float, float]
     colour: tuple[float, float, float]
     held_out: bool = False
-
-    def rotation(self) -> Float64Array:
-        """Return the 3 x 3 rotation from the object's frame to the membrane's."""
-        return turn(self.rotation_deg)
 
 
 OBJECTS: Final[dict[str, PressedObject]] = {
@@ -105,32 +86,45 @@ OBJECTS: Final[dict[str, PressedObject]] = {
 
 
 @compiled
-def _cube(x: float, y: float, z: float) -> float:
-    half, rounding = 0.0325, 0.007
-    qx, qy, qz = abs(x) - half + rounding, abs(y) - half + rounding, abs(z) - half + rounding
+def _box(x: float, y: float, z: float, half_x: float, half_y: float, half_z: float, rounding: float) -> float:
+    qx, qy, qz = abs(x) - half_x + rounding, abs(y) - half_y + rounding, abs(z) - half_z + rounding
     outside = math.sqrt(max(qx, 0.0) ** 2 + max(qy, 0.0) ** 2 + max(qz, 0.0) ** 2)
     return outside + min(max(qx, qy, qz), 0.0) - rounding
 
 
 @compiled
-def _cup(x: float, y: float, z: float) -> float:
-    """Cup on its side: its axis along y, its handle a ring reaching out towards +x and the membrane."""
-    radius, half_length, rounding = 0.037, 0.046, 0.004
-    qr = math.sqrt(x * x + z * z) - radius + rounding
-    qy = abs(y) - half_length + rounding
-    body = math.sqrt(max(qr, 0.0) ** 2 + max(qy, 0.0) ** 2) + min(max(qr, qy), 0.0) - rounding
-    # The handle lies in the plane of the cup's axis and the direction 24 degrees below +x.
-    c, s = 0.9135454576426009, 0.40673664307580015
-    out, across = c * x - s * z, s * x + c * z
-    ring, tube, middle = 0.025, 0.0080, 0.043
-    handle = math.sqrt((math.sqrt((out - middle) ** 2 + y * y) - ring) ** 2 + across * across) - tube
-    return min(body, handle)
+def _cylinder(x: float, y: float, z: float, radius: float, half_length: float, rounding: float) -> float:
+    """A cylinder along z."""
+    qr, qz = math.sqrt(x * x + y * y) - radius + rounding, abs(z) - half_length + rounding
+    return math.sqrt(max(qr, 0.0) ** 2 + max(qz, 0.0) ** 2) + min(max(qr, qz), 0.0) - rounding
+
+
+@compiled
+def _capsule(
+    x: float, y: float, z: float, ax: float, ay: float, az: float, bx: float, by: float, bz: float, radius: float
+) -> float:
+    dx, dy, dz = bx - ax, by - ay, bz - az
+    share = ((x - ax) * dx + (y - ay) * dy + (z - az) * dz) / (dx * dx + dy * dy + dz * dz)
+    share = min(max(share, 0.0), 1.0)
+    return math.sqrt((x - ax - share * dx) ** 2 + (y - ay - share * dy) ** 2 + (z - az - share * dz) ** 2) - radius
 
 
 @compiled
 def _smooth_min(a: float, b: float, width: float) -> float:
     h = max(width - abs(a - b), 0.0) / width
     return min(a, b) - 0.25 * h * h * width
+
+
+@compiled
+def _cup(x: float, y: float, z: float) -> float:
+    """Cup on its side: its axis along y, its handle a ring reaching out towards +x and the membrane."""
+    body = _cylinder(x, z, y, 0.037, 0.046, 0.004)
+    # The handle lies in the plane of the cup's axis and the direction 24 degrees below +x.
+    c, s = 0.9135454576426009, 0.40673664307580015
+    out, across = c * x - s * z, s * x + c * z
+    ring, tube, middle = 0.025, 0.0080, 0.043
+    handle = math.sqrt((math.sqrt((out - middle) ** 2 + y * y) - ring) ** 2 + across * across) - tube
+    return min(body, handle)
 
 
 @compiled
@@ -164,32 +158,17 @@ def _octopus(x: float, y: float, z: float) -> float:
 
 
 @compiled
-def _capsule(
-    x: float, y: float, z: float, ax: float, ay: float, az: float, bx: float, by: float, bz: float, radius: float
-) -> float:
-    dx, dy, dz = bx - ax, by - ay, bz - az
-    share = ((x - ax) * dx + (y - ay) * dy + (z - az) * dz) / (dx * dx + dy * dy + dz * dz)
-    share = min(max(share, 0.0), 1.0)
-    return math.sqrt((x - ax - share * dx) ** 2 + (y - ay - share * dy) ** 2 + (z - az - share * dz) ** 2) - radius
-
-
-@compiled
 def _mug(x: float, y: float, z: float) -> float:
-    """Return the distance to a mug that comes down with its base; its handle, towards +x, is a closed one."""
-    radius, half_height, rounding = 0.034, 0.036, 0.008
-    qr, qz = math.sqrt(x * x + y * y) - radius + rounding, abs(z) - half_height + rounding
-    body = math.sqrt(max(qr, 0.0) ** 2 + max(qz, 0.0) ** 2) + min(max(qr, qz), 0.0) - rounding
+    """Mug that comes down with its base; its handle, towards +x, is a closed one."""
+    body = _cylinder(x, y, z, 0.034, 0.036, 0.008)
     handle = _capsule(x, y, z, 0.046, 0.0, -0.010, 0.046, 0.0, 0.014, 0.0095)
     return _smooth_min(body, handle, 0.018)
 
 
 @compiled
 def _hand(x: float, y: float, z: float) -> float:
-    """Return the distance to a hand, palm towards the membrane: a rounded plate, four fingers bent to it, a thumb."""
-    rounding = 0.010
-    qx, qy, qz = abs(x) - 0.031 + rounding, abs(y + 0.028) - 0.030 + rounding, abs(z - 0.004) - 0.012 + rounding
-    palm = math.sqrt(max(qx, 0.0) ** 2 + max(qy, 0.0) ** 2 + max(qz, 0.0) ** 2) + min(max(qx, qy, qz), 0.0) - rounding
-    hand = palm
+    """Hand, palm towards the membrane: a rounded plate, four fingers bent to it, a thumb."""
+    hand = _box(x, y + 0.028, z - 0.004, 0.031, 0.030, 0.012, 0.010)
     for finger in range(4):
         root, reach = 0.0205 - 0.0137 * finger, 0.052 + 0.012 * (1.0 - 0.5 * (finger - 1.3) ** 2)
         tip = 1.45 * root
@@ -200,27 +179,11 @@ def _hand(x: float, y: float, z: float) -> float:
 
 
 @compiled
-def _tray(x: float, y: float, z: float) -> float:
-    """Return the distance to a tray: 116 x 100 x 16 mm, its flat underside in z = 0, towards the membrane."""
-    rounding = 0.003
-    qx, qy, qz = abs(x) - 0.058 + rounding, abs(y) - 0.050 + rounding, abs(z - 0.008) - 0.008 + rounding
-    outside = math.sqrt(max(qx, 0.0) ** 2 + max(qy, 0.0) ** 2 + max(qz, 0.0) ** 2)
-    return outside + min(max(qx, qy, qz), 0.0) - rounding
-
-
-@compiled
 def distance(kind: int, pose: Float64Array, x: float, y: float, z: float) -> float:
     """Return the signed distance of a point to an object, metres; 1 m where there is none.
 
-    Farther than ``_NEAR`` from the sphere that holds the object it is a lower bound.
-
-    Parameters
-    ----------
-    kind : int
-    pose : float64, shape (3, 4)
-        Takes points of the surrounding frame to the object's own.
-    x, y, z : float
-        The point in the surrounding frame, metres.
+    Farther than ``_NEAR`` from the sphere that holds the object it is a lower bound. ``pose``, shape (3, 4), takes
+    points to the object's frame.
     """
     px = pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]
     py = pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]
@@ -230,7 +193,7 @@ def distance(kind: int, pose: Float64Array, x: float, y: float, z: float) -> flo
         return 1.0 if kind == NO_OBJECT else beyond
     gap = 1.0
     if kind == CUBE:
-        gap = _cube(px, py, pz)
+        gap = _box(px, py, pz, 0.0325, 0.0325, 0.0325, 0.007)
     elif kind == CUP:
         gap = _cup(px, py, pz)
     elif kind == OCTOPUS:
@@ -239,8 +202,8 @@ def distance(kind: int, pose: Float64Array, x: float, y: float, z: float) -> flo
         gap = _mug(px, py, pz)
     elif kind == HAND:
         gap = _hand(px, py, pz)
-    elif kind == TRAY:
-        gap = _tray(px, py, pz)
+    elif kind == TRAY:  # its flat underside, in z = 0, is towards the membrane
+        gap = _box(px, py, pz - 0.008, 0.058, 0.050, 0.008, 0.003)
     elif kind == BALL:
         gap = math.sqrt(px * px + py * py + pz * pz) - BALL_RADIUS_M
     return gap

@@ -1,7 +1,7 @@
 """What each camera sees of the membrane and the object: rasterising, sphere tracing, shading.
 
-Images here have no noise; `noise` adds it. Positions are metres in the membrane's
-frame unless a name says otherwise, and every camera looks from its own place.
+Images here have no noise. Positions are metres in the membrane's frame. The kernels get cameras as ``camera_pose``,
+(3, 4), from the membrane's frame to theirs, and ``pinhole``: (fx, fy, cx, cy) in pixels.
 """
 
 from __future__ import annotations
@@ -42,15 +42,7 @@ _HOUSING_LEVEL: Final = 0.012
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera in the membrane's frame.
-
-    Attributes
-    ----------
-    intrinsics : Intrinsics
-        A pinhole without distortion.
-    pose : float64, shape (3, 4)
-        Takes points of the membrane's frame to the camera's.
-    """
+    """A pinhole without distortion; ``pose``, (3, 4), takes points of the membrane's frame to the camera's."""
 
     intrinsics: Intrinsics
     pose: Float64Array
@@ -64,17 +56,11 @@ class Camera:
 
 @dataclass(frozen=True)
 class Surface:
-    """The membrane as one camera sees it, pixel by pixel.
+    """The membrane as one camera sees it, pixel by pixel."""
 
-    Attributes
-    ----------
-    depth : float32, shape (H, W)
-        Metres; 0 where the camera sees the housing.
-    attributes : float32, shape (H, W, 6)
-        Place on the flat sheet (x, y, metres), touching (0 to 1) and unit normal.
-    """
-
+    #: (H, W), metres; 0 where the camera sees the housing.
     depth: Float32Array
+    #: (H, W, 6): place on the flat sheet (x, y, metres), touching (0 to 1) and unit normal.
     attributes: Float32Array
 
 
@@ -145,6 +131,18 @@ def node_normals(nodes: Float64Array, triangles: Int32Array) -> Float64Array:
 
 
 @compiled
+def _ray(camera_pose: Float64Array, pinhole: Float64Array, u: int, v: int) -> tuple[float, float, float, float]:
+    """Return the length of a pixel's ray of depth 1 and its unit direction in the membrane's frame."""
+    r = camera_pose
+    x, y = (u - pinhole[2]) / pinhole[0], (v - pinhole[3]) / pinhole[1]
+    length = math.sqrt(x * x + y * y + 1.0)
+    dx = (r[0, 0] * x + r[1, 0] * y + r[2, 0]) / length
+    dy = (r[0, 1] * x + r[1, 1] * y + r[2, 1]) / length
+    dz = (r[0, 2] * x + r[1, 2] * y + r[2, 2]) / length
+    return length, dx, dy, dz
+
+
+@compiled
 def see_through(
     camera_pose: Float64Array,
     pinhole: Float64Array,
@@ -155,18 +153,9 @@ def see_through(
     depth: Float32Array,
     cosine: Uint8Array,
 ) -> None:
-    """Trace each ray on behind the membrane to the object or the backdrop.
+    """Trace each ray on behind the membrane to the object or the backdrop; fill in depth and cosine of incidence * 255.
 
-    Parameters
-    ----------
-    membrane : float32, shape (H, W)
-        The membrane's depth in this camera, metres; 0 where the housing blocks the view.
-    backdrop : float64, shape (4,)
-        A plane n . x = d in the membrane's frame: n, d.
-    depth : float32, shape (H, W)
-        Output: depth of the surface behind, metres; 0 where the housing is.
-    cosine : uint8, shape (H, W)
-        Output: cosine of the angle of incidence times 255.
+    ``membrane`` is its depth, (H, W), 0 where the housing blocks the view; ``backdrop`` a plane n . x = d: n, d.
     """
     height, width = depth.shape
     r = camera_pose
@@ -179,11 +168,7 @@ def see_through(
             depth[v, u], cosine[v, u] = 0.0, 0
             if membrane[v, u] == 0.0:
                 continue
-            x, y = (u - pinhole[2]) / pinhole[0], (v - pinhole[3]) / pinhole[1]
-            length = math.sqrt(x * x + y * y + 1.0)
-            dx = (r[0, 0] * x + r[1, 0] * y + r[2, 0]) / length
-            dy = (r[0, 1] * x + r[1, 1] * y + r[2, 1]) / length
-            dz = (r[0, 2] * x + r[1, 2] * y + r[2, 2]) / length
+            length, dx, dy, dz = _ray(r, pinhole, u, v)
             facing = backdrop[0] * dx + backdrop[1] * dy + backdrop[2] * dz
             end = (backdrop[3] - backdrop[0] * ox - backdrop[1] * oy - backdrop[2] * oz) / facing
             # Flat triangles cut a little into edges that the true sheet wraps around: start before it.
@@ -205,7 +190,7 @@ def see_through(
 
 @compiled
 def _sample(texture: Uint8Array, channel: int, x: float, y: float, texel: float) -> float:
-    """Return a texture's value, 0 to 1, bilinearly; its origin is the sheet's centre."""
+    """Return a texture's value, 0 to 1, bilinearly; the origin is its centre."""
     rows, columns = texture.shape[0], texture.shape[1]
     s = min(max(x / texel + 0.5 * (columns - 1), 0.0), columns - 1.001)
     t = min(max(y / texel + 0.5 * (rows - 1), 0.0), rows - 1.001)
@@ -254,8 +239,7 @@ def shade(
 ) -> None:
     """Colour the membrane: its prints, and between them a clear film that shows what is behind, in its haze.
 
-    Lamps stand near the cameras. ``tint`` is the object's linear RGB, ``gamma`` the table from 4096
-    linear levels to 8 bits.
+    ``tint`` is the object's linear RGB, ``gamma`` the table of `gamma_table`.
     """
     height, width = membrane.shape
     r = camera_pose
@@ -266,11 +250,8 @@ def shade(
                 level = gamma[int(4095 * _HOUSING_LEVEL)]
                 image[v, u, 0], image[v, u, 1], image[v, u, 2] = level, level, level
                 continue
+            _, dx, dy, dz = _ray(r, pinhole, u, v)
             rx, ry = (u - pinhole[2]) / pinhole[0], (v - pinhole[3]) / pinhole[1]
-            length = math.sqrt(rx * rx + ry * ry + 1.0)
-            dx = (r[0, 0] * rx + r[1, 0] * ry + r[2, 0]) / length
-            dy = (r[0, 1] * rx + r[1, 1] * ry + r[2, 1]) / length
-            dz = (r[0, 2] * rx + r[1, 2] * ry + r[2, 2]) / length
             cx, cy, cz = rx * z - r[0, 3], ry * z - r[1, 3], z - r[2, 3]
             x = r[0, 0] * cx + r[1, 0] * cy + r[2, 0] * cz
             y = r[0, 1] * cx + r[1, 1] * cy + r[2, 1] * cz
@@ -292,13 +273,7 @@ def shade(
 
 
 @compiled
-def flag(
-    behind: Float32Array,
-    attributes: Float32Array,
-    texture: Uint8Array,
-    texel: float,
-    flags: Uint8Array,
-) -> None:
+def flag(behind: Float32Array, attributes: Float32Array, texture: Uint8Array, texel: float, flags: Uint8Array) -> None:
     """Mark contact, steps of depth and infrared-reflective rubber in the proximity image."""
     height, width = behind.shape
     for v in range(height):

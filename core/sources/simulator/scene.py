@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from ...model.arrays import AnyArray, Float32Array, Float64Array, Uint8Array, Uint16Array
-from ...model.frames import ColorCamera, DepthCamera, Matrix4, Rig, rigid_transform
+from ...model.arrays import Float32Array, Float64Array, Uint8Array, Uint16Array
+from ...model.frames import ColorCamera, DepthCamera, Matrix4, Rig, TrueStrain, rigid_transform
 from ...model.intrinsics import Intrinsics
-from .grid_strain import grid_strain
-from .membrane import ATMOSPHERE_PA, Membrane, MembraneState, contact_share, contact_torque, object_pose
+from .grid_strain import true_strain
+from .membrane import Membrane, MembraneState, contact_share, object_pose
 from .mesh import MembraneDesign
 from .objects import distance, turn
 from .render import CLEAN_UNIT_M, Camera, Surface, flag, gamma_table, node_normals, rasterise, see_through, shade
@@ -80,72 +80,31 @@ def cameras(rig: Rig, design: MembraneDesign) -> tuple[Camera, Camera, Camera]:
 
 @dataclass(frozen=True)
 class CleanState:
-    """Noise-free images of one state.
+    """Noise-free images of one state; depths in ``CLEAN_UNIT_M``, 0 where there is none."""
 
-    Attributes
-    ----------
-    behind, membrane : uint16, shape (H, W)
-        In the proximity camera: depth of the surface behind the membrane and of the membrane, in
-        ``CLEAN_UNIT_M``; 0 where neither.
-    cosine : uint8, shape (H, W)
-        Cosine of incidence at the surface behind the membrane, times 255.
-    flags : uint8, shape (H, W)
-        Contact, step of depth, reflective rubber.
-    proximity_color, tactile_color : uint8, shape (H, W, 3)
-    tactile : uint16, shape (H, W)
-        Depth of the membrane in the tactile camera, in ``CLEAN_UNIT_M``.
-    """
-
+    #: In the proximity camera, (H, W): depth of the surface behind the membrane, and of the membrane.
     behind: Uint16Array
     membrane: Uint16Array
+    #: (H, W): cosine of incidence at the surface behind the membrane, times 255.
     cosine: Uint8Array
+    #: (H, W): contact, depth step and reflective rubber, see `flag`.
     flags: Uint8Array
     proximity_color: Uint8Array
+    #: (H, W): depth of the membrane in the tactile camera.
     tactile: Uint16Array
     tactile_color: Uint8Array
-
-    def arrays(self) -> dict[str, AnyArray]:
-        """Return the images by name."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 @dataclass(frozen=True)
 class PressFacts:
-    """Ground truth of one state beyond its images.
+    """Ground truth of one state beyond its images."""
 
-    Attributes
-    ----------
-    depth_m : float
-        Travel of the object past first touch; a gap is negative.
-    max_strain : float
-        Largest principal stretch of any triangle, minus 1; the unstretched sheet has 0.
-    strain_length, strain_width : float
-        Largest strain along the membrane's length and width between neighbours of the printed grid's
-        dots, measured straight from dot to dot; the flat, clamped sheet has 0.
-    strain_length_seen, strain_width_seen : float
-        The same over the pairs of which the tactile camera sees both dots whole, see `grid_strain`.
-    force_n : float
-        Sum of the contact reactions' magnitudes, along the object's normals.
-    torque_nm : (float, float, float)
-        Torque of the contact reactions on the object about its origin, N m, along the axes of the membrane's frame.
-    gauge_pressure_pa : float
-        Air pressure over the atmosphere's.
-    residual : float
-        The solver's, see `MembraneState`.
-    T_proximity_object : 4 x 4
-        True pose of the object in the proximity depth frame, metres.
-    """
-
+    #: Travel of the object past first touch; a gap is negative.
     depth_m: float
-    max_strain: float
-    strain_length: float
-    strain_width: float
-    strain_length_seen: float
-    strain_width_seen: float
-    force_n: float
-    torque_nm: tuple[float, float, float]
-    gauge_pressure_pa: float
+    strain: TrueStrain
+    #: The solver's, see `MembraneState`.
     residual: float
+    #: True pose of the object in the proximity depth frame.
     T_proximity_object: Matrix4
 
 
@@ -157,13 +116,13 @@ class Press:
         self.membrane = membrane
         self._cameras = cameras(rig, membrane.design)
         design = membrane.design
-        self._sheet = paint_sheet(design.width_m, design.height_m, 0, scene.print)
+        self._sheet = paint_sheet(design.width_m, design.height_m, scene.print)
         self._gamma = gamma_table()
-        self._rotation = self.pressed.rotation()
+        self._rotation = turn(self.pressed.rotation_deg)
         self._touch_z = self._first_touch()
 
     def pose(self, step: Step) -> Float64Array:
-        """Return the object's pose, shape (3, 4), at one step of the scene's path."""
+        """Return the object's pose, (3, 4), at one step of the scene's path."""
         x, y = self.pressed.offset_m
         origin = x + step.x_m, y + step.y_m, self._touch_z - step.depth_m
         return object_pose(turn(step.turn_deg) @ self._rotation, origin)
@@ -225,19 +184,11 @@ class Press:
 
     def facts(self, depth_m: float, pose: Float64Array, state: MembraneState) -> PressFacts:
         """Return the ground truth of one state."""
-        grid = grid_strain(self.membrane, state.nodes, self._cameras[1])
         object_membrane = np.vstack([pose, (0.0, 0.0, 0.0, 1.0)])
         proximity_membrane = np.vstack([self._cameras[0].pose, (0.0, 0.0, 0.0, 1.0)])
         return PressFacts(
             depth_m=depth_m,
-            max_strain=float(self.membrane.stretches(state.nodes).max()) - 1.0,
-            strain_length=grid.length,
-            strain_width=grid.width,
-            strain_length_seen=grid.length_seen,
-            strain_width_seen=grid.width_seen,
-            force_n=float(state.reaction_n.sum()),
-            torque_nm=contact_torque(self.membrane, state, self.pressed.kind, pose),
-            gauge_pressure_pa=state.pressure_pa - ATMOSPHERE_PA,
+            strain=true_strain(self.membrane, state.nodes, self._cameras[1]),
             residual=state.residual,
             T_proximity_object=rigid_transform(proximity_membrane @ np.linalg.inv(object_membrane)),
         )

@@ -1,22 +1,19 @@
 """The simulator's scenes by name: object, membrane, path of the object, and print.
 
 A scene is a way that an object takes, step by step, and the steps at which pictures are taken.
-Everything that a picture depends on is in `Scene`; light and noise come live on top.
+Everything that a picture depends on is in `Scene`; noise comes live on top.
 """
 
 from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Final, Literal, NamedTuple, get_args
+from typing import Final, Literal, NamedTuple, get_args
 
 import numpy as np
 
 from ...errors import SourceError
-from ...model.arrays import Uint8Array
-from .membranes import MEMBRANES, STANDARD
 from .mesh import MembraneDesign
 from .objects import CUP, OBJECTS, PressedObject
 from .sheet import Print
@@ -24,20 +21,52 @@ from .sheet import Print
 Press = Literal["", "none", "low", "medium", "high"]
 Side = Literal["right", "left"]
 Move = Literal["", "slide", "lift"]
-Light = Literal["normal", "bright", "dim"]
 
-#: Scenes that are named after their object, and scenes that take any object.
-OBJECT_SCENES: Final = tuple(OBJECTS)
-SPECIAL_SCENES: Final = {"hover": "the object stays gap=1...20 mm away from the membrane"}
-SCENES: Final = (*OBJECT_SCENES, *SPECIAL_SCENES)
+
+@dataclass(frozen=True)
+class NamedMembrane:
+    """A membrane with a few words about it; a held-out one is reserved for judging methods."""
+
+    about: str
+    design: MembraneDesign
+    held_out: bool = False
+
+
+STANDARD: Final = "standard"
+MEMBRANES: Final[dict[str, NamedMembrane]] = {
+    STANDARD: NamedMembrane("apex 60 mm above the rim, pre-stretch 4 %", MembraneDesign()),
+    "soft": NamedMembrane(
+        "softer rubber, half the pressure, apex 50 mm",
+        MembraneDesign(apex_m=0.050, stiffness_n_m=150.0, stiffening=0.05, prestretch=1.03),
+    ),
+    "taut": NamedMembrane(
+        "pre-stretch 12 %, stiffer rubber that stiffens more, apex 52 mm",
+        MembraneDesign(apex_m=0.052, stiffness_n_m=300.0, stiffening=0.12, prestretch=1.12),
+    ),
+    "tall": NamedMembrane("more air, apex 80 mm", MembraneDesign(apex_m=0.080)),
+    "uneven": NamedMembrane(
+        "1.3 times as stiff at the right edge and 0.7 times at the left, thinner in the centre",
+        MembraneDesign(stiffness_slope=0.6, centre_stiffness=0.75),
+    ),
+    "sticky": NamedMembrane("sticks to the object instead of sliding along it", MembraneDesign(sticks=True)),
+    "held-membrane": NamedMembrane(
+        "other pre-stretch, stiffening, air and distribution of stiffness",
+        MembraneDesign(
+            apex_m=0.067, dead_volume_m3=0.0060, stiffness_n_m=260.0, stiffening=0.08, prestretch=1.08,
+            stiffness_slope=-0.4, centre_stiffness=1.35,
+        ),
+        held_out=True,
+    ),
+}  # fmt: skip
+
 HELD_OUT: Final = tuple(name for name, pressed in OBJECTS.items() if pressed.held_out)
 
 #: Gaps before and depths after first touch, metres; one frame each, so the approach is 150 mm/s and the
 #: press 45 mm/s at 30 frames/s.
-HOVER_M: Final = tuple(0.005 * n for n in range(6, 0, -1))
-PRESS_STEP_M: Final = 0.0015
-PRESS_STEPS: Final = 34
-HOLD_FRAMES: Final = 10
+_APPROACH_M: Final = tuple(0.005 * n for n in range(6, 0, -1))
+_PRESS_STEP_M: Final = 0.0015
+_PRESS_STEPS: Final = 34
+_HOLD_FRAMES: Final = 10
 
 #: Frames of a scene in which nothing moves, and the step towards its pose, metres.
 _STILL_FRAMES: Final = 30
@@ -52,9 +81,8 @@ _HIGH: Final = {
     "mug": ((0.060, 0.010), 0.095),
     "hand": ((0.065, -0.005), 0.080),
 }
-#: Largest gap of an object that hovers, millimetres.
+#: Largest gap of an object that hovers, millimetres, and the gap of one that is far away, metres.
 MAX_GAP_MM: Final = 100.0
-#: Gap of an object that is far from the membrane, metres.
 _AWAY_M: Final = 0.060
 #: How deep the tray's roll axis is, metres, and the rolls at which its scene is solved, degrees.
 _TRAY_DEPTH_M: Final = 0.016
@@ -82,29 +110,24 @@ _FOLD_M: Final = 0.0012
 
 @dataclass(frozen=True)
 class Variant:
-    """Options of a scene.
+    """Options of a scene; without any the object approaches, presses and leaves.
 
-    ``press`` holds a press instead of the scene's own motion, "none" shows the untouched membrane. A high press is on
-    the ``side`` of the centre that is nearer to the tactile ("right") or to the proximity camera, there turned by 180
-    degrees. ``object`` hovers at ``gap_mm``. ``move`` turns and moves an object across a folded membrane; "lift" takes
-    the cup's handle off it for half of the time. ``membrane`` is one of `membranes.MEMBRANES`, ``grid`` its print.
+    ``press`` holds a press, "none" shows the untouched membrane. A high press is on the ``side`` of the centre that is
+    nearer to the tactile ("right") or to the proximity camera, there turned by 180 degrees. ``gap_mm`` above 0 holds
+    the object off the membrane. ``move`` turns and moves it across a folded membrane; "lift" takes the cup's handle off
+    it for half of the time. ``membrane`` is one of `MEMBRANES`, ``grid`` its print.
     """
 
     press: Press = ""
     side: Side = "right"
-    object: str = "cup"
-    gap_mm: float = 5.0
+    gap_mm: float = 0.0
     grid: Print = "droplets"
     membrane: str = STANDARD
     move: Move = ""
 
 
 class Step(NamedTuple):
-    """Where the object is at one solved step of its path.
-
-    Shift from its offset and depth of its origin past first touch, metres (gaps are negative); turns about its origin,
-    about x, y and z of the membrane's frame in that order, degrees.
-    """
+    """Where the object is: shift from its offset, depth past first touch, turns about x, y and z in that order."""
 
     x_m: float
     y_m: float
@@ -114,23 +137,18 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True)
 class Scene:
-    """One scene with all its parameters.
-
-    ``name`` holds scene and variant, usable as a file name. ``way`` is where the object goes, one solved step after
-    the other, ``drawn`` are the steps that are drawn, and ``frames`` the index into ``drawn`` for each frame; between
-    two of them the images are interpolated. ``held_out``: object or membrane is reserved for judging methods.
-    ``loaded``: ``drawn`` are the rolls of the tray, among which `tray.carried` chooses by its load.
-    """
+    """One scene with all its parameters; ``name`` holds scene and variant, usable as a file name."""
 
     name: str
     pressed: PressedObject
     design: MembraneDesign
     print: Print
+    #: Where the object goes, the steps of it that are drawn, and for each frame the index into ``drawn``.
     way: tuple[Step, ...]
     drawn: tuple[int, ...]
-    frames: tuple[float, ...]
+    frames: tuple[int, ...]
+    #: Object or membrane is reserved for judging methods.
     held_out: bool
-    loaded: bool = False
 
     @property
     def key(self) -> str:
@@ -138,65 +156,42 @@ class Scene:
         return f"{self.pressed} {self.design} {self.print} {self.way} {self.drawn}"
 
 
-def read_options(name: str, options: Mapping[str, str]) -> tuple[Variant, Light]:
-    """Turn the options of a source's name into a variant and a light; `resolve_scene` checks them further."""
-    try:
-        gap_mm = float(options.get("gap", Variant.gap_mm))
-    except ValueError as error:
-        raise SourceError(f"{name}: gap is {options['gap']!r}, but it must be millimetres, such as gap=5") from error
-    given: dict[str, Any] = {
-        key: options[key] for key in ("press", "side", "object", "grid", "membrane", "move") if key in options
-    }
-    light: Any = options.get("light", "normal")
-    return Variant(**given, gap_mm=gap_mm), light
-
-
 def resolve_scene(name: str, variant: Variant | None = None, cells: tuple[int, int] | None = None) -> Scene:
-    """Return a scene by its name."""
+    """Return a scene by its name; raises a `SourceError` for one that does not exist or does not have these options."""
     variant = variant or Variant()
     _check(name, variant)
-    shape = variant.object if name in SPECIAL_SCENES else name
-    press = variant.press
-    pressed = OBJECTS[shape]
+    press, pressed, membrane = variant.press, OBJECTS[name], MEMBRANES[variant.membrane]
     if press == "none":
         way = _still(-_AWAY_M)
     elif press:
-        pressed, depth = still_press(shape, press, variant.side)
+        pressed, depth = _still_press(name, press, variant.side)
         way = _still(depth)
+    elif variant.gap_mm:
+        way = _still(-variant.gap_mm / 1e3)
     elif variant.move:
         about_x, about_y, heading = pressed.rotation_deg
         pressed = replace(pressed, rotation_deg=(about_x, about_y, 0.0))
         way = _move(variant.move, heading, _HANDLE_M if pressed.kind == CUP else (0.0, 0.0))
-    elif name == "hover":
-        way = _still(-variant.gap_mm / 1e3)
     else:
         way = _roll() if name == "tray" else _approach()
-    design = MEMBRANES[variant.membrane].design
-    usual = _FINE_CELLS if press not in ("", "none") else _MOVE_CELLS if variant.move else design.cells
-    design = replace(design, fold_m=_FOLD_M if variant.move else 0.0, cells=cells or usual)
-    title = _title(name, variant, press, design)
-    held_out = pressed.held_out or MEMBRANES[variant.membrane].held_out
-    return Scene(title, pressed, design, variant.grid, *way, held_out, loaded=name == "tray" and not press)
-
-
-def _title(name: str, variant: Variant, press: Press, design: MembraneDesign) -> str:
-    """Return scene and variant as one word; what is as usual is left out."""
+    usual = _FINE_CELLS if press not in ("", "none") else _MOVE_CELLS if variant.move else membrane.design.cells
+    design = replace(membrane.design, fold_m=_FOLD_M if variant.move else 0.0, cells=cells or usual)
     words = (
         name,
-        variant.object if name in SPECIAL_SCENES else "",
         variant.membrane if variant.membrane != STANDARD else "",
         variant.move,
         press,
         variant.side if press == "high" else "",
-        f"{variant.gap_mm:g}mm" if name == "hover" else "",
+        f"{variant.gap_mm:g}mm" if variant.gap_mm else "",
         "dots" if variant.grid == "dots" else "",
         "{}x{}".format(*design.cells),
     )
-    return "-".join(word for word in words if word)
+    title = "-".join(word for word in words if word)
+    return Scene(title, pressed, design, variant.grid, *way, pressed.held_out or membrane.held_out)
 
 
-def still_press(shape: str, press: Press, side: Side = "right") -> tuple[PressedObject, float]:
-    """Return the object of a still press at its place, and its depth past first touch in metres."""
+def _still_press(shape: str, press: Press, side: Side) -> tuple[PressedObject, float]:
+    """Return the object of a still press at its place, and its depth past first touch."""
     pressed = OBJECTS[shape]
     if press != "high":
         return pressed, _PRESS_DEPTH_M[press]
@@ -208,12 +203,10 @@ def still_press(shape: str, press: Press, side: Side = "right") -> tuple[Pressed
 
 
 def _check(name: str, variant: Variant) -> None:
-    """Raise `SourceError` if the scene does not exist or does not have these options."""
-    if name not in SCENES:
-        raise SourceError(f"the simulator has no scene {name!r}; choose one of {', '.join(SCENES)}")
-    choices: dict[str, tuple[str, ...]] = {
+    if name not in OBJECTS:
+        raise SourceError(f"the simulator has no scene {name!r}; choose one of {', '.join(OBJECTS)}")
+    choices = {
         "membrane": tuple(MEMBRANES),
-        "object": tuple(OBJECTS),
         "press": get_args(Press),
         "move": get_args(Move),
         "side": get_args(Side),
@@ -223,14 +216,13 @@ def _check(name: str, variant: Variant) -> None:
         given = getattr(variant, option)
         if given not in known:
             raise SourceError(f"sim:{name}: {option} is {given!r}; choose one of {', '.join(filter(None, known))}")
-    is_pressed, is_object = variant.press not in ("", "none"), name in OBJECTS
+    if not 0.0 <= variant.gap_mm <= MAX_GAP_MM:
+        raise SourceError(f"sim:{name}: gap is {variant.gap_mm:g}, but it must be 0 to {MAX_GAP_MM:g} mm")
+    pressed = variant.press not in ("", "none")
     misfits = {
-        "object is for hover": variant.object != Variant.object and name != "hover",
-        "gap is for hover": variant.gap_mm != Variant.gap_mm and name != "hover",
-        "press is for scenes of an object": is_pressed and not is_object,
+        "press, gap and move exclude each other": sum((pressed, variant.gap_mm > 0, variant.move != "")) > 1,
         "side is for press=high": variant.side != Variant.side and variant.press != "high",
-        "move is for scenes of an object": bool(variant.move) and (not is_object or name == "tray"),
-        "a press is held, a move is not": bool(variant.move) and is_pressed,
+        "the tray rolls, it has no move": bool(variant.move) and name == "tray",
         "only the cup's handle can be lifted": variant.move == "lift" and name != "cup",
         f"on the membrane {variant.membrane} nothing slides": bool(variant.move)
         and MEMBRANES[variant.membrane].design.sticks,
@@ -238,18 +230,16 @@ def _check(name: str, variant: Variant) -> None:
     for sentence, applies in misfits.items():
         if applies:
             raise SourceError(f"sim:{name}: {sentence}; leave out what does not fit")
-    if not 0.0 < variant.gap_mm <= MAX_GAP_MM:
-        raise SourceError(f"sim:{name}: gap is {variant.gap_mm:g}, but it must be more than 0 and at most 100 mm")
 
 
-Way = tuple[tuple[Step, ...], tuple[int, ...], tuple[float, ...]]
+Way = tuple[tuple[Step, ...], tuple[int, ...], tuple[int, ...]]
 
 
 def _approach() -> Way:
     """Approach, press, hold, leave; pressing and leaving pass through the same states."""
-    depths = [-gap for gap in HOVER_M] + [PRESS_STEP_M * (n + 1) for n in range(PRESS_STEPS)]
+    depths = [-gap for gap in _APPROACH_M] + [_PRESS_STEP_M * (n + 1) for n in range(_PRESS_STEPS)]
     inward = list(range(len(depths)))
-    frames = inward + [inward[-1]] * HOLD_FRAMES + inward[::-1]
+    frames = inward + [inward[-1]] * _HOLD_FRAMES + inward[::-1]
     return tuple(Step(0.0, 0.0, depth) for depth in depths), tuple(inward), tuple(frames)
 
 
@@ -263,9 +253,13 @@ def _still(depth_m: float) -> Way:
 def _move(move: Move, heading_deg: float, centre_m: tuple[float, float]) -> Way:
     """Press, then turn about a point of the object while it moves across the membrane, and back the same way."""
     places = [_moved(n / (_MOVE_STATES - 1), move, heading_deg, centre_m) for n in range(_MOVE_STATES)]
-    inward, _, _ = _still(_MOVE_DEPTH_M)
+    return _there_and_back(_still(_MOVE_DEPTH_M)[0], places)
+
+
+def _there_and_back(inward: tuple[Step, ...], places: list[Step]) -> Way:
+    """Press at the first place, then pass through all of them and back."""
     way = [places[0]._replace(depth_m=step.depth_m) for step in inward[:-1]] + places
-    there = list(range(_MOVE_STATES))
+    there = list(range(len(places)))
     return tuple(way), tuple(range(len(inward) - 1, len(way))), tuple(there + there[::-1])
 
 
@@ -282,21 +276,6 @@ def _moved(time: float, move: Move, heading_deg: float, centre_m: tuple[float, f
 
 
 def _roll() -> Way:
-    """Press the tray into the membrane and turn it about x through `TRAY_ROLLS_DEG`."""
-    inward, _, _ = _still(_TRAY_DEPTH_M)
-    way = [step._replace(turn_deg=(TRAY_ROLLS_DEG[0], 0.0, 0.0)) for step in inward[:-1]]
-    way += [Step(0.0, 0.0, _TRAY_DEPTH_M, (roll, 0.0, 0.0)) for roll in TRAY_ROLLS_DEG]
-    drawn = tuple(range(len(inward) - 1, len(way)))
-    return tuple(way), drawn, tuple(float(n) for n in range(len(drawn)))
-
-
-def light_table(light: Light) -> Uint8Array | None:
-    """Return the lookup table of a change of light for 8-bit colours, shape (256, 3), or None.
-
-    Bright daylight adds exposure and blue and saturates; dim lamps are redder.
-    """
-    gains: dict[Any, tuple[float, float, float]] = {"bright": (1.75, 1.85, 2.05), "dim": (0.34, 0.30, 0.26)}
-    if light not in gains:
-        return None
-    linear = np.linspace(0.0, 1.0, 256)[:, None] ** 2.2 * gains[light]
-    return np.round(255.0 * np.minimum(linear, 1.0) ** (1 / 2.2)).astype(np.uint8)
+    """Press the tray into the membrane and turn it about x through `TRAY_ROLLS_DEG` and back."""
+    rolls = [Step(0.0, 0.0, _TRAY_DEPTH_M, (roll, 0.0, 0.0)) for roll in TRAY_ROLLS_DEG]
+    return _there_and_back(_still(_TRAY_DEPTH_M)[0], rolls)

@@ -1,8 +1,7 @@
 """The print on the membrane, as a texture of the flat sheet.
 
-Channel 0 is dark dye that infrared passes: droplets at random, which give the stereo camera its
-texture, or a grid of dots for measuring strain. Channel 1 is the opaque print of the membrane's
-own saturated colour, which reflects infrared. Lengths are metres; 0 to 255 is 0 to full cover.
+Channel 0 is dark dye that infrared passes: droplets at random, which give the stereo camera its texture, or a grid of
+dots for measuring strain. Channel 1 is the opaque print, which reflects infrared.
 """
 
 from __future__ import annotations
@@ -24,12 +23,9 @@ _DROPLET_SPACING_M: Final = 0.0105
 _OPAQUE_PLACES: Final = ((-0.128, -0.046), (-0.112, 0.058), (0.116, -0.060), (0.134, 0.030), (0.020, 0.084))
 
 
-def paint_sheet(width_m: float, height_m: float, seed: int, kind: Print = "droplets") -> Uint8Array:
-    """Paint the sheet: uint8, shape (rows, columns, 2). The prints of one seed are always the same.
-
-    A grid of dots has no other print, so no dot is hidden.
-    """
-    rng = np.random.default_rng([seed, 1])
+def paint_sheet(width_m: float, height_m: float, kind: Print) -> Uint8Array:
+    """Paint the sheet, (rows, columns, 2). A grid of dots has no other print, so no dot is hidden."""
+    rng = np.random.default_rng([0, 1])
     sheet = np.zeros((round(height_m / TEXEL_M) + 1, round(width_m / TEXEL_M) + 1, 2), dtype=np.uint8)
     if kind == "dots":
         for x, y in dot_grid(width_m, height_m):
@@ -45,7 +41,7 @@ def paint_sheet(width_m: float, height_m: float, seed: int, kind: Print = "dropl
 
 
 def dot_grid(width_m: float, height_m: float) -> Float64Array:
-    """Return the positions of the grid's dots on the flat sheet, row by row: float64, shape (N, 2), metres."""
+    """Return the places of the grid's dots on the flat sheet, row by row, (N, 2)."""
     columns, rows = dot_counts(width_m, height_m)
     i, j = np.meshgrid(np.arange(columns) - (columns - 1) / 2, np.arange(rows) - (rows - 1) / 2)
     return np.stack([i.ravel(), j.ravel()], axis=1) * DOT_SPACING_M

@@ -2,41 +2,33 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Final, get_args
+from typing import Final
 from weakref import WeakValueDictionary
 
-import cv2
 import numpy as np
 
-from ...errors import ExportError, SourceError
-from ...model.arrays import Uint8Array
-from ...model.frames import GroundTruth, SensorFrame, TrueStrain
+from ...errors import ExportError
+from ...model.frames import GroundTruth, SensorFrame
 from ..base import Health, Progress, SeekableSource
-from .between import facts_between, state_between
 from .cache import SolvedScene, cache_file, find_solved, save_scene
 from .membrane import Membrane
 from .mesh import MembraneDesign
-from .names import write_name
+from .names import name_values, write_name
 from .noise import NoiseModel
 from .render import CLEAN_UNIT_M, CONTACT_FLAG
 from .scene import CleanState, Press, PressFacts, simulator_rig
-from .scenes import Light, Scene, Variant, light_table, resolve_scene
+from .scenes import Scene, Variant, resolve_scene
 from .sensors import DEFAULT_SENSOR, find_sensor
-from .tray import carried
 
 #: The tactile camera's exposure begins this much after the proximity camera's, seconds.
 _SKEW_S: Final = 0.0021
-
 #: Added to the seed of frames that need other noise than those that are judged.
 _OTHER_SEEDS: Final = 1_000_000
-
 #: Open scenes of this process, shared because each takes some 200 MB.
 _open_scenes: WeakValueDictionary[Path, SolvedScene] = WeakValueDictionary()
 
@@ -57,26 +49,16 @@ class SimulatorSource(SeekableSource):
         progress: Progress | None = None,
         cells: tuple[int, int] | None = None,
         variant: Variant | None = None,
-        light: Light = "normal",
         sensor: str = DEFAULT_SENSOR,
     ) -> None:
-        if seed < 0:
-            raise SourceError(f"sim: the seed is {seed}; give a whole number from 0")
-        if not (math.isfinite(noise) and noise >= 0.0):
-            raise SourceError(f"sim: the noise is {noise}; give a number from 0, where 1 is as the sensor says")
-        if light not in get_args(Light):
-            raise SourceError(f"sim: light is {light!r}; choose normal, bright or dim")
         variant, errors = variant or Variant(), find_sensor(sensor)
         self.scene = resolve_scene(scene, variant, cells)
-        super().__init__(_name(scene, seed, noise, variant, light, sensor), simulator_rig(), len(self.scene.frames))
+        name = write_name(name_values(scene, variant, sensor, seed, noise))
+        super().__init__(name, simulator_rig(), len(self.scene.frames))
         self._message = ""
         self._solved = self._solve(self.scene, progress or (lambda share, words: None))
-        if self.scene.loaded:
-            self.scene = replace(self.scene, frames=carried(self._solved.facts, self.frame_rate_hz))
-            self._length = len(self.scene.frames)
         self._noise = NoiseModel(self.rig, seed, noise, errors)
-        self._light = light_table(light)
-        self._made_of = (scene, seed, noise, cells, variant, light, sensor)
+        self._made_of = (scene, seed, noise, cells, variant, sensor)
 
     @property
     def held_out(self) -> bool:
@@ -85,17 +67,13 @@ class SimulatorSource(SeekableSource):
 
     def with_object_away(self, progress: Progress | None = None) -> SimulatorSource:
         """Return the same membrane with the object far away, and with other noise."""
-        scene, seed, noise, cells, variant, light, sensor = self._made_of
-        away = replace(variant, press="none", side=Variant.side, gap_mm=Variant.gap_mm)
-        return SimulatorSource(scene, seed + _OTHER_SEEDS, noise, progress, cells, away, light, sensor)
+        scene, seed, noise, cells, variant, sensor = self._made_of
+        away = replace(variant, press="none", side=Variant.side, gap_mm=0.0)
+        return SimulatorSource(scene, seed + _OTHER_SEEDS, noise, progress, cells, away, sensor)
 
     def facts(self, index: int) -> PressFacts:
-        """Return depth of the press, strain, force and true object pose of a frame."""
-        return facts_between(self._solved.facts, self.scene.frames[index])
-
-    def solved_facts(self) -> Sequence[PressFacts]:
-        """Return those of the solved states, in the order of ``scene.drawn``."""
-        return self._solved.facts
+        """Return depth of the press, strain and true object pose of a frame."""
+        return self._solved.facts[self.scene.frames[index]]
 
     def health(self) -> Health:
         """Report a cache that could not be written."""
@@ -105,29 +83,21 @@ class SimulatorSource(SeekableSource):
         """Return frame ``index``, 0 <= index < length."""
         return self.draw(index, self.scene.frames[index])
 
-    def draw(self, index: int, place: float) -> SensorFrame:
-        """Return frame ``index``, from 0, of a state of ``scene.drawn``, or between two of them."""
-        state = state_between(self._solved.states, place)
-        noise = self._noise
+    def draw(self, index: int, number: int) -> SensorFrame:
+        """Return frame ``index``, from 0, of one of the states of ``scene.drawn``."""
+        state, facts, noise = self._solved.states[number], self._solved.facts[number], self._noise
         depth = state.membrane * np.float32(CLEAN_UNIT_M)
         depth[state.membrane == 0] = np.nan
-        facts = facts_between(self._solved.facts, place)
         return SensorFrame(
             sequence=index,
-            proximity_depth=noise.proximity_depth(index, state.behind, state.membrane, state.cosine, state.flags),
+            proximity_depth=noise.proximity_depth(index, state),
             tactile_depth=noise.tactile_depth(index, state.tactile),
-            proximity_color=noise.colour(index, 0, self._lit(state.proximity_color)),
-            tactile_color=noise.colour(index, 1, self._lit(state.tactile_color)),
+            proximity_color=noise.colour(index, 0, state.proximity_color),
+            tactile_color=noise.colour(index, 1, state.tactile_color),
             proximity_time_s=index / self.frame_rate_hz,
             tactile_time_s=index / self.frame_rate_hz + _SKEW_S,
-            truth=GroundTruth((state.flags & CONTACT_FLAG) != 0, depth, _true_strain(facts), facts.T_proximity_object),
+            truth=GroundTruth((state.flags & CONTACT_FLAG) != 0, depth, facts.strain, facts.T_proximity_object),
         )
-
-    def _lit(self, image: Uint8Array) -> Uint8Array:
-        """Change the light on a colour image."""
-        if self._light is None:
-            return image
-        return np.asarray(cv2.LUT(image, self._light[None]), dtype=np.uint8)
 
     def _solve(self, scene: Scene, progress: Progress) -> SolvedScene:
         """Return the scene from the package or the cache, or compute and cache it."""
@@ -175,27 +145,5 @@ def _inflated(design: MembraneDesign) -> Membrane:
     return Membrane(design)
 
 
-def _true_strain(facts: PressFacts) -> TrueStrain:
-    return TrueStrain(
-        largest=facts.max_strain,
-        length=facts.strain_length,
-        width=facts.strain_width,
-        length_seen=facts.strain_length_seen,
-        width_seen=facts.strain_width_seen,
-    )
-
-
 def _title(scene: Scene) -> str:
     return scene.name.rpartition("-")[0].replace("-", " ")
-
-
-def _name(scene: str, seed: int, noise: float, variant: Variant, light: Light, sensor: str) -> str:
-    options = {"press": variant.press, "move": variant.move, "side": variant.side, "object": variant.object}
-    options |= {
-        "gap": f"{variant.gap_mm:g}",
-        "membrane": variant.membrane,
-        "grid": variant.grid,
-        "light": light,
-        "sensor": sensor,
-    }
-    return write_name(options | {"scene": scene, "seed": str(seed), "noise": f"{noise:g}"})

@@ -44,8 +44,8 @@ def test_strain_beside_the_solvers(tactune, tmp_path):
     assert status == 0
     records = json.loads(out)["frames"]
     assert [record["averaged_frames"] for record in records] == [1, 2, 2]
-    assert records[2]["solver_length_percent"] == pytest.approx(100 * facts.strain_length_seen, abs=0.01)
-    assert records[2]["length_percent"] == pytest.approx(100 * facts.strain_length_seen, abs=5)
+    assert records[2]["solver_length_percent"] == pytest.approx(100 * facts.strain.length_seen, abs=0.01)
+    assert records[2]["length_percent"] == pytest.approx(100 * facts.strain.length_seen, abs=5)
     assert len(list(csv.DictReader(lines.read_text().splitlines()))) == 3
     assert figure.read_bytes().startswith(b"\x89PNG")
     status, out, _ = tactune(*command)

@@ -24,7 +24,7 @@ from tactune.core.lab.table import (
 )
 from tactune.core.preset import Preset
 from tactune.core.sources.presets import load_preset
-from tactune.core.sources.simulator.membranes import MEMBRANES
+from tactune.core.sources.simulator.scenes import MEMBRANES
 from tactune.core.sources.simulator.sensors import SENSORS
 
 METHODS = ("straight", "best-t", "fusion-membrane", "proximity-only")

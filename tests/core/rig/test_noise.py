@@ -18,6 +18,7 @@ from tactune.core.rig.bias import MeasuredBias, choose_bias
 from tactune.core.rig.noise import describe, measure_noise
 from tactune.core.rig.untouched import untouched_frame
 from tactune.core.sources.presets import load_preset
+from tactune.core.sources.simulator.noise import STEREO_BASELINE_M, TOF_DISTANCE_SHARE
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.sensors import SENSORS, SensorModel
 from tactune.core.sources.simulator.source import SimulatorSource
@@ -264,7 +265,7 @@ def check(name):
     model: SensorModel = SENSORS[name]
     noise, rig = measured(name)
     near = noise.proximity.distance_m
-    growth = 1 - model.tof_distance_share + model.tof_distance_share * near / 0.3
+    growth = 1 - TOF_DISTANCE_SHARE + TOF_DISTANCE_SHARE * near / 0.3
     judge(
         noise.proximity,
         model.tof_white_m * growth,
@@ -273,7 +274,7 @@ def check(name):
         model.tof_correlated_fixed_share,
         rig.proximity.depth_unit_m,
     )
-    metres_per_px = noise.tactile.distance_m**2 / (rig.tactile.intrinsics.fx * model.stereo_baseline_m)
+    metres_per_px = noise.tactile.distance_m**2 / (rig.tactile.intrinsics.fx * STEREO_BASELINE_M)
     step_m = metres_per_px / model.stereo_subpixel_steps if model.stereo_subpixel_steps else 1e-4
     judge(
         noise.tactile,

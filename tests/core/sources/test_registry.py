@@ -18,8 +18,7 @@ from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.sources import SeekableSource
 from tactune.core.sources.folder import FolderSource, export_folder
 from tactune.core.sources.registry import open_source, source_kinds
-from tactune.core.sources.simulator import scene_list
-from tactune.core.sources.simulator.scenes import SCENES, Variant
+from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.sensors import DEFAULT_SENSOR
 
 CAMERA = DepthCamera(intrinsics=Intrinsics(width=4, height=3, fx=1, fy=1, cx=0, cy=0), depth_unit_m=0.001)
@@ -73,13 +72,8 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
 def test_simulator_names(opened: list[dict[str, Any]], name: str, expected: dict[str, Any]) -> None:
     progress: Callable[[float, str], None] = lambda *_: None
     open_source(name, progress)
-    plain = {"sensor": DEFAULT_SENSOR, "variant": Variant(), "light": "normal"}
+    plain = {"sensor": DEFAULT_SENSOR, "variant": Variant()}
     assert opened == [plain | expected | {"progress": progress}]
-
-
-def test_the_scenes_offered_are_those_that_the_simulator_has() -> None:
-    assert (*scene_list.SCENES, *scene_list.MORE_SCENES) == SCENES
-    assert source_kinds()[0].examples == ("sim:cube", "sim:cup", "sim:octopus")
 
 
 def test_a_bag_is_opened_by_scheme_or_suffix(opened: list[dict[str, Any]], tmp_path: Path) -> None:

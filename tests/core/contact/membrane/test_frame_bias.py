@@ -30,7 +30,7 @@ def cup(sensor: str) -> SimulatorSource:
 
 @cache
 def hovering(gap_mm: float, sensor: str, shape: str = "cup") -> SimulatorSource:
-    return SimulatorSource("hover", seed=1, cells=CELLS, variant=Variant(object=shape, gap_mm=gap_mm), sensor=sensor)
+    return SimulatorSource(shape, seed=1, cells=CELLS, variant=Variant(gap_mm=gap_mm), sensor=sensor)
 
 
 def farther(frame: SensorFrame, bias_m: float, unit_m: float) -> SensorFrame:

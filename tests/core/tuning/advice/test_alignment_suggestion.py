@@ -20,7 +20,7 @@ NO_MASK = TOLERANCE.with_value("mask.enabled", False)
 @pytest.mark.parametrize("spoiled_m", [0.012, -0.009])
 def test_prints_tell_the_offset(evidence, spoiled_m):
     proposal = suggest(
-        "alignment", evidence(TOLERANCE.with_value("alignment.depth_offset_m", spoiled_m), "sim:hover?gap=5")
+        "alignment", evidence(TOLERANCE.with_value("alignment.depth_offset_m", spoiled_m), "sim:cup?gap=5")
     )
     assert proposal.changes["alignment.depth_offset_m"] == pytest.approx(0, abs=0.0015)
     assert "prints" in proposal.evidence and "±" in proposal.evidence
@@ -28,7 +28,7 @@ def test_prints_tell_the_offset(evidence, spoiled_m):
 
 def test_a_scale_that_no_preset_allows_is_not_proposed(evidence):
     constant = MeasuredBias(0.02, 0.0001, "scene", 1.0 - 1e-14, 1e-6, 0.3, 0.7)
-    proposal = propose_alignment(evidence(TOLERANCE, "sim:hover?gap=5"), constant)
+    proposal = propose_alignment(evidence(TOLERANCE, "sim:cup?gap=5"), constant)
     assert not proposal.changes and "No depth offset and scale" in proposal.expected
 
 
@@ -48,7 +48,7 @@ def test_painted_contact_tells_the_offset(evidence):
 @pytest.mark.parametrize("gap", [1, 5, 20])
 def test_an_object_that_hovers_is_not_taken_for_a_bias(evidence, gap):
     with pytest.raises(AdviceError, match="can't be told from a gap"):
-        suggest("alignment", evidence(NO_MASK, f"sim:hover?gap={gap}", untouched=False))
+        suggest("alignment", evidence(NO_MASK, f"sim:cup?gap={gap}", untouched=False))
 
 
 def test_the_membrane_test_needs_no_offset(evidence):

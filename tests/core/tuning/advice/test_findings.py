@@ -58,7 +58,7 @@ def test_the_shipped_preset_gives_no_finding(name, sensor):
     assert set(found) == ({"peak"} if sensor == "far-offset" else set())
 
 
-@pytest.mark.parametrize("name", ["sim:cube?press=low", "sim:octopus?press=medium", "sim:hover?gap=5"])
+@pytest.mark.parametrize("name", ["sim:cube?press=low", "sim:octopus?press=medium", "sim:cup?gap=5"])
 @pytest.mark.parametrize("preset", [SHIPPED, TOLERANCE])
 def test_other_scenes_give_no_finding(name, preset):
     rig, frame = scene(name)
@@ -89,7 +89,7 @@ class TestPeak:
     @pytest.mark.parametrize("test", ["membrane", "tolerance"])
     def test_a_gap_is_no_bias(self, test):
         """Without prints nothing tells an object that hovers from cameras that disagree."""
-        rig, frame = scene("sim:hover?gap=5")
+        rig, frame = scene("sim:cup?gap=5")
         assert "peak" not in findings(NO_MASK.with_values({"contact_test": test}), rig, frame)
 
     def test_a_bias_that_was_measured_with_the_rig_is_corrected(self):
@@ -256,7 +256,7 @@ class TestFalseContact:
         """The membrane is where it was, so an object that hovers is taken for contact."""
         rig, untouched = scene(UNTOUCHED)
         loose = TOLERANCE.with_values({"tolerance.t": 0.03})
-        _, hovering = scene("sim:hover?gap=5")
+        _, hovering = scene("sim:cup?gap=5")
         found = findings(loose, rig, hovering, untouched)
         assert "where it was" in found["false_contact"].sentence
         _, pressed = scene(PRESSED)

@@ -62,7 +62,7 @@ def test_nothing_is_changed_in_the_shipped_preset(evidence):
 
 def test_later_sections_see_the_earlier_ones_applied(evidence):
     preset = TOLERANCE.with_values({"mask.enabled": False, "tolerance.t": 0.03})
-    shown = evidence(preset, "sim:hover?gap=5", untouched=True)
+    shown = evidence(preset, "sim:cup?gap=5", untouched=True)
     # nothing presses, so only prints tell the bias; these have a colour only after the mask was suggested
     with pytest.raises(AdviceError, match="can't be told from a gap"):
         suggest("alignment", shown)
