@@ -330,8 +330,9 @@ class Membrane:
         while True:
             step = share / self._curvature(nodes)
             residual, reaction, gap = _relax(nodes, sheet, thing, grips, step, tolerance, limit)
-            # Compressed triangles are stiffer than at the start: too long a step overshoots for good.
-            if residual < tolerance or share < _SHORTEST_SHARE:
+            # Compressed triangles are stiffer than at the start: too long a step overshoots for good. A residual that
+            # stays above the tolerance is a node that sticks and comes off in turn; shorter steps do not end that.
+            if np.isfinite(residual) or share < _SHORTEST_SHARE:
                 break
             share /= 2
         volume = _forces(nodes, sheet, np.empty_like(nodes), np.empty_like(nodes)) + self.design.dead_volume_m3
