@@ -139,7 +139,7 @@ class ViewArea(QWidget):
         self._framed: SourceInfo | None = None
         link_cameras(list(self.views.values()))
         self._legends: dict[CloudName, object] = {}
-        self._legend_lines = 1
+        self._legend_height = 0
         self._lined_for: tuple[object, ...] = ()
         self._shows_difference = False
         self.splitter = QSplitter(Qt.Orientation.Horizontal)
@@ -260,20 +260,20 @@ class ViewArea(QWidget):
             view.set_legend(legend)
 
     def _fit_legends(self) -> None:
-        """Give all legends the same number of lines, so that all views have the same height.
+        """Give all legends the same height, so that all views have the same height.
 
-        The number does not fall while the choice of colours stays, so nothing jumps when a drop reason disappears.
+        It does not fall while the choice of colours stays, so nothing jumps when a drop reason disappears.
         """
         shown = [view for view in self.views.values() if not view.isHidden()]
         lined_for = self.chosen_colors(), *(view.width() for view in shown)
-        lines = max((view.legend_lines() for view in shown), default=1)
+        height = max((view.needed_legend_height() for view in shown), default=0)
         if lined_for == self._lined_for:
-            lines = max(lines, self._legend_lines)
+            height = max(height, self._legend_height)
         self._lined_for = lined_for
-        if lines != self._legend_lines:
-            self._legend_lines = lines
+        if height != self._legend_height:
+            self._legend_height = height
             for view in self.views.values():
-                view.set_legend_lines(lines)
+                view.set_legend_height(height)
 
     def _choices(self, actions: Actions) -> QHBoxLayout:
         row = hbox(

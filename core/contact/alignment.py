@@ -1,8 +1,7 @@
 """Alignment models: they map tactile measurements to proximity pixels.
 
-The homography is the paper's model: it aligns both images by the homography of one plane.
-The rigid model projects each proximity point into the tactile image and compares the depth expected
-there with the depth measured there, which is exact wherever the membrane touches.
+The homography of one plane aligns both images, as published. The rigid model projects each proximity point into the
+tactile image and compares the depth expected there with the depth measured there: exact wherever the membrane touches.
 """
 
 from __future__ import annotations

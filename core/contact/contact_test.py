@@ -43,10 +43,7 @@ MASK_REASON: Final = DropReason("the mask", "correct if nothing touches; otherwi
 
 
 class BiasLimits(NamedTuple):
-    """A bias between the cameras is harmless up to ``good_m`` (``reason`` says why); up to ``fair_m`` contact is found.
-
-    Metres.
-    """
+    """A bias between the cameras is harmless up to ``good_m``, for a reason; up to ``fair_m`` contact is found."""
 
     good_m: float
     fair_m: float
@@ -62,19 +59,8 @@ class Steps:
         if due("outliers"):
             self._inliers = drop_outliers(...)
 
-    Parameters
-    ----------
-    keys : dict of str to tuple
-        The values of each step's preset fields, in the order of the steps.
-    done : dict of str to object
-        The keys with which steps have run on this frame; updated.
-
-    Attributes
-    ----------
-    ms : dict of str to float
-        Milliseconds of each step; 0 for a step that was not due.
-    stale : bool
-        Whether a step has run.
+    ``keys`` are the values of each step's preset fields, in the order of the steps; ``done`` those with which steps
+    have run on this frame, which is updated.
     """
 
     def __init__(self, keys: dict[str, Any], done: dict[str, Any]) -> None:
@@ -82,8 +68,8 @@ class Steps:
         self._done = done
         self._running = ""
         self._started_ns = 0
-        self.stale = False
-        self.ms = dict.fromkeys(keys, 0.0)
+        self.stale = False  # Whether a step has run
+        self.ms = dict.fromkeys(keys, 0.0)  # Milliseconds of each step; 0 for a step that was not due
 
     def __call__(self, name: str) -> bool:
         """Return whether a step is due; if so, start its clock."""
@@ -163,13 +149,7 @@ class ContactTest(ABC):
 
     @classmethod
     def why_no_contact(cls, provenance: Uint8Array) -> tuple[str, str]:
-        """Say which step dropped most of the points near the object, and what to change.
-
-        Returns
-        -------
-        sentence, action : str
-            The action is the window's against that step; empty if there is none.
-        """
+        """Say which step dropped most of the points near the object and what to change; name the window's action."""
         dropped = {verdict: int(np.count_nonzero(provenance == verdict)) for verdict in cls.drop_reasons}
         total = sum(dropped.values())
         if total == 0:

@@ -20,7 +20,7 @@ from .kernels.colors import hsv_limits
 from .kernels.simd import LANES
 from .kernels.threads import ROWS, in_parallel
 from .masking import color_lookup_of
-from .outliers.statistical import NeighbourMemory
+from .outliers.grid import Grid
 
 if TYPE_CHECKING:
     from ..preset import Preset
@@ -38,36 +38,24 @@ class Workspace:
         self.pixels = np.empty(height * width, np.intp)
         self.points = np.empty((height * width, 3), np.float32)
         self.counts = np.empty(height, np.int64)
-        self.neighbours = NeighbourMemory()
+        self.grid = Grid(rig.proximity.intrinsics)
 
     def collect(self, places: list[slice]) -> Candidates:
         """Copy out the pixels and points that were written to these places."""
-        places = [place for place in places if place.start < place.stop]
-        if not places:
+        if all(place.start == place.stop for place in places):
             return NO_CANDIDATES
-        parts = [self.pixels[place] for place in places], [self.points[place] for place in places]
-        return Candidates(np.concatenate(parts[0]), np.concatenate(parts[1]))
+        pixels, points = (np.concatenate([array[place] for place in places]) for array in (self.pixels, self.points))
+        return Candidates(pixels, points)
 
 
 class Pixels:
-    """The proximity pixels as a preset's alignment, region, range and mask let a contact test see them.
-
-    Attributes
-    ----------
-    rig : Rig
-    alignment : AlignmentModel
-    workspace : Workspace
-    coarse : CoarseTest
-        Rules out image tiles in which both depths are far from each other.
-    limits : kernels.DepthLimits
-        The range, with the tolerance 0.
-    """
+    """The proximity pixels as a preset's alignment, region, range and mask let a contact test see them."""
 
     def __init__(self, preset: Preset, rig: Rig, alignment: AlignmentModel, workspace: Workspace) -> None:
         self.rig, self.alignment, self.workspace = rig, alignment, workspace
-        self.coarse = CoarseTest(alignment.tables)
+        self.coarse = CoarseTest(alignment.tables)  # Rules out image tiles in which the depths are far from each other
         near, far = preset.range.limits_m if preset.range.enabled else (0.0, np.inf)
-        self.limits = kernels.DepthLimits(np.float32(near), np.float32(far), np.float32(0))
+        self.limits = kernels.DepthLimits(np.float32(near), np.float32(far), np.float32(0))  # With the tolerance 0
         self._region = region_bounds(preset.region, rig.proximity.intrinsics.shape)
         self._rays = _ray_planes(rig.proximity.intrinsics)
         self._lookup = color_lookup_of(rig)

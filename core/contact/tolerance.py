@@ -122,8 +122,7 @@ class ToleranceTest(ContactTest):
         if due("outliers"):
             self._inliers = self._candidates
             if section.enabled:
-                memory = pixels.workspace.neighbours
-                self._inliers = without_outliers(self._candidates, camera, section.k, section.ratio, memory)
+                self._inliers = without_outliers(self._candidates, pixels.workspace.grid, section.k, section.ratio)
         if due("clusters"):
             self._contact = without_small_clusters(self._inliers, camera, section.min_cluster_area_mm2)
         steps = self._candidates, self._inliers, self._contact

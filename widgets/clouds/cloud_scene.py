@@ -29,29 +29,20 @@ _MESSAGE_FLAGS = int(Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap)
 
 @dataclass
 class CloudScene:
-    """The state that a view shares with the canvas that draws it.
-
-    ``point_size`` is in device-independent pixels; while ``running``, frames follow each other and points that would
-    lie closer than the screen can show may be left out; ``message`` is painted when not empty; ``badge`` says why the
-    cloud is old, and dims it; ``ornament`` paints what a view adds, such as marks, on the canvas. While there is a
-    ``wipe``, ``right`` is drawn right of it instead of ``cloud``.
-    """
+    """The state that a view shares with the canvas that draws it."""
 
     cloud: DepthCloud | None = None
-    right: DepthCloud | None = None
+    right: DepthCloud | None = None  # Drawn right of the wipe, if there is one
     wipe: Wipe | None = None
     camera: ViewCamera = field(default_factory=ViewCamera)
-    point_size: float = 2.0
-    running: bool = False
+    point_size: float = 2.0  # Device-independent pixels
+    running: bool = False  # Frames follow each other
     message: str = ""
-    badge: str = ""
-    ornament: Callable[[QPainter, QWidget], None] | None = None
+    badge: str = ""  # Says why the cloud is old, and dims it
+    ornament: Callable[[QPainter, QWidget], None] | None = None  # Paints what a view adds, such as marks
 
     def parts(self, width: int) -> tuple[tuple[DepthCloud | None, int, int], tuple[DepthCloud | None, int, int]]:
-        """Return the left and the right cloud with the first column of each and the first one after it.
-
-        A cloud that both sides share is drawn once.
-        """
+        """Return both clouds with their first column and the first after it; one that both sides share is whole."""
         column = width if self.wipe is None or self.right is self.cloud else self.wipe.column(width)
         return (self.cloud, 0, column), (self.right, column, width)
 

@@ -46,22 +46,18 @@ _OFFER_GAP = 16
 #: Step in rows and columns at which a cloud is sampled for framing.
 _FRAMING_STEP = 8
 
-_ORBIT_KEYS: dict[int, tuple[float, float]] = {
-    Qt.Key.Key_Left: (-1, 0),
-    Qt.Key.Key_Right: (1, 0),
-    Qt.Key.Key_Up: (0, 1),
-    Qt.Key.Key_Down: (0, -1),
-}
-_ZOOM_KEYS: dict[int, float] = {
-    Qt.Key.Key_Plus: _ZOOM_STEP,
-    Qt.Key.Key_Equal: _ZOOM_STEP,
-    Qt.Key.Key_Minus: 1 / _ZOOM_STEP,
-}
-_VIEWPOINT_KEYS: dict[int, Viewpoint] = {
-    Qt.Key.Key_R: "reset",
-    Qt.Key.Key_V: "front",
-    Qt.Key.Key_T: "top",
-    Qt.Key.Key_S: "side",
+_KEYS: dict[int, Callable[[CloudView], None]] = {
+    Qt.Key.Key_Left: lambda view: view._orbit(-_ORBIT_STEP, 0.0),
+    Qt.Key.Key_Right: lambda view: view._orbit(_ORBIT_STEP, 0.0),
+    Qt.Key.Key_Up: lambda view: view._orbit(0.0, _ORBIT_STEP),
+    Qt.Key.Key_Down: lambda view: view._orbit(0.0, -_ORBIT_STEP),
+    Qt.Key.Key_Plus: lambda view: view._zoom(_ZOOM_STEP),
+    Qt.Key.Key_Equal: lambda view: view._zoom(_ZOOM_STEP),
+    Qt.Key.Key_Minus: lambda view: view._zoom(1 / _ZOOM_STEP),
+    Qt.Key.Key_R: lambda view: view.look_from("reset"),
+    Qt.Key.Key_V: lambda view: view.look_from("front"),
+    Qt.Key.Key_T: lambda view: view.look_from("top"),
+    Qt.Key.Key_S: lambda view: view.look_from("side"),
 }
 
 
@@ -107,15 +103,12 @@ class CloudView(QWidget):
         self._offer.hide()
         self._offer.clicked.connect(self.offerPressed)
         self._canvas.setObjectName("canvas")
-        vbox(
-            self._header, (self._canvas, 1), self._legend, within=self, margins=(_RING, 0, _RING, 0), spacing=_RING + 1
-        )
-        for widget in (self, self._canvas):
-            widget.setMouseTracking(self.FOLLOWS_MOUSE)
+        parts = self._header, (self._canvas, 1), self._legend
+        vbox(*parts, within=self, margins=(_RING, 0, _RING, 0), spacing=_RING + 1)
+        self.set_wipe(None)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAccessibleName(f"3D view: {title}")
         self.setToolTip(self.HELP)
-        self._show_count()
 
     # What is shown
 
@@ -142,8 +135,6 @@ class CloudView(QWidget):
 
     def set_wipe(self, wipe: Wipe | None) -> None:
         """Divide the view between two clouds seen by the same camera, or show only one."""
-        if wipe == self._scene.wipe:
-            return
         self._scene.wipe = wipe
         if wipe is None:
             self._scene.right, self._right_message = None, ""
@@ -168,23 +159,22 @@ class CloudView(QWidget):
 
     def set_running(self, running: bool) -> None:
         """Say whether frames follow each other: a cloud that stands still is drawn with all its points."""
-        if running != self._scene.running:
-            self._scene.running = running
-            self._canvas.update()
+        self._scene.running = running
+        self._canvas.update()
 
     def set_legend(self, entries: list[tuple[str, QColor]]) -> None:
-        """Set the legend, the most important entry first; the tooltip lists all entries."""
+        """Set the legend, the most important entry first."""
         self._legend.setValue(entries)
 
     def legend(self) -> list[tuple[str, QColor]]:
         return self._legend.value()
 
-    def legend_lines(self) -> int:
-        return self._legend.needed_lines()
+    def needed_legend_height(self) -> int:
+        return self._legend.needed_height()
 
-    def set_legend_lines(self, lines: int) -> None:
-        """Set the number of legend lines; frame the cloud again unless the user moved the camera."""
-        self._legend.set_lines(lines)
+    def set_legend_height(self, height: int) -> None:
+        """Set the legend's height in pixels; frame the cloud again unless the user moved the camera."""
+        self._legend.set_height(height)
         if not self._steered and self._scene.cloud is not None:
             self._resized.start()
 
@@ -209,7 +199,6 @@ class CloudView(QWidget):
             below = min(below, self._canvas.height() - self._offer.height() - 2)
             left = (self._canvas.width() - self._offer.width()) / 2
             self._offer.move(self._canvas.pos() + QPointF(left, below).toPoint())
-            self._offer.raise_()
         self._offer.setVisible(shown)
 
     def message(self) -> str:
@@ -249,14 +238,11 @@ class CloudView(QWidget):
         self._move(camera, steered=True)
 
     def set_focus_finder(self, find: Callable[[], Float64Array]) -> None:
-        """Frame the points (N, 3) that ``find`` returns, in metres, instead of the clouds.
-
-        It is called by `refocus` and when somebody resets the view, so a frame alone never moves the camera.
-        """
+        """Frame the points (N, 3), metres, that ``find`` returns instead of the clouds, when the view is reset."""
         self._find_focus = find
 
     def refocus(self) -> None:
-        """Find the points to frame again and frame them, keeping the direction; for all linked views."""
+        """Find the points to frame again, and frame them in all linked views, keeping the direction."""
         self._look_for_focus()
         self._frame(self.camera(), steered=False)
 
@@ -267,7 +253,7 @@ class CloudView(QWidget):
                 view._focus = focus
 
     def zoom_to(self, points: Float64Array, fill: float) -> None:
-        """Let points (N, 3), in metres, take a share of this view, keeping the direction; automatic framing ends."""
+        """Let points (N, 3), metres, take a share of this view, keeping the direction; automatic framing ends."""
         self.set_camera(self.camera().framing(points, *self._size(), fill))
 
     def look_from(self, viewpoint: Viewpoint) -> None:
@@ -303,10 +289,7 @@ class CloudView(QWidget):
             self._canvas.update()
 
     def pick(self, at: QPointF) -> tuple[int, Place] | None:
-        """Return the flat pixel and the place of the point that is seen at a position of the canvas, or None.
-
-        That is the point nearest to the eye among those drawn there, or else the nearest beside it.
-        """
+        """Return flat pixel and place of the point nearest to the eye at a position of the canvas, or beside it."""
         width, height = self._size()
         wipe = self._scene.wipe
         right = wipe is not None and at.x() >= wipe.column(width)
@@ -352,22 +335,12 @@ class CloudView(QWidget):
         if event is None or not self._knows(event):
             super().keyPressEvent(event)
             return
-        key = event.key()
-        if key in _ORBIT_KEYS:
-            right, up = _ORBIT_KEYS[key]
-            self.set_camera(self.camera().orbited(right * _ORBIT_STEP, up * _ORBIT_STEP))
-        elif key in _ZOOM_KEYS:
-            middle = QPointF(self._canvas.width() / 2, self._canvas.height() / 2)
-            self._zoom(_ZOOM_KEYS[key], middle)
-        else:
-            self.look_from(_VIEWPOINT_KEYS[key])
+        _KEYS[event.key()](self)
 
     @staticmethod
     def _knows(event: QKeyEvent) -> bool:
         plain = Qt.KeyboardModifier.ShiftModifier | Qt.KeyboardModifier.KeypadModifier
-        if event.modifiers() & ~plain:
-            return False
-        return any(event.key() in keys for keys in (_ORBIT_KEYS, _ZOOM_KEYS, _VIEWPOINT_KEYS))
+        return event.key() in _KEYS and not event.modifiers() & ~plain
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:
         if event is None or event.button() not in (Qt.MouseButton.LeftButton, Qt.MouseButton.MiddleButton):
@@ -398,7 +371,7 @@ class CloudView(QWidget):
             self.set_camera(self.camera().panned(moved.x(), moved.y(), *self._size()))
         else:
             turn = pi / min(self._size())
-            self.set_camera(self.camera().orbited(-moved.x() * turn, moved.y() * turn))
+            self._orbit(-moved.x() * turn, moved.y() * turn)
 
     def mouseReleaseEvent(self, event: QMouseEvent | None) -> None:
         self._drag_from, self._drags_wipe = None, False
@@ -421,7 +394,12 @@ class CloudView(QWidget):
         self._zoom(_ZOOM_STEP ** (event.angleDelta().y() / 120), cursor)
         event.accept()
 
-    def _zoom(self, factor: float, at: QPointF) -> None:
+    def _orbit(self, right: float, up: float) -> None:
+        self.set_camera(self.camera().orbited(right, up))
+
+    def _zoom(self, factor: float, at: QPointF | None = None) -> None:
+        """Zoom about a place of the canvas, or about its middle."""
+        at = at or QPointF(self._canvas.width() / 2, self._canvas.height() / 2)
         self.set_camera(self.camera().zoomed(factor, (at.x(), at.y()), *self._size()))
 
     def paintEvent(self, _event: QPaintEvent | None) -> None:

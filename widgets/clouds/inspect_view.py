@@ -28,14 +28,10 @@ class InspectView(CloudView):
     <b>Z</b> zoom to the patch.</p>"""
     FOLLOWS_MOUSE = True
 
-    #: Found: the flat pixel and the place in metres of the point under the mouse; None beside
-    #: all points.
-    pointHovered = pyqtSignal(object)
-    endChosen = pyqtSignal(object)  # place: a point was clicked with Shift: an end of a distance
-    enlargeRequested = pyqtSignal()  # the view was double-clicked
-    #: At, place: a context menu is wanted at this place on the screen, over the point at
-    #: ``place``.
-    menuRequested = pyqtSignal(object, object)
+    pointHovered = pyqtSignal(object)  # Flat pixel and place of the point under the mouse, or None
+    endChosen = pyqtSignal(object)  # Place of a point that was clicked with Shift: an end of a distance
+    enlargeRequested = pyqtSignal()
+    menuRequested = pyqtSignal(object, object)  # A place on the screen, and the place of the point there or None
 
     def __init__(self, title: str, parent: QWidget | None = None) -> None:
         super().__init__(title, parent)
@@ -111,26 +107,19 @@ class InspectView(CloudView):
     # Painting
 
     def _paint_ornament(self, painter: QPainter, canvas: QWidget) -> None:
-        size = max(1, canvas.width()), max(1, canvas.height())
         if self._mark is not None:
-            self._paint_ring(painter, self._on_screen([self._mark], size))
+            painter.setBrush(Qt.BrushStyle.NoBrush)
+            for place in self._on_screen([self._mark]):
+                for color, width in ((CASING, 4.0), (_LINE, 2.0)):
+                    painter.setPen(QPen(color, width))
+                    painter.drawEllipse(place, _RADIUS, _RADIUS)
         if self._ends:
-            self._paint_distance(painter, self._on_screen(list(self._ends), size))
+            self._paint_distance(painter, self._on_screen(list(self._ends)))
 
-    def _on_screen(self, places: list[Place], size: tuple[int, int]) -> list[QPointF]:
+    def _on_screen(self, places: list[Place]) -> list[QPointF]:
         """Return where places are seen; empty unless all are before the eye."""
-        if not places:
-            return []
-        seen = self.camera().project(places, *size)
+        seen = self.camera().project(places, *self._size())
         return [QPointF(float(u), float(v)) for u, v, _ in seen] if (seen[:, 2] > 0).all() else []
-
-    @staticmethod
-    def _paint_ring(painter: QPainter, at: list[QPointF]) -> None:
-        painter.setBrush(Qt.BrushStyle.NoBrush)
-        for place in at:
-            for color, width in ((CASING, 4.0), (_LINE, 2.0)):
-                painter.setPen(QPen(color, width))
-                painter.drawEllipse(place, _RADIUS, _RADIUS)
 
     def _paint_distance(self, painter: QPainter, at: list[QPointF]) -> None:
         for color, width in ((CASING, 4.0), (_LINE, 2.0)):

@@ -11,7 +11,7 @@ less than 65,000 times the nearest, and still tell a millionth of a distance apa
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -176,79 +176,80 @@ def squares(pixels: Any, size: Any, colors: Any, background: Any, image: Any) ->
 
 
 _NO_INDEX = np.zeros((0, 0), np.uint8)
+#: Largest distance between drawn points while frames follow each other, as a share of their size: they overlap.
+_APART = 0.75
+#: Largest view in physical pixels that is drawn sharp; a larger one, as on 4K screens, at half its resolution.
+_MAX_SHARP = 1_200_000
+
+
+class Look(NamedTuple):
+    """How a cloud is seen; sizes in pixels of the picture."""
+
+    camera: ViewCamera
+    size: tuple[int, int]  # Width and height
+    point_size: int  # Edge length of a point
+    background: tuple[int, int, int]
+    running: bool  # Frames follow each other, so points that would hide each other are left out
 
 
 class SoftwareRenderer:
-    """Keeps the buffers of one view and fills them with a cloud seen by a camera."""
+    """Keeps the buffers and the last picture of one view."""
 
     def __init__(self) -> None:
-        self._image = np.empty((0, 0), np.uint32)
+        self._buffer = np.empty((0, 0), np.uint32)
         self._pixels = np.empty((0, 0), np.uint32)
         self._lut: Uint8Array | None = None
         self._background, self._colors = (0, 0, 0), np.empty(0, np.uint32)
         self._rays_of: Float32Array | None = None
         self._step, self._rays = 0, np.empty((2, 0, 0), np.float32)
+        self._drawn: tuple[DepthCloud | None, Look] | None = None
+        self._picture = QImage()
 
-    def render(
-        self,
-        cloud: DepthCloud | None,
-        camera: ViewCamera,
-        size: tuple[int, int],
-        point_size: int,
-        background: tuple[int, int, int],
-        thinned: bool = False,
-    ) -> npt.NDArray[np.uint32]:
-        """Return the picture as 0xffRRGGBB, uint32 (height, width); it is overwritten by the next call.
+    def picture(self, cloud: DepthCloud | None, look: Look) -> QImage:
+        """Return the picture of a cloud, drawn again only if anything has changed."""
+        if (cloud, look) != self._drawn:
+            self._drawn = cloud, look
+            data: Any = self.render(cloud, look).data
+            self._picture = QImage(data, *look.size, look.size[0] * 4, QImage.Format.Format_RGB32)
+        return self._picture
 
-        Parameters
-        ----------
-        size : tuple of int
-            Width and height of the picture in pixels.
-        point_size : int
-            Edge length of a point in pixels of the picture.
-        thinned : bool
-            Draw only every other row and column of the cloud.
-        """
-        width, height = size
-        if self._image.shape != (height, width):
-            self._image = np.empty((height, width), np.uint32)
-        margin = 2 * point_size
+    def render(self, cloud: DepthCloud | None, look: Look) -> npt.NDArray[np.uint32]:
+        """Return the picture as 0xffRRGGBB, uint32 (height, width); the next call overwrites it."""
+        (width, height), margin = look.size, 2 * look.point_size
+        if self._buffer.shape != (height, width):
+            self._buffer = np.empty((height, width), np.uint32)
         if self._pixels.shape != (height + margin, width + margin):
             self._pixels = np.empty((height + margin, width + margin), np.uint32)
-        red, green, blue = background
+        red, green, blue = look.background
         argb = 0xFF000000 | red << 16 | green << 8 | blue
         if cloud is None:
-            self._image.fill(argb)
-            return self._image
-        step = 2 if thinned else 1
+            self._buffer.fill(argb)
+            return self._buffer
+        step = 2 if look.running and _overlaps_thinned(cloud, look) else 1
         if self._rays_of is not cloud.rays or self._step != step:
             self._rays_of, self._step = cloud.rays, step
             self._rays = np.ascontiguousarray(np.moveaxis(cloud.rays[::step, ::step], 2, 0))
-        if self._lut is not cloud.lut or self._background != background:
-            self._lut, self._background = cloud.lut, background
-            self._colors = _packed(over_background(cloud.lut, background))
-        colors = self._colors
+        if self._lut is not cloud.lut or self._background != look.background:
+            self._lut, self._background = cloud.lut, look.background
+            self._colors = _packed(over_background(cloud.lut, look.background))
+        camera = look.camera
         scatter(
             cloud.depth,
             self._rays,
             _NO_INDEX if cloud.index is None else cloud.index,
-            colors,
+            self._colors,
             (camera.pixel_matrix(width, height) @ cloud.pose).astype(np.float32),
             np.array([cloud.metres_per_count, cloud.depth_offset_m, *cloud.index_from_depth], np.float32),
             np.array([NEAR * camera.distance, FAR * camera.distance], np.float32),
             step,
-            point_size,
+            look.point_size,
             self._pixels,
         )
-        squares(self._pixels, point_size, colors, argb, self._image)
-        return self._image
+        squares(self._pixels, look.point_size, self._colors, argb, self._buffer)
+        return self._buffer
 
 
-#: Largest distance between drawn points while frames follow each other, as a share of their size: they overlap.
-_APART = 0.75
-
-
-def can_be_thinned(cloud: DepthCloud, camera: ViewCamera, size: tuple[int, int], point_size: int) -> bool:
+def _overlaps_thinned(cloud: DepthCloud, look: Look) -> bool:
     """Return whether the points of every other row and column still overlap on the screen.
 
     Judged by neighbouring pixels in the middle of the image, at the far end of the cloud's colour scale.
@@ -258,9 +259,10 @@ def can_be_thinned(cloud: DepthCloud, camera: ViewCamera, size: tuple[int, int],
         return False
     v, u = height // 2 - 1, width // 2 - 1
     rays = np.array([(*cloud.rays[v + down, u + right], 1.0) for down, right in ((0, 0), (0, 1), (1, 0))])
-    seen = camera.project(cloud.depth_range_m[1] * rays @ cloud.pose[:3, :3].T + cloud.pose[:3, 3], *size)
+    places = cloud.depth_range_m[1] * rays @ cloud.pose[:3, :3].T + cloud.pose[:3, 3]
+    seen = look.camera.project(places, *look.size)
     apart = 2.0 * np.linalg.norm(seen[1:, :2] - seen[0, :2], axis=1)
-    return bool((seen[:, 2] > 0).all() and apart.max() <= _APART * point_size)
+    return bool((seen[:, 2] > 0).all() and apart.max() <= _APART * look.point_size)
 
 
 def _packed(table: Uint8Array) -> npt.NDArray[np.uint32]:
@@ -269,70 +271,27 @@ def _packed(table: Uint8Array) -> npt.NDArray[np.uint32]:
     return np.where(alpha > 0, alpha << 24 | red << 16 | green << 8 | blue, np.uint32(0))
 
 
-class _Picture:
-    """A cloud as `SoftwareRenderer` drew it last."""
-
-    def __init__(self) -> None:
-        self._renderer = SoftwareRenderer()
-        self._drawn: tuple[object, ...] = ()
-        self._image = QImage()
-        self._thinned = False
-        self._thinned_for: tuple[object, ...] = ()
-
-    def of(
-        self,
-        cloud: DepthCloud | None,
-        camera: ViewCamera,
-        size: tuple[int, int],
-        point_size: int,
-        background: tuple[int, int, int],
-        running: bool,
-    ) -> QImage:
-        """Return the picture, drawn again only if anything has changed; parameters as of the renderer.
-
-        While frames are ``running``, points that would hide each other are left out.
-        """
-        wanted = (cloud, camera, size, point_size, background, running)
-        if wanted != self._drawn:
-            thinned = cloud is not None and running and self._can_be_thinned(cloud, camera, size, point_size)
-            buffer: Any = self._renderer.render(cloud, camera, size, point_size, background, thinned).data
-            self._image = QImage(buffer, *size, size[0] * 4, QImage.Format.Format_RGB32)
-            self._drawn = wanted
-        return self._image
-
-    def _can_be_thinned(self, cloud: DepthCloud, camera: ViewCamera, size: tuple[int, int], point_size: int) -> bool:
-        """Return `can_be_thinned`, computed again only when the view or the range of the colours has changed."""
-        view = camera, size, point_size, cloud.depth_range_m, cloud.depth.shape
-        if view != self._thinned_for:
-            self._thinned_for, self._thinned = view, can_be_thinned(cloud, camera, size, point_size)
-        return self._thinned
-
-
-#: Largest view in physical pixels that is drawn sharp; a larger one, as on 4K screens, at half its resolution.
-_MAX_SHARP = 1_200_000
-
-
 class CloudCanvas(QWidget):
     """Shows a scene with `SoftwareRenderer`, redrawing only what changed."""
 
     def __init__(self, scene: CloudScene, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._scene = scene
-        self._pictures = _Picture(), _Picture()
+        self._renderers = SoftwareRenderer(), SoftwareRenderer()
         self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)  # what lies below need not be painted
 
     def paintEvent(self, _event: QPaintEvent | None) -> None:
-        ratio = self.devicePixelRatioF()
+        scene, ratio = self._scene, self.devicePixelRatioF()
         if self.width() * self.height() * ratio**2 > _MAX_SHARP:
             ratio /= 2
         size = max(1, round(self.width() * ratio)), max(1, round(self.height() * ratio))
-        background = self._scene.background(self)
-        camera, points = self._scene.camera, max(1, round(self._scene.point_size * ratio))
+        point_size = max(1, round(scene.point_size * ratio))
+        look = Look(scene.camera, size, point_size, scene.background(self), scene.running)
         painter = QPainter(self)
-        for picture, (cloud, start, stop) in zip(self._pictures, self._scene.parts(size[0]), strict=True):
+        for renderer, (cloud, start, stop) in zip(self._renderers, scene.parts(size[0]), strict=True):
             if start < stop:
-                image = picture.of(cloud, camera, size, points, background, self._scene.running)
                 part = QRectF(start, 0, stop - start, size[1])
-                painter.drawImage(QRectF(start / ratio, 0, part.width() / ratio, size[1] / ratio), image, part)
-        paint_overlay(painter, self, self._scene)
+                target = QRectF(start / ratio, 0, part.width() / ratio, size[1] / ratio)
+                painter.drawImage(target, renderer.picture(cloud, look), part)
+        paint_overlay(painter, self, scene)
         painter.end()

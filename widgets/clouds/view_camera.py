@@ -60,11 +60,10 @@ class ViewCamera:
 
     @lru_cache(maxsize=8)  # noqa: B019  # of cameras that no longer exist, 8 are kept
     def pixel_matrix(self, width: int, height: int) -> Float64Array:
-        """Return the projection to the pixels of a view: float64 (3, 4).
+        """Return the matrix (3, 4) that takes a homogeneous point to ``(u w, v w, w)``.
 
-        It takes a homogeneous point to ``(u w, v w, w)``; ``w`` is the distance along the viewing
-        direction in metres, ``u`` runs right and ``v`` down from the view's upper left corner, and
-        pixel centres lie at halves, as on every screen.
+        ``w`` is the distance along the viewing direction, metres; ``u`` runs right and ``v`` down from the view's upper
+        left corner; pixel centres lie at halves.
         """
         right, up, back = self.axes()
         focal = self._focal(width, height)
@@ -75,7 +74,7 @@ class ViewCamera:
         return matrix
 
     def project(self, points: npt.ArrayLike, width: int, height: int) -> Float64Array:
-        """Project points to ``(u, v, w)``: float64 (N, 3); see `pixel_matrix`."""
+        """Project points (N, 3) to ``(u, v, w)``; see `pixel_matrix`."""
         points = np.asarray(points, dtype=np.float64)
         matrix = self.pixel_matrix(width, height)
         projected = points @ matrix[:, :3].T + matrix[:, 3]
@@ -107,10 +106,7 @@ class ViewCamera:
         return replace(self, azimuth=azimuth, elevation=elevation)
 
     def framing(self, points: npt.ArrayLike, width: int, height: int, fill: float = FILL) -> Self:
-        """Move so that points, (N, 3) in metres, take the share ``fill`` of the view, keeping the direction of view.
-
-        Of ``width`` and ``height`` only the ratio matters. Without points the camera stays where it is.
-        """
+        """Move so that points (N, 3), metres, take the share ``fill`` of the view, keeping the direction of view."""
         points = np.asarray(points, dtype=np.float64)
         if len(points) == 0:
             return self
@@ -129,11 +125,7 @@ class ViewCamera:
 
 
 def _frame_one_axis(across: Float64Array, back: Float64Array, half_slope: float) -> tuple[float, float]:
-    """Return the eye's place across and its smallest place back that keep all points between two planes.
-
-    A point is inside when ``|across - eye| <= half_slope (eye_back - back)``; both planes are linear
-    in the eye's place, so the extremes of two linear functions of the points decide.
-    """
+    """Return the eye's place across and its smallest place back with |across - eye| <= half_slope (eye_back - back)."""
     low = float(np.percentile(across - half_slope * back, _EDGES[0]))
     high = float(np.percentile(across + half_slope * back, _EDGES[1]))
     return (low + high) / 2, (high - low) / (2 * half_slope)

@@ -15,12 +15,9 @@ from .simd import LANES
 
 #: Upper limit of a slope: the depths of a steeper cell belong to both sides of an edge.
 _MAX_SLOPE: Final = 2.0
-#: Over a shorter distance no slope is measured, metres.
-_MIN_RUN_M: Final = 1e-5
-#: Points whose spread along one direction is a smaller share of that along the other tell no plane.
-_MIN_AREA: Final = 1e-3
-#: The search for the membrane's depth along a ray ends after this number of steps without a result, or when a step is
-#: smaller than this, metres.
+_MIN_RUN_M: Final = 1e-5  # Over a shorter distance no slope is measured
+_MIN_AREA: Final = 1e-3  # Points that spread along one direction only tell no plane
+#: The search for the membrane's depth along a ray ends without a result, or when a step is smaller than this, metres.
 _MAX_STEPS, _LAST_STEP_M = 5, np.float32(0.0005)
 _SATURATED: Final = 65535
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
@@ -31,15 +28,12 @@ class DifferenceWindow(NamedTuple):
     """What `average_cells` averages, and which pixels take part."""
 
     differences: Float32Array  # (H, W): Proximity minus tactile depth, metres
-    #: (H, W): Where both depths count; outside the region or range.
-    usable: BoolArray
-    excluded: BoolArray
+    usable: BoolArray  # (H, W): Where both depths count
+    excluded: BoolArray  # (H, W): Outside the region or range
     counts: Uint16Array  # (H, W): Raw proximity depth
-    #: Metres of a count; subtracted from the proximity depth.
-    unit_m: np.float32
-    bias_m: np.float32
-    #: Only differences nearer than the limit to the centre are averaged.
-    centre_m: np.float32
+    unit_m: np.float32  # Metres of a count
+    bias_m: np.float32  # Subtracted from the proximity depth
+    centre_m: np.float32  # Only differences nearer than the limit to the centre are averaged
     limit_m: np.float32
 
 
@@ -64,8 +58,7 @@ class CellGrid(NamedTuple):
     """Where cells lie in the proximity image."""
 
     rays: Float32Array  # (H, W, 2): x / z and y / z of each pixel of the whole image
-    #: Pixel at which the first cell begins; may lie outside the image.
-    top: int
+    top: int  # Pixel at which the first cell begins; may lie outside the image
     left: int
     side: int  # Of a cell, pixels
 
@@ -81,35 +74,20 @@ class BesideCells(NamedTuple):
     """What `continue_beside` writes; images are (H, W)."""
 
     linked: BoolArray  # Cells of the object at first; then also those beside it
-    #: Depth of the tangent plane minus that of the membrane, metres; written beside the object only.
-    differences: Float32Array
-    weights: Float32Array  # 1 where the membrane is seen, 0 elsewhere; written beside the object only
-    #: flat, H * W elements: Scratch.
-    sources: Int32Array
+    differences: Float32Array  # Depth of the tangent plane minus that of the membrane, metres; beside the object only
+    weights: Float32Array  # 1 where the membrane is seen, 0 elsewhere; beside the object only
+    sources: Int32Array  # Scratch, as the next two; flat, H * W elements
     queue: Int32Array
-    planes: Float32Array  # (3, H * W): Scratch
+    planes: Float32Array  # (3, H * W)
 
 
 @kernel
 def average_cells(window: Any, side: Any, step: Any, rays: Any, frame: Any, out: Any, first: Any, last: Any) -> None:
-    """Write means over cells of ``side`` by ``side`` pixels, in rows ``first`` to ``last - 1`` of cells.
+    """Write means over cells of ``side`` by ``side`` pixels of a `DifferenceWindow`, rows ``first`` to ``last - 1``.
 
-    The last cells may reach beyond the images.
-
-    Parameters
-    ----------
-    window : DifferenceWindow
-    side : int
-    step : int
-        One pixel of step x step is read. Those that are read lie in all rows and columns, so a pattern without depth
-        does not hide a cell. step x step divides ``side``, or step is 1.
-    rays : membrane.RayWindow
-        Of the images.
-    frame : int
-        Width of the frame of ``out``, cells.
-    out : CellSums
-        Its frame is left as it is.
-    first, last : int
+    One pixel of ``step`` x ``step`` is read, in all rows and columns, so a pattern without depth does not hide a cell;
+    that number divides ``side``, or ``step`` is 1. ``rays`` are the window's `RayWindow`, ``out`` are `CellSums`, whose
+    frame of ``frame`` cells is left as it is. The last cells may reach beyond the images.
     """
     means, left_out, points = out
     differences, usable, excluded, counts, unit_m, bias_m, centre_m, limit_m = window
@@ -226,14 +204,7 @@ def _membrane_depth(pixel: Any, z: Any, membrane: Any) -> Any:
 def extrapolate(values: Any, known: Any, reach: Any, queue: Any) -> None:
     """Fill nan: a known cell within ``reach`` cells of a value takes the first that reaches it; all other nan become 0.
 
-    Parameters
-    ----------
-    values : float32, shape (H, W)
-        nan at the border.
-    known : bool, shape (H, W)
-    reach : int
-    queue : int32, flat, H * W elements
-        Scratch.
+    ``values`` (H, W) are nan at the border; ``queue`` is scratch, int32, flat, H * W elements.
     """
     height, width = values.shape
     count = 0
@@ -313,19 +284,14 @@ def continue_beside(
     ----------
     known : bool, shape (H, W)
         Cells of the object; there must be none within ``reach`` cells of the border.
-    excluded : float32, shape (H, W)
-        Excluded share. Cells with a half or more are left out.
-    points : float32, shape (H, W, 4)
-        Those of `CellSums`.
-    surface : Surface
-        Its sides and facing are continued.
-    grid : CellGrid
-    membrane : MembraneImage
+    excluded, points : float32, shape (H, W) and (H, W, 4)
+        Those of `CellSums`. Cells with an excluded share of a half or more are left out.
+    surface, grid, membrane, out : Surface, CellGrid, MembraneImage, BesideCells
+        The surface's sides and facing are continued.
     near_m : tuple of float
         Centre and limit: a difference farther than the limit from the centre is no membrane, but a wrong depth.
     reach : int
         Also of the window over which tangent planes are fitted.
-    out : BesideCells
     """
     sides, facing = surface.sides, surface.facing
     linked, differences, weights, sources, queue, planes = out

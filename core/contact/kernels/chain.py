@@ -58,11 +58,9 @@ _NONE = np.int32(0)
 _SATURATED = np.int32(65535)
 _ALL_LANES = (1 << LANES) - 1
 
-_NO_PROXIMITY_DEPTH = np.int32(Provenance.NO_PROXIMITY_DEPTH)
-_OUTSIDE_REGION = np.int32(Provenance.OUTSIDE_REGION)
-_OUTSIDE_RANGE = np.int32(Provenance.OUTSIDE_RANGE)
-_NO_TACTILE_DEPTH = np.int32(Provenance.NO_TACTILE_DEPTH)
-_OUTSIDE_TOLERANCE = np.int32(Provenance.OUTSIDE_TOLERANCE)
+_NO_PROXIMITY_DEPTH, _OUTSIDE_REGION, _OUTSIDE_RANGE, _NO_TACTILE_DEPTH, _OUTSIDE_TOLERANCE = map(
+    np.int32, list(Provenance)[: Provenance.MASKED]
+)
 _CONTACT = np.int32(Provenance.CONTACT)
 
 
@@ -97,17 +95,14 @@ class ImageSizes(NamedTuple):
 class Alignment(NamedTuple):
     """An alignment model: the tactile pixel and the expected tactile depth of each proximity pixel."""
 
-    #: Whether the rigid model applies, which uses ``planes``, ``lens`` and ``camera``; otherwise ``table`` applies.
-    rigid: bool
+    rigid: bool  # Otherwise a homography
     size: ImageSizes
     proximity_unit_m: np.float32  # Metres of one proximity count
-    #: Metres of one tactile count, and the offset added to it, both after depth correction.
-    tactile_unit_m: np.float32
-    tactile_offset_m: np.float32
+    tactile_unit_m: np.float32  # Metres of one tactile count, after depth correction
+    tactile_offset_m: np.float32  # Added to it
     translation_m: Float32Array  # (3,): Of ``T_t_p``, metres
-    #: flat: x, then y, then z of each proximity ray rotated into the tactile frame. Empty for a homography.
-    planes: Float32Array
-    table: Int32Array  # flat: Tactile pixel of each proximity pixel, -1 for none. Empty for the rigid model
+    planes: Float32Array  # flat: x, then y, then z of each proximity ray in the tactile frame; empty for a homography
+    table: Int32Array  # flat: Tactile pixel of each proximity pixel, -1 for none; empty for the rigid model
     lens: int  # Lens model of the tactile camera, as in `lenses`
     camera: Float32Array  # (9,): Its parameters, from `lenses.lens_parameters`
 
@@ -141,15 +136,11 @@ class PixelTest(NamedTuple):
 class ColorLookup(NamedTuple):
     """Where the colour of a proximity point is looked up."""
 
-    #: Whether the colour camera stands apart from the depth camera. Otherwise both images share their pixels, and the
-    #: other fields are not used.
-    separate: bool
+    separate: bool  # Whether the colour camera stands apart; otherwise the other fields are not used
     transform: Float32Array  # (12,): Rotation (row by row) and translation (metres) from the depth to the colour frame
-    #: Lens model of the colour camera, as in `Alignment`.
-    lens: int
+    lens: int  # Lens model of the colour camera, as in `Alignment`
     camera: Float32Array
-    #: Of the colour image.
-    width: int
+    width: int  # Of the colour image
     height: int
 
 
@@ -158,7 +149,7 @@ class ColorTest(NamedTuple):
 
     lookup: ColorLookup
     image: Uint8Array  # flat: Proximity colours, RGB
-    hsv: Int64Array  # (6,) or (0,): Range of colours that are masked, from `colors.hsv_limits`; empty for no mask
+    hsv: Int64Array  # (6,): Range of colours that are masked, from `colors.hsv_limits`; empty for no mask
 
 
 class CandidateArrays(NamedTuple):
@@ -306,11 +297,7 @@ def is_masked(x: Any, y: Any, depth: Any, place: Any, color: Any) -> Any:
 
 @kernel
 def align_rows(images: Any, alignment: Any, region: Any, expected: Any, measured: Any, first: Any, last: Any) -> None:
-    """Write both sides of the tolerance test for rows ``first`` to ``last - 1``; nan where there is none.
-
-    ``images`` are `DepthImages`, ``alignment`` is an `Alignment`, ``region`` a `Region`; ``expected`` and
-    ``measured`` (metres) are float32, flat.
-    """
+    """Write both sides of the tolerance test (float32, flat, metres) for some rows of `DepthImages`; nan for none."""
     width, pixels = alignment.size.width, plane_size(alignment.size)
     buffer = _float_vector()
     for v in range(first, last):
@@ -330,10 +317,7 @@ def align_rows(images: Any, alignment: Any, region: Any, expected: Any, measured
 
 @kernel
 def classify_rows(images: Any, test: Any, provenance: Any, first: Any, last: Any) -> None:
-    """Write the verdict of depth, region, range and tolerance for rows ``first`` to ``last - 1``.
-
-    Candidates get CONTACT. ``images`` are `DepthImages`, ``test`` is a `PixelTest`, ``provenance`` is uint8, flat.
-    """
+    """Write the verdict of a `PixelTest` (uint8, flat) for some rows of `DepthImages`; candidates get CONTACT."""
     alignment, region, limits = test.alignment, test.region, test.limits
     width, pixels = alignment.size.width, plane_size(alignment.size)
     buffer = _int_vector()
@@ -390,14 +374,11 @@ def find_candidates(images: Any, test: Any, color: Any, tiles: Any, out: Any, fi
 
     Parameters
     ----------
-    images : DepthImages
-    test : PixelTest
-    color : ColorTest
+    images, test, color : DepthImages, PixelTest, ColorTest
     tiles : bool, shape (rows of image tiles, tiles in a row)
         False where `coarse` has shown that a tile of `TILE_ROWS` x `LANES` pixels has no candidate.
     out : CandidateArrays
         Written from element ``first * width`` on, in the order of the pixels; their number to ``counts[first]``.
-    first, last : int
     """
     alignment, region, limits, rays = test.alignment, test.region, test.limits, test.rays
     width, pixels = alignment.size.width, plane_size(alignment.size)

@@ -7,6 +7,7 @@ within the tolerance of any depth expected there, no pixel of the tile passes th
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,27 +62,18 @@ _NOTHING, _ONE = np.int32(0), np.int32(1)
 class TileBuffers(NamedTuple):
     """Ranges of raw counts by tile: least, then largest; the least is larger where there is no depth."""
 
-    proximity: Int32Array  # (2, N): N is the number of proximity tiles, filled up to whole vectors
-    tactile: Int32Array  # (2, M): M is the number of tactile tiles and a margin without depth
-    #: (4, M): Least and largest over `_SPAN` tiles to the right, then over a square of `_SPAN` x `_SPAN` tiles.
-    spread: Int32Array
+    proximity: Int32Array  # (2, N): of N proximity tiles, filled up to whole vectors
+    tactile: Int32Array  # (2, M): of M tactile tiles and a margin without depth
+    spread: Int32Array  # (4, M): over `_SPAN` tiles to the right, then over a square of `_SPAN` x `_SPAN` tiles
 
 
 @inline
-def tile_rows(height: Any) -> Any:
-    """Return the number of rows of tiles that cover an image height."""
-    return (height + TILE_ROWS - 1) // TILE_ROWS
-
-
-@inline
-def tile_columns(width: Any) -> Any:
-    """Return the number of columns of tiles that cover an image width."""
-    return (width + LANES - 1) // LANES
-
-
-def tile_grid(width: int, height: int) -> tuple[int, int]:
+def _tile_grid(width: Any, height: Any) -> Any:
     """Return the number of rows and columns of tiles that cover an image."""
-    return tile_rows.py_func(height), tile_columns.py_func(width)
+    return (height + TILE_ROWS - 1) // TILE_ROWS, (width + LANES - 1) // LANES
+
+
+tile_grid: Callable[[int, int], tuple[int, int]] = _tile_grid.py_func
 
 
 class CoarseTest:
@@ -114,12 +106,7 @@ class CoarseTest:
     def tiles(self, images: DepthImages, limits: DepthLimits, margin_m: float = 0.0) -> tuple[BoolArray, int]:
         """Return which tiles may hold contact, and their number; the next call overwrites the array.
 
-        Parameters
-        ----------
-        images : DepthImages
-        limits : DepthLimits
-        margin_m : float
-            Metres that both depths may differ beyond the tolerance.
+        Both depths may differ by ``margin_m`` beyond the tolerance.
         """
         if not self.possible:
             return self._all, self._all.size
@@ -319,7 +306,7 @@ def _measure_ranges(images: Any, size: Any, tiles: Any, buffers: Any) -> None:
     for i in range(tiles.size, lows.shape[0]):
         lows[i] = 1
         highs[i] = 0
-    rows, columns = tile_rows(size.tactile_height), tile_columns(size.tactile_width)
+    rows, columns = _tile_grid(size.tactile_width, size.tactile_height)
     _ranges_of_tiles(
         images.tactile, size.tactile_width, size.tactile_height, buffers.tactile[0], buffers.tactile[1]
     )  # fmt: skip
@@ -332,19 +319,16 @@ def _mark_tiles(images: Any, alignment: Any, tables: Any, limits: Any, margin: A
 
     Parameters
     ----------
-    images : chain.DepthImages
-    alignment : chain.Alignment
+    images, alignment, limits, buffers : DepthImages, Alignment, DepthLimits, TileBuffers
     tables : float32, flat
         As `CoarseTest` makes them: for the rigid model least and largest x, y and z of the rotated rays of each tile;
         for a homography left, right, top and bottom of the tactile pixels that each tile looks up.
-    limits : chain.DepthLimits
     margin : float32
         Metres that both depths may differ beyond the tolerance.
-    buffers : TileBuffers
     tiles : bool, shape (rows, columns)
     """
     size = alignment.size
-    tactile_rows, tactile_columns = tile_rows(size.tactile_height), tile_columns(size.tactile_width)
+    tactile_rows, tactile_columns = _tile_grid(size.tactile_width, size.tactile_height)
     _measure_ranges(images, size, tiles, buffers)
     flat_tiles, plane = tiles.reshape(tiles.size), buffers.proximity.shape[1]
     corners, lowest_of, highest_of = _corners(), _lowest(), _highest()

@@ -23,19 +23,10 @@ class Equations(NamedTuple):
     """
 
     places: Int32Array  # (N,): Flat places of the cells in their image
-    #: (6, N): To the left, right, upper and lower neighbour; to the measured gap; and the reciprocal of the sum of
-    #: these.
+    #: (6, N): To the left, right, upper and lower neighbour; to the measured gap; and the reciprocal of their sum.
     links: Float32Array
     floors: Float32Array  # (N,): Smallest gap: 0 where there is an object
     even: int  # Number of cells of even row plus column. No two of them are neighbours, and no two of the others
-
-
-class Relaxation(NamedTuple):
-    """How `settle` iterates."""
-
-    factor: np.float32  # Over-relaxation, 1 to 2
-    tolerance_m: np.float32  # Iteration ends when no gap changes by more, metres
-    max_sweeps: int
 
 
 class CellImages(NamedTuple):
@@ -134,7 +125,7 @@ def link_cells(inside: Any, images: Any, trust_m: Any, places: Any, links: Any, 
 
 
 @kernel
-def settle(gaps: Any, width: Any, equations: Any, loads: Any, relaxation: Any) -> Any:
+def settle(gaps: Any, width: Any, equations: Any, loads: Any, factor: Any, tolerance_m: Any, max_sweeps: Any) -> Any:
     """Solve for gaps that are nowhere below their floors by projected over-relaxation; return the number of sweeps.
 
     Cryer 1971, "The solution of a quadratic programming problem using systematic overrelaxation", SIAM J. Control 9.
@@ -148,10 +139,11 @@ def settle(gaps: Any, width: Any, equations: Any, loads: Any, relaxation: Any) -
     equations : Equations
     loads : float32, shape (N,)
         Measured gap times its link, minus push times area.
-    relaxation : Relaxation
+    factor, tolerance_m : float32
+        Over-relaxation, 1 to 2; iteration ends when no gap changes by more.
+    max_sweeps : int
     """
     places, links, floors, even = equations
-    relax, tolerance_m, max_sweeps = relaxation
     for sweep in range(max_sweeps):
         change = _ZERO
         for part in range(2):
@@ -166,7 +158,7 @@ def settle(gaps: Any, width: Any, equations: Any, loads: Any, relaxation: Any) -
                     + links[3, i] * gaps[place + width]
                     + loads[i]
                 )
-                gap = max(before + relax * (pull * links[5, i] - before), floors[i])
+                gap = max(before + factor * (pull * links[5, i] - before), floors[i])
                 change = max(change, abs(gap - before))
                 gaps[place] = gap
         if change < tolerance_m:

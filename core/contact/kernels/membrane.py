@@ -24,13 +24,9 @@ from .simd import LANES, absolute, bits, flags, float_scratch, floats, int_scrat
 #: Side of the square blocks of `block_points`, pixels.
 BLOCK_PX: Final = 8
 
-#: States of pixels, as `find_differences` writes them.
-TAKES_NO_PART: Final = 0
-USABLE: Final = 1
-MASKED: Final = 2
-EXCLUDED: Final = 3
-
-_NO_PART, _USABLE, _MASKED, _EXCLUDED = (np.int32(state) for state in (TAKES_NO_PART, USABLE, MASKED, EXCLUDED))
+#: States of pixels, as `find_differences` writes them. The colour of masked ones is the mask's; excluded ones lie
+#: outside the region or range.
+TAKES_NO_PART, USABLE, MASKED, EXCLUDED = range(4)
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 _MIN_DIVISOR = np.float32(1e-6)
 _float_vector, _int_vector = float_scratch(LANES), int_scratch(LANES)
@@ -60,9 +56,7 @@ class DifferenceImages(NamedTuple):
     """What `find_differences` writes, by pixel of the rectangle."""
 
     differences: Float32Array  # flat: Proximity minus tactile depth, metres; 0 where it is not smaller than the largest
-    #: flat: `USABLE`, `MASKED` (the colour is the mask's), `EXCLUDED` (outside the region or range), or
-    #: `TAKES_NO_PART`.
-    states: Uint8Array
+    states: Uint8Array  # flat
 
 
 @inline
@@ -81,11 +75,11 @@ def _compare(place: Any, depth: Any, valid: Any, state: Any, images: Any, test: 
     dp, _, dt, has_dt = both_depths(place, depth, valid, images.tactile, test.alignment)
     near = has_dt & (absolute(dp - dt) < floats(largest_m))
     difference = where(near, dp - dt, floats(_ZERO))
-    state = where(near, ints(_USABLE), state)
+    state = where(near, ints(np.int32(USABLE)), state)
     if color.hsv.shape[0] > 0 and bits(near) != 0:
         x = load(test.rays, place) * depth
         y = load(test.rays, plane_size(test.alignment.size) + place) * depth
-        state = where(near & is_masked(x, y, depth, place, color), ints(_MASKED), state)
+        state = where(near & is_masked(x, y, depth, place, color), ints(np.int32(MASKED)), state)
     return difference, state
 
 
@@ -93,20 +87,10 @@ def _compare(place: Any, depth: Any, valid: Any, state: Any, images: Any, test: 
 def find_differences(
     images: Any, test: Any, color: Any, tiles: Any, rectangle: Any, out: Any, first: Any, last: Any
 ) -> None:
-    """Write the differences between both depths for rows ``first`` to ``last - 1`` of a rectangle.
+    """Write the differences between both depths for rows ``first`` to ``last - 1`` of a `Rectangle`.
 
-    Parameters
-    ----------
-    images : DepthImages
-    test : PixelTest
-        Its tolerance is not used.
-    color : ColorTest
-    tiles : bool
-        As in `chain.find_candidates`.
-    rectangle : Rectangle
-    out : DifferenceImages
-    first, last : int
-        Rows of the rectangle.
+    ``images``, ``test`` (without its tolerance), ``color`` and ``tiles`` as in `chain.find_candidates`; ``out`` are
+    `DifferenceImages`.
     """
     width, pixels = test.alignment.size.width, plane_size(test.alignment.size)
     left, top, right, bias_m, largest_m = rectangle
@@ -119,7 +103,7 @@ def find_differences(
             depth = to_floats(count) * floats(test.alignment.proximity_unit_m)
             column = lane_columns(u, before)
             considered = _considered(count, depth, column, row_in_region, test)
-            state = where(considered, ints(_NO_PART), ints(_EXCLUDED))
+            state = where(considered, ints(np.int32(TAKES_NO_PART)), ints(np.int32(EXCLUDED)))
             difference = floats(_ZERO)
             valid = considered & is_depth(count) & (column >= ints(np.int32(u)))
             if tiles[v // TILE_ROWS, u // LANES] and bits(valid) != 0:
@@ -224,8 +208,7 @@ def forget_moved(counts: Any, means: Any, frames: Any, side: Any, share: Any, ju
     """Set ``frames`` to 0 in the squares of ``side`` pixels whose depth has changed; return the number of these.
 
     A square has changed if the mean change of its depths is more than ``share`` of their mean. The change of a pixel is
-    limited to ``jump`` of its depth. Squares with depth in a quarter of their pixels or less, both before and now, are
-    left as they are.
+    limited to ``jump`` of its depth. Squares with depth in few pixels are left as they are.
     """
     height, width = counts.shape
     found = 0

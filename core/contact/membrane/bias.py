@@ -37,8 +37,8 @@ _START_ABOVE_M: Final = 0.002
 _NEAR_M: Final = 0.012
 #: The part of the image near a bias serves for another one within this distance, metres.
 _SAME_M: Final = 0.004
-#: Step between the rows and columns that are read where every pixel is not needed, such as for the most frequent
-#: difference. It is odd, so depth that is missing in every second or fourth row or column does not hide the rest.
+#: Step between rows and columns that are read where every pixel is not needed. It is odd, so depth that is missing in
+#: every second or fourth row or column does not hide the rest.
 _STRIDE_PX: Final = 5
 _SOME: Final = (slice(None, None, _STRIDE_PX),) * 2
 #: Bin width of the histogram of differences, metres, and sigma of its smoothing, bins.
@@ -69,14 +69,11 @@ _MAX_LEAN_SIGMA_M: Final = 0.001
 
 @dataclass(frozen=True)
 class RigBias:
-    """What is known of the bias before a frame is seen."""
+    """What is known of the bias, proximity less tactile depth, before a frame is seen."""
 
-    #: Proximity less tactile depth.
     mean_m: float
     sigma_m: float
-    #: Noise power of both cameras per area, at low spatial frequency: the variance of a mean over an area is this over
-    #: the area.
-    noise_m4: float
+    noise_m4: float  # Noise power of both cameras at low spatial frequency: the variance of a mean times its area
     measured: bool  # Whether the rig's noise and bias were measured
     tactile_weight: float = 0.5  # Weight of the tactile depth in a mean of both depths, from both cameras' noise
     gap_sigma_m: float = 0.0011  # Standard deviation of a gap averaged over a window of `GUESS_PX`
@@ -125,10 +122,7 @@ def _after_window_m(noise: CameraNoise) -> float:
 def frame_bias(
     differences: Differences, membrane: MembraneImage, known: RigBias, free_per_m: float, rig: Rig
 ) -> tuple[FrameBias, Differences | None]:
-    """Return the bias in a frame, and the part of the differences with all pixels near it or near the search's start.
-
-    The part is None if there are no such pixels. The differences have a wide limit, as the bias may be large.
-    """
+    """Return the bias in a frame, and the part of the differences with pixels near it or near the search's start."""
 
     def cells_near(part: Differences | None, centre_m: float) -> Cells | None:
         limits_m = centre_m, _NEAR_M
@@ -157,10 +151,7 @@ def frame_bias(
 
 
 def _with_prints(known: RigBias, differences: Differences, rig: Rig) -> RigBias:
-    """Return the bias relative to that of the differences, from prints if the rig was not measured.
-
-    Then it counts as measured too.
-    """
+    """Return the bias relative to that of the differences; from prints, and as measured, if the rig was not."""
     prints, depth = differences.on_prints_m, differences.counts[_SOME]
     if known.measured or len(prints) < _MIN_PRINT_PIXELS or not depth.any():
         return replace(known, mean_m=known.mean_m - differences.bias_m)
@@ -192,11 +183,7 @@ def _near(differences: Differences, centre_m: float) -> Differences | None:
 
 
 def _variance_m2(known: RigBias, area_m2: float) -> float:
-    """Return the variance of a bias from contact of some area.
-
-    Noise that looks near is taken for contact, so the bias is off by up to the noise of a local mean; no area reduces
-    that.
-    """
+    """Return the variance of a bias from contact of an area; its last term is noise that is taken for contact."""
     return known.noise_m4 / area_m2 + known.gap_sigma_m**2
 
 

@@ -31,7 +31,7 @@ from .cells import FAR_M, Cells, over_window
 
 #: The gap is solved for where the measured one is smaller, metres.
 _MAX_GAP_M: Final = np.float32(0.005)
-_RELAXATION: Final = kernels.Relaxation(np.float32(1.7), np.float32(1e-5), 300)
+_FACTOR, _TOLERANCE_M, _MAX_SWEEPS = np.float32(1.7), np.float32(1e-5), 300
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +57,7 @@ def settle(cells: Cells, bias_m: float, trust_m: float, start: Equilibrium | Non
     even = kernels.link_cells(inside, images, np.float32(trust_m), places, links, floors, loads)
     if start is not None:
         np.copyto(gap, start.gap_m, where=inside & cells.known)
-    kernels.settle(gap.reshape(-1), gap.shape[1], kernels.Equations(places, links, floors, even), loads, _RELAXATION)
+    equations = kernels.Equations(places, links, floors, even)
+    kernels.settle(gap.reshape(-1), gap.shape[1], equations, loads, _FACTOR, _TOLERANCE_M, _MAX_SWEEPS)
     gap[~cells.known] = FAR_M
     return Equilibrium(gap, guess, measured - gap, inside & cells.known & (gap <= 0))

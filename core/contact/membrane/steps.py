@@ -26,7 +26,7 @@ from ..pixels import MAX_TILES_ALONE, Pixels, Workspace, depth_images
 from .bias import COARSE_CELL_PX, FrameBias, RigBias, frame_bias, rig_bias
 from .cells import CELL_PX, FAR_M, INNER, Cells, cells_of, to_pixels
 from .differences import Differences, surroundings
-from .equilibrium import Equilibrium, settle
+from .equilibrium import Equilibrium
 from .section import LARGEST_BIAS_M, NEAR_GAP_M, MembraneSection
 from .tension import measured_curvature_per_m, usable_curvature_per_m
 
@@ -153,7 +153,6 @@ def measure(found: Differences, frame: SensorFrame, preset: Preset, pixels: Pixe
 
 
 def membrane_image(frame: SensorFrame, pixels: Pixels) -> MembraneImage:
-    """Return the tactile depth image with its alignment, for the kernels."""
     return MembraneImage(flat(frame.tactile_depth), pixels.alignment.tables)
 
 
@@ -162,11 +161,6 @@ def measured_cells(measured: Measured, frame: SensorFrame, section: MembraneSect
     near_m = measured.bias.bias_m, _NEAR_M
     image, free_per_m = membrane_image(frame, pixels), measured.free_per_m
     return cells_of(measured.differences, image, CELL_PX, section.shape_px, free_per_m, near_m, pixels.rig)
-
-
-def solve(cells: Cells, measured: Measured, section: MembraneSection) -> Equilibrium:
-    """Solve for the gap in equilibrium."""
-    return settle(cells, measured.bias.bias_m, measured.known.length_m(section.trust_m))
 
 
 def within_edge(cells: Cells, solution: Equilibrium, gap_m: float, measured: Measured) -> BoolArray:

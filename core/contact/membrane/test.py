@@ -68,6 +68,7 @@ class MembraneTest(ContactTest):
         """Return the contact in a frame."""
         from . import steps
         from .bias import rig_bias
+        from .equilibrium import settle
 
         pixels, section = self.pixels, preset.membrane
         if due("fusion"):
@@ -79,7 +80,8 @@ class MembraneTest(ContactTest):
         if due("equilibrium"):
             self._cells = steps.measured_cells(measured, frame, section, pixels)
             if self._cells is not None:
-                self._solution = steps.solve(self._cells, measured, section)
+                trust_m = measured.known.length_m(section.trust_m)
+                self._solution = settle(self._cells, measured.bias.bias_m, trust_m)
         if (cells := self._cells) is None:
             return Found(NO_CANDIDATES, lambda: steps.classify(frame, preset, pixels), ("no candidates",))
         if due("edge"):

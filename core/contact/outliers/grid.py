@@ -33,27 +33,20 @@ ROW, COLUMN, MASK, NUMBER, PLACE = range(5)
 class GridPlanes(NamedTuple):
     """What the searches read of a `Grid`."""
 
-    #: Pixels in a row of the image, and elements in a row of the planes.
-    width: int
-    stride: int
-    #: flat: Coordinates of the point in each pixel, metres, with `MARGIN` pixels around the image.
-    xs: Float32Array
+    width: int  # Pixels in a row of the image
+    stride: int  # Elements in a row of the planes
+    xs: Float32Array  # flat: Coordinates of the point in each pixel, metres, with `MARGIN` pixels around the image
     ys: Float32Array
     zs: Float32Array
     offsets: Int64Array  # Offsets in the planes from a pixel to all pixels of a square around it, ring by ring
-    #: flat: Side planes from `padded_planes`.
-    columns: Float32Array
+    columns: Float32Array  # flat: Side planes from `padded_planes`
     rows: Float32Array
 
 
 class Grid:
-    """Buffers for one image size, which hold one cloud at a time.
+    """Buffers for the image of one camera, which hold one cloud at a time, for one thread at a time.
 
-    Attributes
-    ----------
-    planes : GridPlanes
-    runs : int64, shape (n, 5)
-        Every run of `LANES` pixels of a row, starting at a multiple of `LANES`, that has points.
+    ``runs`` (n, 5) are all runs of `LANES` pixels of a row, starting at a multiple of `LANES`, that have points.
     """
 
     def __init__(self, intrinsics: Intrinsics) -> None:

@@ -173,18 +173,8 @@ def _mean_of_nearest(squares: Any, vectors: Any, limit: Any, within_limit: Any, 
 def search_points(cloud: Any, first: Any, last: Any, grid: Any, k: Any, max_radius: Any, means: Any) -> None:
     """Write the mean distance to the k nearest points where it is nan; leave nan where no window is large enough.
 
-    Parameters
-    ----------
-    cloud : Cloud
-        The whole cloud.
-    first, last : int
-        Numbers of points; ``last`` is exclusive.
-    grid : GridPlanes
-        With the cloud.
-    k, means
-        As in `row_search.search_rows`, with the same precision.
-    max_radius : int
-        Largest window, at most `MAX_POINT_RADIUS`.
+    ``first`` to ``last - 1`` are numbers of points of a `Cloud` that lies in the `GridPlanes`; ``max_radius`` is the
+    largest window, at most `MAX_POINT_RADIUS`; ``k`` and ``means`` as in `row_search.search_rows`, as precise.
     """
     squares, minima = _squares(), _minima()
     for i in range(first, last):
@@ -256,15 +246,8 @@ def _squares_to_all(x: Any, y: Any, z: Any, all_points: Any, squares: Any, neare
 def search_all(chosen: Any, all_points: Any, k: Any, squares: Any, kept: Any, means: Any) -> None:
     """Write the mean distance of chosen points to their k nearest, comparing each with every point of the cloud.
 
-    Parameters
-    ----------
-    chosen : int, shape (M,)
-        Numbers of points.
-    all_points : Coordinates
-    squares, kept : float32
-        Buffers with an element for every point and two vectors more.
-    k, means
-        As in `search_points`.
+    ``chosen`` (M,) are numbers of points, ``all_points`` are `Coordinates`; ``squares`` and ``kept`` are buffers of
+    float32 with an element for every point and two vectors more; ``k`` and ``means`` as in `search_points`.
     """
     count = all_points.length
     vectors = (count + LANES - 1) // LANES

@@ -12,15 +12,12 @@ by a k-d tree with Open3D's bits.
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from ...model.arrays import BoolArray, Float32Array, Float64Array, IndexArray
-from ...model.intrinsics import Intrinsics
 from ...model.patch import Candidates
-from ..kernels.compiling import kernel
-from ..kernels.simd import LANES, doubles, load, total
+from ..kernels.simd import LANES
 from ..kernels.threads import get_threads, in_parallel, scratch
 from .clusters import keep
 from .grid import MAX_POINT_RADIUS, NUMBER, Grid
@@ -45,55 +42,12 @@ _MAX_WINDOW_SHARE, _MIN_POINT_RADIUS = 0.25, 7
 _RUNS, _COMPARED = 192, 16
 
 
-class NeighbourMemory:
-    """What one search keeps for the next: the grid, the array of mean distances, and these for another ratio.
-
-    For one thread at a time.
-    """
-
-    def __init__(self) -> None:
-        self._grid: Grid | None = None
-        self._camera: Intrinsics | None = None
-        self._of: tuple[Float32Array, int] | None = None
-        self._means = self._buffer = np.empty(0)
-
-    def grid(self, camera: Intrinsics) -> Grid:
-        """Return an empty grid for a camera's image."""
-        if self._grid is None or self._camera != camera:
-            self._grid, self._camera = Grid(camera), camera
-        return self._grid
-
-    def buffer(self, count: int) -> Float64Array:
-        """Return an array for ``count`` means; forgets what was remembered."""
-        self._of = None
-        if len(self._buffer) < count:
-            self._buffer = np.empty(count + count // 2)
-        return self._buffer[:count]
-
-    def recall(self, points: Float32Array, k: int) -> Float64Array | None:
-        """Return the means of this very array of points, if remembered."""
-        return self._means if self._of is not None and self._of[0] is points and self._of[1] == k else None
-
-    def remember(self, points: Float32Array, k: int, means: Float64Array) -> None:
-        """Keep the means."""
-        self._of, self._means = (points, k), means
-
-
-def without_outliers(
-    candidates: Candidates, camera: Intrinsics, k: int, ratio: float, memory: NeighbourMemory
-) -> Candidates:
+def without_outliers(candidates: Candidates, grid: Grid, k: int, ratio: float) -> Candidates:
     """Return the candidates without statistical outliers."""
-    return keep(candidates, statistical_inliers(candidates.points, candidates.pixels, camera, k, ratio, memory))
+    return keep(candidates, statistical_inliers(candidates.points, candidates.pixels, grid, k, ratio))
 
 
-def statistical_inliers(
-    points: Float32Array,
-    pixels: IndexArray,
-    intrinsics: Intrinsics,
-    k: int,
-    ratio: float,
-    memory: NeighbourMemory | None = None,
-) -> BoolArray:
+def statistical_inliers(points: Float32Array, pixels: IndexArray, grid: Grid, k: int, ratio: float) -> BoolArray:
     """Return which points are inliers, by Open3D's definition.
 
     The mean distance of an inlier to its k nearest points, itself included, is positive and below the mean of all
@@ -106,33 +60,21 @@ def statistical_inliers(
         Metres, camera frame, z > 0, in row-major pixel order.
     pixels : int, shape (N,)
         Flat pixel of each point.
-    intrinsics : Intrinsics
+    grid : Grid
         Of the camera that sees the points in these pixels.
     k : int
         Neighbours averaged, the point itself included (PCL's k is one less).
     ratio : float
         Number of standard deviations.
-    memory : NeighbourMemory, optional
-        Saves the search if only the ratio has changed.
-
-    Returns
-    -------
-    bool, shape (N,)
     """
     if len(points) == 0:
-        return np.zeros(0, bool)
-    k, memory = min(k, len(points)), memory or NeighbourMemory()
+        return np.zeros(0, np.bool_)
+    k = min(k, len(points))
     if len(points) > _FEW_POINTS and k > 1:
-        means = memory.recall(points, k)
-        if means is None:
-            means = near_means(points, pixels, intrinsics, k, memory)
-            memory.remember(points, k, means)
-        inliers = surely_below_threshold(means, ratio, UNCERTAINTY)
-        if inliers is None:
-            means = precise_means(points, pixels, intrinsics, k, memory)
-            inliers = surely_below_threshold(means, ratio, PRECISE_UNCERTAINTY)
-        if inliers is not None:
-            return inliers
+        for means_of, uncertainty in ((near_means, UNCERTAINTY), (precise_means, PRECISE_UNCERTAINTY)):
+            inliers = surely_below_threshold(means_of(points, pixels, grid, k), ratio, uncertainty)
+            if inliers is not None:
+                return inliers
     return below_threshold(exact_means(points, k), ratio)
 
 
@@ -151,14 +93,12 @@ def exact_means(points: Float32Array, k: int, chosen: IndexArray | None = None) 
     return np.asarray(np.cumsum(distances, axis=1)[:, -1] / k)
 
 
-def near_means(
-    points: Float32Array, pixels: IndexArray, intrinsics: Intrinsics, k: int, memory: NeighbourMemory
-) -> Float64Array:
-    """Return each point's mean distance to its k nearest, with a relative error of at most `UNCERTAINTY`.
+def near_means(points: Float32Array, pixels: IndexArray, grid: Grid, k: int) -> Float64Array:
+    """Return each point's mean distance to its k nearest, 1 < k <= N, with a relative error of at most `UNCERTAINTY`.
 
-    Parameters as in `statistical_inliers`, with 1 < k <= N. The result lies in the memory's array.
+    The calling thread's next call overwrites the array.
     """
-    grid, means = memory.grid(intrinsics), memory.buffer(len(points))
+    means = scratch("means", len(points), np.float64)[: len(points)]
     try:
         if not grid.lay(points, pixels):
             return exact_means(points, k)
@@ -174,11 +114,9 @@ def near_means(
     return means
 
 
-def precise_means(
-    points: Float32Array, pixels: IndexArray, intrinsics: Intrinsics, k: int, memory: NeighbourMemory
-) -> Float64Array:
+def precise_means(points: Float32Array, pixels: IndexArray, grid: Grid, k: int) -> Float64Array:
     """Return the means of `near_means` with a relative error of at most `PRECISE_UNCERTAINTY`."""
-    grid, means = memory.grid(intrinsics), np.full(len(points), np.nan)
+    means = np.full(len(points), np.nan)
     try:
         if grid.lay(points, pixels):
             in_parallel(
@@ -224,9 +162,12 @@ def _largest_worthwhile_radius(count: int) -> int:
 
 def below_threshold(means: Float64Array, ratio: float) -> BoolArray:
     """Return which exact means are positive and below Open3D's threshold, summed in its order."""
-    inliers = np.empty(len(means), np.bool_)
-    _compare_exactly(means, ratio, inliers)
-    return inliers
+    count, positive = len(means), means > 0
+    if count < 2:
+        return np.zeros(count, np.bool_)
+    mean = np.cumsum(means)[-1] / count
+    squares = np.cumsum(np.where(positive, np.square(means - mean), 0.0))[-1]
+    return np.asarray(positive & (means < mean + ratio * np.sqrt(squares / (count - 1))))
 
 
 def surely_below_threshold(means: Float64Array, ratio: float, uncertainty: float) -> BoolArray | None:
@@ -235,59 +176,14 @@ def surely_below_threshold(means: Float64Array, ratio: float, uncertainty: float
     If every mean has a relative error of at most ``uncertainty``, so has the mean of all. The standard deviation is a
     norm, so it moves by at most the norm of the errors.
     """
-    count = len(means)
-    if count < 2:
+    degrees = len(means) - 1
+    centre = means.mean()
+    from_centre = means - centre
+    square = from_centre @ from_centre
+    away = ratio * np.sqrt(square / degrees)
+    error = uncertainty * (centre + ratio * np.sqrt((square + len(means) * centre * centre) / degrees)) * (1 + 1e-6)
+    # a mean that is twice as large as the threshold, or larger, is not uncertain
+    margin = error + 2 * uncertainty * (centre + away)
+    if means.min() <= _MIN_MEAN_M or np.abs(from_centre - away).min() <= margin:
         return None
-    inliers = np.empty(count, np.bool_)
-    return inliers if _compare(means, ratio, uncertainty, inliers) else None
-
-
-@kernel
-def _compare_exactly(means: Any, ratio: Any, inliers: Any) -> None:
-    """Write which means are positive and below the threshold."""
-    count = len(means)
-    summed = 0.0
-    for value in means:
-        summed += value
-    mean = summed / count
-    squares = 0.0
-    for value in means:
-        if value > 0:
-            squares += (value - mean) * (value - mean)
-    threshold = mean + ratio * np.sqrt(squares / (count - 1)) if count > 1 else np.nan
-    for i in range(count):
-        inliers[i] = means[i] > 0 and means[i] < threshold
-
-
-@kernel
-def _compare(means: Any, ratio: Any, uncertainty: Any, inliers: Any) -> Any:
-    """Write which means are below the threshold; return whether that is certain."""
-    count = len(means)
-    whole = count - count % LANES
-    sums = doubles(0.0)
-    squares = doubles(0.0)
-    for i in range(0, whole, LANES):
-        mean = load(means, i)
-        sums = sums + mean
-        squares = squares + mean * mean
-    sum_of_means, sum_of_squares = total(sums), total(squares)
-    for i in range(whole, count):
-        sum_of_means += means[i]
-        sum_of_squares += means[i] * means[i]
-
-    centre = sum_of_means / count
-    centred = doubles(0.0)
-    for i in range(0, whole, LANES):
-        away = load(means, i) - doubles(centre)
-        centred = centred + away * away
-    sum_of_centred = total(centred)
-    for i in range(whole, count):
-        sum_of_centred += (means[i] - centre) * (means[i] - centre)
-
-    threshold = centre + ratio * np.sqrt(sum_of_centred / (count - 1))
-    error = uncertainty * (centre + ratio * np.sqrt(sum_of_squares / (count - 1))) * (1 + 1e-6)
-    certain = True
-    for i in range(count):
-        inliers[i] = means[i] < threshold
-        certain &= means[i] > _MIN_MEAN_M and abs(means[i] - threshold) > error + uncertainty * means[i]
-    return certain
+    return np.asarray(from_centre < away)

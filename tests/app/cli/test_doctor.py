@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-from importlib.metadata import PackageNotFoundError
 
 import pytest
 
@@ -14,7 +13,7 @@ from tactune.app.doctor import report as doctor_report
 from tactune.app.doctor import system as doctor_system
 from tactune.app.doctor.cameras import check_cameras, check_drivers
 from tactune.app.doctor.checks import Check, Child, State, python_child, run_child
-from tactune.app.doctor.system import check_cache_folder, check_packages, check_qt_libraries, check_window
+from tactune.app.doctor.system import check_cache_folder, check_packages, check_qt_libraries
 
 CRASH = Child(problem="crashed (SIGSEGV)")
 
@@ -135,19 +134,6 @@ def test_cameras_on_usb(tmp_path, plug_in, monkeypatch):
     assert [line.state for line in closed] == [State.FAIL] * 2
     assert "no permission" in closed[0].found
     assert "udev" in closed[0].remedy
-
-
-def test_window(monkeypatch):
-    assert [line.state for line in check_window({})] == [State.OK, State.WARN]
-    assert [line.state for line in check_window({"DISPLAY": ":0"})] == [State.OK, State.OK]
-
-    def nothing(name):
-        raise PackageNotFoundError(name)
-
-    monkeypatch.setattr(doctor_system, "version", nothing)
-    line = only(check_window({}))
-    assert line.state is State.WARN
-    assert "tactune[gui]" in line.remedy
 
 
 def test_qt_libraries(tmp_path):

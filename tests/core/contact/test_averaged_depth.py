@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from tactune.core.contact.membrane.average import AveragedDepth
-from tactune.core.contact.membrane.test import MembraneTest
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.preset import Preset
 
@@ -62,16 +61,6 @@ def test_what_moves_behind_a_membrane_at_rest_begins_anew_by_itself(make_frame, 
     assert (shown.tactile_depth > still.tactile_depth).mean() > 0.99
 
 
-def test_a_pixel_that_is_lost_for_as_long_as_it_was_seen_has_no_depth(make_frame, rig):
-    still = make_frame(rig, 0, 0.0, 0.0)
-    blind = replace(still, tactile_depth=np.full_like(still.tactile_depth, 65535))
-    average = AveragedDepth(rig, 3)
-    average.add(still)
-    average.add(still)
-    assert (average.add(blind).tactile_depth > 0).all()
-    assert (average.add(blind).tactile_depth == 0).all()
-
-
 def test_the_pipeline_averages_only_where_asked_and_each_frame_once(make_frame, rig):
     frames = frames_of(make_frame, rig, 6)
     alone = ContactPipeline(AVERAGED.with_value("membrane.frames", 1), rig)
@@ -86,19 +75,6 @@ def test_the_pipeline_averages_only_where_asked_and_each_frame_once(make_frame, 
     fresh = ContactPipeline(AVERAGED, rig).process(frames[-1])
     np.testing.assert_array_equal(single.points, fresh.points)
     assert patch.points.shape != single.points.shape or not np.array_equal(patch.points, single.points)
-
-
-def test_the_average_is_a_stage_of_its_own(make_frame, rig):
-    first, second = frames_of(make_frame, rig, 2)
-    contact = ContactPipeline(AVERAGED, rig)
-    contact.process(first)
-    patch = contact.process(second)
-    assert tuple(patch.stage_ms) == ("average", *MembraneTest.steps)
-    assert patch.stage_ms["average"] > 0
-    contact.update(AVERAGED.with_value("membrane.gap_m", 0.001))
-    assert contact.process(second).stage_ms["average"] == 0
-    contact.update(AVERAGED.with_value("membrane.frames", 1))
-    assert tuple(contact.process(second).stage_ms) == tuple(MembraneTest.steps)
 
 
 def test_what_moves_slowly_together_stays_together(make_frame, rig):

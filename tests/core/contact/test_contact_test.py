@@ -17,7 +17,6 @@ from tactune.core.contact.membrane.steps import classify, differences_at
 from tactune.core.contact.membrane.test import MembraneTest
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.contact.pixels import Pixels, Workspace
-from tactune.core.contact.tolerance import ToleranceTest
 from tactune.core.model.clouds import ray_table
 from tactune.core.model.frames import Rig, SensorFrame
 from tactune.core.model.provenance import Provenance
@@ -137,15 +136,6 @@ def test_a_change_repeats_only_what_comes_after_it(rig, scene, path, value, repe
     assert same_patch(again, ContactPipeline(changed, rig).process(scene))
 
 
-def test_the_tolerance_test_does_not_care_for_the_membrane_section(rig, scene):
-    tolerance = Preset(contact_test="tolerance")
-    contact = ContactPipeline(tolerance, rig)
-    first = contact.process(scene)
-    contact.update(tolerance.with_values({"membrane.gap_m": 0.0001, "membrane.trust_m": 0.03, "noise": NOISE}))
-    assert contact.process(scene).points is first.points
-    assert tuple(first.stage_ms) == tuple(ToleranceTest.steps)
-
-
 choices = st.fixed_dictionaries(
     {
         "contact_test": st.sampled_from(["tolerance", "membrane", "membrane"]),
@@ -218,16 +208,6 @@ def test_differences_are_those_of_whole_images(
         np.testing.assert_array_equal(found.usable, usable[found.place])
         assert found.usable.sum() == usable.sum()
         np.testing.assert_array_equal(found.difference_m[found.usable], difference[found.place][found.usable])
-
-
-def test_nothing_is_done_for_a_frame_with_nothing_near(rig):
-    far = frame_of(np.full((HEIGHT, WIDTH), 0.02))
-    patch = ContactPipeline(MEMBRANE, rig).process(far)
-    assert [name for name, ms in patch.stage_ms.items() if ms] == ["fusion"]
-    assert patch.skipped == ("no candidates",)
-    assert len(patch.points) == 0
-    assert not patch.mask.any()
-    assert set(np.unique(patch.provenance)) == {Provenance.OUTSIDE_TOLERANCE}
 
 
 def test_what_is_elsewhere_in_the_image_changes_nothing(rig, scene):

@@ -15,7 +15,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactune.core.contact.alignment import make_alignment
-from tactune.core.contact.kernels import chain as kernels
 from tactune.core.contact.kernels import compiling
 from tactune.core.contact.kernels.chain import TILE_ROWS
 from tactune.core.contact.kernels.coarse import tile_grid
@@ -81,11 +80,6 @@ def test_no_candidate_is_ever_ruled_out(make_rig, make_frame, seed, model, width
     assert not (tiles_with_candidates(preset, rig, frame) & ~marked(preset, rig, frame)).any()
 
 
-def test_a_distorted_tactile_lens_rules_nothing_out(make_rig, make_frame):
-    rig = make_rig(distortion="brown_conrady", bend=0.05)
-    assert marked(PRESET, rig, make_frame(rig)).all()
-
-
 def test_every_colour_has_opencvs_hue_saturation_and_value():
     steps = np.unique(np.r_[np.arange(0, 256, 5), 1, 2, 127, 128, 254, 255]).astype(np.uint8)
     colors = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
@@ -138,8 +132,3 @@ def test_a_change_in_another_module_reaches_the_kernel(package: Path) -> None:
     inner.write_text(inner.read_text().replace("2.0", "3.0"))
     os.utime(inner, ns=(1, inner.stat().st_mtime_ns + 1_000_000))
     assert _run(package) == 63.0
-
-
-def test_the_pipelines_kernels_know_all_their_files() -> None:
-    names = {Path(path).name for path in compiling.source_files(kernels.find_candidates.py_func.__module__)}
-    assert {"chain.py", "simd.py", "lenses.py"} <= names

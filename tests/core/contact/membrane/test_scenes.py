@@ -27,8 +27,7 @@ MEMBRANE, TOLERANCE = (SIMULATOR.with_value("contact_test", name) for name in ("
 UNIT_M = 1e-5
 
 
-@pytest.mark.parametrize("sensor", ["datasheet", "bias", "stereo"])
-@pytest.mark.parametrize("scene", ["cube", "cup", "octopus"])
+@pytest.mark.parametrize(("scene", "sensor"), [("cube", "datasheet"), ("cup", "bias"), ("octopus", "stereo")])
 def test_the_error_is_hardly_above_that_of_the_best_tolerance(scene, sensor):
     """The best t of each scene is chosen with its truth, which no user has."""
     source = SimulatorSource(scene, seed=1, variant=Variant(press="medium"), sensor=sensor)
@@ -64,11 +63,8 @@ def test_wrong_tactile_depth_in_places_less_than_doubles_the_error():
 
 @pytest.mark.parametrize(
     "hidden",
-    [
-        lambda v, u: u % 4 == 0, lambda v, u: v % 4 == 0, lambda v, u: u % 2 == 0, lambda v, u: u % 2 == 1,
-        lambda v, u: v % 2 == 0, lambda v, u: v % 2 == 1, lambda v, u: (u + v) % 2 == 0, lambda v, u: (u + v) % 2 == 1,
-    ],
-    ids=["u4", "v4", "even u", "odd u", "even v", "odd v", "even fields", "odd fields"],
+    [lambda v, u: u % 4 == 0, lambda v, u: u % 2 == 0, lambda v, u: v % 2 == 1, lambda v, u: (u + v) % 2 == 0],
+    ids=["every fourth column", "even columns", "odd rows", "a chessboard"],
 )  # fmt: skip
 def test_depth_that_is_missing_in_a_pattern_does_not_hide_firm_contact(hidden):
     source = SimulatorSource("cup", variant=Variant(press="high"))
