@@ -11,9 +11,8 @@ from PyQt6.QtGui import QColor, QResizeEvent
 from PyQt6.QtWidgets import QGridLayout, QLabel, QWidget
 
 from ...core.lab.methods import method_names, method_problems, method_tip
-from ...widgets.basics.colormaps import Theme
 from ...widgets.basics.controls import ChoiceBox, caption
-from ...widgets.basics.layouts import splitter, vbox
+from ...widgets.basics.layouts import splitter
 from ...widgets.basics.messages import Severity
 from ...widgets.basics.record_table import Column, RecordTable
 from ...widgets.basics.theme import theme_name
@@ -21,22 +20,13 @@ from ...widgets.clouds.cloud_view import CloudView, link_cameras
 from ..context import Context
 from ..worker.jobs import Progress, Work
 from ..worker.results import Result
-from .compare_work import (
-    FALSE_RGB,
-    MISSED_RGB,
-    RIGHT_RGB,
-    TRUTH,
-    Comparer,
-    Comparison,
-    Outcome,
-    method_color,
-)
+from .compare_work import FALSE_RGB, MISSED_RGB, RIGHT_RGB, TRUTH, Comparer, Comparison, Outcome, method_color
 from .live_tab import LiveTab, Row
 
 _CHOSEN: Final = "compare/methods"
 _AT_FIRST: Final = "fusion-rigid,fusion-membrane,proximity-only,tactile-only,mechanics"
 _TRUTH_TIP: Final = "The true contact: from the simulator's contact solver, or stored in the recording"
-_CHOOSE: Final = "Tick a method in the table to see its patch here."
+_AGREEMENT: Final = [("right", QColor(*RIGHT_RGB)), ("false", QColor(*FALSE_RGB)), ("missed", QColor(*MISSED_RGB))]
 #: Preferred width over height of a view; points grow by a pixel for each of these pixels of its width.
 _ASPECT, _POINT_EVERY = 1.25, 320
 
@@ -54,7 +44,7 @@ class CompareTab(LiveTab):
         remembered = self.settings.text(_CHOSEN, _AT_FIRST).split(",")
         self.chosen = tuple(name for name in self.methods if name in remembered)
         self._comparer = Comparer()
-        self.grid, self.color_by = TileGrid(), ChoiceBox()
+        self.grid, self.color_by = ViewGrid(), ChoiceBox()
         self.table = RecordTable(
             self._table_columns(),
             "Methods and their numbers",
@@ -75,21 +65,17 @@ class CompareTab(LiveTab):
             self.top.addWidget(part)
         self.top.addStretch(1)
         self._show_table(())
-        self.sheet = splitter(
-            Qt.Orientation.Vertical, (self.grid, 1), self.table, sizes=(520, self.table.full_height() + 40)
-        )
+        sizes = (520, self.table.full_height() + 40)
+        self.sheet = splitter(Qt.Orientation.Vertical, (self.grid, 1), self.table, sizes=sizes)
         self.column.addWidget(self.sheet, 1)
         self.table.ticked.connect(self._tick)
         self.table.copied.connect(
             lambda rows: self.messages.show_message("done", Severity.INFO, f"{rows} rows copied as text.")
         )
         self.color_by.currentIndexChanged.connect(self.again)
-        self._show_tiles()
+        self._show_views()
 
     def _table_columns(self) -> tuple[Column, ...]:
-        def shown(name: str) -> bool | None:
-            return None if name == TRUTH else name in self.chosen
-
         def number(title: str, field: str, decimals: int, tip: str, sample: str, factor: float = 1.0) -> Column:
             return Column(title, lambda record: factor * getattr(record, field), tip, decimals, sample=sample)
 
@@ -98,8 +84,8 @@ class CompareTab(LiveTab):
                 "Method",
                 lambda record: f"{record.name} ({record.averaged} frames)" if record.averaged > 1 else record.name,
                 "Tick a method to see it; every method keeps its colour",
-                ticked=lambda record: shown(record.name),
-                hint=lambda record: _tip(record.name),
+                ticked=lambda record: None if record.name == TRUTH else record.name in self.chosen,
+                hint=lambda record: _TRUTH_TIP if record.name == TRUTH else method_tip(record.name),
                 swatch=lambda record: method_color(record.name, theme_name()),
                 sample="fusion-averaged (15 frames) 0000",
             ),
@@ -133,22 +119,26 @@ class CompareTab(LiveTab):
 
     def show_found(self, result: Result, found: Comparison) -> Row | None:
         """Show views and table."""
-        truth = result.frame.truth is not None
-        self.color_by.setEnabled(truth)
-        self._show_tiles()
+        self.color_by.setEnabled(result.frame.truth is not None)
+        self._show_views()
         self._show_table(found.outcomes)
         for outcome in found.outcomes:
             if outcome.name in self.grid.shown():
-                self.grid.tiles[outcome.name].show_outcome(outcome, truth, found.by_truth, theme_name())
+                view = self.grid.views[outcome.name]
+                view.set_cloud(outcome.cloud)
+                view.set_message(outcome.note)
+                own = [("contact", method_color(outcome.name, theme_name()))]
+                view.set_legend(_AGREEMENT if found.by_truth else own)
         rate = self.rate.rate()
         playing = f" · {rate:.1f} compared per second" if result.playback.running and rate else ""
-        unknown = "" if truth else " · no truth known, so no RMSE and IoU"
+        unknown = " · no truth known, so no RMSE and IoU" if result.frame.truth is None else ""
         self.status.setText(f"Frame {result.frame_number} of {result.source.name}{playing}{unknown}")
         # The export holds the shown frame only.
-        self.rows = {
-            -1 - number: (result.frame.sequence, each.name, each.averaged, *map(_known, _numbers(each)), each.note)
-            for number, each in enumerate(found.outcomes)
-        }
+        self.rows = {}
+        for number, each in enumerate(found.outcomes):
+            numbers = (each.ms, each.points, each.area_mm2, each.rmse_mm, each.iou)
+            known = (f"{value:.6g}" if math.isfinite(value) else None for value in numbers)
+            self.rows[-1 - number] = (result.frame.sequence, each.name, each.averaged, *known, each.note)
         return None
 
     def picture(self) -> QWidget | None:
@@ -160,13 +150,13 @@ class CompareTab(LiveTab):
     def _tick(self, record: Outcome, on: bool) -> None:
         self.chosen = tuple(name for name in self.methods if (on if name == record.name else name in self.chosen))
         self.settings.set(_CHOSEN, ",".join(self.chosen))
-        self._show_tiles()
+        self._show_views()
         self._show_table(() if self.found is None else self.found.outcomes)
         self.again()
 
-    def _show_tiles(self) -> None:
+    def _show_views(self) -> None:
         truth = self.result is not None and self.result.frame.truth is not None
-        self.grid.show_tiles([*([TRUTH] if truth else []), *self.chosen])
+        self.grid.show_views([*([TRUTH] if truth else []), *self.chosen])
 
     def _show_table(self, outcomes: Sequence[Outcome]) -> None:
         known = {outcome.name: outcome for outcome in outcomes}
@@ -176,92 +166,45 @@ class CompareTab(LiveTab):
         self.table.set_records([*first, *rows])
 
 
-def _numbers(outcome: Outcome) -> tuple[float, ...]:
-    return outcome.ms, outcome.points, outcome.area_mm2, outcome.rmse_mm, outcome.iou
-
-
-def _known(number: float) -> str | None:
-    return f"{number:.6g}" if math.isfinite(number) else None
-
-
-def _tip(name: str) -> str:
-    return _TRUTH_TIP if name == TRUTH else method_tip(name)
-
-
-class Tile(QWidget):
-    """One method's patch, and its numbers below."""
-
-    def __init__(self, name: str) -> None:
-        super().__init__()
-        self.name = name
-        self.view = CloudView(name)
-        self.caption = QLabel("\n")
-        self.caption.setTextFormat(Qt.TextFormat.PlainText)
-        self.caption.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.caption.setToolTip(_tip(name))
-        self.caption.setAccessibleName(f"Numbers of {name}")
-        vbox((self.view, 1), self.caption, within=self, margins=0, spacing=0)
-
-    def show_outcome(self, outcome: Outcome, truth: bool, by_truth: bool, theme: Theme) -> None:
-        """Show patch and numbers; with truth, also the agreement with it."""
-        self.view.set_cloud(outcome.cloud)
-        legend = [("contact", method_color(self.name, theme))]
-        if by_truth:
-            colors = (("right", RIGHT_RGB), ("false", FALSE_RGB), ("missed", MISSED_RGB))
-            legend = [(word, QColor(*rgb)) for word, rgb in colors]
-        if legend != self.view.legend():
-            self.view.set_legend(legend)
-        self.view.set_message(outcome.note)
-        words = [f"{outcome.ms:.1f} ms"] * math.isfinite(outcome.ms)
-        if math.isfinite(outcome.points):
-            words += [f"{outcome.points:,.0f} points", f"{outcome.area_mm2 / 100:.1f} cm²"]
-        lines = [" · ".join(words) or "no patch"]
-        if truth:
-            scores = f"RMSE {outcome.rmse_mm:.2f} mm · IoU {outcome.iou:.3f}".replace("nan", "–")
-            lines.append("true contact" if outcome.name == TRUTH else scores)
-        self.caption.setText("\n".join(lines))
-
-
-class TileGrid(QWidget):
-    """One tile for each chosen method, as large as possible, with linked cameras."""
+class ViewGrid(QWidget):
+    """One view for each chosen method, as large as possible, with linked cameras."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.tiles: dict[str, Tile] = {}
-        self._shown: list[Tile] = []
+        self.views: dict[str, CloudView] = {}
+        self._shown: dict[str, CloudView] = {}
         self._columns = 0
         self._layout = QGridLayout(self)
         self._layout.setContentsMargins(0, 0, 0, 0)
         self._layout.setSpacing(4)
-        self._empty = QLabel(_CHOOSE)
+        self._empty = QLabel("Tick a method in the table to see its patch here.")
         self._empty.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self._layout.addWidget(self._empty, 0, 0)
 
     def shown(self) -> list[str]:
-        """Return the names of the visible tiles in order."""
-        return [tile.name for tile in self._shown]
+        """Return the names of the visible views in order."""
+        return list(self._shown)
 
-    def show_tiles(self, names: Sequence[str]) -> None:
-        """Show only these tiles; new ones take the camera of those that stay."""
+    def show_views(self, names: Sequence[str]) -> None:
+        """Show only these views; new ones take the camera of those that stay."""
         if list(names) == self.shown():
             return
-        stay = [tile for tile in self._shown if tile.name in names]
+        stay = [name for name in self._shown if name in names]
+        for view in self._shown.values():
+            view.hide()
+            link_cameras([view])
         for name in names:
-            if name not in self.tiles:
-                self.tiles[name] = Tile(name)
-        for tile in self._shown:
-            tile.hide()
-            link_cameras([tile.view])
-        self._shown = [self.tiles[name] for name in names]
-        link_cameras([tile.view for tile in (*stay, *(tile for tile in self._shown if tile not in stay))])
+            if name not in self.views:
+                self.views[name] = CloudView(name)
+        self._shown = {name: self.views[name] for name in names}
+        link_cameras([self.views[name] for name in (*stay, *(name for name in names if name not in stay))])
         self._place()
 
     def clear(self) -> None:
         """Empty all views; they frame the next cloud."""
-        for tile in self.tiles.values():
-            tile.view.set_cloud(None)
-            tile.view.set_message("")
-            tile.caption.setText("")
+        for view in self.views.values():
+            view.set_cloud(None)
+            view.set_message("")
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:
         """Choose the number of columns that makes the views largest."""
@@ -279,13 +222,13 @@ class TileGrid(QWidget):
         self._empty.setVisible(not self._shown)
         if not self._shown:
             self._layout.addWidget(self._empty, 0, 0)
-        for place, tile in enumerate(self._shown):
+        for place, view in enumerate(self._shown.values()):
             row, column = divmod(place, columns)
-            self._layout.addWidget(tile, row, column)
+            self._layout.addWidget(view, row, column)
             self._layout.setRowStretch(row, 1)
             self._layout.setColumnStretch(column, 1)
-            tile.view.set_point_size(max(2, round(self.width() / columns / _POINT_EVERY)))
-            tile.show()
+            view.set_point_size(max(2, round(self.width() / columns / _POINT_EVERY)))
+            view.show()
 
 
 def best_columns(count: int, width: int, height: int) -> int:

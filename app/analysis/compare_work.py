@@ -22,6 +22,7 @@ from ...core.model.arrays import BoolArray, Uint8Array
 from ...core.model.clouds import ray_table
 from ...core.model.frames import SensorFrame
 from ...core.model.metrics import compare_with_truth, truth_cloud
+from ...core.model.patch import ContactPatch
 from ...core.preset import Preset
 from ...widgets.basics.colormaps import Theme, patch_index, patch_lut
 from ...widgets.clouds.cloud_data import DepthCloud
@@ -31,8 +32,7 @@ from ..worker.threads import leave_room_for_the_window
 
 TRUTH: Final = "truth"
 #: Number of frames over which the median time is taken.
-TIMED_FRAMES: Final = 15
-NO_CONTACT: Final = "No contact found in this frame"
+_TIMED_FRAMES: Final = 15
 #: Longest rest after a comparison while frames play, seconds.
 _MAX_REST_S: Final = 0.5
 
@@ -114,8 +114,8 @@ class _Entrant:
     pipeline: ContactPipeline | None = None
     warm: bool = False
     newest: SensorFrame | None = None
-    times_ms: deque[float] = field(default_factory=lambda: deque(maxlen=TIMED_FRAMES))
-    outcome: Outcome | None = None
+    times_ms: deque[float] = field(default_factory=lambda: deque(maxlen=_TIMED_FRAMES))
+    found: dict[str, Any] = field(default_factory=dict)
     mask: BoolArray | None = None
 
 
@@ -134,18 +134,12 @@ class Comparer:
         no_untouched: str,
         theme: Theme,
         by_truth: bool,
-        tell: Callable[[str], None] = lambda name: None,
+        tell: Callable[[str], None],
     ) -> Comparison:
         """Run the methods on a frame, except those that have already run on it.
 
-        Parameters
-        ----------
-        untouched : SensorFrame or None
-            For rivals; ``no_untouched`` says why there is none.
-        by_truth : bool
-            Colour points by their agreement with the truth.
-        tell : callable
-            Called with the name of a method before it is set up, which may take seconds.
+        ``no_untouched`` says why rivals get no untouched frame; ``by_truth`` colours points by their agreement with the
+        truth; ``tell`` gets the name of a method before it is set up, which may take seconds.
         """
         leave_room_for_the_window()
         if result.playback.running:  # window and worker share the processor
@@ -164,9 +158,10 @@ class Comparer:
             outcomes.append(Outcome(TRUTH, cloud, count, area_mm2 if len(points) else math.nan, note=note))
         for name in methods:
             entrant = self._entrant(name, result, untouched, no_untouched, tell)
-            outcome = self._run(name, entrant, result, theme, by_truth)
+            self._run(name, entrant, result)
+            cloud = _cloud(name, entrant.mask, result, theme, by_truth)
             ms = median(entrant.times_ms) if entrant.times_ms else math.nan
-            outcomes.append(replace(outcome, ms=ms))
+            outcomes.append(Outcome(name, cloud, ms=ms, **entrant.found))
         self._rest_s = time.perf_counter() - started
         return Comparison(result, tuple(methods), by_truth, tuple(outcomes))
 
@@ -203,24 +198,24 @@ class Comparer:
             fresh.problem = explain(error, f"{name} cannot be set up")
         return fresh
 
-    def _run(self, name: str, entrant: _Entrant, result: Result, theme: Theme, by_truth: bool) -> Outcome:
-        frame = result.frame
-        if entrant.outcome is None or entrant.newest is not frame:
-            outcome = Outcome(name, _cloud(name, None, result, theme, by_truth), note=entrant.problem)
-            entrant.mask = None
-            if entrant.find is not None:
-                try:
-                    outcome, entrant.mask = self._timed(outcome, entrant, entrant.find, result)
-                except TactuneError as error:
-                    outcome = replace(outcome, note=str(error))
-                except Exception as error:
-                    outcome = replace(outcome, note=explain(error, f"{name} failed on frame {result.frame_number}"))
-            entrant.outcome, entrant.newest, entrant.warm = outcome, frame, True
-        return replace(entrant.outcome, cloud=_cloud(name, entrant.mask, result, theme, by_truth))
+    def _run(self, name: str, entrant: _Entrant, result: Result) -> None:
+        """Run a method on a frame and keep what it found."""
+        if entrant.newest is result.frame:
+            return
+        entrant.found, entrant.mask = {"note": entrant.problem}, None
+        if entrant.find is not None:
+            try:
+                patch = self._timed(entrant, entrant.find, result.frame)
+                entrant.found = _numbers(patch, result)
+                entrant.mask = patch.mask
+            except TactuneError as error:
+                entrant.found = {"note": str(error)}
+            except Exception as error:
+                entrant.found = {"note": explain(error, f"{name} failed on frame {result.frame_number}")}
+        entrant.newest, entrant.warm = result.frame, True
 
-    def _timed(self, empty: Outcome, entrant: _Entrant, find: Find, result: Result) -> tuple[Outcome, BoolArray]:
+    def _timed(self, entrant: _Entrant, find: Find, frame: SensorFrame) -> ContactPatch:
         """Run a method on a frame and note its time, except that of its first run."""
-        frame = result.frame
         averages = entrant.pipeline is not None and entrant.pipeline.preset.averaged_frames > 1
         # A copy, since a pipeline skips steps for a known frame; one that averages must not see a frame twice.
         asked = frame if averages else replace(frame)
@@ -230,13 +225,21 @@ class Comparer:
         patch = find(asked)
         if entrant.warm or not averages:
             entrant.times_ms.append((time.perf_counter_ns() - started) / 1e6)
-        note = "" if len(patch.points) else NO_CONTACT
-        size = len(patch.points), patch_area_mm2(patch)
-        found = replace(empty, points=size[0], area_mm2=size[1], note=note, averaged=patch.averaged_frames)
-        if frame.truth is not None:
-            known = compare_with_truth(patch, frame.truth, result.source.rig)
-            found = replace(found, rmse_mm=known["rmse_mm"], iou=known["iou"])
-        return found, patch.mask
+        return patch
+
+
+def _numbers(patch: ContactPatch, result: Result) -> dict[str, Any]:
+    """Return the numbers of a patch as the fields of an `Outcome`."""
+    numbers: dict[str, Any] = {
+        "points": len(patch.points),
+        "area_mm2": patch_area_mm2(patch),
+        "averaged": patch.averaged_frames,
+        "note": "" if len(patch.points) else "No contact found in this frame",
+    }
+    if result.frame.truth is not None:
+        known = compare_with_truth(patch, result.frame.truth, result.source.rig)
+        numbers |= {"rmse_mm": known["rmse_mm"], "iou": known["iou"]}
+    return numbers
 
 
 def _cloud(name: str, mask: BoolArray | None, result: Result, theme: Theme, by_truth: bool) -> DepthCloud:

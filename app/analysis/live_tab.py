@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QImage
 from PyQt6.QtWidgets import QHBoxLayout, QVBoxLayout, QWidget
 
@@ -41,10 +40,6 @@ class LiveTab(AnalysisTab):
 
     A subclass adds its entries to `top` and its views to `column`, and says what it computes (`work`) and how it is
     shown (`show_found`).
-
-    Signals
-    -------
-    shown(found: object)
     """
 
     #: Columns of the CSV.
@@ -54,8 +49,6 @@ class LiveTab(AnalysisTab):
     FILTERS: tuple[str, ...] = ()
     #: Whether the rows of all frames are kept; else those of the shown frame.
     KEEPS_ALL = True
-
-    shown = pyqtSignal(object)
 
     def __init__(self, context: Context) -> None:
         super().__init__()
@@ -119,7 +112,7 @@ class LiveTab(AnalysisTab):
         self.again()
 
     def again(self, *_: object) -> None:
-        """Work on the shown frame once more, such as after a change of an entry."""
+        """Work on the shown frame once more."""
         if (result := self.result) is not None:
             work = self.work(result)
             self.job.start(lambda progress: (result, work(progress)))
@@ -176,7 +169,6 @@ class LiveTab(AnalysisTab):
                 del self.rows[next(iter(self.rows))]
             self.rows_changed()
         self._offer()
-        self.shown.emit(found)
 
     # Rows
 

@@ -1,14 +1,16 @@
-"""The tab Membrane strain: strain map, largest strains, and strain against displacement."""
+"""The tab Membrane strain: strain map over the tactile image, largest strains, and strain against displacement."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import dataclass
 from typing import Final
 
+import cv2
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtCore import Qt
+from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtWidgets import QComboBox, QDoubleSpinBox, QLabel, QWidget
 
 from ...core.lab.strain import (
@@ -16,26 +18,35 @@ from ...core.lab.strain import (
     SPACING_RANGE_M,
     AxisStrain,
     StrainError,
+    StrainMeasurement,
     average_still,
     indentation_m,
     measure_strain,
 )
-from ...core.model.frames import SensorFrame
+from ...core.model.arrays import Float64Array, Uint8Array
+from ...core.model.frames import SensorFrame, TrueStrain
+from ...widgets.basics.colormaps import depth_lut
 from ...widgets.basics.controls import caption, frame_count, wrapped_label
 from ...widgets.basics.layouts import splitter, vbox
-from ...widgets.basics.theme import ThemeColors
+from ...widgets.images.image_pane import ColorBar, ImagePane, Swatch
 from ...widgets.plots.plot import Plot
+from ..calibration.pictures import pack_rgb
 from ..context import Context
 from ..worker.jobs import Progress, Work
 from ..worker.results import Result
 from .live_tab import LiveTab, Row
-from .strain_views import LENGTH_RGB, WIDTH_RGB, StrainMap, StrainView, largest_pair
 
 _SPACING, _AVERAGE, _MAP = "strain/spacing_mm", "strain/average", "strain/map"
 _MAPS: Final = ("Largest", "Along length", "Along width")
 _MAX_AVERAGED: Final = 30
 #: Smallest range of both axes of the curve, in mm and percent.
 _MIN_RANGE: Final = 10.0
+#: Where strain is largest along the length and along the width; also the colours of the curve.
+LENGTH_RGB, WIDTH_RGB = (235, 60, 40), (40, 150, 255)
+#: Share of the map's colour over the image, and the bits of a pixel's fraction in which squares are drawn.
+_OPACITY, _SHIFT = 0.7, 4
+#: The colours end at a multiple of this, 10 %.
+_ROUNDED: Final = 0.10
 
 
 class StrainTab(LiveTab):
@@ -64,13 +75,12 @@ class StrainTab(LiveTab):
         self.plot.getPlotItem().showGrid(x=True, y=True, alpha=0.2)
         self.plot.setToolTip("Largest strain along length and width against the displacement of the membrane")
         self.plot.setAccessibleName("Strain against displacement")
-        legend = self.plot.add_legend(3)
-        self._truths = [self.plot.plot(pen=None, symbol="+", symbolSize=11) for _ in range(2)]
+        self.plot.add_legend(2)
         self._curves = [
-            self.plot.plot(name=name, symbol=symbol, symbolSize=6) for name, symbol in (("length", "o"), ("width", "s"))
+            self.plot.plot(name=name, pen=pg.mkPen(rgb, width=1.5), symbol=symbol, symbolSize=6, symbolBrush=rgb)
+            for name, symbol, rgb in (("length", "o", LENGTH_RGB), ("width", "s", WIDTH_RGB))
         ]
-        legend.addItem(self._truths[0], "solver, dots seen")
-        self.plot.follow_theme(self._recolor)
+        self.plot.follow_theme()
         self._lay_out()
         self.map.show_view(None, _MAPS[0], self.status.text())
         self.spacing.valueChanged.connect(self._entries_changed)
@@ -164,10 +174,8 @@ class StrainTab(LiveTab):
         """Draw the frames whose displacement is known, in their order."""
         rows = [row for row in sorted(self.rows.values(), key=lambda row: row[0]) if row[1] is not None]
         table = np.array([row[1:4] for row in rows], np.float64).reshape(-1, 3)
-        seen = np.array([[row[1], *row[9:11]] for row in rows if row[9] is not None], np.float64).reshape(-1, 3)
-        for axis, (curve, truth) in enumerate(zip(self._curves, self._truths, strict=True), start=1):
+        for axis, curve in enumerate(self._curves, start=1):
             curve.setData(table[:, 0], table[:, axis])
-            truth.setData(seen[:, 0], seen[:, axis])
 
     def picture(self) -> QWidget | None:
         """Return map, numbers and curve."""
@@ -185,13 +193,6 @@ class StrainTab(LiveTab):
         if self.found is not None:
             self.map.show_view(self.found, shown, self.found.problem)
 
-    def _recolor(self, colors: ThemeColors) -> None:
-        for curve, marks, rgb in zip(self._curves, self._truths, (LENGTH_RGB, WIDTH_RGB), strict=True):
-            curve.setPen(pg.mkPen(rgb, width=1.5))
-            curve.setSymbolBrush(pg.mkBrush(rgb))
-            curve.setSymbolPen(None)
-            marks.setSymbolPen(pg.mkPen(colors.text))
-
 
 def _axis_words(name: str, axis: AxisStrain, found: StrainView) -> str:
     assert found.measured is not None
@@ -201,3 +202,118 @@ def _axis_words(name: str, axis: AxisStrain, found: StrainView) -> str:
         seen, every = getattr(found.truth, f"{name}_seen"), getattr(found.truth, name)
         words += f"; solver {100 * seen:.1f} % at the dots seen, {100 * every:.1f} % at all"
     return words
+
+
+@dataclass(frozen=True, eq=False)
+class StrainView:
+    """One measurement, or the reason why there is none; the displacement is nan without an untouched frame."""
+
+    spacing_m: float
+    averaged: int
+    color: Uint8Array | None
+    displacement_mm: float
+    truth: TrueStrain | None
+    measured: StrainMeasurement | None = None
+    problem: str = ""
+
+    def values(self, shown: str) -> Float64Array:
+        """Return the strain that colours each grid cell."""
+        assert self.measured is not None
+        length, width = self.measured.cell_strain.T
+        return np.asarray({"Largest": np.maximum(length, width), "Along length": length}.get(shown, width))
+
+
+def largest_pair(axis: AxisStrain, pixels: Float64Array) -> Float64Array:
+    """Return the two dots with the largest strain between them, pixels (2, 2)."""
+    return np.asarray(pixels[axis.pairs[np.argmax(axis.strain)]])
+
+
+def _color_range(values: Float64Array) -> tuple[float, float]:
+    """Return the range of the colours: multiples of `_ROUNDED` that contain all values."""
+    if len(values) == 0:
+        return 0.0, _ROUNDED
+    low = min(float(np.floor(values.min() / _ROUNDED)) * _ROUNDED, 0.0)
+    return low, max(float(np.ceil(values.max() / _ROUNDED)) * _ROUNDED, low + _ROUNDED)
+
+
+def _map_lut() -> Uint8Array:
+    return np.ascontiguousarray(depth_lut()[::-1])
+
+
+class StrainMap(ImagePane):
+    """Shows one measurement; the wheel zooms, a drag pans, a double click shows all."""
+
+    #: The strain of the grid cell under the mouse as text; empty outside of the grid.
+    pointed = pyqtSignal(str)
+
+    def __init__(self) -> None:
+        super().__init__("Strain map (tactile colour image)")
+        self._view: StrainView | None = None
+        self._fitted = False
+        shadow = pg.mkPen((0, 0, 0, 170), width=7)
+        self._dots = pg.ScatterPlotItem(size=5, pen=None, brush=pg.mkBrush(255, 255, 255, 200))
+        self._peaks = [
+            pg.PlotCurveItem(connect="pairs", pen=pg.mkPen(rgb, width=4), shadowPen=shadow)
+            for rgb in (LENGTH_RGB, WIDTH_RGB)
+        ]
+        for height, item in enumerate((self._dots, *self._peaks), start=5):
+            item.setZValue(height)
+            self.box.addItem(item, ignoreBounds=True)
+        self.view.setMinimumSize(320, 200)
+        self.view.setToolTip("Wheel: zoom; drag: move; double click: show all; hover over a square to read its strain")
+        self.hovered.connect(self._hovered)
+        self.doubleClicked.connect(self.show_all)
+        self.viewMoved.connect(lambda: setattr(self, "_fitted", True))
+        self.resized.connect(self._fit)
+
+    def show_view(self, view: StrainView | None, shown: str, message: str) -> None:
+        """Show a measurement; without one, the image and the reason."""
+        self._view = view
+        image = None if view is None or view.color is None else view.color.copy()
+        measured = view.measured if view is not None else None
+        self.header.set_legend(None)
+        if view is not None and view.color is not None and measured is not None and image is not None:
+            values = view.values(shown)
+            low, high = _color_range(values)
+            rows = np.clip((values - low) / (high - low) * 255.0, 0, 255).astype(np.intp)
+            corners = np.rint(measured.pixels[measured.cells] * (1 << _SHIFT)).astype(np.int32)
+            for places, row in zip(corners, rows, strict=True):
+                color = [int(channel) for channel in _map_lut()[row, :3]]
+                cv2.fillConvexPoly(image, places, color, cv2.LINE_AA, _SHIFT)
+            image = np.asarray(cv2.addWeighted(image, _OPACITY, view.color, 1.0 - _OPACITY, 0.0), dtype=np.uint8)
+            bar = ColorBar(f"{100 * low:.0f} %", f"{100 * high:.0f} %", _map_lut())
+            marks = (Swatch("largest along length", LENGTH_RGB), Swatch("largest along width", WIDTH_RGB))
+            self.header.set_legend(bar, marks)
+        size = (640, 480) if image is None else (image.shape[1], image.shape[0])
+        changed = size != self._size
+        self.set_pixels(None if image is None else pack_rgb(image), size, 1)
+        self.set_message(message if image is None else "")
+        if changed:
+            self.show_all()
+        for item in (self._dots, *self._peaks):
+            item.setVisible(measured is not None)
+        if measured is not None:
+            self._dots.setData(*measured.pixels.T)
+            for peak, axis in zip(self._peaks, (measured.length, measured.width), strict=True):
+                peak.setData(*largest_pair(axis, measured.pixels).T)
+
+    def show_all(self) -> None:
+        """Show the whole image."""
+        self._fitted = False
+        self._fit()
+
+    def _fit(self) -> None:
+        if not self._fitted:
+            self.show_rect(self.image_rect())
+
+    def _hovered(self, u: int, v: int) -> None:
+        measured = self._view.measured if self._view is not None else None
+        text = ""
+        if measured is not None and u >= 0 and len(measured.cells):
+            corners = measured.pixels[measured.cells]
+            edges, to = np.roll(corners, -1, axis=1) - corners, np.array([u, v]) - corners
+            turn = edges[..., 0] * to[..., 1] - edges[..., 1] * to[..., 0]
+            for cell in np.flatnonzero((turn >= 0).all(axis=1) | (turn <= 0).all(axis=1))[:1]:
+                length, width = 100 * measured.cell_strain[cell]
+                text = f"Square at ({u}, {v}): {length:.1f} % along length, {width:.1f} % along width"
+        self.pointed.emit(text)

@@ -32,21 +32,9 @@ class AnalysisTab(QWidget):
 
 @dataclass(frozen=True)
 class TabKind:
-    """An analysis tab before it is opened; the Analysis menu and window list these.
+    """An analysis tab before it is opened; the Analysis menu and window list these."""
 
-    Attributes
-    ----------
-    title : str
-        The tab's title and menu entry; an ampersand marks the key.
-    tip : str
-        One sentence that says what the tab is for.
-    make : callable
-        Makes the tab when it is first looked at.
-    shortcut : str
-        Such as ``"F7"``; empty for none.
-    """
-
-    title: str
-    tip: str
-    make: Callable[[Context], AnalysisTab]
-    shortcut: str = ""
+    title: str  # also the menu entry; an ampersand marks the key
+    tip: str  # one sentence that says what the tab is for
+    make: Callable[[Context], AnalysisTab]  # called when the tab is first looked at
+    shortcut: str = ""  # such as "F7"

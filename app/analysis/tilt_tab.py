@@ -16,9 +16,8 @@ from ...core.estimation.tilt import MAX_SIGMA_RAD, Tilt, TiltEstimator, TiltMeth
 from ...core.estimation.tilt_filter import TiltFilter
 from ...core.model.arrays import Float32Array, Float64Array
 from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_ROW, palette_theme, patch_lut
-from ...widgets.basics.controls import caption, copy_text, push_button
+from ...widgets.basics.controls import caption
 from ...widgets.basics.layouts import STRETCH, hbox, splitter, vbox
-from ...widgets.basics.messages import Severity
 from ...widgets.clouds.cloud_data import free_cloud
 from ...widgets.clouds.cloud_view import CloudView
 from ...widgets.plots.plot import Plot
@@ -58,7 +57,6 @@ class TiltTab(LiveTab):
         self.cloud = CloudView("Patch and plane")
         self.roll, self.pitch, self.axis = QLabel(), QLabel(), QLabel()
         self.method, self.filtered = QComboBox(), QCheckBox("&Filtered")
-        self.copy = push_button("C&opy", "Copy the angles of this frame with their standard deviations as text")
         self.plot = Plot("Time, s", "Angle, degrees", movable=True)
         self.plot.setToolTip(
             "Roll and pitch over the time stamps of the frames, with a band of one standard deviation. "
@@ -73,7 +71,6 @@ class TiltTab(LiveTab):
         self.cloud.set_message(self.status.text())
         self.method.activated.connect(self._method_changed)
         self.filtered.toggled.connect(self._filtered_changed)
-        self.copy.clicked.connect(self._copy)
 
     def _curve(self, name: str, rgb: tuple[int, int, int]) -> tuple[pg.PlotDataItem, list[pg.PlotCurveItem]]:
         """Return a curve of the plot and the lower and upper end of its band."""
@@ -99,11 +96,10 @@ class TiltTab(LiveTab):
         self.axis.setToolTip("Direction of the long axis in the image: 0° right, 90° down; none for a round patch")
         for label in (self.roll, self.pitch, self.axis):
             label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.top.addLayout(hbox(caption("&Method", self.method), self.method, self.filtered, STRETCH, self.copy))
+        self.top.addLayout(hbox(caption("&Method", self.method), self.method, self.filtered, STRETCH))
         side = QWidget()
         vbox(self.roll, self.pitch, self.axis, (self.plot, 1), within=side, margins=0)
         self.column.addWidget(splitter(Qt.Orientation.Horizontal, self.cloud, side, sizes=(480, 480)))
-        self.copy.setEnabled(False)
 
     def _method_changed(self, _: int) -> None:
         self.settings.set("tilt/method", self.method.currentText())
@@ -155,7 +151,6 @@ class TiltTab(LiveTab):
         self.cloud.set_cloud(None)
         for label in (self.roll, self.pitch, self.axis):
             label.setText("")
-        self.copy.setEnabled(False)
 
     def _show(self) -> None:
         """Draw the newest frame's plane and angles, alone or filtered."""
@@ -181,7 +176,6 @@ class TiltTab(LiveTab):
         if result.preset.noise is None:
             hints.append("usual noise assumed: see Calibration > Measure noise and bias")
         self.status.setText(" · ".join(hints))
-        self.copy.setEnabled(True)
 
     def rows_changed(self) -> None:
         """Draw roll and pitch over time; gaps where they are not determined."""
@@ -195,16 +189,10 @@ class TiltTab(LiveTab):
             for end, sign in zip(ends, (-1, 1), strict=True):
                 end.setData(times, angle + sign * sigma)
 
-    def _copy(self) -> None:
-        if self.tilt is not None:
-            words = f"{self.roll.text()}, {self.pitch.text()}, {self.axis.text()}"
-            copy_text(f"{words} (frame {self.tilt.sequence}, {self.tilt.method})")
-            self.messages.show_message("copied", Severity.INFO, "The angles were copied.")
-
     def changeEvent(self, event: QEvent | None) -> None:
         """Follow the theme."""
         super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.PaletteChange and hasattr(self, "copy"):
+        if event is not None and event.type() == QEvent.Type.PaletteChange and hasattr(self, "cloud"):
             self._show()
 
 

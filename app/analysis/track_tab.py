@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 from PyQt6.QtCore import QEvent, Qt
-from PyQt6.QtGui import QColor, QDragEnterEvent, QDropEvent
+from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QComboBox, QLabel, QWidget
 from scipy.spatial.transform import Rotation
 
@@ -17,11 +17,9 @@ from ...core.errors import as_sentence, minus
 from ...core.estimation.object_mesh import SUFFIXES
 from ...core.estimation.pose import PoseEstimate
 from ...core.estimation.pose_files import pose_record, save_poses
-from ...core.model.arrays import Float64Array
 from ...core.model.units import UNITS_M
 from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_ROW, palette_theme, patch_lut
 from ...widgets.basics.controls import AccentButton, caption, push_button, wrapped_label
-from ...widgets.basics.dialogs import local_files
 from ...widgets.basics.layouts import STRETCH, hbox, splitter, vbox
 from ...widgets.basics.messages import Severity
 from ...widgets.basics.theme import theme_colors
@@ -33,13 +31,11 @@ from ..worker.job_row import JobRow
 from ..worker.jobs import Job, Work
 from ..worker.results import Result
 from .live_tab import LiveTab, Row
-from .track_work import MODEL_RGB, FrameTracker, Model, Rgb, Tracked, read_model, simulated_model
+from .track_work import SHADES, FrameTracker, Model, Tracked, read_model, simulated_model
 
 _FILTER: Final = f"Meshes ({' '.join(f'*{suffix}' for suffix in SUFFIXES)})"
 _BY_SIZE: Final = "by size"
-_FREE_RGB: Final[Rgb] = (224, 49, 49)
-#: Points of a drawn axis; its half length as a multiple of the mesh's radius.
-_AXIS_POINTS, _AXIS_REACH = 300, 2.0
+_MODEL_RGB: Final = (24, 120, 230)
 #: A component with a larger standard deviation is not determined, metres and radians.
 _FREE_M, _FREE_RAD = 0.02, 0.3
 _NOBODY: Final = PoseEstimate(0, 0.0, np.eye(4), np.eye(6), (), math.nan, 0.0, lost=True)
@@ -59,7 +55,7 @@ class TrackTab(LiveTab):
         self._path: Path | None = None
         self._tracker: FrameTracker | None = None
         self._loading = Job(self)
-        self.open_button = push_button("&Open mesh…", "Open the object's mesh: OBJ, PLY or STL (or drop it here)")
+        self.open_button = push_button("&Open mesh…", "Open the object's mesh: OBJ, PLY or STL")
         self.simulated = push_button("&Simulated object", "Use the mesh of the object that the simulator presses")
         self.unit = QComboBox()
         self.track_button = AccentButton(
@@ -79,7 +75,6 @@ class TrackTab(LiveTab):
         self._loading.failed.connect(
             lambda sentence: self.messages.state("mesh", Severity.WARNING, sentence and as_sentence(sentence))
         )
-        self.setAcceptDrops(True)
         self._show()
 
     def _lay_out(self) -> None:
@@ -139,17 +134,6 @@ class TrackTab(LiveTab):
         self.plot.clear()
         self.messages.show_message("mesh", Severity.INFO, f"{model.mesh.assumed}.")
         self._show()
-
-    def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:
-        """Accept one mesh."""
-        if event is not None and any(path.suffix.lower() in SUFFIXES for path in local_files(event.mimeData())):
-            event.acceptProposedAction()
-
-    def dropEvent(self, event: QDropEvent | None) -> None:
-        """Open the dropped mesh."""
-        if event is not None:
-            event.acceptProposedAction()
-            self.open_mesh(next(p for p in local_files(event.mimeData()) if p.suffix.lower() in SUFFIXES))
 
     # Tracking
 
@@ -211,30 +195,25 @@ class TrackTab(LiveTab):
         self.guide.setText(self._next_step())
         self.pose.setText("" if tracked is None else pose_text(tracked.estimate))
         self.plot.setVisible(self.plot.filled)
-        patch = None if result is None else result.patch
-        parts: list[tuple[Float64Array, Rgb]] = []
-        legend = [("patch", CONTACT_COLOR)]
-        if tracked is not None and model is not None and not tracked.estimate.lost:
-            parts = model.posed(tracked.estimate.T_proximity_object)
-            legend.append(("model", QColor(*MODEL_RGB)))
-            if lines := free_lines(tracked.estimate, model.mesh.radius_m):
-                parts.append((np.concatenate(lines), _FREE_RGB))
-                legend.append(("free direction", QColor(*_FREE_RGB)))
-        points = np.zeros((0, 3)) if patch is None else patch.points
+        patch = np.zeros((0, 3)) if result is None or result.patch is None else result.patch.points
+        points, colors, legend = patch, np.full(len(patch), CONTACT_ROW, np.uint8), [("patch", CONTACT_COLOR)]
         lut = patch_lut(palette_theme(self.palette())).copy()
-        colors = [np.full(len(points), CONTACT_ROW, np.uint8)]
-        for row, (part, rgb) in enumerate(parts):
-            lut[row] = (*rgb, 255)
-            colors.append(np.full(len(part), row, np.uint8))
-        every = np.concatenate([points, *(part for part, _ in parts)])
-        self.scene.set_cloud(free_cloud(every, np.concatenate(colors), lut, count=len(points)) if len(every) else None)
+        if tracked is not None and model is not None and not tracked.estimate.lost:
+            pose = tracked.estimate.T_proximity_object
+            points = np.concatenate([patch, model.points @ pose[:3, :3].T + pose[:3, 3]])
+            colors = np.concatenate([colors, model.shades])
+            for row in range(SHADES):
+                lut[row, :3] = [round(channel * (0.45 + 0.55 * row / (SHADES - 1))) for channel in _MODEL_RGB]
+                lut[row, 3] = 255
+            legend.append(("model", QColor(*_MODEL_RGB)))
+        self.scene.set_cloud(free_cloud(points, colors, lut, count=len(patch)) if len(points) else None)
         self.scene.set_legend(legend)
 
     def _next_step(self) -> str:
         """Return the state of tracking or the next step, as a sentence."""
         if self.model is None:
             other = "Press Simulated object, or open" if self.simulated.isVisibleTo(self) else "Open"
-            return f"{other} the mesh of the object that is pressed, or drop it here."
+            return f"{other} the mesh of the object that is pressed."
         if self.result is None:
             return "There is no frame yet: open a source in the main window."
         if self._tracker is None:
@@ -253,12 +232,6 @@ class TrackTab(LiveTab):
         super().changeEvent(event)
         if event is not None and event.type() == QEvent.Type.PaletteChange and hasattr(self, "plot"):
             self._show()
-
-
-def free_lines(estimate: PoseEstimate, radius_m: float) -> list[Float64Array]:
-    """Return the directions that are free as lines of points."""
-    reach = np.linspace(-1.0, 1.0, _AXIS_POINTS)[:, None] * _AXIS_REACH * radius_m
-    return [np.array(free.point_m) + reach * np.array(free.axis) for free in estimate.free]
 
 
 def pose_text(estimate: PoseEstimate) -> str:

@@ -13,31 +13,25 @@ import numpy as np
 from ...core.errors import MissingExtraError
 from ...core.estimation.object_mesh import ObjectMesh, import_open3d, load_mesh, simulated_mesh
 from ...core.estimation.pose import PoseError, PoseEstimate, PoseTracker, pose_error
-from ...core.model.arrays import Float64Array
+from ...core.model.arrays import Float64Array, Uint8Array
 from ...core.sources.simulator.names import read_name, source_options
 from ...core.sources.simulator.scenes import resolve_scene
 from ..worker.jobs import Progress
 from ..worker.results import Result
 
-Rgb = tuple[int, int, int]
-
-#: Points that a model is drawn with, and the blues that shade it by its normals.
+#: Points that a model is drawn with, and the number of blues that shade it by its normals.
 _MODEL_POINTS: Final = 9000
-_SHADES: Final = 5
+SHADES: Final = 5
 _LIGHT: Final = np.array([-0.4, -0.7, -0.6]) / math.sqrt(1.01)
-MODEL_RGB: Final[Rgb] = (24, 120, 230)
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A mesh and the points that it is drawn with, in its own frame, each group with its shade."""
+    """A mesh, the points that it is drawn with, in its own frame, and the number of each point's shade."""
 
     mesh: ObjectMesh
-    groups: tuple[tuple[Float64Array, Rgb], ...]
-
-    def posed(self, pose: Float64Array) -> list[tuple[Float64Array, Rgb]]:
-        """Return the groups in the proximity frame."""
-        return [(points @ pose[:3, :3].T + pose[:3, 3], rgb) for points, rgb in self.groups]
+    points: Float64Array
+    shades: Uint8Array
 
 
 def read_model(path: Path, unit: str | None, progress: Progress) -> Model:
@@ -45,27 +39,23 @@ def read_model(path: Path, unit: str | None, progress: Progress) -> Model:
     progress(0.1, f"Reading {path.name}")
     mesh = load_mesh(path, unit)
     progress(0.6, "Preparing the view")
-    return shown(mesh)
+    return _shown(mesh)
 
 
 def simulated_model(name: str, progress: Progress) -> Model:
     """Make the mesh of a simulated source's object, such as that of ``sim:cup?move=slide``."""
     progress(0.1, "Meshing the simulated object")
     options = source_options(read_name(name.removeprefix("live:").removeprefix("sim:")))
-    return shown(simulated_mesh(resolve_scene(options["scene"], options["variant"]), options["scene"]))
+    return _shown(simulated_mesh(resolve_scene(options["scene"], options["variant"]), options["scene"]))
 
 
-def shown(mesh: ObjectMesh) -> Model:
+def _shown(mesh: ObjectMesh) -> Model:
     """Return a mesh with points spread evenly over its surface."""
     with suppress(MissingExtraError):  # told when tracking starts; importing takes seconds and would stall the window
         import_open3d()
     points, normals = mesh.sample(_MODEL_POINTS)
-    shade = np.minimum(((0.5 - 0.5 * (normals @ _LIGHT)) * _SHADES).astype(int), _SHADES - 1)
-    groups = []
-    for number in range(_SHADES):
-        red, green, blue = (round(channel * (0.45 + 0.55 * number / (_SHADES - 1))) for channel in MODEL_RGB)
-        groups.append((points[shade == number], (red, green, blue)))
-    return Model(mesh, tuple(groups))
+    shades = np.minimum((0.5 - 0.5 * (normals @ _LIGHT)) * SHADES, SHADES - 1).astype(np.uint8)
+    return Model(mesh, points, shades)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,10 +67,7 @@ class Tracked:
 
 
 class FrameTracker:
-    """A `PoseTracker` for the frames of the main window, made anew where preset or rig change.
-
-    It serves one thread at a time.
-    """
+    """A `PoseTracker` for the frames of the main window, made anew where preset or rig change; for one thread."""
 
     def __init__(self, mesh: ObjectMesh) -> None:
         self.mesh = mesh

@@ -26,21 +26,7 @@ _END_MS = 2000
 
 @dataclass(frozen=True)
 class Request:
-    """What to search.
-
-    Attributes
-    ----------
-    source : str
-        As `open_source` takes it.
-    preset : Preset
-        The start.
-    axes : tuple of Axis
-        Ranges of the fields that vary.
-    objective : str
-        Figure that is optimised beside the time.
-    frames : range
-    trials : int
-    """
+    """What to search: a source, the start, the ranges of the fields, and what is optimised beside the time."""
 
     source: str
     preset: Preset
@@ -51,17 +37,11 @@ class Request:
 
 
 class TuneRun(QObject):
-    """One search at a time. A search that was stopped continues where it ended, if nothing in the request has changed.
+    """One search at a time. One that was stopped continues where it ended, if nothing in the request has changed."""
 
-    Signals
-    -------
-    changed()
-        There are more `trials`, or another `front`.
-    ended(sentence: str)
-        The search is over; the sentence says what went wrong, or is empty.
-    """
-
+    #: There are more `trials`, or another `front`.
     changed = pyqtSignal()
+    #: The search is over; the sentence says what went wrong, or is empty.
     ended = pyqtSignal(str)
 
     def __init__(self, folder: Path, parent: QObject | None = None) -> None:
@@ -150,20 +130,10 @@ class TuneRun(QObject):
 
 
 def frames_of(trim: Sequence[int] | None, length: int, count: int, index: int, has_truth: bool) -> range:
-    """Return the frames to search on, between the in and out marks.
+    """Return the frames to search on, between the in and out marks ``trim``.
 
-    With truth they are spread evenly; without it they follow each other from the present frame, because stability
-    compares consecutive frames.
-
-    Parameters
-    ----------
-    trim : (int, int) or None
-        First frame and end.
-    length, count : int
-        Frames of the recording, and frames wanted.
-    index : int
-        The present frame.
-    has_truth : bool
+    With truth they are spread evenly; without it they follow each other from the present frame ``index``, because
+    stability compares consecutive frames.
     """
     first, end = trim or (0, length)
     count = min(count, end - first)

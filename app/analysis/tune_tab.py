@@ -22,7 +22,7 @@ from ...core.tuning.advice.proposal import Proposal
 from ...core.tuning.plan import OBJECTIVES, Axis, default_axes
 from ...widgets.basics.controls import ElidedLabel, ProgressBar, push_button
 from ...widgets.basics.fields import field_spec, format_number
-from ...widgets.basics.layouts import hbox, scrolling, splitter, vbox
+from ...widgets.basics.layouts import STRETCH, hbox, scrolling, splitter, vbox
 from ...widgets.basics.messages import Messages, Severity
 from ...widgets.plots.trade_off import Dot, TradeOffPlot
 from ..context import Context
@@ -70,9 +70,18 @@ class TuneTab(AnalysisTab):
         self.progress = ProgressBar()
         self.pointed, self.chosen = ElidedLabel(), QLabel()
         self._field_box = QGroupBox("Fields")
-        self._set_up_entries()
         self._lay_out()
-        self._connect()
+        self.start.clicked.connect(self._start)
+        self.stop.clicked.connect(self._stop)
+        self.use.clicked.connect(self._use)
+        self.plot.accepted.connect(self._use)
+        self.plot.chosen.connect(self._preview)
+        self.plot.pointed.connect(self.pointed.setText)
+        self.objective.currentIndexChanged.connect(lambda _: self._name_axes())
+        self.run.changed.connect(self._show_trials)
+        self.run.ended.connect(self._ended)
+        self._document.presetChanged.connect(self._list_fields)
+        self._document.baselineChanged.connect(self._list_fields)
         self._list_fields(self._document.preset)
         self._update()
 
@@ -92,7 +101,7 @@ class TuneTab(AnalysisTab):
 
     # Building
 
-    def _set_up_entries(self) -> None:
+    def _lay_out(self) -> None:
         settings = self._context.settings
         self.objective.setToolTip("What is optimised beside the time: RMSE, IoU and area error need ground truth")
         self.trials.setRange(1, 10_000)
@@ -108,42 +117,21 @@ class TuneTab(AnalysisTab):
         self.chosen.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.plot.setToolTip("One dot a trial; click one to preview it. Left and Right walk along the front")
         self.progress.setToolTip("Trials that have been measured")
-        for entry, name in ((self.objective, "Optimise"), (self.trials, "Trials"), (self.frames, "Frames")):
-            entry.setAccessibleName(name)
-
-    def _lay_out(self) -> None:
-        QVBoxLayout(self._field_box).setSpacing(4)
-        panel = QWidget()
-        column = vbox(self._field_box, within=panel, margins=(0, 0, 4, 0))
         form = QFormLayout()
-        form.addRow("&Optimise time and", self.objective)
-        form.addRow("Tria&ls", self.trials)
-        form.addRow("&Frames", self.frames)
-        column.addLayout(form)
+        for title, entry, name in (
+            ("&Optimise time and", self.objective, "Optimise"),
+            ("Tria&ls", self.trials, "Trials"),
+            ("&Frames", self.frames, "Frames"),
+        ):
+            entry.setAccessibleName(name)
+            form.addRow(title, entry)
+        QVBoxLayout(self._field_box).setSpacing(4)
+        panel, right = QWidget(), QWidget()
         buttons = hbox(self.start, self.stop)
-        column.addLayout(buttons)
-        column.addSpacing(12)
-        column.addWidget(self.chosen)
-        column.addWidget(self.use)
-        column.addStretch(1)
-        right = QWidget()
+        vbox(self._field_box, form, buttons, 12, self.chosen, self.use, STRETCH, within=panel, margins=(0, 0, 4, 0))
         vbox((self.plot, 1), self.pointed, within=right, margins=0)
         across = splitter(Qt.Orientation.Horizontal, scrolling(panel, _PANEL_WIDTH), (right, 1))
-        row = hbox((self.status, 1), self.progress)
-        vbox(row, (across, 1), within=self, margins=0)
-
-    def _connect(self) -> None:
-        self.start.clicked.connect(self._start)
-        self.stop.clicked.connect(self._stop)
-        self.use.clicked.connect(self._use)
-        self.plot.accepted.connect(self._use)
-        self.plot.chosen.connect(self._preview)
-        self.plot.pointed.connect(self.pointed.setText)
-        self.objective.currentIndexChanged.connect(lambda _: self._name_axes())
-        self.run.changed.connect(self._show_trials)
-        self.run.ended.connect(self._ended)
-        self._document.presetChanged.connect(self._list_fields)
-        self._document.baselineChanged.connect(self._list_fields)
+        vbox(hbox((self.status, 1), self.progress), (across, 1), within=self, margins=0)
 
     def _list_fields(self, preset: Preset) -> None:
         """Offer the numbers of the preset's contact test; ticks stay."""
@@ -169,20 +157,15 @@ class TuneTab(AnalysisTab):
 
     def _list_objectives(self) -> None:
         before = self.objective.currentData()
-        offered = [
-            name
-            for name in _TITLES
-            if (self._has_truth or not OBJECTIVES[name].needs_truth)
-            and (name != "stability" or (self._result is not None and self._result.source.length != 1))
-        ]
+        single = self._result is not None and self._result.source.length == 1
         self.objective.clear()
-        for name in offered:
-            unit = OBJECTIVES[name].unit
-            self.objective.addItem(f"{_TITLES[name]} ({unit})" if unit else _TITLES[name], name)
+        for name in _TITLES:
+            if (OBJECTIVES[name].needs_truth and not self._has_truth) or (name == "stability" and single):
+                continue
+            self.objective.addItem(_title(name), name)
             meaning = OBJECTIVES[name].meaning
-            self.objective.setItemData(
-                self.objective.count() - 1, f"{meaning[:1].upper()}{meaning[1:]}", Qt.ItemDataRole.ToolTipRole
-            )
+            last = self.objective.count() - 1
+            self.objective.setItemData(last, f"{meaning[:1].upper()}{meaning[1:]}", Qt.ItemDataRole.ToolTipRole)
         self.objective.setCurrentIndex(max(0, self.objective.findData(before)))
 
     # Searching
@@ -235,8 +218,7 @@ class TuneTab(AnalysisTab):
         """Name the axes after the trials that are shown; before the first search, after what will be."""
         name = self.objective.currentData() if self.run.request is None else self.run.request.objective
         if name is not None:
-            unit = OBJECTIVES[name].unit
-            self.plot.set_axes("Time (ms per frame, one thread)", f"{_TITLES[name]}{f' ({unit})' if unit else ''}")
+            self.plot.set_axes("Time (ms per frame, one thread)", _title(name))
 
     def _words(self, trial: dict[str, Any]) -> str:
         """Describe a trial in one line."""
@@ -325,6 +307,11 @@ class TuneTab(AnalysisTab):
         if self._document.apply(Proposal(section, changes, f"{name} of the search", evidence, "")):
             self.messages.show_message("used", Severity.INFO, f"{name} is in the preset. Undo: Ctrl+Z.")
         self._show_chosen()
+
+
+def _title(objective: str) -> str:
+    unit = OBJECTIVES[objective].unit
+    return f"{_TITLES[objective]} ({unit})" if unit else _TITLES[objective]
 
 
 def _shown(path: str, value: Any) -> str:

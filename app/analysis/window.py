@@ -67,21 +67,9 @@ _OWN: Final = {
 
 
 class AnalysisLauncher(QObject):
-    """Finds the tabs, opens the window on one of them, and feeds it.
+    """Finds the tabs, opens the window on one of them, and feeds it. ``play`` is what the space bar does.
 
-    Parameters
-    ----------
-    context : Context
-    play : QAction
-        What the space bar does.
-    shared : sequence of QAction
-        Actions of the main window whose shortcuts also work in this window.
-
-    Attributes
-    ----------
-    actions : dict of str to QAction
-        One action for each tab, by name and in the order of the menu.
-    window : AnalysisWindow or None
+    ``shared`` are actions of the main window whose shortcuts also work in this window.
     """
 
     def __init__(self, context: Context, play: QAction, shared: Sequence[QAction]) -> None:
@@ -93,6 +81,7 @@ class AnalysisLauncher(QObject):
         for name, problem in problems.items():
             sentence = f"An analysis tab is missing: {problem}."
             context.messages.show_message(f"tab {name}", Severity.WARNING, sentence)
+        #: One action for each tab, by name and in the order of the menu.
         self.actions = {name: self._action(name, kind) for name, kind in self._kinds.items()}
         context.frameShown.connect(self._frame_shown)
 
@@ -126,10 +115,7 @@ class AnalysisLauncher(QObject):
 
 
 class AnalysisWindow(QDialog):
-    """Stays open beside the main window; passes each frame to the visible tab, and to others that go on.
-
-    While closed it takes no frames and keeps what was entered. A tab is made when it is first visible.
-    """
+    """Stays open beside the main window; passes each frame to the visible tab, and to others that go on."""
 
     def __init__(self, kinds: Mapping[str, TabKind], context: Context, play: QAction) -> None:
         super().__init__()  # a window with a parent would lie over the main window, which it previews

@@ -319,7 +319,7 @@ def scan(  # noqa: PLR0915  # one thought: options, pose, frames, words
 
     --refine hides errors that all patch points share; a pose that was measured without the patch is fairer.
     """
-    from ...core.lab import start_pose
+    from ...core.lab import scan as lab_scan
     from ...core.lab.methods import check_methods, method_names, patch_area_mm2
     from ...core.lab.scan import (
         load_scan,
@@ -370,7 +370,7 @@ def scan(  # noqa: PLR0915  # one thought: options, pose, frames, words
     if not records:
         raise SourceError(f"{source} has no frame {frame}; check --frame and the source")
     if save_transform is not None:
-        start_pose.save_transform(save_transform, pose)
+        lab_scan.save_transform(save_transform, pose)
     if csv_file is not None:
         write_csv(csv_file, records)
     icp = None if refined is None else {key: value for key, value in asdict(refined).items() if key[0] != "T"}
@@ -438,7 +438,7 @@ def _paint(words: list[str]) -> PaintSettings:
 
 def _start_pose(transform: Path | None, pairs: Path | None, unit_m: float) -> Matrix4:
     from ...core.estimation.pose_files import load_transform
-    from ...core.lab.start_pose import pose_from_pairs, read_pairs
+    from ...core.lab.scan import pose_from_pairs, read_pairs
 
     if (transform is None) == (pairs is None):
         raise TactuneError("give the pose of the scan: either --transform FILE or --pairs FILE.csv")

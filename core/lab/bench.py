@@ -140,10 +140,7 @@ class Timing:
 def time_in_turns(
     runners: Mapping[str, Callable[[], Any]], rounds: int, progress: Callable[[float], None] = lambda share: None
 ) -> dict[str, Timing]:
-    """Run all in turns, in a random order each round, so that a disturbance affects all alike.
-
-    Each is called once before the clock starts.
-    """
+    """Run all in turns, in a random order each round, so that a disturbance affects all alike."""
     for run in runners.values():
         run()
     taken: dict[str, list[float]] = {name: [] for name in runners}
@@ -165,25 +162,15 @@ def time_in_turns(
 
 @dataclass(frozen=True)
 class Row:
-    """One engine on one scene.
-
-    Attributes
-    ----------
-    ratio : float
-        Median of the baseline divided by this engine's median, both from this run.
-    differing_px : int
-        Pixels whose verdict differs from the float64 reference.
-    iou, rmse_mm : float
-        Compared with the ground truth of the scene; nan without ground truth or with an empty cloud.
-    """
+    """One engine on one scene."""
 
     scene: str
     engine: str
     timing: Timing
-    ratio: float
+    ratio: float  # the baseline's median over this engine's, both from this run
     points: int
-    differing_px: int
-    iou: float
+    differing_px: int  # from the float64 reference
+    iou: float  # with the ground truth of the scene; nan without one
     rmse_mm: float
 
 
@@ -347,11 +334,7 @@ def _bandwidth(rounds: int) -> list[Check]:
 
 
 def least_bytes(scene: BenchScene, contacts: int) -> int:
-    """Return the least memory traffic of the per-pixel chain, bytes.
-
-    Each input and each result counts once: both depth images, a verdict per pixel, and a colour and a point for each of
-    the ``contacts``. Tables do not count.
-    """
+    """Return the least memory traffic of the per-pixel chain: each input and each result once, without tables."""
     frame = scene.frame
     must = frame.proximity_depth.nbytes + frame.tactile_depth.nbytes + frame.proximity_depth.size
     return must + contacts * (12 + 3 * scene.preset.mask.enabled)

@@ -65,14 +65,7 @@ def synthetic_scene(
     """Return a curved surface with about ``points`` proximity pixels of contact around the image centre.
 
     In contact both cameras see the same paraboloid. Elsewhere the proximity camera sees a surface 25 mm behind the
-    membrane. The rig is that of the simulator, scaled to the image size.
-
-    Parameters
-    ----------
-    points : int
-        Contact pixels; width * height or more puts every pixel in contact.
-    noise_m : float
-        Standard deviation of the proximity depth, metres; that of the tactile depth is a third of it.
+    membrane. The rig is that of the simulator, scaled to the image size. The tactile noise is a third of ``noise_m``.
     """
     rig = _scaled_rig(width, height)
     random = np.random.default_rng(seed)

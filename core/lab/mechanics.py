@@ -22,8 +22,7 @@ from ..model.frames import Rig, SensorFrame
 from ..model.intrinsics import Intrinsics
 from ..model.patch import ContactPatch
 from ..preset import Preset
-from .membrane_view import MembraneView
-from .single_camera import rival_patch
+from .single_camera import MembraneView, rival_patch
 
 ATMOSPHERE_PA = 101_325.0
 #: Gauge pressure of the untouched membrane, and volume of air below the plane of its rim.
@@ -97,30 +96,15 @@ class MembraneMechanics:
 
 @dataclass(frozen=True, eq=False)
 class MembraneMesh:
-    """Nodes and triangles, counter-clockwise as seen from outside.
+    """N nodes and their triangles, counter-clockwise as seen from outside."""
 
-    Attributes
-    ----------
-    pixels : float64, shape (N, 2)
-        ``(u, v)`` of the nodes in the tactile image.
-    positions, normals : float64, shape (N, 3)
-        The unit normals point outward, away from the camera.
-    triangles : int, shape (T, 3)
-    rim : bool, shape (N,)
-        Nodes on the outline, where the membrane is clamped.
-    region : bool, shape (Ht, Wt)
-        Tactile pixels that the mesh covers.
-    spacing_px : float
-        Distance of neighbouring nodes in the image.
-    """
-
-    pixels: Float64Array
-    positions: Float64Array
-    normals: Float64Array
+    pixels: Float64Array  # (N, 2): (u, v) in the tactile image
+    positions: Float64Array  # (N, 3)
+    normals: Float64Array  # (N, 3): outward, away from the camera
     triangles: IndexArray
-    rim: BoolArray
-    region: BoolArray
-    spacing_px: float
+    rim: BoolArray  # (N,): on the outline, where the membrane is clamped
+    region: BoolArray  # (Ht, Wt): tactile pixels that the mesh covers
+    spacing_px: float  # between neighbouring nodes
 
     @property
     def facing(self) -> Float64Array:

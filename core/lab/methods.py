@@ -98,13 +98,7 @@ def method_tip(name: str) -> str:
 
 
 def check_methods(names: Sequence[str], known: Sequence[str] | None = None) -> None:
-    """Check that each name is one of the known ones, by default all.
-
-    Raises
-    ------
-    TactuneError
-        There is no such method, or its package cannot be loaded.
-    """
+    """Raise a `TactuneError` unless each name is one of the known ones, by default all."""
     known = method_names() if known is None else known
     for name in names:
         if name in method_problems():
@@ -119,13 +113,7 @@ def needed_frames(name: str) -> int:
 
 
 def make_method(name: str, preset: Preset, rig: Rig, untouched: SensorFrame | None = None) -> Find:
-    """Build a method by its name.
-
-    Raises
-    ------
-    TactuneError
-        There is no such method, a rival has no untouched frame, or the method cannot work with these.
-    """
+    """Build a method by its name; raises a `TactuneError` where there is none or it lacks an untouched frame."""
     check_methods([name])
     if name in PIPELINES:
         return ContactPipeline(preset.with_values(PIPELINES[name]), rig).process

@@ -65,14 +65,7 @@ def open3d_inliers(points: AnyArray, k: int, ratio: float) -> BoolArray:
 
 
 class Reference:
-    """The pipeline for one preset and rig.
-
-    Parameters
-    ----------
-    dtype : numpy floating-point type
-    remove_outliers : callable
-        Returns the inliers of points (N, 3) by ``k`` and ``ratio``.
-    """
+    """The pipeline for one preset and rig; ``remove_outliers`` returns the inliers of points by ``k`` and ``ratio``."""
 
     def __init__(
         self,

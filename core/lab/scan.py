@@ -6,6 +6,8 @@ vertex colours are used.
 
 from __future__ import annotations
 
+import csv
+import json
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,15 +20,17 @@ from pydantic import ValidationError
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from ..contact.masking import in_hsv_range
 from ..errors import CalibrationError, MissingExtraError, SourceError, TactuneError
 from ..estimation.mesh_files import load_meshes, merge, triangle_areas
+from ..estimation.pose_files import read_text
 from ..model.arrays import AnyArray, BoolArray, Float64Array, Int32Array, Uint8Array
+from ..model.files import atomic_path
 from ..model.frames import Matrix4, rigid_transform
 from ..model.metrics import nearest_distances
 from ..preset import MaskSection
-from .start_pose import fit_pose, transformed
 
 SUFFIXES: Final = (".ply", ".obj")
 #: Plausible sizes of an object that a hand-sized sensor can touch.
@@ -49,6 +53,11 @@ _ICP_POINTS: Final = 20_000
 _ICP_REACH_M: Final = 0.010
 _CONVERGED_M: Final = 1e-7
 _MIN_PAIRS: Final = 3
+#: Points count as collinear if their spread across the line is below this share of the spread along it.
+_ON_A_LINE: Final = 0.02
+#: Size ratio between object and patch beyond which the unit must be wrong.
+_OTHER_UNIT: Final = 3.0
+HEADER: Final = ("scan_x", "scan_y", "scan_z", "patch_x_m", "patch_y_m", "patch_z_m")
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,6 +221,67 @@ def surface_points(scan: Scan, contact: BoolArray, spacing_m: float = SPACING_M)
 # Pose and scores
 
 
+def pose_from_pairs(object_points: npt.ArrayLike, patch_points: npt.ArrayLike) -> Matrix4:
+    """Fit ``T_proximity_object`` to corresponding points, (N, 3) in metres each, by least squares (Kabsch 1976)."""
+    mesh, patch = np.asarray(object_points, np.float64), np.asarray(patch_points, np.float64)
+    if len(mesh) < _MIN_PAIRS:
+        raise CalibrationError(f"a pose needs at least {_MIN_PAIRS} pairs of points, not {len(mesh)}; pick more")
+    spreads = []
+    for points, where in ((mesh, "object"), (patch, "patch")):
+        along, across, _ = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+        if across <= _ON_A_LINE * along:
+            raise CalibrationError(
+                f"the points on the {where} lie at one place or on one line, which leaves a rotation open; pick others"
+            )
+        spreads.append(along)
+    ratio = spreads[0] / spreads[1]
+    if not 1 / _OTHER_UNIT < ratio < _OTHER_UNIT:
+        raise CalibrationError(
+            f"the points lie {ratio:.3g} times as far apart on the object as on the patch; check the object's unit"
+        )
+    return _fit_pose(mesh, patch)
+
+
+def _fit_pose(points: Float64Array, targets: Float64Array) -> Matrix4:
+    """Return the pose that takes points to targets, (N, 3) each, with the least squared distance."""
+    start, end = points.mean(axis=0), targets.mean(axis=0)
+    rotation, _ = Rotation.align_vectors(targets - end, points - start)
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation.as_matrix(), end - rotation.apply(start)
+    return rigid_transform(matrix)
+
+
+def transformed(pose: Matrix4, points: npt.ArrayLike) -> Float64Array:
+    """Transform points, (N, 3), by a pose."""
+    matrix = np.asarray(pose)
+    return np.asarray(np.asarray(points, np.float64).reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3])
+
+
+def save_transform(path: Path | str, pose: Matrix4) -> None:
+    """Write a pose as JSON, ``{"T_proximity_scan": 4 x 4}``."""
+    rows = ",\n    ".join(json.dumps(row) for row in rigid_transform(pose))
+    with atomic_path(path) as temporary:
+        temporary.write_text(f'{{\n  "T_proximity_scan": [\n    {rows}\n  ]\n}}\n', encoding="utf-8")
+
+
+def read_pairs(path: Path | str, unit_m: float = 1.0) -> tuple[Float64Array, Float64Array]:
+    """Read point pairs for `pose_from_pairs` from a CSV file with the columns of `HEADER`.
+
+    A line is a point in the object's frame and unit, as a mesh viewer shows it, and the same point in the proximity
+    depth frame in metres. Returns both in metres, (N, 3) each.
+    """
+    rows = [row for row in csv.reader(read_text(path).splitlines()) if any(word.strip() for word in row)]
+    if not rows or tuple(word.strip() for word in rows[0]) != HEADER:
+        raise SourceError(f"{path} lacks the header {','.join(HEADER)}; put it into the first line")
+    try:
+        table = np.array(rows[1:], np.float64).reshape(-1, len(HEADER))
+    except ValueError as error:
+        raise SourceError(f"{path} has a line that is no pair; each is six numbers") from error
+    if not np.isfinite(table).all():
+        raise SourceError(f"{path} has a number that is not finite; each line is six finite numbers")
+    return table[:, :3] * unit_m, table[:, 3:]
+
+
 @dataclass(frozen=True)
 class RefinedPose:
     """Result of ICP: the pose, the root mean square distance of the pairs under it, and whether it converged."""
@@ -246,7 +316,7 @@ def refine_pose(contact_points: npt.ArrayLike, patch_points: npt.ArrayLike, star
             apart = np.linalg.norm(transformed(pose, from_scan) - to_patch, axis=1)
             rmse_m = math.sqrt(float(np.mean(apart**2)))
             return RefinedPose(pose, rmse_m, len(from_scan), iteration, shift < _CONVERGED_M)
-        better = fit_pose(from_scan, to_patch)
+        better = _fit_pose(from_scan, to_patch)
         shift = float(np.abs(transformed(better, contact) - transformed(pose, contact)).max())
         pose, iteration = better, iteration + 1
 

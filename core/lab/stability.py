@@ -33,21 +33,12 @@ _NEW_RIG_EVERY, _NEW_FRAME_SHARE = 500, 0.4
 
 @dataclass(frozen=True)
 class StabilityReport:
-    """Result of `check_stability`.
-
-    Attributes
-    ----------
-    differing, unexplained : int
-        Pixels with a verdict other than that of the float64 reference, and the number of these that lie farther than
-        ``BOUND_ULPS`` from every threshold.
-    worst_ulps : float
-        Largest distance of a differing pixel from its nearest threshold.
-    """
+    """Result of `check_stability`."""
 
     frames: int
     pixels: int
-    differing: int
-    unexplained: int
+    differing: int  # pixels with a verdict other than that of the float64 reference
+    unexplained: int  # of these, farther than `BOUND_ULPS` from every threshold
     worst_ulps: float
 
     def words(self) -> str:
@@ -63,13 +54,7 @@ class StabilityReport:
 def check_stability(
     frames: int, seed: int = 0, progress: Callable[[float], None] = lambda share: None
 ) -> StabilityReport:
-    """Compare the pipeline with the float64 reference on seeded frames, every second one adversarial.
-
-    Parameters
-    ----------
-    frames : int
-        Frames of 96 x 72 pixels, each with its own rig and preset.
-    """
+    """Compare the pipeline with the float64 reference on seeded frames, every second one adversarial."""
     differing = unexplained = 0
     worst = 0.0
     for number in range(frames):
@@ -122,13 +107,7 @@ def random_case(random: np.random.Generator, *, adversarial: bool) -> tuple[Pres
 
 
 def differing_ulps(preset: Preset, rig: Rig, frame: SensorFrame) -> Float64Array:
-    """Return the distance from the nearest threshold of each pixel whose verdict differs from the float64 reference.
-
-    Returns
-    -------
-    float64, shape (N,)
-        Float32 ulps; empty if all verdicts agree.
-    """
+    """Return the float32 ulps from the nearest threshold of each pixel whose verdict differs from the reference."""
     found = ContactPipeline(preset, rig).process(frame).provenance
     expected = reference_patch(preset, rig, frame, np.float64).provenance
     where = np.flatnonzero(found != expected)

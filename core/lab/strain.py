@@ -82,23 +82,14 @@ class AxisStrain:
 
 @dataclass(frozen=True, eq=False)
 class StrainMeasurement:
-    """Strain of one frame, measured at dots seen by the tactile camera.
+    """Strain of one frame, measured at dots seen by the tactile camera."""
 
-    Attributes
-    ----------
-    pixels : float64, shape (N, 2)
-        Centroids of the dots that have a place in the grid, ``(u, v)``.
-    length, width : AxisStrain
-        Strain along the rows (the direction nearer to the image's u axis) and along the columns.
-    cells : int64, shape (K, 4)
-        Grid cells: the four dots of each, in order around it.
-    cell_strain : float64, shape (K, 2)
-        Mean strain of both sides of a grid cell along the length, and along the width.
-    """
-
+    #: (N, 2): centroids of the dots that have a place in the grid.
     pixels: Float64Array
+    #: Along the rows, the direction nearer to the image's u axis, and along the columns.
     length: AxisStrain
     width: AxisStrain
+    #: Grid cells: the four dots of each in order around it, (K, 4), and mean strain along length and width, (K, 2).
     cells: Int64Array
     cell_strain: Float64Array
 
@@ -136,13 +127,7 @@ def check_spacing(spacing_m: float) -> None:
 
 
 def indentation_m(frame: SensorFrame, untouched: SensorFrame, rig: Rig) -> float:
-    """Return the largest displacement of the membrane towards the tactile camera, metres, at least 0.
-
-    Raises
-    ------
-    StrainError
-        The frames have no pixel with depth in common.
-    """
+    """Return the largest displacement of the membrane towards the tactile camera, at least 0."""
     moved = _smooth_depth_m(untouched, rig.tactile) - _smooth_depth_m(frame, rig.tactile)
     if not np.isfinite(moved).any():
         raise StrainError(f"frame {frame.sequence} and the untouched membrane have no pixel with depth in common")
@@ -285,21 +270,14 @@ def _cells(length: AxisStrain, width: AxisStrain) -> tuple[Int64Array, Float64Ar
 
 @dataclass
 class DotLattice:
-    """Rows and columns of a grid. Steep walls may cut it into pieces, each with its own row and column numbers.
+    """Rows and columns of a grid. Steep walls may cut it into pieces, each with its own row and column numbers."""
 
-    Attributes
-    ----------
-    cells : int64, shape (N, 2)
-        Row and column of each dot within its piece.
-    piece : int64, shape (N,)
-        Piece of each dot, numbered by descending size from 0; -1 for dots without a piece.
-    """
-
+    #: (N, 2): row and column of each dot within its piece; (N,): its piece, the largest is 0; -1 for none.
     cells: Int64Array
     piece: Int64Array
 
     def neighbours(self, axis: int) -> Int64Array:
-        """Return the indices of neighbouring dots, int64, shape (M, 2): along the rows (axis 1) or columns (0)."""
+        """Return the indices of neighbouring dots, (M, 2): along the rows (axis 1) or columns (0)."""
         places = {
             (int(piece), int(row), int(column)): number
             for number, (piece, (row, column)) in enumerate(zip(self.piece, self.cells, strict=True))
@@ -330,9 +308,7 @@ def order_dots(pixels: Float64Array, linked: Linked = lambda a, b: True) -> DotL
     """Find rows and columns.
 
     A piece starts at a dot with eight symmetric neighbours. It then grows by the dot nearest to its predicted place;
-    the prediction is the mean step between ordered dots nearby. Growth passes around missing dots. Rows are the
-    direction nearer to the image's u axis.
-    ``linked`` tells of two dots, by index, whether the surface between them is visible.
+    the prediction is the mean step between ordered dots nearby. Growth passes around missing dots.
     """
     cells, piece = np.zeros((len(pixels), 2), np.int64), np.full(len(pixels), -1, np.int64)
     free = np.ones(len(pixels), bool)

@@ -11,7 +11,7 @@ import itertools
 import json
 import math
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, replace
 from multiprocessing import get_context
@@ -50,7 +50,6 @@ TOLERANCES: Final = (0.003, 0.004, 0.005, 0.006, 0.007, 0.008, 0.010, 0.012, 0.0
 
 #: A method gets the last frames of this many, the last of which is scored.
 FRAMES: Final = 16
-#: Frames that are timed, and the seed of the scene whose frames they are.
 _TIMED_FRAMES: Final = 5
 
 NO_CONTACT_FOUND: Final = "it found no contact although there is one"
@@ -78,20 +77,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Cell:
-    """One method on one press.
-
-    Attributes
-    ----------
-    rmse_mm : float or None
-        Average symmetric RMSE to the true contact, see `TruthTree`; None without a patch.
-    iou : float or None
-        Over proximity pixels.
-    points : int
-    true_mm2 : float
-        Area of the true contact.
-    failure : str
-        Why there is no patch; empty if there is one.
-    """
+    """One method on one press: symmetric RMSE to the true contact, IoU of the pixels, and why there is no patch."""
 
     sensor: str
     membrane: str
@@ -109,28 +95,14 @@ class Cell:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a table compares.
-
-    Attributes
-    ----------
-    scenes : tuple of Scene
-    seeds : tuple of int
-        Noise seeds.
-    methods : tuple of str
-        Names of `table_methods`.
-    preset : Preset
-        Of all methods; `PIPELINES` sets some of its fields.
-    work : Path
-        Folder of the finished cells.
-    rig_measured : bool
-        Whether noise and bias of each rig are measured first, on the untouched membrane.
-    """
+    """What a table compares, with one preset of which `PIPELINES` sets some fields; ``work`` keeps the cells."""
 
     scenes: tuple[Scene, ...]
     seeds: tuple[int, ...]
     methods: tuple[str, ...]
     preset: Preset
     work: Path
+    #: Noise and bias of each rig are measured first, on the untouched membrane.
     rig_measured: bool = True
 
     @property
@@ -348,19 +320,12 @@ def _patches(
 
 
 def time_table(plan: Plan) -> dict[tuple[str, str, str], float]:
-    """Return each method's time per frame by (sensor, method, press), milliseconds.
-
-    Measured in turn, on all cores, on the frames of the first object and membrane.
-    """
+    """Return each method's milliseconds per frame by (sensor, method, press), on the first object and membrane."""
     times: dict[tuple[str, str, str], float] = {}
     rigs: dict[str, _Rig] = {}
     first, seed = plan.scenes[0], plan.seeds[0]
     for scene in plan.scenes:
-        if (scene.object, scene.membrane, scene.side) != (
-            first.object,
-            first.membrane,
-            "right" * (scene.press == "high"),
-        ):
+        if (scene.object, scene.membrane) != (first.object, first.membrane) or scene.side == "left":
             continue
         with open_source(scene.source(seed)) as source:
             rig = rigs.get(scene.sensor) or _Rig.measured(plan, source)
@@ -374,15 +339,13 @@ def time_table(plan: Plan) -> dict[tuple[str, str, str], float]:
                     find = make_method(name, preset, source.rig, rig.untouched)
                     for frame in frames[:-_TIMED_FRAMES]:
                         find(frame)
-                    taken = [_ms(find, frame) for frame in frames[-_TIMED_FRAMES:]]
+                    taken = []
+                    for frame in frames[-_TIMED_FRAMES:]:
+                        started = time.perf_counter()
+                        find(frame)
+                        taken.append(1e3 * (time.perf_counter() - started))
                     times[scene.sensor, name, scene.press] = median(taken)
     return times
-
-
-def _ms(find: Callable[[SensorFrame], ContactPatch], frame: SensorFrame) -> float:
-    started = time.perf_counter_ns()
-    find(frame)
-    return (time.perf_counter_ns() - started) / 1e6
 
 
 # Finished cells
@@ -483,8 +446,7 @@ def _press_of(cell: Cell) -> tuple[Any, ...]:
 
 def _failures(cells: Sequence[Cell]) -> list[str]:
     """Return the failures of each method other than empty patches, equal ones once."""
-    found = {f"{c.method}: {c.failure}": None for c in cells if c.failure not in ("", NO_CONTACT_FOUND)}
-    return list(found)
+    return list(dict.fromkeys(f"{c.method}: {c.failure}" for c in cells if c.failure not in ("", NO_CONTACT_FOUND)))
 
 
 def _names(cells: Sequence[Cell], *fields: str) -> Collection[Any]:

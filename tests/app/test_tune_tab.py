@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 
 import pytest
 from PyQt6.QtCore import QPointF, QProcess, Qt
@@ -129,16 +128,6 @@ def test_an_error_of_the_search_is_said_in_the_tab(qtbot, tab, tmp_path):
     qtbot.waitUntil(lambda: not tab.run.busy, timeout=240_000)
     assert "tactile_depth.png" in text_of(tab.messages)
     assert tab.start.isEnabled()
-
-
-def test_a_line_that_a_library_prints_is_no_trial(qtbot, tab, tmp_path, monkeypatch):
-    program = tmp_path / "search"
-    program.write_text("#!/bin/sh\necho 'a warning of a driver'\necho '{\"front\": [3]}'\n")
-    program.chmod(0o755)
-    monkeypatch.setattr(sys, "executable", str(program))
-    with qtbot.waitSignal(tab.run.ended):
-        QTest.mouseClick(tab.start, LEFT)
-    assert tab.run.front == (3,) and tab.run.trials == {}
 
 
 def test_closing_the_window_ends_the_search(qtbot, tab):

@@ -36,9 +36,8 @@ from tactune.core.errors import ExportError, SourceError
 from tactune.core.estimation.object_mesh import load_mesh
 from tactune.core.estimation.pose_files import load_transform, save_poses
 from tactune.core.lab import table
-from tactune.core.lab.scan import load_scan
-from tactune.core.lab.start_pose import read_pairs as read_scan_pairs
-from tactune.core.lab.start_pose import save_transform
+from tactune.core.lab.scan import load_scan, save_transform
+from tactune.core.lab.scan import read_pairs as read_scan_pairs
 from tactune.core.model.alignment import PointPair
 from tactune.core.model.clouds import PointCloud
 from tactune.core.model.files import write_csv

@@ -13,7 +13,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
-from tactune.core.lab.start_pose import save_transform, transformed
+from tactune.core.lab.scan import save_transform, transformed
 from tactune.core.model.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Uint8Array
 from tactune.core.model.frames import GroundTruth, Matrix4, Rig
 from tactune.core.sources.simulator.object_surface import object_surface, to_surface

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from tactune.core.estimation.object_mesh import simulated_mesh
 from tactune.core.estimation.pose import PoseEstimate
 from tactune.core.estimation.pose_files import pose_record, save_poses
-from tactune.core.lab.start_pose import save_transform
+from tactune.core.lab.scan import save_transform
 from tactune.core.model.frames import rigid_transform
 from tactune.core.sources.simulator.source import SimulatorSource
 

@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactune.core.errors import FrameError, RigMismatchError, TactuneError
+from tactune.core.errors import FrameError, TactuneError
 from tactune.core.lab.bench_scenes import synthetic_scene
-from tactune.core.lab.membrane_view import MembraneView
 from tactune.core.lab.methods import make_method, method_names, method_tip
-from tactune.core.lab.single_camera import proximity_only, tactile_only, tactile_threshold
+from tactune.core.lab.single_camera import MembraneView, proximity_only, tactile_only, tactile_threshold
 from tactune.core.model.clouds import deproject
 from tactune.core.model.metrics import pixel_scores
 from tactune.core.preset import Preset
@@ -57,16 +56,6 @@ class TestMembraneView:
             atol=2e-5,
         )
 
-    def test_points_lie_on_the_membrane(self, bulged):
-        contact = 0.4 * bulged.radius_m
-        counts = bulged.frame(contact).tactile_depth
-        chosen = np.zeros(counts.shape, bool)
-        chosen[100:140, 120:260] = True
-        x, y, z = MembraneView(Preset().alignment, bulged.rig).points(chosen, counts).astype(float).T
-        assert len(x) == np.count_nonzero(chosen & (counts > 0))
-        r = np.hypot(x - BASELINE_M, y)
-        np.testing.assert_allclose(z, RIM_M + bulged.height(r, contact), atol=1e-5)
-
     def test_a_tactile_mask_is_seen_from_the_proximity_camera(self, bulged):
         contact = 0.5 * bulged.radius_m
         frame = bulged.frame(contact)
@@ -74,17 +63,6 @@ class TestMembraneView:
         picked = MembraneView(Preset().alignment, bulged.rig).pick(r < contact, frame.tactile_depth)
         assert pixel_scores(picked, frame.truth.contact).iou > 0.97
         assert not MembraneView(Preset().alignment, bulged.rig).pick(r < 0, frame.tactile_depth).any()
-
-    def test_no_depth_is_nowhere(self, bulged):
-        counts = bulged.frame(0.0).tactile_depth.copy()
-        counts[:] = 65535
-        view = MembraneView(Preset().alignment, bulged.rig)
-        assert np.isnan(view.depth_m(counts)).all()
-        assert len(view.points(np.ones(counts.shape, bool), counts)) == 0
-
-    def test_a_pose_is_needed(self, bulged):
-        with pytest.raises(RigMismatchError, match="calibrate"):
-            MembraneView(Preset().alignment, bulged.rig.model_copy(update={"T_proximity_tactile": None}))
 
 
 class TestProximityOnly:
@@ -116,13 +94,6 @@ class TestTactileOnly:
         seen = (untouched.tactile_depth > 0) & (frame.tactile_depth > 0)
         points = tactile_only(Preset(), bulged.rig, untouched)(frame).points
         assert len(points) == pytest.approx(0.6 * np.count_nonzero(seen & (dent > 150)), rel=0.01)
-
-    def test_the_threshold_is_absolute(self, bulged):
-        untouched, frame = bulged.frame(0.0), bulged.frame(0.5 * bulged.radius_m)
-        dent = (untouched.tactile_depth.astype(int) - frame.tactile_depth) * bulged.rig.tactile.depth_unit_m
-        seen = (untouched.tactile_depth > 0) & (frame.tactile_depth > 0)
-        points = tactile_threshold(Preset(), bulged.rig, untouched)(frame).points
-        assert len(points) == pytest.approx(np.count_nonzero(seen & (dent > 0.005)), abs=30)
 
     def test_points_and_mask_lie_on_the_dent(self, bulged):
         frame = bulged.frame(0.5 * bulged.radius_m)

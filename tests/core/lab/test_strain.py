@@ -88,16 +88,6 @@ def test_missing_dots_are_walked_around_and_strange_spots_beside_the_grid_left_o
     assert measured.width.largest == pytest.approx(0.1, abs=0.02)
 
 
-def test_dots_across_a_step_of_depth_are_no_neighbours():
-    frame = grid_frame()
-    counts = frame.tactile_depth.copy()
-    counts[:, 325:] -= 8500
-    measured = measure_strain(replace(frame, proximity_depth=counts, tactile_depth=counts), RIG)
-    u = measured.pixels[measured.length.pairs, 0]
-    assert not ((u.min(axis=1) < 300) & (u.max(axis=1) > 350)).any()
-    assert measured.length.largest < 0.3
-
-
 def test_frames_at_rest_are_averaged_and_moved_ones_are_not():
     frames = [replace(grid_frame(depth_noise=0.0008), sequence=n) for n in range(4)]
     moved = replace(frames[0], tactile_depth=frames[0].tactile_depth - np.uint16(150))

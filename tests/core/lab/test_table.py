@@ -12,8 +12,6 @@ from tactune.core.lab import table
 from tactune.core.lab.table import (
     BEST_T,
     Cell,
-    Plan,
-    Scene,
     mean_rmse_mm,
     measure_table,
     plan_table,
@@ -142,10 +140,3 @@ def test_text_and_json_tell_missing_patches_and_the_worst_case():
     assert "0 of 1 cases" in text and "2.00 times" in text and "mechanics: it gave up" in text
     found = json.loads(json.dumps(table_json(cells, {}), allow_nan=False))
     assert len(found["cells"]) == 4 and found["averages"][0]["rmse_mm"] == 1.0
-
-
-def test_a_scene_names_its_source():
-    assert Scene("cup", "high", "left", "heavy", "soft").source(3) == (
-        "sim:cup?press=high&side=left&membrane=soft&sensor=heavy&seed=3"
-    )
-    assert isinstance(Plan, type)

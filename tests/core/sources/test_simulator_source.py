@@ -150,15 +150,6 @@ def test_patch_agrees_with_truth_better_the_deeper_the_press(any_scene):
     assert shares[2] > 0.45
 
 
-def test_facts_follow_the_press(any_scene):
-    deep, middle = any_scene.facts(DEEP), any_scene.facts(20)
-    assert deep.depth_m > 0.045
-    assert 0.3 < deep.strain.largest < 2.5
-    moved = np.array(middle.T_proximity_object) - np.array(deep.T_proximity_object)
-    assert moved[2, 3] == pytest.approx(deep.depth_m - middle.depth_m)
-    assert max(any_scene.facts(n).residual for n in range(any_scene.length)) < 1e-3
-
-
 def test_true_pose_lays_the_object_against_the_membrane_in_contact(any_scene):
     frame, identity = any_scene.read(DEEP), np.eye(4)[:3]
     depth = np.where(frame.truth.contact, frame.truth.depth_m, np.nan)
