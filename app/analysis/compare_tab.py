@@ -109,11 +109,11 @@ class CompareTab(LiveTab):
         by_truth = self.color_by.currentIndex() == 1
 
         def compare(progress: Progress) -> Comparison:
-            found = self.untouched(result, home, progress)
-            return self._comparer.compare(
-                result, chosen, found.frame, " ".join(found.warnings), theme, by_truth,
-                lambda name: progress(0.0, f"Setting up {name}"),
-            )  # fmt: skip
+            def tell(name: str) -> None:
+                progress(0.0, f"Setting up {name}")
+
+            untouched = self.untouched(result, home, progress)
+            return self._comparer.compare(result, chosen, untouched, theme, by_truth, tell)
 
         return compare
 

@@ -24,6 +24,7 @@ from ...core.model.frames import SensorFrame
 from ...core.model.metrics import compare_with_truth, truth_cloud
 from ...core.model.patch import ContactPatch
 from ...core.preset import Preset
+from ...core.rig.untouched import FoundUntouched
 from ...widgets.basics.colormaps import Theme, patch_index, patch_lut
 from ...widgets.clouds.cloud_data import DepthCloud
 from ..worker.errors import explain
@@ -130,16 +131,15 @@ class Comparer:
         self,
         result: Result,
         methods: Sequence[str],
-        untouched: SensorFrame | None,
-        no_untouched: str,
+        untouched: FoundUntouched,
         theme: Theme,
         by_truth: bool,
         tell: Callable[[str], None],
     ) -> Comparison:
         """Run the methods on a frame, except those that have already run on it.
 
-        ``no_untouched`` says why rivals get no untouched frame; ``by_truth`` colours points by their agreement with the
-        truth; ``tell`` gets the name of a method before it is set up, which may take seconds.
+        ``by_truth`` colours points by their agreement with the truth; ``tell`` gets the name of a method before it is
+        set up, which may take seconds.
         """
         leave_room_for_the_window()
         if result.playback.running:  # window and worker share the processor
@@ -157,7 +157,7 @@ class Comparer:
             count = int(np.count_nonzero(truth.contact))
             outcomes.append(Outcome(TRUTH, cloud, count, area_mm2 if len(points) else math.nan, note=note))
         for name in methods:
-            entrant = self._entrant(name, result, untouched, no_untouched, tell)
+            entrant = self._entrant(name, result, untouched, tell)
             self._run(name, entrant, result)
             cloud = _cloud(name, entrant.mask, result, theme, by_truth)
             ms = median(entrant.times_ms) if entrant.times_ms else math.nan
@@ -165,18 +165,11 @@ class Comparer:
         self._rest_s = time.perf_counter() - started
         return Comparison(result, tuple(methods), by_truth, tuple(outcomes))
 
-    def _entrant(
-        self,
-        name: str,
-        result: Result,
-        untouched: SensorFrame | None,
-        no_untouched: str,
-        tell: Callable[[str], None],
-    ) -> _Entrant:
+    def _entrant(self, name: str, result: Result, untouched: FoundUntouched, tell: Callable[[str], None]) -> _Entrant:
         """Return a method that fits the frame; a changed preset updates a pipeline in place."""
         preset, rig = result.preset, result.source.rig
         rival = name not in PIPELINES
-        made_for = (id(result.source), *((id(untouched), no_untouched, preset.alignment) if rival else ()))
+        made_for = (id(result.source), *((id(untouched), preset.alignment) if rival else ()))
         known = self._entrants.get(name)
         if known is not None and known.made_for == made_for and (rival or known.preset is preset):
             return known
@@ -189,11 +182,11 @@ class Comparer:
                 tell(name)
                 fresh.pipeline = ContactPipeline(preset.with_values(PIPELINES[name]), rig)
                 fresh.find = fresh.pipeline.process
-            elif untouched is None and no_untouched:
-                fresh.problem = no_untouched
+            elif untouched.frame is None:
+                fresh.problem = " ".join(untouched.warnings)
             else:
                 tell(name)
-                fresh.find = make_method(name, preset, rig, untouched)
+                fresh.find = make_method(name, preset, rig, untouched.frame)
         except Exception as error:  # another package's method may raise anything
             fresh.problem = explain(error, f"{name} cannot be set up")
         return fresh

@@ -11,8 +11,6 @@ import math
 import os
 import platform
 import random
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -21,7 +19,6 @@ from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from itertools import cycle
 from pathlib import Path
-from statistics import median
 from typing import Any, Final
 
 import numpy as np
@@ -44,9 +41,6 @@ Run = Callable[[], Found]
 #: Length of a turn, seconds: a fast engine runs many times in it, a slow one once.
 _TURN_S: Final = 0.02
 _MAX_CALLS_PER_TURN: Final = 25
-#: Import statements of a program that finds contact patches, and of the library compared with.
-OURS: Final = "import tactune.core; from tactune.core import ContactPipeline"
-THEIRS: Final = "import open3d"
 
 
 # Engines
@@ -245,7 +239,7 @@ class Check:
 def run_gate(rounds: int = 15, progress: Progress = lambda share, words: None) -> list[Check]:
     """Measure everything that the gate requires; each engine has ``rounds`` turns."""
     checks: list[Check] = []
-    steps = (whole_pipeline, _outlier_removal, _empty_scene, _bandwidth, _cold_start)
+    steps = (whole_pipeline, _outlier_removal, _empty_scene, _bandwidth)
     for done, step in enumerate(steps):
         progress(done / len(steps), step.__name__.strip("_").replace("_", " "))
         checks += step(rounds)
@@ -352,25 +346,6 @@ def bandwidth_bytes_per_s(size_bytes: int = 256 << 20) -> float:
             list(pool.map(np.copyto, targets, parts))
             best_s = min(best_s, time.perf_counter() - start)
     return 2 * sum(part.nbytes for part in parts) / best_s
-
-
-def _cold_start(rounds: int) -> list[Check]:
-    ours, theirs = import_seconds((OURS, THEIRS), max(3, rounds // 3))
-    words = f"import of the pipeline ({ours:.2f} s), time over import open3d ({theirs:.2f} s)"
-    return [Check(words, ours / theirs, 0.33, False)]
-
-
-def import_seconds(statements: Sequence[str], rounds: int) -> list[float]:
-    """Return the median run time of each statement, each run in a new process, in turns, after one untimed run."""
-    program = "import time; start = time.perf_counter(); {}; print(time.perf_counter() - start)"
-    taken: list[list[float]] = [[] for _ in statements]
-    for done in range(rounds + 1):
-        for times, statement in zip(taken, statements, strict=True):
-            command = [sys.executable, "-P", "-c", program.format(statement)]
-            ran = subprocess.run(command, check=True, capture_output=True, text=True)  # noqa: S603  # our own statements
-            if done:
-                times.append(float(ran.stdout.splitlines()[-1]))
-    return [median(times) for times in taken]
 
 
 def machine_facts() -> dict[str, Any]:

@@ -10,7 +10,7 @@ from PyQt6.QtTest import QTest
 
 from hands import LEFT, show_source, text_of, type_into
 from small_recordings import NoisyPress, small_rig
-from tactune.app.analysis.tune_run import frames_of
+from tactune.app.analysis.tune_tab import frames_of
 from tactune.core.sources.folder import FolderSource, export_folder
 
 

@@ -78,22 +78,13 @@ _DATASHEET: Final = replace(
     stereo_correlated_px=0.03 * 2**0.5,
     stereo_length_px=2.4,
 )
-_HALF: Final = replace(
-    _DATASHEET,
-    name="half",
-    about="half the errors of datasheet",
-    tof_white_m=0.0005,
-    tof_offset_m=0.0002,
-    tof_slow_bias_m=0.0003,
-    tof_drift_m=0.00015,
-    tof_flying_share=0.3,
-    tof_dropout_share=0.00125,
-    tof_grazing_dropout_share=0.25,
-    stereo_correlated_px=0.015 * 2**0.5,
-    stereo_hole_share=0.003,
-    stereo_saturated_share=0.0005,
-    colour_levels=1.1,
+_AMPLITUDES: Final = (
+    *("tof_white_m", "tof_offset_m", "tof_slow_bias_m", "tof_drift_m", "tof_flying_share", "tof_dropout_share"),
+    *("tof_grazing_dropout_share", "stereo_correlated_px", "stereo_hole_share", "stereo_saturated_share"),
+    "colour_levels",
 )
+_HALVED: Final[dict[str, Any]] = {name: getattr(_DATASHEET, name) / 2 for name in _AMPLITUDES}
+_HALF: Final = replace(_DATASHEET, name="half", about="half the errors of datasheet", **_HALVED)
 _REAL: Final = replace(
     _DATASHEET,
     name="l515-d405",

@@ -106,17 +106,6 @@ def test_the_cup_is_found_followed_exported_lost_and_found_again(qtbot, tab, sou
     qtbot.waitUntil(lambda: not tab.tracked.estimate.lost)
 
 
-def test_a_wrong_mesh_is_refused_by_its_residual(qtbot, tab, tmp_path):
-    trimesh = pytest.importorskip("trimesh")
-    trimesh.creation.box((0.09, 0.09, 0.004)).export(tmp_path / "plate.ply")
-    tab.open_mesh(tmp_path / "plate.ply")
-    qtbot.waitUntil(lambda: tab.model.mesh.name == "plate.ply")
-    QTest.mouseClick(tab.track_button, LEFT)
-    qtbot.waitUntil(lambda: tab.messages.message("work") is not None, timeout=60_000)
-    assert "plate.ply" in tab.messages.message("work").sentence
-    assert not tab.track_button.isChecked() and tab.tracked is None
-
-
 def test_a_search_can_be_given_up(qtbot, tab, monkeypatch):
     ended = Event()
 

@@ -1,9 +1,7 @@
 """A circular membrane with closed-form shapes, and its images in two cameras.
 
-A flat membrane of radius a under the tension T, clamped at r = a, bulges under a pressure p with small
-slopes by ``w = p (a^2 - r^2) / (4 T)``. A flat plate that presses it down to the height h touches it up to
-a radius c, where the membrane leaves the plate tangentially. With ``T laplace(w) = -p`` outside, ``w'(c) = 0`` and
-``w(a) = 0``,
+A flat membrane of radius a under the tension T, clamped at r = a, is pressed by a flat plate that touches it up to a
+radius c. With ``T laplace(w) = -p`` outside, ``w'(c) = 0`` and ``w(a) = 0``,
 
     w(r) = p / (4 T) (a^2 - r^2 + 2 c^2 ln(r / a)),     h = w(c),
 

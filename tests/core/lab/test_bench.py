@@ -15,7 +15,6 @@ from tactune.core.errors import TactuneError
 from tactune.core.lab import bench
 from tactune.core.lab.bench import (
     ENGINES,
-    OURS,
     Check,
     compare_engines,
     rows_text,
@@ -71,6 +70,6 @@ def test_a_check_that_falls_short_says_so_and_the_gate_finds_a_slow_pipeline(mon
 
 def test_the_pipeline_imports_no_large_library_before_it_needs_one() -> None:
     large = {"scipy.spatial", "scipy.ndimage", "cv2", "open3d", "matplotlib"}
-    program = f"import sys; {OURS}; print(sorted({large} & set(sys.modules)))"
+    program = f"import sys; from tactune.core import ContactPipeline; print(sorted({large} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
     assert done.stdout == "[]\n"

@@ -127,15 +127,6 @@ def test_the_cup_is_found_by_its_pressure(cup_frames):
     assert scores.precision > 0.3
 
 
-def test_false_matches_of_the_stereo_camera_leave_the_patch_alone(shallow):
-    method, frame = mechanics(shallow), shallow.frame(0.6 * shallow.radius_m)
-    counts = frame.tactile_depth.copy()
-    counts[118:123, 60:65] += 8000
-    counts[60:64, 158:162] = 65535
-    clean = method.way_m(frame.tactile_depth)
-    np.testing.assert_allclose(method.way_m(counts), clean, atol=2e-4)
-
-
 def test_failures_are_told_and_do_not_spoil_the_next_frame(bulged, monkeypatch):
     method, frame = mechanics(bulged), bulged.frame(0.5 * bulged.radius_m)
     before = method.find(frame).points

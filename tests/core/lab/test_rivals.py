@@ -8,7 +8,7 @@ import pytest
 from tactune.core.errors import FrameError, TactuneError
 from tactune.core.lab.bench_scenes import synthetic_scene
 from tactune.core.lab.methods import make_method, method_names, method_tip
-from tactune.core.lab.single_camera import MembraneView, proximity_only, tactile_only, tactile_threshold
+from tactune.core.lab.single_camera import MembraneView, proximity_only, tactile_only
 from tactune.core.model.clouds import deproject
 from tactune.core.model.metrics import pixel_scores
 from tactune.core.preset import Preset
@@ -104,12 +104,6 @@ class TestTactileOnly:
         scores = pixel_scores(patch.mask, frame.truth.contact)
         assert scores.precision > 0.95  # the most deformed are in the middle of the plate
         assert 0.5 < scores.recall < 0.8
-
-    @pytest.mark.parametrize("rival", [tactile_only, tactile_threshold])
-    def test_nothing_is_deformed_in_the_untouched_frame(self, bulged, rival):
-        patch = rival(Preset(), bulged.rig, bulged.frame(0.0))(bulged.frame(0.0, noise_m=0.0002, seed=3))
-        assert len(patch.points) == 0
-        assert not patch.mask.any()
 
 
 def test_every_method_finds_the_cup_and_says_what_it_does(cup_frames):

@@ -155,16 +155,6 @@ def test_a_source_has_its_sensor_in_its_name_and_keeps_it_without_the_object():
     assert SimulatorSource("cube", variant=MEDIUM, sensor="held-tof").held_out
 
 
-def test_noise_grows_with_distance_and_incidence():
-    sensor = replace(SENSORS["clean"], tof_white_m=0.001, tof_correlated_m=0.001)
-    model = NoiseModel(RIG, 0, 1.0, sensor)
-    near = np.nanstd(proximity_error(model, 0))
-    far = np.nanstd(proximity_error(model, 0, wall=2 * WALL))
-    assert far / near == pytest.approx(1.5, rel=0.02)
-    turned = np.nanstd(proximity_error(model, 0, cosine=FACING // 2))
-    assert turned / near == pytest.approx(1.35, rel=0.02)
-
-
 def test_flying_pixels_are_as_frequent_as_the_model_says():
     wall = WALL.copy()
     wall[:, 320:] *= 2
