@@ -157,10 +157,9 @@ class PaintSettings:
 
 
 def painted_contact(scan: Scan, paint: PaintSettings) -> BoolArray:
-    """Tell which vertices have the colour of touched paint, after the clean-up, bool, shape (N,).
+    """Tell which vertices have the colour of touched paint, after the clean-up, (N,).
 
-    First holes below the least area are filled, then spots below it are removed, then the largest spots are kept. Spots
-    are connected along mesh edges. The area of a vertex is a third of the area of its triangles.
+    First holes below the least area are filled, then spots below it are removed, then the largest spots are kept.
     """
     contact = in_hsv_range(scan.colors[None], paint.color_range())[0]
     least_m2 = 1e-6 * paint.least_area_mm2
@@ -189,10 +188,7 @@ def _spots(scan: Scan, marked: BoolArray, shares: Float64Array) -> tuple[AnyArra
 
 
 def surface_points(scan: Scan, contact: BoolArray, spacing_m: float = SPACING_M) -> tuple[Float64Array, Float64Array]:
-    """Return evenly spread points on the surface in contact, and the unit normals of their triangles, each (K, 3).
-
-    Contact is interpolated linearly between vertices and ends at 0.5. The result is deterministic.
-    """
+    """Return evenly spread points on the surface in contact, and the unit normals of their triangles, each (K, 3)."""
     touching = np.flatnonzero(contact[scan.triangles].any(axis=1))
     areas = scan.areas_m2[touching]
     if areas.sum() / spacing_m**2 > _MAX_POINTS:
@@ -265,11 +261,7 @@ def save_transform(path: Path | str, pose: Matrix4) -> None:
 
 
 def read_pairs(path: Path | str, unit_m: float = 1.0) -> tuple[Float64Array, Float64Array]:
-    """Read point pairs for `pose_from_pairs` from a CSV file with the columns of `HEADER`.
-
-    A line is a point in the object's frame and unit, as a mesh viewer shows it, and the same point in the proximity
-    depth frame in metres. Returns both in metres, (N, 3) each.
-    """
+    """Read point pairs for `pose_from_pairs` from a CSV file with the columns of `HEADER`; both in metres, (N, 3)."""
     rows = [row for row in csv.reader(read_text(path).splitlines()) if any(word.strip() for word in row)]
     if not rows or tuple(word.strip() for word in rows[0]) != HEADER:
         raise SourceError(f"{path} lacks the header {','.join(HEADER)}; put it into the first line")
@@ -358,10 +350,7 @@ def scan_truth(scan: Scan, contact: BoolArray, pose: Matrix4) -> ScanTruth:
 
 
 def score_against_scan(patch: npt.ArrayLike, area_mm2: float, truth: ScanTruth) -> dict[str, float]:
-    """Score a patch, (N, 3) in metres, and its area against the true contact; distances in mm, nan if either is empty.
-
-    ``rmse_mm`` is the symmetric RMSE, the mean of both directed ones; ``hausdorff_mm`` the largest directed distance.
-    """
+    """Score a patch, (N, 3) in metres, and its area against the true contact: distances in mm, nan if one is empty."""
     points = np.asarray(patch, np.float64).reshape(-1, 3)
     area = {"area_error_mm2": area_mm2 - truth.area_mm2}
     if len(points) == 0 or len(truth.points) == 0:

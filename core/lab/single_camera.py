@@ -28,10 +28,7 @@ _THRESHOLD_M: Final = 0.005
 
 
 def proximity_only(preset: Preset, rig: Rig, untouched: SensorFrame) -> Find:
-    """Proximity camera: points nearer than the untouched membrane.
-
-    The proximity-only baseline of Yin et al.
-    """
+    """Proximity camera: points nearer than the untouched membrane."""
     untouched.check_against(rig)
     nearer_than_m = MembraneView(preset.alignment, rig).depth_m(untouched.tactile_depth) - _MARGIN_M
 
@@ -46,10 +43,7 @@ def proximity_only(preset: Preset, rig: Rig, untouched: SensorFrame) -> Find:
 
 
 def tactile_only(preset: Preset, rig: Rig, untouched: SensorFrame) -> Find:
-    """Tactile camera: the 60 % of the deformed membrane that moved most.
-
-    The tactile-only baseline of Yin et al.
-    """
+    """Tactile camera: the 60 % of the deformed membrane that moved most."""
 
     def least_m(deformation_m: Float32Array) -> float:
         return float(np.quantile(deformation_m[deformation_m > _UNTOUCHED_M], 1.0 - _SHARE))

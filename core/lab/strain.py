@@ -135,10 +135,7 @@ def indentation_m(frame: SensorFrame, untouched: SensorFrame, rig: Rig) -> float
 
 
 def average_still(frames: Sequence[SensorFrame]) -> tuple[SensorFrame, int]:
-    """Return the pixelwise median of the newest frame and those before it while the membrane rests, and how many.
-
-    ``frames``, oldest first, belong to one rig. The result has the number, time stamps and truth of the newest.
-    """
+    """Return the pixelwise median of the newest frame and those before it while the membrane rests, and how many."""
     newest, still = frames[-1], [frames[-1]]
     for frame in reversed(frames[:-1]):
         if (frame.tactile_color is None) != (newest.tactile_color is None) or _moved(frame, newest):

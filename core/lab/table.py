@@ -377,10 +377,7 @@ def save_cells(plan: Plan, scene: Scene, seed: int, cells: Sequence[Cell]) -> No
 
 
 def mean_rmse_mm(cells: Iterable[Cell]) -> float:
-    """Return the mean over membranes of the mean over seeds of that over objects of that over sides; nan for none.
-
-    Cells without a patch are left out.
-    """
+    """Return the mean over membranes of that over seeds, objects and sides, without cells that have no patch."""
 
     def mean(cells: list[Cell], keys: Sequence[str]) -> float:
         if not keys:

@@ -104,15 +104,6 @@ def test_unknown_names_are_refused(names, words, tmp_path):
         plan_table(Preset(), tmp_path, **names)
 
 
-def test_work_is_split_so_that_most_membranes_belong_to_one_process(tmp_path):
-    plan = plan_table(Preset(), tmp_path)
-    presses = [(scene, seed) for scene in plan.scenes for seed in plan.seeds]
-    parts = table._split(presses, 2)
-    assert [press for part in parts for press in part] == presses and len(parts) == 2
-    assert len({scene.membrane for scene, _ in parts[0]} & {scene.membrane for scene, _ in parts[1]}) <= 1
-    assert table._split([], 2) == []
-
-
 def cell(rmse_mm, **more):
     return Cell(
         **{"sensor": "a", "membrane": "m", "object": "cup", "press": "low", "side": "", "seed": 0, "method": "straight"}
