@@ -51,7 +51,7 @@ def run_gui(
         window = MainWindow(start_preset, Settings(default_settings_file()), default_data_folder())
         _prepare(window, preset_path, size, theme)
         window.open_source(source)
-        window.offer_unsaved_work()
+        window.file_flows.offer_unsaved_work()
         _stop_on_interrupt(window, application)
         return _ended(application.exec())
     # A screenshot neither depends on remembered settings nor changes them.

@@ -176,7 +176,7 @@ def describe_edit(preset: Preset, paths: tuple[str, ...]) -> str:
     if paths == ("noise",):
         return "Measure noise and bias"
     if len(paths) == 1:
-        return f"{field_title(paths[0])} {_shown_value(paths[0], preset.value(paths[0]))}"
+        return f"{field_title(paths[0])} {shown_value(paths[0], preset.value(paths[0]))}"
     if len(paths) == 2:
         return " and ".join(field_title(path) for path in paths).capitalize()
     sections = sorted({path.split(".")[0] for path in paths})
@@ -196,7 +196,7 @@ def field_title(path: str) -> str:
     return title
 
 
-def _shown_value(path: str, value: Any) -> str:
+def shown_value(path: str, value: Any) -> str:
     """Format a value as the panel shows it, with its unit."""
     with suppress(TypeError):  # a field of a type that the panel does not show
         spec = field_spec(Preset, path)

@@ -49,21 +49,9 @@ _Entry = Row | Submenu | None
 #: focus (a check box, for example) gets the space bar first, and the window only if that widget does not use it.
 TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
     "&File": (
-        Row(
-            "open_source",
-            "&Open…",
-            "Ctrl+O",
-            "Open cameras, a recording, the simulator or another source",
-            "folder-open-outline",
-        ),
+        Row("open_source", "&Open…", "Ctrl+O", "Open cameras, a recording or the simulator", "folder-open-outline"),
         Row("cameras", "&Connect cameras…", "F3", "Choose the two cameras among those connected", "camera-outline"),
-        Row(
-            "camera_settings",
-            "Ca&mera settings…",
-            "F4",
-            "Exposure, laser and other settings, stored in the preset",
-            "cog-outline",
-        ),
+        Row("camera_settings", "Ca&mera settings…", "F4", "Exposure, laser and others, kept in the preset"),
         _LINE,
         Row("new_preset", "&New preset", "Ctrl+N", icon="plus"),
         Submenu("shipped_presets", "New from s&hipped preset"),
@@ -73,24 +61,9 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
         Row("details", "Name and no&tes…", "F2", "Edit the preset's name and notes"),
         Submenu("recent_presets", "&Recent presets"),
         _LINE,
-        Row(
-            "export_patch",
-            "&Export patch…",
-            "Ctrl+E",
-            "Save the patch of this frame as a point cloud",
-            "tray-arrow-down",
-        ),
-        Row(
-            "export_patches",
-            "Export pa&tches…",
-            tip="Save the patch of each frame between the in and out marks, or of all, as PLY files",
-        ),
-        Row(
-            "export_recording",
-            "Export recordin&g…",
-            "Ctrl+Shift+E",
-            "Save the frames between the in and out marks, or all, as a recording",
-        ),
+        Row("export_patch", "&Export patch…", "Ctrl+E", "Save this frame's patch as a point cloud", "tray-arrow-down"),
+        Row("export_patches", "Export pa&tches…", tip="Save the patch of each frame between the marks as a PLY file"),
+        Row("export_recording", "Export recordin&g…", "Ctrl+Shift+E", "Save the frames between the in and out marks"),
         _LINE,
         Row("quit", "&Quit", "Ctrl+Q"),
     ),
@@ -98,41 +71,16 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
         Row("undo", "&Undo", "Ctrl+Z", icon="undo"),
         Row("redo", "&Redo", "Ctrl+Shift+Z, Ctrl+Y", icon="redo"),
         _LINE,
-        Row(
-            "suggest_all",
-            "&Suggest all…",
-            "Ctrl+J",
-            "Propose values for all sections, each with its evidence",
-            "lightbulb-outline",
-        ),
-        Row(
-            "examples",
-            "&Examples of contact…",
-            "Ctrl+L",
-            "Mark untouched frames and contact, for better suggestions",
-        ),
+        Row("suggest_all", "&Suggest all…", "Ctrl+J", "Propose values for all sections, each with its evidence"),
+        Row("examples", "&Examples of contact…", "Ctrl+L", "Mark untouched frames and contact, for suggestions"),
         _LINE,
         Row(
-            "changes_since_save",
-            "&What changed since save",
-            "Ctrl+D",
-            "Compare the preset as it was saved with the present one",
+            "changes_since_save", "&What changed since save", "Ctrl+D", "Compare the saved preset with the present one"
         ),
-        Row(
-            "compare",
-            "&Compare presets",
-            "Ctrl+B",
-            "Show two presets side by side, or end the comparison",
-            checked=False,
-        ),
+        Row("compare", "&Compare presets", "Ctrl+B", "Show two presets side by side, or end that", checked=False),
         _LINE,
         Row("next_side", "&A, B or wipe", "C", "While presets are compared: only A, only B, or both at the wipe"),
-        Row(
-            "patch_difference",
-            "Patch &difference",
-            "D",
-            "While presets are compared: both patches in one view, by colour",
-        ),
+        Row("patch_difference", "Patch &difference", "D", "While presets are compared: both patches, by colour"),
         Row("wipe_left", "Wipe to the &left", "Alt+Left", "Show less of A"),
         Row("wipe_right", "Wipe to the &right", "Alt+Right", "Show more of A"),
     ),
@@ -142,18 +90,8 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
         Row("top_view", "T&op view", "T", "Look from above"),
         Row("side_view", "&Side view", "S", "Look from the side"),
         Row("zoom_to_patch", "&Zoom to patch", "Z", "Zoom in on the contact patch, keeping the direction"),
-        Row(
-            "measure",
-            "&Measure distance",
-            "Shift+D",
-            "Take the marked point as an end of a distance; arrow keys in the images move the mark",
-        ),
-        Row(
-            "copy_view",
-            "&Copy view as picture",
-            "Ctrl+Shift+C",
-            "Copy the view or image under the mouse, else the one with the focus, at its size on the screen",
-        ),
+        Row("measure", "&Measure distance", "Shift+D", "Take the point under the crosshair as an end of a distance"),
+        Row("copy_view", "&Copy view as picture", "Ctrl+Shift+C", "Copy the view or image under the mouse"),
         _LINE,
         Row("show_proximity", "&Proximity view", "Ctrl+1", checked=True),
         Row("show_tactile", "&Tactile view", "Ctrl+2", checked=True),
@@ -179,13 +117,7 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
         Row("mark_out", "&Out mark", "O", "End the part to export, tune or record here", "align-horizontal-right"),
         Row("clear_marks", "&Clear in and out", "Shift+I", "Remove the in and out marks", "close"),
         _LINE,
-        Row(
-            "add_marker",
-            "Add or remove &marker",
-            "M",
-            "Add a marker at this frame, or remove the one here",
-            "flag-outline",
-        ),
+        Row("add_marker", "Add or remove &marker", "M", "Mark this frame, or remove its marker", "flag-outline"),
         Row("previous_marker", "Previous mar&ker", "Shift+N", "Go to the marker before"),
         Row("next_marker", "N&ext marker", "N", "Go to the next marker"),
         _LINE,
@@ -195,70 +127,33 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
         Submenu("speeds", "S&peed"),
     ),
     "&Calibration": (
-        Row(
-            "calibrate",
-            "&Calibrate…",
-            "Ctrl+K",
-            "Align both cameras: click points, check and save the result",
-            "crosshairs-gps",
-        ),
+        Row("calibrate", "&Calibrate…", "Ctrl+K", "Align both cameras by clicked points", "crosshairs-gps"),
         Row("recheck", "&Re-check calibration", "Ctrl+Shift+K", "Check the alignment on this frame"),
-        Row(
-            "watch_drift",
-            "&Watch for drift",
-            tip="Look once in 10 s whether a camera of a live source moved or the pressure changed, compared with the "
-            "preset's untouched frame",
-            checked=True,
-        ),
+        Row("watch_drift", "&Watch for drift", tip="Warn when a camera moved or the pressure changed", checked=True),
         Row("check_cameras", "C&heck cameras…", "F6", "Depth quality, noise, skew and bias of both cameras"),
-        Row(
-            "measure_noise",
-            "&Measure noise and bias…",
-            tip="Measure the noise of both cameras and the bias between them, for the preset",
-        ),
+        Row("measure_noise", "&Measure noise and bias…", tip="Measure both cameras' noise and bias, for the preset"),
     ),
     "&Analysis": (
         Submenu("tabs", ""),  # the analysis tabs stand here, without a menu of their own
-        Row(
-            "capture_untouched",
-            "Capture u&ntouched frame…",
-            "Ctrl+Shift+R",
-            "Capture the untouched membrane, which some methods and the re-check need",
-        ),
-        Row(
-            "findings",
-            "&Findings…",
-            "Ctrl+F",
-            "List what is wrong with this frame or preset, and what mends it",
-            "alert-outline",
-        ),
+        Row("capture_untouched", "Capture u&ntouched frame…", "Ctrl+Shift+R", "Capture the untouched membrane"),
+        Row("findings", "&Findings…", "Ctrl+F", "List what is wrong with this frame or preset, and what mends it"),
     ),
     "C&onnect": (
         Row("publish", "&Publish…", "Ctrl+Shift+P", "Send patches live to Foxglove or ROS 2; off until you start it"),
     ),
     "&Help": (
-        Row(
-            "documentation",
-            "&Documentation",
-            "F1",
-            "Open the guide in the browser, without a network",
-            "help-circle-outline",
-        ),
+        Row("documentation", "&Documentation", "F1", "Open the guide in the browser", "help-circle-outline"),
         Row("shortcuts", "&Shortcuts", "Shift+F1", "All keys and mouse gestures", "keyboard-outline"),
         _LINE,
         Row("messages", "&Messages…", "F12", "Go to the message over the views, or list all messages of this start"),
-        Row(
-            "check_computer",
-            "&Check this computer…",
-            tip="Check packages, camera driver, USB and permissions, with remedies",
-        ),
+        Row("check_computer", "&Check this computer…", tip="Check packages, cameras, USB and permissions"),
         Row("about", "&About Tactune", icon="information-outline"),
     ),
 }
 
 
 class Actions:
-    """The actions of `TABLE` by name, as in ``actions.save``; the window connects them."""
+    """The actions of `TABLE` by name, as in ``actions.save``."""
 
     def __init__(self, parent: QObject, undo_stack: QUndoStack) -> None:
         made = {
@@ -275,7 +170,6 @@ class Actions:
             raise AttributeError(f"no action is called {name!r}") from None
 
     def all(self) -> list[QAction]:
-        """Return every action in the order of the menus."""
         return list(self._actions.values())
 
 

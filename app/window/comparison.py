@@ -1,10 +1,9 @@
-"""Comparing two presets: the panel beside the views, what it offers, what the keys do, and where the wipe stands."""
+"""Comparing two presets: the panel beside the views, the keys, and the wipe."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -20,19 +19,18 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from ...core.errors import TactuneError, minus
+from ...core.errors import TactuneError
 from ...core.preset import Preset
 from ...core.preset.file import shipped_presets
 from ...core.sources.presets import load_preset
 from ...widgets.basics.controls import AccentButton, caption, push_button, wrapped_label
-from ...widgets.basics.fields import FieldSpec, field_spec, format_number
 from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.basics.messages import Severity
 from ...widgets.basics.record_table import Column, RecordTable
 from ..context import TASK, Context
 from ..document.comparison import PRESENT, Side, Sides, differing_fields, take_over
-from ..document.document import field_title, format_value
-from ..worker.results import ComparedFrame, ComparedSide
+from ..document.document import field_title, shown_value
+from ..worker.results import ComparedFrame
 from .actions import Actions
 from .files import PRESET_FILTER
 from .frame_presenter import FramePresenter
@@ -64,11 +62,14 @@ _MODE_TIPS: Final = {
     Shown.B: "Show only B (C changes between A, B and the wipe)",
     Shown.DIFFERENCE: "Colour the patch view by which preset finds contact: both, only A, or only B (D)",
 }
+#: The rows of numbers, under a row with the letters.
 _NUMBERS: Final = {
+    "": "",
     "Area": "Area of the patch, projected along the optical axis",
     "Points": "Points of the patch",
     "Time": "Time of the contact test on this frame; a cached step counts as when it was last computed",
     "Not in the other": "Area that only this preset finds",
+    "IoU of the patches": "Intersection over union of both patches: 1 if they cover the same pixels",
 }
 #: How records are called in the table.
 _RECORDS: Final[dict[str, Callable[[Any], str]]] = {
@@ -85,27 +86,22 @@ class SideBox(QComboBox):
 
     def __init__(self, letter: str) -> None:
         super().__init__()
-        self._offers: list[Offer] = []
         self.setAccessibleName(f"Preset {letter}")
         self.setToolTip(f"Preset {letter}: the present one, the saved one, a step of the history, or another preset")
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.setMaxVisibleItems(25)
-        self.activated.connect(lambda index: self._offers[index][1]())
+        self.activated.connect(lambda index: self.itemData(index)())
 
     def offer(self, groups: Sequence[Sequence[Offer]], chosen: Side) -> None:
         """Set the entries, group by group. A chosen side that is not among them comes first."""
-        known = {name for group in groups for name, _ in group}
-        if chosen.name not in known:
+        if chosen.name not in {name for group in groups for name, _ in group}:
             groups = [[(chosen.name, lambda: None)], *groups]
         self.clear()
-        self._offers = []
         for group in groups:
-            if self._offers and group:
+            if self.count() and group:
                 self.insertSeparator(self.count())
-                self._offers.append(("", lambda: None))
             for name, choose in group:
-                self.addItem(name)
-                self._offers.append((name, choose))
+                self.addItem(name, choose)
         self.setCurrentIndex(self.findText(chosen.name))
 
     def showPopup(self) -> None:
@@ -114,20 +110,11 @@ class SideBox(QComboBox):
 
 
 class ComparisonPanel(QWidget):
-    """Shows which presets are compared, how they are shown, their numbers, and the fields in which they differ.
+    """Shows which presets are compared, how they are shown, their numbers, and the fields in which they differ."""
 
-    Signals
-    -------
-    modeChosen(Shown)
-    swapRequested()
-    useRequested(index: int)
-        Take over side A (0) or B (1).
-    closeRequested()
-    """
-
-    modeChosen = pyqtSignal(object)
+    modeChosen = pyqtSignal(object)  # Shown
     swapRequested = pyqtSignal()
-    useRequested = pyqtSignal(int)
+    useRequested = pyqtSignal(int)  # take over side A (0) or B (1)
     closeRequested = pyqtSignal()
 
     def __init__(self) -> None:
@@ -136,13 +123,12 @@ class ComparisonPanel(QWidget):
         self.use = push_button("Use A", ""), push_button("Use B", "")
         self.modes = {mode: AccentButton(mode.value.capitalize(), _MODE_TIPS[mode]) for mode in Shown}
         self.numbers: dict[tuple[str, int], QLabel] = {}
-        self.agreement = QLabel()
         self.heading = QLabel()
         self.problem = wrapped_label()
         self.problem.setTextFormat(Qt.TextFormat.PlainText)
         self.problem.hide()
         self.table = RecordTable(
-            _COLUMNS, "Fields in which the presets differ", "The value of each in A and B", key=lambda row: row.path
+            _COLUMNS, "Fields in which the presets differ", "The value of each in A and B", key=lambda row: row[0]
         )
         self.table.setMinimumHeight(80)
         self.swap = push_button("Swap", "Exchange A and B")
@@ -152,7 +138,7 @@ class ComparisonPanel(QWidget):
         group = QButtonGroup(self)
         for mode, button in self.modes.items():
             button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-            button.clicked.connect(partial(self._choose_mode, mode))
+            button.clicked.connect(lambda _, mode=mode: self.modeChosen.emit(mode))
             group.addButton(button)
         vbox(
             hbox((QLabel("<b>Compare presets</b>"), 1), self.swap, self.close_button),
@@ -169,9 +155,6 @@ class ComparisonPanel(QWidget):
         self.setAccessibleName("Comparison of two presets")
         self.setMinimumWidth(340)
 
-    def _choose_mode(self, mode: Shown, _checked: bool) -> None:
-        self.modeChosen.emit(mode)
-
     def _side_rows(self) -> QGridLayout:
         grid = QGridLayout()
         grid.setColumnStretch(1, 1)
@@ -185,133 +168,73 @@ class ComparisonPanel(QWidget):
     def _number_rows(self) -> QGridLayout:
         grid = QGridLayout()
         grid.setVerticalSpacing(0)
-        for column in (1, 2):
-            grid.setColumnStretch(column, 1)
-            grid.addWidget(_right_aligned(QLabel("AB"[column - 1])), 0, column)
-        for row, (name, tip) in enumerate(_NUMBERS.items(), start=1):
+        grid.setColumnStretch(0, 1)
+        for row, (name, tip) in enumerate(_NUMBERS.items()):
             title = QLabel(name)
             title.setToolTip(tip)
             grid.addWidget(title, row, 0)
             for column in (0, 1):
-                label = self.numbers[name, column] = _right_aligned(QLabel("–"))
+                label = self.numbers[name, column] = QLabel("AB"[column] if not row else "")
+                label.setAlignment(Qt.AlignmentFlag.AlignRight)
+                label.setMinimumWidth(90)
                 label.setAccessibleName(f"{name} of {'AB'[column]}")
                 grid.addWidget(label, row, 1 + column)
-        last = len(_NUMBERS) + 1
-        title = QLabel("IoU of the patches")
-        for label in (title, self.agreement):
-            label.setToolTip("Intersection over union of both patches: 1 if they cover the same pixels")
-        grid.addWidget(title, last, 0)
-        grid.addWidget(_right_aligned(self.agreement), last, 2)
         return grid
 
     def show_sides(self, sides: Sides) -> None:
         for button, side, letter in zip(self.use, sides, "AB", strict=True):
             button.setEnabled(not side.follows)
             button.setToolTip(
-                f"{letter} is the present preset already"
-                if side.follows
-                else f"Take over the values of {letter} ({side.name}) as one step that can be undone. "
+                f"Take over the values of {letter} ({side.name}) as one step that can be undone. "
                 "Name, notes, rig and untouched frame stay."
             )
         presets = sides[0].preset, sides[1].preset
         paths = differing_fields(*presets)
-        many = "" if len(paths) == 1 else "s"
-        self.heading.setText(f"{len(paths)} field{many} differ{'' if many else 's'}" if paths else "No field differs")
-        self.table.set_records([_difference(path, presets) for path in paths])
+        self.heading.setText(f"Fields that differ: {len(paths)}" if paths else "No field differs")
+        self.table.set_records([(path, *presets) for path in paths])
 
     def show_frame(self, compared: ComparedFrame) -> None:
         """Show the numbers of a frame."""
         overlap = compared.overlap
         alone = (None, None) if overlap is None else (overlap.only_a_mm2, overlap.only_b_mm2)
+        agreement = "–" if overlap is None else f"{overlap.iou:.3f}"
         for column, (side, area_mm2) in enumerate(zip((compared.a, compared.b), alone, strict=True)):
-            for name, text in zip(_NUMBERS, (*_numbers_of(side), _square_cm(area_mm2)), strict=True):
-                self.numbers[name, column].setText(text)
-                self.numbers[name, column].setToolTip(side.problem or _NUMBERS[name])
-        self.agreement.setText("–" if overlap is None else f"{overlap.iou:.3f}")
+            texts = {"Not in the other": _square_cm(area_mm2), "IoU of the patches": agreement}
+            if side.patch is not None:
+                texts["Area"] = _square_cm(side.area_mm2)
+                texts["Points"] = f"{len(side.patch.points):,}"
+                texts["Time"] = f"{side.ms:.1f} ms"
+            for name in [*_NUMBERS][1:]:
+                self.numbers[name, column].setText(texts.get(name, "–"))
         sides = (("A", compared.a), ("B", compared.b))
-        problems = [f"{letter}: {side.problem}" for letter, side in sides if side.problem]
-        self.problem.setText("\n".join(problems))
-        self.problem.setVisible(bool(problems))
+        self.problem.setText("\n".join(f"{letter}: {side.problem}" for letter, side in sides if side.problem))
+        self.problem.setVisible(bool(self.problem.text()))
 
 
-@dataclass(frozen=True)
-class _Difference:
-    """A field in which the presets differ: its path, title with unit, description, and both values."""
-
-    path: str
-    title: str
-    description: str
-    texts: tuple[str, str]
-    whole: tuple[str, str]
+def _value(path: str, preset: Preset) -> str:
+    """Return a value as the panel of parameters shows it."""
+    value = preset.value(path)
+    if path in _RECORDS:
+        return "none" if value is None else _RECORDS[path](value)
+    return shown_value(path, value)
 
 
-def _difference(path: str, presets: tuple[Preset, Preset]) -> _Difference:
-    spec = _spec_of(path)
-    unit = spec.suffix.strip() if spec is not None else ""
-    a, b = (preset.value(path) for preset in presets)
-    texts = _in_words(path, spec, a), _in_words(path, spec, b)
-    return _Difference(
-        path,
-        field_title(path) + (f" ({unit})" if unit else ""),
-        f"{path}\n{spec.description if spec else ''}".strip(),
-        texts,
-        texts if path in _RECORDS else (str(a), str(b)),
-    )
-
-
+#: A row is the path of a field and both presets.
 _COLUMNS: Final = (
-    Column("Field", lambda row: row.title, "Field of the preset", hint=lambda row: row.description, stretch=True),
-    Column("A", lambda row: row.texts[0], "Its value in A", hint=lambda row: row.whole[0], sample="0 to 0.0000"),
-    Column("B", lambda row: row.texts[1], "Its value in B", hint=lambda row: row.whole[1], sample="0 to 0.0000"),
+    Column("Field", lambda row: field_title(row[0]), "Field of the preset", hint=lambda row: row[0], stretch=True),
+    Column("A", lambda row: _value(row[0], row[1]), "Its value in A", sample="0 to 0.0000"),
+    Column("B", lambda row: _value(row[0], row[2]), "Its value in B", sample="0 to 0.0000"),
 )
-
-
-def _numbers_of(side: ComparedSide) -> tuple[str, str, str]:
-    """Return area, points and time of a side."""
-    if side.patch is None:
-        return "–", "–", "–"
-    return _square_cm(side.area_mm2), f"{len(side.patch.points):,}", f"{side.ms:.1f} ms"
 
 
 def _square_cm(area_mm2: float | None) -> str:
     return "–" if area_mm2 is None else f"{area_mm2 / 100:.2f} cm²"
 
 
-def _right_aligned(label: QLabel) -> QLabel:
-    label.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-    return label
-
-
-def _spec_of(path: str) -> FieldSpec | None:
-    """Return how widgets show a field; None for one that no widget shows, such as the notes."""
-    try:
-        return field_spec(Preset, path)
-    except TypeError:
-        return None
-
-
-def _in_words(path: str, spec: FieldSpec | None, value: Any) -> str:
-    """Return a value as the panel of parameters shows it, without its unit."""
-    if path in _RECORDS:
-        return "none" if value is None else _RECORDS[path](value)
-    if spec is not None and spec.kind in ("number", "range"):
-        numbers = value if isinstance(value, tuple) else (value,)
-        return " to ".join(minus(format_number(number * spec.factor)) for number in numbers)
-    return format_value(value)
-
-
 class ComparisonControl(QObject):
-    """Connects `Context.comparison` with the worker, the views, the panel and the actions.
+    """Connects `Context.comparison` with the worker, the views, the panel and the actions."""
 
-    Signals
-    -------
-    wantedChanged()
-        `shows_difference` has changed.
-    runningChanged(bool)
-        A comparison was started or ended.
-    """
-
-    wantedChanged = pyqtSignal()
+    wantedChanged = pyqtSignal()  # `shows_difference` has changed
     runningChanged = pyqtSignal(bool)
 
     def __init__(self, context: Context, actions: Actions, panel: ComparisonPanel, presenter: FramePresenter) -> None:
@@ -352,7 +275,6 @@ class ComparisonControl(QObject):
         return {Shown.A: 1.0, Shown.B: 0.0}.get(self._mode, self._share)
 
     def show_changes(self) -> None:
-        """Compare the preset as it was saved with the present one."""
         self._comparison.show(self._comparison.saved, self._comparison.present)
 
     def move_wipe(self, share: float) -> None:
@@ -361,7 +283,6 @@ class ComparisonControl(QObject):
         self.show_mode(Shown.DIFFERENCE if self._mode is Shown.DIFFERENCE else Shown.WIPE)
 
     def show_mode(self, mode: Shown) -> None:
-        """Show the wipe, one side, or the difference of both patches."""
         difference = self.shows_difference
         self._mode = mode
         self._panel.modes[mode].setChecked(True)
@@ -380,8 +301,7 @@ class ComparisonControl(QObject):
         if self._last is None:
             self.show_changes()
         else:
-            a, b = map(self._comparison.up_to_date, self._last)
-            self._comparison.show(a, b)
+            self._comparison.show(*map(self._comparison.up_to_date, self._last))
 
     def _changed(self, sides: Sides | None) -> None:
         self._context.worker.set_compared(sides)
@@ -433,29 +353,25 @@ class ComparisonControl(QObject):
             Side(f"Step {number}: {text}" if number else "Step 0: as opened", preset)
             for number, (text, preset) in enumerate(self._document.history())
         ]
-        steps: list[Offer] = [
-            (side.name, partial(self._choose, index, side)) for side in reversed(history[-_MAX_STEPS:])
+        steps = [(side.name, partial(self._choose, index, side)) for side in reversed(history[-_MAX_STEPS:])]
+        others = [
+            *((f"Shipped: {name}", partial(self._load, index, f"Shipped: {name}", name)) for name in shipped_presets()),
+            ("File…", partial(self._ask_file, index)),
         ]
-        others: list[Offer] = [
-            (f"Shipped: {name}", partial(self._load, index, f"Shipped: {name}", name)) for name in shipped_presets()
-        ]
-        others.append(("File…", partial(self._ask_file, index)))
         self._panel.boxes[index].offer([own, steps if len(history) > 1 else [], others], sides[index])
 
     def _choose(self, index: int, side: Side) -> None:
         if self._comparison.sides is not None:
-            a, b = (side if place == index else other for place, other in enumerate(self._comparison.sides))
-            self._comparison.show(a, b)
+            a, b = self._comparison.sides
+            self._comparison.show(*((a, side) if index else (side, b)))
             self._offer(index)
 
     def _load(self, index: int, name: str, place: Path | str) -> None:
         try:
-            side = Side(name, load_preset(place))
+            self._choose(index, Side(name, load_preset(place)))
         except TactuneError as error:
             self._context.messages.show_message("comparison", Severity.ERROR, str(error), subject=TASK)
             self._offer(index)
-        else:
-            self._choose(index, side)
 
     def _ask_file(self, index: int) -> None:
         self._offer(index)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QWidget
 
 from ...widgets.basics.controls import copy_text, dialog_buttons, push_button, wrapped_label
+from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.layouts import vbox
 from ...widgets.basics.record_table import Column, RecordTable
 from ..doctor.checks import Check, State
@@ -16,12 +17,7 @@ _COLORS = {State.OK: "", State.WARN: "warning", State.FAIL: "error"}
 _COLUMNS = (
     Column("Check", lambda line: line.name, "What was checked"),
     Column("Result", lambda line: _WORDS[line.state], "As needed, or not", color=lambda line: _COLORS[line.state]),
-    Column(
-        "Found, and what to do",
-        lambda line: "\n".join(filter(None, (line.found, line.remedy))),
-        "What was found, and what to do",
-        stretch=True,
-    ),
+    Column("Found, and what to do", lambda line: f"{line.found}\n{line.remedy}".strip(), "With a remedy", stretch=True),
 )
 
 
@@ -37,12 +33,10 @@ class ComputerWindow(QDialog):
         self._job.failed.connect(self._end)
         self.finished.connect(self._job.stop)  # each check ends by itself within its time limit
         self.status = wrapped_label()
-        self.table = RecordTable(
-            _COLUMNS, "Checks of this computer", "What was checked, the result, and what to do", wraps=True
-        )
+        self.table = RecordTable(_COLUMNS, "Checks of this computer", "What was checked and found", wraps=True)
         self.again = push_button("Check &again", "Run all checks again")
-        self.copy = push_button("&Copy as text", "Copy the report to the clipboard, for a question or a report")
-        self.again.clicked.connect(self.check)
+        self.copy = push_button("&Copy as text", "Copy the report to the clipboard")
+        self.again.clicked.connect(self.open)
         self.copy.clicked.connect(lambda: copy_text(report(self._lines)))
         buttons = dialog_buttons(QDialogButtonBox.StandardButton.Close)
         for button in (self.again, self.copy):
@@ -51,8 +45,9 @@ class ComputerWindow(QDialog):
         vbox(self.status, self.table, buttons, within=self)
         self.resize(760, 560)
 
-    def check(self) -> None:
-        """Run all checks, unless they run already."""
+    def open(self) -> None:
+        """Show the window and run all checks, unless they run already."""
+        bring_up(self)
         if not self._job.busy:
             self._end("Checking packages, cameras and the display; this takes some seconds…", running=True)
             self._job.start(lambda _: check_computer())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from PyQt6.QtCore import QObject
@@ -21,37 +20,17 @@ LIMIT = 20
 _ROWS_SEEN = 5
 
 
-def _centroid_mm(axis: int) -> Callable[[tuple[int, Contact]], float]:
-    return lambda row: 1e3 * row[1].centroid_m[axis]
-
-
 #: A row is the contact's place in the list, largest first, and the contact.
 _COLUMNS = (
-    Column(
-        "Area, cm²",
-        lambda row: row[1].area_mm2 / 100,
-        "Area across the optical axis in square centimetres",
-        decimals=2,
-        stretch=True,
-    ),
-    *(
-        Column(title, _centroid_mm(axis), f"Centroid, {where}, in millimetres", decimals=1, stretch=True)
-        for axis, (title, where) in enumerate(
-            (
-                ("x, mm", "to the right in the proximity camera's frame"),
-                ("y, mm", "down in the proximity camera's frame"),
-                ("Depth, mm", "mean distance from the proximity camera along its axis"),
-            )
-        )
-    ),
+    Column("Area, cm²", lambda row: row[1].area_mm2 / 100, "Area across the optical axis", decimals=2, stretch=True),
+    Column("x, mm", lambda row: 1e3 * row[1].centroid_m[0], "Centroid, to the right", decimals=1, stretch=True),
+    Column("y, mm", lambda row: 1e3 * row[1].centroid_m[1], "Centroid, down", decimals=1, stretch=True),
+    Column("Depth, mm", lambda row: 1e3 * row[1].centroid_m[2], "Mean distance", decimals=1, stretch=True),
 )
 
 
 class ContactList(QObject):
-    """Fills a section of the panel with the contacts, the largest first; a folded one costs nothing.
-
-    The contact chosen in the table is marked in images and views, at its point nearest to the centroid.
-    """
+    """Fills a section of the panel with the contacts; the chosen one is marked in images and views."""
 
     def __init__(self, context: Context, panel: ParameterPanel, strip: ImageStrip) -> None:
         super().__init__(context)

@@ -50,25 +50,16 @@ def _in_words(pixel: Uint8Array) -> str:
 
 
 class Eyedropper(QObject):
-    """Turns a click in the colour image into one undoable change of the mask.
+    """Turns each click in the colour image into one undoable change of the mask, until it is switched off."""
 
-    The eyedropper stays active until it is switched off, so that several clicks can refine a mask. Meanwhile a banner
-    over the images says what to click, and a loupe shows the pixels under the pointer and their colour.
-
-    Signals
-    -------
-    started()
-        A click in the colour image is wanted, so it must be seen.
-    """
-
-    started = pyqtSignal()
+    started = pyqtSignal()  # a click in the colour image is wanted, so it must be seen
 
     def __init__(self, context: Context, panel: ParameterPanel, strip: ImageStrip) -> None:
         super().__init__(context)
         self._context, self._document, self._messages = context, context.document, context.messages
         self._panel = panel
         self._strip = strip
-        self._mode = "off"
+        self.mode = "off"
         self._pixel = (-1, -1)
         self.loupe = Loupe(context.window)
         panel.eyedropperRequested.connect(self.use)
@@ -77,14 +68,10 @@ class Eyedropper(QObject):
         strip.pickingDone.connect(lambda: self.use("off"))
         context.frameShown.connect(self._show_loupe)
 
-    @property
-    def mode(self) -> str:
-        return self._mode
-
     def use(self, mode: str) -> None:
-        if mode != "off" and self._mode == "off":
+        if mode != "off" and self.mode == "off":
             self.started.emit()
-        self._mode = mode
+        self.mode = mode
         self._panel.set_eyedropper(mode)
         self._strip.set_picking(_WORDS[mode])
         self._messages.clear("eyedropper")
@@ -97,7 +84,7 @@ class Eyedropper(QObject):
     def _show_loupe(self) -> None:
         (u, v), result = self._pixel, self._context.result
         pane = self._strip.panes["color"]
-        if self._mode == "off" or result is None or not pane.isVisible() or not pane.contains(u, v):
+        if self.mode == "off" or result is None or not pane.isVisible() or not pane.contains(u, v):
             self.loupe.hide()
             return
         window = self._context.window
@@ -114,19 +101,15 @@ class Eyedropper(QObject):
 
     def _clicked(self, pane: str, u: int, v: int, _modifiers: object) -> None:
         result, mask = self._context.result, self._document.preset.mask
-        if self._mode == "off" or pane != "color" or result is None:
+        if self.mode == "off" or pane != "color" or result is None:
             return
         try:
-            ranges = new_ranges(color_around(result, u, v, RADIUS), mask, cast(Mode, self._mode))
+            ranges = new_ranges(color_around(result, u, v, RADIUS), mask, cast(Mode, self.mode))
         except EyedropperError as error:
             self._messages.show_message("eyedropper", Severity.WARNING, str(error), subject=SOURCE)
             return
         self._messages.clear("eyedropper")
-        picked: dict[str, object] = {
-            "mask.hue": ranges.hue,
-            "mask.saturation": ranges.saturation,
-            "mask.value": ranges.value,
-        }
+        picked = {f"mask.{name}": getattr(ranges, name) for name in ("hue", "saturation", "value")}
         if not mask.enabled:
             picked = {"mask.enabled": True, **picked}
         self._document.edit_many(picked, new_gesture(), title="" if mask.enabled else "Pick the mask's colour")

@@ -45,11 +45,8 @@ class FileFlows(QObject):
         actions.export_patch.triggered.connect(self.export_dialog)
 
     def close(self) -> None:
-        """Stop reporting; a file that is being written is completed."""
         for job in self.findChildren(Job):
             job.stop()
-
-    # Presets
 
     def guarded(self, then: Callable[[], object]) -> None:
         """Call ``then``, which replaces the preset, after asking about unsaved changes."""
@@ -59,13 +56,8 @@ class FileFlows(QObject):
         self._dialogs.ask_unsaved(self._document.preset.name, save=lambda: self.save(then), discard=then)
 
     def new(self, shipped: str = "default") -> None:
-
-        def begin() -> None:
-            created = now()
-            preset = load_preset(shipped)
-            self._document.new(preset.model_copy(update={"name": "untitled", "created": created, "modified": created}))
-
-        self.guarded(partial(self._told, begin))
+        changes = {"name": "untitled", "created": now(), "modified": now()}
+        self.guarded(lambda: self._told(lambda: self._document.new(load_preset(shipped).model_copy(update=changes))))
 
     def offer_preset(self, preset: Preset | None) -> None:
         """Offer the preset in a recording, unless it is already in use."""
@@ -107,8 +99,6 @@ class FileFlows(QObject):
             lambda name, notes: self._document.edit_many({"name": name, "notes": notes}),
         )
 
-    # Recordings
-
     def open_dropped(self, paths: list[Path]) -> None:
         """Open the preset or recording that was dropped on the window, or say why not."""
         first = paths[0]
@@ -122,13 +112,10 @@ class FileFlows(QObject):
             return
         self._context.sourceRequested.emit(name)
 
-    # Export
-
     def export_dialog(self) -> None:
         result = self._context.result
         if result is None or result.patch is None:
             return
-        suggestion = f"patch_{result.patch.sequence:06d}.ply"
 
         def chosen(path: Path) -> None:
             self._messages.clear_subject(TASK)
@@ -139,16 +126,14 @@ class FileFlows(QObject):
                 signal.connect(job.deleteLater)
             job.start(lambda _: _export_patch(result, path))
 
+        suggestion = f"patch_{result.patch.sequence:06d}.ply"
         self._dialogs.save_file("export", "Export this patch", suggestion, EXPORT_FILTERS, chosen)
-
-    # Unsaved work of a window that crashed
 
     def offer_unsaved_work(self) -> None:
         """Offer the unsaved work of a window that crashed, newest first, one piece after the other."""
-        pieces = unsaved_work(self._context.data_folder)
-        if not pieces:
+        newest = next(iter(unsaved_work(self._context.data_folder)), None)
+        if newest is None:
             return
-        newest = pieces[0]
         where = f" ({newest.path})" if newest.path else ""
 
         def discard() -> None:
@@ -166,13 +151,9 @@ class FileFlows(QObject):
         self._document.restore(work.preset, work.path)
         self._autosave.take_over(work)
 
-    # Steps
-
     def _read_preset(self, path: Path) -> None:
         if self._told(lambda: self._document.open(path)):
-            self._messages.clear("file")
-            self._dialogs.remember("preset", path.parent)
-            self._settings.add_recent("presets", str(path))
+            self._remember(path)
         elif not path.exists():
             self._settings.remove_recent("presets", str(path))
 
@@ -184,11 +165,14 @@ class FileFlows(QObject):
         if elsewhere:
             sentence = f"The preset was saved in {path}."
             self._messages.show_message("saved", Severity.INFO, sentence, subject=TASK)
+        self._remember(path)
+        if then is not None:
+            then()
+
+    def _remember(self, path: Path) -> None:
         self._messages.clear("file")
         self._dialogs.remember("preset", path.parent)
         self._settings.add_recent("presets", str(path))
-        if then is not None:
-            then()
 
     def _complete(self, path: Path) -> None:
         """Set a preset's rig before it is saved, if it is missing, and its name, if it is that of another file."""
@@ -203,7 +187,7 @@ class FileFlows(QObject):
             self._document.edit_many(missing)
 
     def _told(self, action: Callable[[], None]) -> bool:
-        """Call a file action and return whether it succeeded; an error becomes a message."""
+        """Return whether a file action succeeded; an error becomes a message."""
         try:
             action()
         except TactuneError as error:

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Sequence
 
-from PyQt6.QtCore import QObject, QTimer
-from PyQt6.QtGui import QAction
+from PyQt6.QtCore import QObject, Qt, QTimer
+from PyQt6.QtGui import QAction, QPalette
+from PyQt6.QtWidgets import QDialog, QFrame, QLabel, QToolButton, QVBoxLayout, QWidget
 
 from ...core.preset import Preset
 from ...core.tuning.advice.proposal import Finding
+from ...widgets.basics.controls import NoteLabel, push_button
 from ...widgets.basics.dialogs import bring_up
+from ...widgets.basics.layouts import STRETCH, hbox, scrolling, vbox
 from ...widgets.parameters.form import ShownFinding
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..context import Context
 from ..worker.results import CloudName
 from .actions import Actions, plain_text
-from .findings_window import FindingsWindow
 from .status import FrameStatus
 from .view_area import ViewArea
 
@@ -25,11 +28,67 @@ LINGER_MS = 1000
 HOLD_S = 3.0
 
 
-class FindingsControl(QObject):
-    """Keeps the findings that are shown, and applies their remedies.
+_NOTHING = "Nothing is wrong with this frame."
+_NO_FRAME = "No frame was examined yet: open a source (Ctrl+O)."
 
-    A finding that comes and goes from frame to frame stays, so nothing jumps.
-    """
+
+class FindingsWindow(QDialog):
+    """Lists the findings with their evidence; ``mend`` is called with the finding whose button was pressed."""
+
+    def __init__(self, mend: Callable[[Finding], None], undo: QAction, parent: QWidget) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Findings – Tactune")
+        self._mend = mend
+        self.addAction(undo)
+        self._cards = QVBoxLayout()
+        self._cards.setSpacing(8)
+        content = QWidget()
+        vbox(self._cards, STRETCH, within=content, margins=4)
+        undo_button = QToolButton()
+        undo_button.setDefaultAction(undo)
+        undo_button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        leave = push_button("Close", "Close this list (Esc)")
+        leave.clicked.connect(self.reject)
+        vbox((scrolling(content), 1), hbox(undo_button, STRETCH, leave), within=self)
+        self.resize(480, 460)
+
+    def show_findings(self, findings: Sequence[tuple[Finding, ShownFinding]], examined: bool) -> None:
+        """Show these findings instead of the former ones; without any, say whether a frame was examined."""
+        while (item := self._cards.takeAt(0)) is not None:
+            widget = item.widget()
+            if widget is not None:
+                widget.hide()
+                widget.deleteLater()
+        cards: list[QWidget] = [self._card(finding, shown) for finding, shown in findings]
+        for card in cards or [QLabel(_NOTHING if examined else _NO_FRAME)]:
+            self._cards.addWidget(card)
+            card.show()  # at once, so that the list is never painted empty
+
+    def _card(self, finding: Finding, shown: ShownFinding) -> QWidget:
+        card = QFrame()
+        card.setFrameShape(QFrame.Shape.StyledPanel)
+        column = QVBoxLayout(card)
+        said = NoteLabel(finding.sentence)
+        font = said.font()
+        font.setBold(True)
+        said.setFont(font)
+        column.addWidget(said)
+        proposal = finding.proposal
+        if proposal is not None:
+            if proposal.evidence != finding.sentence:
+                column.addWidget(NoteLabel(proposal.evidence))
+            expected = NoteLabel(proposal.expected)
+            expected.setForegroundRole(QPalette.ColorRole.PlaceholderText)
+            column.addWidget(expected)
+        if shown.button:
+            button = push_button(shown.button, shown.tip)
+            button.clicked.connect(lambda: self._mend(finding))
+            column.addLayout(hbox(button, STRETCH))
+        return card
+
+
+class FindingsControl(QObject):
+    """Keeps the findings that are shown and applies their remedies; one that comes and goes stays."""
 
     def __init__(
         self, context: Context, actions: Actions, *, panel: ParameterPanel, views: ViewArea, status: FrameStatus
@@ -54,13 +113,7 @@ class FindingsControl(QObject):
         self._view.offerPressed.connect(lambda: self.mend(self._offered) if self._offered is not None else None)
         status.findings.clicked.connect(self.open)
 
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        """What is shown."""
-        return tuple(self._shown.values())
-
     def open(self) -> None:
-        """Show the list of findings."""
         if self._window is None:
             self._window = FindingsWindow(self.mend, self._actions.undo, self._context.window)
         self._show()
@@ -132,7 +185,6 @@ class FindingsControl(QObject):
         self._show()
 
     def _show(self) -> None:
-        """Show the findings everywhere."""
         findings = [(finding, self._in_words(finding)) for finding in self._shown.values()]
         rows: dict[str, ShownFinding] = {}
         for finding, shown in findings:  # the first of a field: causes come before consequences

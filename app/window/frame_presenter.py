@@ -23,7 +23,6 @@ from .status import FrameStatus
 from .toolbar import Transport
 from .view_area import ViewArea
 
-_OTHER: dict[CameraRole, CameraRole] = {"proximity": "tactile", "tactile": "proximity"}
 _STATES = {"missing": "is not connected: plug it in", "stalled": "sends no images: check its cable"}
 
 
@@ -38,35 +37,27 @@ def camera_sentence(camera: CameraHealth) -> str:
     return f"{name} {_STATES[camera.state]}."
 
 
-def age(seconds: float) -> str:
-    whole = max(0, int(seconds))
-    return f"{whole} s" if whole < 60 else f"{whole // 60} min"
+def age(state: SourceState, now_s: float) -> str:
+    whole = max(0, int(now_s - state.last_frame_s))
+    return f"{whole} s old" if whole < 60 else f"{whole // 60} min old"
 
 
 def badge(state: SourceState, roles: tuple[CameraRole, ...], now_s: float, shown: bool) -> str:
     """Return the text over a view of one or both cameras; empty while frames come."""
-    sentences = [sentence for camera in state.health.cameras if (sentence := camera_sentence(camera))]
-    own = [camera_sentence(camera) for camera in state.health.cameras if camera.role in roles]
-    parts = [sentence for sentence in own if sentence]
-    if not state.stale and not parts:
+    faulty = {camera.role: said for camera in state.health.cameras if (said := camera_sentence(camera))}
+    own = [faulty[role] for role in roles if role in faulty]
+    if not state.stale and not own:
         return ""
-    if not parts and sentences:
-        parts = [f"Waiting for the {_OTHER[roles[0]]} camera."]
-    if not parts:
-        parts = [state.problem or "No new frame has arrived."]
+    if not own:
+        own = [f"Waiting for the {role} camera." for role in faulty] or [state.problem or "No new frame has arrived."]
     if state.stale and shown:
-        parts.append(f"The last frame is shown, {age(now_s - state.last_frame_s)} old.")
-    return " ".join(parts)
-
-
-def short_badge(state: SourceState, now_s: float) -> str:
-    """Return the short text for a small image: its age."""
-    return f"{age(now_s - state.last_frame_s)} old" if state.stale else ""
+        own.append(f"The last frame is shown, {age(state, now_s)}.")
+    return " ".join(own)
 
 
 def source_sentence(state: SourceState) -> str:
     """Return the source's message, unless a camera's view already shows it."""
-    said = " ".join(camera_sentence(camera) for camera in state.health.cameras)
+    said = " ".join(map(camera_sentence, state.health.cameras))
     sentence = state.health.message
     return "" if sentence and sentence.rstrip(".") in said else sentence
 
@@ -132,7 +123,6 @@ class FramePresenter(QObject):
         self._read_s = 0.0
         self._shown_warnings: tuple[str, ...] = ()
         self._share = 0.5
-        self._masked_share: float | None = None
         self._state = SourceState()
         self._ages = QTimer(self)
         self._ages.setInterval(AGE_INTERVAL_MS)
@@ -158,7 +148,7 @@ class FramePresenter(QObject):
     def _show_badges(self) -> None:
         now_s, shown = time.monotonic(), self._context.result is not None
         self._views.show_badges({name: badge(self._state, roles, now_s, shown) for name, roles in _CAMERAS.items()})
-        self._strip.set_badge(short_badge(self._state, now_s) if shown else "")
+        self._strip.set_badge(age(self._state, now_s) if shown and self._state.stale else "")
 
     def show(self, result: Result) -> None:
         """Show a result; widgets for which nothing was drawn stay unchanged."""
@@ -170,13 +160,15 @@ class FramePresenter(QObject):
         strip = (result if compared is None else compared.a).rendered.strip
         if strip is not None:
             self._strip.set_images(strip, None if compared is None else compared.b.rendered.strip)
-            self._masked_share = strip.masked_share
-        self._show_histogram(result)
+        histogram = result.rendered.histogram
+        if histogram is not None:  # the worker counts less often than frames come
+            limit = self._context.document.preset.value(histogram.field)
+            self._panel.set_histogram(histogram.field, histogram.counts, histogram.edges, limit, histogram.known)
         now = time.perf_counter()
         if not result.playback.running or now - self._read_s >= READING_INTERVAL_S:
             self._read_s = now
             self._panel.set_median_distance_m(result.rendered.median_distance_m)
-            self._panel.show_masked_share(None if self._strip.isHidden() else self._masked_share)
+            self._panel.show_masked_share(None if strip is None else strip.masked_share)
             self._show_readout()
         self._transport.show_state(result.playback)
         self._status.show_result(result)
@@ -196,13 +188,6 @@ class FramePresenter(QObject):
             return None
         return Wipe(self._share, f"A: {compared.a.side.name}", f"B: {compared.b.side.name}")
 
-    def _show_histogram(self, result: Result) -> None:
-        """Show the histogram, which the worker counts less often than frames come."""
-        histogram = result.rendered.histogram
-        if histogram is not None:
-            limit = self._context.document.preset.value(histogram.field)
-            self._panel.set_histogram(histogram.field, histogram.counts, histogram.edges, limit, histogram.known)
-
     def _show_warnings(self, result: Result) -> None:
         """Show problems and warnings once; a dismissed sentence comes back only after a change."""
         said = (result.problem, *result.warnings)
@@ -220,10 +205,11 @@ class FramePresenter(QObject):
         result = self._context.result
         if result is None:
             self._strip.set_readout("")
-        elif result.compared is None:
-            self._strip.set_readout(readout(result.patch, *self._pixel, hsv_words(result, *self._pixel)))
-        else:
-            right = self._strip.right_of_wipe(self._pixel[0])
-            letter, side = ("B", result.compared.b) if right else ("A", result.compared.a)
-            text = readout(side.patch, *self._pixel, hsv_words(result, *self._pixel))
-            self._strip.set_readout(text and f"{letter}   {text}")
+            return
+        color, compared = hsv_words(result, *self._pixel), result.compared
+        if compared is None:
+            self._strip.set_readout(readout(result.patch, *self._pixel, color))
+            return
+        right = self._strip.right_of_wipe(self._pixel[0])
+        text = readout((compared.b if right else compared.a).patch, *self._pixel, color)
+        self._strip.set_readout(text and f"{'B' if right else 'A'}   {text}")

@@ -20,16 +20,11 @@ _NOTHING = np.empty((0, 3))
 
 
 def membrane_and_patch(result: Result) -> Float64Array:
-    """Return points on the membrane and in the patch: float64 (N, 3), metres, proximity frame; (0, 3) if unknown.
-
-    The tactile camera sees the membrane. What it sees past the membrane's edge, at other depths, is left out, and so is
-    what lies outside the preset's region.
-    """
+    """Return points on the membrane and in the patch: float64 (N, 3), metres, proximity frame; (0, 3) if unknown."""
     return np.concatenate([_membrane(result), patch_points(result.patch)])
 
 
 def patch_points(patch: ContactPatch | None) -> Float64Array:
-    """Return the points of a patch: float64 (N, 3), metres, proximity frame."""
     return _NOTHING if patch is None else patch.points.astype(np.float64)
 
 

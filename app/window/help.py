@@ -47,7 +47,6 @@ MOUSE = (
     ("Wheel", "zoom, in views and images"),
     ("Double click in a view or image", "enlarge it, or go back"),
     ("Shift + click two points in a view", "measure their distance; Esc clears it"),
-    ("Right click in a view or image", "enlarge, copy as picture, measure"),
     ("Drag the line between A and B", "move the wipe while presets are compared"),
     ("Click or drag in the time strip", "seek"),
     ("Eyedropper, then click in the colour image", "set the mask to the prints' colour"),

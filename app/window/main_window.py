@@ -56,7 +56,7 @@ from .pointing import Pointing
 from .publishing import PublishControl
 from .recording import RecordingBar, RecordingControl
 from .status import FrameStatus
-from .toolbar import ToolBar, Transport
+from .toolbar import ToolBar, Transport, fill_on_opening
 from .view_area import StripSplitter, ViewArea
 from .view_parts import ViewParts
 
@@ -68,23 +68,15 @@ _OPENING = "Preparing the first frame…"
 _NO_SOURCE = "No source is open: open one (Ctrl+O), or drop a recording here"
 #: The actions whose state is remembered between starts.
 _TOGGLES = ("watch_drift", "show_time", "show_strip", "show_panel", "show_proximity", "show_tactile", "show_patch")
+#: The actions whose keys work in the analysis window too.
+_SHARED_ACTIONS = ("capture_untouched", "previous", "next", "first", "loop", "freeze")
 _COLLAPSED_AT_FIRST = "range,region,contacts"
 
 
 class MainWindow(QMainWindow):
-    """Shows both sensors and the patch live, and lets a person tune the preset.
+    """Shows both sensors and the patch live. It computes nothing: the `Worker` does, and draws what is visible."""
 
-    The window computes nothing: the `Worker` does, and passes on what is visible. Everything that other windows need
-    stands in `context`.
-    """
-
-    def __init__(
-        self,
-        preset: Preset,
-        settings: Settings,
-        data_folder: Path,
-        native_dialogs: bool = True,
-    ) -> None:
+    def __init__(self, preset: Preset, settings: Settings, data_folder: Path, native_dialogs: bool = True) -> None:
         super().__init__()
         self.settings = settings
         self.document = Document(preset, self)
@@ -104,15 +96,7 @@ class MainWindow(QMainWindow):
         self.transport = Transport(self.actions_)
         self.status = FrameStatus()
         self.dialogs = Dialogs(self, settings, native_dialogs)
-        self.context = Context(
-            self.document,
-            self.worker,
-            self.messages,
-            self.dialogs,
-            settings,
-            data_folder,
-            self,
-        )
+        self.context = Context(self.document, self.worker, self.messages, self.dialogs, settings, data_folder, self)
         self.file_flows = FileFlows(self.context, self.autosave)
         self.presenter = FramePresenter(
             self.context,
@@ -140,11 +124,12 @@ class MainWindow(QMainWindow):
             self.context, self.untouched.keeper, self.actions_.watch_drift, self.calibration.open_recheck
         )
         self.suggest = SuggestControl(self.context)
-        self.analysis = self._make_analysis()
+        shared = [getattr(self.actions_, name) for name in _SHARED_ACTIONS]
+        self.analysis = AnalysisLauncher(self.context, self.actions_.play, shared)
         self._closing = False
         self._lay_out()
         self._connect()
-        self._restore_layout()
+        self.restore_layout()
         self._show_document()
         self.panel.set_preset(preset)
         self.panel.set_baseline(preset)
@@ -173,21 +158,16 @@ class MainWindow(QMainWindow):
             )
         self.resize(size)
 
-    def _make_analysis(self) -> AnalysisLauncher:
-        actions = self.actions_
-        playback = (actions.previous, actions.next, actions.first, actions.loop, actions.freeze)
-        return AnalysisLauncher(self.context, actions.play, [actions.capture_untouched, *playback])
-
     def _lay_out(self) -> None:
         self.contacts = ContactList(self.context, self.panel, self.strip)
         bar = self.menuBar()
         assert bar is not None
         self.menus = make_menus(bar, self.actions_, list(self.analysis.actions.values()))
-        self.toolbar = ToolBar(self.actions_, self.menus, self.transport)
+        self.toolbar = ToolBar(self.actions_, self.menus.preset, self.transport)
         self.addToolBar(self.toolbar)
         self.left = StripSplitter(self.views, self.strip)
         self.pointing = Pointing(self.context, self.views, self.strip)
-        self.parts = ViewParts(self.views, self.strip, self.pointing, self.actions_)
+        self.parts = ViewParts(self.views, self.strip, self.actions_)
         self.across = QSplitter(Qt.Orientation.Horizontal)
         self.across.addWidget(self.left)
         self.beside = QSplitter(Qt.Orientation.Vertical)
@@ -218,9 +198,6 @@ class MainWindow(QMainWindow):
         self._connect_views()
         self._connect_actions()
         self._connect_timeline()
-        self.error_hook.raised.connect(
-            lambda sentence, details: self.messages.show_message("defect", Severity.ERROR, sentence, details=details)
-        )
 
     def _connect_document(self) -> None:
         document, panel = self.document, self.panel
@@ -234,8 +211,9 @@ class MainWindow(QMainWindow):
         panel.valueEdited.connect(document.edit)
         panel.valuesEdited.connect(document.edit_many)
         panel.suggestRequested.connect(self.suggest.open)
-        self.autosave.failed.connect(
-            lambda sentence: self.messages.show_message("autosave", Severity.WARNING, sentence)
+        self.autosave.failed.connect(partial(self.messages.show_message, "autosave", Severity.WARNING))
+        self.error_hook.raised.connect(
+            lambda sentence, details: self.messages.show_message("defect", Severity.ERROR, sentence, details=details)
         )
 
     def _connect_worker(self) -> None:
@@ -297,29 +275,27 @@ class MainWindow(QMainWindow):
         )
         self.context.sourceRequested.connect(self.open_source)
         actions.quit.triggered.connect(self.close)
+        actions.measure.triggered.connect(self.pointing.add_marked)
         actions.show_strip.toggled.connect(self.strip.setVisible)
-        actions.show_strip.toggled.connect(self._send_wanted)
         actions.show_panel.toggled.connect(self.panel.setVisible)
         actions.show_panel.toggled.connect(self._show_beside)
-        actions.measure.triggered.connect(self.pointing.add_marked)
-        actions.show_panel.toggled.connect(self._send_wanted)
+        for action in (actions.show_strip, actions.show_panel):
+            action.toggled.connect(self._send_wanted)
         actions.messages.triggered.connect(self._show_messages)
         actions.shortcuts.triggered.connect(
             lambda: show_shortcuts(self, [*actions.all(), *self.analysis.actions.values()])
         )
         actions.documentation.triggered.connect(lambda: open_guide(self.messages))
-        actions.check_computer.triggered.connect(self._check_computer)
+        actions.check_computer.triggered.connect(self.computer.open)
         actions.about.triggered.connect(lambda: show_about(self))
         menus = self.menus
         menus.themes.triggered.connect(lambda entry: self.set_theme(entry.data()))
         menus.speeds.triggered.connect(lambda entry: worker.set_speed(entry.data()))
         for entry in menus.speeds.actions():
             entry.setChecked(entry.data() == 1.0)
-        self.toolbar.fill_menus(
-            shipped=shipped_presets,
-            new=flows.new,
-            recent_presets=lambda: self.settings.recent("presets"),
-            open_preset=lambda path: flows.open_preset(Path(path)),
+        fill_on_opening(menus.shipped_presets, shipped_presets, flows.new)
+        fill_on_opening(
+            menus.recent_presets, partial(self.settings.recent, "presets"), lambda path: flows.open_preset(Path(path))
         )
 
     def _connect_timeline(self) -> None:
@@ -341,28 +317,16 @@ class MainWindow(QMainWindow):
             action.setEnabled(False)
         actions.show_time.toggled.connect(timeline.set_shown)
 
-    def offer_unsaved_work(self) -> None:
-        self.file_flows.offer_unsaved_work()
-
     def _show_messages(self) -> None:
         if not self.messages.focus_newest():
             self.message_history.refresh()
             bring_up(self.message_history)
 
-    def _check_computer(self) -> None:
-        bring_up(self.computer)
-        self.computer.check()
-
-    # Sources
-
     def open_source(self, name: str) -> None:
         """Open a source by its name; the present one stays open until that has succeeded."""
         cameras = self.document.preset.cameras
-        self.open_request(
-            SourceRequest(
-                name, lambda progress: open_source(name, progress, cameras), exclusive=name.startswith(CAMERA_SCHEMES)
-            )
-        )
+        exclusive = name.startswith(CAMERA_SCHEMES)
+        self.open_request(SourceRequest(name, lambda progress: open_source(name, progress, cameras), exclusive))
 
     def open_request(self, request: SourceRequest) -> None:
         self.messages.clear_subject(TASK)
@@ -406,8 +370,6 @@ class MainWindow(QMainWindow):
         if self.result is None:
             self.views.show_message(_NO_SOURCE)
 
-    # Frames
-
     def _show_newest(self) -> None:
         result = self.worker.take()
         if result is None:
@@ -449,8 +411,6 @@ class MainWindow(QMainWindow):
     def _play_or_pause(self) -> None:
         (self.worker.pause if self.transport.state.running else self.worker.play)()
 
-    # Document
-
     def _show_document(self) -> None:
         preset = self.document.preset
         self.strip.set_region(preset.region.rectangle if preset.region.enabled else None)
@@ -463,8 +423,6 @@ class MainWindow(QMainWindow):
             self.panel.show_error(path, sentence)
         else:
             self.messages.show_message("refused", Severity.ERROR, sentence, subject=TASK)
-
-    # Theme and layout
 
     def set_theme(self, choice: ThemeChoice, remember: bool = True) -> None:
         application = QApplication.instance()
@@ -483,7 +441,7 @@ class MainWindow(QMainWindow):
         if event is not None and event.type() == QEvent.Type.PaletteChange and hasattr(self, "panel"):
             self._send_wanted()
 
-    def _restore_layout(self) -> None:
+    def restore_layout(self) -> None:
         """Restore the layout of the last start; missing or unusable values take their defaults."""
         settings = self.settings
         if not self.restoreGeometry(settings.blob("window/geometry")):
@@ -504,12 +462,12 @@ class MainWindow(QMainWindow):
         theme = settings.text("theme", "system")
         self.set_theme(cast(ThemeChoice, theme if theme in THEMES else "system"), remember=False)
 
-    def _remember_layout(self) -> None:
+    def remember_layout(self) -> None:
         self.parts.back()
         settings = self.settings
         settings.set("window/geometry", self.saveGeometry())
         settings.set("window/across", self.across.saveState())
-        settings.set("window/left", self.left.saved_state())
+        settings.set("window/left", self.left.saveState())
         settings.set("window/views", self.views.splitter.saveState())
         settings.set("window/collapsed", ",".join(self.panel.collapsed_sections()))
         settings.set("window/more", ",".join(self.panel.open_folds()))
@@ -517,8 +475,6 @@ class MainWindow(QMainWindow):
         settings.set("view/color_by", self.views.chosen_colors().value)
         hidden = [name for name in _TOGGLES if not getattr(self.actions_, name).isChecked()]
         settings.set("window/hidden", ",".join(hidden))
-
-    # Events
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
         """Space plays or pauses; Esc dismisses a message, clears a distance, goes back or ends a comparison."""
@@ -554,7 +510,7 @@ class MainWindow(QMainWindow):
             event.ignore()
             self.recording.finish(self.close_without_asking)
             return
-        self._remember_layout()
+        self.remember_layout()
         self.shut_down()
         self.settings.sync()
         self.autosave.close()
@@ -563,21 +519,10 @@ class MainWindow(QMainWindow):
 
     def shut_down(self) -> None:
         self.computer.close()
-        for part in (
-            self.watch,
-            self.publishing,
-            self.suggest,
-            self.timeline,
-            self.export,
-            self.checks,
-            self.cameras,
-            self.sources,
-            self.analysis,
-            self.untouched,
-            self.calibration,
-            self.file_flows,
-        ):
+        showing = (self.watch, self.publishing, self.suggest, self.timeline, self.export, self.checks)
+        for part in (*showing, self.cameras, self.sources, self.analysis, self.untouched, self.calibration):
             part.close()
+        self.file_flows.close()
         self.worker.shut_down()
 
     def close_without_asking(self) -> None:

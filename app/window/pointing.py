@@ -26,11 +26,7 @@ _NO_MARK = (
 
 
 class Pointing(QObject):
-    """Links the views and the images.
-
-    A point under the mouse in a view puts the crosshair of all images on its proximity pixel. For a point of the
-    tactile camera that is where the proximity camera would see it. The crosshair marks its points in the views.
-    """
+    """Puts the images' crosshair on the pixel of a point in a view, and marks the crosshair's points in the views."""
 
     def __init__(self, context: Context, views: ViewArea, strip: ImageStrip) -> None:
         super().__init__(context)
@@ -45,11 +41,6 @@ class Pointing(QObject):
         strip.hovered.connect(self._point_in_image)
         context.frameShown.connect(self._follow_frame)
 
-    @property
-    def ends(self) -> tuple[Place, ...]:
-        """The ends of the measured distance: none, one or two."""
-        return self._ends
-
     def add_end(self, place: Place) -> None:
         """Choose an end of a distance; a third one begins another distance."""
         self._show_ends((*self._ends, place) if len(self._ends) == 1 else (place,))
@@ -57,11 +48,11 @@ class Pointing(QObject):
     def add_marked(self) -> None:
         """Choose the point under the images' crosshair as an end, or say that there is none."""
         order = CloudName.PATCH, CloudName.PROXIMITY, CloudName.TACTILE
-        marks = [mark for name in order if (mark := self._views[name].mark()) is not None]
-        if marks:
-            self.add_end(marks[0])
-            return
-        self._context.messages.show_message("measure", Severity.INFO, _NO_MARK, subject=TASK)
+        mark = next((mark for name in order if (mark := self._views[name].mark()) is not None), None)
+        if mark is None:
+            self._context.messages.show_message("measure", Severity.INFO, _NO_MARK, subject=TASK)
+        else:
+            self.add_end(mark)
 
     def clear_distance(self) -> bool:
         """Remove the distance; return whether there was one."""

@@ -1,12 +1,15 @@
-"""Publishing from the window: the switch and its settings, clients and rates, and values that clients set."""
+"""Publishing from the window: the switch, its settings, who listens, and values that clients set."""
 
 from __future__ import annotations
 
+from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
+from pydantic import TypeAdapter
 from PyQt6.QtCore import QObject, QTimer, pyqtSignal
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import (
@@ -37,7 +40,6 @@ if TYPE_CHECKING:
 
 #: Interval at which clients and rates are shown, ms.
 _INTERVAL_MS = 500
-_Widget = TypeVar("_Widget", bound=QWidget)
 _OFF = "Nothing is published. Tick Foxglove or ROS 2, then press Start publishing."
 
 
@@ -47,39 +49,32 @@ class PublishWindow(QDialog):
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
         self.setWindowTitle("Publish")
-        self.foxglove = _with_tip(
-            QCheckBox("&Foxglove"), "A WebSocket server: the Foxglove app and its clients read topics and parameters"
-        )
-        self.ros2 = _with_tip(
-            QCheckBox("&ROS 2"), "ROS 2 topics by DDS; neither side needs anything but its own middleware"
-        )
+        self.foxglove, self.ros2 = QCheckBox("&Foxglove"), QCheckBox("&ROS 2")
+        self.settable = QCheckBox("Let &clients set parameters")
         self.port, self.domain, self.namespace, self.host = QSpinBox(), QSpinBox(), QLineEdit(), QLineEdit(LOOPBACK)
         self.port.setRange(1, 65535)
         self.domain.setRange(0, 232)
-        rows = (
-            (self.foxglove, "&Port", self.port, "TCP port of the Foxglove server, 1 to 65535"),
-            (self.ros2, "&Domain", self.domain, "ROS 2 domain id, 0 to 232, as ROS_DOMAIN_ID of the subscribers"),
-            (None, "&Namespace", self.namespace, "Put before every ROS 2 topic, as in /tactune/contact/patch"),
+        for widget, tip in (
+            (self.foxglove, "A WebSocket server: the Foxglove app and its clients read topics and parameters"),
+            (self.ros2, "ROS 2 topics by DDS; neither side needs anything but its own middleware"),
             (
-                None,
-                "&Address",
-                self.host,
-                f"The address to listen on. {LOOPBACK}: this computer only. 0.0.0.0: every network",
+                self.settable,
+                "Foxglove clients, and web pages on this computer, may change the preset step by step",
             ),
-        )
+            (self.port, "TCP port of the Foxglove server, 1 to 65535"),
+            (self.domain, "ROS 2 domain id, 0 to 232, as ROS_DOMAIN_ID of the subscribers"),
+            (self.namespace, "Put before every ROS 2 topic, as in /tactune/contact/patch"),
+            (self.host, f"Address to listen on. {LOOPBACK}: this computer only. 0.0.0.0: every network"),
+        ):
+            widget.setToolTip(tip)
         grid = QGridLayout()
-        for row, (box, title, editor, tip) in enumerate(rows):
-            if box is not None:
-                grid.addWidget(box, row, 0)
+        grid.addWidget(self.foxglove, 0, 0)
+        grid.addWidget(self.ros2, 1, 0)
+        editors = {"&Port": self.port, "&Domain": self.domain, "&Namespace": self.namespace, "&Address": self.host}
+        for row, (title, editor) in enumerate(editors.items()):
             grid.addWidget(caption(title, editor), row, 1)
-            grid.addWidget(_with_tip(editor, tip), row, 2)
-            editor.setAccessibleName(title.replace("&", ""))
+            grid.addWidget(editor, row, 2)
         grid.setColumnStretch(2, 1)
-        self.settable = _with_tip(
-            QCheckBox("Let &clients set parameters"),
-            "Foxglove clients may change the preset, each value as an undo step; so may every web page that is open on "
-            "this computer. Off: they read only. It is off at every start",
-        )
         self.note = NoteLabel(lines=2)
         self.start = AccentButton("&Start publishing", "Let clients connect, or disconnect them all and stop listening")
         self.state = NoteLabel(_OFF, lines=4)
@@ -92,9 +87,8 @@ class PublishWindow(QDialog):
         buttons.rejected.connect(self.close)
         vbox(grid, self.settable, self.note, self.start, self.state, STRETCH, buttons, within=self)
         self.resize(460, 340)
-        self._settings = (self.foxglove, self.port, self.ros2, self.domain, self.namespace, self.host, self.settable)
-        for each in (self.foxglove, self.ros2, self.settable):
-            each.toggled.connect(self._check)
+        for box in (self.foxglove, self.ros2, self.settable):
+            box.toggled.connect(self._check)
         self.host.textChanged.connect(self._check)
 
     @property
@@ -111,7 +105,6 @@ class PublishWindow(QDialog):
         )
 
     def show_connections(self, connections: Connections) -> None:
-        """Enter connections."""
         self.foxglove.setChecked(connections.foxglove)
         self.ros2.setChecked(connections.ros2)
         self.port.setValue(connections.port)
@@ -120,10 +113,9 @@ class PublishWindow(QDialog):
         self._check()
 
     def show_state(self, running: bool, sentence: str = _OFF, error: bool = False) -> None:
-        """Show whether something is published, who listens or why nothing is published; the settings rest meanwhile."""
         self.start.setChecked(running)
         self.start.setText("&Stop publishing" if running else "&Start publishing")
-        for control in self._settings:
+        for control in (self.foxglove, self.ros2, self.settable, self.port, self.domain, self.namespace, self.host):
             control.setEnabled(not running)
         self.state.say(sentence, error)
         self._check()
@@ -182,19 +174,14 @@ class PublishControl(QObject):
         self._timer = QTimer(self)
         self._timer.setInterval(_INTERVAL_MS)
         self._timer.timeout.connect(self._show)
-        action.triggered.connect(self.open)
-        indicator.clicked.connect(self.open)
+        for opener in (action.triggered, indicator.clicked):
+            opener.connect(lambda: bring_up(self.window))
         self.window.start.clicked.connect(self._switch)
         self.window.layout_file.clicked.connect(self._ask_layout)
         self._set_by_client.connect(self._edit)  # from a thread of the server
         context.document.presetChanged.connect(self._pass_on)
 
-    def open(self) -> None:
-        """Show the window."""
-        bring_up(self.window)
-
     def close(self) -> None:
-        """Stop permanently."""
         self._stop()
         self._job.stop()
         self.window.close()
@@ -241,7 +228,6 @@ class PublishControl(QObject):
         self.window.show_state(False)
 
     def _show(self) -> None:
-        """Show clients and rates."""
         if self._publisher is None:
             return
         states = self._publisher.status()
@@ -263,27 +249,18 @@ class PublishControl(QObject):
         document.edit_many({path: value}, title=f"{title} (Foxglove)")
 
     def _pass_on(self, _: object = None) -> None:
-        """Tell clients the present preset."""
         if self._parameters is not None:
             self._parameters.use(self._context.document.preset)
 
     def _remembered(self) -> Connections:
-        settings, usual = self._context.settings, Connections(foxglove=True)
-        return Connections(
-            foxglove=settings.text("publish/foxglove", "yes") == "yes",
-            ros2=settings.text("publish/ros2") == "yes",
-            port=round(settings.number("publish/port", usual.port)),
-            domain=round(settings.number("publish/domain", usual.domain)),
-            namespace=settings.text("publish/namespace", usual.namespace),
-        )
+        with suppress(ValueError):
+            return TypeAdapter(Connections).validate_json(self._context.settings.text("publish"))
+        return Connections(foxglove=True)
 
     def _remember(self, connections: Connections) -> None:
-        """Remember all but the address: listening beyond this computer is asked for each time."""
-        settings = self._context.settings
-        for name in ("foxglove", "ros2"):
-            settings.set(f"publish/{name}", "yes" if getattr(connections, name) else "no")
-        for name in ("port", "domain", "namespace"):
-            settings.set(f"publish/{name}", getattr(connections, name))
+        """Remember all but who may do what: listening beyond this computer and setting are asked for each time."""
+        kept = replace(connections, host=LOOPBACK, settable=False)
+        self._context.settings.set("publish", TypeAdapter(Connections).dump_json(kept).decode())
 
     def _ask_layout(self) -> None:
         self._context.dialogs.over(self.window).save_file(
@@ -308,8 +285,3 @@ def _in_words(state: OutputStatus) -> str:
     if sink.clients:
         counts += f", {state.rate_hz:.0f} frames/s, {state.missed} missed"
     return f"{sink.name}, {sink.place}: {counts}{'. ' if state.error else ''}{state.error}"
-
-
-def _with_tip(widget: _Widget, tip: str) -> _Widget:
-    widget.setToolTip(tip)
-    return widget

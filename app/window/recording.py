@@ -11,14 +11,14 @@ from datetime import datetime
 from pathlib import Path
 from threading import Thread
 
-from PyQt6.QtCore import QObject, QTimer, QUrl
+from PyQt6.QtCore import QLocale, QObject, QTimer, QUrl
 from PyQt6.QtGui import QAction, QDesktopServices
-from PyQt6.QtWidgets import QFrame, QHBoxLayout, QPushButton
+from PyQt6.QtWidgets import QFrame, QPushButton
 
 from ...core.errors import counted
 from ...core.output.writer import RecordingStatus
 from ...widgets.basics.controls import ElidedLabel, TintedLabel, number_label
-from ...widgets.basics.layouts import vbox
+from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.basics.messages import Offer, Severity
 from ..context import TASK, Context
 from ..settings import default_recordings_folder
@@ -36,33 +36,23 @@ class RecordingBar(QFrame):
 
     def __init__(self) -> None:
         super().__init__()
-        self._dot = TintedLabel("●", "error")
-        self._dot.setAccessibleName("Recording")
+        dot = TintedLabel("●", "error")
+        dot.setAccessibleName("Recording")
         self._name = ElidedLabel()
-        self._time = number_label("0:00:00", "Time since the recording began")
-        self._frames = number_label("000000 frames", "Frames in the file")
-        self._size = number_label("000.0 GB", "Size of the file")
+        self._written = number_label("0:00:00   000000 frames   000.0 GB", "Time, frames in the file and its size")
         self._dropped = number_label(
-            "0000 dropped",
-            "Frames missing in the file: lost by the cameras or this computer, dropped because the disk was too slow, "
-            "or lost through an error",
+            "0000 dropped", "Frames missing in the file: lost by the cameras, this computer or a slow disk"
         )
-        self._room = number_label("000 GB free, 00 h 00 min", "Free disk space, and the recording time that it allows")
+        self._room = number_label("000.0 GB free, 00:00:00", "Free disk space, and the recording time that it allows")
         self.stop = QPushButton("Stop")
         self.stop.setToolTip("Finish the recording (F9)")
-        title, numbers = QHBoxLayout(), QHBoxLayout()
-        title.addWidget(self._dot)
-        title.addWidget(self._name, 1)
-        title.addWidget(self.stop)
-        for label in (self._time, self._frames, self._size, self._dropped):
-            numbers.addWidget(label)
-        vbox(title, numbers, self._room, within=self, margins=(8, 4, 4, 4), spacing=4)
+        numbers = hbox(self._written, self._dropped)
+        vbox(hbox(dot, (self._name, 1), self.stop), numbers, self._room, within=self, margins=(8, 4, 4, 4), spacing=4)
         self.hide()
 
     def show_start(self) -> None:
-        """Show that a recording has begun."""
         self.stop.setEnabled(True)
-        for label in (self._time, self._frames, self._size, self._dropped, self._room):
+        for label in (self._written, self._dropped, self._room):
             label.setText("")
         self.show()
 
@@ -71,18 +61,14 @@ class RecordingBar(QFrame):
         self._name.setText(f"Recording {name}{f': {hint}' if hint else ''}")
 
     def show_progress(self, status: RecordingStatus, elapsed_s: float, free_bytes: int) -> None:
-        """Show the numbers of a recording."""
-        self._time.setText(clock(elapsed_s))
-        self._frames.setText(counted(status.frames, "frame"))
-        self._size.setText(size(status.bytes))
+        self._written.setText(f"{clock(elapsed_s)}   {counted(status.frames, 'frame')}   {size(status.bytes)}")
         self._dropped.setText(f"{status.dropped} dropped")
         self._dropped.tint("error" if status.dropped else "")
         rate = status.bytes / elapsed_s if elapsed_s > 1.0 else 0.0
-        lasts = f", {duration(free_bytes / rate)}" if rate > _MIN_RATE else ""
+        lasts = f", {clock(free_bytes / rate)}" if rate > _MIN_RATE else ""
         self._room.setText(f"{size(free_bytes)} free{lasts}")
 
     def show_finishing(self, name: str) -> None:
-        """Show that the remaining frames are being written."""
         self._name.setText(f"Finishing {name}…")
         self.stop.setEnabled(False)
 
@@ -94,26 +80,9 @@ def clock(seconds: float) -> str:
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
 
 
-def duration(seconds: float) -> str:
-    """Return a rounded duration such as 0.9 s, 45 s, 12 min or 3 h 20 min."""
-    if seconds < 10:
-        return f"{seconds:.1f} s"
-    if seconds < 120:
-        return f"{int(seconds)} s"
-    minutes = int(seconds // 60)
-    if minutes < 120:
-        return f"{minutes} min"
-    hours = minutes // 60
-    return f"{hours} h {minutes % 60} min" if hours < 100 else f"{hours} h"
-
-
 def size(count: float) -> str:
-    """Return a number of bytes such as 850 kB, 12.3 MB or 54 GB."""
-    for unit, factor in (("GB", 1e9), ("MB", 1e6)):
-        if count >= factor:
-            value = count / factor
-            return f"{value:.1f} {unit}" if value < 100 else f"{value:.0f} {unit}"
-    return f"{count / 1e3:.0f} kB"
+    """Return a number of bytes such as 850.0 kB or 12.3 MB."""
+    return QLocale.c().formattedDataSize(int(count), 1, QLocale.DataSizeFormat.DataSizeSIFormat)
 
 
 REFRESH_MS = 250
@@ -147,18 +116,12 @@ class RecordingControl(QObject):
         worker.recordingFailed.connect(self._failed)
         worker.recordingEnded.connect(self._ended)
         worker.playbackChanged.connect(self._playback_changed)
-        worker.opened.connect(self._source_opened)
         worker.stateChanged.connect(self._source_changed)
 
     @property
     def running(self) -> bool:
         """Whether a file is being written or finished."""
         return self._path is not None
-
-    @property
-    def folder(self) -> Path:
-        """The folder for recordings."""
-        return Path(self._settings.text(_FOLDER, str(default_recordings_folder())))
 
     def use_folder(self, folder: Path) -> None:
         """Store future recordings in this folder."""
@@ -167,7 +130,7 @@ class RecordingControl(QObject):
 
     def start(self) -> None:
         """Start a recording named by date and time."""
-        folder = self.folder
+        folder = Path(self._settings.text(_FOLDER, str(default_recordings_folder())))
         try:
             folder.mkdir(parents=True, exist_ok=True)
             free = free_bytes(folder)
@@ -184,7 +147,6 @@ class RecordingControl(QObject):
         self._worker.start_recording(new_name(folder, datetime.now()))
 
     def stop(self) -> None:
-        """Finish the recording."""
         if self._path is not None:
             self._bar.show_finishing(self._path.name)
         self._worker.stop_recording()
@@ -242,21 +204,21 @@ class RecordingControl(QObject):
     def _tell(self, end: RecordingEnd) -> None:
         """Report the finished file, the reason if it stopped by itself, and offer to open it."""
         status = self._with_lost(end.status)
+        name = f"mcap:{status.path}"
         offers: list[Offer] = []
         if status.frames:
-            self._context.settings.add_recent(RECENT, f"mcap:{status.path}")
+            self._settings.add_recent(RECENT, name)
             frames = counted(status.frames, "frame")
-            sentence = f"Recorded {status.path.name}: {duration(status.seconds)}, {frames}, {size(status.bytes)}."
+            sentence = f"Recorded {status.path.name}: {clock(status.seconds)}, {frames}, {size(status.bytes)}."
             offers = [
-                ("Open recording", lambda: self._context.sourceRequested.emit(f"mcap:{status.path}")),
-                ("Show in folder", lambda: show_in_folder(status.path)),
+                ("Open recording", lambda: self._context.sourceRequested.emit(name)),
+                ("Show in folder", lambda: QDesktopServices.openUrl(QUrl.fromLocalFile(str(status.path.parent)))),
             ]
         else:
             sentence = f"Nothing was recorded: {status.error.rstrip('.') or 'no frame came'}."
         if status.dropped:
             sentence += (
-                f" Not recorded: {counted(status.dropped, 'frame')}. Frames are lost by the cameras or this computer, "
-                "do not fit the rig, or come faster than the disk writes."
+                f" Not recorded: {counted(status.dropped, 'frame')}, lost by the cameras, this computer or a slow disk."
             )
         if status.error and status.frames:
             sentence += f" {status.error[0].upper()}{status.error[1:]}."
@@ -267,15 +229,13 @@ class RecordingControl(QObject):
             "recording", Severity.INFO if well else Severity.WARNING, sentence, offers, subject=TASK
         )
 
-    def _source_opened(self) -> None:
-        self._lost = self._lost_before = 0
-
     def _source_changed(self, state: SourceState) -> None:
         self._lost = state.health.dropped
+        self._lost_before = min(self._lost_before, self._lost)  # another source counts anew
 
     def _with_lost(self, status: RecordingStatus) -> RecordingStatus:
         """Add the frames that were lost before they reached the recorder."""
-        return replace(status, dropped=status.dropped + max(self._lost - self._lost_before, 0))
+        return replace(status, dropped=status.dropped + self._lost - self._lost_before)
 
     def _playback_changed(self, state: PlaybackState) -> None:
         self._hint = _STANDS_STILL if state.seekable and not state.running else ""
@@ -298,8 +258,3 @@ def new_name(folder: Path, moment: datetime) -> Path:
     stem = f"session_{moment:%Y-%m-%d_%H-%M-%S}"
     names = (f"{stem}{'' if number == 1 else f'_{number}'}.mcap" for number in itertools.count(1))
     return next(path for path in map(folder.joinpath, names) if not path.exists())
-
-
-def show_in_folder(path: Path) -> None:
-    """Open the folder of a file in the desktop's file manager."""
-    QDesktopServices.openUrl(QUrl.fromLocalFile(str(path.parent)))

@@ -6,12 +6,7 @@ import time
 
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QShowEvent
-from PyQt6.QtWidgets import (
-    QGridLayout,
-    QLabel,
-    QPushButton,
-    QStatusBar,
-)
+from PyQt6.QtWidgets import QGridLayout, QLabel, QPushButton, QStatusBar
 
 from ...core.errors import counted, minus
 from ...widgets.basics.controls import ElidedLabel, number_label
@@ -52,13 +47,12 @@ class FrameDetails(Card):
         grid.setVerticalSpacing(0)
         grid.setColumnStretch(1, 1)
         for row, (name, tip) in enumerate(_DETAILS.items()):
-            number = self.numbers[name] = QLabel()
+            title, number = QLabel(name), QLabel()
+            self.numbers[name] = number
             number.setWordWrap(True)
-            number.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-            title = QLabel(name)
-            for label in (title, number):
+            for column, label in enumerate((title, number)):
                 label.setToolTip(tip)
-                grid.addWidget(label, row, 0 if label is title else 1, Qt.AlignmentFlag.AlignTop)
+                grid.addWidget(label, row, column, Qt.AlignmentFlag.AlignTop)
         stages = self.numbers["Stages"]
         stages.setMinimumHeight(2 * stages.fontMetrics().lineSpacing())  # two lines at most, so that nothing moves
         self.hide()
@@ -94,24 +88,11 @@ class FrameDetails(Card):
             "Reading": f"{result.read_ms:.1f} ms",
             "Drawing": f"{result.render_ms:.1f} ms",
         }.items():
-            if self.numbers[name].text() != text:
-                self.numbers[name].setText(text)
+            self.numbers[name].setText(text)
 
 
 class FrameStatus(QStatusBar):
-    """What the source does, frame rate and patch area, a few times a second.
-
-    Attributes
-    ----------
-    state : QPushButton
-        The state in words; opens and closes `details`.
-    details : FrameDetails
-        The other numbers; the window puts it over the views.
-    findings : QPushButton
-        The number of findings.
-    publishing : QPushButton
-        What is published and to how many; hidden while nothing is.
-    """
+    """What the source does, frame rate and patch area, a few times a second."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -120,29 +101,21 @@ class FrameStatus(QStatusBar):
         self._shown_rate = RateMeter()
         self._last_s = 0.0
         self._playback, self._stale, self._recording = PlaybackState(), False, False
-        self.details = FrameDetails()
-        self.state = QPushButton("No source")
-        self.state.setFlat(True)
-        self.state.setIcon(icon("chevron-up"))
+        self.details = FrameDetails()  # the window puts it over the views
+        self.state = _flat_button("Rates, dropped frames, skew and times of the stages", "chevron-up")
+        self.state.setText("No source")
         self.state.setCheckable(True)
-        self.state.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-        self.state.setToolTip("Rates, dropped frames, skew and times of the stages")
         self.state.toggled.connect(self.details.setVisible)
         self.details.closed.connect(lambda: self.state.setChecked(False))
         self.addWidget(self.state)
         self._source = ElidedLabel()
         self.addWidget(self._source, 1)
-        self.findings = QPushButton()
-        self.findings.setFlat(True)
+        self.findings = _flat_button("What is wrong with this frame or preset, and what mends it (Ctrl+F)", "")
         self.findings.setIcon(icon("alert-outline", "warning"))
-        self.findings.setToolTip("What is wrong with this frame or preset, and what mends it (Ctrl+F)")
-        self.findings.hide()
-        self.addPermanentWidget(self.findings)
-        self.publishing = QPushButton()
-        self.publishing.setFlat(True)
-        self.publishing.setToolTip("Live connections to Foxglove and ROS 2: state, or end them (Ctrl+Shift+P)")
-        self.publishing.hide()
-        self.addPermanentWidget(self.publishing)
+        self.publishing = _flat_button("Connections to Foxglove and ROS 2: state, or end them (Ctrl+Shift+P)", "")
+        for button in (self.findings, self.publishing):
+            button.hide()
+            self.addPermanentWidget(button)
         self._rate = self._number("000 fps", "Frames per second drawn")
         self._area = self._number("patch 0000.0 cm²", "Area of the patch, projected along the optical axis")
 
@@ -153,7 +126,7 @@ class FrameStatus(QStatusBar):
     def show_source(self, info: SourceInfo) -> None:
         rig = info.rig
         cameras = " + ".join(f"{camera.model} {camera.serial}".strip() for camera in (rig.proximity, rig.tactile))
-        length = "" if info.length is None else f", {info.length} frame{'' if info.length == 1 else 's'}"
+        length = "" if info.length is None else f", {counted(info.length, 'frame')}"
         self._source.setText(f"{info.name}{length}, {cameras}")
 
     def show_findings(self, count: int) -> None:
@@ -196,10 +169,8 @@ class FrameStatus(QStatusBar):
             words = "Paused"
         else:
             words = "Live" if playback.length is None else "Playing"
-        text = f"Recording, {words.lower()}" if self._recording else words
-        if text != self.state.text():
-            self.state.setText(text)
-            self.state.setAccessibleName(f"{text}: details of the frame")
+        self.state.setText(f"Recording, {words.lower()}" if self._recording else words)
+        self.state.setAccessibleName(f"{self.state.text()}: details of the frame")
 
     def _number(self, widest: str, tip: str) -> QLabel:
         label = number_label(widest, tip)
@@ -208,3 +179,13 @@ class FrameStatus(QStatusBar):
         label.setAutoFillBackground(True)  # nor paint what is behind it
         self.addPermanentWidget(label)
         return label
+
+
+def _flat_button(tip: str, icon_name: str) -> QPushButton:
+    button = QPushButton()
+    button.setFlat(True)
+    button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+    button.setToolTip(tip)
+    if icon_name:
+        button.setIcon(icon(icon_name))
+    return button

@@ -1,10 +1,9 @@
-"""The toolbar: source, playback controls, preset and export. Menus with changing entries are filled on opening."""
+"""The toolbar: source, playback controls, preset and export."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
@@ -25,18 +24,13 @@ from ...widgets.basics.controls import action_button
 from ...widgets.basics.icons import icon
 from ...widgets.basics.layouts import hbox
 from ..worker.playback import PlaybackState
-from .actions import Actions, Menus
+from .actions import Actions
 
 
 class FrameNumber(QSpinBox):
-    """The frame on the screen, from 1. Enter goes to the number that is typed; Esc brings back the one on the screen.
+    """The frame on the screen, from 1. Enter goes to the typed number; Esc brings back the one on the screen."""
 
-    Signals
-    -------
-    sought(index: int)
-    """
-
-    sought = pyqtSignal(int)
+    sought = pyqtSignal(int)  # index, from 0
 
     def __init__(self) -> None:
         super().__init__()
@@ -80,22 +74,15 @@ class FrameNumber(QSpinBox):
 
 
 class Transport(QWidget):
-    """Playback buttons and the frame slider.
-
-    Signals
-    -------
-    seekRequested(index: int)
-    held(bool)
-        The slider is held down; playback waits.
-    """
+    """Playback buttons and the frame slider."""
 
     seekRequested = pyqtSignal(int)
-    held = pyqtSignal(bool)
+    held = pyqtSignal(bool)  # the slider is held down; playback waits
 
     def __init__(self, actions: Actions) -> None:
         super().__init__()
         self._actions = actions
-        self._state = PlaybackState(length=1)
+        self.state = PlaybackState(length=1)
         self.slider = QSlider(Qt.Orientation.Horizontal)
         self.slider.setAccessibleName("Frame")
         self.slider.setToolTip("Frame of the recording: drag or click to seek")
@@ -110,46 +97,39 @@ class Transport(QWidget):
         hbox(*buttons, 4, (self.slider, 1), 4, self.position, within=self, margins=0, spacing=4)
         self._show_mode()
 
-    @property
-    def state(self) -> PlaybackState:
-        return self._state
-
     def show_state(self, state: PlaybackState) -> None:
         """Show a state of playback; the slider does not move while it is dragged."""
-        changed = replace(state, index=0) != replace(self._state, index=0)
-        self._state = state
+        changed = replace(state, index=0) != replace(self.state, index=0)
+        self.state = state
         if changed:
             self._show_mode()
         self.position.show_frame(state.index, state.length)
-        if state.length is None:
-            return
-        last = max(0, state.length - 1)
-        if not self.slider.isSliderDown():
+        if state.length is not None and not self.slider.isSliderDown():
             with QSignalBlocker(self.slider):
-                self.slider.setRange(0, last)
+                self.slider.setRange(0, max(0, state.length - 1))
                 self.slider.setValue(max(0, state.index))
 
     def show_change(self, state: PlaybackState) -> None:
         """Show a change of all but the frame number. That of a result may be newer: results overtake such changes."""
-        known = self._state.index >= 0 and state.length == self._state.length
-        self.show_state(replace(state, index=self._state.index) if known else state)
+        known = self.state.index >= 0 and state.length == self.state.length
+        self.show_state(replace(state, index=self.state.index) if known else state)
 
     def _show_mode(self) -> None:
-        """Enable what is possible now; everything but the frame number."""
-        state, actions = self._state, self._actions
+        state, actions = self.state, self._actions
         several = state.length is None or state.length > 1
         word = "Pause" if state.running else "Play"
-        actions.play.setEnabled(several)
         actions.play.setIcon(icon(word.lower()))
         actions.play.setText(f"&{word}\tSpace")
         actions.play.setToolTip(f"{word} (Space)")
-        for action in (actions.previous, actions.next, actions.first, actions.loop, actions.go_to):
-            action.setEnabled(state.seekable and several)
-        actions.freeze.setEnabled(several)
+        for action in (actions.play, actions.freeze):
+            action.setEnabled(several)
+        for control in (
+            *(actions.previous, actions.next, actions.first, actions.loop, actions.go_to),
+            *(self.slider, self.position),
+        ):
+            control.setEnabled(state.seekable and several)
         actions.freeze.setChecked(state.frozen)
         actions.loop.setChecked(state.loop)
-        for part in (self.slider, self.position):
-            part.setEnabled(state.seekable and several)
 
     def _go_to(self) -> None:
         self.position.setFocus(Qt.FocusReason.ShortcutFocusReason)
@@ -159,19 +139,25 @@ class Transport(QWidget):
 _MAX_NAME_LENGTH = 28
 
 
+class _WholeButton(QPushButton):
+    """Is never narrower than its text: the style sheet's ``min-width`` of buttons would let the toolbar cut it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+
+
 class ToolBar(QToolBar):
     """The row of buttons below the menu bar."""
 
-    def __init__(self, actions: Actions, menus: Menus, transport: Transport) -> None:
+    def __init__(self, actions: Actions, preset_menu: QMenu, transport: Transport) -> None:
         super().__init__("Main")
         self.setObjectName("toolbar")
         self.setMovable(False)
         self.setContextMenuPolicy(Qt.ContextMenuPolicy.PreventContextMenu)
-        self._menus = menus
-        self.source = _WholeButton()
-        self.source.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        self.source, self.preset = _WholeButton(), _WholeButton()
         self.source.clicked.connect(actions.open_source.trigger)
-        self.preset = _menu_button(menus.preset, "The preset being tuned")
+        self.preset.setMenu(preset_menu)
         self.addWidget(self.source)
         self.addSeparator()
         self.addWidget(transport)
@@ -183,16 +169,12 @@ class ToolBar(QToolBar):
             button.setDefaultAction(action)
             button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
             self.addWidget(button)
-        self._name_extension()
-        self.show_source("none")
-
-    def _name_extension(self) -> None:
-        """Give Qt's button for hidden actions an icon that follows the theme, and a name."""
-        extension = self.findChild(QToolButton, "qt_toolbar_ext_button")
+        extension = self.findChild(QToolButton, "qt_toolbar_ext_button")  # Qt's own, without name and theme
         assert extension is not None
         extension.setIcon(icon("chevron-double-right"))
         extension.setToolTip("More actions")
         extension.setAccessibleName("More actions")
+        self.show_source("none")
 
     def show_source(self, name: str) -> None:
         self.source.setText(f"Source: {_literal(_shortened(name))}")
@@ -202,50 +184,18 @@ class ToolBar(QToolBar):
         self.preset.setText(f"Preset: {_literal(_shortened(title))}")
         self.preset.setToolTip(f"The preset being tuned\n{path or 'not saved to a file yet'}")
 
-    def fill_menus(
-        self,
-        *,
-        shipped: Callable[[], list[str]],
-        new: Callable[[str], None],
-        recent_presets: Callable[[], list[str]],
-        open_preset: Callable[[str], None],
-    ) -> None:
-        """Set the entries of the menus that are filled on opening, and what choosing one does."""
-        menus = self._menus
-        for menu, entries, choose in (
-            (menus.shipped_presets, shipped, new),
-            (menus.recent_presets, recent_presets, open_preset),
-        ):
-            menu.aboutToShow.connect(partial(_fill, menu, entries, choose))
 
+def fill_on_opening(menu: QMenu, entries: Callable[[], list[str]], choose: Callable[[str], None]) -> None:
+    """Give a menu these entries each time it opens, and what choosing one does."""
 
-def _fill(menu: QMenu, entries: Callable[[], list[str]], choose: Callable[[str], None]) -> None:
-    menu.clear()
-    names = entries()
-    for name in names:
-        entry = menu.addAction(_literal(name))
-        if entry is not None:
-            entry.triggered.connect(partial(_chosen, choose, name))
-    if not names:
-        nothing = menu.addAction("None yet")
-        if nothing is not None:
-            nothing.setEnabled(False)
+    def fill() -> None:
+        menu.clear()
+        for name in entries():
+            menu.addAction(_literal(name), lambda _=False, name=name: choose(name))
+        if menu.isEmpty():
+            menu.addAction("None yet").setEnabled(False)  # type: ignore[union-attr]
 
-
-def _chosen(choose: Callable[[str], None], name: str, _checked: bool = False) -> None:
-    choose(name)
-
-
-class _WholeButton(QPushButton):
-    """Is never narrower than its text: the style sheet's ``min-width`` of buttons would let the toolbar cut it."""
-
-
-def _menu_button(menu: QMenu, tip: str) -> QPushButton:
-    button = _WholeButton()
-    button.setMenu(menu)
-    button.setToolTip(tip)
-    button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-    return button
+    menu.aboutToShow.connect(fill)
 
 
 def _shortened(text: str) -> str:

@@ -9,14 +9,7 @@ from functools import lru_cache
 import numpy as np
 from PyQt6.QtCore import QByteArray, QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QResizeEvent
-from PyQt6.QtWidgets import (
-    QHBoxLayout,
-    QLabel,
-    QSlider,
-    QSplitter,
-    QToolButton,
-    QWidget,
-)
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSlider, QSplitter, QToolButton, QWidget
 
 from ...core.model.arrays import Float64Array
 from ...core.model.frames import Rig
@@ -56,38 +49,31 @@ class StripSplitter(QSplitter):
     def __init__(self, views: QWidget, strip: QWidget) -> None:
         super().__init__(Qt.Orientation.Vertical)
         self._chosen = False
-        self._aspect = 3 / 4
+        self._aspect = 3 / 4  # height of an image by its width
         self.addWidget(views)
         self.addWidget(strip)
         self.setStretchFactor(0, 1)
-        self.setStretchFactor(1, 0)
         self.setChildrenCollapsible(False)
-        self.splitterMoved.connect(self._moved)
+        self.splitterMoved.connect(lambda *_: setattr(self, "_chosen", True))
 
     def restoreState(self, state: QByteArray | bytes | bytearray | memoryview) -> bool:
         self._chosen = super().restoreState(state)
         return self._chosen
 
-    def saved_state(self) -> QByteArray:
+    def saveState(self) -> QByteArray:
         """Return the division if the user chose it, else empty bytes."""
-        return self.saveState() if self._chosen else QByteArray()
+        return super().saveState() if self._chosen else QByteArray()
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:
         super().resizeEvent(event)
-        self._divide()
+        self.set_aspect(self._aspect)
 
     def set_aspect(self, height_per_width: float) -> None:
         self._aspect = height_per_width
-        self._divide()
-
-    def _divide(self) -> None:
         if not self._chosen:
             wanted = round(self.width() / _PANES * self._aspect) + _AROUND
             strip = min(wanted, round(self.height() * _MAX_SHARE))
             self.setSizes([self.height() - strip, strip])
-
-    def _moved(self, _position: int, _index: int) -> None:
-        self._chosen = True
 
 
 TITLES = {
@@ -113,18 +99,10 @@ _COLOR_TIPS = {
 
 
 class ViewArea(QWidget):
-    """Proximity, tactile and patch side by side; orbit one and all follow.
+    """Proximity, tactile and patch side by side; orbit one and all follow."""
 
-    Signals
-    -------
-    wantedChanged()
-        The colours were changed, or a view was shown or hidden.
-    wipeDragged(share: float)
-        The wipe was dragged in one of the views.
-    """
-
-    wantedChanged = pyqtSignal()
-    wipeDragged = pyqtSignal(float)
+    wantedChanged = pyqtSignal()  # the colours were changed, or a view was shown or hidden
+    wipeDragged = pyqtSignal(float)  # to this share of the width, in one of the views
 
     def __init__(self, actions: Actions) -> None:
         super().__init__()
@@ -193,7 +171,6 @@ class ViewArea(QWidget):
         self._result = result
         self._actions.zoom_to_patch.setEnabled(result.patch is not None and len(result.patch.points) > 0)
         self._shows_difference = result.compared is not None and result.compared.difference is not None
-        legends = dict(self._legends)
         self.set_wipe(wipe)
         for view in self.views.values():
             view.set_running(result.playback.running)
@@ -203,14 +180,11 @@ class ViewArea(QWidget):
             for name in result.rendered.clouds:
                 cloud, message = _shown(name, result, result.source.rig)
                 self._show_cloud(name, cloud, message, self._legend_of(name, result.rendered, theme))
-        if self._legends != legends:
-            self._fit_legends()
         if result.source is not self._framed:  # once for each source, so that playing never moves the camera
             self._framed = result.source
             self._any_view().refocus()
 
     def _focus(self) -> Float64Array:
-        """Return what the views frame by themselves, from the frame on the screen."""
         return np.empty((0, 3)) if self._result is None else membrane_and_patch(self._result)
 
     def _zoom_to_patch(self) -> None:
@@ -230,10 +204,8 @@ class ViewArea(QWidget):
                 self._show_cloud(name, compared.difference, _NEITHER, overlap_legend(theme))
                 continue
             (left, why_left), (right, why_right) = (_shown(name, side, rig) for side in (compared.a, compared.b))
-            legends = [self._legend_of(name, side.rendered, theme) for side in (compared.a, compared.b)]
-            self._show_cloud(
-                name, left, why_left, legends[0] + [entry for entry in legends[1] if entry not in legends[0]]
-            )
+            legend, other = (self._legend_of(name, side.rendered, theme) for side in (compared.a, compared.b))
+            self._show_cloud(name, left, why_left, legend + [entry for entry in other if entry not in legend])
             self.views[name].set_right(right, why_right)
 
     def show_badges(self, badges: Mapping[CloudName, str]) -> None:
@@ -258,6 +230,7 @@ class ViewArea(QWidget):
         if self._legends.get(name) != legend:
             self._legends[name] = legend
             view.set_legend(legend)
+            self._fit_legends()
 
     def _fit_legends(self) -> None:
         """Give all legends the same height, so that all views have the same height.
@@ -276,16 +249,7 @@ class ViewArea(QWidget):
                 view.set_legend_height(height)
 
     def _choices(self, actions: Actions) -> QHBoxLayout:
-        row = hbox(
-            caption("&Colour by", self.color_by),
-            self.color_by,
-            12,
-            caption("Point si&ze", self.point_size),
-            self.point_size,
-            STRETCH,
-            QLabel("View"),
-            margins=(4, 4, 4, 0),
-        )
+        buttons = []
         for text, action in (
             ("Reset", actions.reset_view),
             ("Front", actions.front_view),
@@ -293,11 +257,15 @@ class ViewArea(QWidget):
             ("Side", actions.side_view),
             ("Patch", actions.zoom_to_patch),
         ):
-            button = QToolButton()
             action.setIconText(text)
-            button.setDefaultAction(action)
-            row.addWidget(button)
-        return row
+            buttons.append(QToolButton())
+            buttons[-1].setDefaultAction(action)
+        color_by, point_size = caption("&Colour by", self.color_by), caption("Point si&ze", self.point_size)
+        return hbox(
+            *(color_by, self.color_by, 12, point_size, self.point_size, STRETCH, QLabel("View")),
+            *buttons,
+            margins=(4, 4, 4, 0),
+        )
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:
         super().resizeEvent(event)
@@ -312,7 +280,7 @@ class ViewArea(QWidget):
             view.set_point_size(size)
 
     def _any_view(self) -> InspectView:
-        """Return any visible view; the cameras of the others follow it."""
+        """Return any visible view; the others' cameras follow it."""
         return next((view for view in self.views.values() if not view.isHidden()), self.views[CloudName.PATCH])
 
     def restore(self, point_size: float, color_by: str) -> None:
@@ -332,7 +300,6 @@ def legend_of(
     range_m: tuple[float, float],
     verdicts: frozenset[Provenance],
 ) -> Legend:
-    """Return the legend of a view for a choice of colours; made again only when one of these changes."""
     near, far = range_m
     around = patch_legend(theme)[1:]
     if color_by is ColorBy.PROVENANCE and verdicts:
@@ -351,7 +318,6 @@ def legend_of(
 
 
 def _patch_difference_legend(t: float, theme: Theme) -> Legend:
-    """Return the legend of relative differences within a patch: both ends of the scale, and both sides of zero."""
     limit = patch_difference_limit(t)
     lut = patch_difference_lut(limit, theme)
     places = ((f"−{limit:.1%}", 1), ("below 0", 56), ("above 0", 72), (f"+{limit:.1%}", 127))

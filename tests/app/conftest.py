@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pyqtgraph as pg
 import pytest
-from PyQt6.QtWidgets import QApplication
+from PyQt6.QtWidgets import QApplication, QDialog
 
 from fakes import FakeCameras, FakeSource, tiny_frame, tiny_rig
 from hands import show_source
@@ -25,6 +26,7 @@ from watched_worker import Watched
 @pytest.fixture(scope="session", autouse=True)
 def compiled() -> Iterator[None]:
     """Compile the kernels before anything waits for a first frame; at the end wait for threads, or Python aborts."""
+    pg.setConfigOptions(mouseRateLimit=-1)
     warm_up_if_needed(lambda share, words: None)
     rig = tiny_rig()
     info = SourceInfo("tiny", rig, 1, 30.0)
@@ -52,43 +54,145 @@ def settings_file(tmp_path) -> Path:
     return tmp_path / "window.json"
 
 
+def open_window(qtbot, folder: Path, settings_file: Path, start: Preset, size: tuple[int, int] | None) -> MainWindow:
+    settings = Settings(settings_file)
+    if not settings.text("theme"):
+        settings.set("theme", "light")
+    window = MainWindow(start, settings, folder / "unsaved", native_dialogs=False)
+    window.settings.set("folder/preset", str(folder))
+    window.settings.set("folder/export", str(folder))
+    if size is not None:
+        window.resize_to(*size)
+    window.show()
+    qtbot.waitExposed(window)
+    activate(qtbot, window)
+    return window
+
+
+def activate(qtbot, window: MainWindow) -> None:
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow)
+
+
+def close_window(window: MainWindow) -> None:
+    if window.worker.isRunning():
+        window.close_without_asking()
+        assert window.worker.wait(30_000)  # a recording is finished first
+    wait_for_abandoned(60.0)  # what goes on would take its time from the next test
+    window.deleteLater()
+    QApplication.processEvents()
+
+
 @pytest.fixture
-def make_window(qtbot, preset, tmp_path, settings_file, monkeypatch) -> Iterator[Callable[..., MainWindow]]:
+def make_window(qtbot, preset, tmp_path, settings_file) -> Iterator[Callable[..., MainWindow]]:
     """Open windows that use nothing of the person's own folders, and close them whatever happened."""
-    pg.setConfigOptions(mouseRateLimit=-1)
     windows = []
 
     def make(start: Preset = preset, size: tuple[int, int] | None = (1280, 800)) -> MainWindow:
-        window = MainWindow(start, Settings(settings_file), tmp_path / "unsaved", native_dialogs=False)
+        window = open_window(qtbot, tmp_path, settings_file, start, size)
         windows.append(window)
-        window.set_theme("light", remember=False)
-        window.settings.set("folder/preset", str(tmp_path))
-        window.settings.set("folder/export", str(tmp_path))
-        if size is not None:
-            window.resize_to(*size)
-        window.show()
-        qtbot.waitExposed(window)
-        window.activateWindow()
-        qtbot.waitUntil(window.isActiveWindow)
         return window
 
     yield make
     for window in windows:
         if window.worker.isRunning():
             window.close_without_asking()
-            qtbot.waitUntil(window.worker.isFinished)  # a recording is finished first
-    wait_for_abandoned(60.0)  # what goes on would take its time from the next test
-    for window in windows:
-        window.deleteLater()
-    QApplication.processEvents()
+            qtbot.waitUntil(window.worker.isFinished)
+        close_window(window)
+
+
+class SharedWindow:
+    """One main window for the tests of a module; one that a test left with other windows open is replaced."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._opened = folder, 0
+        self._window: MainWindow | None = None
+        self._others = 0
+        self._settings: dict[str, str] = {}
+
+    def ready(self, qtbot, tmp_path: Path, preset: Preset) -> MainWindow:
+        window = self._window
+        if window is not None and not self._reusable(window):
+            self.close()
+            window = self._window
+        if window is None:
+            self._opened += 1
+            folder = self._folder / str(self._opened)
+            folder.mkdir()
+            window = self._window = open_window(qtbot, folder, folder / "window.json", preset, (1280, 800))
+            window.remember_layout()
+            self._others, self._settings = _others(window), self._remembered(window)
+        else:
+            self._reset(window, preset)
+            activate(qtbot, window)
+        for key in ("folder/preset", "folder/export"):
+            window.settings.set(key, str(tmp_path))
+        return window
+
+    def close(self) -> None:
+        if self._window is not None:
+            close_window(self._window)
+        self._window = None
+
+    def _reusable(self, window: MainWindow) -> bool:
+        marks = window.timeline.keeper.marks
+        busy = window.recording.running or window.status.publishing.isVisible() or marks.markers or marks.trim
+        return not busy and window.worker.isRunning() and _others(window) == self._others
+
+    def _remembered(self, window: MainWindow) -> dict[str, str]:
+        window.settings.sync()
+        return json.loads((self._folder / str(self._opened) / "window.json").read_text())
+
+    def _reset(self, window: MainWindow, preset: Preset) -> None:
+        """Bring a window back to how it opens: layout, messages, preset, playback."""
+        window.context.comparison.end()
+        window.eyedropper.use("off")
+        window.parts.back()
+        window.pointing.clear_distance()
+        for key in list(window.messages.keys()):  # a method of Messages, no dict
+            window.messages.clear(key)
+        window.document.new(preset)
+        for key in self._remembered(window).keys() | self._settings.keys():
+            window.settings.set(key, self._settings.get(key, ""))
+        window.restore_layout()
+        window.strip.point_at(-1, -1)
+        window.strip.reset_view()
+        window.views.setFocus()
+        window.actions_.loop.setChecked(True)
+        window.worker.set_loop(True)
+        window.worker.set_frozen(False)
+        window.worker.set_speed(1.0)
+
+
+def _others(window: MainWindow) -> int:
+    """The dialogs of a window, and the windows that are seen: tests leave some behind."""
+    shown = [each for each in QApplication.topLevelWidgets() if each.isVisible()]
+    return len(window.findChildren(QDialog)) + len(shown)
+
+
+@pytest.fixture(scope="module")
+def shared(qapp, tmp_path_factory) -> Iterator[SharedWindow]:
+    holder = SharedWindow(tmp_path_factory.mktemp("window"))
+    yield holder
+    holder.close()
 
 
 @pytest.fixture
-def window(qtbot, make_window) -> MainWindow:
-    """A window that stands still at frame 3 of a recording of 8."""
+def own_window(qtbot, make_window) -> MainWindow:
+    """A window of this test alone, standing still at frame 3 of a recording of 8."""
     made = make_window()
     show_source(qtbot, made, FakeSource(), 3)
     return made
+
+
+@pytest.fixture
+def window(request, qtbot, shared, tmp_path, preset) -> MainWindow:
+    """The window of the module at frame 3 of a recording of 8; tests that open more windows get one of their own."""
+    if "make_window" in request.fixturenames:
+        return request.getfixturevalue("own_window")
+    shown = shared.ready(qtbot, tmp_path, preset)
+    show_source(qtbot, shown, FakeSource(), 3)
+    return shown
 
 
 @pytest.fixture

@@ -134,27 +134,29 @@ def pixels_of(window: QWidget) -> np.ndarray:
 
 def test_every_window_can_be_read_reached_and_seen_whole(shown, window, qtbot):
     missing = set().union(*(unreachable(shown, window) for _ in pages(shown, qtbot)))
-    faint = set().union(*(unreadable(shown, window, page) for page in pages(shown, qtbot)))
+    faint = set()
+    for theme in ("dark", "light"):  # the last one stays for the tests that follow
+        window.set_theme(theme, remember=False)
+        faint |= set().union(*({(theme, page, *each) for each in unreadable(shown)} for page in pages(shown, qtbot)))
     size = QSize(1024, 700) if shown is window else SMALL
     shown.resize(shown.size().boundedTo(size))
     cut = set().union(*(cut_off(shown, page, size) for page in pages(shown, qtbot)))
     assert (missing, faint, cut) == (set(), set(), set())
 
 
-def unreadable(shown: QWidget, window: QWidget, page: int) -> set:
+def unreadable(shown: QWidget) -> set:
     faint = set()
-    for theme in ("dark", "light"):  # the last one stays for the tests that follow
-        window.set_theme(theme, remember=False)
-        settle()
-        image = pixels_of(shown)
-        for widget in [w for kind in (QLabel, QAbstractButton, QComboBox, QLineEdit) for w in within(shown, kind)]:
-            text = widget.currentText() if isinstance(widget, QComboBox) else widget.text()
-            rect = place(widget, shown)
-            if isinstance(widget, (QCheckBox, QRadioButton)):
-                rect.setLeft(rect.left() + 22)  # the box is not the text
-            # One letter may have no stroke that covers a whole pixel.
-            if len(text.strip()) > 1 and rect.width() > 8 and rect.height() > 8 and sharpest(image, rect) < 4.5:
-                faint.add((page, theme, described(widget), round(sharpest(image, rect), 1)))
+    image = pixels_of(shown)
+    for widget in [w for kind in (QLabel, QAbstractButton, QComboBox, QLineEdit) for w in within(shown, kind)]:
+        text = widget.currentText() if isinstance(widget, QComboBox) else widget.text()
+        rect = place(widget, shown)
+        if isinstance(widget, (QCheckBox, QRadioButton)):
+            rect.setLeft(rect.left() + 22)  # the box is not the text
+        # One letter may have no stroke that covers a whole pixel.
+        if len(text.strip()) > 1 and rect.width() > 8 and rect.height() > 8:
+            contrast = sharpest(image, rect)
+            if contrast < 4.5:
+                faint.add((described(widget), round(contrast, 1)))
     return faint
 
 

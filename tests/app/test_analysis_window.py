@@ -97,20 +97,21 @@ def test_the_main_window_closes_it_and_ends_its_tabs(qtbot, window):
     QApplication.processEvents()
 
 
-def test_the_menu_lists_every_tab_with_its_tip_and_free_shortcut(window):
-    texts = [(action.text(), action.toolTip()) for action in window.analysis.actions.values()]
+def test_the_menu_lists_every_tab_with_its_tip_and_free_shortcut(own_window):
+    texts = [(action.text(), action.toolTip()) for action in own_window.analysis.actions.values()]
     assert texts == [
         ("&Compare…", "Compares (F7)"),
         ("&Strain…", "Measures strain (Ctrl+T)"),
         ("&Xclash…", "Wants a key that is taken"),
     ]
-    listed = [action.text() for menu in window.menuBar().actions() for action in menu.menu().actions()]
+    listed = [action.text() for menu in own_window.menuBar().actions() for action in menu.menu().actions()]
     assert {text for text, _ in texts} <= set(listed)
-    assert window.messages.message("shortcut of clash") is not None
-    assert window.messages.message("tab worn") is not None
+    assert own_window.messages.message("shortcut of clash") is not None
+    assert own_window.messages.message("tab worn") is not None
 
 
-def test_a_tab_that_cannot_be_opened_says_why_and_leaves_the_others_alone(qtbot, window):
+def test_a_tab_that_cannot_be_opened_says_why_and_leaves_the_others_alone(qtbot, own_window):
+    window = own_window
     with qtbot.captureExceptions() as raised:
         window.analysis.open("clash")
     analysis = window.analysis.window

@@ -121,7 +121,7 @@ def test_what_changed_since_save_from_the_menu(edited, qtbot):
         assert_same(side.patch, ContactPipeline(side.side.preset, RIG).process(edited.result.frame))
     assert len(shown.b.patch.points) > len(shown.a.patch.points)
     assert panel.isVisible()
-    assert cells(panel.table) == [["Tolerance t (%)", "3", "10"]]
+    assert cells(panel.table) == [["Tolerance t", "3 %", "10 %"]]
     only_b = shown.b.patch.mask & ~shown.a.patch.mask
     depth_m = shown.b.patch.points[only_b[shown.b.patch.mask], 2]
     area_cm2 = 1e4 * pixel_areas_m2(depth_m, RIG.proximity.intrinsics).sum()
@@ -129,7 +129,7 @@ def test_what_changed_since_save_from_the_menu(edited, qtbot):
     assert panel.numbers["Not in the other", 0].text() == "0.00 cm²"
     assert panel.numbers["Points", 0].text() == f"{len(shown.a.patch.points):,}"
     share = len(shown.a.patch.points) / len(shown.b.patch.points)
-    assert panel.agreement.text() == f"{share:.3f}"
+    assert panel.numbers["IoU of the patches", 1].text() == f"{share:.3f}"
     assert edited.result.patch is shown.b.patch, "other windows go on with the present preset"
 
 
@@ -191,7 +191,7 @@ def test_the_present_side_follows_a_slider(compared, qtbot):
     assert_same(shown.b.patch, ContactPipeline(present, RIG).process(compared.result.frame))
     assert compared.context.comparison.sides[1].preset is present
     assert shown.a.side.preset.tolerance.t == 0.03
-    assert cells(compared.comparison_panel.table)[0][2] == f"{100 * present.tolerance.t:g}"
+    assert cells(compared.comparison_panel.table)[0][2] == f"{100 * present.tolerance.t:g} %"
 
 
 def test_use_a_is_one_step_and_ends_the_comparison(compared, qtbot):

@@ -181,20 +181,20 @@ def crashed(qtbot, preset, tmp_path):
     return autosave.file
 
 
-def test_after_a_crash_unsaved_work_is_offered_and_restored(crashed, window, qtbot):
-    window.offer_unsaved_work()
-    press(offer(window), "Restore")
-    assert window.document.preset.tolerance.t == 0.0123
-    assert window.document.dirty
+def test_after_a_crash_unsaved_work_is_offered_and_restored(crashed, own_window, qtbot):
+    own_window.file_flows.offer_unsaved_work()
+    press(offer(own_window), "Restore")
+    assert own_window.document.preset.tolerance.t == 0.0123
+    assert own_window.document.dirty
     qtbot.waitUntil(lambda: not crashed.exists())
-    assert window.messages.message("recovery") is None
-    qtbot.waitUntil(window.autosave.file.exists)
+    assert own_window.messages.message("recovery") is None
+    qtbot.waitUntil(own_window.autosave.file.exists)
 
 
-def test_after_a_crash_unsaved_work_can_be_discarded(crashed, window, preset):
-    window.offer_unsaved_work()
-    press(offer(window), "Discard")
-    assert window.document.preset == preset
+def test_after_a_crash_unsaved_work_can_be_discarded(crashed, own_window, preset):
+    own_window.file_flows.offer_unsaved_work()
+    press(offer(own_window), "Discard")
+    assert own_window.document.preset == preset
     assert not crashed.exists()
 
 

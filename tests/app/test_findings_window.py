@@ -14,7 +14,7 @@ from PyQt6.QtWidgets import QApplication, QPushButton, QToolButton
 from fakes import FakeSource, tiny_frame, tiny_rig
 from hands import CONTROL, LEFT, image_position, show_source, text_of
 from tactune.app.rig.check_window import CheckWindow
-from tactune.app.window.findings_window import FindingsWindow
+from tactune.app.window.findings import FindingsWindow
 from tactune.app.worker.results import CloudName
 from tactune.core.preset import Preset
 from tactune.core.tuning.advice.proposal import Finding

@@ -133,13 +133,13 @@ def test_while_picking_a_banner_says_what_to_click_and_a_loupe_shows_the_colour(
     for place in ((20, 20), (8, 8)):  # a move to where the pointer is already would be dropped
         QTest.mouseMove(pane.view.viewport(), image_position(pane, *place).toPoint())
     qtbot.waitUntil(loupe.isVisible)
-    assert loupe.swatch().getRgb()[:3] == MEMBRANE_RGB
+    assert loupe.swatch.getRgb()[:3] == MEMBRANE_RGB
     assert loupe.text() == "H 116  S 204  V 200"
     assert loupe.text() in strip.readout.text()
     for _ in range(2):  # from the membrane to the disc, by keys
         QTest.keyClick(strip, Qt.Key.Key_Right, Qt.KeyboardModifier.ShiftModifier)
         QTest.keyClick(strip, Qt.Key.Key_Down, Qt.KeyboardModifier.ShiftModifier)
-    assert loupe.swatch().getRgb()[:3] != MEMBRANE_RGB
+    assert loupe.swatch.getRgb()[:3] != MEMBRANE_RGB
     QTest.mouseClick(strip.banner.done, LEFT)
     assert window.eyedropper.mode == "off"
     assert not pick.isChecked()

@@ -113,7 +113,9 @@ def test_colours_have_a_legend(window, qtbot):
         qtbot.waitUntil(lambda expected=expected: explained(expected))
 
 
-def test_all_reasons_are_named_at_1280_and_clouds_stay_equally_large(window, qtbot):
+def test_all_reasons_are_named_at_1280_and_clouds_stay_equally_large(make_window, qtbot):
+    window = make_window()
+    show_source(qtbot, window, FakeSource(), 3)
     views = list(window.views.views.values())
 
     def canvases() -> set[int]:
@@ -147,7 +149,7 @@ def test_views_turn_together(window):
     assert window.views.views[CloudName.TACTILE].camera() not in cameras
 
 
-def test_theme_switches_and_is_remembered(window, make_window, qtbot):
+def test_theme_switches_and_is_remembered(window, qtbot):
     base = window.palette().base().color()
     [dark] = [entry for entry in window.menus.themes.actions() if entry.data() == "dark"]
     dark.trigger()
@@ -160,7 +162,8 @@ def test_theme_switches_and_is_remembered(window, make_window, qtbot):
     qtbot.waitUntil(lambda: window.result.rendered.clouds[CloudName.PATCH].lut is patch_lut("light"))
 
 
-def test_the_layout_is_remembered(window, make_window, qtbot):
+def test_the_layout_is_remembered(make_window):
+    window = make_window()
     window.resize(1500, 900)
     window.actions_.show_tactile.trigger()
     window.panel.set_collapsed_sections(["mask"])

@@ -136,7 +136,7 @@ def test_closing_the_window_finishes_the_file(window, cameras, qtbot, folder):
 def test_a_disk_without_room_is_refused(window, cameras, qtbot, monkeypatch):
     monkeypatch.setattr(recording, "free_bytes", lambda folder: 300_000_000)
     press_record(window)
-    assert "Only 300 MB are free" in told(window)
+    assert "Only 300.0 MB are free" in told(window)
     assert "free some space, or choose another folder" in told(window)
     assert not window.recording.running
 

@@ -8,9 +8,8 @@ from functools import partial
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, Qt
-from PyQt6.QtGui import QContextMenuEvent
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QMenu, QToolButton, QWidget
+from PyQt6.QtWidgets import QApplication, QToolButton, QWidget
 
 from fakes import FakeSource, tiny_frame
 from hands import image_position, show_source
@@ -231,42 +230,12 @@ def test_the_text_of_a_distance():
     assert distance_text((0.0, 0.0, 0.3), (0.003, 0.004, 0.288)) == "13.0 mm (dz −12.0 mm)"
 
 
-@pytest.mark.parametrize("way", ["keys", "menu"])
-def test_a_view_is_copied_as_it_is_shown_with_its_legend(window, qtbot, way):
+def test_a_view_is_copied_as_it_is_shown_with_its_legend(window, qtbot):
     view = window.views.views[TACTILE]
     QApplication.clipboard().clear()
-    if way == "keys":
-        qtbot.waitUntil(lambda: hover(window, TACTILE, QPoint(40, 40), view.underMouse))
-        QTest.keyClick(window, Qt.Key.Key_C, Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier)
-    else:
-        choose_in_menu(qtbot, view, "Copy as picture")
+    qtbot.waitUntil(lambda: hover(window, TACTILE, QPoint(40, 40), view.underMouse))
+    QTest.keyClick(window, Qt.Key.Key_C, Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier)
     copied = QApplication.clipboard().image()
     assert copied.size() == view.size()
     assert copied == view.grab().toImage().convertToFormat(copied.format())
-    assert "Tactile: a picture is on the clipboard." in window.messages.sentences()
-
-
-def choose_in_menu(qtbot, view, words, at=None):
-    """Open the context menu of a view by the right button and choose an entry by keys."""
-    target = view.findChild(QWidget, "canvas")
-    at = at or target.rect().center()
-    QApplication.sendEvent(target, QContextMenuEvent(QContextMenuEvent.Reason.Mouse, at, target.mapToGlobal(at)))
-    qtbot.waitUntil(lambda: isinstance(QApplication.activePopupWidget(), QMenu))
-    menu = QApplication.activePopupWidget()
-    entry = next(entry for entry in menu.actions() if entry.text().startswith(words))
-    QTest.mouseClick(menu, LEFT, pos=menu.actionGeometry(entry).center())
-
-
-def test_the_menu_measures_and_enlarges(window, qtbot):
-    QTest.keyClick(window, Qt.Key.Key_V)
-    view = window.views.views[PROXIMITY]
-    start, end = place_of(window, PROXIMITY, 33, 24), place_of(window, PROXIMITY, 50, 24)
-    choose_in_menu(qtbot, view, "Measure from here", on_canvas(window, PROXIMITY, start))
-    choose_in_menu(qtbot, view, "Measure to here", on_canvas(window, PROXIMITY, end))
-    np.testing.assert_allclose(view.ends(), [start, end], atol=1e-6)
-    choose_in_menu(qtbot, view, "Clear distance")
-    assert view.ends() == ()
-    choose_in_menu(qtbot, view, "Enlarge")
-    assert not window.views.views[PATCH].isVisible()
-    choose_in_menu(qtbot, view, "Back")
-    assert window.views.views[PATCH].isVisible()
+    assert window.messages.message("copied") is not None

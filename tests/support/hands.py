@@ -32,8 +32,9 @@ def drag_slider(slider, *fractions):
 
 def show_source(qtbot, window, source, index=None):
     """Open a source and wait for a frame of it; with an index, stand still at that frame."""
+    before = None if window.result is None else window.result.source
     window.open_request(SourceRequest(source.name, lambda progress: source))
-    qtbot.waitUntil(lambda: window.result is not None and window.result.source.name == source.name)
+    qtbot.waitUntil(lambda: window.result is not None and window.result.source is not before)
     if index is not None:
         window.worker.pause()
         window.worker.seek(index)

@@ -197,10 +197,12 @@ def apply_theme(app: QApplication, choice: ThemeChoice) -> ThemeName:
         hints.colorSchemeChanged.connect(lambda _: _follow_desktop(app))
     colors = set_theme(name)
     pg.setConfigOptions(background=colors.base, foreground=colors.text)
-    use_style(app)
-    app.setPalette(make_palette(colors))
     icons = (Path(__file__).parents[1] / "icons").as_posix()
-    app.setStyleSheet(_SHEET.substitute(asdict(colors), icons=icons))
+    sheet = _SHEET.substitute(asdict(colors), icons=icons)
+    if sheet != app.styleSheet():  # setting it lays out every widget again
+        use_style(app)
+        app.setPalette(make_palette(colors))
+        app.setStyleSheet(sheet)
     return name
 
 

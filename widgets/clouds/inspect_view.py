@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import dist
 
 from PyQt6.QtCore import QEvent, QPointF, QRectF, Qt, QTimer, pyqtSignal
-from PyQt6.QtGui import QColor, QContextMenuEvent, QMouseEvent, QPainter, QPen
+from PyQt6.QtGui import QColor, QMouseEvent, QPainter, QPen
 from PyQt6.QtWidgets import QWidget
 
 from ...core.errors import minus
@@ -22,8 +22,7 @@ class InspectView(CloudView):
     """A `CloudView` that shows a mark and a measured distance and reports what a person does with its points."""
 
     HELP = """<p><b>Drag</b> to orbit, <b>Shift + drag</b> or middle button to pan, <b>wheel</b> to zoom,
-    <b>double click</b> to enlarge, <b>Shift + click</b> on two points to measure their distance, <b>right click</b> for
-    more.</p>
+    <b>double click</b> to enlarge, <b>Shift + click</b> on two points to measure their distance.</p>
     <p>Keys: <b>arrows</b> orbit, <b>+ −</b> zoom, <b>R</b> reset, <b>V</b> front, <b>T</b> top, <b>S</b> side,
     <b>Z</b> zoom to the patch.</p>"""
     FOLLOWS_MOUSE = True
@@ -31,7 +30,6 @@ class InspectView(CloudView):
     pointHovered = pyqtSignal(object)  # Flat pixel and place of the point under the mouse, or None
     endChosen = pyqtSignal(object)  # Place of a point that was clicked with Shift: an end of a distance
     enlargeRequested = pyqtSignal()
-    menuRequested = pyqtSignal(object, object)  # A place on the screen, and the place of the point there or None
 
     def __init__(self, title: str, parent: QWidget | None = None) -> None:
         super().__init__(title, parent)
@@ -98,11 +96,6 @@ class InspectView(CloudView):
     def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:
         if event is not None and event.button() == Qt.MouseButton.LeftButton:
             self.enlargeRequested.emit()
-
-    def contextMenuEvent(self, event: QContextMenuEvent | None) -> None:
-        if event is not None:
-            found = self.pick(self._canvas.mapFrom(self, event.pos()).toPointF())
-            self.menuRequested.emit(event.globalPos(), None if found is None else found[1])
 
     # Painting
 

@@ -1,7 +1,7 @@
-"""From a few clicked pixels to HSV ranges: set, expand, shrink. No Qt here.
+"""From a few clicked pixels to HSV ranges: set, expand, shrink.
 
-Ranges are inclusive, in OpenCV's 8-bit convention: hue 0-179 on a circle (low above high wraps around),
-saturation and value 0-255.
+Ranges are inclusive, in OpenCV's 8-bit convention: hue 0-179 on a circle (low above high wraps around), saturation and
+value 0-255.
 """
 
 from __future__ import annotations
@@ -55,9 +55,9 @@ class Sample:
 def new_ranges(rgb: Uint8Array, present: MaskSection, mode: Mode) -> MaskSection:
     """Return ranges that a sample, uint8 (h, w, 3) RGB, sets, expands or shrinks.
 
-    set: the core of the sample and a margin. expand: the smallest ranges that cover both the present ones and what set
-    gives. shrink: one channel is cut so that the sample's median colour is outside; the channel that loses the smallest
-    share of its range. Raises `EyedropperError` if nothing is left to cut.
+    set: the core of the sample and a margin. expand: the smallest ranges that cover the present ones and what set
+    gives. shrink: one channel, the one that loses the smallest share, is cut so that the sample's median is outside.
+    Raises `EyedropperError` if nothing is left to cut.
     """
     sample = take_sample(rgb)
     if mode == "shrink":
@@ -91,10 +91,9 @@ def take_sample(rgb: Uint8Array) -> Sample:
 
 def contains(mask: MaskSection, hsv: Uint8Array) -> BoolArray:
     """Tell which of the colours, uint8 (..., 3) as H, S, V, a mask covers: bool (...)."""
-    h, s, v = (hsv[..., channel].astype(np.int64) for channel in range(3))
-    inside: BoolArray = (h - mask.hue[0]) % _HUES < _arc_length(mask.hue)
-    inside &= (s >= mask.saturation[0]) & (s <= mask.saturation[1])
-    inside &= (v >= mask.value[0]) & (v <= mask.value[1])
+    inside: BoolArray = _on_arc(mask.hue)[hsv[..., 0]]
+    for channel, (low, high) in enumerate((mask.saturation, mask.value), start=1):
+        inside = inside & (hsv[..., channel] >= low) & (hsv[..., channel] <= high)
     return inside
 
 
@@ -134,19 +133,31 @@ def _arc_length(arc: Span) -> int:
     return (arc[1] - arc[0]) % _HUES + 1
 
 
+def _on_arc(arc: Span) -> BoolArray:
+    """Tell which hues, bool (180,), lie on an arc."""
+    on: BoolArray = (np.arange(_HUES) - arc[0]) % _HUES < _arc_length(arc)
+    return on
+
+
+def _longest_arc(hues: BoolArray) -> Span | None:
+    """Return the longest arc of the circle on which all hues, bool (180,), are true; None if none is."""
+    if hues.all() or not hues.any():
+        return (0, _HUES - 1) if hues.all() else None
+    starts = np.flatnonzero(hues & ~np.roll(hues, 1))
+    stops = np.flatnonzero(hues & ~np.roll(hues, -1))
+    lengths = [(stops - start) % _HUES for start in starts]
+    arcs = [(int(start), int(stops[np.argmin(each)])) for start, each in zip(starts, lengths, strict=True)]
+    return max(arcs, key=_arc_length)
+
+
 def _covering_span(first: Span, second: Span) -> Span:
     return min(first[0], second[0]), max(first[1], second[1])
 
 
 def _covering_arc(first: Span, second: Span) -> Span:
     """Return the shortest arc that holds two arcs."""
-
-    def holds(arc: Span, part: Span) -> bool:
-        return (part[0] - arc[0]) % _HUES + _arc_length(part) <= _arc_length(arc)
-
-    ends = [(start[0], stop[1]) for start in (first, second) for stop in (first, second)]
-    fitting = [arc for arc in ends if holds(arc, first) and holds(arc, second)]
-    return min(fitting, key=_arc_length, default=(0, _HUES - 1))
+    gap = _longest_arc(~(_on_arc(first) | _on_arc(second)))
+    return (0, _HUES - 1) if gap is None else ((gap[1] + 1) % _HUES, (gap[0] - 1) % _HUES)
 
 
 def _shrunk(present: MaskSection, sample: Sample) -> MaskSection:
@@ -155,47 +166,24 @@ def _shrunk(present: MaskSection, sample: Sample) -> MaskSection:
     median = np.array([median_hue, sample.median_saturation, sample.median_value], np.uint8)
     if not contains(present, median):
         return present
-    cores: list[tuple[Span | None, Span, Span]] = [(sample.hue, sample.saturation, sample.value)]
-    hue_point = None if sample.median_hue is None else (sample.median_hue, sample.median_hue)
-    cores.append((hue_point, (sample.median_saturation,) * 2, (sample.median_value,) * 2))
-    for hue, saturation, value in cores:
-        options = [(lost, "hue", arc) for lost, arc in _cut_arc(present.hue, hue)]
-        options += [(lost, "saturation", span) for lost, span in _cut_span(present.saturation, saturation)]
-        options += [(lost, "value", span) for lost, span in _cut_span(present.value, value)]
+    at_median = None if sample.median_hue is None else (sample.median_hue,) * 2
+    for hue, saturation, value in (
+        (sample.hue, sample.saturation, sample.value),
+        (at_median, (sample.median_saturation,) * 2, (sample.median_value,) * 2),
+    ):
+        options = [
+            (1.0 - (high - low + 1) / (span[1] - span[0] + 1), name, (low, high))
+            for name, span, core in (
+                ("saturation", present.saturation, saturation),
+                ("value", present.value, value),
+            )
+            for low, high in ((span[0], core[0] - 1), (core[1] + 1, span[1]))
+            if span[0] <= low <= high <= span[1]
+        ]
+        rest = None if hue is None else _longest_arc(_on_arc(present.hue) & ~_on_arc(hue))
+        if rest is not None:
+            options.insert(0, (1.0 - _arc_length(rest) / _arc_length(present.hue), "hue", rest))
         if options:
             _, channel, span = min(options, key=lambda option: option[0])
             return present.model_copy(update={channel: span})
     raise EyedropperError("excluding this colour would empty the mask; turn the mask off instead")
-
-
-def _cut_span(span: Span, core: Span) -> list[tuple[float, Span]]:
-    """Return the remainders of a range on both sides of a core, each with the lost share."""
-    length = span[1] - span[0] + 1
-    sides = [(span[0], core[0] - 1), (core[1] + 1, span[1])]
-    return [(1.0 - (high - low + 1) / length, (low, high)) for low, high in sides if span[0] <= low <= high <= span[1]]
-
-
-def _cut_arc(arc: Span, core: Span | None) -> list[tuple[float, Span]]:
-    """Return the remainders of a hue range on both sides of a core, each with the lost share."""
-    if core is None:
-        return []
-    length = _arc_length(arc)
-    if length == _HUES:  # a whole circle has no sides: the core is taken out of it
-        lost = _arc_length(core)
-        return [] if lost == _HUES else [(lost / _HUES, ((core[1] + 1) % _HUES, (core[0] - 1) % _HUES))]
-    low, high = (core[0] - arc[0]) % _HUES, (core[1] - arc[0]) % _HUES
-    # a core that reaches over an end of the arc leaves nothing on that side
-    low_inside, high_inside = low < length, high < length
-    straddles = low > high
-    sides: list[Span] = []
-    if low_inside and (not straddles or not high_inside):
-        sides.append((0, low - 1))
-    if high_inside and (not straddles or not low_inside):
-        sides.append((high + 1, length - 1))
-    if low_inside and high_inside and straddles:
-        sides.append((high + 1, low - 1))
-    return [
-        (1.0 - (last - first + 1) / length, ((arc[0] + first) % _HUES, (arc[0] + last) % _HUES))
-        for first, last in sides
-        if first <= last
-    ]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,14 +55,13 @@ class ColorBar:
 
 
 class PaneHeader(QWidget):
-    """Paints a title and a legend, on one line or on two; entries that do not fit are omitted, the last first."""
+    """Paints a title and below it a legend; entries that do not fit are omitted, the last first."""
 
     def __init__(self, title: str) -> None:
         super().__init__()
         self._title = title
         self._bar: ColorBar | None = None
         self._swatches: tuple[Swatch, ...] = ()
-        self._lines = 1
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.setAccessibleName(title)
         self.set_legend(None)
@@ -75,63 +73,46 @@ class PaneHeader(QWidget):
         self.setAccessibleDescription(", ".join(words))
         self.update()
 
-    def full_width(self) -> int:
-        """Return the width in pixels of title and legend on one line, whatever the numbers in the legend."""
-        bar = () if self._bar is None else (self._bar.low, self._bar.high)
-        texts = (self._title, *bar, *(swatch.text for swatch in self._swatches))
-        widest = (re.sub(r"[\d.]+", "0.000", text) for text in texts)
-        around = len(self._swatches) * (_SWATCH + 3 * _GAP) + (_SHORTEST_BAR + 4 * _GAP if bar else 0)
-        return sum(map(self.fontMetrics().horizontalAdvance, widest)) + around + 2 * _GAP + 4
-
-    def set_lines(self, lines: int) -> None:
-        """Put the legend beside the title (1) or below it (2)."""
-        if lines != self._lines:
-            self._lines = lines
-            self.updateGeometry()
-            self.update()
-
     def sizeHint(self) -> QSize:
-        return QSize(200, self._lines * (self.fontMetrics().height() + 4))
+        return QSize(200, 2 * (self.fontMetrics().height() + 4))
 
     def minimumSizeHint(self) -> QSize:
         return QSize(0, self.sizeHint().height())
 
     def paintEvent(self, _: QPaintEvent | None) -> None:
         painter, metrics, colors = QPainter(self), self.fontMetrics(), theme_colors()
-        line, middle = self.height() / self._lines, Qt.AlignmentFlag.AlignVCenter
+        line, middle = self.height() / 2, Qt.AlignmentFlag.AlignVCenter
         painter.setPen(QColor(colors.text))
         title = metrics.elidedText(self._title, Qt.TextElideMode.ElideRight, self.width() - 2)
         painter.drawText(QRectF(2, 0, self.width(), line), middle, title)
-        left = metrics.horizontalAdvance(title) + 2 + 2 * _GAP if self._lines == 1 else 2
-        right = float(self.width() - 2)  # the free space ends here
         painter.setPen(QColor(colors.muted))
-        painter.translate(0, self.height() - line)
+        painter.translate(0, line)
+        left, end = 2.0, self.width() - 2
 
         def write(text: str) -> float:
             advance = metrics.horizontalAdvance(text)
-            painter.drawText(QRectF(right - advance, 0, advance + 1, line), middle, text)
-            return right - advance - _GAP
+            painter.drawText(QRectF(left, 0, advance + 1, line), middle, text)
+            return left + advance + _GAP
 
         bar = self._bar
         if bar is not None:
-            length = min(_BAR_WIDTH, right - left - metrics.horizontalAdvance(bar.low + bar.high) - 2 * _GAP)
-            if length >= _SHORTEST_BAR:
-                right = write(bar.high)
-                frame = QRectF(right - length, line / 2 - 4, length, 8)
+            room = end - left - metrics.horizontalAdvance(bar.low + bar.high) - 2 * _GAP
+            if room >= _SHORTEST_BAR:
+                left = write(bar.low)
+                frame = QRectF(left, line / 2 - 4, min(_BAR_WIDTH, room), 8)
                 strip = np.ascontiguousarray(bar.lut[None, 1:])
                 painter.drawImage(frame, QImage(strip.tobytes(), strip.shape[1], 1, QImage.Format.Format_RGBX8888))
                 for mark in bar.marks:
-                    painter.fillRect(
-                        QRectF(frame.left() + mark * length, frame.top() - 2, 1.5, 12), QColor(colors.text)
-                    )
-                right = frame.left() - _GAP
-                right = write(bar.low) - _GAP
+                    at = frame.left() + mark * frame.width()
+                    painter.fillRect(QRectF(at, frame.top() - 2, 1.5, 12), QColor(colors.text))
+                left = frame.right() + _GAP
+                left = write(bar.high) + _GAP
         for swatch in self._swatches:
-            if right - metrics.horizontalAdvance(swatch.text) - _SWATCH - _GAP < left:
+            if left + _SWATCH + _GAP + metrics.horizontalAdvance(swatch.text) > end:
                 break
-            right = write(swatch.text)
-            painter.fillRect(QRectF(right - _SWATCH, (line - _SWATCH) / 2, _SWATCH, _SWATCH), QColor(*swatch.rgb))
-            right -= _SWATCH + 2 * _GAP
+            painter.fillRect(QRectF(left, (line - _SWATCH) / 2, _SWATCH, _SWATCH), QColor(*swatch.rgb))
+            left += _SWATCH + _GAP
+            left = write(swatch.text) + _GAP
 
 
 _SMALLEST_VIEW = 6.0
@@ -151,10 +132,7 @@ class PixelItem(pg.GraphicsObject):  # type: ignore[misc]  # pyqtgraph has no ty
         self._rect = QRectF(-0.5, -0.5, 1.0, 1.0)
 
     def set_pixels(self, pixels: Uint8Array | None, stride: int = 1, right: Uint8Array | None = None) -> None:
-        """Show uint8 (h, w, 4) as ``QImage.Format_RGB32``; each covers stride x stride image pixels.
-
-        ``right``, of the same size, is shown right of the place given to `set_split`.
-        """
+        """Show uint8 (h, w, 4) as ``QImage.Format_RGB32``, ``right`` beyond the split; each covers stride² pixels."""
         self._pixels = pixels, right  # the QImages only borrow this memory
         self._image, self._right = image_of(pixels), image_of(right)
         if pixels is not None:
@@ -165,7 +143,7 @@ class PixelItem(pg.GraphicsObject):  # type: ignore[misc]  # pyqtgraph has no ty
                 self._rect = rect
 
     def set_split(self, split: float | None) -> None:
-        """Set the column from which on the right image is shown; None hides the right image."""
+        """Set the column from which on the right image is shown."""
         self._split = split
         self.update()
 
@@ -199,7 +177,7 @@ class WipeLine(pg.InfiniteLine):  # type: ignore[misc]
             angle=90, movable=True, pen=pg.mkPen("w", width=2), hoverPen=pg.mkPen(theme_colors().accent, width=3)
         )
         self._box = box
-        self._share = 0.5
+        self.share = 0.5
         self.setZValue(30)
         self._letters = [
             pg.InfLineLabel(self, text, position=0.0, anchors=[(side, 0)] * 2, color="w", fill=(0, 0, 0, 165))
@@ -210,15 +188,11 @@ class WipeLine(pg.InfiniteLine):  # type: ignore[misc]
 
     def set_share(self, share: float) -> None:
         """Stand at a share of the visible width; at either end only one letter is shown."""
-        self._share = share
+        self.share = share
         rect = self._box.viewRect()
         self.setValue(rect.left() + share * rect.width())
         for letter, shown in zip(self._letters, (share > 0, share < 1), strict=True):
             letter.setVisible(shown)
-
-    def follow(self) -> None:
-        """Keep the share after the view was zoomed or panned."""
-        self.set_share(self._share)
 
     def _dragged(self) -> None:
         rect = self._box.viewRect()
@@ -226,8 +200,6 @@ class WipeLine(pg.InfiniteLine):  # type: ignore[misc]
 
 
 class _View(pg.GraphicsView):  # type: ignore[misc]
-    """Tells when the mouse leaves and when it is double-clicked."""
-
     left = pyqtSignal()
     doubleClicked = pyqtSignal()
 
@@ -247,7 +219,6 @@ class ImagePane(QWidget):
     hovered = pyqtSignal(int, int)  # the pixel under the mouse; -1, -1 outside the image
     clicked = pyqtSignal(int, int, object)  # u, v, modifiers
     doubleClicked = pyqtSignal()
-    menuRequested = pyqtSignal(object)  # where on the screen the right button was clicked
     viewChanged = pyqtSignal(object)  # zoomed or panned to this QRectF of the image
     viewMoved = pyqtSignal()  # zoomed or panned by a person
     resized = pyqtSignal()
@@ -275,7 +246,6 @@ class ImagePane(QWidget):
         self.empty_label = QLabel("", self.view)
         self.empty_label.setWordWrap(True)
         self.empty_label.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        self.empty_label.setWordWrap(True)
         self.empty_label.setMargin(8)
         self.empty_label.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self.badge = StaleBadge(self.view)
@@ -352,7 +322,7 @@ class ImagePane(QWidget):
 
     def _range_changed(self, *_: object) -> None:
         if self.wipe_line.isVisible():
-            self.wipe_line.follow()
+            self.wipe_line.set_share(self.wipe_line.share)
             self._pixels.set_split(self.wipe_line.value())
         self.viewChanged.emit(self.box.viewRect())
 
@@ -379,5 +349,3 @@ class ImagePane(QWidget):
         pixel = self._pixel_at(event.scenePos())
         if event.button() == Qt.MouseButton.LeftButton and not event.double() and pixel != (-1, -1):
             self.clicked.emit(*pixel, event.modifiers())
-        elif event.button() == Qt.MouseButton.RightButton:
-            self.menuRequested.emit(event.screenPos().toPoint())

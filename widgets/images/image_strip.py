@@ -57,16 +57,12 @@ class _Banner(QFrame):
 class ImageStrip(QWidget):
     """Shows a `RenderedStrip`; zoom, pan and the crosshair are shared by all panes.
 
-    Wheel zooms, a drag pans, 0 shows all again. With the keyboard: arrows move the crosshair
-    (Shift by ten pixels), Enter clicks the colour image there, + and - zoom.
+    Keys: arrows move the crosshair (Shift: ten pixels), Enter clicks the colour image there, + and - zoom, 0 shows all.
     """
 
     hovered = pyqtSignal(int, int)  # u, v: the proximity pixel pointed at; -1, -1 for none
-    #: Pane, u, v, modifiers: ``pane`` is a key of `PANES`.
-    clicked = pyqtSignal(str, int, int, object)
-    #: Rectangle, gesture: the region of interest was dragged: left, top, width,
-    #: height.
-    regionEdited = pyqtSignal(object, int)
+    clicked = pyqtSignal(str, int, int, object)  # key of the pane, u, v, modifiers
+    regionEdited = pyqtSignal(object, int)  # region of interest (left, top, width, height), gesture
     widthHintChanged = pyqtSignal(int)  # another resolution is needed; a paused frame has to be rendered again
     wipeDragged = pyqtSignal(float)  # share: the wipe was dragged in one of the images
     pickingDone = pyqtSignal()  # *Done* was pressed in the banner
@@ -101,14 +97,12 @@ class ImageStrip(QWidget):
     def set_images(self, rendered: RenderedStrip | None, right: RenderedStrip | None = None) -> None:
         """Show a rendered frame, or with None that there is none; ``right`` is shown right of the wipe."""
         for index, pane in enumerate(self.panes.values()):
-            pixels = None if rendered is None else rendered.panes[index]
-            pane.set_pixels(
-                pixels,
-                self._size if rendered is None else rendered.size,
-                rendered.stride if rendered else 1,
-                None if right is None else right.panes[index],
-            )
-            pane.set_message(_EMPTY if pixels is None else "")
+            if rendered is None:
+                pane.set_pixels(None, self._size, 1)
+            else:
+                pixels = None if right is None else right.panes[index]
+                pane.set_pixels(rendered.panes[index], rendered.size, rendered.stride, pixels)
+            pane.set_message(_EMPTY if rendered is None else "")
         if rendered is None:
             return
         if rendered.size != self._size:
@@ -151,12 +145,9 @@ class ImageStrip(QWidget):
 
     def width_hint(self) -> int:
         """Return the width of the whole image in screen pixels, for `stride_for`."""
-        return max(1, round(max(pane.scale() for pane in self._shown_panes()) * self._size[0]))
-
-    def _shown_panes(self) -> list[ImagePane]:
-        """Return the panes that are not hidden; all if none is shown."""
-        shown = [pane for pane in self.panes.values() if not pane.isHidden()]
-        return shown or list(self.panes.values())
+        panes = self.panes.values()
+        shown = [pane for pane in panes if not pane.isHidden()] or panes
+        return max(1, round(max(pane.scale() for pane in shown) * self._size[0]))
 
     def reset_view(self) -> None:
         self._fitted = True
@@ -165,8 +156,6 @@ class ImageStrip(QWidget):
             pane.show_rect(QRectF(-0.5, -0.5, *self._size))
         self._linking = False
         self._check_hint()
-
-    # --- keyboard ----------------------------------------------------------------------------------------------
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
         if event is None:
@@ -188,13 +177,11 @@ class ImageStrip(QWidget):
         super().paintEvent(event)
         paint_focus(self)
 
-    # --- inside ------------------------------------------------------------------------------------------------
-
     def _connect_pane(self, name: str, pane: ImagePane) -> None:
         pane.hovered.connect(self.point_at)
         pane.clicked.connect(lambda u, v, modifiers: self.clicked.emit(name, u, v, modifiers))
         pane.viewChanged.connect(lambda rect: self._follow(pane, rect))
-        pane.viewMoved.connect(self._view_moved)
+        pane.viewMoved.connect(lambda: setattr(self, "_fitted", False))
         pane.resized.connect(self._pane_resized)
         pane.wipeDragged.connect(self.wipeDragged)
         self.regions[name].edited.connect(lambda rectangle, gesture: self._region_edited(name, rectangle, gesture))
@@ -218,22 +205,12 @@ class ImageStrip(QWidget):
         self._linking = False
         self._check_hint()
 
-    def _view_moved(self) -> None:
-        self._fitted = False
-
-    def _fit_headers(self) -> None:
-        """Give all headers two lines if one needs them; panes of equal height zoom alike."""
-        crowded = any(pane.header.full_width() > pane.width() for pane in self._shown_panes())
-        for pane in self.panes.values():
-            pane.header.set_lines(2 if crowded else 1)
-
     def _pane_resized(self) -> None:
         if self._fitted:
             self.reset_view()
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:
         super().resizeEvent(event)
-        self._fit_headers()
         self._place_banner()
 
     def _place_banner(self) -> None:
@@ -277,7 +254,6 @@ class ImageStrip(QWidget):
         bar = ColorBar(f"−{percent}", f"+{percent} %", difference_lut(round(t, 6), limit), marks)
         band = Swatch(f"±{format_number(t * 100, 3)} %", _middle_rgb(bar))
         self.panes["difference"].header.set_legend(bar, (band,))
-        self._fit_headers()
 
 
 def _middle_rgb(bar: ColorBar) -> tuple[int, int, int]:

@@ -47,10 +47,7 @@ _ARROW = QColor(255, 255, 255)
 
 @dataclass(frozen=True)
 class Mark:
-    """One mark at a place in image pixels; ``key`` is what it is called when it is clicked or dragged.
-
-    ``arrow`` is the residual in image pixels, drawn from the mark, enlarged by the layer's factor.
-    """
+    """One mark at a place in image pixels; ``arrow`` is its residual in image pixels, drawn enlarged."""
 
     key: str
     u: float
@@ -68,29 +65,21 @@ class MarkLayer(QWidget):
         viewport = pane.view.viewport()
         super().__init__(viewport)
         self._pane = pane
-        self._marks: tuple[Mark, ...] = ()
-        self._ghost: tuple[float, float] | None = None
+        self.marks: tuple[Mark, ...] = ()
+        self.ghost: tuple[float, float] | None = None
         self._partner: tuple[float, float] | None = None
         self._factor = 0.0
         self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         pane.viewChanged.connect(lambda _: self.update())
 
-    @property
-    def marks(self) -> tuple[Mark, ...]:
-        return self._marks
-
-    @property
-    def ghost(self) -> tuple[float, float] | None:
-        return self._ghost
-
     def set_marks(self, marks: Sequence[Mark]) -> None:
-        self._marks = tuple(marks)
+        self.marks = tuple(marks)
         self.update()
 
     def set_ghost(self, place: tuple[float, float] | None) -> None:
         """Offer a predicted position, or none."""
-        self._ghost = place
+        self.ghost = place
         self.update()
 
     def set_partner(self, place: tuple[float, float] | None) -> None:
@@ -105,23 +94,15 @@ class MarkLayer(QWidget):
         self.update()
 
     def to_screen(self) -> QTransform:
-        """Return the transform from image pixels to this layer's coordinates, exact to fractions of a pixel."""
-        scene = self._pane.view.viewportTransform()
+        """Return the transform from image pixels to this layer's coordinates."""
         box = self._pane.box
-        origin, right, down = (
-            scene.map(QPointF(box.mapViewToScene(QPointF(*place)))) for place in ((0, 0), (1000, 0), (0, 1000))
-        )
-        return QTransform(
-            (right.x() - origin.x()) / 1000, (right.y() - origin.y()) / 1000,
-            (down.x() - origin.x()) / 1000, (down.y() - origin.y()) / 1000,
-            origin.x(), origin.y(),
-        )  # fmt: skip
+        return QTransform(box.childTransform() * box.sceneTransform()) * QTransform(self._pane.view.viewportTransform())
 
     def mark_at(self, place: QPointF) -> Mark | None:
         """Return the mark nearest to a place in this layer's coordinates, within reach."""
         transform = self.to_screen()
         best, nearest = None, REACH
-        for mark in self._marks:
+        for mark in self.marks:
             offset = transform.map(QPointF(mark.u, mark.v)) - place
             distance = hypot(offset.x(), offset.y())
             if distance <= nearest:
@@ -135,14 +116,14 @@ class MarkLayer(QWidget):
         if self._partner is not None:
             _cross(painter, transform.map(QPointF(*self._partner)), QColor(255, 255, 255, 200))
         if self._factor > 0:
-            for mark in self._marks:
+            for mark in self.marks:
                 if mark.arrow is not None:
                     end = QPointF(mark.u + self._factor * mark.arrow[0], mark.v + self._factor * mark.arrow[1])
                     _arrow(painter, transform.map(QPointF(mark.u, mark.v)), transform.map(end))
-        for mark in sorted(self._marks, key=lambda mark: mark.selected):
+        for mark in sorted(self.marks, key=lambda mark: mark.selected):
             self._paint_mark(painter, transform.map(QPointF(mark.u, mark.v)), mark)
-        if self._ghost is not None:
-            place = transform.map(QPointF(*self._ghost))
+        if self.ghost is not None:
+            place = transform.map(QPointF(*self.ghost))
             _ring(painter, place, COLORS[MarkKind.GHOST], radius=10, width=2.0, style=Qt.PenStyle.DashLine)
             _text(painter, place + QPointF(13, -5), "Enter accepts", COLORS[MarkKind.GHOST])
 
@@ -150,11 +131,10 @@ class MarkLayer(QWidget):
         if not QRectF(self.rect()).adjusted(-60, -30, 60, 30).contains(place):
             return
         color = COLORS[mark.kind]
-        dashed = mark.kind is MarkKind.OFF
-        style = Qt.PenStyle.DotLine if dashed else Qt.PenStyle.SolidLine
+        style = Qt.PenStyle.DotLine if mark.kind is MarkKind.OFF else Qt.PenStyle.SolidLine
         if mark.selected:
             _ring(painter, place, QColor("white"), radius=_RADIUS + 4, width=2.0)
-        if len(self._marks) >= _CROWD:
+        if len(self.marks) >= _CROWD:
             _ring(painter, place, color, radius=_SMALL_RADIUS, width=1.4)
             return
         _ring(painter, place, color, radius=_RADIUS, width=2.0, style=style)

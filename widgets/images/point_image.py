@@ -22,17 +22,14 @@ _DISTANCE = 26
 
 
 class Loupe(QWidget):
-    """Shows the surroundings of a place in an image, enlarged, with a crosshair.
-
-    A ring marks the snapped place; the line below tells the cursor's pixel, its colour, or what a click snaps to.
-    """
+    """Shows the surroundings of a place in an image, enlarged, with a crosshair and a line of words below."""
 
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
         self._pixels: Uint8Array | None = None
         self._image = QImage()  # borrows the memory of the pixels
         self._corner = (0, 0)
-        self._swatch: QColor | None = None
+        self.swatch: QColor | None = None
         self._place = (0.0, 0.0)
         self._snapped: tuple[float, float] | None = None
         self._words = ""
@@ -44,40 +41,34 @@ class Loupe(QWidget):
         return QSize(EDGE, EDGE + 2 * self.fontMetrics().lineSpacing() + 2)
 
     def set_pixels(self, pixels: Uint8Array | None, corner: tuple[int, int] = (0, 0)) -> None:
-        """Take the image, or the part of it that begins at ``corner``: uint8 (h, w, 4), ``QImage.Format_RGB32``."""
+        """Take the image, or the part that begins at ``corner``: uint8 (h, w, 4), ``QImage.Format_RGB32``."""
         self._pixels, self._corner = pixels, corner
         self._image = image_of(pixels)
         self.update()
 
     def show_at(self, cursor: QPointF, place: tuple[float, float]) -> None:
         """Magnify an image place and move beside the cursor (parent coordinates), inside the parent."""
-        self._place, self._snapped, self._swatch, self._words = place, None, None, ""
+        self._place, self._snapped, self.swatch, self._words = place, None, None, ""
         parent = self.parentWidget()
         assert parent is not None
-        x = cursor.x() + _DISTANCE
+        x, y = cursor.x() + _DISTANCE, cursor.y() - self.height() - _DISTANCE / 2
         if x + self.width() > parent.width():
             x = cursor.x() - _DISTANCE - self.width()
-        y = cursor.y() - self.height() - _DISTANCE / 2
         if y < 0:
-            y = cursor.y() + _DISTANCE / 2
-        y = max(0.0, min(y, parent.height() - self.height()))
-        self.move(round(x), round(y))
+            y = min(cursor.y() + _DISTANCE / 2, parent.height() - self.height())
+        self.move(round(x), max(0, round(y)))
         self.show()
         self.raise_()
         self.update()
 
     def set_snapped(self, place: tuple[float, float] | None, words: str) -> None:
-        """Mark the position that a click would set, and say in words what is there."""
+        """Mark by a ring the position that a click would set, and say in words what is there."""
         self._snapped, self._words = place, words
         self.update()
 
     def set_color(self, color: QColor, words: str) -> None:
-        """Say in the line which colour the pixel has, beside a swatch of it."""
-        self._swatch, self._words = color, words
+        self.swatch, self._words = color, words
         self.update()
-
-    def swatch(self) -> QColor | None:
-        return self._swatch
 
     def text(self) -> str:
         return self._words or f"{self._place[0]:.1f}  {self._place[1]:.1f}"
@@ -103,8 +94,8 @@ class Loupe(QWidget):
             painter.drawEllipse(QPointF(middle + u * scale, middle + v * scale), 5, 5)
         painter.setPen(QColor(colors.text))
         line = QRectF(2, EDGE, EDGE - 4, self.height() - EDGE)
-        if self._swatch is not None:
-            painter.fillRect(QRectF(5, EDGE + 4, 2 * _LINE, _LINE - 8), self._swatch)
+        if self.swatch is not None:
+            painter.fillRect(QRectF(5, EDGE + 4, 2 * _LINE, _LINE - 8), self.swatch)
             line.setLeft(2 * _LINE + 8)
         painter.drawText(line, Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap, self.text())
         painter.setPen(QPen(QColor(colors.border), 1))
@@ -117,11 +108,9 @@ _CLICK_SLOP = 3.0
 
 
 class PointImage(ImagePane):
-    """Shows marks over an image and tells what a person does with them.
+    """Shows marks over an image: a click on free ground places a point, a press on a mark selects it, a drag moves it.
 
-    A click on free ground places a point, a drag there pans, the wheel zooms. A press on a mark selects it, and
-    a drag moves it. With the keyboard: arrows nudge by a pixel (Shift: a tenth), Delete
-    removes, Enter and space accept the ghost, + and - zoom, 0 shows all.
+    Keys: arrows nudge by a pixel (Shift: a tenth), Delete removes, Enter and space accept the ghost, + and - zoom.
     """
 
     placed = pyqtSignal(float, float, object)  # u, v, modifiers
@@ -154,17 +143,14 @@ class PointImage(ImagePane):
         self.viewMoved.connect(lambda: setattr(self, "_touched", True))
         self.resized.connect(self._fit_untouched)
 
-    # What is shown
-
     def set_image(self, pixels: Uint8Array | None, message: str = "") -> None:
         """Show uint8 (h, w, 4) as ``QImage.Format_RGB32``, or say why there is none."""
         size = self._size if pixels is None else (pixels.shape[1], pixels.shape[0])
-        changed = size != self._size
+        self._touched = self._touched and size == self._size
         self.set_pixels(pixels, size, 1)
         self.set_message(message if pixels is None else "")
         self.loupe.set_pixels(pixels)
-        if changed or not self._touched:
-            self.show_all()
+        self._fit_untouched()
 
     def set_marks(self, marks: Sequence[Mark]) -> None:
         self.layer.set_marks(marks)
@@ -194,8 +180,6 @@ class PointImage(ImagePane):
         inverse, _ = self.layer.to_screen().inverted()
         place = inverse.map(position)
         return place.x(), place.y()
-
-    # Mouse
 
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
         """Handle marks and clicks; leave panning and zooming to the view."""
@@ -230,8 +214,7 @@ class PointImage(ImagePane):
         return True
 
     def _move(self, event: QMouseEvent) -> bool:
-        place = self.image_place(event.position())
-        self._point_at(event.position(), place)
+        self._point_at(event.position())
         if self._held is None:
             return False
         if self._held_moves or self._went_far(event.position()):
@@ -258,7 +241,8 @@ class PointImage(ImagePane):
         offset = position - (self._pressed_at or position)
         return offset.manhattanLength() > _CLICK_SLOP
 
-    def _point_at(self, position: QPointF, place: tuple[float, float]) -> None:
+    def _point_at(self, position: QPointF) -> None:
+        place = self.image_place(position)
         inside = self._inside(place)
         if self._loupe_wanted and inside:
             self.loupe.show_at(position, place)
@@ -268,8 +252,6 @@ class PointImage(ImagePane):
 
     def _inside(self, place: tuple[float, float]) -> bool:
         return self.image_rect().contains(QPointF(*place))
-
-    # Keyboard
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
         if event is None:

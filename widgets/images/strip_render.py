@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import lru_cache
 from typing import Final
 
 import cv2
@@ -43,11 +42,10 @@ class MaskView(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class StripImages:
-    """One frame's images, all in every ``stride``-th proximity depth pixel, (H, W).
+    """One frame's images, (H, W) of every ``stride``-th proximity pixel; nan where there is no depth.
 
-    ``mask_overlay`` is where the colour is the mask's. Depths are in metres, ``relative`` is (dp - dt) / dp; nan where
-    there is none. Relative differences within ``tolerance`` are shown as a band, ``contact`` is outlined. ``size`` is
-    width and height of the proximity depth image.
+    ``mask_overlay`` is where the colour is the mask's, ``relative`` is (dp - dt) / dp, ``size`` is width and height of
+    the whole image.
     """
 
     color: Uint8Array
@@ -65,11 +63,9 @@ class StripImages:
 
 @dataclass(frozen=True, eq=False)
 class RenderedStrip:
-    """What the strip shows.
+    """The strip's panes, uint8 (h, w, 4) as ``QImage.Format_RGB32``: colour, both depths, relative difference.
 
-    ``panes`` are colour, proximity depth, tactile depth and relative difference, uint8 (h, w, 4) as
-    ``QImage.Format_RGB32``; pixel (i, j) shows image pixel (i, j) times ``stride``. ``size`` is width and height of the
-    image itself. ``masked_share`` is left to the caller of `render_strip`; None without a mask.
+    ``size`` is width and height of the whole image. ``masked_share`` is left to the caller; None without a mask.
     """
 
     panes: tuple[Uint8Array, ...]
@@ -83,18 +79,19 @@ class RenderedStrip:
 
 def render_strip(images: StripImages) -> RenderedStrip:
     limit = max(DIFFERENCE_LIMIT, 2.0 * images.tolerance)
+    depths, differences = _pack_lut(depth_lut()), _pack_lut(difference_lut(round(images.tolerance, 6), limit))
     packed = (
         _colored(images.color, images.mask_overlay, images.mask_view),
-        _lookup(_depth_index(images.proximity_m, images.depth_range_m), _packed_depth_lut()),
-        _lookup(_depth_index(images.tactile_m, images.depth_range_m), _packed_depth_lut()),
-        _lookup(difference_index(images.relative, limit), _packed_difference_lut(round(images.tolerance, 6), limit)),
+        np.take(depths, _depth_index(images.proximity_m, images.depth_range_m)),
+        np.take(depths, _depth_index(images.tactile_m, images.depth_range_m)),
+        np.take(differences, difference_index(images.relative, limit)),
     )
     if images.contact is not None:
         outline = _outline(images.contact)
         for pane in packed:
             pane[outline] = _pack_rgb(CONTACT_RGB)
     return RenderedStrip(
-        panes=tuple(map(_as_bytes, packed)),
+        panes=tuple(np.ascontiguousarray(pane).view(np.uint8).reshape(*pane.shape, 4) for pane in packed),
         size=images.size,
         stride=images.stride,
         depth_range_m=images.depth_range_m,
@@ -133,26 +130,8 @@ def _outline(region: BoolArray) -> BoolArray:
     return np.asarray(closed != cv2.erode(closed, _KERNEL))
 
 
-def _lookup(rows: Uint8Array, lut: _Packed) -> _Packed:
-    return np.take(lut, rows)
-
-
-def _as_bytes(packed: _Packed) -> Uint8Array:
-    return np.ascontiguousarray(packed).view(np.uint8).reshape(*packed.shape, 4)
-
-
 def _pack_rgb(rgb: tuple[int, int, int]) -> np.uint32:
     return np.uint32(0xFF000000 | rgb[0] << 16 | rgb[1] << 8 | rgb[2])
-
-
-@lru_cache(maxsize=1)
-def _packed_depth_lut() -> _Packed:
-    return _pack_lut(depth_lut())
-
-
-@lru_cache(maxsize=32)
-def _packed_difference_lut(tolerance: float, limit: float) -> _Packed:
-    return _pack_lut(difference_lut(tolerance, limit))
 
 
 def _pack_lut(lut: Uint8Array) -> _Packed:

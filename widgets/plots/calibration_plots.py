@@ -31,7 +31,6 @@ class CoverageGrid(QWidget):
         return QSize(160, 120)
 
     def set_coverage(self, cells: Sequence[Sequence[int]], depths_mm: Sequence[float]) -> None:
-        """Show counts by rows, top first, and the depths of the points in millimetres."""
         self._cells = tuple(tuple(row) for row in cells)
         self._depths_mm = tuple(depths_mm)
         empty = sum(count == 0 for row in self._cells for count in row)

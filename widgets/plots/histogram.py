@@ -23,10 +23,9 @@ from .plot import Plot
 
 @dataclass(frozen=True)
 class Quantity:
-    """What a histogram counts. A value times ``factor`` is what the axis shows, in ``unit``.
+    """What a histogram counts; a value times ``factor`` is what the axis shows, in ``unit``.
 
-    ``limits`` are the smallest and largest limit that can be dragged. ``symmetric``: the limit holds on both sides of
-    zero; else values begin at zero.
+    ``limits`` is the range in which the limit can be dragged. ``symmetric``: the limit holds on both sides of zero.
     """
 
     name: str
@@ -41,16 +40,15 @@ class Quantity:
 RELATIVE_DIFFERENCE: Final = Quantity(
     "Histogram of relative differences",
     "(dp − dt) / dp",
-    "Relative differences (dp - dt) / dp of the latest frame in percent. "
-    "Points between the lines pass the tolerance test, in per cent of all pixels with both depths; drag a line to "
-    "change t.",
+    "Relative differences (dp - dt) / dp of the latest frame in percent. Between the lines a point passes the "
+    "tolerance test; drag a line to change t.",
     100.0, "%", (0.001, 1.0), True,
 )  # fmt: skip
 GAP: Final = Quantity(
     "Histogram of gaps",
     "gap in equilibrium",
-    "Gaps between membrane and object in the latest frame in millimetres, in the membrane's equilibrium. "
-    "Pixels left of the line are in contact; drag it to change the largest gap. A much taller bar at 0 is cut off.",
+    "Gaps between membrane and object in the latest frame in millimetres. Pixels left of the line are in contact; "
+    "drag it to change the largest gap. A much taller bar at 0 is cut off.",
     1000.0, "mm", (0.0, 0.005), False,
 )  # fmt: skip
 
@@ -70,8 +68,7 @@ class _Axis(pg.AxisItem):  # type: ignore[misc]  # pyqtgraph has no types
 class LimitHistogram(QWidget):
     """Counts of a quantity; what lies within the limit is in the accent colour."""
 
-    #: Limit, gesture: a line was dragged; in a symmetric histogram the other one mirrors it.
-    limitEdited = pyqtSignal(float, int)
+    limitEdited = pyqtSignal(float, int)  # limit, gesture: a line was dragged
 
     def __init__(self, quantity: Quantity, limit: float) -> None:
         super().__init__()
@@ -111,10 +108,9 @@ class LimitHistogram(QWidget):
     def set_data(
         self, counts: AnyArray, edges: npt.NDArray[np.floating], limit: float | None = None, known: int = 0
     ) -> None:
-        """Show other counts, (N,), between increasing edges, (N + 1,).
+        """Show counts, (N,), between increasing edges, (N + 1,); ``known`` counts the values beyond them too.
 
-        ``limit`` moves the lines too, unless one is being dragged. ``known`` is the number of all values, with those
-        beyond the edges; then the caption tells the share within the lines.
+        ``limit`` moves the lines, unless one is being dragged.
         """
         self._known = known
         self._counts = np.asarray(counts, dtype=np.float64)
@@ -176,7 +172,7 @@ class LimitHistogram(QWidget):
         self._caption.setText(self.caption())
 
     def caption(self) -> str:
-        """Return what stands in the corner: the share of all values within both lines, else the quantity."""
+        """Return the share of all values within both lines, else the quantity."""
         if not (self._quantity.symmetric and self._known):
             return self._quantity.caption
         counted = np.concatenate([[0.0], np.cumsum(self._counts)])

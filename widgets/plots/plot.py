@@ -18,10 +18,7 @@ class _Axis(pg.AxisItem):  # type: ignore[misc]
 
 
 class Plot(pg.PlotWidget):  # type: ignore[misc]  # pyqtgraph has no types
-    """A plot without a menu and buttons whose background, axes and legend follow the theme.
-
-    ``bottom`` and ``left`` are titles of the axes, with their units. Only if ``movable`` the mouse moves and scales it.
-    """
+    """A plot without menu and buttons that follows the theme; only if ``movable`` the mouse moves and scales it."""
 
     def __init__(
         self, bottom: str = "", left: str = "", *, movable: bool = False, axes: dict[str, pg.AxisItem] | None = None
@@ -48,10 +45,7 @@ class Plot(pg.PlotWidget):  # type: ignore[misc]  # pyqtgraph has no types
         return item.legend
 
     def follow_theme(self, recolor: Callable[[ThemeColors], object] | None = None) -> None:
-        """Colour the plot now and when the theme changes; then ``recolor`` colours its curves.
-
-        Call it when all curves and the legend are there.
-        """
+        """Colour the plot now and when the theme changes; then ``recolor`` colours its curves."""
         self._recolor = recolor or (lambda _colors: None)
         self._apply_theme()
 

@@ -22,10 +22,7 @@ _GAP_S: Final = 2.0
 
 
 class PosePlot(QWidget):
-    """Residual and error of the position in millimetres, error of the rotation in degrees, over time in seconds.
-
-    The rotation's plot is hidden while no error is known.
-    """
+    """Residual and error of the position, mm, and error of the rotation, degrees, over time, s."""
 
     def __init__(self) -> None:
         super().__init__()

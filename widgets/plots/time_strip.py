@@ -45,8 +45,6 @@ _HEIGHT = 84
 #: Resolution of the shading of frames that are not computed yet, columns.
 _COLUMNS = 1000
 _NO_TRUTH = "This source does not know the true contact"
-#: More markers than these are drawn without their names.
-_MOST_NAMED: Final = 100
 #: The smallest part of a recording that zooming shows, frames.
 _MIN_FRAMES = 10
 
@@ -129,8 +127,6 @@ class TimeStrip(QWidget):
         layout.setColumnStretch(1, 1)
         self.plot_widget.follow_theme(self._recolor)
 
-    # Building
-
     def _make_curve_box(self) -> ChoiceBox:
         box = ChoiceBox()
         box.setAccessibleName("Curve of the time strip")
@@ -178,8 +174,6 @@ class TimeStrip(QWidget):
         for action in actions:
             self._buttons.insertWidget(self._buttons.count() - 1, action_button(action))
 
-    # What is shown
-
     @property
     def curve(self) -> Curve:
         return CURVES[self.curve_box.currentIndex()]
@@ -195,10 +189,9 @@ class TimeStrip(QWidget):
         computed: BoolArray,
         former: Mapping[str, Float64Array] | None = None,
     ) -> None:
-        """Show the frames of a recording.
+        """Show the frames of a recording: ``seconds`` since the first one, and ``values`` by the keys of `CURVES`.
 
-        ``seconds``, float64 (N,), is the time of each frame since the first one; ``values``, by the keys of `CURVES`,
-        are nan where unknown. ``former`` is an older series, drawn behind in grey.
+        Values are nan where unknown. ``former`` is an older series, drawn behind in grey.
         """
         whole = self._live or len(seconds) != len(self._seconds) or self._box.viewRange()[0] == [0.0, self._end_s()]
         self._live = False
@@ -226,7 +219,7 @@ class TimeStrip(QWidget):
             self._place_cursor()
 
     def set_trim(self, trim: tuple[int, int] | None) -> None:
-        """Shade what lies outside the in and out marks: the first frame, and the one behind the last."""
+        """Shade what lies outside the in and out marks (first frame, the one behind the last)."""
         self._trim = trim
         self._place_marks()
 
@@ -251,8 +244,6 @@ class TimeStrip(QWidget):
         """Return where a frame's time is drawn, in coordinates of `plot_widget`."""
         scene = self._box.mapViewToScene(QPointF(float(self._seconds[index]), 0.0))
         return QPointF(self.plot_widget.mapFromScene(scene))
-
-    # Steps
 
     def _end_s(self) -> float:
         return max(float(self._seconds[-1]), 1e-3)
@@ -311,22 +302,13 @@ class TimeStrip(QWidget):
         self._flags = []
         length = len(self._seconds)
         shown = [] if self._live else sorted(mark for mark in self._markers if mark[0] < length)
-        if len(shown) > _MOST_NAMED:  # names would cover each other, and so many items make the window slow
-            ticks = pg.VTickGroup(
-                self._seconds[[frame for frame, _ in shown]], (0.0, 1.0), pg.mkPen(colors.accent_text)
-            )
-            self._plot.addItem(ticks, ignoreBounds=True)
-            self._flags.append(ticks)
-        else:
-            for number, (frame, name) in enumerate(shown):
-                height = 0.4 if number % 2 else 0.86  # two rows, so that names of neighbours do not overlap
-                flag = pg.InfiniteLine(
-                    float(self._seconds[frame]), angle=90, pen=pg.mkPen(colors.accent_text, style=Qt.PenStyle.DashLine),
-                    label=name, labelOpts={"position": height, "anchors": [(0, 0.5), (1, 0.5)], "color": colors.text,
-                               "fill": colors.alternate},
-                )  # fmt: skip
-                self._plot.addItem(flag, ignoreBounds=True)
-                self._flags.append(flag)
+        pen = pg.mkPen(colors.accent_text, style=Qt.PenStyle.DashLine)
+        for number, (frame, name) in enumerate(shown):
+            label = {"anchors": [(0, 0.5), (1, 0.5)], "color": colors.text, "fill": colors.alternate}
+            label["position"] = 0.4 if number % 2 else 0.86  # two rows, so that names of neighbours do not overlap
+            flag = pg.InfiniteLine(float(self._seconds[frame]), angle=90, pen=pen, label=name, labelOpts=label)
+            self._plot.addItem(flag, ignoreBounds=True)
+            self._flags.append(flag)
         marked = self._trim is not None and length > 0 and not self._live
         for part in self._outside:
             part.setVisible(marked)
@@ -357,19 +339,16 @@ class TimeStrip(QWidget):
         if not len(self._seconds):
             return
         index, curve = self._frame_at(time_s), self.curve
-        value = self._values[curve.key][index] * curve.factor
-        known = (
-            f"{minus(format_number(float(value), 3))} {curve.unit}".rstrip() if math.isfinite(value) else "not known"
-        )
+        value = float(self._values[curve.key][index]) * curve.factor
+        known = f"{minus(format_number(value, 3))} {curve.unit}".rstrip() if math.isfinite(value) else "not known"
         names = [name for frame, name in self._markers if frame == index]
         place = f"{self._seconds[index]:.1f} s" + ("" if self._live else f", frame {index + 1}")
         self._write("  ".join([*names, f"{place}: {known}"]))
 
     def _show_words(self) -> None:
-        known = self._values.get(self.curve.key)
-        empty = known is not None and bool(self._computed.any()) and not np.isfinite(known).any()
-        words = self._words or (_NO_TRUTH if empty and self.curve.key == "iou" else "")
-        self._write(words)
+        overlap = self._values.get("iou") if self.curve.key == "iou" else None
+        empty = overlap is not None and bool(self._computed.any()) and not np.isfinite(overlap).any()
+        self._write(self._words or (_NO_TRUTH if empty else ""))
 
     def _write(self, text: str) -> None:
         room = int(max(100, self._box.width() - 16))

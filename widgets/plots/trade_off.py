@@ -38,9 +38,9 @@ class TradeOffPlot(QWidget):
     def __init__(self) -> None:
         super().__init__()
         self._dots: dict[int, Dot] = {}
-        self._front: tuple[int, ...] = ()
+        self.front: tuple[int, ...] = ()
         self._present = -1
-        self._number = -1
+        self.number = -1
         self.plot_widget = Plot()
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAccessibleName("Trials: time against error")
@@ -61,35 +61,27 @@ class TradeOffPlot(QWidget):
             self._plot.setLabel(axis, text)
 
     def set_dots(self, dots: Sequence[Dot], front: Sequence[int], present: int = -1) -> None:
-        """Show other dots, with the numbers of those that no other beats, and of the present preset, -1 for none."""
+        """Show other dots, the front of those that no other beats, and the present preset, -1 for none."""
         self._dots = {dot.number: dot for dot in dots}
-        self._front = tuple(sorted((n for n in front if n in self._dots), key=lambda n: self._dots[n].x))
+        self.front = tuple(sorted((n for n in front if n in self._dots), key=lambda n: self._dots[n].x))
         self._present = present
-        if self._number not in self._dots:
-            self._number = -1
+        if self.number not in self._dots:
+            self.number = -1
         self._draw()
 
-    @property
-    def front(self) -> tuple[int, ...]:
-        return self._front
-
-    @property
-    def number(self) -> int:
-        return self._number
-
     def choose(self, number: int) -> None:
-        self._number = number
+        self.number = number
         self._draw()
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
         assert event is not None
         steps = {Qt.Key.Key_Left: -1, Qt.Key.Key_Right: 1}
-        if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter) and self._number >= 0:
+        if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter) and self.number >= 0:
             self.accepted.emit()
-        elif event.key() in steps and self._front:
+        elif event.key() in steps and self.front:
             step = steps[Qt.Key(event.key())]
-            at = self._front.index(self._number) + step if self._number in self._front else min(0, step)
-            self._choose(self._front[at % len(self._front)])
+            at = self.front.index(self.number) + step if self.number in self.front else min(0, step)
+            self._choose(self.front[at % len(self.front)])
         else:
             super().keyPressEvent(event)
 
@@ -97,7 +89,7 @@ class TradeOffPlot(QWidget):
         colors = theme_colors()
         for side in ("left", "bottom"):
             self._plot.getAxis(side).setStyle(showValues=bool(self._dots))  # the numbers of an empty plot mean nothing
-        front = set(self._front)
+        front = set(self.front)
         self.scatter.setData(
             [
                 {
@@ -111,10 +103,10 @@ class TradeOffPlot(QWidget):
                 for dot in sorted(self._dots.values(), key=lambda dot: dot.number in front)
             ]
         )
-        line = [self._dots[number] for number in self._front]
+        line = [self._dots[number] for number in self.front]
         self._line.setData([dot.x for dot in line], [dot.y for dot in line])
         self._line.setPen(pg.mkPen(colors.accent, width=1.5))
-        chosen = self._dots.get(self._number)
+        chosen = self._dots.get(self.number)
         self._ring.setData([{"pos": (chosen.x, chosen.y)}] if chosen else [])
         self._ring.setBrush(pg.mkBrush(None))
         self._ring.setPen(pg.mkPen(colors.text, width=2))
