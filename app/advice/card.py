@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtGui import QFont, QPalette
+from PyQt6.QtGui import QColor, QFont, QPalette
 from PyQt6.QtWidgets import QCheckBox, QFrame, QGridLayout, QLabel, QVBoxLayout, QWidget
 
 from ...core.model.arrays import Uint8Array
@@ -16,7 +16,7 @@ from ...core.tuning.advice.proposal import MaskLabel, Proposal
 from ...widgets.basics.controls import NoteLabel
 from ...widgets.basics.fields import field_spec
 from ...widgets.basics.layouts import hbox
-from ...widgets.images.image_pane import ImagePane, Swatch
+from ...widgets.images.image_pane import ImagePane
 from ...widgets.parameters.parameter_panel import SECTIONS
 from ..calibration.pictures import pack_rgb
 
@@ -124,8 +124,7 @@ def _mask_picture(labels: Uint8Array) -> QWidget:
     pane = ImagePane("Prints under this mask")
     height, width = labels.shape
     pane.set_pixels(pack_rgb(colors[labels]), (width, height), 1)
-    pane.header.set_legend(None, tuple(Swatch(*_LABELS[label]) for label in _IN_LEGEND))
-    pane.header.set_lines(2)
+    pane.set_legend([(text, QColor(*rgb)) for text, rgb in (_LABELS[label] for label in _IN_LEGEND)])
     pane.setFixedHeight(220)
     pane.resized.connect(lambda: pane.show_rect(pane.image_rect()))
     return pane

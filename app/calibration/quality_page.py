@@ -19,10 +19,10 @@ from ...core.calibration.quality import millimetres_per_pixel
 from ...core.calibration.report import grade
 from ...core.model.arrays import Uint8Array
 from ...core.model.frames import SensorFrame
+from ...widgets.basics.colormaps import ends_legend
 from ...widgets.basics.controls import AccentButton, wrapped_label
 from ...widgets.basics.layouts import STRETCH, hbox, scrolling, vbox
 from ...widgets.basics.theme import TextSize, text_font
-from ...widgets.images.image_pane import ColorBar
 from ...widgets.images.point_image import PointImage
 from ...widgets.plots.calibration_plots import CoverageGrid
 from ..worker.jobs import Job
@@ -246,11 +246,11 @@ class QualityPage(QWidget):
         self._mapped = True
         self._show_marks()
         unit = list(_UNITS)[self.units.checkedId()]
-        self.map.header.set_legend(ColorBar(f"{drawn.low:.2f} {unit}", f"{drawn.high:.2f} {unit}", uncertainty_lut()))
+        self.map.set_legend(ends_legend(f"{drawn.low:.2f} {unit}", f"{drawn.high:.2f} {unit}", uncertainty_lut()))
 
     def _show_no_map(self, why: str) -> None:
         self.map.set_image(None, why)
-        self.map.header.set_legend(None)
+        self.map.set_legend([])
         self._mapped = False
         self._show_marks()
 

@@ -18,7 +18,7 @@ from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..context import SOURCE, Context
 from ..worker.results import CloudName, Result, SourceState
-from .eyedropper import hsv_words
+from .pointing import hsv_words
 from .status import FrameStatus
 from .toolbar import Transport
 from .view_area import ViewArea

@@ -1,13 +1,11 @@
-"""The Help menu: guide, shortcuts, checks of this computer, and what the program is made of."""
+"""The Help menu: guide, shortcuts, the checks of ``tactune doctor`` and what the program is made of."""
 
 from __future__ import annotations
 
 import platform
-import re
 from collections.abc import Iterable
-from contextlib import suppress
 from html import escape
-from importlib.metadata import PackageNotFoundError, requires, version
+from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 
@@ -15,15 +13,17 @@ from PyQt6.QtCore import QT_VERSION_STR, Qt, QUrl
 from PyQt6.QtGui import QAction, QDesktopServices
 from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QLabel, QMessageBox, QScrollArea, QWidget
 
-from ...widgets.basics.controls import dialog_buttons
+from ...widgets.basics.controls import copy_text, dialog_buttons, push_button, wrapped_label
+from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.icons import app_icon
 from ...widgets.basics.layouts import vbox
 from ...widgets.basics.messages import Messages, Severity
+from ...widgets.basics.record_table import Column, RecordTable
 from ..context import TASK
+from ..doctor.checks import Check, State
+from ..doctor.report import check_computer, report
+from ..worker.jobs import Job
 from .actions import plain_text
-
-#: The extras that running needs; the others are for development.
-_RUNS = re.compile(r'extra == "(gui|realsense|open3d|tune|live)"')
 
 
 def guide_file() -> Path:
@@ -78,29 +78,18 @@ def show_shortcuts(parent: QWidget, actions: Iterable[QAction]) -> None:
 
 
 def show_about(parent: QWidget) -> None:
-    """Show name, version, licences and the versions of what this window runs with."""
     box = QMessageBox(parent)
     box.setWindowTitle("About Tactune")
     box.setIconPixmap(app_icon().pixmap(64, 64))
     box.setText(f"<b>Tactune {version('tactune')}</b>")
     box.setInformativeText(
         "Calibrate and tune a soft-membrane tactile sensor with two depth cameras, then run it headless.\n\n"
-        "MIT licence. Qt and PyQt6: GPL v3. Icons: Material Design Icons, Apache License 2.0.\n\n" + versions()
+        "MIT licence. Qt and PyQt6: GPL v3. Icons: Material Design Icons, Apache License 2.0.\n\n"
+        f"Python {platform.python_version()}, Qt {QT_VERSION_STR}; tactune doctor lists the packages."
     )
     box.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
     box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
     box.open()
-
-
-def versions() -> str:
-    """Return the versions of Python, Qt and the packages that Tactune runs with, as far as they are installed."""
-    needed = [line for line in requires("tactune") or () if "extra" not in line or _RUNS.search(line)]
-    names = sorted({re.split(r"[^\w.-]", line, maxsplit=1)[0] for line in needed}, key=str.lower)
-    found = [f"Python {platform.python_version()}", f"Qt {QT_VERSION_STR}"]
-    for name in names:
-        with suppress(PackageNotFoundError):
-            found.append(f"{name} {version(name)}")
-    return ", ".join(found) + "."
 
 
 def _keys(action: QAction) -> str:
@@ -110,3 +99,54 @@ def _keys(action: QAction) -> str:
 
 def _row(left: str, right: str) -> str:
     return f'<tr><td style="padding-right: 24px"><b>{escape(left)}</b></td><td>{escape(right)}</td></tr>'
+
+
+_WORDS = {State.OK: "✓ ok", State.WARN: "! warning", State.FAIL: "✕ failed"}
+_COLORS = {State.OK: "", State.WARN: "warning", State.FAIL: "error"}
+_COLUMNS = (
+    Column("Check", lambda line: line.name, "What was checked"),
+    Column("Result", lambda line: _WORDS[line.state], "As needed, or not", color=lambda line: _COLORS[line.state]),
+    Column("Found, and what to do", lambda line: f"{line.found}\n{line.remedy}".strip(), "With a remedy", stretch=True),
+)
+
+
+class ComputerWindow(QDialog):
+    """A table of what was checked and found, with a remedy for each problem. The checks run on another thread."""
+
+    def __init__(self, parent: QWidget) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Check this computer")
+        self._lines: list[Check] = []
+        self._job = Job(self)
+        self._job.done.connect(self._show)
+        self._job.failed.connect(self._end)
+        self.finished.connect(self._job.stop)  # each check ends by itself within its time limit
+        self.status = wrapped_label()
+        self.table = RecordTable(_COLUMNS, "Checks of this computer", "What was checked and found", wraps=True)
+        self.again = push_button("Check &again", "Run all checks again")
+        self.copy = push_button("&Copy as text", "Copy the report to the clipboard")
+        self.again.clicked.connect(self.open)
+        self.copy.clicked.connect(lambda: copy_text(report(self._lines)))
+        buttons = dialog_buttons(QDialogButtonBox.StandardButton.Close)
+        for button in (self.again, self.copy):
+            buttons.addButton(button, QDialogButtonBox.ButtonRole.ActionRole)
+        buttons.rejected.connect(self.close)
+        vbox(self.status, self.table, buttons, within=self)
+        self.resize(760, 560)
+
+    def open(self) -> None:
+        """Show the window and run all checks, unless they run already."""
+        bring_up(self)
+        if not self._job.busy:
+            self._end("Checking packages, cameras and the display; this takes some seconds…", running=True)
+            self._job.start(lambda _: check_computer())
+
+    def _show(self, lines: list[Check]) -> None:
+        self._lines = lines
+        self.table.set_records(lines)
+        self._end(report(lines).splitlines()[-1] + ". Warnings concern only some uses.")
+
+    def _end(self, sentence: str, running: bool = False) -> None:
+        self.status.setText(sentence)
+        for button in (self.again, self.copy):
+            button.setEnabled(not running)

@@ -45,20 +45,17 @@ from ..worker.results import Result, SourceInfo, Wanted
 from ..worker.worker import Worker
 from .actions import THEMES, Actions, make_menus
 from .comparison import ComparisonControl, ComparisonPanel
-from .computer_window import ComputerWindow
 from .contact_list import ContactList
-from .eyedropper import Eyedropper
 from .files import FileFlows
 from .findings import FindingsControl
 from .frame_presenter import FramePresenter
-from .help import open_guide, show_about, show_shortcuts
-from .pointing import Pointing
+from .help import ComputerWindow, open_guide, show_about, show_shortcuts
+from .pointing import Eyedropper, Pointing
 from .publishing import PublishControl
 from .recording import RecordingBar, RecordingControl
 from .status import FrameStatus
 from .toolbar import ToolBar, Transport, fill_on_opening
-from .view_area import StripSplitter, ViewArea
-from .view_parts import ViewParts
+from .view_area import StripSplitter, ViewArea, ViewParts
 
 #: Size of the first window, pixels: at least, and at most on a large screen.
 DEFAULT_SIZE = QSize(1280, 800)

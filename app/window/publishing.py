@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Any
 
@@ -25,13 +23,11 @@ from PyQt6.QtWidgets import (
 
 from ...core.errors import PresetError, counted
 from ...core.output.connections import LOOPBACK, Connections
-from ...widgets.basics.controls import AccentButton, NoteLabel, caption, dialog_buttons, push_button
+from ...widgets.basics.controls import AccentButton, NoteLabel, caption, dialog_buttons
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.layouts import STRETCH, vbox
-from ...widgets.basics.messages import Severity
-from ..context import TASK, Context
+from ..context import Context
 from ..document.document import describe_edit
-from ..worker.errors import explain
 from ..worker.jobs import Job
 
 if TYPE_CHECKING:
@@ -79,11 +75,7 @@ class PublishWindow(QDialog):
         self.start = AccentButton("&Start publishing", "Let clients connect, or disconnect them all and stop listening")
         self.state = NoteLabel(_OFF, lines=4)
         self.state.setAccessibleName("Who listens")
-        self.layout_file = push_button(
-            "Save Foxglove &layout…", "Save the layout that shows all topics in the Foxglove app"
-        )
         buttons = dialog_buttons(QDialogButtonBox.StandardButton.Close)
-        buttons.addButton(self.layout_file, QDialogButtonBox.ButtonRole.ActionRole)
         buttons.rejected.connect(self.close)
         vbox(grid, self.settable, self.note, self.start, self.state, STRETCH, buttons, within=self)
         self.resize(460, 340)
@@ -177,7 +169,6 @@ class PublishControl(QObject):
         for opener in (action.triggered, indicator.clicked):
             opener.connect(lambda: bring_up(self.window))
         self.window.start.clicked.connect(self._switch)
-        self.window.layout_file.clicked.connect(self._ask_layout)
         self._set_by_client.connect(self._edit)  # from a thread of the server
         context.document.presetChanged.connect(self._pass_on)
 
@@ -261,22 +252,6 @@ class PublishControl(QObject):
         """Remember all but who may do what: listening beyond this computer and setting are asked for each time."""
         kept = replace(connections, host=LOOPBACK, settable=False)
         self._context.settings.set("publish", TypeAdapter(Connections).dump_json(kept).decode())
-
-    def _ask_layout(self) -> None:
-        self._context.dialogs.over(self.window).save_file(
-            "export", "Save Foxglove layout", "tactune-foxglove.json", ["Foxglove layouts (*.json)"], self._save_layout
-        )
-
-    def _save_layout(self, path: Path) -> None:
-        from ...core.output.foxglove import save_layout
-
-        show = partial(self._context.messages.show_message, "foxglove layout", subject=TASK)
-        try:
-            save_layout(path)
-        except Exception as error:
-            show(Severity.ERROR, explain(error, f"{path} could not be saved"))
-            return
-        show(Severity.INFO, f"Saved {path}. In Foxglove: Layouts, Import from file.")
 
 
 def _in_words(state: OutputStatus) -> str:

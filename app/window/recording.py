@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from threading import Thread
 
@@ -212,7 +213,7 @@ class RecordingControl(QObject):
             sentence = f"Recorded {status.path.name}: {clock(status.seconds)}, {frames}, {size(status.bytes)}."
             offers = [
                 ("Open recording", lambda: self._context.sourceRequested.emit(name)),
-                ("Show in folder", lambda: QDesktopServices.openUrl(QUrl.fromLocalFile(str(status.path.parent)))),
+                ("Show in folder", partial(QDesktopServices.openUrl, QUrl.fromLocalFile(str(status.path.parent)))),
             ]
         else:
             sentence = f"Nothing was recorded: {status.error.rstrip('.') or 'no frame came'}."

@@ -6,11 +6,12 @@ import time
 
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QShowEvent
-from PyQt6.QtWidgets import QGridLayout, QLabel, QPushButton, QStatusBar
+from PyQt6.QtWidgets import QLabel, QPushButton, QStatusBar
 
 from ...core.errors import counted, minus
 from ...widgets.basics.controls import ElidedLabel, number_label
 from ...widgets.basics.icons import icon
+from ...widgets.basics.layouts import vbox
 from ...widgets.basics.messages import Card
 from ..worker.playback import PlaybackState
 from ..worker.results import RateMeter, Result, SourceInfo, SourceState
@@ -20,18 +21,6 @@ INTERVAL_S = 0.2
 #: Times below this are shown as 0: the stage is cached or was skipped.
 _MIN_SHOWN_MS = 0.05
 
-_DETAILS = {
-    "Shown": "Frames per second drawn in this window",
-    "Computed": "Frames per second processed; higher than shown where the views are slower",
-    "Dropped": "Frames not drawn because a newer one was ready, or lost in transfer",
-    "Unmatched": "Images without a partner from the other camera in time",
-    "Skew": "Tactile minus proximity time stamp, in milliseconds",
-    "Patch": "Points of the patch, and the number of frames that were averaged",
-    "Stages": "Milliseconds of processing per stage; a stage that is cached or skipped is left out",
-    "Reading": "Milliseconds for reading the frame from the source",
-    "Drawing": "Milliseconds for drawing images and clouds for the window",
-}
-
 
 class FrameDetails(Card):
     """The numbers of the newest frame that the status bar does not show: rates, losses, skew and times."""
@@ -39,22 +28,14 @@ class FrameDetails(Card):
     def __init__(self) -> None:
         super().__init__()
         self.setAccessibleName("Details of the frame")
-        self.numbers: dict[str, QLabel] = {}
+        self.setToolTip("A stage that is cached or skipped is left out. Unmatched: images without a partner in time")
         self._result: Result | None = None
         self._shown_fps = 0.0
-        grid = QGridLayout(self)
-        grid.setContentsMargins(8, 4, 8, 4)
-        grid.setVerticalSpacing(0)
-        grid.setColumnStretch(1, 1)
-        for row, (name, tip) in enumerate(_DETAILS.items()):
-            title, number = QLabel(name), QLabel()
-            self.numbers[name] = number
-            number.setWordWrap(True)
-            for column, label in enumerate((title, number)):
-                label.setToolTip(tip)
-                grid.addWidget(label, row, column, Qt.AlignmentFlag.AlignTop)
-        stages = self.numbers["Stages"]
-        stages.setMinimumHeight(2 * stages.fontMetrics().lineSpacing())  # two lines at most, so that nothing moves
+        self.label = QLabel()
+        self.label.setWordWrap(True)
+        self.label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.label.setMinimumHeight(10 * self.label.fontMetrics().lineSpacing())  # so that nothing moves
+        vbox(self.label, within=self, margins=(8, 4, 8, 4))
         self.hide()
 
     def show_result(self, result: Result, shown_fps: float) -> None:
@@ -74,21 +55,22 @@ class FrameDetails(Card):
         patch, runs = result.patch, result.playback.running
         stages = {} if patch is None else patch.stage_ms
         computed = [f"{stage} {ms:.1f}" for stage, ms in stages.items() if ms >= _MIN_SHOWN_MS]
+        times = f"{' + '.join(computed)} = {sum(stages.values()):.1f} ms" if computed else "unchanged"
         points = "none" if patch is None else counted(len(patch.points), "point")
         if patch is not None and patch.averaged_frames > 1:
             points += f", mean of {patch.averaged_frames} frames"
-        for name, text in {
-            "Shown": f"{self._shown_fps:.0f} fps" if runs else "paused",
-            "Computed": f"{result.processed_fps:.0f} fps" if runs else "paused",
-            "Dropped": str(result.dropped),
-            "Unmatched": str(result.unmatched),
-            "Skew": minus(f"{1e3 * result.frame.skew_s:z.1f} ms"),
-            "Patch": points,
-            "Stages": f"{' + '.join(computed)} = {sum(stages.values()):.1f} ms" if computed else "unchanged",
-            "Reading": f"{result.read_ms:.1f} ms",
-            "Drawing": f"{result.render_ms:.1f} ms",
-        }.items():
-            self.numbers[name].setText(text)
+        lines = (
+            f"Drawn: {self._shown_fps:.0f} frames/s" if runs else "Drawn: paused",
+            f"Computed: {result.processed_fps:.0f} frames/s" if runs else "Computed: paused",
+            f"Dropped: {result.dropped}",
+            f"Unmatched: {result.unmatched}",
+            f"Skew, tactile minus proximity: {minus(f'{1e3 * result.frame.skew_s:z.1f} ms')}",
+            f"Patch: {points}",
+            f"Reading: {result.read_ms:.1f} ms",
+            f"Drawing: {result.render_ms:.1f} ms",
+            f"Stages: {times}",
+        )
+        self.label.setText("\n".join(lines))
 
 
 class FrameStatus(QStatusBar):

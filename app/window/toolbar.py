@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtGui import QKeyEvent
+from PyQt6.QtGui import QFocusEvent, QKeyEvent
 from PyQt6.QtWidgets import (
     QAbstractSpinBox,
     QMenu,
@@ -40,9 +40,7 @@ class FrameNumber(QSpinBox):
         self.setPrefix("frame ")
         self.setButtonSymbols(QAbstractSpinBox.ButtonSymbols.NoButtons)  # Previous and Next stand beside it
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)  # not by the wheel: while it has the focus it stands still
-        self.setKeyboardTracking(False)  # a number counts once it is finished
         self._show()
-        self.valueChanged.connect(lambda number: self.sought.emit(number - 1))
 
     def show_frame(self, index: int, length: int | None) -> None:
         """Show a frame; what a person types stays until it is finished."""
@@ -52,19 +50,18 @@ class FrameNumber(QSpinBox):
             self._show()
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Leave with Enter or Esc, and follow the frames again."""
+        super().keyPressEvent(event)
         key = event.key() if event is not None else 0
-        if key == Qt.Key.Key_Escape:
-            self._show()
-        elif key in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
-            before = self.value()
+        if key in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
             self.interpretText()
-            if self.value() == before:  # that of a frame shown before, perhaps: others came since
-                self.sought.emit(before - 1)
-        else:
-            super().keyPressEvent(event)
-            return
-        self.clearFocus()
+            self.sought.emit(self.value() - 1)
+        if key in (Qt.Key.Key_Return, Qt.Key.Key_Enter, Qt.Key.Key_Escape):
+            self.clearFocus()
+
+    def focusOutEvent(self, event: QFocusEvent | None) -> None:
+        """Follow the frames again."""
+        super().focusOutEvent(event)
+        self._show()
 
     def _show(self) -> None:
         with QSignalBlocker(self):

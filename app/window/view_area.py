@@ -1,4 +1,4 @@
-"""The three linked 3D views with their row of choices, above the strip of images."""
+"""The three linked 3D views with their row of choices above the strip of images; enlarging and copying one."""
 
 from __future__ import annotations
 
@@ -7,11 +7,15 @@ from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
-from PyQt6.QtCore import QByteArray, QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtCore import QByteArray, QObject, QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QResizeEvent
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSlider, QSplitter, QToolButton, QWidget
+from PyQt6.QtWidgets import QApplication, QHBoxLayout, QLabel, QSlider, QSplitter, QToolButton, QWidget
 
+from ...core.contact.alignment import tactile_pose
+from ...core.contact.pipeline import ContactPatch
+from ...core.errors import TactuneError
 from ...core.model.arrays import Float64Array
+from ...core.model.clouds import ray_table, valid_depth
 from ...core.model.frames import Rig
 from ...core.model.provenance import Provenance
 from ...widgets.basics.colormaps import (
@@ -32,10 +36,10 @@ from ...widgets.basics.wipe import Wipe
 from ...widgets.clouds.cloud_data import DepthCloud
 from ...widgets.clouds.cloud_view import link_cameras
 from ...widgets.clouds.inspect_view import InspectView
+from ...widgets.images.image_strip import PANES, ImageStrip
 from ..worker.rendering import VALUE_ROWS, patch_difference_limit, patch_difference_lut
 from ..worker.results import CloudName, ColorBy, ComparedFrame, ComparedSide, Rendered, Result, SourceInfo
 from .actions import Actions
-from .framing import membrane_and_patch, patch_points
 
 _PANES = 4
 #: Height of titles, legends and readout around the images, in pixels.
@@ -171,6 +175,7 @@ class ViewArea(QWidget):
         self._result = result
         self._actions.zoom_to_patch.setEnabled(result.patch is not None and len(result.patch.points) > 0)
         self._shows_difference = result.compared is not None and result.compared.difference is not None
+        legends = dict(self._legends)
         self.set_wipe(wipe)
         for view in self.views.values():
             view.set_running(result.playback.running)
@@ -180,6 +185,8 @@ class ViewArea(QWidget):
             for name in result.rendered.clouds:
                 cloud, message = _shown(name, result, result.source.rig)
                 self._show_cloud(name, cloud, message, self._legend_of(name, result.rendered, theme))
+        if self._legends != legends:
+            self._fit_legends()
         if result.source is not self._framed:  # once for each source, so that playing never moves the camera
             self._framed = result.source
             self._any_view().refocus()
@@ -230,7 +237,6 @@ class ViewArea(QWidget):
         if self._legends.get(name) != legend:
             self._legends[name] = legend
             view.set_legend(legend)
-            self._fit_legends()
 
     def _fit_legends(self) -> None:
         """Give all legends the same height, so that all views have the same height.
@@ -336,3 +342,122 @@ def _shown(name: CloudName, result: Result | ComparedSide, rig: Rig) -> tuple[De
     if one_camera:
         return cloud, _ONE_CAMERA
     return cloud, result.problem or result.rendered.no_contact
+
+
+#: Rows of the tactile image that are enough for framing.
+_ROWS = 60
+#: Depths farther than this many interquartile ranges outside the quartiles are not the membrane (Tukey's fences,
+#: "Exploratory Data Analysis", 1977); the slack in metres keeps a flat membrane whole.
+_FENCE, _SLACK_M = 1.5, 0.01
+_NOTHING = np.empty((0, 3))
+
+
+def membrane_and_patch(result: Result) -> Float64Array:
+    """Return points on the membrane and in the patch: float64 (N, 3), metres, proximity frame; (0, 3) if unknown."""
+    return np.concatenate([_membrane(result), patch_points(result.patch)])
+
+
+def patch_points(patch: ContactPatch | None) -> Float64Array:
+    return _NOTHING if patch is None else patch.points.astype(np.float64)
+
+
+def _membrane(result: Result) -> Float64Array:
+    preset, rig = result.preset, result.source.rig
+    step = max(1, len(result.frame.tactile_depth) // _ROWS)
+    every = np.s_[::step, ::step]
+    counts = result.frame.tactile_depth[every]
+    seen = valid_depth(counts)
+    try:
+        pose = tactile_pose(preset.alignment, rig)
+    except TactuneError:
+        return _NOTHING
+    if not seen.any():
+        return _NOTHING
+    depth = counts[seen] * (rig.tactile.depth_unit_m * preset.alignment.depth_scale) + preset.alignment.depth_offset_m
+    low, high = np.percentile(depth, (25, 75))
+    reach = _FENCE * (high - low) + _SLACK_M
+    rays = ray_table(rig.tactile.intrinsics)[every][seen]
+    points = np.column_stack([rays * depth[:, None], depth])[
+        np.abs(depth - (low + high) / 2) <= (high - low) / 2 + reach
+    ]
+    placed = points @ pose[:3, :3].T + pose[:3, 3]
+    if preset.region.enabled:
+        left, top, width, height = preset.region.rectangle
+        u, v = rig.proximity.intrinsics.project(placed).T
+        placed = placed[(u >= left) & (u < left + width) & (v >= top) & (v < top + height)]
+    return np.asarray(placed, np.float64)
+
+
+_MARGIN = 8
+
+
+class ViewParts(QObject):
+    """Enlarges the view or image that is double-clicked; the rest is hidden, and what is hidden is not drawn."""
+
+    copied = pyqtSignal(str)  # a picture of the view or image of this name is on the clipboard
+
+    def __init__(self, views: ViewArea, strip: ImageStrip, actions: Actions) -> None:
+        super().__init__(views)
+        self._views, self._strip, self._actions = views, strip, actions
+        self._parts: dict[QWidget, str] = {view: TITLES[name] for name, view in views.views.items()}
+        self._parts |= {pane: PANES[name] for name, pane in strip.panes.items()}
+        #: The enlarged view or image; None while all are shown.
+        self.shown: QWidget | None = None
+        self._back = QToolButton()
+        self._back.setObjectName("back")
+        self._back.setText("Back")
+        self._back.setToolTip("Show all views and images again (Esc, or double click)")
+        self._back.clicked.connect(self.back)
+        for view in views.views.values():
+            view.enlargeRequested.connect(lambda view=view: self.toggle(view))
+        for pane in strip.panes.values():
+            pane.doubleClicked.connect(lambda pane=pane: self.toggle(pane))
+        for action in (*views.toggles.values(), actions.show_strip):
+            action.toggled.connect(self.back)
+        actions.copy_view.triggered.connect(self._copy)
+
+    def toggle(self, widget: QWidget) -> None:
+        if self.shown is not None:
+            self.back()
+            return
+        self.shown = widget
+        of_views = widget in self._views.views.values()
+        self._views.setVisible(of_views)
+        self._strip.setVisible(not of_views)
+        for part in self._parts:
+            part.setVisible(part is widget)
+        self._back.setParent(widget)
+        self._back.adjustSize()
+        self._back.move(_MARGIN, widget.fontMetrics().height() + 2 * _MARGIN)
+        self._back.show()
+        self._back.raise_()
+        self._views.wantedChanged.emit()
+
+    def back(self) -> bool:
+        """Show all views and images again; return whether one was enlarged."""
+        if self.shown is None:
+            return False
+        self.shown = None
+        self._back.hide()
+        self._back.setParent(None)
+        for name, view in self._views.views.items():
+            view.setVisible(self._views.toggles[name].isChecked())
+        for pane in self._strip.panes.values():
+            pane.show()
+        self._views.show()
+        self._strip.setVisible(self._actions.show_strip.isChecked())
+        self._views.wantedChanged.emit()
+        return True
+
+    def _copy(self) -> None:
+        """Copy the view or image that is enlarged, under the mouse or has the focus, else the patch."""
+        visible = [part for part in self._parts if part.isVisible()]
+        meant = [self.shown] if self.shown else [part for part in visible if part.underMouse()]
+        meant += [part for part in visible if part.hasFocus()]
+        part = meant[0] if meant else self._views.views[CloudName.PATCH]
+        clipboard = QApplication.clipboard()
+        assert clipboard is not None
+        self._back.hide()
+        clipboard.setPixmap(part.grab())
+        self._back.setVisible(self.shown is not None)
+        self.copied.emit(self._parts[part])

@@ -189,6 +189,7 @@ def own_window(qtbot, make_window) -> MainWindow:
 def window(request, qtbot, shared, tmp_path, preset) -> MainWindow:
     """The window of the module at frame 3 of a recording of 8; tests that open more windows get one of their own."""
     if "make_window" in request.fixturenames:
+        shared.close()
         return request.getfixturevalue("own_window")
     shown = shared.ready(qtbot, tmp_path, preset)
     show_source(qtbot, shown, FakeSource(), 3)

@@ -12,7 +12,6 @@ from hands import CONTROL, shows_preset_of_document, type_into
 from tactune.app.worker.results import CloudName
 from tactune.core.contact.membrane.test import MembraneTest
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.model.provenance import Provenance
 from tactune.core.preset import Preset
 
 
@@ -67,13 +66,3 @@ def test_choose_tune_and_undo(window, qtbot):
     qtbot.waitUntil(lambda: shows_preset_of_document(window))
     np.testing.assert_array_equal(window.result.patch.points, patch_before.points)
     assert window.panel.histograms["tolerance.t"].isVisible()
-
-
-def test_an_empty_patch_says_what_the_membrane_test_has_dropped():
-    provenance = np.full((4, 5), Provenance.OUTSIDE_TOLERANCE, np.uint8)
-    assert "largest gap" in MembraneTest.why_no_contact(provenance)[0]
-    provenance[0] = Provenance.RIM
-    assert "the membrane's equilibrium dropped all" in MembraneTest.why_no_contact(provenance)[0]
-    assert "measure the rig's bias" in MembraneTest.why_no_contact(provenance)[0]
-    provenance[1:3] = Provenance.SMALL_CLUSTER
-    assert "dropped 10 of 15: lower the smallest contact" in MembraneTest.why_no_contact(provenance)[0]

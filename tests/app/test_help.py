@@ -47,12 +47,3 @@ def test_the_checks_of_this_computer_are_a_table_that_can_be_copied(window, qtbo
     assert "2 checks: 1 failed" in shown.status.text()
     QTest.mouseClick(shown.copy, LEFT)
     assert QApplication.clipboard().text() == doctor_report.report(lines)
-
-
-def test_a_closed_window_of_checks_can_check_again(window, qtbot, monkeypatch):
-    monkeypatch.setattr(doctor_report, "all_checks", lambda: [lambda: [Check("Sun", State.OK, "shines")]])
-    window.actions_.check_computer.trigger()
-    window.computer.close()
-    window.actions_.check_computer.trigger()
-    qtbot.waitUntil(lambda: len(cells(window.computer.table)) == 1)
-    assert window.computer.copy.isEnabled()

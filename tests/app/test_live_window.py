@@ -75,15 +75,14 @@ def test_a_frame_that_cannot_be_processed_is_said_once_and_the_next_ones_are_sho
 def test_losses_are_told_in_the_panel_of_the_status_bar(window, cameras, qtbot):
     cameras.dropped, cameras.unmatched = 3, 5
     QTest.mouseClick(window.status.state, Qt.MouseButton.LeftButton)
-    numbers = window.status.details.numbers
+    label = window.status.details.label
 
     def told() -> bool:
         if window.result.frame.sequence == len(cameras.given) - 1:  # else the window itself might drop a frame
             cameras.release()
-        return (numbers["Dropped"].text(), numbers["Unmatched"].text()) == ("3", "5")
+        return {"Dropped: 3", "Unmatched: 5"} <= set(label.text().splitlines())
 
     qtbot.waitUntil(told)
-    assert numbers["Skew"].text() == "2.0 ms"
 
 
 def test_freezing_by_key_holds_the_frame_and_says_nothing_of_old(window, cameras, qtbot):

@@ -7,7 +7,6 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 from PyQt6.QtCore import QByteArray, QRect, QSize, Qt, QTimer
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QDialog, QPushButton, QScrollArea, QWidget
@@ -48,16 +47,6 @@ def test_shows_every_part_of_a_frame(window):
     assert "tiny" in status
     assert f"patch {window.result.area_mm2 / 100:.1f} cm²" in status
     assert window.transport.position.text() == "frame 4 of 8"
-
-
-def test_says_what_to_do_while_there_is_nothing(make_window, qtbot, preset):
-    window = make_window()
-    assert "Ctrl+O" in window.views.views[CloudName.PATCH].message()
-    assert not window.actions_.export_patch.isEnabled()
-    window.document.edit("tolerance.t", 0.001)
-    show_source(qtbot, window, FakeSource(length=1))
-    qtbot.waitUntil(lambda: "No contact yet" in window.views.views[CloudName.PATCH].message())
-    assert window.transport.position.text() == "frame 1 of 1"
 
 
 def test_says_which_stage_dropped_everything(window, qtbot):
@@ -178,21 +167,8 @@ def test_the_layout_is_remembered(make_window):
     assert again.views.point_size.value() == 5
 
 
-def test_a_given_size_wins_over_a_maximised_window(make_window):
-    window = make_window(size=(900, 650))
-    window.showMaximized()
-    window.close_without_asking()
-    again = make_window(size=None)
-    assert again.isMaximized()
-    again.close_without_asking()
-    asked = make_window(size=(1000, 700))
-    assert not asked.isMaximized()
-    assert (asked.width(), asked.height()) == (1000, 700)
-
-
-@pytest.mark.parametrize("asked", [(9000, 9000), (1200, 700)])
-def test_a_window_is_never_larger_than_the_screen_nor_partly_beside_it(make_window, monkeypatch, asked):
-    window, room = make_window(), QRect(0, 30, 1600, 1000)
+def test_a_window_is_never_larger_than_the_screen_nor_partly_beside_it(own_window, monkeypatch):
+    window, room, asked = own_window, QRect(0, 30, 1600, 1000), (9000, 9000)
     monkeypatch.setattr(QApplication, "platformName", lambda: "xcb")
     monkeypatch.setattr(window, "screen", lambda: SimpleNamespace(availableGeometry=lambda: room))
     window.move(1500, 900)
@@ -219,21 +195,6 @@ def test_two_windows_write_only_what_they_changed(settings_file):
     two.sync()
     again = Settings(settings_file)
     assert (again.number("a", 0), again.blob("b")) == (1, QByteArray(b"\0\xff"))
-
-
-@pytest.mark.parametrize("size", [(1280, 800), (1920, 1080)])
-def test_nothing_is_cut_off(make_window, qtbot, size):
-    window = make_window(size=size)
-    show_source(qtbot, window, FakeSource(length=1))
-    QApplication.processEvents()
-    assert (window.width(), window.height()) == size
-    shown = window.rect()
-    for widget in (window.views, window.strip, window.panel, window.toolbar, window.status):
-        corner = widget.mapTo(window, widget.rect().bottomRight())
-        assert shown.contains(corner), f"{type(widget).__name__} ends at {corner}, outside {size}"
-    clouds = sum(view.width() * view.height() for view in window.views.views.values())
-    assert clouds > window.strip.width() * window.strip.height()
-    assert clouds > window.panel.width() * window.panel.height()
 
 
 def test_another_rig_warns_once_and_can_be_put_away(make_window, qtbot, preset):
@@ -295,18 +256,6 @@ def test_a_source_that_cannot_be_opened_is_said(window, qtbot):
     assert window.toolbar.source.text() == "Source: tiny"
     window.worker.seek(5)
     qtbot.waitUntil(lambda: at_rest(window, 5))
-
-
-def test_the_slider_does_not_jump_while_it_is_held(window, qtbot):
-    slider = window.transport.slider
-    window.worker.play()
-    qtbot.waitUntil(lambda: window.transport.state.playing)
-    slider.setSliderDown(True)
-    slider.setValue(6)
-    qtbot.waitUntil(lambda: window.result.playback.index == 6)
-    processed = window.result.processed
-    slider.setSliderDown(False)
-    qtbot.waitUntil(lambda: window.result.processed > processed)
 
 
 def test_help_lists_every_shortcut(window, qtbot):

@@ -109,9 +109,7 @@ def test_zoom_to_patch_fills_the_view_with_the_patch_and_is_off_without_one(wind
     qtbot.waitUntil(lambda: not window.actions_.zoom_to_patch.isEnabled())
 
 
-@pytest.mark.parametrize(
-    ("name", "back"), [("patch", "escape"), ("tactile image", "double click"), ("tactile image", "button")]
-)
+@pytest.mark.parametrize(("name", "back"), [("patch", "escape"), ("tactile image", "button")])
 def test_a_double_click_enlarges_a_view_or_image_and_another_goes_back(window, qtbot, name, back):
     pane = window.strip.panes["tactile"]
     target = canvas(window, PATCH) if name == "patch" else pane.view.viewport()
@@ -128,17 +126,12 @@ def test_a_double_click_enlarges_a_view_or_image_and_another_goes_back(window, q
     drawn = window.result.rendered
     assert set(drawn.clouds) == ({PATCH} if name == "patch" else set())
     assert (drawn.strip is None) == (name == "patch")
-    if back == "double click":
-        double_click(target)
-    elif back == "escape":
+    if back == "escape":
         QTest.keyClick(window, Qt.Key.Key_Escape)
     else:
         QTest.mouseClick(part.findChild(QToolButton, "back"), LEFT)
     qtbot.waitUntil(lambda: shows_all(window) and part.width() == width)
     qtbot.waitUntil(lambda: set(window.result.rendered.clouds) == set(CloudName))
-
-
-# Pointing, measuring, copying
 
 
 def on_canvas(window, name, place):

@@ -8,9 +8,8 @@ from types import SimpleNamespace
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QLabel, QToolButton
+from PyQt6.QtWidgets import QLabel
 
-from contrast import contrast_ratio
 from fakes import tiny_frame, tiny_rig
 from tactune.app.window.status import FrameStatus
 from tactune.app.window.toolbar import FrameNumber
@@ -18,26 +17,8 @@ from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.processing import FrameProcessor
 from tactune.app.worker.results import SourceInfo, SourceState, Wanted
 from tactune.core.preset import Preset
-from tactune.widgets.basics.theme import theme_colors
 
 TIMES = {"average": 2.0, "fusion": 2.5, "equilibrium": 6.6, "edge": 0.4, "clusters": 0.8, "points": 0.5}
-
-
-@pytest.mark.parametrize("theme", ["dark", "light"])
-def test_the_arrow_to_actions_without_room_is_seen_and_named(make_window, qtbot, theme):
-    window = make_window(size=(900, 700))
-    window.toolbar.show_source("folder:/home/somebody/recordings/cup")
-    window.toolbar.show_preset("a preset with a long name", None)
-    window.set_theme(theme, remember=False)
-    arrow = window.toolbar.findChild(QToolButton, "qt_toolbar_ext_button")
-    qtbot.waitUntil(arrow.isVisible)
-    for expanded in (False, True):
-        arrow.setChecked(expanded)
-        image = window.toolbar.grab(arrow.geometry()).toImage()
-        middle = {image.pixelColor(x, image.height() // 2).name() for x in range(3, image.width() - 3)}
-        contrasts = [contrast_ratio(pixel, theme_colors().window) for pixel in middle]
-        assert max(contrasts) > 4.5 and min(contrasts) < 2
-    assert arrow.toolTip() == arrow.accessibleName() == "More actions"
 
 
 @pytest.fixture(scope="module")
@@ -60,20 +41,12 @@ def give(bar, result, times=TIMES, **changes):
     bar.show_result(replace(result, patch=patch, **changes))
 
 
-@pytest.mark.parametrize(
-    ("times", "shown"),
-    [
-        (TIMES, "average 2.0 + fusion 2.5 + equilibrium 6.6 + edge 0.4 + clusters 0.8 + points 0.5 = 12.8 ms"),
-        ({"fusion": 1.5, "outliers": 0.4, "clusters": 0.0}, "fusion 1.5 + outliers 0.4 = 1.9 ms"),
-        (dict.fromkeys(TIMES, 0.0), "unchanged"),
-    ],
-)
-def test_the_panel_names_the_times_of_the_stages_that_took_time(bar, result, times, shown):
+def test_the_panel_names_the_times_of_the_stages_that_took_time(bar, result):
     QTest.keyClick(bar.state, Qt.Key.Key_Space)
-    give(bar, result, times, dropped=3, unmatched=5)
-    said = {name: label.text() for name, label in bar.details.numbers.items()}
-    assert said["Stages"] == shown
-    assert (said["Dropped"], said["Unmatched"], said["Skew"]) == ("3", "5", "2.0 ms")
+    give(bar, result, {"fusion": 1.5, "outliers": 0.4, "clusters": 0.0}, dropped=3, unmatched=5)
+    said = bar.details.label.text().splitlines()
+    assert "Stages: fusion 1.5 + outliers 0.4 = 1.9 ms" in said
+    assert {"Dropped: 3", "Unmatched: 5", "Skew, tactile minus proximity: 2.0 ms"} < set(said)
 
 
 def test_the_state_is_said_in_a_word_or_two(bar):
@@ -92,9 +65,8 @@ def test_the_state_is_said_in_a_word_or_two(bar):
     assert bar.state.text() == "Recording, no frames"
 
 
-@pytest.mark.parametrize("width_px", [900, 1280, 1920])
-def test_no_number_is_cut_off(bar, result, width_px):
-    bar.resize(width_px, 24)
+def test_no_number_is_cut_off(bar, result):
+    bar.resize(900, 24)
     bar.show_findings(12)
     bar.show_recording(True)
     bar.show_playback(PlaybackState(length=8, playing=True))

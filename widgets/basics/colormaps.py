@@ -118,6 +118,11 @@ def behind_legend() -> Legend:
     return [("behind", QColor(red, green, blue, alpha))]
 
 
+def ends_legend(low: str, high: str, lut: Uint8Array) -> Legend:
+    """Return the legend of a scale whose ends are rows 1 and 255 of a table of colours."""
+    return [(low, _color(lut, 1)), (high, _color(lut, 255))]
+
+
 def depth_legend(near_m: float, far_m: float) -> Legend:
     span_mm = 1e3 * (far_m - near_m)
     return [(f"{1e3 * near_m + share * span_mm:.0f} mm", _color(depth_lut(), 255 * share)) for share in (0.0, 0.5, 1.0)]
@@ -151,13 +156,9 @@ def difference_lut(t: float = 0.03, limit: float = DIFFERENCE_LIMIT) -> Uint8Arr
     return _frozen(lut)
 
 
-def difference_legend(t: float) -> Legend:
-    lut = difference_lut(t, DIFFERENCE_LIMIT)
-    return [
-        (f"−{DIFFERENCE_LIMIT:.0%}", _color(lut, 1)),
-        (f"within ±{t:.1%}", QColor(*_CANDIDATE_RGB)),
-        (f"+{DIFFERENCE_LIMIT:.0%}", _color(lut, 255)),
-    ]
+def difference_legend(t: float, limit: float = DIFFERENCE_LIMIT) -> Legend:
+    low, high = ends_legend(f"−{limit:.0%}", f"+{limit:.0%}", difference_lut(t, limit))
+    return [low, (f"within ±{t:.1%}", QColor(*_CANDIDATE_RGB)), high]
 
 
 @cache

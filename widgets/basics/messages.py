@@ -47,7 +47,7 @@ class Severity(StrEnum):
 
 
 #: Text and action of a button.
-Offer = tuple[str, Callable[[], None]]
+Offer = tuple[str, Callable[[], object]]
 
 
 @dataclass(frozen=True)

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
-from PyQt6.QtWidgets import QLabel, QSizePolicy, QWidget
+from PyQt6.QtCore import QEvent, QPointF, QRectF, Qt, pyqtSignal
+from PyQt6.QtGui import QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
+from PyQt6.QtWidgets import QLabel, QWidget
 
 from ...core.model.arrays import Uint8Array
+from ..basics.colormaps import Legend
+from ..basics.controls import ElidedLabel
 from ..basics.layouts import vbox
 from ..basics.stale_badge import StaleBadge
 from ..basics.theme import theme_colors
 from ..basics.wipe import Wipe
-
-_BAR_WIDTH = 48
-_SHORTEST_BAR = 24
-_SWATCH = 10
-_GAP = 5
+from ..clouds.cloud_labels import LegendLine
 
 #: Columns and rows that each arrow key moves, and the factor of each zoom key.
 ARROW_KEYS = {Qt.Key.Key_Left: (-1, 0), Qt.Key.Key_Right: (1, 0), Qt.Key.Key_Up: (0, -1), Qt.Key.Key_Down: (0, 1)}
@@ -34,85 +30,6 @@ def moved_by_arrow(event: QKeyEvent, place: tuple[float, float], size: tuple[int
     moved = zip(place, ARROW_KEYS[Qt.Key(event.key())], size, strict=True)
     u, v = (min(max(round(at) + length * step, 0), extent - 1) for at, step, extent in moved)
     return u, v
-
-
-@dataclass(frozen=True)
-class Swatch:
-    """A colour and its name."""
-
-    text: str
-    rgb: tuple[int, int, int]
-
-
-@dataclass(frozen=True, eq=False)
-class ColorBar:
-    """A colour table with the texts of both ends; ``marks`` are fractions along the bar."""
-
-    low: str
-    high: str
-    lut: Uint8Array
-    marks: tuple[float, ...] = ()
-
-
-class PaneHeader(QWidget):
-    """Paints a title and below it a legend; entries that do not fit are omitted, the last first."""
-
-    def __init__(self, title: str) -> None:
-        super().__init__()
-        self._title = title
-        self._bar: ColorBar | None = None
-        self._swatches: tuple[Swatch, ...] = ()
-        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        self.setAccessibleName(title)
-        self.set_legend(None)
-
-    def set_legend(self, bar: ColorBar | None, swatches: tuple[Swatch, ...] = ()) -> None:
-        self._bar, self._swatches = bar, swatches
-        words = ([] if bar is None else [f"{bar.low} to {bar.high}"]) + [swatch.text for swatch in swatches]
-        self.setToolTip(f"{self._title}: {', '.join(words)}" if words else self._title)
-        self.setAccessibleDescription(", ".join(words))
-        self.update()
-
-    def sizeHint(self) -> QSize:
-        return QSize(200, 2 * (self.fontMetrics().height() + 4))
-
-    def minimumSizeHint(self) -> QSize:
-        return QSize(0, self.sizeHint().height())
-
-    def paintEvent(self, _: QPaintEvent | None) -> None:
-        painter, metrics, colors = QPainter(self), self.fontMetrics(), theme_colors()
-        line, middle = self.height() / 2, Qt.AlignmentFlag.AlignVCenter
-        painter.setPen(QColor(colors.text))
-        title = metrics.elidedText(self._title, Qt.TextElideMode.ElideRight, self.width() - 2)
-        painter.drawText(QRectF(2, 0, self.width(), line), middle, title)
-        painter.setPen(QColor(colors.muted))
-        painter.translate(0, line)
-        left, end = 2.0, self.width() - 2
-
-        def write(text: str) -> float:
-            advance = metrics.horizontalAdvance(text)
-            painter.drawText(QRectF(left, 0, advance + 1, line), middle, text)
-            return left + advance + _GAP
-
-        bar = self._bar
-        if bar is not None:
-            room = end - left - metrics.horizontalAdvance(bar.low + bar.high) - 2 * _GAP
-            if room >= _SHORTEST_BAR:
-                left = write(bar.low)
-                frame = QRectF(left, line / 2 - 4, min(_BAR_WIDTH, room), 8)
-                strip = np.ascontiguousarray(bar.lut[None, 1:])
-                painter.drawImage(frame, QImage(strip.tobytes(), strip.shape[1], 1, QImage.Format.Format_RGBX8888))
-                for mark in bar.marks:
-                    at = frame.left() + mark * frame.width()
-                    painter.fillRect(QRectF(at, frame.top() - 2, 1.5, 12), QColor(colors.text))
-                left = frame.right() + _GAP
-                left = write(bar.high) + _GAP
-        for swatch in self._swatches:
-            if left + _SWATCH + _GAP + metrics.horizontalAdvance(swatch.text) > end:
-                break
-            painter.fillRect(QRectF(left, (line - _SWATCH) / 2, _SWATCH, _SWATCH), QColor(*swatch.rgb))
-            left += _SWATCH + _GAP
-            left = write(swatch.text) + _GAP
 
 
 _SMALLEST_VIEW = 6.0
@@ -227,7 +144,8 @@ class ImagePane(QWidget):
     def __init__(self, title: str, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._size = (640, 480)
-        self.header = PaneHeader(title)
+        self.title, self.legend = ElidedLabel(title), LegendLine()
+        self.legend.hide()
         self.view = _View()
         self.view.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.view.setAccessibleName(title)
@@ -250,7 +168,7 @@ class ImagePane(QWidget):
         self.empty_label.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self.badge = StaleBadge(self.view)
 
-        vbox(self.header, (self.view, 1), within=self, margins=0, spacing=0)
+        vbox(self.title, self.legend, (self.view, 1), within=self, margins=0, spacing=0)
 
         self.view.scene().sigMouseMoved.connect(self._moved)
         self.view.scene().sigMouseClicked.connect(self._clicked)
@@ -270,6 +188,11 @@ class ImagePane(QWidget):
         self._pixels.set_pixels(pixels, stride, right)
         # Not the item: its scene would paint the whole window at once, for each pane and frame.
         self.view.viewport().update()
+
+    def set_legend(self, entries: Legend) -> None:
+        self.legend.setVisible(bool(entries))
+        self.legend.setValue(entries)
+        self.legend.set_height(self.legend.needed_height())
 
     def set_wipe(self, wipe: Wipe | None) -> None:
         """Divide the visible width between two images, or show only one."""
@@ -331,7 +254,7 @@ class ImagePane(QWidget):
         if self.hasFocus():
             painter = QPainter(self)
             painter.setPen(QPen(self.palette().accent().color(), 2))
-            bottom = self.header.geometry().bottom() + 1
+            bottom = self.view.geometry().top()
             painter.drawLine(0, bottom, self.width(), bottom)
 
     def _recolor(self) -> None:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import QRectF, Qt, pyqtSignal
-from PyQt6.QtGui import QKeyEvent, QPaintEvent, QPalette, QResizeEvent
+from PyQt6.QtGui import QColor, QKeyEvent, QPaintEvent, QPalette, QResizeEvent
 from PyQt6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QSizePolicy, QWidget
 
-from ..basics.colormaps import CONTACT_RGB, MASKED_RGB, depth_lut, difference_lut
+from ..basics.colormaps import CONTACT_RGB, MASKED_RGB, depth_legend, difference_legend
 from ..basics.controls import ElidedLabel, paint_focus, wrapped_label
-from ..basics.fields import format_number
 from ..basics.layouts import hbox, vbox
 from ..basics.wipe import Wipe
-from .image_pane import ARROW_KEYS, ZOOM_KEYS, ColorBar, ImagePane, Rectangle, Swatch, moved_by_arrow
+from .image_pane import ARROW_KEYS, ZOOM_KEYS, ImagePane, Rectangle, moved_by_arrow
 from .marks import RegionItem
 from .strip_render import NO_VALUE_RGB, RenderedStrip
 
@@ -211,6 +210,7 @@ class ImageStrip(QWidget):
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:
         super().resizeEvent(event)
+        self._fit_legends()
         self._place_banner()
 
     def _place_banner(self) -> None:
@@ -242,20 +242,15 @@ class ImageStrip(QWidget):
         if key == self._legend_key:
             return
         self._legend_key = key
-        near, far = (format_number(round(end * 1000)) for end in rendered.depth_range_m)
-        depth = ColorBar(near, f"{far} mm", depth_lut())
-        contact, none = Swatch("contact", CONTACT_RGB), Swatch("no depth", NO_VALUE_RGB)
-        self.panes["color"].header.set_legend(None, (contact, Swatch("masked", MASKED_RGB)))
-        self.panes["proximity"].header.set_legend(depth, (none,))
-        self.panes["tactile"].header.set_legend(depth, (none,))
-        limit, t = rendered.difference_limit, rendered.tolerance
-        percent = format_number(limit * 100, 3)
-        marks = tuple(0.5 + sign * 0.5 * t / limit for sign in (-1, 1))
-        bar = ColorBar(f"−{percent}", f"+{percent} %", difference_lut(round(t, 6), limit), marks)
-        band = Swatch(f"±{format_number(t * 100, 3)} %", _middle_rgb(bar))
-        self.panes["difference"].header.set_legend(bar, (band,))
+        depth = [*depth_legend(*rendered.depth_range_m), ("no depth", QColor(*NO_VALUE_RGB))]
+        self.panes["color"].set_legend([("contact", QColor(*CONTACT_RGB)), ("masked", QColor(*MASKED_RGB))])
+        self.panes["proximity"].set_legend(depth)
+        self.panes["tactile"].set_legend(depth)
+        self.panes["difference"].set_legend(difference_legend(rendered.tolerance, rendered.difference_limit))
+        self._fit_legends()
 
-
-def _middle_rgb(bar: ColorBar) -> tuple[int, int, int]:
-    red, green, blue = (int(channel) for channel in bar.lut[128, :3])
-    return red, green, blue
+    def _fit_legends(self) -> None:
+        """Give all legends the height of the highest: panes of equal height zoom alike."""
+        height = max(pane.legend.needed_height() for pane in self.panes.values())
+        for pane in self.panes.values():
+            pane.legend.set_height(height)

@@ -304,7 +304,7 @@ class TimeStrip(QWidget):
         shown = [] if self._live else sorted(mark for mark in self._markers if mark[0] < length)
         pen = pg.mkPen(colors.accent_text, style=Qt.PenStyle.DashLine)
         for number, (frame, name) in enumerate(shown):
-            label = {"anchors": [(0, 0.5), (1, 0.5)], "color": colors.text, "fill": colors.alternate}
+            label: dict[str, object] = {"anchors": [(0, 0.5), (1, 0.5)], "color": colors.text, "fill": colors.alternate}
             label["position"] = 0.4 if number % 2 else 0.86  # two rows, so that names of neighbours do not overlap
             flag = pg.InfiniteLine(float(self._seconds[frame]), angle=90, pen=pen, label=name, labelOpts=label)
             self._plot.addItem(flag, ignoreBounds=True)
