@@ -55,7 +55,7 @@ from .publishing import PublishControl
 from .recording import RecordingBar, RecordingControl
 from .status import FrameStatus
 from .toolbar import ToolBar, Transport, fill_on_opening
-from .view_area import StripSplitter, ViewArea, ViewParts
+from .view_area import ViewArea, ViewParts
 
 #: Size of the first window, pixels: at least, and at most on a large screen.
 DEFAULT_SIZE = QSize(1280, 800)
@@ -67,6 +67,8 @@ _NO_SOURCE = "No source is open: open one (Ctrl+O), or drop a recording here"
 _TOGGLES = ("watch_drift", "show_time", "show_strip", "show_panel", "show_proximity", "show_tactile", "show_patch")
 #: The actions whose keys work in the analysis window too.
 _SHARED_ACTIONS = ("capture_untouched", "previous", "next", "first", "loop", "freeze")
+#: Shares of the height of views and images at first.
+_ROWS = (65, 35)
 _COLLAPSED_AT_FIRST = "range,region,contacts"
 
 
@@ -162,21 +164,16 @@ class MainWindow(QMainWindow):
         self.menus = make_menus(bar, self.actions_, list(self.analysis.actions.values()))
         self.toolbar = ToolBar(self.actions_, self.menus.preset, self.transport)
         self.addToolBar(self.toolbar)
-        self.left = StripSplitter(self.views, self.strip)
+        self.left = _splitter(Qt.Orientation.Vertical, self.views, self.strip)
         self.pointing = Pointing(self.context, self.views, self.strip)
         self.parts = ViewParts(self.views, self.strip, self.actions_)
-        self.across = QSplitter(Qt.Orientation.Horizontal)
-        self.across.addWidget(self.left)
-        self.beside = QSplitter(Qt.Orientation.Vertical)
-        self.beside.setChildrenCollapsible(False)
-        self.beside.addWidget(self.comparison_panel)
-        self.beside.addWidget(self.panel)
-        self.beside.setStretchFactor(0, 0)
+        for row, share in enumerate(_ROWS):
+            self.left.setStretchFactor(row, share)
+        self.beside = _splitter(Qt.Orientation.Vertical, self.comparison_panel, self.panel)
         self.beside.setStretchFactor(1, 1)
         self.comparison_panel.hide()
-        self.across.addWidget(self.beside)
+        self.across = _splitter(Qt.Orientation.Horizontal, self.left, self.beside)
         self.across.setStretchFactor(0, 1)
-        self.across.setChildrenCollapsible(False)
         centre = QWidget()
         vbox(self.time_strip, (self.across, 1), within=centre, margins=(4, 4, 4, 0), spacing=4)
         self.setCentralWidget(centre)
@@ -358,7 +355,6 @@ class MainWindow(QMainWindow):
         self.toolbar.show_source(info.name)
         self.status.show_source(info)
         self.file_flows.offer_preset(info.preset)
-        self.left.set_aspect(info.rig.proximity.intrinsics.height / info.rig.proximity.intrinsics.width)
 
     def _open_failed(self, name: str, sentence: str) -> None:
         self.opening.hide()
@@ -448,7 +444,8 @@ class MainWindow(QMainWindow):
             self.resize_to(size.width(), size.height())
         if not self.across.restoreState(settings.blob("window/across")):
             self.across.setSizes([self.width() - 380, 380])
-        self.left.restoreState(settings.blob("window/left"))
+        if not self.left.restoreState(settings.blob("window/left")):
+            self.left.setSizes([self.height() * share for share in _ROWS])
         self.views.splitter.restoreState(settings.blob("window/views"))
         self.panel.set_collapsed_sections(settings.text("window/collapsed", _COLLAPSED_AT_FIRST).split(","))
         self.panel.set_open_folds(settings.text("window/more").split(","))
@@ -525,3 +522,11 @@ class MainWindow(QMainWindow):
     def close_without_asking(self) -> None:
         self._closing = True
         self.close()
+
+
+def _splitter(orientation: Qt.Orientation, *parts: QWidget) -> QSplitter:
+    splitter = QSplitter(orientation)
+    splitter.setChildrenCollapsible(False)
+    for part in parts:
+        splitter.addWidget(part)
+    return splitter

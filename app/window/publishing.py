@@ -1,14 +1,14 @@
-"""Publishing from the window: the switch, its settings, who listens, and values that clients set."""
+"""Publishing from the window: the switch, its settings, and who listens."""
 
 from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pydantic import TypeAdapter
-from PyQt6.QtCore import QObject, QTimer, pyqtSignal
+from PyQt6.QtCore import QObject, QTimer
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import (
     QCheckBox,
@@ -21,13 +21,12 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from ...core.errors import PresetError, counted
+from ...core.errors import counted
 from ...core.output.connections import LOOPBACK, Connections
 from ...widgets.basics.controls import AccentButton, NoteLabel, caption, dialog_buttons
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.layouts import STRETCH, vbox
 from ..context import Context
-from ..document.document import describe_edit
 from ..worker.jobs import Job
 
 if TYPE_CHECKING:
@@ -46,17 +45,12 @@ class PublishWindow(QDialog):
         super().__init__(parent)
         self.setWindowTitle("Publish")
         self.foxglove, self.ros2 = QCheckBox("&Foxglove"), QCheckBox("&ROS 2")
-        self.settable = QCheckBox("Let &clients set parameters")
         self.port, self.domain, self.namespace, self.host = QSpinBox(), QSpinBox(), QLineEdit(), QLineEdit(LOOPBACK)
         self.port.setRange(1, 65535)
         self.domain.setRange(0, 232)
         for widget, tip in (
             (self.foxglove, "A WebSocket server: the Foxglove app and its clients read topics and parameters"),
             (self.ros2, "ROS 2 topics by DDS; neither side needs anything but its own middleware"),
-            (
-                self.settable,
-                "Foxglove clients, and web pages on this computer, may change the preset step by step",
-            ),
             (self.port, "TCP port of the Foxglove server, 1 to 65535"),
             (self.domain, "ROS 2 domain id, 0 to 232, as ROS_DOMAIN_ID of the subscribers"),
             (self.namespace, "Put before every ROS 2 topic, as in /tactune/contact/patch"),
@@ -77,9 +71,9 @@ class PublishWindow(QDialog):
         self.state.setAccessibleName("Who listens")
         buttons = dialog_buttons(QDialogButtonBox.StandardButton.Close)
         buttons.rejected.connect(self.close)
-        vbox(grid, self.settable, self.note, self.start, self.state, STRETCH, buttons, within=self)
+        vbox(grid, self.note, self.start, self.state, STRETCH, buttons, within=self)
         self.resize(460, 340)
-        for box in (self.foxglove, self.ros2, self.settable):
+        for box in (self.foxglove, self.ros2):
             box.toggled.connect(self._check)
         self.host.textChanged.connect(self._check)
 
@@ -93,7 +87,6 @@ class PublishWindow(QDialog):
             self.port.value(),
             self.domain.value(),
             self.namespace.text().strip(),
-            settable=self.settable.isChecked(),
         )
 
     def show_connections(self, connections: Connections) -> None:
@@ -107,7 +100,7 @@ class PublishWindow(QDialog):
     def show_state(self, running: bool, sentence: str = _OFF, error: bool = False) -> None:
         self.start.setChecked(running)
         self.start.setText("&Stop publishing" if running else "&Start publishing")
-        for control in (self.foxglove, self.ros2, self.settable, self.port, self.domain, self.namespace, self.host):
+        for control in (self.foxglove, self.ros2, self.port, self.domain, self.namespace, self.host):
             control.setEnabled(not running)
         self.state.say(sentence, error)
         self._check()
@@ -123,17 +116,13 @@ class _Start:
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._cancelled = False
+        self.cancelled = False
         self._publisher: Publisher | None = None
-
-    @property
-    def cancelled(self) -> bool:
-        return self._cancelled
 
     def keep(self, publisher: Publisher) -> bool:
         """Take the publisher; return False, with the publisher closed, if the start was cancelled before."""
         with self._lock:
-            if self._cancelled:
+            if self.cancelled:
                 publisher.close()
                 return False
             self._publisher = publisher
@@ -142,15 +131,13 @@ class _Start:
     def cancel(self) -> None:
         """Close the publisher, now or once it is made."""
         with self._lock:
-            self._cancelled = True
+            self.cancelled = True
             if self._publisher is not None:
                 self._publisher.close()
 
 
 class PublishControl(QObject):
     """Switches publishing on and off. It is off at every start of the window, whatever it was before."""
-
-    _set_by_client = pyqtSignal(str, object)
 
     def __init__(self, context: Context, action: QAction, indicator: QPushButton) -> None:
         super().__init__(context)
@@ -169,7 +156,6 @@ class PublishControl(QObject):
         for opener in (action.triggered, indicator.clicked):
             opener.connect(lambda: bring_up(self.window))
         self.window.start.clicked.connect(self._switch)
-        self._set_by_client.connect(self._edit)  # from a thread of the server
         context.document.presetChanged.connect(self._pass_on)
 
     def close(self) -> None:
@@ -190,7 +176,7 @@ class PublishControl(QObject):
             from ...core.output.parameters import PresetParameters
             from ...core.output.publisher import Publisher
 
-            parameters = PresetParameters(preset, on_set=self._set_by_client.emit, settable=connections.settable)
+            parameters = PresetParameters(preset)
             publisher = Publisher(connections.make_sinks(parameters))
             return (pressed, publisher, parameters) if pressed.keep(publisher) else None
 
@@ -227,18 +213,6 @@ class PublishControl(QObject):
         self._indicator.setText(f"Publishing, {counted(clients, 'client')}")
         self._indicator.show()
 
-    def _edit(self, path: str, value: Any) -> None:
-        """Make a value that a client set one step of the undo history."""
-        document = self._context.document
-        if document.preset.value(path) == value:
-            return
-        try:
-            title = describe_edit(document.preset.with_value(path, value), (path,))
-        except PresetError:
-            self._pass_on()  # it fitted the preset that the client knew, but not the present one
-            return
-        document.edit_many({path: value}, title=f"{title} (Foxglove)")
-
     def _pass_on(self, _: object = None) -> None:
         if self._parameters is not None:
             self._parameters.use(self._context.document.preset)
@@ -249,8 +223,8 @@ class PublishControl(QObject):
         return Connections(foxglove=True)
 
     def _remember(self, connections: Connections) -> None:
-        """Remember all but who may do what: listening beyond this computer and setting are asked for each time."""
-        kept = replace(connections, host=LOOPBACK, settable=False)
+        """Remember all but the address: listening beyond this computer is asked for each time."""
+        kept = replace(connections, host=LOOPBACK)
         self._context.settings.set("publish", TypeAdapter(Connections).dump_json(kept).decode())
 
 

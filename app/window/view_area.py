@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
-from PyQt6.QtCore import QByteArray, QObject, QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtCore import QObject, QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QResizeEvent
 from PyQt6.QtWidgets import QApplication, QHBoxLayout, QLabel, QSlider, QSplitter, QToolButton, QWidget
 
@@ -40,45 +40,6 @@ from ...widgets.images.image_strip import PANES, ImageStrip
 from ..worker.rendering import VALUE_ROWS, patch_difference_limit, patch_difference_lut
 from ..worker.results import CloudName, ColorBy, ComparedFrame, ComparedSide, Rendered, Result, SourceInfo
 from .actions import Actions
-
-_PANES = 4
-#: Height of titles, legends and readout around the images, in pixels.
-_AROUND = 64
-_MAX_SHARE = 0.42
-
-
-class StripSplitter(QSplitter):
-    """Splits the height between views and strip; automatic until the user moves the handle."""
-
-    def __init__(self, views: QWidget, strip: QWidget) -> None:
-        super().__init__(Qt.Orientation.Vertical)
-        self._chosen = False
-        self._aspect = 3 / 4  # height of an image by its width
-        self.addWidget(views)
-        self.addWidget(strip)
-        self.setStretchFactor(0, 1)
-        self.setChildrenCollapsible(False)
-        self.splitterMoved.connect(lambda *_: setattr(self, "_chosen", True))
-
-    def restoreState(self, state: QByteArray | bytes | bytearray | memoryview) -> bool:
-        self._chosen = super().restoreState(state)
-        return self._chosen
-
-    def saveState(self) -> QByteArray:
-        """Return the division if the user chose it, else empty bytes."""
-        return super().saveState() if self._chosen else QByteArray()
-
-    def resizeEvent(self, event: QResizeEvent | None) -> None:
-        super().resizeEvent(event)
-        self.set_aspect(self._aspect)
-
-    def set_aspect(self, height_per_width: float) -> None:
-        self._aspect = height_per_width
-        if not self._chosen:
-            wanted = round(self.width() / _PANES * self._aspect) + _AROUND
-            strip = min(wanted, round(self.height() * _MAX_SHARE))
-            self.setSizes([self.height() - strip, strip])
-
 
 TITLES = {
     CloudName.PROXIMITY: "Proximity",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Final
 
 from ..errors import PresetError
 from ..preset import Preset
@@ -20,22 +20,20 @@ _EXCLUDED: Final = ("cameras.", "name", "notes", "created", "modified")
 class PresetParameters:
     """The preset's numbers, switches and words, by their dotted paths, such as ``"tolerance.t"``; for any thread.
 
-    ``check`` raises `TactuneError` for a preset that cannot be used, such as with the present rig. ``on_set`` is told
-    the path and the value that a client has set, on the client's thread. Unless ``settable``, clients read only.
+    ``check`` raises `TactuneError` for a preset that cannot be used, such as with the present rig. Unless
+    ``settable``, clients read only.
     """
 
     def __init__(
         self,
         preset: Preset,
         check: Callable[[Preset], object] = lambda preset: None,
-        on_set: Callable[[str, Any], None] = lambda path, value: None,
         settable: bool = False,
     ) -> None:
         self._preset = preset
         self._settable = settable
         #: May be replaced once the rig is known.
         self.check = check
-        self._on_set = on_set
         self._lock = threading.Lock()
         #: Told the values that `use` has changed.
         self.on_change: Callable[[Mapping[str, Value]], None] = lambda values: None
@@ -60,10 +58,7 @@ class PresetParameters:
     def set(self, path: str, value: object) -> None:
         """Set one value; `TactuneError` if clients may not, there is no such parameter, or the value is not allowed."""
         if not self._settable:
-            raise PresetError(
-                f"{path} was not set: clients may read only; start tactune serve with --settable, or tick "
-                "Let clients set parameters in Connect > Publish"
-            )
+            raise PresetError(f"{path} was not set: clients may read only; start tactune serve with --settable")
         with self._lock:
             present = _values(self._preset).get(path)
             if present is None:
@@ -73,7 +68,6 @@ class PresetParameters:
             changed = self._preset.with_value(path, value)
             self.check(changed)
             self._preset = changed
-        self._on_set(path, changed.value(path))
 
 
 def _values(preset: Preset) -> dict[str, Value]:

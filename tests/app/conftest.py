@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -77,7 +78,9 @@ def activate(qtbot, window: MainWindow) -> None:
 def close_window(window: MainWindow) -> None:
     if window.worker.isRunning():
         window.close_without_asking()
-        assert window.worker.wait(30_000)  # a recording is finished first
+        end = time.monotonic() + 60.0
+        while window.worker.isRunning() and time.monotonic() < end:  # a recording is finished first
+            QApplication.processEvents()
     wait_for_abandoned(60.0)  # what goes on would take its time from the next test
     window.deleteLater()
     QApplication.processEvents()
@@ -95,9 +98,6 @@ def make_window(qtbot, preset, tmp_path, settings_file) -> Iterator[Callable[...
 
     yield make
     for window in windows:
-        if window.worker.isRunning():
-            window.close_without_asking()
-            qtbot.waitUntil(window.worker.isFinished)
         close_window(window)
 
 

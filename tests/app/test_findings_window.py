@@ -94,7 +94,7 @@ def test_the_finding_beside_its_control_is_mended_by_one_click(window, qtbot):
 
 def test_the_list_says_evidence_and_mends(window, qtbot):
     assert window.status.findings.text() == "1 finding"
-    QTest.mouseClick(window.status.findings, LEFT)
+    QTest.keyClick(window, Qt.Key.Key_F, CONTROL)
     shown = findings_window()
     assert "The proximity camera reads +12.0 mm" in text_of(shown)
     QTest.mouseClick(button(shown, "Depth offset +12.0 mm"), LEFT)
@@ -105,11 +105,6 @@ def test_the_list_says_evidence_and_mends(window, qtbot):
     QTest.mouseClick(undo, LEFT)
     assert window.document.preset.alignment.depth_offset_m == 0.0
     qtbot.waitUntil(lambda: "the cameras disagree" in text_of(shown))
-
-
-def test_ctrl_f_opens_the_list(window, qtbot):
-    QTest.keyClick(window, Qt.Key.Key_F, CONTROL)
-    assert findings_window().isVisible()
 
 
 def test_the_empty_patch_view_says_why_and_has_the_button(window, qtbot):
@@ -157,12 +152,6 @@ def test_the_membrane_test_offers_to_measure_the_bias(make_window, qtbot):
     checks = window.checks.window
     assert checks.isVisible()
     assert checks.tabs.currentWidget() is checks.noise
-
-
-def test_findings_go_with_their_source(window, qtbot):
-    show_source(qtbot, window, FakeSource(), 3)
-    qtbot.waitUntil(lambda: not window.status.findings.isVisible())
-    assert not offset_row(window).finding.isVisible()
 
 
 def test_hovering_tells_the_gap_of_the_membrane(make_window, qtbot):

@@ -234,19 +234,6 @@ def test_opening_shows_progress_and_cancel_keeps_the_present_source(window, qtbo
     qtbot.waitUntil(lambda: at_rest(window, 5))
 
 
-def test_choosing_another_source_gives_up_the_one_being_opened(window, qtbot):
-    def slow(progress):
-        while True:
-            progress(0.4, "pressing")
-
-    window.open_request(SourceRequest("sim:slow", slow))
-    qtbot.waitUntil(window.opening.isVisible)
-    other = FakeSource(length=2)
-    other.name = "other"
-    show_source(qtbot, window, other)
-    assert not window.opening.isVisible()
-
-
 def test_a_source_that_cannot_be_opened_is_said(window, qtbot):
     def fail(progress):
         raise SourceError("bag:/x.bag: damaged at byte 12; record it again")

@@ -13,7 +13,7 @@ from PyQt6.QtWidgets import QMenu
 
 from fakes import FakeSource
 from foxglove_client import FoxgloveClient
-from hands import CONTROL, CONTROL_SHIFT, LEFT, show_source, type_into
+from hands import CONTROL_SHIFT, LEFT, show_source, type_into
 from sockets import listening
 from tactune.core.estimation.tilt import TiltEstimator
 
@@ -72,27 +72,6 @@ def test_clients_get_what_the_window_shows_and_are_counted(publishing, window, q
         patch = window.result.patch
         assert tilt.x == TiltEstimator(window.document.preset, patch.rig).estimate(patch).roll_rad
     qtbot.waitUntil(lambda: "0 clients" in publishing.state.text())
-
-
-def test_a_value_set_by_a_client_is_an_undo_step(publishing, window, qtbot, port):
-    QTest.keyClick(publishing.settable, Qt.Key.Key_Space)
-    assert "web page on this computer can set" in publishing.note.text()
-    switch_on(publishing, qtbot, port)
-    with FoxgloveClient(port) as client:
-        assert client.parameters()["tolerance.t"] == 0.03
-        client.send("subscribeParameterUpdates", parameterNames=["tolerance.t"])
-        assert client.set_parameter("tolerance.t", 0.02) == {"tolerance.t": 0.02}
-        qtbot.waitUntil(lambda: window.document.preset.tolerance.t == 0.02)
-        assert window.document.undo_stack.undoText() == "Tolerance t 2 % (Foxglove)"
-        assert client.set_parameter("tolerance.t", 5) == {"tolerance.t": 0.02}
-        QTest.keyClick(publishing, Qt.Key.Key_Escape)  # closing the window ends nothing
-        window.activateWindow()
-        qtbot.waitUntil(window.isActiveWindow)
-        QTest.keyClick(window, Qt.Key.Key_Z, CONTROL)
-        assert window.document.preset.tolerance.t == 0.03
-        while client.wait_for_text("parameterValues")["parameters"][0]["value"] != 0.03:  # until it is told
-            pass
-        assert client.parameters()["tolerance.t"] == 0.03
 
 
 def test_a_new_window_remembers_the_settings_but_is_off(publishing, window, make_window, qtbot, port):

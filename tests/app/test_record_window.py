@@ -105,18 +105,6 @@ def test_another_source_ends_the_recording_and_that_is_said(window, cameras, qtb
     assert len(recorded(folder)) == 2
 
 
-def test_cameras_that_come_back_are_recorded_on(window, cameras, qtbot, folder):
-    begin(window, qtbot)
-    cameras.release()
-    cameras.faults["tactile"] = "missing"
-    qtbot.waitUntil(lambda: "not connected" in window.views.views["tactile"].badge())
-    cameras.faults.clear()
-    cameras.give(qtbot, 2)
-    assert window.recording.running
-    end(window, qtbot)
-    assert len(recorded(folder)) == 3
-
-
 def test_closing_the_window_finishes_the_file(window, cameras, qtbot, folder):
     begin(window, qtbot)
     cameras.give(qtbot, 30)

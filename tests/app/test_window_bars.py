@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QLabel
 
 from fakes import tiny_frame, tiny_rig
 from tactune.app.window.status import FrameStatus
@@ -65,21 +64,6 @@ def test_the_state_is_said_in_a_word_or_two(bar):
     assert bar.state.text() == "Recording, no frames"
 
 
-def test_no_number_is_cut_off(bar, result):
-    bar.resize(900, 24)
-    bar.show_findings(12)
-    bar.show_recording(True)
-    bar.show_playback(PlaybackState(length=8, playing=True))
-    give(bar, result, playback=PlaybackState(length=8, playing=True), area_mm2=123456)
-    bar.layout().activate()
-    for label in bar.findChildren(QLabel):
-        if label.text() and type(label) is QLabel:
-            assert label.width() >= label.fontMetrics().horizontalAdvance(label.text())
-            assert label.geometry().right() < bar.width()
-    for button in (bar.state, bar.findings):
-        assert button.width() >= button.sizeHint().width()
-
-
 def test_a_change_of_playback_that_a_picture_has_overtaken_keeps_the_number_of_the_picture(window):
     """A result replaces an older one whose signal is on its way, and so arrives before what was said in between."""
     transport, late = window.transport, replace(window.transport.state, index=5)
@@ -89,38 +73,19 @@ def test_a_change_of_playback_that_a_picture_has_overtaken_keeps_the_number_of_t
     assert transport.state.loop != late.loop
 
 
-@pytest.fixture
-def number(qtbot):
-    made = FrameNumber()
-    qtbot.addWidget(made)
-    made.show()
-    qtbot.waitExposed(made)
-    made.show_frame(3, 8)
-    made.setFocus()
-    made.selectAll()
-    return made
-
-
-def test_enter_goes_to_the_typed_frame_also_to_the_one_before_the_newest(number):
-    sought = []
+def test_enter_goes_to_the_typed_frame_and_escape_brings_the_shown_one_back(qtbot):
+    number, sought = FrameNumber(), []
     number.sought.connect(sought.append)
-    number.show_frame(6, 8)  # played on while somebody types
-    QTest.keyClicks(number, "4")
-    QTest.keyClick(number, Qt.Key.Key_Return)
-    assert sought == [3]
-    number.selectAll()
-    QTest.keyClicks(number, "7")
-    QTest.keyClick(number, Qt.Key.Key_Return)
+    qtbot.addWidget(number)
+    number.show()
+    qtbot.waitExposed(number)
+    number.show_frame(3, 8)
+    for typed, key in (("4", Qt.Key.Key_Return), ("2", Qt.Key.Key_Escape), ("7", Qt.Key.Key_Return)):
+        number.setFocus()
+        number.selectAll()
+        QTest.keyClicks(number, typed)
+        number.show_frame(5, 8)  # played on while somebody types
+        assert number.text() == f"frame {typed} of 8"
+        QTest.keyClick(number, key)
+        assert number.text() == "frame 6 of 8" and not number.hasFocus()
     assert sought == [3, 6]
-
-
-def test_escape_brings_the_shown_frame_back_and_goes_nowhere(number):
-    sought = []
-    number.sought.connect(sought.append)
-    QTest.keyClicks(number, "2")
-    number.show_frame(5, 8)
-    assert number.text() == "frame 2 of 8"
-    QTest.keyClick(number, Qt.Key.Key_Escape)
-    assert number.text() == "frame 6 of 8" and not number.hasFocus()
-    number.show_frame(0, None)
-    assert number.text() == "frame 1" and sought == []
