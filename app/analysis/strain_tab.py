@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QComboBox, QDoubleSpinBox, QLabel, QWidget
 
 from ...core.lab.strain import (
@@ -25,10 +26,10 @@ from ...core.lab.strain import (
 )
 from ...core.model.arrays import Float64Array, Uint8Array
 from ...core.model.frames import SensorFrame, TrueStrain
-from ...widgets.basics.colormaps import depth_lut
+from ...widgets.basics.colormaps import depth_lut, ends_legend
 from ...widgets.basics.controls import caption, frame_count, wrapped_label
 from ...widgets.basics.layouts import splitter, vbox
-from ...widgets.images.image_pane import ColorBar, ImagePane, Swatch
+from ...widgets.images.image_pane import ImagePane
 from ...widgets.plots.plot import Plot
 from ..calibration.pictures import pack_rgb
 from ..context import Context
@@ -271,7 +272,7 @@ class StrainMap(ImagePane):
         self._view = view
         image = None if view is None or view.color is None else view.color.copy()
         measured = view.measured if view is not None else None
-        self.header.set_legend(None)
+        self.set_legend([])
         if view is not None and view.color is not None and measured is not None and image is not None:
             values = view.values(shown)
             low, high = _color_range(values)
@@ -281,9 +282,9 @@ class StrainMap(ImagePane):
                 color = [int(channel) for channel in _map_lut()[row, :3]]
                 cv2.fillConvexPoly(image, places, color, cv2.LINE_AA, _SHIFT)
             image = np.asarray(cv2.addWeighted(image, _OPACITY, view.color, 1.0 - _OPACITY, 0.0), dtype=np.uint8)
-            bar = ColorBar(f"{100 * low:.0f} %", f"{100 * high:.0f} %", _map_lut())
-            marks = (Swatch("largest along length", LENGTH_RGB), Swatch("largest along width", WIDTH_RGB))
-            self.header.set_legend(bar, marks)
+            scale = ends_legend(f"{100 * low:.0f} %", f"{100 * high:.0f} %", _map_lut())
+            peaks = [("largest along length", QColor(*LENGTH_RGB)), ("largest along width", QColor(*WIDTH_RGB))]
+            self.set_legend(scale + peaks)
         size = (640, 480) if image is None else (image.shape[1], image.shape[0])
         changed = size != self._size
         self.set_pixels(None if image is None else pack_rgb(image), size, 1)

@@ -86,21 +86,6 @@ def close_window(window: MainWindow) -> None:
     QApplication.processEvents()
 
 
-@pytest.fixture
-def make_window(qtbot, preset, tmp_path, settings_file) -> Iterator[Callable[..., MainWindow]]:
-    """Open windows that use nothing of the person's own folders, and close them whatever happened."""
-    windows = []
-
-    def make(start: Preset = preset, size: tuple[int, int] | None = (1280, 800)) -> MainWindow:
-        window = open_window(qtbot, tmp_path, settings_file, start, size)
-        windows.append(window)
-        return window
-
-    yield make
-    for window in windows:
-        close_window(window)
-
-
 class SharedWindow:
     """One main window for the tests of a module; one that a test left with other windows open is replaced."""
 
@@ -178,6 +163,22 @@ def shared(qapp, tmp_path_factory) -> Iterator[SharedWindow]:
 
 
 @pytest.fixture
+def make_window(qtbot, shared, preset, tmp_path, settings_file) -> Iterator[Callable[..., MainWindow]]:
+    """Open windows that use nothing of the person's own folders, and close them whatever happened."""
+    shared.close()
+    windows = []
+
+    def make(start: Preset = preset, size: tuple[int, int] | None = (1280, 800)) -> MainWindow:
+        window = open_window(qtbot, tmp_path, settings_file, start, size)
+        windows.append(window)
+        return window
+
+    yield make
+    for window in windows:
+        close_window(window)
+
+
+@pytest.fixture
 def own_window(qtbot, make_window) -> MainWindow:
     """A window of this test alone, standing still at frame 3 of a recording of 8."""
     made = make_window()
@@ -189,7 +190,6 @@ def own_window(qtbot, make_window) -> MainWindow:
 def window(request, qtbot, shared, tmp_path, preset) -> MainWindow:
     """The window of the module at frame 3 of a recording of 8; tests that open more windows get one of their own."""
     if "make_window" in request.fixturenames:
-        shared.close()
         return request.getfixturevalue("own_window")
     shown = shared.ready(qtbot, tmp_path, preset)
     show_source(qtbot, shown, FakeSource(), 3)

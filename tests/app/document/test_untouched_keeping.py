@@ -126,7 +126,7 @@ def test_a_captured_untouched_frame_outlives_a_crash(qtbot, window, make_window,
     qtbot.waitUntil(window.autosave.file.exists)
     shutil.copy(window.autosave.file, window.context.data_folder / "unsaved-0.json")  # as of a window that has died
     after = make_window()
-    after.offer_unsaved_work()
+    after.file_flows.offer_unsaved_work()
     press(after.messages.message("recovery"), "Restore")
     assert after.document.preset.untouched == record
     after.document.save(tmp_path / "rescued.json")
