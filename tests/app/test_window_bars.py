@@ -78,7 +78,8 @@ def test_enter_goes_to_the_typed_frame_and_escape_brings_the_shown_one_back(qtbo
     number.sought.connect(sought.append)
     qtbot.addWidget(number)
     number.show()
-    qtbot.waitExposed(number)
+    number.activateWindow()  # the window of the module may be open
+    qtbot.waitUntil(number.isActiveWindow)
     number.show_frame(3, 8)
     for typed, key in (("4", Qt.Key.Key_Return), ("2", Qt.Key.Key_Escape), ("7", Qt.Key.Key_Return)):
         number.setFocus()
