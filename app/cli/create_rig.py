@@ -37,27 +37,23 @@ def create_rig(
 ) -> None:
     """Write the rig.json of a folder of images. The pose of the cameras is a matter of tactune calibrate."""
     from ...core.calibration.lens import make_rig
-    from ...core.sources.folder_rig import find_images, write_rig
+    from ...core.sources.folder import first_image_sizes, write_rig
 
-    images = find_images(folder)
-    if images.problem:
-        raise CalibrationError(images.problem)
+    sizes = {name: (width, height) for name, (height, width) in first_image_sizes(folder).items()}
     board = re.fullmatch(r"(\d+)x(\d+)", corners)
     if board is None:
         raise typer.BadParameter(f"--corners is {corners!r}; write the inner corners as 9x6")
     size = int(board[1]), int(board[2])
     cameras = {
-        "proximity": _camera(proximity, "depth", images.sizes["proximity_depth.png"], size),
-        "tactile": _camera(tactile, "depth", images.sizes["tactile_depth.png"], size),
+        "proximity": _camera(proximity, "depth", sizes["proximity_depth.png"], size),
+        "tactile": _camera(tactile, "depth", sizes["tactile_depth.png"], size),
     }
-    if images.has_own_color_lens:
+    if sizes["proximity_color.png"] != sizes["proximity_depth.png"]:
         model, _, how = proximity.partition("=")
         color = proximity_color or (proximity if how == "camera" else model)
-        lens = _camera(color, "colour", images.sizes["proximity_color.png"], size)
+        lens = _camera(color, "colour", sizes["proximity_color.png"], size)
         cameras["proximity_color"] = {key: lens[key] for key in lens if key not in ("model", "depth_unit_m")}
     write_rig(folder, make_rig(cameras))
-    if images.different:
-        warn(f"not all frames can be read: {images.different}")
     typer.echo(f"wrote {folder / 'rig.json'}")
 
 

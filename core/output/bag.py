@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from importlib.metadata import version
 from io import FileIO
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, Self
 
 from mcap.writer import CompressionType, Writer
@@ -78,7 +77,6 @@ class Bag:
             raise
 
     def _begin(self, topics: Mapping[str, str], files: Mapping[str, bytes], frame_rate_hz: float) -> None:
-        """Write what stands before the messages."""
         writer = self._writer
         writer.start("ros2", f"tactune {version('tactune')}")
         about = {"format_version": str(FORMAT_VERSION), "frame_rate_hz": repr(float(frame_rate_hz))}
@@ -96,7 +94,6 @@ class Bag:
 
     @property
     def size(self) -> int:
-        """Bytes in the file."""
         return self._output.size
 
     def write(self, sequence: int, log_time_ns: int, messages: Sequence[Message]) -> None:
@@ -106,15 +103,13 @@ class Bag:
                 for topic, stamp_ns, parts in messages:
                     data, number = b"".join(parts), sequence & 0xFFFFFFFF
                     self._writer.add_message(self._channels[topic], log_time_ns, data, max(stamp_ns, 0), number)
-                with self._output.whole():
-                    self._writer.flush()
+                self._writer.flush()
         except ExportError:
             self._is_cut_off = True
             raise
         self._chunks += 1
 
     def sync(self) -> None:
-        """Wait until the disk has what was written."""
         with self._refusals():
             os.fsync(self._file.fileno())
 
@@ -127,7 +122,7 @@ class Bag:
             return
         try:
             if not self._is_cut_off:
-                with self._refusals(), self._output.whole():
+                with self._refusals():
                     self._writer.finish()
             self.sync()
         finally:
@@ -146,7 +141,7 @@ class Bag:
 
 
 class _Output:
-    """The file as the library's writer sees it."""
+    """The file as the library's writer sees it, without a buffer that a full disk would leave filled."""
 
     def __init__(self, file: FileIO) -> None:
         self._file = file
@@ -155,8 +150,9 @@ class _Output:
     def write(self, data: Buffer) -> None:
         rest = memoryview(data)
         while rest:
-            rest = rest[self._file.write(rest) :]
-        self.size += len(data)
+            written = self._file.write(rest)
+            self.size += written
+            rest = rest[written:]
 
     def tell(self) -> int:
         return self.size
@@ -164,25 +160,9 @@ class _Output:
     def flush(self) -> None:
         """Do nothing: the file has no buffer."""
 
-    @contextmanager
-    def whole(self) -> Iterator[None]:
-        """Remove what was written inside where the operating system refuses a part of it."""
-        before = self.size
-        try:
-            yield
-        except OSError:
-            self._file.seek(before)
-            self._file.truncate()
-            self.size = before
-            raise
-
 
 class PatchWriter:
-    """Writes patches on ``/contact/patch``, and with ``poses`` those of an object on ``/object/pose`` and ``/tf``.
-
-    A context manager that finishes the file, also after an error; without a patch it removes it. Raises `ExportError`
-    where there is such a file already, or it cannot be written.
-    """
+    """Writes patches on ``/contact/patch``, and with ``poses`` those of an object on ``/object/pose`` and ``/tf``."""
 
     def __init__(
         self, path: Path | str, rig: Rig, preset: Preset, frame_rate_hz: float, *, poses: bool = False
@@ -207,13 +187,11 @@ class PatchWriter:
         self._bag.write(sequence, self._clock.tick(stamp_ns), messages)
 
     def close(self) -> None:
-        """Finish the file; twice is harmless."""
+        """Finish the file, or remove one without a patch."""
         self._bag.close()
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()

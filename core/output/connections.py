@@ -1,4 +1,4 @@
-"""Settings of live connections, and the sinks that follow from them."""
+"""Settings of live connections and the sinks that follow from them."""
 
 from __future__ import annotations
 
@@ -16,25 +16,10 @@ FOXGLOVE_PORT: Final = 8765
 
 @dataclass(frozen=True)
 class Connections:
-    """Settings of live connections. By default nothing listens.
+    """Settings of live connections. By default nothing listens; ``port`` 0 is any free one.
 
-    Attributes
-    ----------
-    foxglove : bool
-        A WebSocket server for the Foxglove app.
-    ros2 : bool
-        ROS 2 topics by DDS, without ROS.
-    host : str
-        The address to listen on.
-    port : int
-        Of the Foxglove server; 0 for any free one.
-    domain : int
-        ROS 2 domain id.
-    namespace : str
-        Of the ROS 2 topics.
-    settable : bool
-        Foxglove clients may set preset parameters. Off by default: a web page that is open on this computer can
-        connect to the loopback address, and foxglove-sdk does not let us check where a client comes from.
+    ``settable`` lets Foxglove clients set preset parameters. It is off by default: a web page that is open on this
+    computer can connect to the loopback address, and foxglove-sdk does not let us check where a client comes from.
     """
 
     foxglove: bool = False

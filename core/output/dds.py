@@ -98,7 +98,6 @@ class DdsSink:
         self._clients = 0
 
     def start(self, topics: Mapping[str, str]) -> None:
-        """Announce topics, given with their types; see `Sink`."""
         try:
             self._entities.append(Domain(self._domain, self._config()))
         except DDSException as error:
@@ -117,13 +116,11 @@ class DdsSink:
             raise PublishError(f"ROS 2 cannot start on {self.status().place}: {error}") from error
 
     def wanted(self) -> Collection[str]:
-        """Return the topics that have subscribers."""
         counts = {topic: len(writer.get_matched_subscriptions()) for topic, writer in self._writers.items()}
         self._clients = max(counts.values(), default=0)
         return [topic for topic, count in counts.items() if count]
 
     def send(self, messages: Sequence[LiveMessage]) -> None:
-        """Send messages; subscribers that are too slow lose them."""
         for message in messages:
             _write(self._writers[message.topic], message.data)
 
@@ -131,7 +128,6 @@ class DdsSink:
         """Do nothing: ROS 2 has ``/diagnostics``."""
 
     def close(self) -> None:
-        """Leave the domain; twice is harmless."""
         self._writers.clear()
         while self._entities:
             del self._entities[-1]  # nothing else holds it: Cyclone's own is deleted with it
@@ -177,22 +173,8 @@ def _write(writer: DataWriter[IdlStruct], data: bytes) -> None:
         raise PublishError(f"ROS 2 refuses a message on {writer.topic.name}: {DDSException(code)}")
 
 
-_BASE_TYPES: Final[Mapping[str, Any]] = {
-    "bool": bool,
-    "string": str,
-    "octet": idl.byte,
-    "byte": idl.byte,
-    "int8": idl.int8,
-    "uint8": idl.uint8,
-    "int16": idl.int16,
-    "uint16": idl.uint16,
-    "int32": idl.int32,
-    "uint32": idl.uint32,
-    "int64": idl.int64,
-    "uint64": idl.uint64,
-    "float32": idl.float32,
-    "float64": idl.float64,
-}
+#: The others have their ROS names in Cyclone DDS.
+_BASE_TYPES: Final[Mapping[str, Any]] = {"bool": bool, "string": str, "octet": idl.byte}
 
 
 @lru_cache
@@ -206,7 +188,7 @@ def _dds_type(name: str) -> type[IdlStruct]:
 def _field_type(description: Any) -> Any:
     kind, argument = description
     if kind == Nodetype.BASE:
-        return _BASE_TYPES[argument[0]]
+        return _BASE_TYPES.get(argument[0]) or getattr(idl, argument[0])
     if kind == Nodetype.NAME:
         return _dds_type(argument)
     element, count = _field_type(argument[0]), argument[1]

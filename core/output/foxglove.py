@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import importlib.resources
 import logging
-import os
-import re
 import threading
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
@@ -46,7 +44,6 @@ class FoxgloveSink:
         self._subscriptions: Counter[tuple[int, str]] = Counter()
 
     def start(self, topics: Mapping[str, str]) -> None:
-        """Listen; see `Sink`."""
         try:
             import foxglove
             from foxglove.websocket import Capability
@@ -71,17 +68,18 @@ class FoxgloveSink:
                 message_backlog_size=len(topics),  # a slow client is at most one frame behind
             )
         except (RuntimeError, OverflowError) as error:
-            raise PublishError(_explain(str(error), self._host, self._port)) from error
+            raise PublishError(
+                f"Foxglove cannot listen on {self._host}, port {self._port} ({str(error).rpartition(': ')[2]}); "
+                "end the program that listens there, or choose another port and an address of this computer"
+            ) from error
         self._port = self._server.port
         self._parameters.on_change = self._tell_parameters
 
     def wanted(self) -> Collection[str]:
-        """Return the topics with a subscriber."""
         with self._lock:
             return frozenset(topic for _, topic in self._subscriptions)
 
     def send(self, messages: Sequence[LiveMessage]) -> None:
-        """Queue messages for the clients; one that is slow loses its oldest."""
         for message in messages:
             self._channels[message.topic].log(message.data, log_time=message.stamp_ns)
 
@@ -97,7 +95,6 @@ class FoxgloveSink:
             self._server.remove_status([subject])
 
     def close(self) -> None:
-        """Disconnect clients and free the port."""
         if self._server is not None:
             self._parameters.on_change = lambda values: None
             self._server.stop()
@@ -115,12 +112,10 @@ class FoxgloveSink:
     # What the server calls, on its own threads
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
-        """Count a subscription."""
         with self._lock:
             self._subscriptions[client.id, channel.topic] += 1
 
     def on_unsubscribe(self, client: Client, channel: ChannelView) -> None:
-        """Count a subscription that has ended."""
         with self._lock:
             self._subscriptions[client.id, channel.topic] -= 1
             self._subscriptions = +self._subscriptions  # without those at 0
@@ -156,11 +151,3 @@ class FoxgloveSink:
     def _tell_parameters(self, values: Mapping[str, object]) -> None:
         if self._server is not None:
             self._server.publish_parameter_values(self._values(values.keys()))
-
-
-def _explain(error: str, host: str, port: int) -> str:
-    number = re.search(r"os error (\d+)", error)
-    if number is not None and int(number[1]) == 98:
-        return f"port {port} is taken on {host}; end the program that listens there, or choose another port"
-    reason = os.strerror(int(number[1])) if number is not None else error.rpartition(": ")[2]
-    return f"Foxglove cannot listen on {host}, port {port} ({reason}); choose an address of this computer and a port"

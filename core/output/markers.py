@@ -80,6 +80,5 @@ def load_marks(path: Path) -> Marks:
 
 
 def save_marks(path: Path, marks: Marks) -> None:
-    """Write marks atomically; `ExportError` if they cannot be written."""
     with atomic_path(path) as temporary:
         temporary.write_text(marks.model_dump_json(indent=1) + "\n", encoding="utf-8")

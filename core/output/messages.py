@@ -1,8 +1,4 @@
-"""ROS 2 messages in CDR: one builder for recordings, Foxglove and ROS 2.
-
-Topics, types and frames are in `tactune.core.sources.mcap.messages`, which also reads the messages of recordings. Every
-function returns the bytes of a whole message, little-endian, with the four-byte header of CDR.
-"""
+"""ROS 2 messages for recordings, Foxglove and ROS 2: whole ones, little-endian, with the four-byte header of CDR."""
 
 from __future__ import annotations
 
@@ -85,28 +81,24 @@ def nanoseconds(time_s: float) -> int:
 
 
 class LogClock:
-    """Log times that follow the time stamps and always increase, even where the stamps do not.
+    """Log times that follow the time stamps and always increase, since players sort by them.
 
-    Players sort by log time, so a camera's clock that jumps back must not reorder the frames.
+    After a camera's clock has jumped back, the next frame follows one period after the last.
     """
 
     def __init__(self, period_s: float) -> None:
         self._period_ns = max(nanoseconds(period_s), 1)
-        self._shift_ns = 0
-        self._last_ns: int | None = None
+        self._shift_ns, self._last_ns = 0, -self._period_ns
 
     def tick(self, stamp_ns: int) -> int:
         """Return the log time of a frame with this stamp, nanoseconds from 0."""
-        earliest_ns = 0 if self._last_ns is None else self._last_ns + 1
-        if stamp_ns + self._shift_ns < earliest_ns:
-            resume_ns = 0 if self._last_ns is None else self._last_ns + self._period_ns
-            self._shift_ns = resume_ns - stamp_ns
+        if stamp_ns + self._shift_ns <= max(self._last_ns, -1):
+            self._shift_ns = self._last_ns + self._period_ns - stamp_ns
         self._last_ns = stamp_ns + self._shift_ns
         return self._last_ns
 
 
 def definition(message_type: str) -> str:
-    """Return the definition of a message type and of the types inside it."""
     return TYPES.generate_msgdef(message_type, ros_version=2)[0]
 
 
@@ -130,7 +122,6 @@ def image_head(frame_id: str, encoding: str, shape: tuple[int, int], pixel_bytes
 
 
 def camera_info(frame_id: str, lens: Intrinsics) -> bytes:
-    """Return a serialised lens."""
     k = lens.camera_matrix()
     region = _type("sensor_msgs/msg/RegionOfInterest")(0, 0, 0, 0, False)
     message = _type(CAMERA_INFO)(
@@ -178,10 +169,7 @@ def transforms(poses: Mapping[str, Float64Array], stamp_ns: int) -> bytes:
 
 
 def pose_with_covariance(pose: Float64Array, covariance: Float64Array, stamp_ns: int) -> bytes:
-    """Return a pose, (4, 4), in the proximity depth frame.
-
-    Its covariance, (6, 6), is of x, y, z in metres and of small rotations about the fixed axes x, y, z in radians.
-    """
+    """Return a pose, (4, 4), in the proximity depth frame; covariance, (6, 6): x, y, z in m, rotations about them."""
     point = _type("geometry_msgs/msg/Point")(*pose[:3, 3].tolist())
     body = _type("geometry_msgs/msg/Pose")(point, _quaternion(pose))
     known = _type("geometry_msgs/msg/PoseWithCovariance")(body, np.asarray(covariance, np.float64).ravel())
@@ -204,12 +192,10 @@ def vector(x: float, y: float, z: float, stamp_ns: int) -> bytes:
 
 
 def number(value: float) -> bytes:
-    """Return one number."""
     return _serialise(_type(NUMBER)(float(value)), NUMBER)
 
 
 def diagnostics(name: str, values: Mapping[str, str], stamp_ns: int, warning: str = "") -> bytes:
-    """Return named values and a warning, if there is one; ``name`` says what they belong to."""
     status, pair = _type("diagnostic_msgs/msg/DiagnosticStatus"), _type("diagnostic_msgs/msg/KeyValue")
     pairs = [pair(key, value) for key, value in values.items()]
     level = status.WARN if warning else status.OK
@@ -218,7 +204,6 @@ def diagnostics(name: str, values: Mapping[str, str], stamp_ns: int, warning: st
 
 
 def text(value: str) -> bytes:
-    """Return a text, serialised."""
     return _serialise(_type(TEXT)(value), TEXT)
 
 
@@ -296,7 +281,6 @@ def image_streams(rig: Rig) -> Mapping[Topic, ImageStream]:
 
 
 def images_of(frame: SensorFrame) -> Iterator[tuple[Topic, AnyArray]]:
-    """Yield the images of a frame with their topics."""
     yield Topic.PROXIMITY_DEPTH, frame.proximity_depth
     yield Topic.PROXIMITY_COLOR, frame.proximity_color
     yield Topic.TACTILE_DEPTH, frame.tactile_depth

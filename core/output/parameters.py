@@ -20,8 +20,8 @@ _EXCLUDED: Final = ("cameras.", "name", "notes", "created", "modified")
 class PresetParameters:
     """The preset's numbers, switches and words, by their dotted paths, such as ``"tolerance.t"``; for any thread.
 
-    ``check`` raises `TactuneError` for a preset that cannot be used, such as with the present rig. Unless
-    ``settable``, clients read only.
+    ``check`` raises `TactuneError` for a preset that cannot be used, and may be replaced once the rig is known.
+    ``on_change`` is told what `use` has changed. Unless ``settable``, clients read only.
     """
 
     def __init__(
@@ -32,15 +32,12 @@ class PresetParameters:
     ) -> None:
         self._preset = preset
         self._settable = settable
-        #: May be replaced once the rig is known.
         self.check = check
         self._lock = threading.Lock()
-        #: Told the values that `use` has changed.
         self.on_change: Callable[[Mapping[str, Value]], None] = lambda values: None
 
     @property
     def preset(self) -> Preset:
-        """The present preset."""
         return self._preset
 
     def use(self, preset: Preset) -> None:
@@ -52,7 +49,6 @@ class PresetParameters:
             self.on_change(changed)
 
     def values(self) -> dict[str, Value]:
-        """Return all values by path."""
         return _values(self._preset)
 
     def set(self, path: str, value: object) -> None:

@@ -1,9 +1,8 @@
 """Live connections: processed frames as messages, to whoever listens.
 
-The `Publisher` takes each processed frame, and the pose of a tracked object when it is known. A `Sink` is one way out,
-such as a Foxglove server or ROS 2. Each has its own thread, which takes the newest frame and the newest pose from a
-mailbox with one slot for each: a slow sink loses its own frames only, and nothing waits for it. A message is built when
-the first sink asks for it, once for all sinks, and only if somebody listens to its topic.
+Each `Sink` has its own thread, which takes the newest frame and the newest pose from a mailbox with one slot for each:
+a slow sink loses its own frames only, and nothing waits for it. A message is built once for all sinks, and only if
+somebody listens to its topic.
 """
 
 from __future__ import annotations
@@ -159,7 +158,6 @@ class Messages:
 
 
 def pose_messages(pose: Float64Array, covariance: Float64Array, stamp_ns: int) -> Messages:
-    """Return the messages of a tracked object: ``T_proximity_object``, (4, 4), and its covariance, (6, 6)."""
     parts = messages.pose_parts(pose, covariance, stamp_ns)
     return Messages({topic: partial(parts.get, topic) for topic in parts}, stamp_ns)
 
@@ -231,14 +229,7 @@ def frame_messages(
 class Publisher:
     """Gives every processed frame to sinks. A context manager.
 
-    Parameters
-    ----------
-    sinks : sequence of Sink
-
-    Raises
-    ------
-    PublishError, MissingExtraError
-        A sink cannot start; those before it are closed again.
+    Raises `PublishError` or `MissingExtraError` where a sink cannot start; those before it are closed again.
     """
 
     def __init__(self, sinks: Sequence[Sink]) -> None:
@@ -269,9 +260,9 @@ class Publisher:
             Its images must not be overwritten.
         patch : ContactPatch
         preset : Preset
-            The one that the patch was computed with.
-        tilt : Lazy of a dict, optional
-            As `tactune.core.estimation.tilt.Tilt.record` returns it; computed if somebody listens to it.
+            That of the patch.
+        tilt : Lazy, optional
+            What `Tilt.record` returns; computed if somebody listens to it.
         """
         now_ns, stamp_ns = time.time_ns(), messages.nanoseconds(frame.proximity_time_s)
         if abs(stamp_ns + self._shift_ns - now_ns) > _MAX_CLOCK_ERROR_NS:
@@ -285,7 +276,8 @@ class Publisher:
         self._stamps_ns[frame.proximity_time_s] = built.stamp_ns
         if len(self._stamps_ns) > _KEPT_STAMPS:
             del self._stamps_ns[next(iter(self._stamps_ns))]
-        self._give("frame", built)
+        for output in self._outputs:
+            output.put("frame", built)
 
     def put_pose(self, pose: Float64Array, covariance: Float64Array, time_s: float) -> None:
         """Publish the pose of a tracked object that is not lost, and return at once; for any thread.
@@ -295,25 +287,18 @@ class Publisher:
         pose : float64, shape (4, 4)
             ``T_proximity_object``.
         covariance : float64, shape (6, 6)
-            As in `tactune.core.estimation.pose.PoseEstimate`.
+            Of x, y, z in metres and small rotations about the fixed axes in radians.
         time_s : float
-            Proximity time stamp of its frame, whose messages have the same stamp. If that frame was not among the
-            newest 100 of `put`, nothing is published.
+            Proximity time stamp of its frame, which must be among the newest 100 of `put`.
         """
         stamp_ns = self._stamps_ns.get(time_s)
         if stamp_ns is not None:
-            self._give("pose", pose_messages(pose, covariance, stamp_ns))
+            built = pose_messages(pose, covariance, stamp_ns)
+            for output in self._outputs:
+                output.put("pose", built)
 
     def tell(self, subject: str, sentence: str) -> None:
-        """Warn clients, in ``/diagnostics`` and where the protocol has a way for it; for any thread.
-
-        Parameters
-        ----------
-        subject : str
-            A new sentence about a subject replaces the one before.
-        sentence : str
-            Empty: the warning is taken back.
-        """
+        """Warn clients of a subject until an empty sentence takes it back; for any thread."""
         if sentence == self._told.get(subject, ""):
             return
         if sentence:
@@ -322,10 +307,6 @@ class Publisher:
             del self._told[subject]
         for output in self._outputs:
             output.sink.tell(subject, sentence)
-
-    def _give(self, kind: str, built: Messages) -> None:
-        for output in self._outputs:
-            output.put(kind, built)
 
     def status(self) -> tuple[OutputStatus, ...]:
         """Return the state of every sink."""
@@ -360,14 +341,12 @@ class _Output:
         self._thread.start()
 
     def put(self, kind: str, built: Messages) -> None:
-        """Replace the frame, or the pose, in the mailbox."""
         with self._changed:
             self._missed += kind in self._waiting
             self._waiting[kind] = built
             self._changed.notify()
 
     def status(self) -> OutputStatus:
-        """Return the state."""
         with self._changed:
             since_s = time.monotonic() - _RATE_OVER_S
             recent = Counter(kind for kind, time_s in self._sent_s if time_s > since_s)
@@ -375,7 +354,6 @@ class _Output:
             return OutputStatus(self.sink.status(), rate / _RATE_OVER_S, sent, self._missed, self._error)
 
     def close(self) -> None:
-        """Stop the thread and close the sink."""
         with self._changed:
             self._closing = True
             self._changed.notify()

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from ..errors import ExportError, TactuneError
@@ -118,18 +117,9 @@ class SessionWriter:
         self._thread.start()
 
     def put(self, frame: SensorFrame, *, wait: bool) -> bool:
-        """Queue a frame and return whether it will be written.
+        """Queue a frame and return whether it will be written; `FrameError` if it does not fit the rig.
 
-        Parameters
-        ----------
-        frame : SensorFrame
-        wait : bool
-            Wait for room, for a source that can wait; else a frame that finds none is dropped and counted.
-
-        Raises
-        ------
-        FrameError
-            The frame does not fit the rig.
+        ``wait`` for room where the source can wait; else a frame that finds none is dropped and counted.
         """
         size = self._check(frame)
         with self._changed:
@@ -146,10 +136,7 @@ class SessionWriter:
         return True
 
     def put_pose(self, pose: Float64Array, covariance: Float64Array, sequence: int, time_s: float) -> None:
-        """Queue the pose of a frame, as `tactune.core.output.bag.PatchWriter.write` takes it.
-
-        Kept is one pose of each frame that `put` has accepted, if it comes soon after it.
-        """
+        """Queue the pose of an object, (4, 4), and its covariance, (6, 6), if it comes soon after its frame."""
         with self._changed:
             if sequence in self._awaiting_pose and not self._error and not self._closing:
                 self._awaiting_pose.remove(sequence)
@@ -169,10 +156,7 @@ class SessionWriter:
             )
 
     def close(self) -> RecordingStatus:
-        """Write the queued frames, finish the file and return its state; twice is harmless.
-
-        A file without any frame is removed, and the status says so.
-        """
+        """Write the queued frames, finish the file, or remove one without frames, and return its state."""
         with self._changed:
             self._closing = True
             self._changed.notify_all()
@@ -182,9 +166,7 @@ class SessionWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _topics(self) -> dict[str, str]:
@@ -197,7 +179,7 @@ class SessionWriter:
         return topics
 
     def _check(self, frame: SensorFrame) -> int:
-        """Check that a frame can be written, and return its size in bytes."""
+        """Return the size of a frame in bytes; `FrameError` if it does not fit the rig."""
         size = 0
         for topic, image in images_of(frame):
             self._streams[topic].check(image, frame.sequence)
@@ -213,24 +195,23 @@ class SessionWriter:
             self._dropped += self._accepted - self._frames
             self._queue.clear()
             self._changed.notify_all()
-        self._attempt(self._bag.close)
-        if not self._frames:
-            self._fail(f"no frame arrived for {self._bag.path}, so there is no file; check the source")
+        self._attempt(self._close)
 
     def _attempt(self, step: Callable[[], None]) -> None:
-        """Do a step and keep its error for `status`: nobody can catch an exception of this thread."""
+        """Do a step and keep the first error for `status`: nobody can catch an exception of this thread."""
         try:
             step()
-        except TactuneError as error:
-            self._fail(str(error))
         except Exception as error:
-            self._fail(f"cannot continue writing {self._bag.path} ({type(error).__name__}: {error})")
+            known = isinstance(error, TactuneError)
+            cause = str(error) if known else f"cannot continue writing {self._bag.path} ({error!r})"
+            with self._changed:
+                self._error = self._error or cause
+                self._changed.notify_all()
 
-    def _fail(self, reason: str) -> None:
-        """Keep the first error."""
-        with self._changed:
-            self._error = self._error or reason
-            self._changed.notify_all()
+    def _close(self) -> None:
+        self._bag.close()
+        if not self._frames:
+            raise ExportError(f"no frame arrived for {self._bag.path}, so there is no file; check the source")
 
     def _write_frames(self) -> None:
         synced_s = time.monotonic()
@@ -288,11 +269,10 @@ def export_mcap(
     untouched: SensorFrame | None = None,
     progress: Progress | None = None,
 ) -> int:
-    """Write a source's frames, from its present position, as a recording that `McapSource` reads back bit for bit.
+    """Write at most ``frames`` of a source, from its present position, as a recording; return how many.
 
-    At most ``frames`` are written; a live source needs it. The file gets its name when it is complete; one that was
-    there is replaced. ``untouched`` is by default the source's. Returns the number of frames; raises `ExportError`
-    where the file cannot be written or there is nothing to write, `SourceError` where the source cannot be read.
+    The file gets its name when it is complete; one that was there is replaced. ``untouched`` is by default the
+    source's.
     """
     if frames is None and source.length is None:
         raise ExportError(f"{source.name} is live and has no end; record it, or say how many frames to convert")
@@ -308,18 +288,14 @@ def export_mcap(
                 frame_rate_hz=source.frame_rate_hz,
                 untouched=source.untouched() if untouched is None else untouched,
             ) as writer:
-                return _write(source, writer, total, progress)
+                for count, frame in enumerate(itertools.islice(source, total), start=1):
+                    if not writer.put(frame, wait=True):
+                        break
+                    if progress is not None:
+                        progress(count / total, f"frame {count} of {total}")
+            status = writer.status()
+            if status.error:
+                raise ExportError(status.error)
         except ExportError as error:  # which knows the temporary name only
             raise ExportError(str(error).replace(str(temporary), str(path))) from error
-
-
-def _write(source: FrameSource, writer: SessionWriter, total: int, progress: Progress | None) -> int:
-    for count, frame in enumerate(itertools.islice(source, total), start=1):
-        if not writer.put(frame, wait=True):
-            break
-        if progress is not None:
-            progress(count / total, f"frame {count} of {total}")
-    status = writer.close()
-    if status.error:
-        raise ExportError(status.error)
     return status.frames

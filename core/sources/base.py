@@ -40,20 +40,10 @@ class CameraHealth:
 
 @dataclass(frozen=True)
 class Health:
-    """State of a source; messages can be shown unchanged.
+    """State of a source; ``message`` can be shown unchanged and is empty where there is no problem.
 
-    Attributes
-    ----------
-    message : str
-        Empty where there is no problem.
-    dropped : int
-        Frames lost before they were read.
-    stale : bool
-        The last frame is old and does not show what the cameras see now.
-    cameras : tuple of CameraHealth
-        One for each camera of a live source, empty for recordings.
-    unmatched : int
-        Images without an image of the other camera at the same time.
+    ``dropped`` counts frames lost before they were read, ``unmatched`` images without one of the other camera at the
+    same time. ``stale``: the last frame does not show what the cameras see now.
     """
 
     ok: bool = True
@@ -88,9 +78,8 @@ class CameraOption:
 class FrameSource(ABC):
     """A sequence of frames from one rig.
 
-    A source with a ``length`` can ``seek``; a live one has ``length`` None. `next_frame` may block
-    for as long as the next frame takes to arrive, so it belongs on a worker thread. It never paces
-    a recording: the caller decides how fast to play. Sources are context managers.
+    A source with a ``length`` can ``seek``; a live one has ``length`` None. `next_frame` may block until the next
+    frame arrives; it never paces a recording. Sources are context managers.
     """
 
     #: Name by which the source was opened, such as ``"sim:cup"`` or ``"folder:/data/scene"``.
@@ -118,20 +107,10 @@ class FrameSource(ABC):
 
     @abstractmethod
     def next_frame(self) -> SensorFrame | None:
-        """Return the next frame, or None at the end.
-
-        Raises
-        ------
-        SourceError
-            The frame cannot be read; the message names it and the remedy.
-        """
+        """Return the next frame, or None at the end; `SourceError` if it cannot be read."""
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until `next_frame` will not block; return False after the timeout.
-
-        A recording is always ready; a live source waits for a frame, at most ``timeout_s``. Callers
-        that have other work call this before `next_frame`.
-        """
+        """Wait until `next_frame` will not block; return False after the timeout. A recording is always ready."""
         return True
 
     def options(self) -> tuple[CameraOption, ...]:
@@ -139,23 +118,11 @@ class FrameSource(ABC):
         return ()
 
     def set_option(self, camera: CameraRole, name: str, value: float) -> None:
-        """Change one setting of a camera.
-
-        Raises
-        ------
-        SourceError
-            The source has no such camera or setting, or the camera refuses the value.
-        """
+        """Change one setting of a camera; `SourceError` if there is no such one, or the camera refuses the value."""
         raise SourceError(f"{self.name}: there is no {camera} camera with an option {name!r}")
 
     def seek(self, index: int) -> None:
-        """Make frame ``index`` (from 0) the next one.
-
-        Raises
-        ------
-        SourceError
-            The source is live, or has no such frame.
-        """
+        """Make frame ``index`` (from 0) the next one; `SourceError` if the source is live or has no such frame."""
         raise SourceError(f"{self.name}: a live source cannot seek to frame {index}")
 
     def untouched(self) -> SensorFrame | None:
@@ -163,13 +130,7 @@ class FrameSource(ABC):
         return None
 
     def preset(self) -> Preset | None:
-        """Return the preset that a recording holds, or None if it holds none.
-
-        Raises
-        ------
-        PresetError
-            This version cannot use the preset.
-        """
+        """Return the preset that a recording holds, or None; `PresetError` if this version cannot use it."""
         return None
 
     def health(self) -> Health:
@@ -201,17 +162,14 @@ class SeekableSource(FrameSource):
 
     @property
     def rig(self) -> Rig:
-        """The rig that took the frames."""
         return self._rig
 
     @property
     def length(self) -> int:
-        """Number of frames."""
         return self._length
 
     @property
     def position(self) -> int:
-        """Index of the frame that `next_frame` will return."""
         return self._position
 
     @abstractmethod
@@ -219,7 +177,6 @@ class SeekableSource(FrameSource):
         """Return frame ``index``, 0 <= index < length."""
 
     def next_frame(self) -> SensorFrame | None:
-        """Return the next frame, or None at the end."""
         if self._position >= self._length:
             return None
         frame = self.read(self._position)
@@ -227,7 +184,6 @@ class SeekableSource(FrameSource):
         return frame
 
     def seek(self, index: int) -> None:
-        """Make frame ``index`` the next one."""
         if not 0 <= index < self._length:
             raise SourceError(f"{self.name}: there is no frame {index}; frames run from 0 to {self._length - 1}")
         self._position = index
@@ -241,16 +197,13 @@ class SourceKind:
     ----------
     scheme : str
         Text before the colon of a name.
-    title : str
-        Name in menus and dialogs.
+    title, description : str
+        Name in menus, and a sentence for tooltips.
     form : str
         How a name is written, such as ``"folder:PATH"``.
-    description : str
-        A sentence for help texts and tooltips.
     open : callable
-        ``open(rest, progress, cameras)`` returns the source. ``rest`` is the name after the colon, ``progress`` is
-        called with the fraction done and the current step, or is None, ``cameras`` is the preset's section
-        ``cameras``, or None. Raises `SourceError`. A heavy module is best imported inside.
+        ``open(rest, progress, cameras)`` returns the source. ``rest`` is the name after the colon, ``cameras`` the
+        preset's section ``cameras``, or None. Raises `SourceError`. A heavy module is best imported inside.
     needs : {"nothing", "folder", "file"}
         What the user must choose to open a source.
     pattern : str

@@ -9,9 +9,8 @@ membrane. A frame is::
     tactile_depth.png     16 bit, counts
     tactile_color.png     8 bit, colour, aligned to the tactile depth image        (optional)
     truth_contact.png     8 bit, 0 or 255, proximity pixels                        (optional)
-    truth_depth.png       16 bit, proximity pixels and unit, 0 where unknown       (optional)
-    truth_depth.npy       the same in float32 metres, nan where unknown; used in
-                          place of the PNG where counts are too coarse             (optional)
+    truth_depth.npy       float32 metres, proximity pixels, nan where unknown      (optional)
+    truth_depth.png       the same in 16 bit and counts, 0 where unknown           (only read)
     frame.json            sequence, proximity_time_s, tactile_time_s               (optional)
 """
 
@@ -20,23 +19,22 @@ from __future__ import annotations
 import errno
 import io
 import itertools
-import math
 import os
 import re
 import secrets
 import shutil
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..errors import ExportError, FrameError, SourceError
-from ..model.arrays import AnyArray, Float32Array, Uint8Array, Uint16Array
+from ..model.arrays import AnyArray, Float32Array, Uint8Array
 from ..model.clouds import valid_depth
-from ..model.files import remove_leftovers, user_path
-from ..model.frames import MAX_TIME_S, NO_DEPTH_COUNTS, GroundTruth, Rig, SensorFrame, note_number
+from ..model.files import atomic_path, remove_leftovers, user_path
+from ..model.frames import MAX_TIME_S, GroundTruth, Rig, SensorFrame, note_number
 from ..model.loading import decode_image, parse_npy, read_file
 from ..model.rig_file import json_text, load_rig, read_json_object, rig_to_json, validation_sentence
 from .base import FrameSource, Progress, SeekableSource, SourceKind
@@ -76,7 +74,12 @@ class FolderSource(SeekableSource):
         rig = load_rig(self._path / "rig.json")
         self._folders = _frame_folders(self._path)
         self._stamps = [_read_stamp(folder, index) for index, folder in enumerate(self._folders)]
-        self._refuse_same_sequence()
+        seen: dict[int, Path] = {}  # result files are named by the sequence number
+        for folder, stamp in zip(self._folders, self._stamps, strict=True):
+            if (first := seen.setdefault(stamp.sequence, folder)) is not folder:
+                raise SourceError(
+                    f"{folder / 'frame.json'} has the sequence {stamp.sequence}, and so has {first.name}; correct it"
+                )
         super().__init__(name, rig, len(self._folders))
         self.read(0)
 
@@ -88,18 +91,7 @@ class FolderSource(SeekableSource):
         return 1.0 / median if median > 0 else _NOMINAL_RATE_HZ
 
     def read(self, index: int) -> SensorFrame:
-        """Read frame ``index`` from its images."""
         return _read_frame(self._folders[index], self._stamps[index], self._rig)
-
-    def _refuse_same_sequence(self) -> None:
-        """Raise if two frames have the same sequence number, because result files are named by it."""
-        seen: dict[int, Path] = {}
-        for folder, stamp in zip(self._folders, self._stamps, strict=True):
-            first = seen.setdefault(stamp.sequence, folder)
-            if first is not folder:
-                raise SourceError(
-                    f"{folder / 'frame.json'} has the sequence {stamp.sequence}, and so has {first.name}; correct it"
-                )
 
     def untouched(self) -> SensorFrame | None:
         """Return the frame in the subfolder ``untouched``, or None if there is none."""
@@ -113,11 +105,10 @@ class FolderSource(SeekableSource):
 def export_folder(
     source: FrameSource, path: Path | str, frames: int | None = None, progress: Progress | None = None
 ) -> int:
-    """Write a source's frames, from its present position, as a folder that `FolderSource` reads back bit for bit.
+    """Write at most ``frames`` of a source, from its present position, as a folder of images; return how many.
 
-    At most ``frames`` are written; a live source needs it. Everything goes to a temporary folder beside ``path``, which
-    gets its name only when it is complete; ``path`` must not exist yet, or be empty. Returns the number of frames;
-    raises `ExportError` where it cannot be written or there is nothing to write.
+    Everything goes to a temporary folder beside ``path``, which gets its name only when it is complete; ``path`` must
+    not exist yet, or be empty.
     """
     target = Path.cwd() / user_path(path)
     if frames is not None and frames < 1:
@@ -145,18 +136,32 @@ def export_folder(
     return count
 
 
-def numbered_folders(path: Path) -> list[Path]:
-    """Return the subfolders whose names are numbers, in the order of these."""
-    numbered = [entry for entry in path.iterdir() if re.fullmatch("[0-9]+", entry.name) and entry.is_dir()]
-    return sorted(numbered, key=lambda folder: int(folder.name))
+def first_image_sizes(path: Path) -> dict[str, tuple[int, int]]:
+    """Return height and width of the images of a folder's first frame, by file name; it needs no ``rig.json``."""
+    first = _frame_folders(path)[0]
+    return {
+        name: _read_image(first / name, bits, channels, None).shape[:2]
+        for name, (needed, bits, channels) in IMAGES.items()
+        if needed or (first / name).exists()
+    }
+
+
+def write_rig(path: Path, rig: Rig) -> None:
+    """Write ``rig.json`` into a folder, whole or not at all; one that is there is never replaced."""
+    file = path / "rig.json"
+    if file.exists():
+        raise ExportError(f"{file} is already there; remove it first")
+    with atomic_path(file) as temporary:
+        temporary.write_text(json_text(rig_to_json(rig)), encoding="utf-8")
 
 
 def _frame_folders(path: Path) -> list[Path]:
     """Return the frames of a recording by their numbers."""
     try:
-        numbered = numbered_folders(path)
+        numbered = [entry for entry in path.iterdir() if re.fullmatch("[0-9]+", entry.name) and entry.is_dir()]
     except OSError as error:
         raise SourceError(f"cannot list {path}: {error.strerror or error}; check its permissions") from error
+    numbered.sort(key=lambda folder: int(folder.name))
     single = any((path / name).exists() for name in _REQUIRED)
     if single and numbered:
         raise SourceError(f"{path} has images and numbered subfolders ({numbered[0].name}); keep one of the two")
@@ -197,8 +202,8 @@ def _read_frame(folder: Path, stamp: _Stamp, rig: Rig) -> SensorFrame:
     tactile_color = folder / "tactile_color.png"
     return SensorFrame(
         sequence=stamp.sequence,
-        proximity_depth=_read_counts(folder / "proximity_depth.png", proximity),
-        tactile_depth=_read_counts(folder / "tactile_depth.png", tactile),
+        proximity_depth=_read_image(folder / "proximity_depth.png", 16, 1, proximity),
+        tactile_depth=_read_image(folder / "tactile_depth.png", 16, 1, tactile),
         proximity_color=_read_color(folder / "proximity_color.png", rig.proximity_color_shape),
         tactile_color=_read_color(tactile_color, tactile) if tactile_color.exists() else None,
         proximity_time_s=stamp.proximity_time_s,
@@ -211,30 +216,27 @@ def _read_truth(folder: Path, rig: Rig) -> GroundTruth | None:
     shape = rig.proximity.intrinsics.shape
     contact, counts, metres = (folder / name for name in ("truth_contact.png", "truth_depth.png", "truth_depth.npy"))
     if not contact.exists():
-        orphan = next((path for path in (counts, metres) if path.exists()), None)
-        if orphan is not None:
-            raise SourceError(f"{orphan} has no {contact.name} beside it; add that or remove this")
         return None
-    mask = _read_image(contact, np.dtype(np.uint8), 1, shape)
+    mask = _read_image(contact, 8, 1, shape)
     strange = mask[(mask != 0) & (mask != 255)]
     if strange.size:
         raise SourceError(f"{contact} contains the value {strange[0]}; only 0 and 255 have a meaning, write it again")
+    depth = None
     if metres.exists():
-        return GroundTruth(mask == 255, _read_metres(metres, shape))
-    depth = _metres(_read_counts(counts, shape), rig.proximity.depth_unit_m) if counts.exists() else None
+        depth = _read_metres(metres, shape)
+    elif counts.exists():
+        found = _read_image(counts, 16, 1, shape)
+        known = found.astype(np.float32) * np.float32(rig.proximity.depth_unit_m)
+        depth = np.where(valid_depth(found), known, np.float32(np.nan))
     return GroundTruth(mask == 255, depth)
 
 
-def _read_counts(path: Path, shape: tuple[int, int]) -> Uint16Array:
-    return _read_image(path, np.dtype(np.uint16), 1, shape)
-
-
 def _read_color(path: Path, shape: tuple[int, int]) -> Uint8Array:
-    return np.ascontiguousarray(_read_image(path, np.dtype(np.uint8), 3, shape)[:, :, ::-1])
+    return np.ascontiguousarray(_read_image(path, 8, 3, shape)[:, :, ::-1])
 
 
-def _read_image(path: Path, dtype: np.dtype[Any], channels: int, shape: tuple[int, int]) -> AnyArray:
-    """Read one image and check its bit depth, its channels and its size."""
+def _read_image(path: Path, bits: int, channels: int, shape: tuple[int, int] | None) -> AnyArray:
+    """Read one image of unsigned integers and check its bit depth, its channels and its size, if one is given."""
     try:
         image = decode_image(read_file(path))
     except OSError as error:
@@ -244,12 +246,12 @@ def _read_image(path: Path, dtype: np.dtype[Any], channels: int, shape: tuple[in
     except ValueError as error:
         raise SourceError(f"{path} is no readable PNG image ({error}); export or copy it again") from error
     found = image.shape[2] if image.ndim == 3 else 1
-    if image.dtype != dtype or found != channels:
+    if image.dtype != f"uint{bits}" or found != channels:
         raise SourceError(
             f"{path} has {found} channels of {image.dtype.itemsize * 8} bits, "
-            f"but {channels} of {dtype.itemsize * 8} bits are needed; write it again in that form"
+            f"but {channels} of {bits} bits are needed; write it again in that form"
         )
-    if image.shape[:2] != shape:
+    if shape is not None and image.shape[:2] != shape:
         height, width = image.shape[:2]
         raise SourceError(
             f"{path} is {width} x {height} pixels, but rig.json says {shape[1]} x {shape[0]}; "
@@ -270,21 +272,9 @@ def _read_metres(path: Path, shape: tuple[int, int]) -> Float32Array:
     return depth
 
 
-def _metres(counts: Uint16Array, unit_m: float) -> Float32Array:
-    metres = counts.astype(np.float32) * np.float32(unit_m)
-    return np.where(valid_depth(counts), metres, np.float32(np.nan))
-
-
-def _counts(depth_m: Float32Array, unit_m: float) -> Uint16Array:
-    """Round metres to counts; 0 where there is no depth or too much for 16 bits."""
-    with np.errstate(invalid="ignore"):
-        counts = np.rint(depth_m.astype(np.float64) / unit_m)
-        return np.where((counts >= 1) & (counts < NO_DEPTH_COUNTS[1]), counts, 0).astype(np.uint16)
-
-
 def _write_recording(source: FrameSource, folder: Path, frames: int | None, progress: Progress | None) -> int:
-    available = math.inf if source.length is None else source.length - source.position
-    total = int(min(math.inf if frames is None else frames, available))
+    left = None if source.length is None else source.length - source.position
+    total = min(count for count in (left, frames) if count is not None)
     _write_file(folder / "rig.json", json_text(rig_to_json(source.rig)))
     untouched = source.untouched()
     if untouched is not None:
@@ -321,19 +311,11 @@ def _write_frame(folder: Path, frame: SensorFrame, rig: Rig) -> None:
     if frame.truth is not None:
         if frame.truth.contact.shape != frame.proximity_depth.shape:
             raise FrameError(f"frame {frame.sequence}: its truth is not in proximity depth pixels; leave it out")
-        _write_truth(folder, frame.truth, rig.proximity.depth_unit_m)
-
-
-def _write_truth(folder: Path, truth: GroundTruth, unit_m: float) -> None:
-    _write_image(folder / "truth_contact.png", truth.contact.astype(np.uint8) * np.uint8(255))
-    if truth.depth_m is None:
-        return
-    counts = _counts(truth.depth_m, unit_m)
-    _write_image(folder / "truth_depth.png", counts)
-    if not np.array_equal(_metres(counts, unit_m), truth.depth_m, equal_nan=True):
-        array = io.BytesIO()
-        np.save(array, truth.depth_m)  # np.save does not report a full disk
-        _write_file(folder / "truth_depth.npy", array.getvalue())
+        _write_image(folder / "truth_contact.png", frame.truth.contact.astype(np.uint8) * np.uint8(255))
+        if frame.truth.depth_m is not None:
+            array = io.BytesIO()
+            np.save(array, frame.truth.depth_m)  # np.save does not report a full disk
+            _write_file(folder / "truth_depth.npy", array.getvalue())
 
 
 def _write_image(path: Path, image: AnyArray) -> None:

@@ -21,11 +21,9 @@ def load_preset(path_or_name: Path | str) -> Preset:
 
     Raises
     ------
-    PresetError
-        No such file, not a preset, or a field that is unknown or out of range. A field that earlier versions wrote and
-        this one does not know is no error: a warning of the logger ``tactune`` names it.
-    SourceError
-        The ``.mcap`` file is no recording.
+    PresetError, SourceError
+        No such file, no preset, or a value out of range. A field that earlier versions wrote and this one does not
+        know is no error: a warning of the logger ``tactune`` names it.
     """
     preset, note = load_preset_and_note(path_or_name)
     if note:  # a program sees it on standard error, unless it configures logging
@@ -36,15 +34,12 @@ def load_preset(path_or_name: Path | str) -> Preset:
 def load_preset_and_note(path_or_name: Path | str) -> tuple[Preset, str]:
     """Load a preset as `load_preset` does; the note names its fields that are gone, and is empty if there are none."""
     path = Path(path_or_name)
-    recorded = path.suffix == ".mcap" and path.is_file()
-    return preset_and_note(*(_recorded_text(path) if recorded else preset_text(path_or_name)))
-
-
-def _recorded_text(path: Path) -> tuple[str, str]:
+    if path.suffix != ".mcap" or not path.is_file():
+        return preset_and_note(*preset_text(path_or_name))
     from .mcap.source import McapSource  # not above: most presets are no recordings
 
     with McapSource(path) as recording:
         found = recording.preset_text()
     if found is None:
         raise PresetError(f"{path} holds no preset: it was recorded without one; name a preset file")
-    return found
+    return preset_and_note(*found)

@@ -40,6 +40,37 @@ def _play_live(name: str, progress: Progress) -> FrameSource:
         raise
 
 
+def _open_realsense(rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:
+    from .realsense_files.source import BagSource
+
+    return BagSource(rest, progress)
+
+
+def _open_mcap(rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:
+    from .mcap.source import McapSource
+
+    return McapSource(rest, progress)
+
+
+_REALSENSE = SourceKind(
+    scheme="bag",
+    title="RealSense recording",
+    form="bag:PATH[,PATH]",
+    description="A RealSense .bag or .db3 of two depth cameras, two files of one camera each, or one to view only.",
+    needs="file",
+    pattern="*.bag *.db3",
+    files=2,
+    open=_open_realsense,
+)
+_MCAP = SourceKind(
+    scheme="mcap",
+    title="Tactune recording",
+    form="mcap:PATH",
+    description="A recording in MCAP, as tactune record writes it: a ROS 2 bag with both cameras.",
+    needs="file",
+    pattern="*.mcap",
+    open=_open_mcap,
+)
 _LIVE = SourceKind(
     scheme="live",
     title="Any source, played live",
@@ -52,10 +83,9 @@ _LIVE = SourceKind(
 
 @cache
 def _own_kinds() -> dict[str, SourceKind]:
-    from . import cameras, folder, mcap, realsense_files, simulator
+    from . import cameras, folder, simulator
 
-    files = (folder.KIND, realsense_files.KIND, mcap.KIND)
-    kinds = (simulator.KIND, *files, cameras.KIND, cameras.REALSENSE, _LIVE)
+    kinds = (simulator.KIND, folder.KIND, _REALSENSE, _MCAP, cameras.KIND, cameras.REALSENSE, _LIVE)
     return {kind.scheme: kind for kind in kinds}
 
 
@@ -72,9 +102,8 @@ def open_source(name: str, progress: Progress | None = None, cameras: CamerasSec
     Parameters
     ----------
     name : str
-        ``"sim"``, ``"sim:cup?seed=3&noise=0.5"``, ``"folder:PATH"``, ``"bag:PATH"``, or a path whose
-        kind is plain: a folder with ``rig.json``, that file itself, an ``.mcap``, a ``.bag`` or
-        ``.db3``, or two of the latter with a comma between them.
+        ``"sim"``, ``"sim:cup?seed=3&noise=0.5"``, ``"folder:PATH"``, ``"bag:PATH"``, or a path whose kind is plain:
+        a folder with ``rig.json``, an ``.mcap``, a ``.bag`` or ``.db3``, or two of the latter with a comma between.
     progress : callable, optional
         Receives the fraction done, 0 to 1, and the current step, where opening takes long.
     cameras : CamerasSection, optional
@@ -83,7 +112,7 @@ def open_source(name: str, progress: Progress | None = None, cameras: CamerasSec
     Raises
     ------
     SourceError
-        Unknown kind, scene or option, nothing at that path, or unreadable; the message says what to do.
+        Nothing has that name, or it cannot be read; the message says what to do.
     """
     scheme, _, rest = name.partition(":")
     try:
@@ -126,20 +155,17 @@ def _kind(scheme: str) -> SourceKind | None:
 
 
 def _guess(name: str) -> tuple[SourceKind, str]:
-    """Return the kind of a name without a scheme, and what to open."""
     kinds, problems = source_kinds(), added_by_others(GROUP, SourceKind)[1]
     for kind in kinds:
         if name and (rest := kind.claim(name)) is not None:
             return kind, rest
     forms = "; ".join([", ".join(kind.form for kind in kinds), *problems.values()])
-    if not name or not user_path(name).exists():
-        scheme, colon, _ = name.partition(":")
-        if scheme in problems:
-            raise SourceError(problems[scheme])
-        if colon and scheme.isalnum() and len(scheme) > 1:
-            raise SourceError(f"{name!r}: there is no kind of source called {scheme!r}; known are {forms}")
-        raise SourceError(f"{name!r} is no source: nothing is at that path; give an existing path or one of {forms}")
-    raise SourceError(
-        f"{name!r} is neither a folder with rig.json nor an .mcap, nor a RealSense .bag or .db3; "
-        f"tactune preset create-rig writes rig.json for a folder of images; known sources are {forms}"
-    )
+    if name and user_path(name).exists():
+        raise SourceError(
+            f"{name!r} is neither a folder with rig.json nor an .mcap, nor a RealSense .bag or .db3; "
+            f"tactune preset create-rig writes rig.json for a folder of images; known sources are {forms}"
+        )
+    scheme = name.partition(":")[0]
+    if scheme in problems:
+        raise SourceError(problems[scheme])
+    raise SourceError(f"{name!r} is no source: nothing is at that path; give an existing path or one of {forms}")

@@ -1,14 +1,17 @@
-"""Images of ROS messages from untrusted recordings: encodings, padded rows, byte order."""
+"""Images of ROS messages from untrusted recordings: encodings, padded rows, byte order, and damage."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
+from ..errors import SourceError, TactuneError
 from ..model.arrays import AnyArray, Uint8Array, Uint16Array
 
 #: Bytes per pixel of each colour encoding and OpenCV's conversion to RGB.
@@ -29,6 +32,20 @@ class DamagedFileError(Exception):
     """The bytes are damaged; the message is a clause for the end of a sentence."""
 
 
+@contextmanager
+def damage_told(path: Path, what: str) -> Iterator[None]:
+    """Turn damage, in whichever way a library reports it, into a `SourceError` of one sentence."""
+    try:
+        yield
+    except TactuneError:  # also of a progress callable that cancels
+        raise
+    except OSError as error:
+        raise SourceError(f"cannot read {path}: {error.strerror or error}; check the disk") from error
+    except Exception as error:
+        detail = " ".join(str(error).split())[:300] or type(error).__name__
+        raise SourceError(f"{path}: {what} ({detail}); copy or record it again") from error
+
+
 @dataclass(frozen=True, eq=False)
 class RawImage:
     """A ``sensor_msgs/Image``: rows of ``step`` bytes, in words of the recording."""
@@ -42,9 +59,9 @@ class RawImage:
 
     @classmethod
     def of(cls, message: Any) -> RawImage:
-        """Return the image of a parsed message."""
-        big_endian = bool(message.is_bigendian)
-        return cls(message.height, message.width, message.encoding, big_endian, message.step, message.data)
+        return cls(
+            message.height, message.width, message.encoding, bool(message.is_bigendian), message.step, message.data
+        )
 
     def depth(self, shape: tuple[int, int]) -> Uint16Array:
         """Return raw counts: uint16, shape (H, W)."""
@@ -68,16 +85,11 @@ class RawImage:
     def _rows(self, shape: tuple[int, int], bytes_per_pixel: int) -> Uint8Array:
         """Return the image's bytes, shape (H, W * bytes per pixel), padding cut off."""
         height, width = shape
-        check_shape((self.height, self.width), shape)
+        if (self.height, self.width) != shape:
+            raise DamagedFileError(
+                f"it has {self.width} x {self.height} pixels, but its lens is said to have {width} x {height}"
+            )
         if self.step < width * bytes_per_pixel or len(self.data) != height * self.step:
             raise DamagedFileError(f"it has {len(self.data)} bytes, too few for its size")
         rows = self.data.reshape(height, self.step)[:, : width * bytes_per_pixel]
         return np.ascontiguousarray(rows)
-
-
-def check_shape(found: tuple[int, int], stated: tuple[int, int]) -> None:
-    """Raise `DamagedFileError` if an image has another size (H, W) than its lens is said to have."""
-    if found != stated:
-        raise DamagedFileError(
-            f"it has {found[1]} x {found[0]} pixels, but its lens is said to have {stated[1]} x {stated[0]}"
-        )

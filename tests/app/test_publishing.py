@@ -107,7 +107,7 @@ def test_a_taken_port_is_told(publishing, window, qtbot, port):
         taken.bind(("127.0.0.1", port))
         taken.listen()
         QTest.mouseClick(publishing.start, LEFT)
-        qtbot.waitUntil(lambda: f"port {port} is taken" in publishing.state.text())
+        qtbot.waitUntil(lambda: f"port {port} (Address already in use" in publishing.state.text())
         assert not publishing.start.isChecked()
     switch_on(publishing, qtbot, port)
 

@@ -157,7 +157,7 @@ def test_a_broken_entry_point_is_one_sentence_and_breaks_nothing_else(broken: Pa
             open_source(f"{name}:x")
         assert BROKEN[name][2] in str(told.value)
         assert "\n" not in str(told.value)
-    with pytest.raises(SourceError, match=r"no kind of source called 'avi'; known are sim:.*package rotten"):
+    with pytest.raises(SourceError, match=r"'avi:x' is no source.* sim:.*package rotten"):
         open_source("avi:x")
     drivers, problems = camera_drivers()
     assert [driver.title for driver in drivers] == ["RealSense"]

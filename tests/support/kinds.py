@@ -52,8 +52,7 @@ from tactune.core.output.writer import export_mcap
 from tactune.core.preset import Preset
 from tactune.core.preset.file import save_preset
 from tactune.core.rig.untouched import load_untouched, save_untouched
-from tactune.core.sources.folder import export_folder
-from tactune.core.sources.folder_rig import write_rig
+from tactune.core.sources.folder import export_folder, write_rig
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.cache import SolvedScene, load_scene, save_scene
 from tactune.core.sources.simulator.scene import CleanState, PressFacts, simulator_rig

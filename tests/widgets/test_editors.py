@@ -54,21 +54,6 @@ def drag(widget: NumbersEditor, start: float, *targets: float) -> None:
     QTest.mouseRelease(widget.slider, LEFT, pos=point_at(widget, targets[-1]))
 
 
-def test_a_drag_is_one_gesture_with_plausible_values(qtbot) -> None:
-    widget = make_slider(qtbot, "tolerance.t")
-    edits = record(widget)
-    drag(widget, 0.03, 0.04, 0.06, 0.1)
-    values = [value for value, _ in edits]
-    assert len(values) >= 3
-    assert values == sorted(values)
-    assert values[0] > 0.03
-    assert values[-1] == pytest.approx(0.1, rel=0.08)
-    assert len({gesture for _, gesture in edits}) == 1
-    assert widget.value() == values[-1]
-    drag(widget, values[-1], 0.02)
-    assert len({gesture for _, gesture in edits}) == 2
-
-
 def test_typing_takes_effect_on_enter(qtbot) -> None:
     widget = make_slider(qtbot, "alignment.depth_offset_m")
     edits = record(widget)
@@ -80,23 +65,14 @@ def test_typing_takes_effect_on_enter(qtbot) -> None:
     assert edits[0][1] != edits[1][1]
 
 
-def test_escape_brings_back_the_text(qtbot) -> None:
-    widget = make_slider(qtbot, "outliers.ratio")
-    edits = record(widget)
-    type_into(widget.entry, "3.5", Qt.Key.Key_Escape)
-    assert widget.entry.text() == "2"
-    QTest.keyClick(widget.entry, Qt.Key.Key_Return)
-    assert edits == []
-
-
 @pytest.mark.parametrize(
     ("path", "text", "reason"),
     [
-        ("tolerance.t", "101", "allowed is 0 % to 100 %"),
-        ("tolerance.t", "much", "“much” is not a number"),
-        ("outliers.ratio", "0", "allowed is above 0 σ to 100 σ"),
-        ("outliers.k", "3.5", "not a whole number"),
-        ("alignment.depth_offset_m", "101", "allowed is −100 mm to 100 mm"),
+        ("tolerance.t", "101", "from 0 % to 100 %"),
+        ("tolerance.t", "much", "“much” is not allowed"),
+        ("outliers.ratio", "0", "above 0 σ to 100 σ"),
+        ("outliers.k", "3.5", "but a whole number"),
+        ("alignment.depth_offset_m", "101", "from −100 mm to 100 mm"),
     ],
 )
 def test_what_is_not_allowed_is_refused_in_words(qtbot, path: str, text: str, reason: str) -> None:
@@ -205,17 +181,6 @@ def drag_band(slider: Slider, start: float, *targets: float) -> None:
     QTest.mouseRelease(slider, LEFT, pos=place_of(slider, targets[-1]))
 
 
-def test_a_handle_is_dragged_in_one_gesture(qtbot) -> None:
-    slider = make_band(qtbot, wraps=False, low=50, high=120)
-    edits = record_bands(slider)
-    drag_band(slider, 120, 130, 140, 150)
-    assert [(low, high) for low, high, _ in edits] == [(50, 130), (50, 140), (50, 150)]
-    assert len({gesture for *_, gesture in edits}) == 1
-    drag_band(slider, 50, 40)
-    assert slider.values() == (40, 150)
-    assert len({gesture for *_, gesture in edits}) == 2
-
-
 @pytest.mark.parametrize(
     ("wraps", "low", "high", "gap", "drags", "value"),
     [
@@ -235,17 +200,6 @@ def test_drags_end_where_they_should(qtbot, wraps, low, high, gap, drags, value)
         drag_band(slider, *places)
     assert slider.values() == value
     assert slider.wrapped() == (value[0] > value[1])
-
-
-def test_two_handles_on_one_spot_come_apart_both_ways(qtbot) -> None:
-    slider = make_band(qtbot, wraps=False, low=100, high=100)
-    QTest.mousePress(slider, LEFT, pos=place_of(slider, 100) + QPoint(2, 0))
-    QTest.mouseMove(slider, place_of(slider, 130) + QPoint(2, 0))
-    QTest.mouseRelease(slider, LEFT, pos=place_of(slider, 130))
-    assert slider.values() == (100, 130)
-    slider.set_values(179, 179)
-    drag_band(slider, 179, 150)
-    assert slider.values() == (150, 179)
 
 
 def test_the_keyboard_reaches_both_handles(qtbot) -> None:

@@ -1,8 +1,7 @@
 """Messages over the views: they push nothing, notes go by themselves, errors stay, and all are kept in a list."""
 
 import pytest
-from PyQt6.QtCore import QEvent, QPoint, QPointF, Qt
-from PyQt6.QtGui import QEnterEvent
+from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QFrame, QToolButton, QVBoxLayout, QWidget
 
@@ -65,17 +64,6 @@ def test_a_note_goes_by_itself_and_stays_in_the_list(views, quick, qtbot):
     history.refresh()
     lines = history.text.toPlainText().splitlines()[:3]
     assert [line[10:] for line in lines] == ["Error: Damaged.", "Note: Recorded.", "Note: Written to a.ply."]
-
-
-def test_a_note_stays_while_the_pointer_is_on_it(views, quick, qtbot):
-    views.messages.show_message("note", Severity.INFO, "Written to a.ply.")
-    message = views.messages.message("note")
-    place = QPointF(5, 5)
-    QApplication.sendEvent(message, QEnterEvent(place, place, message.mapToGlobal(place)))
-    qtbot.wait(200)
-    assert views.messages.message("note") is message
-    QApplication.sendEvent(message, QEvent(QEvent.Type.Leave))
-    qtbot.waitUntil(lambda: views.messages.message("note") is None)
 
 
 def test_a_message_is_dismissed_by_its_cross_by_escape_and_with_its_subject(views):

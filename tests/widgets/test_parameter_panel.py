@@ -215,16 +215,6 @@ def test_nothing_is_cut_off_at_its_narrowest(panel: ParameterPanel) -> None:
         assert panel.widget().width() <= panel.viewport().width()
 
 
-def test_a_folded_section_unfolds_for_an_error(panel: ParameterPanel) -> None:
-    QTest.mouseClick(panel.sections["mask"].button, LEFT)
-    assert panel.collapsed_sections() == ["mask"]
-    assert not panel.rows["mask.hue"].widget.isVisible()
-    panel.show_error("mask.enabled", "no")
-    assert panel.rows["mask.enabled"].message.isVisible()
-    panel.set_collapsed_sections(["alignment", "region"])
-    assert panel.collapsed_sections() == ["alignment", "region"]
-
-
 def test_only_the_chosen_alignment_is_shown(panel: ParameterPanel, seen: Recorder) -> None:
     pose, plane = (
         panel.rows[f"alignment.{name}"].widget for name in ("rigid.T_proximity_tactile", "homography.plane_distance_m")

@@ -5,15 +5,12 @@ from __future__ import annotations
 import pyqtgraph as pg
 import pytest
 from PyQt6.QtCore import QPoint, QRect, Qt
-from PyQt6.QtGui import QHelpEvent, QImage, QPalette
+from PyQt6.QtGui import QHelpEvent, QPalette
 from PyQt6.QtWidgets import QApplication, QLabel, QPushButton, QToolTip, QVBoxLayout, QWidget
-from pytestqt.qtbot import QtBot
 
 from contrast import contrast_ratio
-from tactune.widgets.basics.stale_badge import BADGE_COLORS
 from tactune.widgets.basics.style import apply_theme
-from tactune.widgets.basics.theme import ACCENT, ThemeName, theme_colors, theme_name
-from tactune.widgets.clouds.cloud_view import CloudView
+from tactune.widgets.basics.theme import ACCENT, theme_colors, theme_name
 
 NAMES = ("light", "dark")
 
@@ -115,47 +112,3 @@ def test_a_widget_and_another_right_after_it(qtbot):
         tip = tip_at(qtbot, label, QPoint(2, 2))
         assert_readable(tip, text)
         assert (tip.height() > 2 * tip.fontMetrics().height()) == (text is LONG)
-
-
-def test_a_name_that_looks_like_markup_is_shown_as_it_is(qtbot):
-    formats = []
-    for text in ("<p><b>Drag</b> to orbit</p>", "folder:/data/<b>cup</b>"):
-        label = QLabel("value")
-        qtbot.addWidget(label)
-        label.setToolTip(text)
-        label.show()
-        formats.append(tip_at(qtbot, label, QPoint(2, 2)).textFormat())
-    assert formats == [Qt.TextFormat.RichText, Qt.TextFormat.PlainText]
-
-
-TEXT = "Tactile camera D405 (serial 1) is not connected: plug it in. Shown is the last frame, 3 s old."
-
-
-def shown(qtbot: QtBot, widget: QWidget) -> QWidget:
-    widget.resize(420, 360)
-    qtbot.addWidget(widget)
-    with qtbot.waitExposed(widget):
-        widget.show()
-    return widget
-
-
-def colors_of(image: QImage) -> set[str]:
-    return {image.pixelColor(x, y).name() for y in range(image.height()) for x in range(0, image.width(), 2)}
-
-
-@pytest.fixture(params=["light", "dark"])
-def theme(request: pytest.FixtureRequest, qapp: QApplication) -> ThemeName:
-    name: ThemeName = request.param
-    apply_theme(qapp, name)
-    return name
-
-
-def test_a_cloud_view_shows_and_drops_the_mark(qtbot: QtBot, theme: ThemeName) -> None:
-    view = CloudView("Tactile")
-    shown(qtbot, view)
-    plate, _, ink = BADGE_COLORS[theme]
-    view.set_badge(TEXT)
-    assert view.badge() == view.accessibleDescription() == TEXT
-    assert {plate, ink} <= colors_of(view.grab().toImage())
-    view.set_badge("")
-    assert plate not in colors_of(view.grab().toImage())

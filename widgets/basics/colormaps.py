@@ -62,19 +62,11 @@ _REASON_RGB: dict[Provenance, tuple[int, int, int]] = {
     Provenance.RIM: (147, 53, 32),
     Provenance.CONTACT: CONTACT_RGB,
 }
-_CONTEXT_RGB: dict[str, dict[Provenance, tuple[int, int, int]]] = {
-    "light": {
-        Provenance.NO_PROXIMITY_DEPTH: (242, 242, 242),
-        Provenance.OUTSIDE_REGION: (226, 226, 230),
-        Provenance.OUTSIDE_RANGE: (196, 204, 222),
-        Provenance.OUTSIDE_TOLERANCE: (200, 200, 198),
-    },
-    "dark": {
-        Provenance.NO_PROXIMITY_DEPTH: (26, 26, 26),
-        Provenance.OUTSIDE_REGION: (50, 50, 54),
-        Provenance.OUTSIDE_RANGE: (58, 66, 88),
-        Provenance.OUTSIDE_TOLERANCE: (82, 82, 80),
-    },
+_CONTEXT_RGB: dict[Provenance, dict[Theme, tuple[int, int, int]]] = {
+    Provenance.NO_PROXIMITY_DEPTH: {"light": (242, 242, 242), "dark": (26, 26, 26)},
+    Provenance.OUTSIDE_REGION: {"light": (226, 226, 230), "dark": (50, 50, 54)},
+    Provenance.OUTSIDE_RANGE: {"light": (196, 204, 222), "dark": (58, 66, 88)},
+    Provenance.OUTSIDE_TOLERANCE: {"light": (200, 200, 198), "dark": (82, 82, 80)},
 }
 #: Near and far end of the relief around a patch.
 _RELIEF_GRAY: dict[str, tuple[int, int]] = {"light": (226, 168), "dark": (116, 58)}
@@ -114,8 +106,7 @@ def depth_lut_faint_behind() -> Uint8Array:
 
 def behind_legend() -> Legend:
     """Return the legend of the last row of `depth_lut_faint_behind`."""
-    red, green, blue, alpha = (int(channel) for channel in depth_lut_faint_behind()[255])
-    return [("behind", QColor(red, green, blue, alpha))]
+    return [("behind", QColor(*map(int, depth_lut_faint_behind()[255])))]
 
 
 def ends_legend(low: str, high: str, lut: Uint8Array) -> Legend:
@@ -129,10 +120,7 @@ def depth_legend(near_m: float, far_m: float) -> Legend:
 
 
 def difference_index(relative_difference: Float32Array, limit: float = DIFFERENCE_LIMIT) -> Uint8Array:
-    """Take relative differences ``(dp - dt) / dp``, float32 (H, W), nan where undefined, to rows of a difference table.
-
-    Returns uint8 (H, W): rows 1 to 255 from ``-limit`` to ``limit``, clipped; `UNDEFINED_ROW` for nan.
-    """
+    """Return rows of a difference table for ``(dp - dt) / dp``, float32 (H, W): 1 to 255 over the limits, 0 for nan."""
     rows = relative_difference * np.float32(127.0 / limit)
     rows += np.float32(128.5)
     np.clip(rows, np.float32(1.0), np.float32(255.0), out=rows)
@@ -144,8 +132,7 @@ def difference_index(relative_difference: Float32Array, limit: float = DIFFERENC
 def difference_lut(t: float = 0.03, limit: float = DIFFERENCE_LIMIT) -> Uint8Array:
     """Return the colours of relative differences: uint8 (256, 4).
 
-    Inside the band from ``-t`` to ``t`` lies one pale tint of the contact colour: these pixels pass
-    the tolerance test. Outside, a calm diverging map: ochre where the tactile depth is the smaller one.
+    Within ``t`` lies one pale tint of the contact colour; outside, a calm map: ochre where tactile depth is smaller.
     """
     relative = (np.arange(256) - 128.0) * (limit / 127.0)
     beyond = np.clip((np.abs(relative) - t) / max(limit - t, 1e-9), 0.0, 1.0)
@@ -163,24 +150,17 @@ def difference_legend(t: float, limit: float = DIFFERENCE_LIMIT) -> Legend:
 
 @cache
 def provenance_lut(theme: Theme) -> Uint8Array:
-    """Return one colour for every `Provenance`: uint8 (256, 4); rows without a meaning are hidden.
-
-    What merely does not touch is faint on the theme's background; contact stands out.
-    """
+    """Return one colour for every `Provenance`: uint8 (256, 4); rows without a meaning are hidden."""
     lut = np.zeros((256, 4), np.uint8)
-    for provenance, rgb in (_CONTEXT_RGB[theme] | _REASON_RGB).items():
+    for provenance, rgb in _REASON_RGB.items():
         lut[provenance] = (*rgb, 255)
+    for provenance, of_theme in _CONTEXT_RGB.items():
+        lut[provenance] = (*of_theme[theme], 255)
     return _frozen(lut)
 
 
 #: Verdicts on points that agreed in distance; later steps decided.
-LATE_VERDICTS: Final = (
-    Provenance.CONTACT,
-    Provenance.RIM,
-    Provenance.MASKED,
-    Provenance.OUTLIER,
-    Provenance.SMALL_CLUSTER,
-)
+LATE_VERDICTS: Final = tuple(reason for reason in _REASON_RGB if reason != Provenance.NO_TACTILE_DEPTH)
 
 _USE_NAMES = {
     TOUCHING_ROW: "in contact",
@@ -195,7 +175,7 @@ def tactile_use_lut(theme: Theme) -> Uint8Array:
     """Return the colours of what tactile pixels were used for: uint8 (256, 4)."""
     lut = np.zeros((256, 4), np.uint8)
     lut[0] = (*_REASON_RGB[Provenance.NO_TACTILE_DEPTH], 255)
-    lut[USED_ROW] = (*_CONTEXT_RGB[theme][Provenance.OUTSIDE_TOLERANCE], 255)
+    lut[USED_ROW] = (*_CONTEXT_RGB[Provenance.OUTSIDE_TOLERANCE][theme], 255)
     lut[AGREED_ROW] = (*_REASON_RGB[Provenance.OUTLIER], 255)
     lut[TOUCHING_ROW] = (*CONTACT_RGB, 255)
     return _frozen(lut)
@@ -206,10 +186,7 @@ def tactile_use_legend(theme: Theme) -> Legend:
 
 
 def patch_index(contact: BoolArray, depth: Uint16Array, near: float, far: float) -> Uint8Array:
-    """Take a contact mask, bool (H, W), and raw depth counts around it to rows of `patch_lut`: uint8 (H, W).
-
-    ``near`` and ``far`` are the raw counts at both ends of the context's shades.
-    """
+    """Return rows of `patch_lut`, uint8 (H, W), for a mask and the raw depth around it, shaded from near to far."""
     rows = _shades(depth, near, far)
     rows[contact] = CONTACT_ROW
     return rows
@@ -224,10 +201,7 @@ def _shades(depth: Uint16Array, near: float, far: float) -> Uint8Array:
 
 @cache
 def patch_lut(theme: Theme) -> Uint8Array:
-    """Return the colours of `patch_index`: uint8 (256, 4).
-
-    Contact stands out from a faint gray relief; what lies behind the relief's range is fainter still.
-    """
+    """Return the colours of `patch_index`: uint8 (256, 4); what lies behind the relief's range is fainter still."""
     near, far = _RELIEF_GRAY[theme]
     lut = np.full((256, 4), 255, np.uint8)
     lut[:CONTACT_ROW, :3] = np.rint(np.linspace(near, far, CONTACT_ROW))[:, None]
@@ -237,7 +211,7 @@ def patch_lut(theme: Theme) -> Uint8Array:
 
 
 def overlap_index(in_a: BoolArray, in_b: BoolArray, depth: Uint16Array, near: float, far: float) -> Uint8Array:
-    """Take two contact masks and the depth around them to rows of `overlap_lut`; parameters as of `patch_index`."""
+    """Return rows of `overlap_lut` for two contact masks; parameters as of `patch_index`."""
     rows = np.minimum(_shades(depth, near, far), np.uint8(BOTH_ROW - 1))
     rows[in_a & in_b] = BOTH_ROW
     rows[in_a & ~in_b] = ONLY_A_ROW

@@ -111,14 +111,12 @@ def dialog_buttons(standard: QDialogButtonBox.StandardButton) -> QDialogButtonBo
 
 
 def caption(text: str, control: QWidget) -> QLabel:
-    """Return a label for a control; the letter after "&" moves the focus there."""
     label = QLabel(text)
     label.setBuddy(control)
     return label
 
 
 def make_verdict(label: QLabel) -> None:
-    """Show a label larger and in bold: the sentence that states the result."""
     label.setFont(text_font("title", bold=True))
 
 
@@ -169,7 +167,6 @@ class NoteLabel(TintedLabel):
             self.setAlignment(Qt.AlignmentFlag.AlignTop)
 
     def say(self, sentence: str, error: bool = False) -> None:
-        """Show a sentence; an error is in the theme's colour of errors."""
         self.tint("error" if error else "")
         self.setText(shortened(sentence))
 

@@ -97,12 +97,10 @@ class Dialogs:
         dialog.open()
 
     def folder(self, kind: str) -> Path:
-        """Return the folder that was last used for a kind of file; the user's own at first."""
         remembered = Path(self._memory.text(f"folder/{kind}", str(Path.home())))
         return remembered if remembered.is_dir() else Path.home()
 
     def remember(self, kind: str, folder: Path) -> None:
-        """Start the next dialog of a kind in this folder."""
         self._memory.set(f"folder/{kind}", str(folder))
 
     def open_file(self, kind: str, title: str, name_filter: str, use: Callable[[Path], object]) -> None:
@@ -163,7 +161,6 @@ class Dialogs:
 
 
 def _open(box: QMessageBox, answer: Callable[[QAbstractButton | None], Callable[[], object] | None]) -> None:
-    """Show a question; then call what the answer to the clicked button is, if anything."""
 
     def answered(_: int) -> None:
         use = answer(box.clickedButton())
@@ -180,7 +177,6 @@ def local_files(data: QMimeData | None) -> list[Path]:
 
 
 def room_on(screen: QScreen) -> QRect:
-    """Return the part of a screen that a window may fill, without what a window manager draws around it."""
     return screen.availableGeometry().adjusted(0, 0, -_FRAME.width(), -_FRAME.height())
 
 

@@ -83,7 +83,6 @@ class FieldSpec:
         return minus(self.bare(value)) + self.suffix
 
     def bare(self, value: float) -> str:
-        """Format a number like `shown`, without its unit."""
         number = value * self.factor
         rounded = round(number, self.decimals)
         return format_number(rounded or float(f"{number:.2g}"), 15)

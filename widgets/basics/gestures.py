@@ -25,7 +25,6 @@ class GestureClock:
         self._last_s = 0.0
 
     def hold(self) -> None:
-        """Begin a drag: every edit until `release` is one gesture."""
         self._number = new_gesture()
         self._held = True
 

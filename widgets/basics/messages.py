@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 from html import escape
@@ -50,18 +49,8 @@ class Severity(StrEnum):
 Offer = tuple[str, Callable[[], object]]
 
 
-@dataclass(frozen=True)
-class Said:
-    """A message of this start: when it was shown, and what it said."""
-
-    at: datetime
-    severity: Severity
-    sentence: str
-    details: str = ""
-
-
-#: The messages of all windows since the start, oldest first.
-HISTORY: deque[Said] = deque(maxlen=500)
+#: The messages of all windows since the start, oldest first, each with its time.
+HISTORY: deque[str] = deque(maxlen=500)
 
 
 def _make_card(frame: QFrame) -> None:
@@ -93,20 +82,27 @@ class Message(Card):
     """
 
     def __init__(
-        self, said: Said, subject: str, offers: Sequence[Offer], close: Callable[[], None], parent: QWidget
+        self,
+        severity: Severity,
+        sentence: str,
+        details: str,
+        subject: str,
+        offers: Sequence[Offer],
+        close: Callable[[], None],
+        parent: QWidget,
     ) -> None:
         super().__init__(parent)
-        self.sentence, self.subject = said.sentence, subject
+        self.sentence, self.subject = sentence, subject
         self.closed.connect(close)
-        self.lasts = bool(offers) or said.severity is not Severity.INFO
-        self.rank = 0 if said.severity is Severity.ERROR else 1 if self.lasts else 2
+        self.lasts = bool(offers) or severity is not Severity.INFO
+        self.rank = 0 if severity is Severity.ERROR else 1 if self.lasts else 2
         self._goes = QTimer(self)
         self._goes.setSingleShot(True)
-        self._goes.setInterval(NOTE_MS + CHARACTER_MS * len(said.sentence))
+        self._goes.setInterval(NOTE_MS + CHARACTER_MS * len(sentence))
         self._goes.timeout.connect(close)
-        self.setAccessibleName(f"{said.severity}: {said.sentence}")
+        self.setAccessibleName(f"{severity}: {sentence}")
 
-        text = wrapped_label(f"<b>{said.severity}.</b> {escape(shortened(said.sentence))}", selectable=True)
+        text = wrapped_label(f"<b>{severity}.</b> {escape(shortened(sentence))}", selectable=True)
         text.setTextFormat(Qt.TextFormat.RichText)
         text.setMinimumWidth(1)  # a long word does not push the button aside
         dismiss = tool_button("", "Dismiss this message (Esc)", "Dismiss", icon_name="close")
@@ -116,7 +112,7 @@ class Message(Card):
         first.addWidget(text, 1)
         first.addWidget(dismiss, 0, Qt.AlignmentFlag.AlignTop)
         body = vbox(first, margins=(8, 4, 4, 4), spacing=4)
-        answers: list[QWidget] = [self._details_button(said.details, body)] if said.details else []
+        answers: list[QWidget] = [self._details_button(details, body)] if details else []
         for name, action in offers:
             button = QPushButton(name)
             button.setAutoDefault(False)
@@ -127,7 +123,7 @@ class Message(Card):
             body.addLayout(hbox(STRETCH, *answers))
         stripe = QFrame()
         stripe.setFixedWidth(5)
-        stripe.setProperty("severity", str(said.severity))
+        stripe.setProperty("severity", str(severity))
         hbox(stripe, (body, 1), within=self, margins=0, spacing=0)
 
     def _details_button(self, details: str, body: QVBoxLayout) -> QToolButton:
@@ -143,7 +139,6 @@ class Message(Card):
         return button
 
     def run(self) -> None:
-        """Begin, or begin again, the time after which a note goes."""
         focus = QApplication.focusWidget()
         if not self.lasts and not self.underMouse() and not (focus is not None and self.isAncestorOf(focus)):
             self._goes.start()
@@ -169,8 +164,7 @@ class Messages(QWidget):
     """The messages at the lower left over a widget, the newest on top. A message replaces an older one of its key.
 
     At most `LIMIT` are shown, fewer if the widget is low; errors come first, notes that go by themselves last. The
-    others wait. `HISTORY` keeps all. ``free`` returns how many pixels stay free at the widget's lower edge; call
-    `arrange` when that changes.
+    others wait. ``free`` returns how many pixels stay free at the widget's lower edge; call `arrange` when it changes.
     """
 
     def __init__(self, over: QWidget, free: Callable[[], int] = lambda: 0) -> None:
@@ -192,23 +186,20 @@ class Messages(QWidget):
     ) -> None:
         """Show a sentence until it is dismissed, answered or replaced; a note without buttons also goes by itself.
 
-        A newer message of the same ``key`` replaces this one; pressing one of the ``offers`` dismisses it. ``details``
-        are shown on request, such as a traceback. ``subject`` is what the message speaks of, such as "source", for
-        `clear_subject`.
+        ``details`` are shown on request, such as a traceback; ``subject`` is for `clear_subject`.
         """
         old = self._messages.get(key)
         if old is not None and old.sentence == sentence:
             old.run()
             return
         self._remove(key)
-        said = Said(datetime.now(), severity, sentence, details)
-        HISTORY.append(said)
-        self._messages[key] = Message(said, subject, offers, lambda: self._dismiss(key), self)
+        indented = "".join(f"\n    {line}" for line in details.splitlines())
+        HISTORY.append(f"{datetime.now():%H:%M:%S}  {severity}: {sentence}{indented}")
+        self._messages[key] = Message(severity, sentence, details, subject, offers, lambda: self._dismiss(key), self)
         self.arrange()
         self.setAccessibleName(f"{severity}: {sentence}")  # PyQt has no call that announces; a changed name is reported
 
     def state(self, key: str, severity: Severity, sentence: str, subject: str = "") -> None:
-        """Show a sentence; an empty one dismisses the message."""
         if sentence:
             self.show_message(key, severity, sentence, subject=subject)
         else:
@@ -225,7 +216,6 @@ class Messages(QWidget):
         self.arrange()
 
     def dismiss_newest(self) -> bool:
-        """Dismiss the message on top; return whether there was one."""
         shown = self._shown()
         if shown:
             self._dismiss(shown[0])
@@ -250,18 +240,15 @@ class Messages(QWidget):
         frame.installEventFilter(self)
 
     def sentences(self) -> list[str]:
-        """Return the sentences of all messages, oldest first, those that wait too."""
         return [message.sentence for message in self._messages.values()]
 
     def keys(self) -> list[str]:
-        """Return the keys of all messages, oldest first, those that wait too."""
         return list(self._messages)
 
     def message(self, key: str) -> Message | None:
         return self._messages.get(key)
 
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
-        """Follow the size of the widget below, and pinned frames that come and go."""
         if not self.__dict__:  # Python has cleared a closed window, Qt still hides its parts
             return False
         kind = event.type() if event is not None else None
@@ -270,13 +257,11 @@ class Messages(QWidget):
         return False
 
     def event(self, event: QEvent | None) -> bool:
-        """Follow the sizes of messages and pinned frames."""
         if event is not None and event.type() == QEvent.Type.LayoutRequest:
             self.arrange()
         return super().event(event)
 
     def _shown(self) -> list[str]:
-        """Return the keys of the messages on the screen, the newest first."""
         return [key for key in reversed(self._messages) if not self._messages[key].isHidden()]
 
     def _dismiss(self, key: str) -> None:
@@ -342,8 +327,4 @@ class MessageHistory(QDialog):
             self.refresh()
 
     def refresh(self) -> None:
-        lines = []
-        for said in reversed(HISTORY):
-            details = "".join(f"\n    {line}" for line in said.details.splitlines())
-            lines.append(f"{said.at:%H:%M:%S}  {said.severity}: {said.sentence}{details}")
-        self.text.setPlainText("\n".join(lines))
+        self.text.setPlainText("\n".join(reversed(HISTORY)))

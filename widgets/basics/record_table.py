@@ -7,15 +7,7 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any, Final
 
-from PyQt6.QtCore import (
-    QAbstractTableModel,
-    QItemSelection,
-    QItemSelectionModel,
-    QModelIndex,
-    QSortFilterProxyModel,
-    Qt,
-    pyqtSignal,
-)
+from PyQt6.QtCore import QAbstractTableModel, QItemSelection, QItemSelectionModel, QModelIndex, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QKeyEvent, QKeySequence
 from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableView
 
@@ -31,12 +23,11 @@ _MISSING = "–"
 
 @dataclass(frozen=True)
 class Column:
-    """One column: how a record's cell reads and looks. ``tip`` of the heading names the unit.
+    """One column: how a record's cell reads and looks.
 
     ``value`` gives the text of a record, or its number where ``decimals`` is given; nan is shown as a dash. ``ticked``
-    tells whether its check box is ticked, None for no box. ``hint`` is the tooltip of a cell, ``color`` its text colour
-    as a field of `ThemeColors`, ``swatch`` a square of colour before the text. The column is as wide as ``sample``, or
-    as its content, or takes the room that is left.
+    is None where there is no check box. ``hint`` is the tooltip of a cell, ``color`` a field of `ThemeColors`. The
+    column is as wide as ``sample``, or as its content, or takes the room that is left.
     """
 
     title: str
@@ -56,17 +47,45 @@ class Column:
             return value
         return minus(f"{value:z,.{self.decimals}f}") if isfinite(value) else _MISSING
 
+    def place(self, record: Any) -> Any:
+        """Return what a record is sorted by; what is not known comes before all numbers."""
+        value = self.value(record)
+        if self.decimals is not None:
+            return -1e300 if isinstance(value, str) or not isfinite(value) else value
+        on = self.ticked(record) if self.ticked is not None else None
+        return on if value == "" and on is not None else value
+
 
 class _Model(QAbstractTableModel):
-    """Gives Qt the cells of the records."""
+    """Gives Qt the cells of the records, in the order in which they are shown."""
 
     ticked = pyqtSignal(object, bool)
 
     def __init__(self, columns: Sequence[Column], marked: Callable[[Any], bool] | None, wraps: bool) -> None:
         super().__init__()
-        self.columns, self.records = tuple(columns), ()  # type: tuple[Column, ...], tuple[Any, ...]
+        self.columns = tuple(columns)
+        self.given: tuple[Any, ...] = ()
+        self.records: tuple[Any, ...] = ()
         self._marked = marked
         self._vertical = Qt.AlignmentFlag.AlignTop if wraps else Qt.AlignmentFlag.AlignVCenter
+        self._sorted: tuple[Column, bool] | None = None
+
+    def show(self, records: Sequence[Any], same_rows: Callable[[Sequence[Any], Sequence[Any]], bool]) -> None:
+        self.given = shown = tuple(records)
+        if self._sorted is not None:
+            column, falls = self._sorted
+            shown = tuple(sorted(records, key=column.place, reverse=falls))
+        if shown and same_rows(shown, self.records):
+            self.records = shown
+            self.dataChanged.emit(self.index(0, 0), self.index(len(shown) - 1, len(self.columns) - 1))
+        else:
+            self.beginResetModel()
+            self.records = shown
+            self.endResetModel()
+
+    def sort(self, column: int, order: Qt.SortOrder = Qt.SortOrder.AscendingOrder) -> None:
+        self._sorted = self.columns[column], order == Qt.SortOrder.DescendingOrder
+        self.show(self.given, lambda *_: False)
 
     def rowCount(self, parent: QModelIndex | None = None) -> int:
         return 0 if parent is not None and parent.isValid() else len(self.records)
@@ -90,12 +109,6 @@ class _Model(QAbstractTableModel):
         answer: Any = None
         if role == _Role.DisplayRole:
             answer = column.text(record)
-        elif role == _Role.UserRole:  # the order
-            value = column.value(record)
-            ticked = column.ticked(record) if column.ticked is not None else None
-            number = column.decimals is not None
-            answer = ticked if value == "" and ticked is not None else value
-            answer = -1e300 if number and (isinstance(value, str) or not isfinite(value)) else answer
         elif role == _Role.CheckStateRole and column.ticked is not None:
             on = column.ticked(record)
             answer = None if on is None else Qt.CheckState.Checked if on else Qt.CheckState.Unchecked
@@ -122,9 +135,8 @@ class _Model(QAbstractTableModel):
 class RecordTable(QTableView):
     """Shows records in columns. Whoever listens to its signals changes the records and calls `set_records`.
 
-    Ctrl+C copies the selected rows, or all, as tab-separated text; space ticks the selected rows. ``key`` is what stays
-    the same of a record while it changes, so that it stays selected; the rows of ``marked`` records are highlighted;
-    ``wraps`` lets long texts take several lines.
+    Ctrl+C copies the selected rows, or all; space ticks the selected rows. A record stays selected by its ``key``;
+    the rows of ``marked`` records are highlighted; ``wraps`` lets long texts take several lines.
     """
 
     ticked = pyqtSignal(object, bool)  # record, on
@@ -147,10 +159,10 @@ class RecordTable(QTableView):
         self._key = key
         self._showing = False
         self._model = _Model(columns, marked, wraps)
-        self._sorted = QSortFilterProxyModel(self)
-        self._sorted.setSourceModel(self._model)
-        self._sorted.setSortRole(_Role.UserRole)
-        self.setModel(self._sorted)
+        self.setModel(self._model)
+        self._kept: tuple[Any, ...] = ()  # keys of the selected rows while all are replaced
+        self._model.modelAboutToBeReset.connect(lambda: setattr(self, "_kept", self.selected_keys()))
+        self._model.modelReset.connect(lambda: self.select(self._kept))
         self.setAccessibleName(name)
         self.setToolTip(tip)
         self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
@@ -183,49 +195,32 @@ class RecordTable(QTableView):
         self._selection.selectionChanged.connect(self._selection_changed)
 
     def records(self) -> tuple[Any, ...]:
-        return self._model.records
+        return self._model.given
 
     def set_records(self, records: Sequence[Any]) -> None:
         """Show these records; the selection stays with their keys."""
-        records = tuple(records)
-        if list(map(self._key, records)) == list(map(self._key, self._model.records)):
-            self._model.records = records
-            if records:
-                last = self._model.index(len(records) - 1, len(self._model.columns) - 1)
-                self._model.dataChanged.emit(self._model.index(0, 0), last)
-            return
-        selected = self.selected_keys()
-        self._showing = True
-        self._model.beginResetModel()
-        self._model.records = records
-        self._model.endResetModel()
-        self._showing = False
-        self.select(selected)
+        self._model.show(records, lambda new, old: list(map(self._key, new)) == list(map(self._key, old)))
 
     def selected_keys(self) -> tuple[Any, ...]:
-        return tuple(self._key(record) for record in self._in_order(selected=True))
+        return tuple(self._key(record) for record in self._selected())
 
     def select(self, keys: Sequence[Any]) -> None:
         """Select the rows with these keys and scroll to the first; never emits."""
-        wanted = list(keys)
-        chosen, shown = QItemSelection(), []
-        for number, record in enumerate(self._model.records):
-            if self._key(record) in wanted:
-                index = self._sorted.mapFromSource(self._model.index(number, 0))
-                chosen.select(index, index.siblingAtColumn(len(self._model.columns) - 1))
-                shown.append(index)
-        if {index.row() for index in self._selection.selectedRows()} == {index.row() for index in shown}:
+        rows = [row for row, record in enumerate(self._model.records) if self._key(record) in keys]
+        if sorted(index.row() for index in self._selection.selectedRows()) == rows:
             return
+        chosen = QItemSelection()
+        for row in rows:
+            chosen.select(self._model.index(row, 0), self._model.index(row, len(self._model.columns) - 1))
         self._showing = True
         self._selection.select(chosen, QItemSelectionModel.SelectionFlag.ClearAndSelect)
-        if shown:
-            self._selection.setCurrentIndex(shown[0], QItemSelectionModel.SelectionFlag.NoUpdate)
-            self.scrollTo(shown[0])
+        if rows:
+            self._selection.setCurrentIndex(self._model.index(rows[0], 0), QItemSelectionModel.SelectionFlag.NoUpdate)
+            self.scrollTo(self._model.index(rows[0], 0))
         self._showing = False
 
     def copy(self) -> None:
-        """Copy the selected rows, or all, with their titles to the clipboard."""
-        records = self._in_order(selected=True) or self._in_order(selected=False)
+        records = self._selected() or self._model.records
         lines = [[column.title for column in self._model.columns]]
         lines += [[column.text(record) for column in self._model.columns] for record in records]
         copy_text("\n".join("\t".join(line) for line in lines))
@@ -245,7 +240,7 @@ class RecordTable(QTableView):
             self.deleteRequested.emit()
         elif event.key() == Qt.Key.Key_Space and any(column.ticked for column in self._model.columns):
             box = next(column.ticked for column in self._model.columns if column.ticked is not None)
-            states = [(record, on) for record in self._in_order(selected=True) if (on := box(record)) is not None]
+            states = [(record, on) for record in self._selected() if (on := box(record)) is not None]
             turn_on = not all(on for _, on in states)
             for record, on in states:
                 if on != turn_on:
@@ -259,12 +254,8 @@ class RecordTable(QTableView):
         assert selection is not None
         return selection
 
-    def _in_order(self, selected: bool) -> list[Any]:
-        """Return all or the selected records in the order shown."""
-        rows = range(self._sorted.rowCount())
-        if selected:
-            rows = sorted(index.row() for index in self._selection.selectedRows())  # type: ignore[assignment]
-        return [self._model.records[self._sorted.mapToSource(self._sorted.index(row, 0)).row()] for row in rows]
+    def _selected(self) -> list[Any]:
+        return [self._model.records[row] for row in sorted(index.row() for index in self._selection.selectedRows())]
 
     def _selection_changed(self, *_: object) -> None:
         if not self._showing:

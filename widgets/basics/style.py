@@ -9,11 +9,12 @@ from typing import Any, Final, cast
 
 import pyqtgraph as pg
 from PyQt6 import sip
-from PyQt6.QtCore import QObject, QRectF, Qt
+from PyQt6.QtCore import QEvent, QObject, QRectF, Qt
 from PyQt6.QtGui import QColor, QPainter
 from PyQt6.QtWidgets import (
     QApplication,
     QFocusFrame,
+    QLabel,
     QProxyStyle,
     QStyle,
     QStyleHintReturn,
@@ -22,7 +23,6 @@ from PyQt6.QtWidgets import (
 )
 
 from .theme import GRID, ThemeChoice, ThemeName, make_palette, set_theme, theme_colors
-from .tooltips import TipWrapper, is_tip
 
 _Metric = QStyle.PixelMetric
 _METRICS: Final = {
@@ -35,6 +35,9 @@ _METRICS: Final = {
     _Metric.PM_ToolBarItemSpacing: GRID,
     _Metric.PM_ToolBarIconSize: 4 * GRID,
 }
+
+#: Largest width of a tooltip: lines of about 60 characters.
+_MAX_TIP_PX: Final = 400
 
 _SHEET: Final = Template("""
 QPushButton, QToolButton[autoRaise="false"] {
@@ -106,10 +109,10 @@ class _Style(QProxyStyle):
 
     def __init__(self) -> None:
         super().__init__("Fusion")
-        self._tips = TipWrapper(self)
+        self._tips = _TipWrapper(self)
 
     def polish(self, target: Any) -> Any:
-        if isinstance(target, QWidget) and is_tip(target):
+        if isinstance(target, QWidget) and target.inherits("QTipLabel"):
             self._tips.watch(target)
         return super().polish(target)
 
@@ -148,6 +151,33 @@ class _Style(QProxyStyle):
         return super().styleHint(hint, option, widget, returnData)
 
 
+class _TipWrapper(QObject):
+    """Wraps the text of tooltips: Qt wraps only rich text, and shows the rest in one line of any length.
+
+    Qt makes a new label for almost every tooltip, and the style sees each one before it is shown.
+    """
+
+    def watch(self, tip: QWidget) -> None:
+        tip.setMaximumWidth(_MAX_TIP_PX)  # Qt places it by this width
+        tip.installEventFilter(self)
+
+    def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
+        """Give the label the height of its wrapped text, inside the screen."""
+        if isinstance(watched, QLabel) and event is not None and event.type() in {QEvent.Type.Show, QEvent.Type.Resize}:
+            # The help of the views is rich text; elsewhere a file name may look like markup.
+            rich = watched.text().startswith("<p>")
+            watched.setTextFormat(Qt.TextFormat.RichText if rich else Qt.TextFormat.PlainText)
+            watched.setWordWrap(True)
+            height = watched.heightForWidth(watched.width())
+            if height != watched.height():
+                watched.resize(watched.width(), height)
+                screen = watched.screen()
+                below = 0 if screen is None else watched.geometry().bottom() - screen.geometry().bottom()
+                if below > 0:
+                    watched.move(watched.x(), watched.y() - below)
+        return False
+
+
 class _FocusRing(QObject):
     """Draws a frame of 2 px around the widget that has the keyboard's focus, once it came there by a key.
 
@@ -182,11 +212,7 @@ def use_style(app: QApplication) -> None:
 
 
 def apply_theme(app: QApplication, choice: ThemeChoice) -> ThemeName:
-    """Apply a theme to the whole application and return the resolved one.
-
-    Widgets that paint with `theme_colors` repaint on the ``PaletteChange`` event that follows.
-    With ``"system"`` the theme follows the desktop, also when that changes later.
-    """
+    """Apply a theme to the whole application and return the resolved one; "system" follows the desktop."""
     hints = app.styleHints()
     name: ThemeName = cast(ThemeName, choice)
     if choice == "system":
@@ -194,7 +220,8 @@ def apply_theme(app: QApplication, choice: ThemeChoice) -> ThemeName:
     app.setProperty("tactune_theme_choice", choice)
     if hints is not None and not app.property("tactune_follows_desktop"):
         app.setProperty("tactune_follows_desktop", True)
-        hints.colorSchemeChanged.connect(lambda _: _follow_desktop(app))
+        chosen = "tactune_theme_choice"
+        hints.colorSchemeChanged.connect(lambda _: apply_theme(app, cast(ThemeChoice, app.property(chosen))))
     colors = set_theme(name)
     pg.setConfigOptions(background=colors.base, foreground=colors.text)
     icons = (Path(__file__).parents[1] / "icons").as_posix()
@@ -204,8 +231,3 @@ def apply_theme(app: QApplication, choice: ThemeChoice) -> ThemeName:
         app.setPalette(make_palette(colors))
         app.setStyleSheet(sheet)
     return name
-
-
-def _follow_desktop(app: QApplication) -> None:
-    if app.property("tactune_theme_choice") == "system":
-        apply_theme(app, "system")

@@ -38,7 +38,6 @@ class Wipe:
 
 
 def paint_wipe(painter: QPainter, room: QRectF, wipe: Wipe, font: QFont) -> None:
-    """Paint the line, its grip, and the name of each side that has room."""
     x = room.left() + wipe.column(round(room.width()))
     painter.save()
     painter.setFont(font)

@@ -5,8 +5,8 @@ Each has ``value``, ``setValue``, which never emits, and the signal ``edited(val
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from decimal import Decimal
 from typing import Any
 
 from PyQt6.QtCore import QEvent, QSize, Qt, pyqtSignal
@@ -46,7 +46,7 @@ class NumberEntry(QAbstractSpinBox):
         self._clock = GestureClock()
         self._edit = self.lineEdit() or QLineEdit(self)
         self._edit.setAlignment(Qt.AlignmentFlag.AlignRight)
-        self._edit.textEdited.connect(self._typing_started)
+        self._edit.textEdited.connect(lambda _: setattr(self, "_typing", True))
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAccessibleName(self._title)
         self.editingFinished.connect(self._commit)
@@ -62,14 +62,11 @@ class NumberEntry(QAbstractSpinBox):
         self._show_value()
 
     def stepBy(self, steps: int) -> None:
-        """Move by whole steps of the field, snapping to multiples of it."""
         self._commit()
-        step = Decimal(repr(self._spec.step))
-        value = Decimal(repr(float(self._value)))
-        on_grid = value / step == (value / step).to_integral_value()
-        floor = (value / step).to_integral_value(rounding="ROUND_FLOOR")
-        target = float((floor + steps + (0 if on_grid or steps > 0 else 1)) * step)
-        low = self._spec.step if self._spec.open_minimum else self._spec.minimum
+        step, place = self._spec.step, self._value / self._spec.step
+        start = math.floor(place + 1e-9) if steps > 0 else math.ceil(place - 1e-9)
+        target = float(f"{(start + steps) * step:.12g}")  # 3 x 0.1 is 0.3
+        low = step if self._spec.open_minimum else self._spec.minimum
         self._take(min(max(target, low), self._spec.maximum))
         self.selectAll()
 
@@ -86,11 +83,11 @@ class NumberEntry(QAbstractSpinBox):
         return QValidator.State.Acceptable, text or "", position
 
     def sizeHint(self) -> QSize:
-        hint = super().sizeHint()
-        frame = hint.width() - self._edit.sizeHint().width()
-        widest = max(self.fontMetrics().horizontalAdvance(text) for text in self._sample_texts())
+        spec = self._spec
+        ends = (*spec.slider, -spec.step if spec.minimum < 0 else spec.step)
+        texts = [f"{end * spec.factor:.{spec.decimals}f}{self._suffix}" for end in ends]
         around = 32 if self.buttonSymbols() != QAbstractSpinBox.ButtonSymbols.NoButtons else 8
-        return QSize(widest + around, hint.height()) if frame else hint
+        return QSize(max(map(self.fontMetrics().horizontalAdvance, texts)) + around, super().sizeHint().height())
 
     def minimumSizeHint(self) -> QSize:
         return self.sizeHint()
@@ -132,14 +129,6 @@ class NumberEntry(QAbstractSpinBox):
         super().focusOutEvent(event)
         self._clock.release()
 
-    def _sample_texts(self) -> list[str]:
-        spec = self._spec
-        ends = (*spec.slider, -spec.step if spec.minimum < 0 else spec.step)
-        return [f"{end * spec.factor:.{spec.decimals}f}{self._suffix}" for end in ends]
-
-    def _typing_started(self, _: str) -> None:
-        self._typing = True
-
     def _show_value(self) -> None:
         self._typing = False
         self._edit.setText(self._spec.bare(self._value) + self._suffix)
@@ -154,19 +143,16 @@ class NumberEntry(QAbstractSpinBox):
         text = self._edit.text()
         number = parse_number(text, self._spec.suffix)
         spec = self._spec
-        allowed = f"{'above ' if spec.open_minimum else ''}{spec.shown(spec.minimum)} to {spec.shown(spec.maximum)}"
-        if number is None:
-            self._refuse(f"{self._title}: “{text.strip()}” is not a number; allowed is {allowed}.")
-        elif spec.integer and number != int(number):
-            self._refuse(f"{self._title}: {text.strip()} is not a whole number; allowed is {allowed}.")
-        elif not spec.allows(spec.from_shown(number)):
-            self._refuse(
-                f"{self._title}: {minus(format_number(number))}{spec.suffix} is out of bounds; allowed is {allowed}."
-            )
-        else:
+        allowed = number is not None and spec.allows(number / spec.factor) and not (spec.integer and number % 1)
+        if allowed and number is not None:
             self._clock.release()
             self._take(spec.from_shown(number))
-            self._show_value()
+        self._show_value()
+        if not allowed:
+            self.refused.emit(
+                f"{self._title}: “{text.strip()}” is not allowed, but a {'whole ' if spec.integer else ''}number "
+                f"{'above' if spec.open_minimum else 'from'} {spec.shown(spec.minimum)} to {spec.shown(spec.maximum)}."
+            )
 
     def _take(self, value: float) -> None:
         target: float | int = round(value) if self._spec.integer else value
@@ -176,16 +162,9 @@ class NumberEntry(QAbstractSpinBox):
         self._show_value()
         self.edited.emit(target, self._clock.number())
 
-    def _refuse(self, sentence: str) -> None:
-        self._show_value()
-        self.refused.emit(sentence)
-
 
 def parse_number(text: str, suffix: str = "") -> float | None:
-    """Read what a person typed: the unit may be there or not, a comma may be the decimal point.
-
-    Returns None for anything that is no finite number.
-    """
+    """Return the number that a person typed, with or without its unit, with a point or a comma; None if it is none."""
     bare = text.strip().removesuffix(suffix.strip()).strip().replace(",", ".").replace("−", "-")
     try:
         number = float(bare)
@@ -314,36 +293,29 @@ class MatrixView(QLabel):
 
     def __init__(self, spec: FieldSpec) -> None:
         super().__init__()
-        self._factor = spec.factor
-        self._suffix = spec.suffix
-        self._value: Any = spec.default
+        self._spec = spec
         self.setTextInteractionFlags(
             Qt.TextInteractionFlag.TextSelectableByMouse | Qt.TextInteractionFlag.TextSelectableByKeyboard
         )
-        self._show()
+        self.setValue(spec.default)
 
     def value(self) -> Any:
         return self._value
 
     def setValue(self, value: Any) -> None:
-        if value != self._value:
-            self._value = value
-            self._show()
-
-    def _show(self) -> None:
-        if self._value is None:
-            self.setFont(text_font("body"))
-            self.setText("from the rig")
-            return
-        font = QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont)
-        font.setPointSizeF(text_font("caption").pointSizeF())
+        self._value = value
+        font = text_font("body")
+        if value is not None:
+            font = QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont)
+            font.setPointSizeF(text_font("caption").pointSizeF())
         self.setFont(font)
-        self.setText("\n".join(self._line(row) for row in self._value[:3]))
+        self.setText("from the rig" if value is None else "\n".join(map(self._line, value[:3])))
 
     def _line(self, row: tuple[float, ...]) -> str:
         if len(row) == 3:
             return " ".join(f"{cell:>10.5g}" for cell in row)
-        return " ".join(f"{cell:8.5f}" for cell in row[:3]) + f" | {row[3] * self._factor:8.2f}{self._suffix}"
+        shift = f"{row[3] * self._spec.factor:8.2f}{self._spec.suffix}"
+        return " ".join(f"{cell:8.5f}" for cell in row[:3]) + f" | {shift}"
 
 
 _EDITORS: dict[str, Any] = {

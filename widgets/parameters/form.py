@@ -47,7 +47,6 @@ class FindingLine(QWidget):
 
     @property
     def sentence(self) -> str:
-        """What is wrong; empty while there is no finding."""
         return self._sentence.text()
 
     def show_finding(self, finding: ShownFinding | None) -> None:
@@ -84,10 +83,7 @@ class ParameterRow(QObject):
         self.message = NoteLabel()
         self.message.hide()
         self.finding = FindingLine()
-        self._grid: QGridLayout | None = None
-        self._line = 0
-        self._is_shown = True
-        self._is_wide: bool | None = None
+        self._is_placed, self._is_shown = False, True
         self.editor.edited.connect(self._edited)
         if isinstance(self.widget, NumbersEditor):
             self.widget.refused.connect(self.refuse)
@@ -95,7 +91,6 @@ class ParameterRow(QObject):
 
     @property
     def in_header(self) -> bool:
-        """Whether the editor turns its whole section on or off and so belongs into the header."""
         return self.spec.kind == "flag" and self.spec.path.endswith(".enabled")
 
     @property
@@ -103,15 +98,17 @@ class ParameterRow(QObject):
         return list(getattr(self.widget, "tab_stops", [self.widget]))
 
     def add_to(self, grid: QGridLayout) -> None:
-        """Append the row to a grid of `COLUMNS` columns."""
-        self._grid, self._line = grid, grid.rowCount()
+        line, self._is_placed = grid.rowCount(), True
         grid.setColumnMinimumWidth(3, _RESET_WIDTH)
-        grid.addWidget(self.label, self._line, 0)
-        grid.addWidget(self.unit, self._line, 2)
-        grid.addWidget(self.reset, self._line, 3)
-        grid.addWidget(self.message, self._line + 2, 0, 1, COLUMNS)
-        grid.addWidget(self.finding, self._line + 3, 0, 1, COLUMNS)
-        self._place_editor()
+        grid.addWidget(self.label, line, 0)
+        grid.addWidget(self.unit, line, 2)
+        grid.addWidget(self.reset, line, 3)
+        grid.addWidget(self.message, line + 2, 0, 1, COLUMNS)
+        grid.addWidget(self.finding, line + 3, 0, 1, COLUMNS)
+        if self.spec.kind in ("rectangle", "matrix"):
+            grid.addWidget(self.widget, line + 1, 0, 1, COLUMNS)
+        else:
+            grid.addWidget(self.widget, line, 1)
         self._update_reset()
 
     def set_shown(self, shown: bool) -> None:
@@ -128,7 +125,6 @@ class ParameterRow(QObject):
         self._update_reset()
 
     def set_reset_target(self, value: Any, origin: str) -> None:
-        """Set the value of the reset button and describe its origin."""
         self.reset_target = value
         self.reset.setToolTip(f"Reset to {self.spec.describe(value)} ({origin})")
         self._update_reset()
@@ -141,31 +137,18 @@ class ParameterRow(QObject):
         if value != self.editor.value():
             self.refuse("")
         self.editor.setValue(value)
-        self._place_editor()
         self._update_reset()
 
     def refuse(self, sentence: str) -> None:
-        """Show below the row why a value was refused; empty: nothing."""
         self.message.say(sentence, error=True)
         self.message.setVisible(bool(sentence))
-
-    def _place_editor(self) -> None:
-        """Put the editor beside the label, or below it if it is too wide."""
-        wide = self.spec.kind == "rectangle" or (self.spec.kind == "matrix" and self.editor.value() is not None)
-        if self._grid is None or wide == self._is_wide:  # each call lays out the whole panel
-            return
-        self._is_wide = wide
-        if wide:
-            self._grid.addWidget(self.widget, self._line + 1, 0, 1, COLUMNS)
-        else:
-            self._grid.addWidget(self.widget, self._line, 1)
 
     def _update_reset(self) -> None:
         """Show the reset button only where it would change something."""
         wanted = self._is_shown and self.widget.isEnabled() and self.differs()
         if not wanted and self.reset.hasFocus():
             self.tab_stops[0].setFocus()
-        self.reset.setVisible(wanted and self._grid is not None)
+        self.reset.setVisible(wanted and self._is_placed)
 
     def _edited(self, value: Any, gesture: int) -> None:
         self.refuse("")
@@ -181,13 +164,10 @@ class ParameterRow(QObject):
 class Form(QWidget):
     """Rows for fields, such as those of a pydantic model that `section_fields` yields.
 
-    Rows that few people need are behind a fold *More*. It opens by itself when one of its values begins to differ from
-    the default, so that no such value is overlooked.
+    Advanced ones are behind a fold, which opens when one of its values begins to differ from the default.
     """
 
-    #: Path, value, gesture: all edits of one drag, one burst of keys or one typed number carry the
-    #: same gesture number.
-    edited = pyqtSignal(str, object, int)
+    edited = pyqtSignal(str, object, int)  # path, value, gesture
 
     def __init__(self, rows: Iterable[ParameterRow] = (), title: str = "the settings") -> None:
         super().__init__()

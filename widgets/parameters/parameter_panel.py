@@ -142,7 +142,6 @@ class ParameterPanel(QScrollArea):
             row.refuse("")
 
     def go_to(self, name: str) -> None:
-        """Unfold a section, scroll it to the top and give its first control the focus."""
         section = self.sections[name]
         section.set_collapsed(False)
         bar = self.verticalScrollBar()
@@ -152,7 +151,6 @@ class ParameterPanel(QScrollArea):
         first.tab_stops[0].setFocus(Qt.FocusReason.OtherFocusReason)
 
     def show_findings(self, findings: Mapping[str, ShownFinding]) -> None:
-        """Show findings below the rows of their fields, by dotted path, and none below the others."""
         for path, row in self.rows.items():
             if path in findings and not row.finding.sentence:
                 self._unfold(path)
@@ -200,16 +198,13 @@ class ParameterPanel(QScrollArea):
             section.set_collapsed(name in names)
 
     def open_folds(self) -> list[str]:
-        """Return the sections whose advanced fields are shown, to be remembered."""
         return [name for name, form in self.forms.items() if form.is_open]
 
     def set_open_folds(self, names: list[str]) -> None:
-        """Show the advanced fields of these sections too."""
         for name, form in self.forms.items():
             form.set_open(form.is_open or name in names)
 
     def enable_measuring(self, enabled: bool) -> None:
-        """Enable what looks at a frame: the suggestions and the eyedroppers."""
         for button in (*self.suggests.values(), self.eyedroppers["set"]):
             button.setEnabled(enabled)
         self._enable_eyedroppers()
@@ -221,7 +216,6 @@ class ParameterPanel(QScrollArea):
         self._escape.setEnabled(mode != "off")
 
     def _show_calibration(self, record: CalibrationRecord | None) -> None:
-        """Say below the choice of the alignment's model what it comes from and how good it was."""
         if record is not None:
             points = sum(pair.enabled for pair in record.points) - len(record.quality.excluded)
             self.alignment_info.setText(

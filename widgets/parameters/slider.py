@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from decimal import Decimal
 
-from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import (
     QColor,
     QFocusEvent,
@@ -37,8 +36,7 @@ Values = tuple[float, ...]
 class Scale:
     """A slider's travel from ``low`` to ``high``; positions are fractions 0 to 1.
 
-    Linear scales snap to multiples of ``step`` from ``low``, logarithmic ones to a hundredth of a decade,
-    rounded to three significant digits.
+    Linear scales snap to steps from ``low``, logarithmic ones to a hundredth of a decade and three digits.
     """
 
     low: float
@@ -58,8 +56,7 @@ class Scale:
             exact = float(f"{self.low * (self.high / self.low) ** fraction:.3g}")
         else:
             steps = round(fraction * (self.high - self.low) / self.step)
-            # decimal arithmetic keeps 3 x 0.1 from becoming 0.30000000000000004
-            exact = float(Decimal(repr(self.low)) + steps * Decimal(repr(self.step)))
+            exact = float(f"{self.low + steps * self.step:.12g}")  # 3 x 0.1 is 0.3
         return min(max(exact, self.low), self.high)
 
     @property
@@ -73,9 +70,8 @@ class Slider(QWidget):
     """One handle, or two with a band between them.
 
     Drag a handle, or the band to move both; a press beside them brings the nearer handle. With ``wraps`` the handles
-    may cross: a low end above the high end means the band from the low end over the top to the high end, and moving
-    the band rotates it. Otherwise the ends stay at least ``gap`` apart. Tab goes from the low handle to the high one;
-    arrows, PageUp, PageDown, Home and End move the one in focus.
+    may cross: the band then goes from the low end over the top to the high end, and moving it rotates it. Otherwise
+    the ends stay at least ``gap`` apart. Tab goes from the low handle to the high one.
     """
 
     edited = pyqtSignal(object, int)  # values, gesture: changed by the user
@@ -88,20 +84,17 @@ class Slider(QWidget):
         self._values: Values = (scale.low, scale.high)[:handles]
         self._colors: list[QColor] = []
         self._active = 0
-        self._hovered: int | None = None
         self._gripped: int | None = None
         self._grip_fraction = 0.0
         self._grip_values = self._values
         self._clock = GestureClock()
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        self.setMouseTracking(True)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
 
     def values(self) -> Values:
         return self._values
 
     def set_values(self, *values: float) -> None:
-        """Show a number, or both ends; never emits."""
         if values != self._values:
             self._values = values
             self.update()
@@ -149,27 +142,14 @@ class Slider(QWidget):
         self.update()
 
     def mouseMoveEvent(self, event: QMouseEvent | None) -> None:
-        if event is None:
-            return
-        if self._gripped is not None:
+        if event is not None and self._gripped is not None:
             self._drag_to(event.position().x())
-            return
-        hovered = self._part_at(event.position().x())
-        if hovered != self._hovered:
-            self._hovered = hovered
-            self.setCursor(Qt.CursorShape.SizeHorCursor if hovered == _BAND else Qt.CursorShape.ArrowCursor)
-            self.update()
 
     def mouseReleaseEvent(self, event: QMouseEvent | None) -> None:
         if event is not None and event.button() == Qt.MouseButton.LeftButton:
             self._gripped = None
             self._clock.release()
             self.update()
-
-    def leaveEvent(self, event: QEvent | None) -> None:
-        self._hovered = None
-        self.update()
-        super().leaveEvent(event)
 
     def wheelEvent(self, event: QWheelEvent | None) -> None:
         if event is not None and self.hasFocus():
@@ -182,24 +162,16 @@ class Slider(QWidget):
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
         if event is None:
             return
-        page = max(1, self._scale.positions // 10)
-        steps = {
-            Qt.Key.Key_Left: -1,
-            Qt.Key.Key_Down: -1,
-            Qt.Key.Key_Right: 1,
-            Qt.Key.Key_Up: 1,
-            Qt.Key.Key_PageDown: -page,
-            Qt.Key.Key_PageUp: page,
-            Qt.Key.Key_Home: -self._scale.positions,
-            Qt.Key.Key_End: self._scale.positions,
-        }.get(Qt.Key(event.key()))
-        if steps is None:
-            super().keyPressEvent(event)
+        page, all_of_it = max(1, self._scale.positions // 10), self._scale.positions
+        key = Qt.Key
+        steps = {key.Key_Left: -1, key.Key_Down: -1, key.Key_Right: 1, key.Key_Up: 1}
+        steps |= {key.Key_PageDown: -page, key.Key_PageUp: page, key.Key_Home: -all_of_it, key.Key_End: all_of_it}
+        if event.key() in steps:
+            self._step(steps[key(event.key())])
         else:
-            self._step(steps)
+            super().keyPressEvent(event)
 
     def focusNextPrevChild(self, forward: bool) -> bool:
-        """Tab goes through both handles."""
         target = self._active + (1 if forward else -1)
         if 0 <= target < len(self._values):
             self._active = target
@@ -230,10 +202,10 @@ class Slider(QWidget):
 
     def _part_at(self, x: float) -> int | None:
         nearer = self._nearer_handle(x)
-        low_x, high_x = self.handle_x(0), self.handle_x(len(self._values) - 1)
+        low_x, high_x = self.handle_x(0), self.handle_x(-1)
         if abs(x - self.handle_x(nearer)) <= _REACH:
             if len(self._values) == 2 and low_x == high_x:  # take the handle that can move towards the mouse
-                return 0 if x < low_x or (x == low_x and self._values[1] >= self._scale.high) else 1
+                return 0 if x < low_x or self._values[1] >= self._scale.high else 1
             return nearer
         inside = x < high_x or x > low_x if self.wrapped() else low_x < x < high_x
         return _BAND if inside else None
@@ -287,13 +259,18 @@ class Slider(QWidget):
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.setPen(Qt.PenStyle.NoPen)
         left, length = self.travel()
-        middle, enabled = self.height() / 2, self.isEnabled()
+        centre, enabled = self.height() / 2, self.isEnabled()
         height = _COLORED_GROOVE if self._colors else _GROOVE
-        groove = QRectF(left, middle - height / 2, length, height)
-        first = left if len(self._values) == 1 else self.handle_x(0)
-        inside, outside = [(first, self.handle_x(-1))], [(left, first), (self.handle_x(-1), left + length)]
+        accent = QColor(colors.accent if enabled else colors.border)
+        low, high = left if len(self._values) == 1 else self.handle_x(0), self.handle_x(-1)
+        inside, outside = [(low, high)], [(left, low), (high, left + length)]
         if self.wrapped():
-            inside, outside = [(left, self.handle_x(1)), (first, left + length)], [(self.handle_x(1), first)]
+            inside, outside = [(left, high), (low, left + length)], [(high, low)]
+
+        def span(start: float, end: float) -> QRectF:
+            return QRectF(start, centre - height / 2, end - start, height)
+
+        groove = span(left, left + length)
         if self._colors:
             gradient = QLinearGradient(groove.topLeft(), groove.topRight())
             for index, color in enumerate(self._colors):
@@ -302,25 +279,20 @@ class Slider(QWidget):
             painter.drawRoundedRect(groove, 3, 3)
             faded = QColor(colors.window)
             faded.setAlpha(190 if enabled else 220)
-            for start, end in outside if enabled else [(left, left + length)]:
-                painter.fillRect(QRectF(start, groove.top(), end - start, height), faded)
+            for ends in outside if enabled else [(left, left + length)]:
+                painter.fillRect(span(*ends), faded)
+            painter.setBrush(Qt.BrushStyle.NoBrush)
+            painter.setPen(QPen(accent, 1.5) if enabled else QPen(Qt.PenStyle.NoPen))
         else:
             painter.setBrush(QColor(colors.outline if enabled else colors.border))
             painter.drawRoundedRect(groove, height / 2, height / 2)
-        accent = QColor(colors.accent if enabled else colors.border)
-        for start, end in inside:
-            span = QRectF(start, groove.top(), end - start, height)
-            if not self._colors:
-                painter.setBrush(accent)
-                painter.drawRoundedRect(span, height / 2, height / 2)
-            elif enabled:
-                painter.setPen(QPen(accent, 1.5))
-                painter.setBrush(Qt.BrushStyle.NoBrush)
-                painter.drawRect(span)
+            painter.setBrush(accent)
+        corner = 0.0 if self._colors else height / 2
+        for ends in inside:
+            painter.drawRoundedRect(span(*ends), corner, corner)
         painter.setPen(QPen(accent, 2.0))
         for handle in range(len(self._values)):
-            focused = self.hasFocus() and handle == self._active
-            lit = enabled and (focused or handle in (self._hovered, self._gripped))
+            lit = enabled and (handle == self._gripped or (self.hasFocus() and handle == self._active))
             painter.setBrush(QColor(colors.accent if lit else colors.knob if enabled else colors.button))
-            painter.drawEllipse(QPointF(self.handle_x(handle), middle), _RADIUS, _RADIUS)
+            painter.drawEllipse(QPointF(self.handle_x(handle), centre), _RADIUS, _RADIUS)
         painter.end()

@@ -2,28 +2,8 @@
 
 `tactune.core.output.messages` builds them.
 
-A recording holds, for every frame of the sensor:
-
-=================================== ========================== ==================================
-topic                               type                       contents
-=================================== ========================== ==================================
-``/proximity/depth/image``          ``sensor_msgs/Image``      16UC1, raw counts
-``/proximity/color/image``          ``sensor_msgs/Image``      rgb8
-``/tactile/depth/image``            ``sensor_msgs/Image``      16UC1, raw counts
-``/tactile/color/image``            ``sensor_msgs/Image``      rgb8, aligned to depth  (where known)
-``…/camera_info``                   ``sensor_msgs/CameraInfo`` beside each of these images
-``/truth/contact/image``            ``sensor_msgs/Image``      mono8, 0 or 255         (where known)
-``/truth/depth/image``              ``sensor_msgs/Image``      32FC1, metres           (where known)
-``/tactune/frame``                  ``std_msgs/String``        JSON: the sequence number and both
-                                                               time stamps, every bit
-``/tactune/rig``                    ``std_msgs/String``        JSON: the rig, once
-``/tf_static``                      ``tf2_msgs/TFMessage``     factory poses, once
-=================================== ========================== ==================================
-
-Depth is stored in the cameras' raw counts, so playback is bit-identical. ROS reads 16UC1 as
-millimetres: clouds that Foxglove or RViz make of it are too large by a factor of 4 for an L515
-(0.25 mm) and 10 for a D405 (0.1 mm). The rig contains the units. It is also attached as
-``rig.json``; the topic is for tools that copy messages without attachments.
+The guide lists the topics of a recording (``docs/guide/recording.md``). Depth is stored in the cameras' raw counts.
+The rig contains their units. It is attached as ``rig.json``, and a message for tools that copy no attachments.
 
 A lens model that ROS does not know (librealsense's inverse and modified Brown-Conrady) is written as
 ``plumb_bob`` with the same coefficients, as the camera maker's own ROS driver does.
@@ -40,7 +20,7 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from ...errors import SourceError
-from ...model.frames import Matrix4, camera_pose
+from ...model.arrays import Float64Array
 
 #: Names of the metadata record and the attachments inside a recording.
 METADATA_NAME: Final = "tactune"
@@ -104,10 +84,10 @@ def parse(data: bytes | memoryview, message_type: str, origin: Path) -> Any:
         raise SourceError(f"{origin} has a message that is no {message_type}; record it again") from error
 
 
-def matrix_of(transform: Any) -> Matrix4:
-    """Return the 4 x 4 matrix of a ROS transform; `ValueError` if it is not rigid."""
+def matrix_of(transform: Any) -> Float64Array:
+    """Return the 4 x 4 matrix of a ROS transform, its quaternion normalised."""
     q, t = transform.rotation, transform.translation
     matrix = np.eye(4)
     matrix[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
     matrix[:3, 3] = t.x, t.y, t.z
-    return camera_pose(matrix)
+    return matrix

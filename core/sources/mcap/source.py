@@ -112,13 +112,11 @@ class McapSource(SeekableSource):
         return None if data is None else (data.decode(errors="replace"), f"{PRESET_NAME} in {self._path}")
 
     def untouched(self) -> SensorFrame | None:
-        """Return the frame of the untouched membrane, or None if there is none."""
         data = self._file.attachment(UNTOUCHED_NAME)
         return None if data is None else parse_untouched(data, str(self._path))
 
     @property
     def has_poses(self) -> bool:
-        """Whether the recording contains poses of a tracked object."""
         return Topic.OBJECT_POSE in self._file.topics
 
     def health(self) -> Health:
@@ -135,11 +133,9 @@ class McapSource(SeekableSource):
         return Health(ok=not lacks, message="; ".join(lacks))
 
     def close(self) -> None:
-        """Close the file."""
         self._file.close()
 
     def read(self, index: int) -> SensorFrame:
-        """Read frame ``index`` from the file."""
         proximity, tactile = self._rig.proximity.intrinsics.shape, self._rig.tactile.intrinsics.shape
         depth, depth_time_s = self._required(Topic.PROXIMITY_DEPTH, index, proximity)
         tactile_depth, tactile_time_s = self._required(Topic.TACTILE_DEPTH, index, tactile)
@@ -160,17 +156,12 @@ class McapSource(SeekableSource):
 
     def _check_topics(self, places: dict[Topic, Uint64Array]) -> None:
         topics = self._file.topics
-        if Topic.PATCH in topics and Topic.PROXIMITY_DEPTH not in topics:
-            raise SourceError(f"{self._path} holds contact patches, no images; open it with a viewer of ROS bags")
-        if not self._file.complete and not any(map(len, places.values())):
-            raise SourceError(
-                f"{self._path} holds no frame: it was cut off before its first frame was complete; record it again"
-            )
         for topic in (Topic.PROXIMITY_DEPTH, Topic.TACTILE_DEPTH):
             if not len(places[topic]):
                 known = f"its topics are {', '.join(sorted(topics)[:8])}" if topics else "it has no messages"
+                cut = "" if self._file.complete else "it was cut off before its first frame was complete; "
                 raise SourceError(
-                    f"{self._path} holds no frame: there is no image on {topic} ({known}); record it again"
+                    f"{self._path} holds no frame: {cut}there is no image on {topic} ({known}); record it again"
                 )
         for topic in places:
             expected = TEXT if topic == Topic.FRAME else IMAGE
@@ -315,7 +306,7 @@ def _pose(file: McapFile, first: str, second: str) -> Matrix4 | None:
                 continue
             try:
                 pose = matrix_of(transform.transform)
-                return pose if frames == (first, second) else camera_pose(np.linalg.inv(np.array(pose)))
+                return camera_pose(pose if frames == (first, second) else np.linalg.inv(pose))
             except ValueError as error:
                 raise SourceError(f"{file.path}: the pose of {second} in {first}: {error}; record it again") from error
     return None

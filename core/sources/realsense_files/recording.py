@@ -4,58 +4,42 @@ from __future__ import annotations
 
 import math
 import re
+from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import ValidationError
 
-from ...errors import SourceError, TactuneError
-from ...model.arrays import Float64Array, Int64Array, Uint8Array, Uint16Array
+from ...model.arrays import Float64Array, Uint8Array, Uint16Array
 from ...model.frames import DepthCamera, camera_pose
 from ...model.intrinsics import Distortion, Intrinsics
+from ..base import Progress
 from ..cameras.camera import Calibration
-from ..ros_image import DamagedFileError, RawImage
+from ..ros_image import DamagedFileError, RawImage, damage_told
 
-HARDWARE_CLOCK = "Hardware Clock"
 _STREAM = re.compile(r"(/device_(\d{1,4})/sensor_\d{1,4}/(Depth|Color)_\d{1,4})/image/data(/compressed(?:Depth)?)?")
 
 
-@dataclass(frozen=True, eq=False)
-class ImageTimes:
-    """Time stamps of the images of one stream as in the file.
+class ImageTime(NamedTuple):
+    """Time stamps of one image; the clock of its own stamp is empty, and the arrival 0, where it is unknown."""
 
-    ``clocks`` is an empty string and ``arrived_ms`` is 0 where they are unknown.
-    """
-
-    recorded_ns: Int64Array
-    stamps_s: Float64Array
-    clocks: Sequence[str]
-    arrived_ms: Float64Array
+    recorded_ns: int
+    stamp_s: float
+    clock: str
+    arrived_ms: float
 
 
 @dataclass(frozen=True, eq=False)
 class Stream:
-    """One image stream: its lens, time stamps and images.
+    """One image stream.
 
-    Attributes
-    ----------
-    clock : str
-        Clock of ``stamps_s``, in librealsense's words; empty if unknown.
-    stamps_s : float64, shape (N,)
-        The images' own time stamps, seconds.
-    recorded_s : float64, shape (N,)
-        When each was recorded, seconds on the one clock of the whole recording.
-    arrived_s : float64, shape (N,), or None
-        When each reached the computer, seconds of its system time; None if the recording does not say.
-    poses : dict of str to 4 x 4
-        From a named reference to the stream, by the reference's name.
-    read : callable
-        Returns an image by its number.
+    ``clock`` is that of the images' own stamps, in librealsense's words, or empty. All images of a recording have
+    ``recorded_s`` on one clock; ``arrived_s`` is when they reached the computer, None if unknown. ``poses`` are 4 x 4,
+    from a named reference to the stream; ``read`` returns an image by its number.
     """
 
     topic: str
@@ -67,9 +51,6 @@ class Stream:
     arrived_s: Float64Array | None
     poses: Mapping[str, Float64Array]
     read: Callable[[int], RawImage]
-
-    def __len__(self) -> int:
-        return len(self.stamps_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +64,6 @@ class Camera:
 
     @property
     def info(self) -> DepthCamera:
-        """Model, serial number, lens and depth unit."""
         return self.calibration.depth
 
     def depth_image(self, index: int) -> Uint16Array:
@@ -98,106 +78,111 @@ class Camera:
             return self.color.read(index).color(self.color.intrinsics.shape)
 
 
-class RecordingFile(Protocol):
-    """An open recording; `is_complete` is False where its recorder was killed."""
+class RecordingFile(ABC):
+    """An open recording; ``is_complete`` is False where its recorder was killed."""
 
-    path: Path
-    is_complete: bool
-    cameras: list[Camera]
+    is_complete = True
 
+    def __init__(self, path: Path, progress: Progress | None) -> None:
+        self.path, self.progress = path, progress
+        try:
+            self.cameras = self._find_cameras(self._open())
+        except BaseException:
+            self.close()
+            raise
+
+    @abstractmethod
+    def _open(self) -> Collection[str]:
+        """Open the file, and return the topics that have messages."""
+
+    @abstractmethod
     def close(self) -> None:
         """Close the file; twice is harmless."""
 
+    @abstractmethod
+    def _names(self, topic: str) -> Mapping[str, str]:
+        """Return the names and values of a device's description."""
 
-def find_streams(topics: Iterable[str]) -> dict[tuple[int, str], tuple[str, str]]:
-    """Return the image topics by device number and ``"Depth"`` or ``"Color"``: the topics' prefix, and the topic."""
-    streams: dict[tuple[int, str], tuple[str, str]] = {}
-    for topic in sorted(topics):
-        if match := _STREAM.fullmatch(topic):
-            streams.setdefault((int(match[2]), match[3]), (match[1], topic))
-    return streams
+    @abstractmethod
+    def _depth_unit_m(self, sensor: str) -> float | None:
+        """Return the depth unit of a sensor, or None if the recording does not say it."""
 
+    @abstractmethod
+    def _times(self, topics: Collection[tuple[str, str]]) -> Mapping[str, list[ImageTime]]:
+        """Return the times of streams, given and returned by their prefix; no image is decoded for this."""
 
-@contextmanager
-def damage_told(path: Path, what: str) -> Iterator[None]:
-    """Turn damage, in whichever way a library reports it, into a `SourceError` of one sentence."""
-    try:
-        yield
-    except TactuneError:  # also of a progress callable that cancels
-        raise
-    except OSError as error:
-        raise SourceError(f"cannot read {path}: {error.strerror or error}; check the disk") from error
-    except Exception as error:
-        detail = " ".join(str(error).split())[:300] or type(error).__name__
-        raise SourceError(f"{path}: {what} ({detail}); copy or record it again") from error
+    @abstractmethod
+    def _stream(self, topic: str, images: str, times: Sequence[ImageTime]) -> Stream:
+        """Return the stream whose topics begin with ``topic`` and whose images are on ``images``."""
 
+    def _find_cameras(self, topics: Collection[str]) -> list[Camera]:
+        found: dict[tuple[int, str], tuple[str, str]] = {}
+        for topic in sorted(topics):
+            if match := _STREAM.fullmatch(topic):
+                found.setdefault((int(match[2]), match[3]), (match[1], topic))
+        times = self._times(found.values()) if any(kind == "Depth" for _, kind in found) else {}
+        streams = {key: self._stream(*pair, times[pair[0]]) for key, pair in found.items() if times}
+        return [
+            self._camera(number, stream, streams.get((number, "Color")))
+            for (number, kind), stream in sorted(streams.items())
+            if kind == "Depth"
+        ]
 
-def make_camera(
-    path: Path, names: Mapping[str, str], depth_unit_m: float | None, depth: Stream, color: Stream | None
-) -> Camera:
-    """Return a device of what a file says; ``names`` holds its model and serial number."""
-    if depth_unit_m is None:
-        raise DamagedFileError("the depth unit is missing (topic …/option/Depth_Units/value)")
-    if not 1e-7 <= depth_unit_m <= 1.0:
-        raise DamagedFileError(f"the depth unit is {depth_unit_m} m, but it must be above 0 and at most 1")
-    info = DepthCamera(
-        model=_plain(names.get("Name", "unknown")),
-        serial=_plain(names.get("Serial Number", "")),
-        intrinsics=depth.intrinsics,
-        depth_unit_m=depth_unit_m,
-    )
-    if color is None:
-        return Camera(path, Calibration(info), depth, None)
-    common = color.poses.keys() & depth.poses.keys()
-    if not common:
-        raise DamagedFileError(f"the pose of {color.topic} to {depth.topic} is missing (topics such as …/tf/0)")
-    reference = min(common)
-    pose = camera_pose(color.poses[reference] @ np.linalg.inv(depth.poses[reference]))
-    return Camera(path, Calibration(info, color.intrinsics, pose), depth, color)
+    def _camera(self, number: int, depth: Stream, color: Stream | None) -> Camera:
+        unit_m = self._depth_unit_m(depth.topic.rpartition("/")[0])
+        if unit_m is None:
+            raise DamagedFileError("the depth unit is missing (topic …/option/Depth_Units/value)")
+        if not 1e-7 <= unit_m <= 1.0:
+            raise DamagedFileError(f"the depth unit is {unit_m} m, but it must be above 0 and at most 1")
+        names = self._names(f"/device_{number}/info")
+        info = DepthCamera(
+            model=_plain(names.get("Name", "unknown")),
+            serial=_plain(names.get("Serial Number", "")),
+            intrinsics=depth.intrinsics,
+            depth_unit_m=unit_m,
+        )
+        if color is None:
+            return Camera(self.path, Calibration(info), depth, None)
+        common = color.poses.keys() & depth.poses.keys()
+        if not common:
+            raise DamagedFileError(f"the pose of {color.topic} to {depth.topic} is missing (topics such as …/tf/0)")
+        reference = min(common)
+        pose = camera_pose(color.poses[reference] @ np.linalg.inv(depth.poses[reference]))
+        return Camera(self.path, Calibration(info, color.intrinsics, pose), depth, color)
 
 
 def make_stream(
     topic: str,
-    lens: tuple[int, int, float, float, float, float],
+    lens: Mapping[str, float],
     lens_model: str,
     coefficients: Sequence[float],
     rate_hz: float,
-    times: ImageTimes,
+    times: Sequence[ImageTime],
     poses: Mapping[str, Float64Array],
     read: Callable[[int], RawImage],
 ) -> Stream:
-    """Return an image stream of what a file says; ``lens`` is width, height, fx, fy, cx, cy."""
+    """Return an image stream of what a file says; ``lens`` has width, height, fx, fy, cx and cy."""
     try:
         distortion = Distortion(lens_model.lower().replace(" ", "_"))
     except ValueError as error:
         known = ", ".join(Distortion)
         raise DamagedFileError(f"{topic} has the lens model {_plain(lens_model)!r}; known are {known}") from error
-    names = ("width", "height", "fx", "fy", "cx", "cy")
-    values = {**dict(zip(names, lens, strict=True)), "distortion": distortion, "coefficients": tuple(coefficients)}
     try:
-        intrinsics = Intrinsics.model_validate(values)
+        intrinsics = Intrinsics.model_validate(
+            {**lens, "distortion": distortion, "coefficients": tuple(map(float, coefficients))}
+        )
     except ValidationError as error:
         field = ".".join(str(part) for part in error.errors()[0]["loc"])
         raise DamagedFileError(f"{topic}: {field} of the lens is out of range") from error
-    clock, stamps_s, arrived_s = on_one_clock(times)
-    recorded_s = np.asarray(times.recorded_ns * 1e-9, np.float64)
-    return Stream(topic, intrinsics, rate_hz, clock, stamps_s, recorded_s, arrived_s, poses, read)
-
-
-def on_one_clock(times: ImageTimes) -> tuple[str, Float64Array, Float64Array | None]:
-    """Return the clock of most images, the stamps of all on it, and their arrival in seconds, if known.
-
-    The first images of a camera may be on its own clock, until the driver knows its offset to the computer's. Their
-    stamps are estimated from their recording times.
-    """
-    clock = Counter(times.clocks).most_common(1)[0][0]
-    recorded_s = times.recorded_ns * 1e-9
-    stamps_s = times.stamps_s
-    other = np.array([name != clock for name in times.clocks])
-    if other.any():
-        stamps_s = np.where(other, recorded_s + np.median((stamps_s - recorded_s)[~other]), stamps_s)
-    arrived_s = times.arrived_ms * 1e-3
-    return clock, stamps_s, arrived_s if (arrived_s > 0).all() else None
+    recorded_s = np.array([time.recorded_ns for time in times]) * 1e-9
+    arrived_s = np.array([time.arrived_ms for time in times]) * 1e-3
+    stamps_s = np.array([time.stamp_s for time in times])
+    # The first images of a camera may be on its own clock, until the driver knows its offset to the computer's.
+    clock = Counter(time.clock for time in times).most_common(1)[0][0]
+    other = np.array([time.clock != clock for time in times])
+    stamps_s = np.where(other, recorded_s + np.median((stamps_s - recorded_s)[~other]), stamps_s)
+    known_s = arrived_s if (arrived_s > 0).all() else None
+    return Stream(topic, intrinsics, rate_hz, clock, stamps_s, recorded_s, known_s, poses, read)
 
 
 def milliseconds(text: str) -> float:

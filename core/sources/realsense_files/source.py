@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from datetime import UTC, datetime
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +13,12 @@ from ...model.arrays import Float64Array, IndexArray, Uint8Array, Uint16Array
 from ...model.files import recording_files, user_path
 from ...model.frames import Rig, SensorFrame, rigid_transform
 from ..base import Health, Progress, SeekableSource, part_of
-from ..ros_image import DamagedFileError
+from ..ros_image import DamagedFileError, damage_told
 from .bag import BagFile
 from .db3 import Db3File
-from .recording import HARDWARE_CLOCK, Camera, RecordingFile, Stream, damage_told
+from .recording import Camera, RecordingFile, Stream
 
-#: Seconds in this range are a date; smaller ones count from an arbitrary start.
-_FIRST_DATE_S = 1e9
-_LAST_DATE_S = 1e11
-_OPENERS: dict[bytes, type[BagFile | Db3File]] = {b"#ROSBAG V2.0\n": BagFile, b"SQLite format 3\x00": Db3File}
+_OPENERS: dict[bytes, type[RecordingFile]] = {b"#ROSBAG V2.0\n": BagFile, b"SQLite format 3\x00": Db3File}
 _IDENTITY = rigid_transform(np.eye(4))
 
 
@@ -39,33 +36,52 @@ class BagSource(SeekableSource):
     """
 
     def __init__(self, name: Path | str, progress: Progress | None = None) -> None:
-        recordings = open_recordings(str(name), progress)
+        self._is_open = True
+        self._resources = ExitStack()
         try:
-            self._set_up(f"bag:{name}", recordings)
+            self._set_up(str(name), progress)
         except BaseException:
-            for recording in recordings:
-                recording.close()
+            self.close()
             raise
 
-    def _set_up(self, name: str, recordings: list[RecordingFile]) -> None:
-        self._recordings = recordings
-        self._is_open = True
+    def _set_up(self, text: str, progress: Progress | None) -> None:
+        paths = recording_files(text)
+        if not paths:
+            raise SourceError(f"bag:{text}: there is no file {user_path(text)}; check the path")
+        self._recordings: list[RecordingFile] = []
+        for number, path in enumerate(paths):
+            recording = _open(path, None if progress is None else part_of(progress, number, len(paths)))
+            self._resources.callback(recording.close)
+            self._recordings.append(recording)
         # PNG and LZ4 take most of a frame's time, and both release the interpreter lock.
         self._helper = ThreadPoolExecutor(1, thread_name_prefix="tactile images")
-        self._proximity, self._tactile = _roles(name, recordings)
-        self._cameras = [self._proximity] if self._tactile is None else [self._proximity, self._tactile]
-        self._unmatched, self._unmatched_words = 0, ""
+        self._resources.callback(self._helper.shutdown, cancel_futures=True)
+        name = f"bag:{text}"
+        cameras = _cameras(name, self._recordings)
+        self._proximity, self._tactile = cameras[0], cameras[1] if len(cameras) == 2 else None
+        self._color_index = {
+            camera: nearest(*_common_times(camera.depth, camera.color, same_recording=True, same_device=True))
+            for camera in cameras
+            if camera.color is not None
+        }
+        self._unmatched = ""
+        self._unmatched_count = 0
         if self._tactile is None:
             self._proximity_times_s = self._tactile_times_s = self._proximity.depth.stamps_s
-            self._proximity_index = self._tactile_index = np.arange(len(self._proximity.depth))
+            self._proximity_index = self._tactile_index = np.arange(len(self._proximity_times_s))
         else:
-            self._pair(name, self._tactile)
-        self._color_index = {camera: _color_index(camera) for camera in self._cameras if camera.color is not None}
-        super().__init__(name, _rig(self._proximity, self._tactile), len(self._proximity_index))
+            self._pair(name, self._proximity, self._tactile)
+        nobody = self._proximity.info.model_copy(update={"model": "none", "serial": ""})
+        rig = Rig(
+            proximity=self._proximity.info,
+            tactile=nobody if self._tactile is None else self._tactile.info,
+            proximity_color=self._proximity.calibration.color_camera,
+            T_proximity_tactile=_IDENTITY if self._tactile is None else None,
+        )
+        super().__init__(name, rig, len(self._proximity_index))
 
     @property
     def frame_rate_hz(self) -> float:
-        """The nominal rate of the proximity depth stream."""
         return self._proximity.depth.rate_hz or super().frame_rate_hz
 
     def health(self) -> Health:
@@ -80,66 +96,56 @@ class BagSource(SeekableSource):
             for recording in self._recordings
             if not recording.is_complete
         ]
-        words = [*lacks, self._unmatched_words] if self._unmatched_words else lacks
-        return Health(ok=not lacks, message="; ".join(words), unmatched=self._unmatched)
+        words = [*lacks, self._unmatched] if self._unmatched else lacks
+        return Health(ok=not lacks, message="; ".join(words), unmatched=self._unmatched_count)
 
     def close(self) -> None:
-        """Close the files."""
         self._is_open = False
-        self._helper.shutdown(cancel_futures=True)
-        for recording in self._recordings:
-            recording.close()
+        self._resources.close()
 
     def read(self, index: int) -> SensorFrame:
-        """Read frame ``index`` from the files."""
         if not self._is_open:
             raise SourceError(f"{self.name} is closed; open it again")
         proximity_index, tactile_index = int(self._proximity_index[index]), int(self._tactile_index[index])
-        tactile = self._helper.submit(self._read_tactile, tactile_index) if self._tactile else None
-        depth = self._proximity.depth_image(proximity_index)
-        proximity_color = self._color(self._proximity, proximity_index)
-        tactile_depth, tactile_color = tactile.result() if tactile else (np.zeros_like(depth), None)
+        tactile = None if self._tactile is None else self._helper.submit(self._images, self._tactile, tactile_index)
+        depth, color = self._images(self._proximity, proximity_index)
+        tactile_depth, tactile_color = (np.zeros_like(depth), None) if tactile is None else tactile.result()
         return SensorFrame(
             sequence=index,
             proximity_depth=depth,
             tactile_depth=tactile_depth,
-            proximity_color=np.zeros((*depth.shape, 3), np.uint8) if proximity_color is None else proximity_color,
+            proximity_color=np.zeros((*depth.shape, 3), np.uint8) if color is None else color,
             tactile_color=tactile_color,
             proximity_time_s=float(self._proximity_times_s[proximity_index]),
             tactile_time_s=float(self._tactile_times_s[tactile_index]),
         )
 
-    def _read_tactile(self, index: int) -> tuple[Uint16Array, Uint8Array | None]:
-        """Return a tactile depth image and its colours in depth pixels."""
-        assert self._tactile is not None
-        depth = self._tactile.depth_image(index)
-        color = self._color(self._tactile, index)
-        return depth, color if color is None else self._tactile.calibration.color_on_depth(color, depth)
-
-    def _color(self, camera: Camera, depth_index: int) -> Uint8Array | None:
-        """Return the colour image nearest to a depth image of the same camera."""
+    def _images(self, camera: Camera, index: int) -> tuple[Uint16Array, Uint8Array | None]:
+        """Return a depth image and the colour image nearest to it; that of the tactile camera in depth pixels."""
+        depth = camera.depth_image(index)
         if camera.color is None:
-            return None
-        return camera.color_image(int(self._color_index[camera][depth_index]))
+            return depth, None
+        color = camera.color_image(int(self._color_index[camera][index]))
+        return depth, camera.calibration.color_on_depth(color, depth) if camera is self._tactile else color
 
-    def _pair(self, name: str, tactile: Camera) -> None:
-        """Pair the depth images; raise `SourceError` if no pair is found."""
-        first, second = self._proximity, tactile
-        times = common_times(first.depth, second.depth, same_recording=first.path == second.path, same_device=False)
-        if times is None:
+    def _pair(self, name: str, first: Camera, second: Camera) -> None:
+        first_s, second_s = _common_times(
+            first.depth, second.depth, same_recording=first.path == second.path, same_device=False
+        )
+        if not len(first_s):
             raise SourceError(
-                f"{name}: the cameras' clocks cannot be compared ({_clock(first)} and {_clock(second)}, and not both "
-                "files say when images arrived); record both cameras with global time enabled"
+                f"{name}: the cameras' clocks cannot be compared ({first.depth.clock or 'unknown'} and "
+                f"{second.depth.clock or 'unknown'}, and not both files say when images arrived); "
+                "record both cameras with global time enabled"
             )
-        first_s, second_s = times
-        if first_s.max() < second_s.min() or second_s.max() < first_s.min():
+        apart_s = max(first_s.min() - second_s.max(), second_s.min() - first_s.max())
+        if apart_s > 0:
             raise SourceError(
-                f"{name}: the two cameras were not recorded at the same time: {first.info.model} from "
-                f"{span_text(first_s)}, {second.info.model} from {span_text(second_s)}; "
+                f"{name}: the two cameras were not recorded at the same time, but {apart_s:.3f} s apart; "
                 "give two recordings of the same moment"
             )
-        farthest_s = min(period_s(first_s, first.depth.rate_hz), period_s(second_s, second.depth.rate_hz)) / 2
-        self._proximity_times_s, self._tactile_times_s = times
+        farthest_s = min(_period_s(first_s, first.depth.rate_hz), _period_s(second_s, second.depth.rate_hz)) / 2
+        self._proximity_times_s, self._tactile_times_s = first_s, second_s
         self._proximity_index, self._tactile_index = pairs(first_s, second_s, farthest_s)
         count = len(self._proximity_index)
         if count == 0:
@@ -148,72 +154,62 @@ class BagSource(SeekableSource):
                 f"{farthest_s * 1e3:.1f} ms; record both cameras at once"
             )
         alone = len(first_s) - count, len(second_s) - count
-        self._unmatched = sum(alone)
-        if self._unmatched:
-            self._unmatched_words = (
+        self._unmatched_count = sum(alone)
+        if self._unmatched_count:
+            self._unmatched = (
                 f"left out because the other camera has no image within {farthest_s * 1e3:.1f} ms: "
                 f"{alone[0]} of {len(first_s)} proximity and {alone[1]} of {len(second_s)} tactile images"
             )
 
 
-def _roles(name: str, recordings: list[RecordingFile]) -> tuple[Camera, Camera | None]:
-    """Return the proximity and the tactile camera; the latter is None if there is only one."""
+def _open(path: Path, progress: Progress | None) -> RecordingFile:
+    with damage_told(path, "this is no readable RealSense recording"):
+        with path.open("rb") as file:
+            start = file.read(32)
+        # Decided by content, because a .bag may have been renamed.
+        opener = next((opener for magic, opener in _OPENERS.items() if start.startswith(magic)), None)
+        if opener is None:
+            raise DamagedFileError("it begins neither as a .bag nor as a .db3 does" if start else "it is empty")
+        opened = opener(path, progress)
+        if not opened.cameras:
+            opened.close()
+            raise DamagedFileError("it holds no depth images")
+        return opened
+
+
+def _cameras(name: str, recordings: list[RecordingFile]) -> list[Camera]:
+    """Return the proximity camera and, if there are two, the tactile one."""
     cameras = [camera for recording in recordings for camera in recording.cameras]
-    models = ", ".join(camera.info.model for camera in cameras)
-    if len(recordings) == 2 and len(cameras) != 2:
-        raise SourceError(
-            f"{name}: the two files have {len(cameras)} depth cameras ({models}); give files with one camera each"
-        )
-    if len(cameras) > 2:
+    if len(cameras) > 2 or len(cameras) < len(recordings):
+        models = ", ".join(camera.info.model for camera in cameras)
         raise SourceError(f"{name} has {len(cameras)} depth cameras ({models}); record one or two")
-    if len(cameras) == 2 and cameras[0].info.serial == cameras[1].info.serial != "":
+    first, last = cameras[0].info, cameras[-1].info
+    if len(cameras) == 2 and first.serial == last.serial != "":
         raise SourceError(
-            f"{name}: both recordings are of the same camera, {cameras[0].info.model} {cameras[0].info.serial}; "
+            f"{name}: both recordings are of the same camera, {first.model} {first.serial}; "
             "give the recording of the other camera as well"
         )
-    cameras.sort(key=lambda camera: "L515" not in camera.info.model)
-    return cameras[0], cameras[1] if len(cameras) == 2 else None
+    return sorted(cameras, key=lambda camera: "L515" not in camera.info.model)
 
 
-def _clock(camera: Camera) -> str:
-    return f"{camera.info.model}: {camera.depth.clock or 'unknown'}"
-
-
-def _rig(proximity: Camera, tactile: Camera | None) -> Rig:
-    color = proximity.calibration.color_camera
-    if tactile is None:
-        nobody = proximity.info.model_copy(update={"model": "none", "serial": ""})
-        return Rig(proximity=proximity.info, tactile=nobody, proximity_color=color, T_proximity_tactile=_IDENTITY)
-    return Rig(proximity=proximity.info, tactile=tactile.info, proximity_color=color)
-
-
-def _color_index(camera: Camera) -> IndexArray:
-    """Return for each depth image of a camera the index of its colour image."""
-    assert camera.color is not None
-    times = common_times(camera.depth, camera.color, same_recording=True, same_device=True)
-    assert times is not None
-    return nearest(*times)
-
-
-def common_times(
+def _common_times(
     first: Stream, second: Stream, *, same_recording: bool, same_device: bool
-) -> tuple[Float64Array, Float64Array] | None:
-    """Return both streams' times in seconds on the most exact clock that they share.
+) -> tuple[Float64Array, Float64Array]:
+    """Return both streams' times in seconds on the most exact clock that they share; empty if they share none.
 
-    That is the clock of the images' own stamps where both name the same (a camera's own clock counts
-    for that camera alone), else when the images were recorded or, across two recordings, when they
-    reached the computer. None if no clock is shared.
+    That is the clock of the images' own stamps where both name the same (a camera's own clock counts for that camera
+    alone), else when the images were recorded or, across two recordings, when they reached the computer.
     """
-    if first.clock == second.clock != "" and (same_device or first.clock != HARDWARE_CLOCK):
+    if first.clock == second.clock != "" and (same_device or first.clock != "Hardware Clock"):
         return first.stamps_s, second.stamps_s
     if same_recording:
         return first.recorded_s, second.recorded_s
     if first.arrived_s is not None and second.arrived_s is not None:
         return first.arrived_s, second.arrived_s
-    return None
+    return np.empty(0), np.empty(0)
 
 
-def period_s(times_s: Float64Array, rate_hz: float) -> float:
+def _period_s(times_s: Float64Array, rate_hz: float) -> float:
     """Return the median time between two images, seconds; with a single image, that of the nominal rate."""
     usual = float(np.median(np.diff(np.sort(times_s)))) if len(times_s) > 1 else 0.0
     return usual or 1.0 / (rate_hz if rate_hz > 0 else 30.0)
@@ -238,54 +234,3 @@ def pairs(first_s: Float64Array, second_s: Float64Array, farthest_s: float) -> t
     is_near = np.abs(second_s[partner] - first_s) <= farthest_s * (1 + 1e-6)
     chosen = np.flatnonzero(is_mutual & is_near)
     return chosen, partner[chosen]
-
-
-def span_text(times_s: Float64Array) -> str:
-    """Return the time range of images as text."""
-    return f"{_moment(float(times_s.min()))} to {_moment(float(times_s.max()))}"
-
-
-def _moment(time_s: float) -> str:
-    if _FIRST_DATE_S < time_s < _LAST_DATE_S:
-        return f"{datetime.fromtimestamp(time_s, UTC):%Y-%m-%d %H:%M:%S.%f}"[:-3] + " UTC"
-    return f"{time_s:.3f} s"
-
-
-def open_recordings(text: str, progress: Progress | None) -> list[RecordingFile]:
-    """Open one recording, or two whose paths are separated by a comma."""
-    paths = recording_files(text)
-    if not paths:
-        raise SourceError(f"bag:{text}: there is no file {_missing(text)}; check the path")
-    opened: list[RecordingFile] = []
-    try:
-        for number, path in enumerate(paths):
-            within = None if progress is None else part_of(progress, number, len(paths))
-            opened.append(_open(path, within))
-    except BaseException:
-        for recording in opened:
-            recording.close()
-        raise
-    return opened
-
-
-def _open(path: Path, progress: Progress | None) -> RecordingFile:
-    with damage_told(path, "this is no readable RealSense recording"):
-        with path.open("rb") as file:
-            start = file.read(32)
-        # Decided by content, because a .bag may have been renamed.
-        opener = next((opener for magic, opener in _OPENERS.items() if start.startswith(magic)), None)
-        if opener is None:
-            raise DamagedFileError("it begins neither as a .bag nor as a .db3 does" if start else "it is empty")
-        opened = opener(path, progress)
-        if not opened.cameras:
-            opened.close()
-            raise DamagedFileError("it holds no depth images")
-        return opened
-
-
-def _missing(text: str) -> str:
-    """Return the part of a name that is not a file."""
-    parts = [user_path(part) for part in text.split(",")]
-    if len(parts) != 2:
-        return str(user_path(text))
-    return str(next((part for part in parts if not part.is_file()), user_path(text)))

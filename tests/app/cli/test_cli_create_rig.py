@@ -32,18 +32,14 @@ def test_the_message_of_a_folder_without_a_rig_names_the_command_and_that_makes_
     assert info.status == 2 and "already there" in info.err
 
 
-def test_what_is_assumed_and_what_cannot_be_read_is_said(tactune, bare):
-    for name, size in (("proximity_color", (48, 30)), ("tactile_depth", (9, 9))):
-        [*_, last] = sorted(bare.rglob(f"{name}.png"))
-        images = sorted(bare.rglob(f"{name}.png")) if name == "proximity_color" else [last]
-        for path in images:
-            cv2.imwrite(str(path), cv2.resize(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), size))
+def test_what_is_assumed_is_said(tactune, bare):
+    for path in bare.rglob("proximity_color.png"):
+        cv2.imwrite(str(path), cv2.resize(cv2.imread(str(path), cv2.IMREAD_UNCHANGED), (48, 30)))
     done = tactune("create-rig", bare, "--proximity", "D435=60,61,31.5,23.5")
     assert done.status == 0
     assert "the colour lens of the D435 is the maker's" in done.err
     assert "the depth lens of the D405 is the maker's" in done.err
     assert "depth lens of the D435" not in done.err
-    assert "not all frames can be read" in done.err and "has 9 x 9 pixels" in done.err
 
 
 @pytest.mark.parametrize(

@@ -233,7 +233,10 @@ def test_a_taken_port_is_told_before_the_source_opens(
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        assert f"port {port} is taken" in tactune("serve", "--foxglove", "--port", port, "-s", "sim:cup").sentence
+        assert (
+            f"port {port} (Address already in use"
+            in tactune("serve", "--foxglove", "--port", port, "-s", "sim:cup").sentence
+        )
     assert not opened
 
 

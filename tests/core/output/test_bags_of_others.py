@@ -115,12 +115,6 @@ def test_a_bag_without_our_topics_takes_lenses_poses_and_stamps_from_ros(
     np.testing.assert_allclose(found.proximity_color.T_color_depth, rig.proximity_color.T_color_depth, atol=1e-12)
 
 
-def test_a_bag_without_colour_plays_black_and_says_so(tmp_path: Path, ours: Path, rig: Rig) -> None:
-    with McapSource(rewrite(ours, tmp_path / "dark.mcap", without=("/proximity/color",))) as source:
-        assert source.health().message == "this recording has no proximity colour: its image stays black"
-        assert not source.read(0).proximity_color.any()
-
-
 def test_a_bag_without_one_of_the_depth_cameras_is_refused(
     tmp_path: Path, ours: Path, rig: Rig, frames: list[SensorFrame]
 ) -> None:
@@ -131,14 +125,6 @@ def test_a_bag_without_one_of_the_depth_cameras_is_refused(
     ):
         with pytest.raises(SourceError, match=sentence):
             McapSource(rewrite(ours, tmp_path / "part.mcap", without=(without,)))
-
-
-def test_a_bag_without_lenses_and_rig_is_refused(tmp_path: Path, ours: Path) -> None:
-    bare = rewrite(ours, tmp_path / "bare.mcap", without=("/tactune", "/tactile/depth/camera_info"))
-    with pytest.raises(
-        SourceError, match=r"bare\.mcap has no /tactile/depth/camera_info and no rig; record the lenses"
-    ):
-        McapSource(bare)
 
 
 def test_a_topic_of_another_type_is_refused(tmp_path: Path, ours: Path) -> None:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import csv
 import io
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from trimesh.exchange.ply import load_ply
 
-from tactune.core.contact.pipeline import ContactPatch, ContactPipeline
+from tactune.core.contact.pipeline import ContactPatch
 from tactune.core.errors import ExportError
 from tactune.core.model.clouds import PointCloud
 from tactune.core.model.frames import ColorCamera, DepthCamera, Rig, SensorFrame
@@ -19,8 +18,6 @@ from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.model.patch import AlignedDepth
 from tactune.core.model.provenance import Provenance
 from tactune.core.output.cloud_files import SUFFIXES, patch_cloud, write_cloud
-from tactune.core.sources.presets import load_preset
-from tactune.core.sources.registry import open_source
 
 TYPES = (np.int8, np.uint8, np.int16, np.uint16, np.int32, np.uint32, np.float32, np.float64)
 
@@ -45,10 +42,9 @@ def points_in(path: Path) -> np.ndarray:
 
 
 @pytest.mark.parametrize("suffix", [*SUFFIXES, ".PLY", ".NPZ"])
-@pytest.mark.parametrize("count", [1, 7])
 @pytest.mark.parametrize("colors", [False, True])
-def test_points_come_back_bit_for_bit(tmp_path: Path, suffix: str, count: int, colors: bool) -> None:
-    cloud = make_cloud(count, colors)
+def test_points_come_back_bit_for_bit(tmp_path: Path, suffix: str, colors: bool) -> None:
+    cloud = make_cloud(colors=colors)
     write_cloud(tmp_path / f"cloud{suffix}", cloud)
     assert points_in(tmp_path / f"cloud{suffix}").astype(np.float32).tobytes() == cloud.points.tobytes()
     assert [path.name for path in tmp_path.iterdir()] == [f"cloud{suffix}"]
@@ -59,15 +55,6 @@ def test_a_frame_without_contact_is_an_empty_cloud(tmp_path: Path, suffix: str) 
     write_cloud(tmp_path / f"cloud{suffix}", make_cloud(0))
     content = (tmp_path / f"cloud{suffix}").read_bytes()
     assert {".ply": b"element vertex 0\n", ".npz": b"points.npy", ".csv": b"x_m,y_m,z_m"}[suffix] in content
-
-
-def test_numpy_reads_every_bit_of_the_npz_by_its_names(tmp_path: Path) -> None:
-    cloud = make_cloud()
-    write_cloud(tmp_path / "cloud.npz", cloud)
-    with np.load(tmp_path / "cloud.npz") as archive:
-        assert set(archive) == {"points", "colors", *cloud.attributes}
-        for name, values in {"points": cloud.points, "colors": cloud.colors, **cloud.attributes}.items():
-            assert (archive[name].dtype, archive[name].tobytes()) == (values.dtype, values.tobytes())
 
 
 def test_a_csv_file_has_titles_with_units(tmp_path: Path) -> None:
@@ -95,13 +82,6 @@ def test_open3d_reads_the_ply(tmp_path: Path) -> None:
     for name, values in cloud.attributes.items():
         np.testing.assert_array_equal(theirs[name].numpy()[:, 0], values, err_msg=name)
         assert theirs[name].numpy().dtype == values.dtype
-
-
-def test_writing_imports_neither_open3d_nor_trimesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "open3d", None)
-    monkeypatch.setitem(sys.modules, "trimesh", None)
-    for suffix in SUFFIXES:
-        write_cloud(tmp_path / f"cloud{suffix}", make_cloud())
 
 
 @pytest.mark.parametrize(
@@ -165,20 +145,3 @@ def test_a_patch_carries_colour_difference_and_pixels(own_color_camera: bool) ->
         else:
             inside = True
         assert color.tolist() == (image[v, u].tolist() if inside else [0, 0, 0])
-
-
-def test_only_points_of_the_membrane_test_that_lack_a_depth_have_no_difference(tmp_path: Path) -> None:
-    with open_source("sim:cup") as source:
-        source.seek(45)
-        frame = source.next_frame()
-        assert frame is not None
-        patch = ContactPipeline(load_preset("simulator"), source.rig).process(frame)
-        write_cloud(tmp_path / "patch.csv", patch_cloud(patch, frame, source.rig))
-    table = np.genfromtxt(tmp_path / "patch.csv", delimiter=",", names=True)
-    assert len(table) == len(patch.points)
-    at = table["v"].astype(int), table["u"].astype(int)
-    expected, measured = (image[at] for image in (patch.aligned.expected_m, patch.aligned.measured_m))
-    lacks = np.isnan(expected) | np.isnan(measured)
-    assert 0 < np.count_nonzero(lacks) < 0.02 * len(table)
-    assert lacks[frame.proximity_depth[at] == 0].all()
-    np.testing.assert_allclose(table["relative_difference"], (expected - measured) / expected, rtol=1e-6)

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import os
-import sys
-
 import pytest
 
-from tactune.core.errors import ExportError, SourceError
+from tactune.core.errors import SourceError
 from tactune.core.output.markers import Marker, Marks, load_marks, markers_file, save_marks
 
 MARKS = Marks(
@@ -42,13 +39,6 @@ def test_a_damaged_file_is_explained_and_kept(tmp_path, text):
     assert file.read_text() == text
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="there are no named pipes in folders")
-def test_a_pipe_is_not_waited_for(tmp_path):
-    os.mkfifo(tmp_path / "markers.json")
-    with pytest.raises(SourceError, match="no ordinary file"):
-        load_marks(tmp_path / "markers.json")
-
-
 def test_lies_beside_a_file_and_inside_a_folder(tmp_path):
     recording, folder = tmp_path / "press.mcap", tmp_path / "scene"
     recording.touch()
@@ -58,9 +48,3 @@ def test_lies_beside_a_file_and_inside_a_folder(tmp_path):
     assert markers_file(f"folder:{folder}") == folder / "markers.json"
     assert markers_file("sim:cup") is None
     assert markers_file("sim") is None
-
-
-def test_a_place_that_cannot_be_written_is_named(tmp_path):
-    (tmp_path / "file").touch()
-    with pytest.raises(ExportError, match=r"file/markers\.json"):
-        save_marks(tmp_path / "file" / "markers.json", MARKS)

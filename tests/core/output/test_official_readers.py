@@ -112,25 +112,6 @@ def test_topics_images_and_stamps(path: Path, rig: Rig, frames: list[SensorFrame
             assert message.sequence == frame.sequence
 
 
-def test_lenses_are_those_of_the_rig(path: Path, rig: Rig) -> None:
-    found = decode(path)
-    for topic, lens in (
-        ("/proximity/depth", rig.proximity.intrinsics),
-        ("/proximity/color", rig.proximity_color.intrinsics),
-        ("/tactile/depth", rig.tactile.intrinsics),
-        ("/tactile/color", rig.tactile.intrinsics),
-    ):
-        for (_, info), (_, image) in zip(found[f"{topic}/camera_info"], found[f"{topic}/image"], strict=True):
-            assert info.header.frame_id == image.header.frame_id
-            assert stamp_ns(info) == stamp_ns(image)
-            assert (info.width, info.height) == (lens.width, lens.height)
-            assert info.distortion_model == "plumb_bob"
-            np.testing.assert_array_equal(info.d, lens.coefficients)
-            np.testing.assert_array_equal(np.reshape(info.k, (3, 3)), lens.camera_matrix())
-            np.testing.assert_array_equal(np.reshape(info.p, (3, 4))[:, :3], lens.camera_matrix())
-            np.testing.assert_array_equal(np.reshape(info.r, (3, 3)), np.eye(3))
-
-
 def test_static_transforms_are_the_factory_poses(path: Path, rig: Rig) -> None:
     ((_, message),) = decode(path)["/tf_static"]
     poses = {}

@@ -216,21 +216,6 @@ def test_nothing_is_built_for_nobody(processed: tuple[SensorFrame, ContactPatch,
         assert publisher.status()[0].error == ""
 
 
-def test_a_sink_that_fails_is_told_and_goes_on(processed: tuple[SensorFrame, ContactPatch, Preset]) -> None:
-    sink = Collecting(["/tactune/frame"])
-    sink.fault = OSError("the cable is out")
-    with Publisher([sink]) as publisher:
-        for _ in range(WAIT_S * 100):
-            publisher.put(*processed)
-            if publisher.status()[0].error:
-                break
-            threading.Event().wait(0.01)
-        assert publisher.status()[0].error == "the cable is out"
-        sink.fault = None
-        publisher.put(*processed)
-        sink.wait_for(lambda messages: len(messages) == 1)
-
-
 def test_a_sink_that_cannot_start_closes_the_others() -> None:
     first, second = Collecting([]), Collecting([])
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactune.core import ContactPipeline, load_preset, open_source
+from tactune.core import load_preset
 from tactune.core.errors import ExportError, FrameError, PresetError, SourceError
 from tactune.core.model.frames import GroundTruth, Rig, SensorFrame
 from tactune.core.output import RecordingStatus, SessionWriter
@@ -68,27 +68,6 @@ def test_every_bit_of_random_frames_comes_back(
             for index in reversed(range(len(frames))):
                 source.seek(index)
                 assert same_frame(source.next_frame(), frames[index])
-
-
-def test_the_simulator_comes_back_and_gives_the_same_patches(tmp_path: Path, record: Record, same_frame: Same) -> None:
-    preset = load_preset("simulator")
-    with open_source("sim:cup?seed=3") as live:
-        live.seek(40)
-        frames = [live.next_frame() for _ in range(6)]
-        record(tmp_path / "sim.mcap", live.rig, frames, preset=preset, untouched=frames[0])
-        pipeline = ContactPipeline(preset, live.rig)
-        patches = [pipeline.process(frame) for frame in frames]
-    with open_source(str(tmp_path / "sim.mcap")) as source:
-        assert isinstance(source, McapSource)
-        assert source.preset() == preset
-        assert same_frame(source.untouched(), frames[0])
-        pipeline = ContactPipeline(source.preset(), source.rig)
-        for patch, frame, played in zip(patches, frames, source, strict=True):
-            assert same_frame(played, frame)
-            again = pipeline.process(played)
-            assert len(again.points) > 1000
-            assert again.points.tobytes() == patch.points.tobytes()
-            assert again.provenance.tobytes() == patch.provenance.tobytes()
 
 
 def test_frames_without_what_is_optional(
@@ -160,5 +139,5 @@ def test_a_damaged_preset_says_so_and_the_frames_still_play(
     (tmp_path / "b.mcap").write_bytes(data.replace(b'"tactune.preset"', b'"tactune.nonsens'))
     with McapSource(tmp_path / "b.mcap") as source:
         assert source.next_frame() is not None
-        with pytest.raises(PresetError, match=r"b\.mcap is damaged \(the checksum of preset\.json is wrong\)"):
+        with pytest.raises(PresetError, match=r"b\.mcap: it is damaged \(the checksum of preset\.json is wrong\)"):
             source.preset()

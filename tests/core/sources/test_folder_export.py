@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from folder_scenes import RIG, ListSource, LiveSource, make_frame
-from tactune.core.errors import ExportError, FrameError, SourceError
-from tactune.core.model.frames import GroundTruth, Rig, SensorFrame
+from tactune.core.errors import ExportError, FrameError
+from tactune.core.model.frames import GroundTruth, Rig
 from tactune.core.sources.folder import FolderSource, export_folder
 
 
@@ -29,38 +28,6 @@ def test_a_live_source_is_exported_for_so_many_frames(tmp_path: Path) -> None:
     assert export_folder(LiveSource(), tmp_path / "out", frames=2) == 2
     with pytest.raises(ExportError, match=r"live is live.*how many frames"):
         export_folder(LiveSource(), tmp_path / "other")
-
-
-def test_the_folder_has_its_name_only_when_it_is_complete(tmp_path: Path) -> None:
-    target = tmp_path / "deep" / "out"
-    seen: list[bool] = []
-    export_folder(ListSource([make_frame(0)]), target, progress=lambda *_: seen.append(target.exists()))
-    assert seen == [False]
-    assert (target / "rig.json").exists()
-    assert os.listdir(target.parent) == ["out"]  # noqa: PTH208  # names only
-
-
-def test_of_two_exports_into_one_folder_the_second_says_so(tmp_path: Path) -> None:
-    def another(*_: object) -> None:
-        export_folder(ListSource([make_frame(1)]), tmp_path / "out")
-
-    with pytest.raises(ExportError, match="out was written by another program meanwhile; choose another name"):
-        export_folder(ListSource([make_frame(0)]), tmp_path / "out", progress=another)
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
-
-
-@pytest.mark.parametrize("error", [SourceError("the camera is gone"), KeyboardInterrupt(), OSError(28, "disk full")])
-def test_a_broken_export_leaves_nothing(tmp_path: Path, error: BaseException) -> None:
-    class Breaking(ListSource):
-        def read(self, index: int) -> SensorFrame:
-            if index == 1:
-                raise error
-            return super().read(index)
-
-    expected = ExportError if isinstance(error, OSError) else type(error)
-    with pytest.raises(expected):
-        export_folder(Breaking([make_frame(0), make_frame(1)]), tmp_path / "out")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_export_overwrites_nothing(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from capture_sources import same_frame
-from folder_scenes import RIG, UNIT_M, ListSource, make_frame
+from folder_scenes import RIG, ListSource, make_frame
 from tactune.core.model.frames import GroundTruth
 from tactune.core.sources.folder import FolderSource, export_folder
 
@@ -34,16 +34,6 @@ def test_an_export_gives_back_every_bit(tmp_path: Path) -> None:
         stored = source.untouched()
     assert stored is not None
     assert same_frame(untouched, stored)
-
-
-def test_fine_truth_is_rounded_in_the_png_for_other_programs(recording: Path) -> None:
-    truth = make_frame(0).truth
-    assert truth is not None
-    assert truth.depth_m is not None
-    counts = cv2.imread(str(recording / "000000/truth_depth.png"), cv2.IMREAD_UNCHANGED)
-    assert counts.dtype == np.uint16
-    assert counts[0, 0] == 0
-    np.testing.assert_allclose(counts.ravel()[1:] * UNIT_M, truth.depth_m.ravel()[1:], atol=UNIT_M / 2 + 1e-6)
 
 
 def test_truth_in_a_png_is_in_counts_with_0_and_65535_unknown(recording: Path) -> None:
@@ -86,28 +76,6 @@ def test_numbered_frames_come_in_numeric_order_with_gaps(recording: Path) -> Non
     assert last is not None
     assert last.sequence == 1
     assert source.next_frame() is None
-
-
-def test_the_frame_rate_is_that_of_the_time_stamps(tmp_path: Path) -> None:
-    times = [5.0, 5.1, 5.2, 6.2]
-    export_folder(
-        ListSource([make_frame(0, sequence=i, proximity_time_s=time) for i, time in enumerate(times)]), tmp_path / "out"
-    )
-    assert FolderSource(tmp_path / "out").frame_rate_hz == pytest.approx(10.0)
-
-
-def test_colours_are_rgb(recording: Path) -> None:
-    blue_green_red = np.zeros((8, 9, 3), np.uint8)
-    blue_green_red[..., 0], blue_green_red[..., 2] = 10, 200
-    cv2.imwrite(str(recording / "000000/proximity_color.png"), blue_green_red)
-    cv2.imwrite(str(recording / "000000/tactile_color.png"), blue_green_red[:4, :6])
-    frame = FolderSource(recording).read(0)
-    assert frame.proximity_color[0, 0].tolist() == [200, 0, 10]
-    assert frame.tactile_color is not None
-    assert frame.tactile_color[0, 0].tolist() == [200, 0, 10]
-
-
-# --- real data -------------------------------------------------------------------------------------
 
 
 def test_the_real_pair_is_read_as_it_is(tmp_path: Path, shared_data: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -52,13 +51,6 @@ def test_the_rig_is_the_recordings(open_bag: Opener, two_cameras: Path) -> None:
     assert rig.proximity_color.intrinsics.shape == (10, 12)
 
 
-def test_without_an_l515_the_first_device_is_proximity(open_bag: Opener, tmp_path: Path) -> None:
-    other = replace(L515, name="Intel RealSense D435")
-    source = open_bag(make_bag(tmp_path / "two.bag", D405, other))
-    assert source.rig.proximity.model == "Intel RealSense D405"
-    assert source.rig.tactile.model == "Intel RealSense D435"
-
-
 @pytest.mark.parametrize(
     ("clocks", "expected", "times_s"),
     [
@@ -81,21 +73,6 @@ def test_cameras_are_paired_on_a_clock_that_they_share(
         assert frame.proximity_time_s == pytest.approx(proximity_s, abs=1e-9)
         assert frame.tactile_time_s == pytest.approx(tactile_s, abs=1e-9)
         assert frame.skew_s == pytest.approx(tactile_s - proximity_s)
-
-
-def test_one_devices_own_clock_pairs_its_colour(open_bag: Opener, tmp_path: Path) -> None:
-    depth = depth_images(4, [1.0, 2.0, 3.0], stamps_s=[101.0, 102.0, 103.0])
-    color = color_images(5, [1.0, 2.0, 3.0], stamps_s=[102.1, 103.1, 104.1])
-    source = open_bag(make_bag(tmp_path / "one.bag", Device("L515", depth, color)))
-    for index, expected in enumerate([0, 0, 1]):
-        np.testing.assert_array_equal(source.read(index).proximity_color, color.images[expected])
-
-
-def test_images_recorded_at_the_same_moment_are_told_apart(open_bag: Opener, tmp_path: Path) -> None:
-    depth = depth_images(4, [1.0, 1.0, 1.0], stamps_s=[101.0, 102.0, 103.0])
-    source = open_bag(make_bag(tmp_path / "one.bag", Device("L515", depth)))
-    for index in range(3):
-        np.testing.assert_array_equal(source.read(index).proximity_depth, depth.images[index])
 
 
 def test_the_colour_cameras_pose_goes_by_way_of_the_reference(open_bag: Opener, tmp_path: Path) -> None:
@@ -138,12 +115,3 @@ def test_one_camera_is_for_viewing_only(open_bag: Opener, tmp_path: Path) -> Non
     assert frame.tactile_color is None
     assert frame.skew_s == 0.0
     frame.check_against(source.rig)
-
-
-def test_without_colour_the_image_is_black_and_that_is_said(open_bag: Opener, tmp_path: Path) -> None:
-    source = open_bag(make_bag(tmp_path / "two.bag", replace(L515, color=None), D405))
-    assert source.health().message == "this recording has no proximity colour: its image stays black"
-    assert not source.health().ok
-    frame = source.read(0)
-    frame.check_against(source.rig)
-    assert not frame.proximity_color.any()

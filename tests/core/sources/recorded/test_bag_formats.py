@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from bag_maker import D405, Device, color_images, depth_images, make_bag
+from bag_maker import Device, color_images, depth_images, make_bag
 from tactune.core.model.intrinsics import Distortion
 from tactune.core.sources.realsense_files.source import BagSource
 
@@ -61,22 +60,9 @@ def test_colour_as_luma_and_chroma(open_bag: Opener, tmp_path: Path, encoding: s
     assert blue < 15
 
 
-def test_grey_colour(open_bag: Opener, tmp_path: Path) -> None:
-    grey = color_images(7, [1.0]).images[0][:, :, 0]
-    color = color_images(7, [1.0], images=[grey], encoding="8UC1")
-    frame = open_bag(make_bag(tmp_path / "one.bag", Device("L515", depth_images(4, [1.0]), color))).read(0)
-    np.testing.assert_array_equal(frame.proximity_color, np.dstack([grey] * 3))
-
-
 @pytest.mark.parametrize("changes", [{"padding": 6}, {"big_endian": True}, {"encoding": "16UC1"}])
 def test_depth_layouts(open_bag: Opener, tmp_path: Path, changes: dict[str, Any]) -> None:
     depth = depth_images(4, [1.0], **changes)
     frame = open_bag(make_bag(tmp_path / "one.bag", Device("L515", depth))).read(0)
     np.testing.assert_array_equal(frame.proximity_depth, depth.images[0])
     assert frame.proximity_depth.dtype == np.dtype("=u2")
-
-
-@pytest.mark.parametrize("spelling", ["Depth Units", "Depth_Units"])
-def test_both_spellings_of_the_depth_unit(open_bag: Opener, tmp_path: Path, spelling: str) -> None:
-    device = replace(D405, unit_topic=spelling, unit_m=0.002)
-    assert open_bag(make_bag(tmp_path / "one.bag", device)).rig.proximity.depth_unit_m == float(np.float32(0.002))

@@ -72,27 +72,6 @@ def test_the_stamps_pair_images_whose_recorders_were_started_at_different_moment
     )
 
 
-def test_a_lost_image_leaves_its_partner_out_and_shifts_nothing(open_bag: Opener, tmp_path: Path) -> None:
-    stamps = times(6, EPOCH_S)
-    proximity, tactile = on_global_time(1, stamps), on_global_time(2, stamps[:2] + stamps[3:])
-    source = open_bag(two_files(tmp_path, proximity, tactile))
-    assert source.length == 5
-    assert source.health().unmatched == 1
-    for frame, of_proximity, of_tactile in zip(source, [0, 1, 3, 4, 5], [0, 1, 2, 3, 4], strict=True):
-        np.testing.assert_array_equal(frame.proximity_depth, proximity.images[of_proximity])
-        np.testing.assert_array_equal(frame.tactile_depth, tactile.images[of_tactile])
-
-
-def test_an_image_between_two_others_is_used_once(open_bag: Opener, tmp_path: Path) -> None:
-    proximity = on_global_time(1, [EPOCH_S + offset for offset in (0, 0.0333, 0.0633, 0.1)])
-    tactile = on_global_time(2, [EPOCH_S + offset for offset in (0, 0.0480, 0.1)])
-    source = open_bag(two_files(tmp_path, proximity, tactile))
-    assert source.length == 3
-    np.testing.assert_array_equal(source.read(1).proximity_depth, proximity.images[1])
-    np.testing.assert_array_equal(source.read(1).tactile_depth, tactile.images[1])
-    np.testing.assert_array_equal(source.read(2).proximity_depth, proximity.images[3])
-
-
 @pytest.mark.parametrize(("late_s", "expected"), [(0.016, 4), (-0.016, 4), (0.0175, 3), (-0.0175, 3)])
 def test_half_a_period_is_the_limit(open_bag: Opener, tmp_path: Path, late_s: float, expected: int) -> None:
     stamps = times(4, EPOCH_S)
@@ -115,7 +94,7 @@ def test_cameras_on_their_own_clocks_are_paired_by_arrival(open_bag: Opener, tmp
 
 def test_clocks_that_cannot_be_compared_are_refused(tmp_path: Path) -> None:
     proximity, tactile = depth_images(1, times(3)), on_global_time(2, times(3, EPOCH_S))
-    sentence = r"clocks cannot be compared \(.*L515: Hardware Clock and .*D405: Global Time.*global time enabled"
+    sentence = r"clocks cannot be compared \(Hardware Clock and Global Time.*global time enabled"
     with pytest.raises(SourceError, match=sentence):
         BagSource(two_files(tmp_path, proximity, tactile))
 
@@ -129,22 +108,10 @@ def test_first_images_on_the_cameras_own_clock_are_brought_to_the_others(open_ba
     assert [frame.proximity_time_s for frame in source] == pytest.approx(stamps, abs=1e-5)
 
 
-def test_recordings_of_different_moments_are_refused_with_both_spans(tmp_path: Path) -> None:
-    proximity, tactile = on_global_time(1, times(4, EPOCH_S)), on_global_time(2, times(4, EPOCH_S + 3600.5))
-    sentence = (
-        r"not recorded at the same time: Intel RealSense L515 from 2025-06-15 15:06:40\.000 UTC to "
-        r"2025-06-15 15:06:40\.\d+ UTC, Intel RealSense D405 from 2025-06-15 16:06:40\.\d+ UTC to "
-        r"2025-06-15 16:06:40\.\d+ UTC; give two recordings of the same moment"
-    )
-    with pytest.raises(SourceError, match=sentence) as caught:
+def test_recordings_of_different_moments_are_refused(tmp_path: Path) -> None:
+    proximity, tactile = on_global_time(1, times(4, EPOCH_S)), on_global_time(2, times(4, EPOCH_S + 3600.1))
+    with pytest.raises(SourceError, match=r"not recorded at the same time, but 3600\.0\d\d s apart"):
         BagSource(two_files(tmp_path, proximity, tactile))
-    assert "\n" not in str(caught.value)
-
-
-def test_recordings_without_one_pair_are_refused(tmp_path: Path) -> None:
-    between = replace(on_global_time(2, [EPOCH_S + 1.5 * RATE_S]), fps=30)
-    with pytest.raises(SourceError, match=r"no image of .*L515 has one of .*D405 within 16\.7 ms"):
-        BagSource(two_files(tmp_path, on_global_time(1, [EPOCH_S, EPOCH_S + 3 * RATE_S]), between))
 
 
 def test_the_same_camera_twice_is_refused(tmp_path: Path) -> None:

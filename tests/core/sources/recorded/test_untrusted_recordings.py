@@ -31,12 +31,12 @@ def test_random_damage_gives_frames_or_a_sentence(tmp_path: Path) -> None:
         make_bag(tmp_path / "plain.bag", D405, L515),
         make_bag(tmp_path / "lz4.bag", D405, L515, compress=True),
     ]
-    command = [sys.executable, SCRIPT, tmp_path, "1", "500", BAG, ZSTD_DB3, PNG_DB3, *made]
+    command = [sys.executable, SCRIPT, tmp_path, "1", "300", BAG, ZSTD_DB3, PNG_DB3, *made]
     result = subprocess.run([*map(str, command)], capture_output=True, text=True, timeout=300, check=False)
     assert result.returncode == 0, result.stderr
     readable, refused = map(int, result.stdout.split())
-    assert readable + refused == 500
-    assert refused > 100
+    assert readable + refused == 300
+    assert refused > 60
     assert result.stderr == ""
 
 
@@ -69,20 +69,6 @@ def test_a_message_that_unpacks_to_gigabytes_is_refused(tmp_path: Path) -> None:
     bomb = zstd.compress(bytes(2**28))
     path = _change(tmp_path, ZSTD_DB3, f"UPDATE messages SET data = ? WHERE {where}", bomb)
     with pytest.raises(SourceError, match=r"claims 268435456 bytes"):
-        BagSource(path)
-
-
-def test_a_png_with_a_wrong_checksum_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "bit.db3"
-    path.write_bytes(PNG_DB3.read_bytes().replace(b"IDATx", b"IDATy"))
-    with BagSource(path) as source, pytest.raises(SourceError, match=r"image \d of /device_0"):
-        list(source)
-    assert capfd.readouterr().err == ""
-
-
-def test_a_recording_without_images_says_so(tmp_path: Path) -> None:
-    path = _change(tmp_path, PNG_DB3, "DELETE FROM messages WHERE timestamp > 0")
-    with pytest.raises(SourceError, match=r"it holds no depth images"):
         BagSource(path)
 
 
