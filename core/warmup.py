@@ -24,7 +24,7 @@ Progress = Callable[[float, str], None]
 
 _WIDTH, _HEIGHT = 96, 64
 #: Number of kernels of a frame, by contact test, and of the average over frames.
-_KERNELS: Final = {"tolerance": 10, "membrane": 14}
+_KERNELS: Final = {"tolerance": 11, "membrane": 14}
 _AVERAGE_KERNELS: Final = 2
 #: The largest and the last kernels of each test, and what the window reads of a patch.
 _LARGEST: Final = {"tolerance": (find_candidates, search_all), "membrane": (find_differences, collect_points)}

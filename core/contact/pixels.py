@@ -77,11 +77,11 @@ class Pixels:
     def candidates(self, frame: SensorFrame, tolerance: float) -> Candidates:
         """Return the pixels whose depths agree within a tolerance and whose colour is not the mask's."""
         height, width = frame.proximity_depth.shape
-        images, test, color = depth_images(frame), self.test(tolerance), self.color_test(frame)
-        workspace = self.workspace
+        images, test, workspace = depth_images(frame), self.test(tolerance), self.workspace
         tiles, possible = self.coarse.tiles(images, test.limits)
         if possible == 0:
             return NO_CANDIDATES
+        color = self.color_test(frame)
         rows = height if possible <= MAX_TILES_ALONE else ROWS  # all rows at once: on one thread
         out = kernels.CandidateArrays(workspace.pixels, workspace.points.reshape(-1), workspace.counts)
         in_parallel(partial(kernels.find_candidates, images, test, color, tiles, out), height, rows)

@@ -109,9 +109,6 @@ class ToleranceTest(ContactTest):
 
     def find(self, frame: SensorFrame, preset: Preset, due: Steps) -> Found:
         """Return the contact in a frame."""
-        from .outliers.clusters import without_small_clusters
-        from .outliers.statistical import without_outliers
-
         pixels, section, t = self.pixels, preset.outliers, preset.tolerance.t
         camera = pixels.rig.proximity.intrinsics
         if due("fusion"):
@@ -119,6 +116,9 @@ class ToleranceTest(ContactTest):
         if len(self._candidates) == 0:
             nothing = self._candidates, NO_CANDIDATES, NO_CANDIDATES
             return Found(NO_CANDIDATES, lambda: _provenance(pixels.classify(frame, t), *nothing), ("no candidates",))
+        from .outliers.clusters import without_small_clusters  # a frame without candidates does not wait for it
+        from .outliers.statistical import without_outliers
+
         if due("outliers"):
             self._inliers = self._candidates
             if section.enabled:

@@ -12,12 +12,14 @@ by a k-d tree with Open3D's bits.
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from ...model.arrays import BoolArray, Float32Array, Float64Array, IndexArray
 from ...model.patch import Candidates
-from ..kernels.simd import LANES
+from ..kernels.compiling import kernel
+from ..kernels.simd import LANES, doubles, load, total
 from ..kernels.threads import get_threads, in_parallel, scratch
 from .clusters import keep
 from .grid import MAX_POINT_RADIUS, NUMBER, Grid
@@ -176,14 +178,27 @@ def surely_below_threshold(means: Float64Array, ratio: float, uncertainty: float
     If every mean has a relative error of at most ``uncertainty``, so has the mean of all. The standard deviation is a
     norm, so it moves by at most the norm of the errors.
     """
-    degrees = len(means) - 1
-    centre = means.mean()
-    from_centre = means - centre
-    square = from_centre @ from_centre
-    away = ratio * np.sqrt(square / degrees)
-    error = uncertainty * (centre + ratio * np.sqrt((square + len(means) * centre * centre) / degrees)) * (1 + 1e-6)
-    # a mean that is twice as large as the threshold, or larger, is not uncertain
-    margin = error + 2 * uncertainty * (centre + away)
-    if means.min() <= _MIN_MEAN_M or np.abs(from_centre - away).min() <= margin:
-        return None
-    return np.asarray(from_centre < away)
+    inliers = np.empty(len(means), np.bool_)
+    return inliers if _compare(means, means.mean(), ratio, uncertainty, inliers) else None
+
+
+@kernel
+def _compare(means: Any, centre: Any, ratio: Any, uncertainty: Any, inliers: Any) -> Any:
+    """Write which means are below the threshold, for their mean value; return whether that is certain."""
+    count = len(means)
+    whole = count - count % LANES
+    squares = doubles(0.0)
+    for i in range(0, whole, LANES):
+        away = load(means, i) - doubles(centre)
+        squares = squares + away * away
+    square = total(squares)
+    for i in range(whole, count):
+        square += (means[i] - centre) * (means[i] - centre)
+    threshold = centre + ratio * np.sqrt(square / (count - 1))
+    norm = np.sqrt((square + count * centre * centre) / (count - 1))
+    error = uncertainty * (centre + ratio * norm) * (1 + 1e-6)
+    certain = True
+    for i in range(count):
+        inliers[i] = means[i] < threshold
+        certain &= means[i] > _MIN_MEAN_M and abs(means[i] - threshold) > error + uncertainty * means[i]
+    return certain

@@ -54,7 +54,7 @@ MEMBRANE = {
 AVERAGE = {"forget_moved", "add_to_means"}
 TOLERANCE = {
     "mark_tiles", "ranges_of_tiles", "spread", "find_candidates", "lay", "clear", "search_rows", "search_points",
-    "search_all", "part_coordinates", "compact", "mark_large", "root",
+    "search_all", "part_coordinates", "compare", "compact", "mark_large", "root",
 }  # fmt: skip
 
 
