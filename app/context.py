@@ -29,46 +29,18 @@ class Context(QObject):
 
     Attributes
     ----------
-    document : Document
-        The preset being edited, its file and its undo history.
-    worker : Worker
-        Playback, camera settings and recording. `result` is its newest frame.
-    messages : Messages
-        The messages over the main window's views.
-    dialogs : Dialogs
-        File dialogs and questions over the main window.
-    settings : Settings
-        Values remembered between starts.
-    data_folder : Path
-        Folder for unsaved work.
-    window : QWidget
-        The parent of other windows.
-    comparison : Comparison
-        The two presets that the views compare.
     result : Result or None
         The frame on the screen; None before the first frame of a source.
     playback : PlaybackState or None
         The newest state of playback; None before the first source.
     trim : (int, int) or None
-        The frames between the in and out marks, for work on a part of the recording: the first, and the one behind
-        the last, as in ``range``; None without marks.
-
-    Signals
-    -------
-    frameShown()
-        `result` is on the screen.
-    trimChanged()
-        The in or out mark was set, moved or cleared, or another source was opened.
-    saveRequested()
-        Emit it to save the preset to its file, after asking for one if it has none.
-    sourceRequested(name: str)
-        Emit it to open another source, named as `tactune.core.sources.registry.open_source` takes it.
+        The frames between the in and out marks: the first, and the one behind the last; None without marks.
     """
 
-    frameShown = pyqtSignal()
+    frameShown = pyqtSignal()  # `result` is on the screen
     trimChanged = pyqtSignal()
-    saveRequested = pyqtSignal()
-    sourceRequested = pyqtSignal(str)
+    saveRequested = pyqtSignal()  # emit it to save the preset, after asking for a file if it has none
+    sourceRequested = pyqtSignal(str)  # emit it to open a source by its name
 
     def __init__(
         self,
@@ -77,8 +49,8 @@ class Context(QObject):
         messages: Messages,
         dialogs: Dialogs,
         settings: Settings,
-        data_folder: Path,
-        window: QWidget,
+        data_folder: Path,  # of unsaved work
+        window: QWidget,  # parent of other windows
     ) -> None:
         super().__init__(window)
         self.document, self.worker, self.messages, self.dialogs = document, worker, messages, dialogs

@@ -12,20 +12,20 @@ import select
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from ...core.errors import PresetError, SourceError, TactuneError, counted
+from ...core.errors import ExportError, PresetError, SourceError, TactuneError, counted
 from ...core.model.files import user_path
 
 if TYPE_CHECKING:
+    from ...core.contact.pipeline import ContactPipeline
     from ...core.model.frames import Rig, SensorFrame
     from ...core.preset import CamerasSection, Preset
     from ...core.rig.untouched import UntouchedAverage
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 #: The default source.
 SOURCE = "sim"
+#: Exit status after Ctrl+C or SIGTERM, as shells use it.
+INTERRUPTED_STATUS = 130
 #: Interval at which a command that waits for a live source checks for Ctrl+C, seconds.
 WAIT_S = 0.2
 
@@ -58,6 +60,7 @@ PresetOption = Annotated[
         help="A preset file or shipped name; default: the recording's own, simulator for sim, else default.",
     ),
 ]
+ForceOption = Annotated[bool, typer.Option("--force", help="Replace a file that is already there.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 FrameCount = Annotated[
     int | None, typer.Option("--frames", "-n", min=1, metavar="N", help="Stop after N frames; default: all.")
@@ -68,10 +71,7 @@ AveragedFrames = Annotated[
 
 
 def default_preset(source: str) -> str:
-    """Return the default preset of a source, as an argument for `load_preset`.
-
-    It is the recording's own preset if there is one, ``simulator`` for the simulator (live or not), else ``default``.
-    """
+    """Return the origin of a source's default preset: the recording's own, ``simulator``, else ``default``."""
     plain = source.removeprefix("live:")
     path = user_path(plain.removeprefix("mcap:"))
     if path.suffix == ".mcap" and path.is_file():
@@ -83,12 +83,33 @@ def default_preset(source: str) -> str:
     return "simulator" if plain.partition(":")[0] == "sim" else "default"
 
 
-# Words and numbers
-
-
 def emit(record: object, text: str, as_json: bool) -> None:
     """Print the result of a command on standard output: as JSON, or as text for people."""
     typer.echo(json.dumps(record, indent=2, allow_nan=False) if as_json else text)
+
+
+def table_text(records: Sequence[Mapping[str, object]]) -> str:
+    """Return records as lines of text under their keys."""
+    names = list(dict.fromkeys(name for record in records for name in record))
+    rows = [names, *([_cell_text(record.get(name)) for name in names] for record in records)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join("  ".join(map(str.rjust, row, widths)) for row in rows)
+
+
+def _cell_text(value: object) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def refuse_existing(path: Path, force: bool) -> None:
+    """Raise unless a file can be written there: over another file only by ``--force``, never over anything else."""
+    from ...core.model.files import check_writable
+
+    if path.exists() and not (force and path.is_file()):
+        how = "choose another name or give --force" if path.is_file() else "choose another name"
+        raise ExportError(f"{path} is already there; {how}")
+    check_writable(path)
 
 
 def warn(*sentences: str) -> None:
@@ -105,16 +126,13 @@ def tell_notes(preset: Preset) -> None:
         typer.echo(f"note: {sentence}", err=True)
 
 
-class CliProgress:
-    """Progress on standard error: a bar on a terminal, elsewhere one sentence before a long preparation.
-
-    A context manager.
-    """
+class CliProgress(Progress):
+    """Progress on standard error: a bar on a terminal, elsewhere one sentence before a long preparation."""
 
     def __init__(self, quiet: bool = False) -> None:
-        self._on_terminal = sys.stderr.isatty()
+        on_terminal = sys.stderr.isatty()
         # The bar must not use standard output, which may be a pipe or a file with JSON lines.
-        self._bar = Progress(
+        super().__init__(
             TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
@@ -123,40 +141,31 @@ class CliProgress:
             transient=True,
             redirect_stdout=False,
             redirect_stderr=False,
-            disable=quiet or not self._on_terminal,
+            disable=quiet or not on_terminal,
         )
-        self._task = self._bar.add_task("", visible=False)
-        self._announced = False
+        self._shown = self.add_task("", visible=False)
+        self._announced = on_terminal
 
     def preparing(self, share: float, what: str) -> None:
         """Show the share of a preparation that is done, 0 to 1."""
-        if 0 < share < 1 and not self._on_terminal and not self._announced:
+        if 0 < share < 1 and not self._announced:
             self._announced = True
-            typer.echo(f"tactune: {what} ...", err=True)
-        self._bar.update(self._task, description=what, completed=round(100 * share), total=100, visible=share < 1)
+            warn(f"{what} ...")
+        self.update(self._shown, description=what, completed=round(100 * share), total=100, visible=share < 1)
 
     def frames(self, done: int, total: int | None, what: str = "frames") -> None:
         """Show the number of frames done, and the total where it is known."""
-        self._bar.update(self._task, description=what, completed=done, total=total, visible=True)
-
-    def __enter__(self) -> Self:
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._bar.stop()
+        self.update(self._shown, description=what, completed=done, total=total, visible=True)
 
 
 @contextmanager
 def stop_on_signals() -> Iterator[threading.Event]:
     """Yield an event that the first Ctrl+C, SIGTERM or closed terminal sets; the second ends the program as usual."""
     stopped = threading.Event()
-    usual = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    hangup: signal.Signals | None = getattr(signal, "SIGHUP", None)  # Windows has none
-    if hangup is not None and signal.getsignal(hangup) != signal.SIG_IGN:  # nohup goes on
-        usual[hangup] = signal.getsignal(hangup)
+    ends = [signal.SIGINT, signal.SIGTERM]
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # nohup goes on
+        ends.append(signal.SIGHUP)
+    usual = {number: signal.getsignal(number) for number in ends}
 
     def restore() -> None:
         for number, handler in usual.items():
@@ -166,7 +175,7 @@ def stop_on_signals() -> Iterator[threading.Event]:
         stopped.set()
         restore()
 
-    for number in usual:
+    for number in ends:
         signal.signal(number, press)
     try:
         yield stopped
@@ -175,13 +184,7 @@ def stop_on_signals() -> Iterator[threading.Event]:
 
 
 class LineOutput:
-    """Standard output as a stream of lines for a reader that may be slow or go away.
-
-    Attributes
-    ----------
-    reader_gone : bool
-        Nobody reads the other end of the pipe any more.
-    """
+    """Standard output as lines for a reader that may be slow, or go away: then ``reader_gone`` is true."""
 
     def __init__(self, stopped: threading.Event) -> None:
         self.reader_gone = False
@@ -217,35 +220,25 @@ class LineOutput:
         """End the command, and keep Python from writing the rest to the broken pipe at its exit."""
         if not self.reader_gone:
             self.reader_gone = True
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, sys.stdout.fileno())
-            os.close(nowhere)
+            with Path(os.devnull).open("wb") as nowhere:
+                os.dup2(nowhere.fileno(), sys.stdout.fileno())
         self._stopped.set()
 
 
-# --set FIELD=VALUE
+def parse_settings(texts: Sequence[str] | None) -> dict[str, Any]:
+    """Return the preset fields that ``FIELD=VALUE`` texts set; a value is JSON or a bare word.
 
-
-def parse_settings(texts: Sequence[str]) -> dict[str, Any]:
-    """Return the preset fields that ``FIELD=VALUE`` texts set, with the switches of their sections."""
-    return _turning_sections_on(dict(_parse_setting(text) for text in texts))
-
-
-def _parse_setting(text: str) -> tuple[str, Any]:
-    """Split ``path=value``; the value is JSON, or else a bare word."""
-    from ...core.preset.preset import json_or_word
-
-    path, separator, value = text.partition("=")
-    if not separator:
-        raise PresetError(f"--set {text}: there is no =; write FIELD=VALUE, such as tolerance.t=0.01")
-    return path.strip(), json_or_word(value)
-
-
-def _turning_sections_on(values: dict[str, Any]) -> dict[str, Any]:
-    """Add ``section.enabled`` for each section with a value, and the contact test if all are one's; the user's win."""
+    A value turns its section on, and chooses the contact test if all values belong to one; the user's own words win.
+    """
     from ...core.preset import CONTACT_TESTS
-    from ...core.preset.preset import preset_paths
+    from ...core.preset.preset import json_or_word, preset_paths
 
+    values: dict[str, Any] = {}
+    for text in texts or ():
+        path, separator, value = text.partition("=")
+        if not separator:
+            raise PresetError(f"--set {text}: there is no =; write FIELD=VALUE, such as tolerance.t=0.01")
+        values[path.strip()] = json_or_word(value)
     sections = {path.partition(".")[0] for path in values}
     switches: dict[str, Any] = {f"{name}.enabled": True for name in sections if f"{name}.enabled" in preset_paths()}
     chosen = [test.name for test in CONTACT_TESTS.values() if sections & set(test.sections)]
@@ -254,18 +247,42 @@ def _turning_sections_on(values: dict[str, Any]) -> dict[str, Any]:
     return switches | values
 
 
-# Sources
-
-
 @contextmanager
 def open_with_progress(name: str, cameras: CamerasSection | None = None) -> Iterator[FrameSource]:
-    """Open a source and show its preparation; ``cameras`` is the preset's section for live cameras."""
+    """Open a source, for live cameras with a preset's section; at its end warn of frames that were lost."""
     from ...core.sources.registry import open_source
 
     with CliProgress() as progress:
         source = open_source(name, progress.preparing, cameras)
     with source:
+        lost_before = source.health().dropped
+        try:
+            yield source
+        finally:
+            if lost := source.health().dropped - lost_before:
+                warn(f"{counted(lost, 'frame')} lost before they got here; end what else uses this computer or its USB")
+
+
+@contextmanager
+def open_for_preset(name: str, preset: Preset) -> Iterator[FrameSource]:
+    """Open a source with the preset's cameras, and warn where preset and rig do not match."""
+    from ...core.contact.checks import check_rig
+
+    with open_with_progress(name, preset.cameras) as source:
+        warn(*check_rig(preset, source.rig))
         yield source
+
+
+@contextmanager
+def open_pipeline(name: str, preset: Preset) -> Iterator[tuple[FrameSource, ContactPipeline]]:
+    """Open a source for a preset, and compile what the first frame would wait for."""
+    from ...core.contact.pipeline import ContactPipeline
+    from ...core.warmup import warm_up_if_needed
+
+    with open_for_preset(name, preset) as source:
+        with CliProgress() as progress:
+            warm_up_if_needed(progress.preparing, preset)
+        yield source, ContactPipeline(preset, source.rig)
 
 
 def number_of_frames(source: FrameSource, asked: int | None) -> int | None:
@@ -274,20 +291,20 @@ def number_of_frames(source: FrameSource, asked: int | None) -> int | None:
     return min(known, default=None)
 
 
-def warn_of_lost_frames(source: FrameSource, before: int) -> None:
-    """Warn of the frames that the source has lost since its count was ``before``."""
-    if lost := source.health().dropped - before:
-        where = "this computer or its USB" if source.health().cameras else "this computer, which did not keep up"
-        warn(f"{counted(lost, 'frame')} lost before they got here; end what else uses {where}")
+def tell_of_stop(source: FrameSource, done: int, asked: int | None) -> None:
+    """After a signal, report the frames done and exit as interrupted, unless all are done or the source is live."""
+    total = number_of_frames(source, asked)
+    if not done or total not in (None, done):
+        warn("stopped after " + (f"{done} of {counted(total, 'frame')}" if total else counted(done, "frame")))
+        raise typer.Exit(INTERRUPTED_STATUS)
 
 
 def live_frames(
     source: FrameSource, total: int | None, stopped: threading.Event, idle: Callable[[], object] = lambda: None
 ) -> Iterator[SensorFrame]:
-    """Yield frames until there are ``total``, the source ends or ``stopped`` is set.
+    """Yield frames until there are ``total``, the source ends or ``stopped`` is set; call ``idle`` while none comes.
 
-    ``idle`` is called every `WAIT_S` seconds while none comes. A first frame in which the rig's depth unit puts the
-    membrane where it cannot be gives a warning.
+    A rig whose depth unit puts the membrane where it cannot be gives a warning.
     """
     from ...core.tuning.advice.no_depth import wrong_unit
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Sequence
 from itertools import groupby
@@ -10,16 +9,15 @@ from typing import Any
 
 import typer
 
-from ...core.errors import SourceError, as_sentence
+from ...core.errors import as_sentence
 from ..doctor.checks import State
+from ..sources.list_devices import ask_driver
 from .common import CliProgress, JsonOption, emit
 
 #: Exit status of ``devices`` if no camera is connected.
 NONE_STATUS = 1
 #: Exit status of ``doctor`` if a check fails.
 FAILED_STATUS = 1
-#: The driver is queried in a separate process, because it may hang or crash; longest wait for it.
-_PATIENCE_S = 15.0
 _NEEDED = (640, 480, 30)
 
 
@@ -31,29 +29,13 @@ def devices(
 
     Exit status 0 if a camera is connected, 1 if none is, 2 if the camera driver is missing or fails.
     """
-    found, problems = _ask_driver()
-    notes = [*_notes(found), *map(as_sentence, problems)]
+    answer = ask_driver()
+    found: list[dict[str, Any]] = answer["devices"]
+    notes = [*_notes(found), *map(as_sentence, answer.get("problems", []))]
     words = "\n".join([*(line for device in found for line in _words(device)), *notes])
     emit({"devices": found, "notes": notes}, words, as_json)
     if not found:
         raise typer.Exit(NONE_STATUS)
-
-
-def _ask_driver() -> tuple[list[dict[str, Any]], list[str]]:
-    """Return the connected cameras, and what is wrong with camera drivers."""
-    from ..doctor.checks import run_child
-    from ..sources.list_devices import PROGRAM
-
-    child = run_child([sys.executable, *PROGRAM], _PATIENCE_S)
-    answer = child.answer()
-    if "problem" in answer:
-        raise SourceError(str(answer["problem"]))
-    if child.problem or "devices" not in answer:
-        raise SourceError(
-            f"the camera driver does not list its cameras ({child.problem or 'no answer'}); unplug the cameras and "
-            "plug them in again, or run tactune doctor, which finds other causes"
-        )
-    return answer["devices"], answer.get("problems", [])
 
 
 def _notes(found: Sequence[dict[str, Any]]) -> list[str]:

@@ -7,7 +7,7 @@ import sys
 from collections import deque
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -25,13 +25,12 @@ from .common import (
     emit,
     number_of_frames,
     open_with_progress,
+    table_text,
     tell_notes,
     warn,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from ...core.lab.scan import PaintSettings
     from ...core.lab.single_camera import Find
     from ...core.lab.strain import StrainMeasurement
@@ -156,24 +155,19 @@ def strain(
         ),
     ] = 1,
     csv_file: CsvOption = None,
-    plot: Annotated[
-        Path | None, typer.Option("--plot", metavar="FILE.png", help="Draw strain against displacement.")
-    ] = None,
     as_json: JsonOption = False,
 ) -> None:  # fmt: skip
     """Measure membrane strain from a printed grid of dots.
 
     The displacement is relative to the untouched frame of the preset or the source, else to the first frame. On the
-    simulator the solver's strain is shown beside: between dots that the camera sees, in brackets between all dots.
+    simulator the solver's strain is shown beside: between dots that the camera sees, and between all.
     """
     from ...core.lab.strain import StrainError, average_still, check_spacing, indentation_m, measure_strain
     from ...core.rig.untouched import kept_untouched
     from ...core.sources.presets import load_preset
 
-    if plot is not None and plot.suffix.lower() != ".png":
-        raise typer.BadParameter(f"--plot is {plot}; give a file that ends in .png")
-    for target in filter(None, (csv_file, plot)):
-        check_writable(target)
+    if csv_file is not None:
+        check_writable(csv_file)
     check_spacing(spacing_mm / 1e3)
     origin = preset or default_preset(source)
     chosen = load_preset(origin)
@@ -193,7 +187,7 @@ def strain(
             try:
                 displacement = indentation_m(still, untouched, opened.rig)
                 measured = measure_strain(still, opened.rig, spacing_mm / 1e3)
-                record = _strain_record(still, displacement, measured, averaged)
+                record = _strain_record(still, displacement, measured) | {"averaged_frames": averaged, "problem": ""}
             except StrainError as error:
                 record = {"sequence": frame.sequence, "problem": str(error)}
             records.append(record)
@@ -203,33 +197,19 @@ def strain(
     if all(record["problem"] for record in records):
         raise StrainError(records[0]["problem"])
     if csv_file is not None:
-        write_csv(csv_file, [_STRAIN_COLUMNS | record for record in records])
-    if plot is not None:
-        _draw_strain([record for record in records if not record["problem"]], plot)
-    emit({"frames": records}, "\n".join([_STRAIN_HEAD, *map(_strain_line, records)]), as_json)
+        names = dict.fromkeys(name for record in records for name in record)
+        write_csv(csv_file, [names | record for record in records])
+    emit({"frames": records}, table_text(records), as_json)
 
 
-_STRAIN_HEAD: Final = (
-    "frame  displacement mm  along length %  along width %  dots  solver: length % (all)  width % (all)"
-)
-#: Of a line of the CSV file; a solver's strain is known on the simulator only, once for the dots that the camera sees.
-_STRAIN_COLUMNS: Final[Record] = dict.fromkeys(
-    (
-        "sequence", "displacement_mm", "length_percent", "width_percent", "dots", "averaged_frames", "problem",
-        "solver_length_percent", "solver_width_percent", "solver_length_all_percent", "solver_width_all_percent",
-    )
-)  # fmt: skip
-
-
-def _strain_record(frame: SensorFrame, displacement_m: float, measured: StrainMeasurement, averaged: int) -> Record:
+def _strain_record(frame: SensorFrame, displacement_m: float, measured: StrainMeasurement) -> Record:
+    """Return displacement and largest strains; on the simulator those of its solver too, once for the dots in view."""
     record: Record = {
         "sequence": frame.sequence,
         "displacement_mm": round(1e3 * displacement_m, 3),
         "length_percent": round(100 * measured.length.largest, 2),
         "width_percent": round(100 * measured.width.largest, 2),
         "dots": len(measured.pixels),
-        "averaged_frames": averaged,
-        "problem": "",
     }
     known = frame.truth.strain if frame.truth is not None else None
     if known is not None:
@@ -237,37 +217,6 @@ def _strain_record(frame: SensorFrame, displacement_m: float, measured: StrainMe
         strains = (known.length_seen, known.width_seen, known.length, known.width)
         record |= {f"solver_{name}_percent": round(100 * value, 2) for name, value in zip(names, strains, strict=True)}
     return record
-
-
-def _strain_line(record: Record) -> str:
-    if record["problem"]:
-        return f"{record['sequence']:5d}  {record['problem']}"
-    solver = ""
-    if "solver_length_percent" in record:
-        seen = [
-            f"{record[f'solver_{name}_percent']:.1f} ({record[f'solver_{name}_all_percent']:.1f})"
-            for name in ("length", "width")
-        ]
-        solver = f"  {seen[0]:>22}  {seen[1]:>13}"
-    return (
-        f"{record['sequence']:5d}  {record['displacement_mm']:15.1f}  {record['length_percent']:14.1f}  "
-        f"{record['width_percent']:13.1f}  {record['dots']:4d}{solver}"
-    )
-
-
-def _draw_strain(records: list[Record], path: Path) -> None:
-    from ...core.model.figures import pyplot, save_figure
-
-    figure, axes = pyplot().subplots(figsize=(7, 4.2))
-    along = [record["displacement_mm"] for record in records]
-    for name, style in (("length", "C0o-"), ("width", "C1s-")):
-        axes.plot(along, [record[f"{name}_percent"] for record in records], style, markersize=4, label=f"{name}")
-        if "solver_length_percent" in records[0]:
-            solver = [record[f"solver_{name}_percent"] for record in records]
-            axes.plot(along, solver, f"{style[:2]}--", label=f"{name}, solver at the dots seen")
-    axes.set(xlabel="displacement, mm", ylabel="largest strain, %", title="Strain against displacement")
-    axes.legend(fontsize=9)
-    save_figure(figure, path, dpi=110)
 
 
 # Truth from a painted scan
@@ -348,13 +297,14 @@ def scan(  # noqa: PLR0915  # one thought: options, pose, frames, words
         raise TactuneError(f"{scan} has no spot of the touched paint's colour ({settings}); change it with --paint")
     truth, refined = scan_truth(loaded, contact, pose), None
     records: list[Record] = []
+    empty = {"rmse_mm": None, "hausdorff_mm": None, "area_error_mm2": None, "failure": ""}
     with open_with_progress(source, chosen.cameras) as opened:
         if opened.length is None and frames is None:
             raise TactuneError(f"{source} is endless; say how many frames to compare, such as --frames 30")
         finds = _finds(names, chosen, origin, opened)
         for each in itertools.islice(opened, frame, None if frames is None else frame + frames):
             for name, find in finds.items():
-                record: Record = {"sequence": each.sequence, "method": name, "points": 0}
+                record: Record = {"sequence": each.sequence, "method": name, "points": 0, **empty}
                 try:
                     patch = find(each)
                     if refine and refined is None:
@@ -362,10 +312,10 @@ def scan(  # noqa: PLR0915  # one thought: options, pose, frames, words
                         pose = refined.T_proximity_scan
                         truth = scan_truth(loaded, contact, pose)
                     scores = score_against_scan(patch.points, patch_area_mm2(patch), truth)
-                    record |= {"points": len(patch.points)}
-                    record |= {key: finite_or_none(value) for key, value in scores.items()} | {"failure": ""}
+                    record |= {key: finite_or_none(value) for key, value in scores.items()}
+                    record["points"] = len(patch.points)
                 except TactuneError as error:
-                    record |= dict.fromkeys(_SCAN_COLUMNS) | {"failure": str(error)}
+                    record["failure"] = str(error)
                 records.append(record)
     if not records:
         raise SourceError(f"{source} has no frame {frame}; check --frame and the source")
@@ -379,8 +329,7 @@ def scan(  # noqa: PLR0915  # one thought: options, pose, frames, words
     if icp is not None:
         head += f"\nICP: {1e3 * icp['rmse_m']:.3f} mm over {icp['pairs']} pairs, {icp['iterations']} rounds"
         head += "" if icp["converged"] else ", not converged"
-    columns = "frame  method             points  " + "  ".join(_SCAN_COLUMNS.values())
-    emit(whole, "\n".join([head, columns, *map(_scan_line, records)]), as_json)
+    emit(whole, f"{head}\n{table_text(records)}", as_json)
 
 
 def _finds(names: tuple[str, ...], preset: Preset, origin: str, source: FrameSource) -> dict[str, Find]:
@@ -401,34 +350,20 @@ def _finds(names: tuple[str, ...], preset: Preset, origin: str, source: FrameSou
     return finds
 
 
-#: Numbers of a line and their titles.
-_SCAN_COLUMNS: Final = {"rmse_mm": "RMSE mm", "hausdorff_mm": "Hausdorff mm", "area_error_mm2": "area error mm2"}
-
-
-def _scan_line(record: Record) -> str:
-    numbers = [
-        ("-" if record[name] is None else f"{record[name]:.3f}").rjust(len(title))
-        for name, title in _SCAN_COLUMNS.items()
-    ]
-    return f"{record['sequence']:5d}  {record['method']:17s}  {record['points']:6d}  " + (
-        record["failure"] or "  ".join(numbers)
-    )
-
-
 def _paint(words: list[str]) -> PaintSettings:
     """Turn ``NAME=VALUE`` texts such as ``hue=150:179`` into settings; the others keep their defaults."""
     from ...core.lab.scan import PaintSettings
 
-    readers: dict[str, Callable[[str], Any]] = {"least_area_mm2": float, "largest": int}
-    for channel in ("hue", "saturation", "value"):
-        readers[channel] = lambda text: tuple(int(end) for end in text.split(":", 1))
     values: Record = {}
     for word in words:
         name, _, text = word.partition("=")
-        if name not in readers:
-            raise TactuneError(f"--paint knows no {name!r}; known are {', '.join(readers)}")
+        if name not in PaintSettings.__dataclass_fields__:
+            raise TactuneError(f"--paint knows no {name!r}; known are {', '.join(PaintSettings.__dataclass_fields__)}")
         try:
-            values[name] = readers[name](text)
+            if name in ("hue", "saturation", "value"):
+                values[name] = tuple(map(int, text.split(":", 1)))
+            else:
+                values[name] = float(text) if name == "least_area_mm2" else int(text)
         except ValueError as error:
             raise TactuneError(f"--paint {word!r} cannot be read; write hue=150:179, largest=2 and the like") from error
     settings = PaintSettings(**values)

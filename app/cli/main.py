@@ -18,9 +18,8 @@ import typer
 from typer.core import TyperGroup
 
 from ...core.errors import MissingExtraError, TactuneError
-from .calibrate import calibrate, recheck
+from .calibrate import calibrate, create_rig, recheck
 from .common import SOURCE, PresetOption, SourceOption, default_preset
-from .create_rig import create_rig
 from .doctor import devices, doctor, warmup
 from .lab import lab_commands
 from .preset import preset_commands
@@ -33,19 +32,12 @@ from .tune import tune
 
 #: Exit status of errors that the person can correct: a wrong option, a wrong file.
 USAGE_STATUS = 2
-
-#: Packages of the extra ``gui``.
-GUI_PACKAGES = ("PyQt6", "pyqtgraph")
-
 #: The commands as the help lists them.
 GROUPS = {
     "Every day": ("gui", "run", "calibrate", "record", "convert", "devices", "doctor"),
     "Robot": ("serve", "track", "recheck", "warmup", "preset"),
     "Lab": ("tune", "lab"),
 }
-
-#: Suffixes of pictures of the window.
-PICTURES = (".png", ".jpg")
 
 
 class _Commands(TyperGroup):
@@ -96,7 +88,6 @@ def main() -> int:
     0: done; 1: a check failed; 2: an error that the person can correct, in one sentence; 130: interrupted;
     141: the reader of standard output has gone (``tactune run --json``).
     """
-    _replace_closed_streams()
     # The matrices are small: more threads of NumPy's BLAS would only spin while they wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if isinstance(sys.stdout, TextIOWrapper):
@@ -113,20 +104,6 @@ def main() -> int:
     except SystemExit as end:
         return int(end.code or 0)
     return 0
-
-
-def _replace_closed_streams() -> None:
-    """Open the null device in place of standard streams that the caller closed.
-
-    A file that is opened later would get the stream's number, and what a library prints would end up in that file.
-    """
-    for name in ("stdin", "stdout", "stderr"):
-        if getattr(sys, name) is None:
-            # The lowest free number is that of the closed stream.
-            mode = "r" if name == "stdin" else "w"
-            null = Path(os.devnull).open(mode, encoding="utf-8", errors="backslashreplace")  # noqa: SIM115  # it stays open
-            os.set_inheritable(null.fileno(), True)
-            setattr(sys, name, null)
 
 
 @commands.callback(invoke_without_command=True)
@@ -156,9 +133,15 @@ def gui(
     ] = None,
 ) -> None:
     """Open the window."""
-    if screenshot is not None and screenshot.suffix.lower() not in PICTURES:
-        raise typer.BadParameter(f"--screenshot is {screenshot}; give a file that ends in {' or '.join(PICTURES)}")
-    raise typer.Exit(_open_window(source, preset, screenshot, after, size=_parse_size(size), theme=theme))
+    if screenshot is not None and screenshot.suffix.lower() not in (".png", ".jpg"):
+        raise typer.BadParameter(f"--screenshot is {screenshot}; give a file that ends in .png or .jpg")
+    width_height = None
+    if size is not None:
+        match = re.fullmatch(r"([1-9][0-9]{2,4})x([1-9][0-9]{2,4})", size)
+        if match is None:
+            raise typer.BadParameter(f"--size is {size!r}; write width x height in pixels, such as 1280x800")
+        width_height = int(match[1]), int(match[2])
+    raise typer.Exit(_open_window(source, preset, screenshot, after, size=width_height, theme=theme))
 
 
 def _check_x_display() -> None:
@@ -199,7 +182,7 @@ def _open_window(
     try:
         from ..gui import run_gui
     except ModuleNotFoundError as error:
-        if str(error.name).partition(".")[0] not in GUI_PACKAGES:
+        if str(error.name).partition(".")[0] not in ("PyQt6", "pyqtgraph"):
             raise
         raise MissingExtraError(
             f'the window needs {error.name}, which is not installed: pip install "tactune[gui]"; '
@@ -213,15 +196,6 @@ def _open_window(
             "or use tactune run, which works without it"
         ) from error
     return run_gui(source, preset or default_preset(source), screenshot, after, size=size, theme=theme)
-
-
-def _parse_size(text: str | None) -> tuple[int, int] | None:
-    if text is None:
-        return None
-    match = re.fullmatch(r"([1-9][0-9]{2,4})x([1-9][0-9]{2,4})", text)
-    if match is None:
-        raise typer.BadParameter(f"--size is {text!r}; write width x height in pixels, such as 1280x800")
-    return int(match[1]), int(match[2])
 
 
 if __name__ == "__main__":

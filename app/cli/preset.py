@@ -14,6 +14,7 @@ from ...core.errors import CalibrationError, PresetError, TactuneError, counted
 from .common import (
     AveragedFrames,
     CliProgress,
+    ForceOption,
     JsonOption,
     PresetOption,
     UntouchedSource,
@@ -22,8 +23,9 @@ from .common import (
     default_preset,
     emit,
     find_rig,
-    open_with_progress,
+    open_for_preset,
     parse_settings,
+    refuse_existing,
     tell_notes,
     warn,
 )
@@ -66,7 +68,7 @@ def new(
             "test, such as tolerance.t, outliers.k or membrane.frames, chooses that test.",
         ),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a file that is already there.")] = False,
+    force: ForceOption = False,
 ) -> None:
     """Write a new preset: the paper's values or those of another preset, changed by --set."""
     from ...core.preset import Preset, now
@@ -74,9 +76,8 @@ def new(
     from ...core.rig.untouched import copy_untouched
     from ...core.sources.presets import load_preset
 
-    if out.exists() and not force:
-        raise PresetError(f"{out} is already there; choose another name or add --force to replace it")
-    values = {"name": out.stem, **parse_settings(settings or [])}
+    refuse_existing(out, force)
+    values = {"name": out.stem, **parse_settings(settings)}
     base = Preset() if start is None else load_preset(start)
     made_for = base.rig if rig is None else find_rig(rig)
     if made_for is None:
@@ -88,10 +89,9 @@ def new(
     save_preset(preset, out)
     typer.echo(f"wrote {out}")
     if base.rig is not None and base.rig != made_for:
-        note = (
-            f"cameras, alignment and untouched frame are still those of {start}, made for another rig; calibrate again."
+        typer.echo(
+            f"note: cameras and alignment are those of {start}, made for another rig; calibrate again.", err=True
         )
-        typer.echo(f"note: {note}", err=True)
     tell_notes(preset)
 
 
@@ -115,13 +115,12 @@ def validate(presets: Annotated[list[str], typer.Argument(metavar="FILE...")]) -
             preset, older = load_preset_and_note(origin)
         except TactuneError as error:
             bad += 1
-            typer.echo(f"tactune: {error}", err=True)
-        else:
-            rig = preset.rig
-            cameras = [] if rig is None else [f"{it.model} {it.serial}".strip() for it in (rig.proximity, rig.tactile)]
-            made_for = f"for {' and '.join(cameras)}" if cameras else "for any rig"
-            typer.echo(f"{origin}: good, preset {preset.name!r} {made_for}" + (f", {older}" if older else ""))
-            tell_notes(preset)
+            warn(str(error))
+            continue
+        cameras = () if preset.rig is None else (preset.rig.proximity, preset.rig.tactile)
+        made_for = " and ".join(f"{camera.model} {camera.serial}".strip() for camera in cameras) or "any rig"
+        typer.echo(f"{origin}: good, preset {preset.name!r} for {made_for}" + (f", {older}" if older else ""))
+        tell_notes(preset)
     if bad:
         raise typer.Exit(2)
 
@@ -141,7 +140,6 @@ def capture_untouched(
     Some methods and ``tactune recheck`` compare with it. It is a file beside the preset. Frames in which the preset
     finds contact are refused. The simulator removes its object for this.
     """
-    from ...core.contact.checks import check_rig
     from ...core.preset import now
     from ...core.preset.file import save_preset
     from ...core.rig.untouched import save_untouched
@@ -153,8 +151,7 @@ def capture_untouched(
             "new, or copy a shipped one with tactune preset show NAME > FILE"
         )
     chosen = load_preset(preset)
-    with open_with_progress(source, chosen.cameras) as opened:
-        warn(*check_rig(chosen, opened.rig))
+    with open_for_preset(source, chosen) as opened:
         captured = average_frames(opened, frames)
         _check_untouched(chosen, preset, opened.rig, captured.frame, force=force)
     record = save_untouched(captured.frame, captured.frames, preset)
@@ -181,7 +178,7 @@ def measure_rig(
         Path | None,
         typer.Option("--out", "-o", metavar="FILE", help="The preset file to write; default: the file of --preset."),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a file of --out that is already there.")] = False,
+    force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Measure the noise of both cameras and the bias between them, and store them in a preset.
@@ -190,7 +187,6 @@ def measure_rig(
     and where an object is pressed firmly. Without --out and without a preset file nothing is written. The simulator
     removes a moving object for this.
     """
-    from ...core.contact.checks import check_rig
     from ...core.rig.noise import describe
     from ...core.sources.presets import load_preset
 
@@ -199,8 +195,7 @@ def measure_rig(
     if target is not None:
         check_target(target, preset, force=force)
     chosen = load_preset(origin)
-    with open_with_progress(source, chosen.cameras) as opened:
-        warn(*check_rig(chosen, opened.rig))
+    with open_for_preset(source, chosen) as opened:
         noise = _measure_noise(opened, chosen, origin, frames)
     emit(noise.model_dump(mode="json"), "\n".join(describe(noise)), as_json)
     if target is None:
@@ -240,19 +235,13 @@ def check_target(target: Path, preset: str | None, *, force: bool) -> None:
     """Raise unless the preset can be written there: never over a shipped one, over another file only by ``force``."""
     import importlib.resources
 
-    from ...core.model.files import check_writable
-
     shipped = Path(str(importlib.resources.files("tactune.presets"))).resolve()
     if target.suffix == ".mcap" or target.resolve().parent == shipped:
         raise PresetError(f"{target} is a recording or a shipped preset and stays as it is; add --out FILE")
-    if preset is not None and target == Path(preset):
-        if not target.is_file():
-            raise PresetError(f"{target} is no preset file, so nothing can be stored in it; add --out FILE")
-    elif target.exists() and not target.is_file():
-        raise PresetError(f"{target} is no ordinary file; choose another place")
-    elif target.exists() and not force:
-        raise PresetError(f"{target} is already there; choose another name or add --force to replace it")
-    check_writable(target)
+    own = preset is not None and target == Path(preset)
+    if own and not target.is_file():
+        raise PresetError(f"{target} is no preset file, so nothing can be stored in it; add --out FILE")
+    refuse_existing(target, force or own)
 
 
 def save_changed(preset: Preset, origin: str, target: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,27 +13,24 @@ from ...core.errors import ExportError, counted
 from .common import (
     WAIT_S,
     CliProgress,
+    ForceOption,
     number_of_frames,
     open_with_progress,
+    refuse_existing,
     stop_on_signals,
     warn,
-    warn_of_lost_frames,
 )
 
 if TYPE_CHECKING:
     from ...core.model.frames import SensorFrame
-    from ...core.output import RecordingStatus, SessionWriter
+    from ...core.output import SessionWriter
     from ...core.preset import Preset
     from ...core.sources import FrameSource
-
-#: Formats that cannot be written; without this check such a name would become a folder.
-_READ_ONLY_SUFFIXES = (".bag", ".db3")
 
 _Preset = Annotated[
     str | None, typer.Option("--preset", "-p", metavar="FILE|NAME", help="The preset to store in the recording.")
 ]
 _Frames = Annotated[int | None, typer.Option("--frames", "-n", min=1, metavar="N", help="Stop after N frames.")]
-_Force = Annotated[bool, typer.Option("--force", help="Replace a file that is already there.")]
 
 
 def record(
@@ -49,7 +45,7 @@ def record(
         float | None, typer.Option("--seconds", min=0.001, metavar="N", help="Stop after N seconds.")
     ] = None,
     frames: _Frames = None,
-    force: _Force = False,
+    force: ForceOption = False,
 ) -> None:
     """Record into a ROS 2 bag (MCAP). Ctrl+C or SIGTERM ends the recording; so does the end of the source.
 
@@ -61,22 +57,24 @@ def record(
 
     if out.suffix != ".mcap":
         raise ExportError(f"--out is {out}, but a recording is a .mcap file; name it so")
-    _refuse_existing(out, force)
+    refuse_existing(out, force)
     kept = None if preset is None else load_preset(preset)
     with open_with_progress(source, kept.cameras if kept else None) as opened:
-        untouched = _untouched(kept, preset, opened)
+        untouched, rate_hz = _untouched(kept, preset, opened), opened.frame_rate_hz
         new = out.with_name(f"{out.stem}.new.mcap") if out.exists() else out  # the old file stays until then
-        with SessionWriter(
-            new, opened.rig, preset=kept, frame_rate_hz=opened.frame_rate_hz, untouched=untouched
-        ) as writer:
-            lost_before = opened.health().dropped
+        with SessionWriter(new, opened.rig, preset=kept, frame_rate_hz=rate_hz, untouched=untouched) as writer:
             _record_frames(opened, writer, frames, seconds)
             with stop_on_signals():  # one more signal must not lose the frames that are queued
                 status = writer.close()
-        if new != out and not status.error:
+        if status.error:
+            kept_frames = f"; the {counted(status.frames, 'frame')} before are in the file" if status.frames else ""
+            raise ExportError(status.error + kept_frames)
+        if new != out:
             new.replace(out)
-            status = replace(status, path=out)
-        _tell(opened, status, lost_before)
+        if status.dropped:
+            warn(f"{counted(status.dropped, 'frame')} dropped, because the disk was too slow; record to a faster one")
+        size = f"{status.seconds:.1f} s, {status.bytes / 1e6:.1f} MB"
+        typer.echo(f"recorded {counted(status.frames, 'frame')} of {opened.name}, {size}, into {out}")
 
 
 def convert(
@@ -87,7 +85,7 @@ def convert(
     ],
     preset: _Preset = None,
     frames: _Frames = None,
-    force: _Force = False,
+    force: ForceOption = False,
 ) -> None:
     """Convert any recording to MCAP or to a folder of PNG images, without loss."""
     from ...core.output.writer import export_mcap
@@ -95,11 +93,11 @@ def convert(
     from ...core.sources.mcap.source import McapSource
     from ...core.sources.presets import load_preset
 
-    if target.suffix in _READ_ONLY_SUFFIXES:
+    if target.suffix in (".bag", ".db3"):  # such a name would become a folder
         raise ExportError(f"cannot write {target}: {target.suffix} is read only; name a .mcap or a folder")
     to_mcap = target.suffix == ".mcap"
     if to_mcap:
-        _refuse_existing(target, force)
+        refuse_existing(target, force)
     kept = None if preset is None else load_preset(preset)
     with open_with_progress(source) as opened, CliProgress() as progress, stop_on_signals() as stopped:
         if kept is None and isinstance(opened, McapSource):
@@ -141,8 +139,7 @@ def _record_frames(source: FrameSource, writer: SessionWriter, frames: int | Non
         end_s = time.monotonic() + seconds
     elif seconds is not None and total is not None:
         total = math.ceil(min(total, seconds * source.frame_rate_hz))
-    said = ""
-    done = 0
+    said, done = "", 0
     with CliProgress() as progress, stop_on_signals() as stopped:
         while done != total and time.monotonic() < end_s and not stopped.is_set():
             if source.health().message != said and (said := source.health().message):
@@ -158,24 +155,3 @@ def _record_frames(source: FrameSource, writer: SessionWriter, frames: int | Non
                 break
             dropped = f", {status.dropped} dropped" if status.dropped else ""
             progress.frames(done, total, f"{status.bytes / 1e6:.0f} MB{dropped}, frames")
-
-
-def _tell(source: FrameSource, status: RecordingStatus, lost_before: int) -> None:
-    if status.error:
-        kept = f"; the {counted(status.frames, 'frame')} before are in the file" if status.frames else ""
-        raise ExportError(status.error + kept)
-    if status.dropped:
-        warn(f"{counted(status.dropped, 'frame')} dropped, because the disk was too slow; record to a faster one")
-    warn_of_lost_frames(source, lost_before)
-    size = f"{status.bytes / 1e6:.1f} MB"
-    typer.echo(
-        f"recorded {counted(status.frames, 'frame')} of {source.name}, {status.seconds:.1f} s, {size}, "
-        f"into {status.path}"
-    )
-
-
-def _refuse_existing(path: Path, force: bool) -> None:
-    if path.exists() and not (force and path.is_file()):
-        raise ExportError(
-            f"{path} is already there; choose another name" + (" or give --force" if path.is_file() else "")
-        )

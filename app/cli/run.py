@@ -6,15 +6,17 @@ import json
 import math
 import sys
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
+from shlex import quote
 from statistics import median
 from threading import Event
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from ...core.errors import ExportError, SourceError, counted
+from ...core.errors import SourceError, counted
 from ...core.model.files import finite_or_none
 from .common import (
     SOURCE,
@@ -26,11 +28,11 @@ from .common import (
     default_preset,
     live_frames,
     number_of_frames,
-    open_with_progress,
+    open_pipeline,
     parse_settings,
     stop_on_signals,
+    tell_of_stop,
     warn,
-    warn_of_lost_frames,
 )
 
 if TYPE_CHECKING:
@@ -38,25 +40,21 @@ if TYPE_CHECKING:
     from ...core.estimation.tilt import Tilt
     from ...core.model.frames import GroundTruth, Rig, SensorFrame
     from ...core.preset import Preset
+    from ...core.rig.drift import WatchReport
     from ...core.sources import FrameSource
-    from .watching import Watching
 
     SavePatch = Callable[[ContactPatch, SensorFrame], None]
     Estimator = Callable[[ContactPatch, SensorFrame], Tilt]
 
 Record = dict[str, Any]
 
-#: Exit status after Ctrl+C or SIGTERM, as shells use it.
-INTERRUPTED_STATUS = 130
 #: Exit status after the reader of standard output has gone: that of a program that SIGPIPE ends.
 READER_GONE_STATUS = 141
-
 #: Suffix of recordings and of bags of patches.
 MCAP_SUFFIX = ".mcap"
-
 #: Keys that ``--truth`` adds to a record beside ``touched``, with their units.
 TRUTH_KEYS = {"iou": "", "precision": "", "recall": "", "rmse_mm": " mm"}
-#: What ``--estimate`` reads from each patch.
+
 Estimate = Literal["tilt", "tilt-filtered", "tilt-pca"]
 EstimateOption = Annotated[
     Estimate | None,
@@ -112,41 +110,29 @@ def run(
             "give --out DIR or FILE.mcap for the patches, --json for one line per frame, --truth for a comparison, "
             "--watch for the check for drift, or --estimate tilt"
         )
-    from ...core.contact.checks import check_rig
-    from ...core.contact.pipeline import ContactPipeline
     from ...core.sources.presets import load_preset
-    from ...core.warmup import warm_up_if_needed
-    from .watching import Watching
 
     origin = preset or default_preset(source)
-    chosen = load_preset(origin).with_values(parse_settings(settings or []))
+    chosen = load_preset(origin).with_values(parse_settings(settings))
     if out is not None and out.suffix != MCAP_SUFFIX:
-        make_folder(out)
-    with open_with_progress(source, chosen.cameras) as opened:
-        with CliProgress() as progress:
-            warm_up_if_needed(progress.preparing, chosen)
-        pipeline = ContactPipeline(chosen, opened.rig)
-        warn(*check_rig(chosen, opened.rig))
-        lost_before = opened.health().dropped
+        out.mkdir(parents=True, exist_ok=True)  # before anything is computed
+    with open_pipeline(source, chosen) as (opened, pipeline):
         with (
-            closing(Watching(chosen, origin, opened)) if watch else nullcontext() as look,
+            closing(_Watching(chosen, origin, opened)) if watch else nullcontext() as look,
             stop_on_signals() as stopped,
-            patch_output(out, file_format, opened, chosen) as save,
+            _patch_output(out, file_format, opened, chosen) as save,
         ):
             lines = LineOutput(stopped) if json_lines else None
             tilt = make_tilt(estimate, chosen, opened.rig)
-            done, records = process_frames(
-                opened, pipeline, frames, save, stopped, truth=truth, look=look, lines=lines, tilt=tilt
-            )
+            done, records = _process(opened, pipeline, frames, save, stopped, truth, look, lines, tilt)
         if lines is not None and lines.reader_gone:
             raise typer.Exit(READER_GONE_STATUS)
         if not done and not stopped.is_set():
             raise SourceError(f"{opened.name} gave no frames; check the source")
         if opened.health().message:
             warn(opened.health().message)
-        warn_of_lost_frames(opened, lost_before)
         if records:
-            typer.echo("\n".join(summary(records, opened.name, chosen.name)))
+            typer.echo("\n".join(_summary(records, opened.name, chosen.name)))
             if out is not None:
                 typer.echo(_written(records, out, file_format))
             if frames is not None and done < frames and not stopped.is_set():
@@ -156,7 +142,7 @@ def run(
 
 
 @contextmanager
-def patch_output(out: Path | None, file_format: str, source: FrameSource, preset: Preset) -> Iterator[SavePatch]:
+def _patch_output(out: Path | None, file_format: str, source: FrameSource, preset: Preset) -> Iterator[SavePatch]:
     """Yield the function that saves a patch: into one bag, into one file each, or nowhere."""
     if out is None:
         yield lambda patch, frame: None
@@ -173,47 +159,32 @@ def patch_output(out: Path | None, file_format: str, source: FrameSource, preset
 
         def save(patch: ContactPatch, frame: SensorFrame) -> None:
             note_number(seen, frame)
-            write_cloud(patch_path(out, frame.sequence, file_format), patch_cloud(patch, frame, source.rig))
+            write_cloud(_patch_path(out, frame.sequence, file_format), patch_cloud(patch, frame, source.rig))
 
         yield save
 
 
-def tell_of_stop(source: FrameSource, done: int, asked: int | None) -> None:
-    """After a signal, report the frames done and exit as interrupted, unless all are done or the source is live."""
-    total = number_of_frames(source, asked)
-    if done and total in (None, done):
-        return
-    warn(
-        f"stopped after {counted(done, 'frame')}"
-        if total is None
-        else f"stopped after {done} of {counted(total, 'frame')}"
-    )
-    raise typer.Exit(INTERRUPTED_STATUS)
-
-
-def process_frames(
+def _process(
     source: FrameSource,
     pipeline: ContactPipeline,
     frames: int | None,
     save: SavePatch,
     stopped: Event,
-    *,
-    truth: bool = False,
-    look: Watching | None = None,
-    lines: LineOutput | None = None,
-    tilt: Estimator | None = None,
+    truth: bool,
+    look: _Watching | None,
+    lines: LineOutput | None,
+    tilt: Estimator | None,
 ) -> tuple[int, list[Record]]:
-    """Process and save up to ``frames`` frames, until ``stopped`` is set."""
+    """Process and save up to ``frames`` frames; return their number and, unless printed as lines, their records."""
     records: list[Record] = []
     done, scored = 0, False
     total = number_of_frames(source, frames)
     with CliProgress(quiet=lines is not None and sys.stdout.isatty()) as progress:
         for frame in live_frames(source, total, stopped, idle=(lambda: None) if lines is None else lines.look):
             patch = pipeline.process(frame)
-            record = patch_record(patch)
-            record["time_s"] = finite_or_none(frame.proximity_time_s)
+            record = _patch_record(patch, frame)
             if truth:
-                record |= truth_record(patch, frame.truth, source.rig)
+                record |= _truth_record(patch, frame.truth, source.rig)
                 scored |= record["iou"] is not None
             if tilt is not None:
                 record["tilt"] = tilt(patch, frame).record()
@@ -248,23 +219,11 @@ def make_tilt(estimate: Estimate | None, preset: Preset, rig: Rig) -> Estimator 
     return tilt
 
 
-def make_folder(folder: Path) -> None:
-    """Create the folder for patches before anything is computed; warn of older patches in it."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        older = sum(1 for _ in folder.glob("patch_[0-9]*"))
-    except OSError as error:
-        raise ExportError(f"cannot write to {folder}: {error.strerror or error}; choose another place") from error
-    if older:
-        warn(f"{folder} already holds {counted(older, 'patch file')}; files with the same number will be replaced")
-
-
-def patch_path(folder: Path, sequence: int, file_format: str) -> Path:
-    """Return the file of a frame's patch."""
+def _patch_path(folder: Path, sequence: int, file_format: str) -> Path:
     return folder / f"patch_{sequence:06d}.{file_format}"
 
 
-def patch_record(patch: ContactPatch) -> Record:
+def _patch_record(patch: ContactPatch, frame: SensorFrame) -> Record:
     """Return the numbers of a patch, ready for JSON (an empty patch has the centroid None)."""
     return {
         "sequence": int(patch.sequence),
@@ -273,10 +232,11 @@ def patch_record(patch: ContactPatch) -> Record:
         "centroid_m": patch.centroid_m,
         "averaged_frames": patch.averaged_frames,
         "stage_ms": {stage: round(ms, 4) for stage, ms in patch.stage_ms.items()},
+        "time_s": finite_or_none(frame.proximity_time_s),
     }
 
 
-def truth_record(patch: ContactPatch, truth: GroundTruth | None, rig: Rig) -> Record:
+def _truth_record(patch: ContactPatch, truth: GroundTruth | None, rig: Rig) -> Record:
     """Return the scores against the truth; all are None if the source has no truth."""
     if truth is None:
         return dict.fromkeys(("touched", *TRUTH_KEYS))
@@ -286,48 +246,47 @@ def truth_record(patch: ContactPatch, truth: GroundTruth | None, rig: Rig) -> Re
     return {"touched": bool(truth.contact.any())} | {key: finite_or_none(scores[key]) for key in TRUTH_KEYS}
 
 
-def summary(records: list[Record], source: str, preset: str) -> list[str]:
+def _summary(records: list[Record], source: str, preset: str) -> list[str]:
     """Return a few lines about all frames."""
     touched = [record["area_mm2"] for record in records if record["points"]]
+    contact = "no contact in any of them"
+    if touched:
+        least, most, middle = min(touched) / 100, max(touched) / 100, median(touched) / 100
+        contact = f"contact in {len(touched)} of them, patch {least:.1f} to {most:.1f} cm2, median {middle:.1f} cm2"
     # Medians, because the first frame also loads the compiled code and makes the tables.
     stages = {stage: median(record["stage_ms"][stage] for record in records) for stage in records[0]["stage_ms"]}
-    lines = [f"{counted(len(records), 'frame')} of {source} with preset {preset!r}"]
-    if touched:
-        lines.append(
-            f"contact in {len(touched)} of them, patch {min(touched) / 100:.1f} to {max(touched) / 100:.1f} cm2, "
-            f"median {median(touched) / 100:.1f} cm2"
-        )
-    else:
-        lines.append("no contact in any of them")
     details = ", ".join(f"{stage} {ms:.1f}" for stage, ms in stages.items())
-    lines.append(f"{sum(stages.values()):.1f} ms per frame ({details})")
-    if "tilt" in records[0]:
-        lines += tilt_lines([record["tilt"] for record in records])
-    return lines + truth_lines(records)
+    return [
+        f"{counted(len(records), 'frame')} of {source} with preset {preset!r}",
+        contact,
+        f"{sum(stages.values()):.1f} ms per frame ({details})",
+        *_tilt_lines([record["tilt"] for record in records if "tilt" in record]),
+        *_truth_lines(records),
+    ]
 
 
 def _written(records: list[Record], out: Path, file_format: str) -> str:
     if out.suffix == MCAP_SUFFIX:
         return f"wrote {out}"
-    first, last = (patch_path(out, records[i]["sequence"], file_format) for i in (0, -1))
+    first, last = (_patch_path(out, records[i]["sequence"], file_format) for i in (0, -1))
     return f"wrote {first}" + (f" to {last.name}" if last != first else "")
 
 
-def tilt_lines(tilts: list[Record]) -> list[str]:
-    """Return range and median standard deviation of roll and pitch, and in how many frames they are determined."""
+def _tilt_lines(tilts: list[Record]) -> list[str]:
+    """Return in how many frames roll and pitch are determined, their range and median standard deviation."""
     lines = []
-    for name in ("roll", "pitch"):
-        known = [math.degrees(tilt[f"{name}_rad"]) for tilt in tilts if tilt[f"{name}_rad"] is not None]
-        sigmas = [math.degrees(tilt[f"{name}_sigma_rad"]) for tilt in tilts if tilt[f"{name}_rad"] is not None]
+    for name in ("roll", "pitch") if tilts else ():
+        known = [tilt for tilt in tilts if tilt[f"{name}_rad"] is not None]
         line = f"{name}: determined in {len(known)} of {counted(len(tilts), 'frame')}"
         if known:
-            line += f", {min(known):.2f} to {max(known):.2f} degrees"
-            line += f", standard deviation {median(sigmas):.2f} degrees (median)"
+            angles = [math.degrees(tilt[f"{name}_rad"]) for tilt in known]
+            sigma = math.degrees(median(tilt[f"{name}_sigma_rad"] for tilt in known))
+            line += f", {min(angles):.2f} to {max(angles):.2f} degrees, standard deviation {sigma:.2f} degrees (median)"
         lines.append(line)
     return lines
 
 
-def truth_lines(records: list[Record]) -> list[str]:
+def _truth_lines(records: list[Record]) -> list[str]:
     """Return median scores of frames with true contact, and how many other frames have points; [] without truth."""
     with_touch = [record for record in records if record.get("touched")]
     without = [record for record in records if record.get("touched") is False]
@@ -335,10 +294,53 @@ def truth_lines(records: list[Record]) -> list[str]:
     for key, unit in TRUTH_KEYS.items():
         known = [record[key] for record in with_touch if record[key] is not None]
         if known:
-            lines.append(
-                f"{key}: median {median(known):.3f}{unit} over {counted(len(known), 'frame')} with true contact"
-            )
+            over = f"{counted(len(known), 'frame')} with true contact"
+            lines.append(f"{key}: median {median(known):.3f}{unit} over {over}")
     if without:
         false = sum(bool(record["points"]) for record in without)
         lines.append(f"{counted(len(without), 'frame')} without true contact, {false} of them with false points")
     return lines
+
+
+class _Watching:
+    """Looks once in ten seconds of the source's time whether something has moved, and warns of each change.
+
+    A live source's look runs on another thread, so no frame waits for it; a recording waits, so its result is the same
+    each time.
+    """
+
+    def __init__(self, preset: Preset, origin: str, source: FrameSource) -> None:
+        from ...core.rig.drift import Watch
+        from ...core.rig.untouched import find_untouched
+
+        found = find_untouched(preset, origin, source)
+        warn(*found.warnings)
+        self._watch = Watch(preset, source.rig, found.frame)
+        self._remedy = f" Check with: tactune recheck --preset {quote(origin)} --source {quote(source.name)}"
+        self._live = source.length is None
+        self._pool = ThreadPoolExecutor(1)
+        self._look: Future[WatchReport | None] | None = None
+
+    def __call__(self, frame: SensorFrame) -> Record | None:
+        """Return what a look that has ended measured (mm), what is told at present, and what it decided; else None."""
+        time_s = frame.proximity_time_s
+        if self._look is None and self._watch.due(time_s):
+            self._look = self._pool.submit(self._watch.look, frame, time_s)
+        if self._look is None or (self._live and not self._look.done()):
+            return None
+        report, self._look = self._look.result(), None
+        if report is not None:
+            warn(f"{report.time_s:.1f} s: {report.sentence}" + (self._remedy if report.state == "told" else ""))
+        drift = self._watch.drift
+        measured = {} if drift is None else drift.moved_m | {"inflation": drift.inflation_m}
+        return {
+            "measured": {f"{name}_mm": round(1e3 * value, 3) for name, value in measured.items()},
+            "told": [] if self._watch.told == "fine" else [self._watch.told],
+            "state": None if report is None else report.state,
+            "subject": None if report is None else report.verdict,
+            "sentence": None if report is None else report.sentence,
+        }
+
+    def close(self) -> None:
+        """End the thread."""
+        self._pool.shutdown()

@@ -19,10 +19,9 @@ from .common import (
     SourceOption,
     default_preset,
     live_frames,
-    open_with_progress,
+    open_for_preset,
     stop_on_signals,
     warn,
-    warn_of_lost_frames,
 )
 from .run import EstimateOption, make_tilt
 from .track import UnitOption, read_mesh
@@ -72,6 +71,14 @@ def serve(
     layout: Annotated[Path | None, typer.Option("--layout", metavar="FILE", help=_LAYOUT_HELP)] = None,
 ) -> None:
     """Publish contact patches live for Foxglove and ROS 2, until Ctrl+C; a recording is repeated at its own rate."""
+    from ...core.contact.pipeline import ContactPipeline
+    from ...core.output.connections import Connections
+    from ...core.output.parameters import PresetParameters
+    from ...core.output.publisher import Publisher
+    from ...core.sources.capture.live import LiveLoop
+    from ...core.sources.presets import load_preset
+    from ...core.warmup import warm_up_if_needed
+
     if layout is not None:
         from ...core.output.foxglove import save_layout
 
@@ -79,24 +86,14 @@ def serve(
         typer.echo(f"wrote {layout}; in Foxglove: Layouts, Import from file")
         if not (foxglove or ros2):
             return
-    from ...core.output.connections import Connections
-
     if not (foxglove or ros2):
         raise typer.BadParameter("give --foxglove or --ros2; nothing is published unless it is asked for")
-    from ...core.contact.checks import check_rig
-    from ...core.contact.pipeline import ContactPipeline
-    from ...core.output.parameters import PresetParameters
-    from ...core.output.publisher import Publisher
-    from ...core.sources.capture.live import LiveLoop
-    from ...core.sources.presets import load_preset
-    from ...core.warmup import warm_up_if_needed
-
     chosen = load_preset(preset or default_preset(source))
     connections = Connections(foxglove, ros2, host, port, domain, namespace, settable)
     parameters = PresetParameters(chosen, check=_refuse_while_opening, settable=settable)
     with (
         Publisher(connections.make_sinks(parameters)) as publisher,  # a taken port is told before cameras start
-        open_with_progress(source, chosen.cameras) as opened,
+        open_for_preset(source, chosen) as opened,
     ):
         playing = opened if opened.length is None else LiveLoop(opened)
         tilt, poses = make_tilt(estimate, chosen, playing.rig), None
@@ -106,7 +103,6 @@ def serve(
             poses = _Poses(PoseTracker(read_mesh(mesh, unit), chosen, playing.rig), publisher)
         with CliProgress() as progress:
             warm_up_if_needed(progress.preparing, chosen)
-        warn(*check_rig(chosen, playing.rig))
         parameters.check = lambda changed: ContactPipeline(changed, playing.rig)
         with stop_on_signals() as stopped:
             for output in publisher.status():
@@ -115,7 +111,6 @@ def serve(
                 warn(connections.warning)
             count = _publish(playing, parameters, publisher, tilt, poses, frames, stopped)
         typer.echo(f"published {counted(count, 'frame')} of {playing.name}")
-        warn_of_lost_frames(playing, 0)
 
 
 def _refuse_while_opening(_: Preset) -> None:

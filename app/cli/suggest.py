@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shlex
+from collections.abc import Mapping
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,12 +14,15 @@ import typer
 from ...core.errors import AdviceError
 from .common import (
     CliProgress,
+    ForceOption,
     JsonOption,
     PresetOption,
     SourceOption,
     average_frames,
     default_preset,
     emit,
+    open_for_preset,
+    open_pipeline,
     open_with_progress,
     warn,
 )
@@ -27,8 +32,6 @@ if TYPE_CHECKING:
     from ...core.model.frames import SensorFrame
     from ...core.preset import Preset
     from ...core.sources import FrameSource
-    from ...core.tuning.advice.proposal import Finding, Proposal
-    from ...core.tuning.advice.suggest import AllProposals
 
 #: Exit status of ``check`` if there are findings.
 FOUND_STATUS = 1
@@ -66,14 +69,13 @@ def suggest(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="FILE", help="The preset file to write, with all suggestions.")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a file of --out that is already there.")] = False,
+    force: ForceOption = False,
 ) -> None:
     """Suggest values for a preset, with the evidence for each; later ones are computed with the earlier ones applied.
 
     The evidence is the present frame, the three before it, an untouched frame, and examples. Nothing is written without
     --out.
     """
-    from ...core.contact.checks import check_rig
     from ...core.sources.presets import load_preset
     from ...core.tuning.advice.proposal import Evidence, Example
     from ...core.tuning.advice.suggest import suggest_all
@@ -83,22 +85,22 @@ def suggest(
     if out is not None:
         check_target(out, preset, force=force)
     chosen = load_preset(origin)
-    with open_with_progress(source, chosen.cameras) as opened:
-        warn(*check_rig(chosen, opened.rig))
-        frames = recent_frames(opened, frame)
+    with open_for_preset(source, chosen) as opened:
+        frames = _recent_frames(opened, frame)
         free = _untouched(opened, chosen, origin, untouched)
-        if free is not None:
-            free.check_against(opened.rig)
         examples = tuple(Example.load(path) for path in example or ())
-        for each in examples:
-            each.frame.check_against(opened.rig)
+        for each in filter(None, [free, *(stored.frame for stored in examples)]):
+            each.check_against(opened.rig)
         evidence = Evidence(chosen, opened.rig, frames, free, examples)
     with CliProgress() as progress:
         warm_up_if_needed(progress.preparing)
         proposals = suggest_all(evidence, progress.preparing, section)
     if not proposals.parts:
         raise AdviceError("; ".join(proposals.refusals.values()))
-    _print(proposals)
+    for part in proposals.parts:
+        typer.echo(f"{part.section}: {part.label}{' (weak)' if part.weak else ''}")
+        typer.echo("\n".join([f"  {part.evidence}", f"  {part.expected}", *_as_options(part.changes)]))
+    warn(*proposals.refusals.values())
     if out is not None:
         save_changed(proposals.merged.apply(chosen), origin, out)
         typer.echo(f"wrote {out}")
@@ -115,38 +117,45 @@ def check(
 
     The same as Findings in the window. The stored untouched frame of the preset or the recording is used too.
     """
-    from ...core.contact.pipeline import ContactPipeline
     from ...core.rig.untouched import kept_untouched
     from ...core.sources.presets import load_preset
     from ...core.tuning.advice.findings import Examiner
 
     origin = preset or default_preset(source)
     chosen = load_preset(origin)
-    with open_with_progress(source, chosen.cameras) as opened:
-        pipeline = ContactPipeline(chosen, opened.rig)
-        warn(*pipeline.warnings)
-        frames = recent_frames(opened, frame)
+    with open_pipeline(source, chosen) as (opened, pipeline):
+        frames = _recent_frames(opened, frame)
         stored = kept_untouched(chosen, origin, opened)
         warn(*stored.warnings)
         patches = [pipeline.process(each) for each in frames]
         findings = Examiner(opened.rig).findings(frames[-1], patches[-1], chosen, stored.frame)
     target = [] if origin.endswith(".json") else ["--out", "measured.json"]
-    rig = ["tactune", "preset", "measure-rig", "--source", source, "--preset", origin, *target]
-    emit([_record(finding) for finding in findings], _in_words(findings, shlex.join(rig)), as_json)
+    measure_rig = shlex.join(["tactune", "preset", "measure-rig", "--source", source, "--preset", origin, *target])
+    lines, records = [], []
+    for finding in findings:
+        lines.append(f"{finding.field}: {finding.sentence}")
+        changes = {} if finding.proposal is None else dict(finding.proposal.changes)
+        if finding.proposal is not None:
+            lines += [f"  {finding.proposal.evidence}", *_as_options(changes)]
+        elif finding.action == "measure_noise":
+            lines.append(f"  measure the rig: {measure_rig}")
+        about = {"name": finding.name, "field": finding.field, "sentence": finding.sentence}
+        records.append({**about, "changes": changes})
+    emit(records, "\n".join(lines) or "no findings", as_json)
     if findings:
         raise typer.Exit(FOUND_STATUS)
 
 
-def recent_frames(source: FrameSource, last: int | None) -> tuple[SensorFrame, ...]:
+def _recent_frames(source: FrameSource, last: int | None) -> tuple[SensorFrame, ...]:
     """Return the frames up to the present one, which is the last."""
     if last is not None and source.length is not None and last >= source.length:
         raise AdviceError(f"{source.name}: there is no frame {last}; frames run from 0 to {source.length - 1}")
     first = 0 if last is None else max(last - _RECENT + 1, 0)
-    count = _RECENT if last is None else last - first + 1
+    end = _RECENT if last is None else last + 1
     if first > 0:
         source.seek(first)
-    frames = tuple(frame for _, frame in zip(range(count), source, strict=False))
-    if not frames or (last is not None and len(frames) < count):
+    frames = tuple(islice(source, end - first))
+    if not frames or (last is not None and len(frames) < end - first):
         raise AdviceError(f"{source.name}: there is no frame {last or 0}; choose another --frame or source")
     return frames
 
@@ -164,33 +173,6 @@ def _untouched(source: FrameSource, preset: Preset, origin: str, name: str | Non
     return found.frame
 
 
-def _print(proposals: AllProposals) -> None:
-    for part in proposals.parts:
-        typer.echo(f"{part.section}: {part.label}{' (weak)' if part.weak else ''}")
-        typer.echo("\n".join([f"  {part.evidence}", f"  {part.expected}", *_changes(part)]))
-    warn(*proposals.refusals.values())
-
-
-def _changes(proposal: Proposal) -> list[str]:
-    """Return the changes of a proposal as options, a line each."""
-    return [f"  --set {path}={json.dumps(value, separators=(',', ':'))}" for path, value in proposal.changes.items()]
-
-
-def _in_words(findings: tuple[Finding, ...], measure_rig: str) -> str:
-    lines = []
-    for finding in findings:
-        lines.append(f"{finding.field}: {finding.sentence}")
-        if finding.proposal is not None:
-            lines += [f"  {finding.proposal.evidence}", *_changes(finding.proposal)]
-        elif finding.action == "measure_noise":
-            lines.append(f"  measure the rig: {measure_rig}")
-    return "\n".join(lines) or "no findings"
-
-
-def _record(finding: Finding) -> dict[str, object]:
-    return {
-        "name": finding.name,
-        "field": finding.field,
-        "sentence": finding.sentence,
-        "changes": dict(finding.proposal.changes) if finding.proposal is not None else {},
-    }
+def _as_options(changes: Mapping[str, object]) -> list[str]:
+    """Return changed fields as options, a line each."""
+    return [f"  --set {path}={json.dumps(value, separators=(',', ':'))}" for path, value in changes.items()]

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from statistics import median
+from statistics import fmean, median
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -23,12 +25,12 @@ from .common import (
     default_preset,
     live_frames,
     number_of_frames,
-    open_with_progress,
+    open_pipeline,
     stop_on_signals,
+    tell_of_stop,
     warn,
-    warn_of_lost_frames,
 )
-from .run import MCAP_SUFFIX, tell_of_stop
+from .run import MCAP_SUFFIX
 
 if TYPE_CHECKING:
     from threading import Event
@@ -82,32 +84,25 @@ def track(
 
     Without --start the object is searched for in the first patch that is large enough.
     """
-    from ...core.contact.pipeline import ContactPipeline
     from ...core.estimation.pose import PoseTracker
     from ...core.estimation.pose_files import load_transform
     from ...core.sources.presets import load_preset
-    from ...core.warmup import warm_up_if_needed
 
     if out is None and not truth:
         raise typer.BadParameter("give --out FILE for the poses, or --truth for a comparison")
     if out is not None and out.suffix.lower() not in SUFFIXES:
         raise ExportError(f"{out} has the suffix {out.suffix!r}; choose one of {', '.join(SUFFIXES)}")
     chosen = load_preset(preset or default_preset(source))
-    with open_with_progress(source, chosen.cameras) as opened:
+    with open_pipeline(source, chosen) as (opened, pipeline):
         tracker = PoseTracker(_mesh(mesh, unit, opened), chosen, opened.rig)
         if start is not None:
             tracker.start(load_transform(start))
-        with CliProgress() as progress:
-            warm_up_if_needed(progress.preparing, chosen)
-        pipeline, lost_before = ContactPipeline(chosen, opened.rig), opened.health().dropped
         with stop_on_signals() as stopped, _output(out, opened, chosen) as save:
-            done, text = _track(opened, pipeline, tracker, frames, save, stopped, truth=truth)
-            if not done and stopped.is_set():
-                tell_of_stop(opened, 0, frames)
-        warn_of_lost_frames(opened, lost_before)
-        typer.echo(text)
-        if out is not None:
-            typer.echo(f"wrote {out}")
+            done, text = _track(opened, pipeline, tracker, frames, save, stopped, truth)
+        if done:
+            typer.echo(text)
+            if out is not None:
+                typer.echo(f"wrote {out}")
         if stopped.is_set():
             tell_of_stop(opened, done, frames)
 
@@ -155,10 +150,6 @@ def _output(out: Path | None, source: FrameSource, preset: Preset) -> Iterator[S
             yield lambda patch, pose, record: write_row(record)
 
 
-class _StoppedError(Exception):
-    """Ends a search after Ctrl+C."""
-
-
 def _track(
     source: FrameSource,
     pipeline: ContactPipeline,
@@ -166,7 +157,6 @@ def _track(
     frames: int | None,
     save: Save,
     stopped: Event,
-    *,
     truth: bool,
 ) -> tuple[int, str]:
     """Track the object in all frames, and return their number and what was found as text."""
@@ -174,22 +164,21 @@ def _track(
     from ...core.estimation.pose_files import pose_record
 
     name, total = tracker.mesh.name, number_of_frames(source, frames)
-    done = enough = lost = known = compared = 0
-    squared_mm = squared_deg = 0.0
-    times_ms: list[float] = []
+    count: Counter[str] = Counter()
+    times_ms, position_mm, angle_deg = [], [], []
     with CliProgress() as progress:
 
         def searching(share: float) -> None:
             progress.preparing(share, f"Searching for {name}")
             if stopped.is_set():
-                raise _StoppedError
+                raise CancelledError
 
         for frame in live_frames(source, total, stopped):
             patch = pipeline.process(frame)
             begun = time.perf_counter()
             touches = tracker.is_enough(patch)
             if touches and not tracker.started:
-                with suppress(_StoppedError):
+                with suppress(CancelledError):
                     tracker.find(patch, searching)  # refuses a wrong mesh
                 if stopped.is_set():
                     break
@@ -198,35 +187,27 @@ def _track(
             true = frame.truth.T_proximity_object if truth and frame.truth is not None else None
             error = None if true is None or pose.lost else pose_error(pose, true, tracker.mesh)
             save(patch, pose, pose_record(pose, error) | {"ms": round(ms, 2)})
-            done, enough, lost, known = (
-                done + 1,
-                enough + touches,
-                lost + (touches and pose.lost),
-                known + (not pose.lost),
-            )
+            count.update(frames=1, touches=touches, lost=touches and pose.lost, known=not pose.lost)
             if not pose.lost:
-                times_ms = [*times_ms[-999:], ms]
+                times_ms.append(ms)
             if error is not None:
-                compared += 1
-                squared_mm += (1e3 * error.position_m) ** 2
-                squared_deg += math.degrees(error.angle_rad) ** 2
-            progress.frames(done, total)
-    if not done and not stopped.is_set():
+                position_mm.append(1e3 * error.position_m)
+                angle_deg.append(math.degrees(error.angle_rad))
+            progress.frames(count["frames"], total)
+    if not count["frames"] and not stopped.is_set():
         raise SourceError(f"{source.name} gave no frames; check the source")
-    if lost > enough / 2:
+    if count["lost"] > count["touches"] / 2:
         warn(
-            f"{name} fits the contact in {enough - lost} of {counted(enough, 'frame')} only; check that it is the mesh "
-            "of this object, and its unit"
+            f"{name} fits the contact in {count['touches'] - count['lost']} of {counted(count['touches'], 'frame')} "
+            "only; check that it is the mesh of this object, and its unit"
         )
-    if truth and not compared:
+    if truth and not position_mm:
         warn(f"{source.name} knows no true pose, or the object was lost in every frame; the errors are empty")
-    lines = [f"{counted(done, 'frame')} of {source.name}, object {name}: pose known in {known}"]
+    lines = [f"{counted(count['frames'], 'frame')} of {source.name}, object {name}: pose known in {count['known']}"]
     if times_ms:
         lines.append(f"{median(times_ms):.1f} ms per frame, patch not included")
-    if compared:
-        rms_mm, rms_deg = (math.sqrt(total / compared) for total in (squared_mm, squared_deg))
-        lines.append(
-            f"error in determined directions: {rms_mm:.2f} mm and {rms_deg:.2f} degrees RMS over "
-            f"{counted(compared, 'frame')}"
-        )
-    return done, "\n".join(lines)
+    if position_mm:
+        rms_mm, rms_deg = (math.sqrt(fmean(each**2 for each in errors)) for errors in (position_mm, angle_deg))
+        over = counted(len(position_mm), "frame")
+        lines.append(f"error in determined directions: {rms_mm:.2f} mm and {rms_deg:.2f} degrees RMS over {over}")
+    return count["frames"], "\n".join(lines)

@@ -9,12 +9,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from rich.box import SIMPLE
-from rich.console import Console
-from rich.table import Table
 
 from ...core.errors import ExportError, TactuneError, counted
-from .common import CliProgress, default_preset, stop_on_signals, warn
+from .common import (
+    INTERRUPTED_STATUS,
+    CliProgress,
+    default_preset,
+    stop_on_signals,
+    table_text,
+    warn,
+)
 
 if TYPE_CHECKING:
     from ...core.sources import FrameSource
@@ -100,7 +104,7 @@ def tune(
     base, base_file = load_preset(name), Path(name) if Path(name).is_file() else None
     kept = study or (out.with_name(f"{out.stem}.study.log") if out else Path("tune.study.log"))
     if out is not None:
-        _check_out(out, kept, base_file)
+        _check_out(out, base_file)
     if scheduler and jobs:
         raise TactuneError("--jobs is for processes on this computer; remove it or --scheduler")
     with CliProgress(quiet=as_json) as progress:
@@ -139,17 +143,13 @@ def tune(
         typer.echo(f"wrote {out}: trial {front[0].number}", err=True)
 
 
-def _check_out(path: Path, study: Path, base_file: Path | None) -> None:
+def _check_out(path: Path, base_file: Path | None) -> None:
     """Refuse an --out that cannot be written, or would overwrite anything but an earlier search's preset."""
     from ...core.model.files import check_writable
     from ...core.tuning.study import FOUND_BY
 
-    if path.resolve() == study.resolve():
-        raise ExportError(f"--out and --study are both {path}; name two files")
     if base_file is not None and path.resolve() == base_file.resolve():
         raise ExportError(f"--out would replace {path}, the preset that the search starts from; name another file")
-    if path.exists() and not path.is_file():
-        raise ExportError(f"--out is {path}, which is not a file; name a .json file")
     if path.exists() and FOUND_BY not in path.read_text("utf-8", errors="replace"):
         raise ExportError(f"{path} already exists and was not written by a search; choose another --out or remove it")
     check_writable(path)
@@ -184,7 +184,7 @@ def _search(study: Study, workers: Workers, progress: CliProgress, as_json: bool
             f"{len(study.results()[0])} of {counted(plan.trials, 'trial')} are kept in {study.path}; "
             "the same command continues from there"
         )
-        raise typer.Exit(130)
+        raise typer.Exit(INTERRUPTED_STATUS)
 
 
 def _say(document: dict[str, Any]) -> None:
@@ -193,29 +193,19 @@ def _say(document: dict[str, Any]) -> None:
 
 def _print_front(plan: Plan, found: Sequence[Trial], front: Sequence[Trial]) -> None:
     """Print the trials that no other beats, and the present preset."""
-    from ...core.tuning.plan import OBJECTIVES
-
-    table = Table(title=f"Not beaten by any of {counted(len(found), 'trial')}", box=SIMPLE, title_justify="left")
-    table.add_column("trial", justify="right", no_wrap=True)
-    for name in plan.objectives:
-        unit = OBJECTIVES[name].unit
-        table.add_column(name if unit in ("", name) else f"{name} ({unit})", justify="right", no_wrap=True)
-    for axis in plan.axes:
-        table.add_column(axis.path, justify="right", no_wrap=True)
-    present = [trial for trial in found if trial.present and not trial.failure]
-    for trial in [*front, *(trial for trial in present if trial not in front)]:
-        table.add_row(
-            f"{trial.number}{' (present)' if trial.present else ''}",
-            *(f"{trial.figures[name]:.4g}" for name in plan.objectives),
-            *(json.dumps(trial.values[axis.path]).strip('"') for axis in plan.axes),
-        )
-    console = Console(highlight=False, width=1000)
-    console.print(table)
+    typer.echo(f"Not beaten by any of {counted(len(found), 'trial')}:")
+    present = [trial for trial in found if trial.present and not trial.failure and trial not in front]
+    rows = []
+    for trial in [*front, *present]:
+        number = f"{trial.number}{' (present)' if trial.present else ''}"
+        figures = {name: trial.figures[name] for name in plan.objectives}
+        rows.append({"trial": number, **figures, **{axis.path: trial.values[axis.path] for axis in plan.axes}})
+    typer.echo(table_text(rows))
     for axis in plan.axes:
         best, given = front[0].values[axis.path], axis.values or (axis.low, axis.high)
         numbers = sorted(value for value in given if type(value) in (int, float))
         if len(numbers) > 1 and best in (numbers[0], numbers[-1]):
             end = "smallest" if best == numbers[0] else "largest"
-            console.print(f"The best {axis.path}, {best:g}, is the {end} one that was allowed.")
+            typer.echo(f"The best {axis.path}, {best:g}, is the {end} one that was allowed.")
     if failed := [trial for trial in found if trial.failure]:
         warn(f"{counted(len(failed), 'trial')} failed, such as: {failed[0].failure}")

@@ -20,17 +20,13 @@ OPENED: Final = "As opened"
 
 @dataclass(frozen=True)
 class Side:
-    """One of two compared presets and its name on the screen, such as ``"Saved"``.
-
-    A side named `PRESENT` follows the edits of the document; any other keeps its preset.
-    """
+    """One of two compared presets and its name on the screen; one named `PRESENT` follows the edits."""
 
     name: str
     preset: Preset
 
     @property
     def follows(self) -> bool:
-        """Whether it is the document's preset."""
         return self.name == PRESENT
 
 
@@ -49,23 +45,15 @@ def differing_fields(a: Preset, b: Preset) -> tuple[str, ...]:
 
 
 def take_over(document: Document, side: Side) -> bool:
-    """Set every value of the document's preset to that of a side, as one undoable step.
-
-    Name, notes, rig and untouched frame stay. Return whether the preset allows it; see `Document.edit_many`.
-    """
+    """Set every value but `_OWN` to that of a side, as one undoable step; return whether the preset allows it."""
     paths = [path for path in differing_fields(document.preset, side.preset) if path not in _OWN]
     return not paths or document.edit_many({path: side.preset.value(path) for path in paths}, title=f"Use {side.name}")
 
 
 class Comparison(QObject):
-    """The two presets that are compared; whoever offers a comparison calls `show`, the views listen.
+    """The two presets that are compared; the views listen."""
 
-    Signals
-    -------
-    changed(sides: tuple of Side or None)
-    """
-
-    changed = pyqtSignal(object)
+    changed = pyqtSignal(object)  # tuple of Side, or None
 
     def __init__(self, document: Document, parent: QObject | None = None) -> None:
         super().__init__(parent)
@@ -76,7 +64,6 @@ class Comparison(QObject):
 
     @property
     def present(self) -> Side:
-        """The document's preset."""
         return Side(PRESENT, self._document.preset)
 
     @property
@@ -90,7 +77,7 @@ class Comparison(QObject):
         return self._sides
 
     def show(self, a: Side, b: Side) -> None:
-        """Compare two presets; replaces an earlier comparison."""
+        """Compare two presets in place of others."""
         self._set((a, b))
 
     def end(self) -> None:

@@ -21,28 +21,13 @@ from .untouched_store import UntouchedStore
 
 
 class Document(QObject):
-    """Everything that a person can change and save.
+    """Everything that a person can change and save: views listen to it and send edits."""
 
-    Views listen to it and send edits. The preset is immutable, so the worker or an undo step can hold one.
-
-    Signals
-    -------
-    presetChanged(Preset)
-    fileChanged()
-        The path or the unsaved mark changed.
-    baselineChanged(Preset)
-        The preset that "reset" returns to has changed: the one saved in the file.
-    refused(path: str, sentence: str)
-        The preset does not allow an edit; nothing changed.
-    warned(sentence: str)
-        The preset was saved, but not its untouched frame; or it was opened, and a field of it is gone.
-    """
-
-    presetChanged = pyqtSignal(object)
-    fileChanged = pyqtSignal()
-    baselineChanged = pyqtSignal(object)
-    refused = pyqtSignal(str, str)
-    warned = pyqtSignal(str)
+    presetChanged = pyqtSignal(object)  # Preset
+    fileChanged = pyqtSignal()  # the path or the unsaved mark
+    baselineChanged = pyqtSignal(object)  # Preset that "reset" returns to
+    refused = pyqtSignal(str, str)  # path and sentence: the preset does not allow an edit
+    warned = pyqtSignal(str)  # saved without the untouched frame, or opened with a field that is gone
 
     def __init__(self, preset: Preset | None = None, parent: QObject | None = None) -> None:
         super().__init__(parent)
@@ -53,12 +38,11 @@ class Document(QObject):
         self.untouched_store: UntouchedStore | None = None
         self.undo_stack = self._history.undo_stack
         self.undo_stack.setUndoLimit(1000)
-        self.undo_stack.cleanChanged.connect(self._clean_changed)
+        self.undo_stack.cleanChanged.connect(self._clean_changed)  # a lambda would outlive this object
         self._history.changed.connect(self.presetChanged)
 
     @property
     def preset(self) -> Preset:
-        """The current preset."""
         return self._history.state
 
     @property
@@ -72,7 +56,6 @@ class Document(QObject):
         return self._baseline
 
     def history(self) -> list[tuple[str, Preset]]:
-        """Return the preset after every step of the undo history; see `History.states`."""
         return self._history.states()
 
     @property
@@ -84,7 +67,6 @@ class Document(QObject):
 
     @property
     def dirty(self) -> bool:
-        """Whether there are unsaved changes."""
         return not self.undo_stack.isClean()
 
     @property
@@ -100,7 +82,6 @@ class Document(QObject):
         return self.edit_many({path: value}, gesture)
 
     def apply(self, proposal: Proposal) -> bool:
-        """Make the changes of a proposal as one undoable step; see `edit`."""
         return self.edit_many(dict(proposal.changes), title=proposal.label)
 
     def edit_many(self, values: dict[str, Any], gesture: int = 0, title: str = "") -> bool:
@@ -115,11 +96,9 @@ class Document(QObject):
         return True
 
     def new(self, preset: Preset) -> None:
-        """Start with a preset that has no file yet."""
         self._replace(preset, None)
 
     def open(self, path: Path) -> None:
-        """Read a preset file."""
         preset, note = load_preset_and_note(path)
         self._replace(preset, path)
         if note:

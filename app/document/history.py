@@ -24,20 +24,16 @@ class StateStep(QUndoCommand):
 
     @property
     def after(self) -> Any:
-        """The state that the step leads to."""
         return self._after
 
     @property
     def before(self) -> Any:
-        """The state that the step starts from."""
         return self._before
 
     def redo(self) -> None:
-        """Show the state after."""
         self._show(self._after)
 
     def undo(self) -> None:
-        """Show the state before."""
         self._show(self._before)
 
     def id(self) -> int:
@@ -55,16 +51,9 @@ class StateStep(QUndoCommand):
 
 
 class History(QObject, Generic[T]):
-    """A present state and the undo stack of every edit made to it.
+    """A present state, immutable, and the undo stack of every edit made to it."""
 
-    The state is immutable, so whoever holds one (a worker, an undo step) holds a consistent whole.
-
-    Signals
-    -------
-    changed(state: object)
-    """
-
-    changed = pyqtSignal(object)
+    changed = pyqtSignal(object)  # the state
 
     def __init__(self, state: T, parent: QObject | None = None) -> None:
         super().__init__(parent)
@@ -73,7 +62,6 @@ class History(QObject, Generic[T]):
 
     @property
     def state(self) -> T:
-        """The present state."""
         return self._state
 
     def edit(self, text: str, after: T, gesture: int = 0, target: Hashable = None) -> None:

@@ -38,18 +38,12 @@ class _AbstractQObject(type(QObject), ABCMeta):  # type: ignore[misc]
 
 
 class KeptState(QObject, Generic[T], metaclass=_AbstractQObject):
-    """Keeps a file up to date with a state that changes.
+    """Keeps a file up to date with a state that changes: ``delay_ms`` after a change, in order, on a thread of its own.
 
-    Writing starts ``delay_ms`` after the first change. It happens on a thread of its own and in order, so a slow disk
-    never stalls the window. A subclass says what the state is (`present`) and how it is written (`write`).
-
-    Signals
-    -------
-    failed(sentence: str)
-        The state cannot be written, which is reported once, or a saved state cannot be read.
+    A subclass says what the state is (`present`) and how it is written (`write`).
     """
 
-    failed = pyqtSignal(str)
+    failed = pyqtSignal(str)  # the state cannot be written, which is told once, or a saved one cannot be read
     #: Advice at the end of the sentence that writing failed.
     advice = ""
 
@@ -112,10 +106,7 @@ class KeptState(QObject, Generic[T], metaclass=_AbstractQObject):
         self._disk.shutdown(wait=True)
 
     def read(self, file: Path, parse: Callable[[dict[str, Any]], T]) -> tuple[T, datetime] | None:
-        """Return the state that `write_json` saved, and when; None without a file. A damaged file is renamed.
-
-        ``parse`` returns the state in the file's content, or raises one of `DAMAGE`.
-        """
+        """Return the state that `write_json` saved, and when; None without a file. A damaged file is renamed."""
         try:
             content = read_json(file)
             kept_at = datetime.fromisoformat(content["kept"])

@@ -1,7 +1,6 @@
-"""Crash recovery: an unsaved preset is kept on disk and offered at the next start.
+"""Crash recovery: each window keeps its unsaved preset in a file, and a lock beside it while it runs.
 
-Each window keeps one file. A lock beside it tells a window that is still running from one that has died; only the
-files of dead windows are offered.
+Files of windows that have died are offered at the next start.
 """
 
 from __future__ import annotations

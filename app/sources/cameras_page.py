@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from PyQt6.QtCore import Qt
+from typing import Any
+
+from PyQt6.QtCore import QSignalBlocker, Qt
 from PyQt6.QtWidgets import QComboBox, QFormLayout, QHeaderView, QTreeWidget, QTreeWidgetItem
 
 from ...core.errors import as_sentence
 from ...core.preset import CamerasSection
 from ...widgets.basics.controls import caption, push_button
 from ...widgets.basics.layouts import vbox
+from ..worker.jobs import Job
+from .list_devices import ask_driver
 from .pages import SourcePage
-from .search import CameraSearch, FoundCamera
 
 CAMERAS = "cameras:"
 #: How names of sources begin that hold devices of their own.
@@ -32,12 +35,11 @@ class CamerasPage(SourcePage):
 
     title = "Cameras"
 
-    def __init__(self, cameras: CamerasSection, search: CameraSearch) -> None:
+    def __init__(self, cameras: CamerasSection) -> None:
         super().__init__()
-        self._search = search
-        search.setParent(self)
-        self._remembered = (cameras.proximity.serial, cameras.tactile.serial)
-        self._found: list[FoundCamera] = []
+        self._search = Job(self)
+        self._remembered = cameras.proximity.serial, cameras.tactile.serial
+        self._found: list[dict[str, Any]] = []
         self._hint = ""
         self._has_searched = False
         self.list = QTreeWidget()
@@ -45,8 +47,7 @@ class CamerasPage(SourcePage):
         self.list.setRootIsDecorated(False)
         self.list.setAccessibleName("Connected cameras")
         self.list.setToolTip("The cameras that are connected now")
-        header = self.list.header()
-        if header is not None:
+        if (header := self.list.header()) is not None:
             header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         self.proximity = _combo(
             "Proximity camera", "Looks through the membrane at the object: the L515 (infrared, time of flight)"
@@ -63,8 +64,8 @@ class CamerasPage(SourcePage):
         self.proximity.currentIndexChanged.connect(self._check)
         self.tactile.currentIndexChanged.connect(self._check)
         self.list.itemActivated.connect(lambda _: self.activated.emit())
-        search.found.connect(self._show_found)
-        search.failed.connect(self._show_failure)
+        self._search.done.connect(self._show_answer)
+        self._search.failed.connect(self._show_failure)
 
     @property
     def serials(self) -> tuple[str, str] | None:
@@ -80,11 +81,10 @@ class CamerasPage(SourcePage):
         serials = name.partition(":")[2].split(",")
         if len(serials) == 2:
             self._remembered = (serials[0].strip(), serials[1].strip())
-            for combo, serial in zip((self.proximity, self.tactile), serials, strict=True):
-                if (index := combo.findData(serial.strip())) >= 0:
-                    combo.blockSignals(True)
-                    combo.setCurrentIndex(index)
-                    combo.blockSignals(False)
+            for combo, serial in zip((self.proximity, self.tactile), self._remembered, strict=True):
+                if (index := combo.findData(serial)) >= 0:
+                    with QSignalBlocker(combo):
+                        combo.setCurrentIndex(index)
         return True
 
     def come_up(self) -> None:
@@ -93,47 +93,49 @@ class CamerasPage(SourcePage):
             self._look()
 
     def stop(self) -> None:
-        """End the search, also one that hangs."""
+        """End the search; one that hangs is abandoned."""
         self._search.stop()
 
     def _look(self) -> None:
         self._has_searched = True
         self.refresh.setEnabled(False)
         self._choose("", _SEARCHING)
-        self._search.start()
+        self._search.start(lambda _: ask_driver())
 
-    def _show_found(self, cameras: list[FoundCamera], hint: str = "") -> None:
-        self._found = [camera for camera in cameras if camera.serial]
-        self._hint = hint if not any(camera.role == "proximity" for camera in cameras) else ""
+    def _show_answer(self, answer: dict[str, Any]) -> None:
+        cameras = answer["devices"]
+        self._found = [camera for camera in cameras if camera["serial"]]
+        self._hint = ""
+        if not any(camera.get("role") == "proximity" for camera in cameras):
+            self._hint = "; ".join(filter(None, [answer.get("hint", ""), *answer.get("problems", [])]))
         self.refresh.setEnabled(True)
         self.list.clear()
         for camera in cameras:
-            usb = f"USB {camera.usb}" if camera.usb and not camera.usb.upper().startswith("USB") else camera.usb
-            item = QTreeWidgetItem([camera.model, camera.serial, camera.firmware, usb, camera.problem])
-            item.setToolTip(_PROBLEM_COLUMN, camera.problem)
+            usb = f"USB {camera['usb']}" if camera.get("usb") else ""
+            problem = camera.get("problem", "")
+            item = QTreeWidgetItem([camera["model"], camera["serial"], camera.get("firmware", ""), usb, problem])
+            item.setToolTip(_PROBLEM_COLUMN, problem)
             self.list.addTopLevelItem(item)
-        for combo, remembered, through in (
-            (self.proximity, self._remembered[0], True),
-            (self.tactile, self._remembered[1], False),
+        for combo, remembered, through in zip(
+            (self.proximity, self.tactile), self._remembered, (True, False), strict=True
         ):
-            self._fill(combo, remembered, through)
+            with QSignalBlocker(combo):
+                self._fill(combo, remembered, through)
         self._check()
 
     def _fill(self, combo: QComboBox, remembered: str, through: bool) -> None:
         """Offer all cameras. Select the one chosen before, else one of a suitable kind."""
-        blocked = combo.blockSignals(True)
         combo.clear()
         combo.addItem(_ANY, "")
         for camera in self._found:
-            combo.addItem(f"{camera.model} (serial {camera.serial})", camera.serial)
-        fitting = next((camera.serial for camera in self._found if (camera.role == "proximity") == through), "")
+            combo.addItem(f"{camera['model']} (serial {camera['serial']})", camera["serial"])
+        fitting = [camera["serial"] for camera in self._found if (camera.get("role") == "proximity") == through]
         known = combo.findData(remembered) if remembered else -1
-        combo.setCurrentIndex(known if known >= 0 else combo.findData(fitting))
-        combo.blockSignals(blocked)
+        combo.setCurrentIndex(known if known >= 0 else combo.findData(next(iter(fitting), "")))
 
     def _show_failure(self, sentence: str) -> None:
-        self._show_found([])
-        self._choose("", sentence)
+        self._show_answer({"devices": []})
+        self._choose("", as_sentence(sentence))
 
     def _check(self) -> None:
         """Say what is wrong with the choice; only a valid one has a name."""

@@ -1,19 +1,158 @@
-"""Opens the dialog *Open…* and answers it."""
+"""The dialog *Open…*: pages for each kind of source above the name of the chosen one."""
 
 from __future__ import annotations
 
-from PyQt6.QtCore import QObject
+from collections.abc import Sequence
 
+from PyQt6.QtCore import QObject, QSignalBlocker, pyqtSignal
+from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QLineEdit, QListWidget, QPushButton, QStackedWidget, QWidget
+
+from ...core.errors import SourceError
+from ...widgets.basics.controls import NoteLabel, ProgressBar, caption, dialog_buttons
+from ...widgets.basics.layouts import hbox, vbox
 from ..context import Context
 from .cameras_page import CamerasPage
-from .open_dialog import OpenDialog
-from .pages import FilesPage, RecentPage
-from .search import CameraSearch
+from .pages import FilesPage, RecentPage, SourcePage
 from .simulator_page import SimulatorPage
+
+_SIZE = (820, 560)
+
+
+class OpenDialog(QDialog):
+    """Asks for a source. A page and the name always show the same choice, whichever was edited last.
+
+    It stays open until the source is, and shows progress and errors: call `show_progress`, `show_failure` or `accept`.
+    """
+
+    requested = pyqtSignal(str)  # name of the source to open
+
+    def __init__(self, pages: Sequence[SourcePage], parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Open")
+        self.pages = pages
+        self.list = QListWidget()
+        self.list.addItems([page.title for page in pages])
+        self.list.setAccessibleName("Kinds of sources")
+        self.list.setToolTip("Where the frames come from")
+        self.list.setFixedWidth(150)
+        self.list.setSpacing(4)
+        self._stack = QStackedWidget()
+        for page in pages:
+            self._stack.addWidget(page)
+            page.changed.connect(self._page_changed)
+            page.activated.connect(self._open)
+        self.name = QLineEdit()
+        self.name.setAccessibleName("Name of the source")
+        self.name.setToolTip("Name of the source, as “tactune run --source” takes it, or a path")
+        self.name.setPlaceholderText("sim:cup?press=low, or a path")
+        self.name.setClearButtonEnabled(True)
+        self.note = NoteLabel(lines=2)
+        self.progress = ProgressBar("Opening…")
+        self.progress.setAccessibleName("Progress of opening")
+        self.buttons = dialog_buttons(QDialogButtonBox.StandardButton.Open | QDialogButtonBox.StandardButton.Cancel)
+        vbox(
+            (hbox(self.list, (self._stack, 1)), 1),
+            hbox(caption("&Name", self.name), (self.name, 1)),
+            self.note,
+            self.progress,
+            self.buttons,
+            within=self,
+        )
+        self.progress.hide()
+        self._button = self.buttons.button(QDialogButtonBox.StandardButton.Open) or QPushButton()
+        self._button.setDefault(True)
+        self._button.setEnabled(False)
+        self.resize(*_SIZE)
+        self.list.currentRowChanged.connect(self._page_chosen)
+        self.name.textEdited.connect(self._typed)
+        self.name.textChanged.connect(lambda text: self._button.setEnabled(bool(text.strip())))
+        self.buttons.accepted.connect(self._open)
+        self.buttons.rejected.connect(self.reject)
+        for page in pages:
+            self.finished.connect(page.stop)
+
+    @property
+    def page(self) -> SourcePage:
+        """The page that is shown."""
+        return self.pages[self._stack.currentIndex()]
+
+    def start_with(self, name: str) -> None:
+        """Show a name and its page, the last one if no other knows it."""
+        self.name.setText(name)
+        if self._typed(name):
+            self.page.come_up()
+        else:
+            self._switch_to(self.pages[-1])
+        self.list.setFocus()
+
+    def start_on(self, page: SourcePage) -> None:
+        """Show a page and its choice."""
+        self.list.setCurrentRow(self.pages.index(page))
+        self.list.setFocus()
+
+    def show_progress(self, share: float, words: str) -> None:
+        """Show how far the source is opened."""
+        self.progress.setRange(0, 100 if share > 0 else 0)
+        self.progress.show_share(share, words or "Opening…")
+
+    def show_failure(self, sentence: str) -> None:
+        """Say why the source was not opened."""
+        self._set_busy(False)
+        self.note.say(sentence, error=True)
+        self.name.setFocus()
+
+    def _page_chosen(self, row: int) -> None:
+        self._stack.setCurrentIndex(row)
+        self.page.come_up()
+        self._show_choice()
+
+    def _page_changed(self) -> None:
+        if self.sender() is self.page:
+            self._show_choice()
+
+    def _show_choice(self) -> None:
+        """Show the name and the note of the page."""
+        self.name.setText(self.page.name)
+        self.note.say(self.page.note)
+
+    def _typed(self, text: str) -> bool:
+        """Move the page to a typed name; return whether one knows it."""
+        self.note.say("")
+        for page in self.pages:
+            try:
+                with QSignalBlocker(page):
+                    known = page.show_name(text.strip())
+            except SourceError as error:
+                self.note.say(str(error), error=True)
+                known = True
+            if known:
+                self._switch_to(page)
+                return True
+        return False
+
+    def _switch_to(self, page: SourcePage) -> None:
+        """Show a page, and leave the name as it is."""
+        row = self.pages.index(page)
+        self._stack.setCurrentIndex(row)
+        with QSignalBlocker(self.list):
+            self.list.setCurrentRow(row)
+
+    def _open(self) -> None:
+        name = self.name.text().strip()
+        if name and not self.progress.isVisible():
+            self.note.say("")
+            self._set_busy(True)
+            self.show_progress(0.0, "")
+            self.requested.emit(name)
+
+    def _set_busy(self, busy: bool) -> None:
+        self.progress.setVisible(busy)
+        for widget in (self.list, self._stack, self.name, self._button):
+            widget.setEnabled(not busy)
 
 
 class OpenControl(QObject):
-    """Opens at most one dialog."""
+    """Opens at most one dialog, and answers it."""
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -49,7 +188,7 @@ class OpenControl(QObject):
 
     def _make_dialog(self) -> OpenDialog:
         context = self._context
-        self._cameras = CamerasPage(context.document.preset.cameras, CameraSearch(self))
+        self._cameras = CamerasPage(context.document.preset.cameras)
         pages = [self._cameras, RecentPage(context.settings), SimulatorPage(), FilesPage(context.dialogs)]
         self.dialog = OpenDialog(pages, context.window)
         self.dialog.requested.connect(self._request)

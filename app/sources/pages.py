@@ -23,27 +23,14 @@ _SIMULATOR = "sim:cup"
 
 
 class SourcePage(QWidget):
-    """Base of the pages: each offers sources of one kind and knows the name of the chosen one.
+    """Base of the pages: each offers sources of one kind.
 
-    Attributes
-    ----------
-    title : str
-        In the list of pages.
-    name : str
-        Name of the chosen source, as `open_source` takes it; empty if none is chosen.
-    note : str
-        A sentence about the choice; empty if there is nothing to say.
-
-    Signals
-    -------
-    changed()
-        The name or the note has changed.
-    activated()
-        The choice was double-clicked, or Enter was pressed on it: open it.
+    ``name`` is that of the chosen source, as `open_source` takes it, empty if none is chosen; ``note`` a sentence about
+    the choice, or empty.
     """
 
-    changed = pyqtSignal()
-    activated = pyqtSignal()
+    changed = pyqtSignal()  # name or note
+    activated = pyqtSignal()  # open the choice
     title = ""
 
     def __init__(self) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import QSignalBlocker
-from PyQt6.QtGui import QStandardItemModel
 from PyQt6.QtWidgets import QComboBox, QDoubleSpinBox, QFormLayout
 
 from ...core.errors import SourceError
@@ -89,10 +88,7 @@ class SimulatorPage(SourcePage):
             with QSignalBlocker(editor):
                 if isinstance(editor, QComboBox):
                     editor.setCurrentIndex(editor.findData(value))
-                    others = [choice for choice in field.choices if choice != value]
-                    accepted = {choice for choice in others if self._goes(field.key, choice)}
-                    _enable_items(editor, {value, *accepted})
-                    editor.setEnabled(bool(accepted))
+                    editor.setEnabled(any(self._goes(field.key, other) for other in field.choices if other != value))
                 else:
                     editor.setValue(float(value))
                     editor.setEnabled(self._goes(field.key, f"{field.maximum:.10g}"))
@@ -100,12 +96,3 @@ class SimulatorPage(SourcePage):
     def _goes(self, key: str, value: str) -> bool:
         """Return whether a value can be chosen; a scene always can, since other fields follow it."""
         return key == "scene" or is_accepted(self.values | {key: value})
-
-
-def _enable_items(combo: QComboBox, values: set[str]) -> None:
-    model = combo.model()
-    assert isinstance(model, QStandardItemModel)
-    for row in range(combo.count()):
-        item = model.item(row)
-        assert item is not None
-        item.setEnabled(combo.itemData(row) in values)

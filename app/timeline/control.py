@@ -8,6 +8,7 @@ from collections import deque
 import numpy as np
 from PyQt6.QtCore import QObject, QTimer, pyqtSignal
 
+from ...core.output.markers import Marks
 from ...core.preset import Preset
 from ...core.sources.registry import opens_by_name
 from ...widgets.basics.messages import Severity
@@ -29,15 +30,9 @@ _WITHOUT_EFFECT = {"name", "notes", "created", "modified", "cameras", "untouched
 
 
 class Timeline(QObject):
-    """Fills the time strip, and keeps the marks of the open source.
+    """Fills the time strip, and keeps the marks of the open source."""
 
-    Signals
-    -------
-    availableChanged(bool)
-        Whether the source has frames to mark.
-    """
-
-    availableChanged = pyqtSignal(bool)
+    availableChanged = pyqtSignal(bool)  # whether the source has frames to mark
 
     def __init__(self, context: Context, strip: TimeStrip) -> None:
         super().__init__(context)
@@ -68,8 +63,8 @@ class Timeline(QObject):
         context.document.presetChanged.connect(self._preset_changed)
         context.trimChanged.connect(lambda: worker.set_trim(context.trim))
         self.job.found.connect(self._found)
-        self.job.ended.connect(self._ended)
-        self.keeper.changed.connect(lambda _: self._show_marks())
+        self.job.ended.connect(strip.set_words)
+        self.keeper.changed.connect(self._show_marks)
         self.keeper.failed.connect(
             lambda sentence: context.messages.show_message("markers", Severity.WARNING, sentence, subject=SOURCE)
         )
@@ -91,19 +86,15 @@ class Timeline(QObject):
     def close(self) -> None:
         """Stop computing, and wait until the last marker is written."""
         self.job.stop()
-        for timer in (self._rest, self._scroll):
-            timer.stop()
+        self._rest.stop()
+        self._scroll.stop()
         self.keeper.close()
 
-    # Marks
-
     def mark_in(self) -> None:
-        """Set the in mark at the frame on the screen."""
         if (index := self._index()) is not None:
             self.keeper.set_in(index)
 
     def mark_out(self) -> None:
-        """Set the out mark at the frame on the screen."""
         if (index := self._index()) is not None:
             self.keeper.set_out(index)
 
@@ -125,14 +116,12 @@ class Timeline(QObject):
         result = self._context.result
         return result.playback.index if result is not None and self._several(result.source) else None
 
-    def _show_marks(self) -> None:
-        self._strip.set_markers([(marker.frame, marker.name) for marker in self.keeper.marks.markers])
+    def _show_marks(self, marks: Marks) -> None:
+        self._strip.set_markers([(marker.frame, marker.name) for marker in marks.markers])
         self._strip.set_trim(self.keeper.trim)
         if self._context.trim != self.keeper.trim:
             self._context.trim = self.keeper.trim
             self._context.trimChanged.emit()
-
-    # Sources and presets
 
     @staticmethod
     def _several(info: SourceInfo) -> bool:
@@ -182,7 +171,7 @@ class Timeline(QObject):
             self._show_series()
         if series.complete:
             self._rest.stop()
-            self._ended("")
+            self._strip.set_words("")
         elif self._shown:
             self._rest.start()
 
@@ -206,8 +195,6 @@ class Timeline(QObject):
         known = frozenset(np.flatnonzero(self._series.computed).tolist())
         self.job.start(self._info.name, len(self._series), preset, known)
 
-    # Values
-
     def _found(self, values: list[FrameValues]) -> None:
         if self._series is None:
             return
@@ -216,15 +203,10 @@ class Timeline(QObject):
         self._strip.set_words(f"Computing {self._series.computed.mean():.0%}")
         self._show_series()
 
-    def _ended(self, problem: str) -> None:
-        self._strip.set_words(problem)
-
     def _show_series(self) -> None:
-        series, former = self._series, self._former
-        if series is None:
-            return
-        older = former.values if former is not None and former is not series and not series.complete else None
-        self._strip.set_series(series.seconds(), series.values, series.computed, older)
+        if (series := self._series) is not None:
+            older = None if self._former is None or series.complete else self._former.values
+            self._strip.set_series(series.seconds(), series.values, series.computed, older)
 
     def _frame_shown(self) -> None:
         result = self._context.result

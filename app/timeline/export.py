@@ -26,7 +26,7 @@ _Export = Callable[[FrameSource, range, Progress], str]
 
 
 class FrameExport(QObject):
-    """Exports frames of the open recording, read from the file a second time, on a thread of its own."""
+    """Exports frames of the open recording, read from the file a second time, on a thread."""
 
     def __init__(self, context: Context, bar: ProgressCard) -> None:
         super().__init__(context)
@@ -37,7 +37,14 @@ class FrameExport(QObject):
         self._job.done.connect(
             lambda sentence: context.messages.show_message("export", Severity.INFO, sentence, subject=TASK)
         )
-        self._job.failed.connect(self._failed)
+        self._job.failed.connect(
+            lambda sentence: context.messages.show_message(
+                "export",
+                Severity.ERROR if sentence else Severity.INFO,
+                sentence or "The export was cancelled.",
+                subject=TASK,
+            )
+        )
         bar.cancel.clicked.connect(self._job.cancel)
 
     def ask_recording(self) -> None:
@@ -48,11 +55,14 @@ class FrameExport(QObject):
             count = export_mcap(source, path, len(frames), preset=preset, untouched=untouched, progress=progress)
             return f"{_counted(count, frames)} written to {path}."
 
-        def chosen(path: Path) -> None:
-            self._start(partial(write, path))
-
         if self._frames() is not None:
-            self._context.dialogs.save_file("export", "Export recording", "part.mcap", ["Recording (*.mcap)"], chosen)
+            self._context.dialogs.save_file(
+                "export",
+                "Export recording",
+                "part.mcap",
+                ["Recording (*.mcap)"],
+                lambda path: self._start(partial(write, path)),
+            )
 
     def ask_patches(self) -> None:
         """Ask for a folder, and export the patch of each frame as a PLY file."""
@@ -88,14 +98,6 @@ class FrameExport(QObject):
 
         self._context.messages.clear_subject(TASK)
         self._job.start(work)
-
-    def _failed(self, sentence: str) -> None:
-        self._context.messages.show_message(
-            "export",
-            Severity.ERROR if sentence else Severity.INFO,
-            sentence or "The export was cancelled.",
-            subject=TASK,
-        )
 
 
 def _write_patches(source: FrameSource, frames: range, preset: Preset, folder: Path, progress: Progress) -> str:

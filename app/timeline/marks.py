@@ -18,15 +18,9 @@ class MarksKeeper(KeptState[Marks]):
 
     A recording has them in a file beside it, or inside its folder. Where that cannot be written, and for sources that
     are no files, such as the simulator, they are kept in a folder of the user's data by the source's name.
-
-    Signals
-    -------
-    changed(Marks)
-    failed(sentence: str)
-        Marks could not be read or written where they belong.
     """
 
-    changed = pyqtSignal(object)
+    changed = pyqtSignal(object)  # Marks
 
     def __init__(self, folder: Path, parent: QObject | None = None) -> None:
         self.marks = Marks()
@@ -55,8 +49,6 @@ class MarksKeeper(KeptState[Marks]):
         self.follow(own, self.marks)
         self.changed.emit(self.marks)
 
-    # Edits
-
     def set_in(self, frame: int) -> None:
         """Mark the first frame of a part; an out mark before it goes."""
         _, end = self.trim or (0, self._length)
@@ -68,7 +60,6 @@ class MarksKeeper(KeptState[Marks]):
         self._set_trim(first if first <= frame else 0, frame + 1)
 
     def clear_trim(self) -> None:
-        """Remove the in and out marks."""
         self._set_trim(0, self._length)
 
     def toggle(self, frame: int, time_s: float) -> None:
@@ -84,10 +75,7 @@ class MarksKeeper(KeptState[Marks]):
         self._change(Marks(markers=markers, trim=self.marks.trim))
 
     def beyond(self, frame: int, forward: bool) -> int | None:
-        """Return the frame of the next marker after ``frame``, or of the last one before it; None if there is none.
-
-        Markers behind the end are left out: the recording was longer when they were set.
-        """
+        """Return the frame of the next marker after ``frame``, or of the last one before it; none behind the end."""
         frames = [marker.frame for marker in self.marks.markers if marker.frame < self._length]
         if forward:
             return min((other for other in frames if other > frame), default=None)
@@ -102,10 +90,7 @@ class MarksKeeper(KeptState[Marks]):
             self.marks = marks
             self.changed.emit(marks)
 
-    # Files
-
     def present(self) -> Marks:
-        """Return the marks."""
         return self.marks
 
     def write(self, state: Marks, file: Path) -> None:

@@ -36,11 +36,7 @@ _INTERVAL_S: Final = 0.2
 
 @dataclass(frozen=True)
 class FrameValues:
-    """What the time strip shows of one frame; nan where it is unknown.
-
-    ``index`` counts from 0, ``time_s`` is the proximity camera's time stamp, ``ms`` the time of all steps of the
-    contact test, ``iou`` that with the true contact pixels, nan without ground truth.
-    """
+    """What the time strip shows of one frame, by its index from 0; nan where it is unknown."""
 
     index: int
     time_s: float = math.nan
@@ -52,7 +48,7 @@ class FrameValues:
 
 @dataclass(frozen=True)
 class Order:
-    """A series to compute: its number, the source and its number of frames, and the frames that are known."""
+    """A series to compute, without the frames that are known."""
 
     number: int
     source: str
@@ -81,11 +77,7 @@ def frame_values(index: int, frame: SensorFrame, patch: ContactPatch) -> FrameVa
 
 
 def visiting_order(length: int, preset: Preset) -> list[int]:
-    """Return all frames of a recording in the order in which a picture of the whole emerges soonest.
-
-    Every 2^k-th frame comes first, at most `_FIRST_PASS` of them, then those halfway between, and so on. A preset that
-    averages over frames must see them in their own order.
-    """
+    """Return all frames: every 2^k-th first, then those halfway between; in order if a preset averages."""
     if preset.averaged_frames > 1:
         return list(range(length))
     step = 1 << max(0, math.ceil(math.log2(max(1, length) / _FIRST_PASS)))
@@ -113,10 +105,7 @@ def time_series(source: FrameSource, preset: Preset, order: Iterable[int]) -> It
 
 
 def serve_series(orders: Connection) -> None:
-    """Obey orders until the other end closes: the main function of the process.
-
-    An `Order` ends the one before it; None only does that. All orders name the same source, which stays open.
-    """
+    """Obey orders until the other end closes; None or another `Order` of the same source ends the one before."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends Ctrl+C to all processes; the window ends this one
     with suppress(OSError, AttributeError):  # Windows has no nice
         os.nice(19)  # playback and everything else of the user come first
@@ -160,15 +149,7 @@ def _compute(source: FrameSource, order: Order, orders: Connection) -> None:
 
 
 class Series:
-    """The values of a recording's frames as far as they are known.
-
-    Attributes
-    ----------
-    values : dict of str to float64, shape (N,)
-        Per field of `FrameValues` but ``index``; nan where unknown.
-    computed : bool, shape (N,)
-        Which frames were computed.
-    """
+    """The values of a recording's frames, shape (N,) by field of `FrameValues`, and which frames were computed."""
 
     def __init__(self, length: int, frame_rate_hz: float) -> None:
         self.values: dict[str, Float64Array] = {
@@ -182,20 +163,17 @@ class Series:
 
     @property
     def complete(self) -> bool:
-        """Whether every frame was computed."""
         return bool(self.computed.all())
 
     def put(self, found: FrameValues) -> None:
-        """Store the values of a frame."""
         self.computed[found.index] = True
         for name, column in self.values.items():
             column[found.index] = getattr(found, name)
 
     def seconds(self) -> Float64Array:
-        """Return the time of each frame since the first one, seconds, increasing, shape (N,).
+        """Return the time of each frame since the first by the stamps, interpolated between known ones, increasing.
 
-        From the time stamps, between known ones interpolated and beyond them by the frame rate; by the frame rate
-        alone where the stamps do not increase.
+        Where the stamps do not increase, they follow from the frame rate.
         """
         nominal = np.arange(len(self)) / self._rate_hz
         stamps = self.values["time_s"]

@@ -21,16 +21,10 @@ class SeriesJob(QObject):
     """At most one series at a time; the process stays for the next preset, with its source open.
 
     Call `stop` before the series of another source.
-
-    Signals
-    -------
-    found(list of FrameValues)
-    ended(problem: str)
-        The series is complete, or the problem as a sentence.
     """
 
-    found = pyqtSignal(object)
-    ended = pyqtSignal(str)
+    found = pyqtSignal(object)  # list of FrameValues
+    ended = pyqtSignal(str)  # empty where the series is complete, else the problem
 
     def __init__(self, parent: QObject | None = None) -> None:
         super().__init__(parent)

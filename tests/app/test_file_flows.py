@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
-from threading import Event
 
 import pytest
 from PyQt6.QtCore import Qt
@@ -27,13 +26,9 @@ from hands import (
 )
 from tactune.app.cli.common import default_preset
 from tactune.app.document.recovery import Autosave
-from tactune.app.window import files
-from tactune.app.worker.results import SourceInfo
 from tactune.core.errors import PresetError
 from tactune.core.lab.bench_scenes import synthetic_scene
 from tactune.core.output import SessionWriter
-from tactune.core.preset.file import save_preset
-from tactune.core.sources.mcap.source import McapSource
 from tactune.core.sources.presets import load_preset
 from tactune.widgets.basics.messages import Message
 
@@ -58,15 +53,6 @@ def test_save_reopen_same_values(window, qtbot, tmp_path, make_window):
     assert str(path) in second.settings.recent("presets")
 
 
-def test_saving_again_asks_nothing(window, qtbot, tmp_path):
-    path = tmp_path / "mine.json"
-    window.document.save(path)
-    window.document.edit("tolerance.t", 0.02)
-    QTest.keyClick(window, Qt.Key.Key_S, CONTROL)
-    assert QApplication.activeModalWidget() is None
-    assert load_preset(path).tolerance.t == 0.02
-
-
 @pytest.mark.parametrize("suffix", ["ply", "csv"])
 def test_export_writes_a_readable_file(window, qtbot, tmp_path, suffix):
     path = tmp_path / f"patch.{suffix}"
@@ -80,26 +66,6 @@ def test_export_writes_a_readable_file(window, qtbot, tmp_path, suffix):
         assert len(list(csv.reader(path.read_text().splitlines()))) == count + 1
     else:
         assert f"element vertex {count}" in path.read_bytes()[:400].decode("latin-1")
-
-
-def test_each_of_several_exports_is_written(window, qtbot, tmp_path, monkeypatch):
-    write, go_on = files.write_cloud, Event()
-    monkeypatch.setattr(files, "write_cloud", lambda path, cloud: go_on.wait(30) and write(path, cloud))
-    paths = [tmp_path / f"{number}.ply" for number in range(3)]
-    for path in paths:
-        QTest.keyClick(window, Qt.Key.Key_E, CONTROL)
-        type_path(qtbot, path)
-    go_on.set()
-    qtbot.waitUntil(lambda: all(path.exists() for path in paths))
-
-
-def test_drop_a_preset(window, qtbot, preset, tmp_path):
-    path = tmp_path / "dropped.json"
-    save_preset(preset.with_values({"name": "dropped", "tolerance.t": 0.011}), path)
-    drop(window, path)
-    qtbot.waitUntil(lambda: window.document.path == path)
-    assert window.document.preset.tolerance.t == 0.011
-    assert window.toolbar.preset.text() == "Preset: dropped"
 
 
 def test_drop_a_recording(window, qtbot, tmp_path):
@@ -236,22 +202,6 @@ def shows(window, name):
     return window.result is not None and window.result.source.name == name
 
 
-def test_a_session_that_is_dropped_plays_seeks_steps_and_loops(make_window, qtbot, session):
-    window = make_window()
-    drop(window, session)
-    qtbot.waitUntil(lambda: shows(window, f"mcap:{session}"))
-    assert window.result.source.length == 5
-    shown = set()
-    window.context.frameShown.connect(lambda: shown.add(window.result.frame.sequence))
-    qtbot.waitUntil(lambda: shown == {0, 1, 2, 3, 4})
-    QTest.keyClick(window, Qt.Key.Key_Space)
-    qtbot.waitUntil(lambda: not window.transport.state.playing)
-    window.worker.seek(2)
-    qtbot.waitUntil(lambda: window.result.frame.sequence == 2)
-    QTest.keyClick(window, Qt.Key.Key_Period)
-    qtbot.waitUntil(lambda: window.result.frame.sequence == 3)
-
-
 def test_a_session_is_opened_by_key_and_dialog(make_window, qtbot, session):
     window = make_window()
     QTest.keyClick(window, Qt.Key.Key_O, CONTROL)
@@ -266,14 +216,6 @@ def test_a_session_is_opened_by_key_and_dialog(make_window, qtbot, session):
     QTest.keyClick(dialog.name, Qt.Key.Key_Return)
     qtbot.waitUntil(lambda: shows(window, f"mcap:{session}"))
     assert window.sources.dialog is None
-
-
-def test_two_bags_are_opened_together(make_window, tmp_path):
-    window = make_window()
-    names = []
-    window.context.sourceRequested.connect(names.append)
-    drop(window, tmp_path / "b.bag", tmp_path / "a.bag")
-    assert names == [f"bag:{tmp_path / 'a.bag'},{tmp_path / 'b.bag'}"]
 
 
 def test_what_cannot_be_opened_together_is_said(make_window, tmp_path):
@@ -305,15 +247,3 @@ def test_it_is_the_default_for_its_recording(tmp_path: Path) -> None:
     assert default_preset(str(record(tmp_path / "bare.mcap", preset=False))) == "default"
     with pytest.raises(PresetError, match="recorded without"):
         load_preset(tmp_path / "bare.mcap")
-
-
-def test_the_window_offers_it(tmp_path, window):
-    with McapSource(record(tmp_path / "session.mcap")) as source:
-        info = SourceInfo.of(source)
-    assert info.preset is not None
-    before = window.document.preset
-    window.file_flows.offer_preset(info.preset)
-    press(window.messages.message("recorded preset"), "Use recorded preset")
-    assert window.document.preset == info.preset != before
-    window.file_flows.offer_preset(info.preset)
-    assert window.messages.message("recorded preset") is None

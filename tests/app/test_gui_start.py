@@ -9,18 +9,16 @@ import sys
 from threading import Event
 
 import pytest
-from PyQt6.QtGui import QImage, QImageReader
+from PyQt6.QtGui import QImage
 from typer.testing import CliRunner
 
 from fakes import FakeSource
-from tactune.app.cli.common import default_preset
 from tactune.app.cli.main import commands
-from tactune.app.gui import run_gui, start_with
+from tactune.app.gui import run_gui
 from tactune.app.worker import compiling
 from tactune.app.worker.results import CloudName
 from tactune.core import warmup
-from tactune.core.errors import ExportError, PresetError
-from tactune.core.preset.file import save_preset
+from tactune.core.errors import ExportError
 from tactune.core.sources.folder import export_folder
 
 
@@ -28,22 +26,6 @@ from tactune.core.sources.folder import export_folder
 def recording(tmp_path):
     export_folder(FakeSource(length=3), tmp_path / "recording")
     return f"folder:{tmp_path / 'recording'}"
-
-
-@pytest.mark.parametrize(
-    ("source", "name"), [("sim", "simulator"), ("sim:cube?seed=2", "simulator"), ("bag:x", "default")]
-)
-def test_the_preset_fits_the_source(source, name):
-    preset, path = start_with(default_preset(source))
-    assert preset.name == name
-    assert path is None
-
-
-def test_a_preset_file_stays_the_document_s(preset, tmp_path):
-    save_preset(preset, tmp_path / "mine.json")
-    assert start_with(str(tmp_path / "mine.json")) == (preset, tmp_path / "mine.json")
-    with pytest.raises(PresetError, match="missing"):
-        start_with(str(tmp_path / "missing.json"))
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
@@ -55,12 +37,6 @@ def test_a_screenshot_is_a_picture_of_the_window(qapp, recording, tmp_path, them
     corner = image.pixelColor(1098, 690).lightness()
     assert corner > 200 if theme == "light" else corner < 80
     assert sorted(path.name for path in tmp_path.iterdir()) == ["recording", "window.png"]
-
-
-def test_a_single_frame_is_enough_for_a_picture(qapp, tmp_path):
-    export_folder(FakeSource(length=1), tmp_path / "one")
-    assert run_gui(f"folder:{tmp_path / 'one'}", "default", tmp_path / "window.jpg", after=30) == 0
-    assert QImageReader(str(tmp_path / "window.jpg")).format() == b"jpeg"
 
 
 def test_no_picture_without_a_source(qapp, tmp_path):

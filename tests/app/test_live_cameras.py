@@ -11,11 +11,10 @@ from PyQt6.QtWidgets import QCheckBox, QDialogButtonBox, QLabel
 
 from fakes import FakeCameras, FakeSource
 from hands import press, show_source, type_into
-from tactune.app.sources import opening
-from tactune.app.sources import search as search_module
-from tactune.app.sources.search import CameraSearch
+from tactune.app.sources import list_devices
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.worker import SourceRequest
+from tactune.core.errors import SourceError
 from tactune.widgets.basics.controls import CollapsibleSection
 
 LEFT = Qt.MouseButton.LeftButton
@@ -28,7 +27,7 @@ D405_TOO = {**D405, "serial": "d003"}
 @pytest.fixture
 def answering(monkeypatch):
     """Let the search for cameras answer with this program."""
-    return lambda text: monkeypatch.setattr(opening, "CameraSearch", lambda parent: CameraSearch(parent, ["-c", text]))
+    return lambda text: monkeypatch.setattr(list_devices, "PROGRAM", ("-c", text))
 
 
 @pytest.fixture
@@ -106,8 +105,8 @@ def test_a_driver_without_the_l515_says_so_and_a_slow_connection_is_noted(window
             'print(\'{"problem": "live cameras need the camera driver pyrealsense2, which is not installed"}\')',
             "Live cameras need the camera driver pyrealsense2, which is not installed.",
         ),
-        ("import os; os.abort()", "The camera driver failed while searching for cameras"),
-        ("print('hello')", "The search for cameras gave no answer: see Help > Check this computer"),
+        ("import os; os.abort()", "The camera driver does not list its cameras (crashed (SIGABRT))"),
+        ("print('hello')", "The camera driver does not list its cameras (no answer)"),
     ],
 )
 def test_what_is_wrong_is_said_with_what_to_do(window, answering, qtbot, program, words):
@@ -118,23 +117,20 @@ def test_what_is_wrong_is_said_with_what_to_do(window, answering, qtbot, program
 
 
 def test_a_driver_that_hangs_is_given_up(window, answering, qtbot, monkeypatch):
-    monkeypatch.setattr(search_module, "PATIENCE_MS", 300)
+    monkeypatch.setattr(list_devices, "PATIENCE_S", 0.3)
     answering("import time; time.sleep(60)")
     dialog = chooser(window, qtbot)
-    qtbot.waitUntil(lambda: dialog.note.text().startswith("The camera driver does not answer"))
+    qtbot.waitUntil(lambda: dialog.note.text().startswith("The camera driver does not list its cameras"))
     QTest.keyClick(dialog, Qt.Key.Key_F5)
     qtbot.waitUntil(lambda: dialog.note.text().startswith("Searching"))
-    qtbot.waitUntil(lambda: dialog.note.text().startswith("The camera driver does not answer"))
+    qtbot.waitUntil(lambda: dialog.note.text().startswith("The camera driver does not list its cameras"))
 
 
-def test_the_real_search_answers_in_words_without_cameras(qtbot):
-    found, failed = [], []
-    search = CameraSearch()
-    search.found.connect(lambda cameras, hint: found.append(cameras))
-    search.failed.connect(failed.append)
-    search.start()
-    qtbot.waitUntil(lambda: bool(found or failed), timeout=search_module.PATIENCE_MS + 5000)
-    assert found or failed[0].endswith(".")
+def test_the_real_search_answers():
+    try:
+        assert "devices" in list_devices.ask_driver()
+    except SourceError as error:
+        assert "camera" in str(error)
 
 
 # Settings

@@ -80,14 +80,6 @@ def test_a_scene_that_lacks_an_option_drops_it(window, qtbot):
     assert not dialog.page.editors["move"].isEnabled()
 
 
-def test_a_wrong_option_is_said_while_it_is_typed(window, qtbot):
-    dialog = open_dialog(window, qtbot)
-    type_name(dialog, "sim:cup?press=hard")
-    assert "hard" in dialog.note.text()
-    type_name(dialog, "sim:cup?press=high")
-    assert dialog.note.text() == ""
-
-
 # Opening
 
 

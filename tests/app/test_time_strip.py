@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 from pathlib import Path
@@ -15,11 +14,9 @@ from PyQt6.QtTest import QTest
 from fakes import FakeCameras, FakeSource, at_rest
 from hands import CONTROL_SHIFT, LEFT, show_source, type_path
 from tactune.app.timeline import marks as marks_module
-from tactune.app.timeline.marks import MarksKeeper
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import ExportError
 from tactune.core.output.markers import load_marks
-from tactune.core.output.writer import export_mcap
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.mcap.source import McapSource
 
@@ -106,14 +103,6 @@ def test_the_series_is_the_pipelines_follows_preset_and_undo_and_is_read_by_the_
     qtbot.waitUntil(lambda: strip.words == f"0.3 s, frame 10: {points} points")
 
 
-def test_a_recording_that_was_written_anew_is_computed_anew(window, qtbot, tmp_path):
-    path = tmp_path / "part.mcap"
-    for length in (LENGTH, 12):
-        export_mcap(FakeSource(length), path)
-        window.open_source(f"mcap:{path}")
-        qtbot.waitUntil(lambda length=length: computed(window) and len(window.timeline.series) == length)
-
-
 def test_a_click_and_a_drag_seek(plain_window, qtbot):
     window = plain_window
     plot, strip = window.time_strip.plot_widget, window.time_strip
@@ -142,18 +131,6 @@ def test_an_export_has_exactly_the_marked_frames(marked_window, qtbot, tmp_path)
     qtbot.waitUntil(window.isActiveWindow)
     QTest.keyClick(window, Qt.Key.Key_I, Qt.KeyboardModifier.ShiftModifier)
     assert window.context.trim is None
-
-
-def test_a_recording_has_exactly_the_marked_frames(marked_window, qtbot, tmp_path):
-    window = marked_window
-    window.settings.set("folder/recordings", str(tmp_path))
-    mark(qtbot, window, 9, 14)
-    go_to(qtbot, window, 2)
-    QTest.keyClick(window, Qt.Key.Key_F9)
-    qtbot.waitUntil(lambda: window.messages.message("recording") is not None)
-    [file] = tmp_path.glob("session_*.mcap")
-    with McapSource(file) as written:
-        assert [frame.sequence for frame in written] == [9, 10, 11, 12, 13, 14]
 
 
 def test_a_marker_is_added_removed_and_survives_a_restart(strip_window, qtbot, make_window, scene):
@@ -244,25 +221,6 @@ def show_live(qtbot, window, live):
         return f"{area / 100:.3g} cm²" in window.time_strip.words
 
     qtbot.waitUntil(hovered)
-
-
-def test_marks_of_a_source_that_is_no_file_are_kept_by_its_name(window, qtbot, make_window):
-    QTest.keyClick(window, Qt.Key.Key_M)
-    window.close_without_asking()
-    again = make_window()
-    show_source(qtbot, again, FakeSource(), 0)
-    assert [marker.frame for marker in again.timeline.keeper.marks.markers] == [3]
-    assert json.loads(next((again.context.data_folder / "markers").glob("tiny-*.json")).read_text())["trim"] is None
-
-
-def test_markers_behind_the_end_of_a_shorter_recording_are_passed_over(qtbot, tmp_path):
-    keeper = MarksKeeper(tmp_path)
-    keeper.open("tiny", LENGTH)
-    for frame in (4, 20):
-        keeper.toggle(frame, frame / 30)
-    keeper.open("tiny", 12)
-    assert keeper.beyond(4, forward=True) is None
-    assert keeper.beyond(11, forward=False) == 4
 
 
 def test_a_process_that_was_killed_is_replaced_and_ends_with_the_window(strip_window, qtbot):

@@ -34,7 +34,6 @@ SOURCES = (
     "README.md",
     "LICENSE",
 )
-FORBIDDEN = ("PyQt6", "pyqtgraph", "open3d", "pyrealsense2")
 
 
 def needed_by(requirements: list[str]) -> dict[str, Distribution]:
@@ -98,32 +97,13 @@ def environment_with(wheel: Path, environment: Path) -> Path:
     return environment / "bin"
 
 
-def test_nothing_of_the_window_is_importable_there(robot: Path) -> None:
-    program = f"import importlib.util as u; print([n for n in {FORBIDDEN} if u.find_spec(n)])"
-    done = subprocess.run([robot / "python", "-c", program], check=True, capture_output=True, text=True)
-    assert done.stdout == "[]\n"
-
-
 def test_the_wheel_holds_the_guide(robot: Path) -> None:
     (page,) = robot.parent.glob("lib/python*/site-packages/tactune/app/guide/index.html")
     assert "membrane" in page.read_text("utf-8")
 
 
 def test_the_headless_job_runs_there(robot: Path, tmp_path: Path) -> None:
-    words = [
-        "run",
-        "--source",
-        "sim",
-        "--preset",
-        "simulator",
-        "--frames",
-        "3",
-        "--out",
-        str(tmp_path),
-        "--json",
-        "--set",
-        "contact_test=tolerance",
-    ]
+    words = f"run --source sim --preset simulator --frames 3 --out {tmp_path} --json".split()
     done = subprocess.run([robot / "tactune", *words], check=False, capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     lines = [json.loads(line) for line in done.stdout.splitlines()]

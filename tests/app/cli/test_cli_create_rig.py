@@ -42,22 +42,6 @@ def test_what_is_assumed_is_said(tactune, bare):
     assert "depth lens of the D435" not in done.err
 
 
-@pytest.mark.parametrize(
-    ("lens", "words"),
-    [
-        ("L500", "choose L515"),
-        ("L515=1,1,31,23", "a view of"),
-        ("L515=a,1,31,23", "four numbers"),
-        ("L515=nan,1,31,23", "fx is nan"),
-        ("L515=none", "none"),
-    ],
-)
-def test_a_lens_that_no_camera_has_is_refused_and_nothing_is_written(tactune, bare, lens, words):
-    refused = tactune("preset", "create-rig", bare, "--proximity", lens)
-    assert refused.status == 2 and words in refused.err
-    assert not (bare / "rig.json").exists()
-
-
 def test_a_lens_is_fitted_to_pictures_of_a_chessboard(tactune, tmp_path, shared_data):
     folder, boards = tmp_path / "images", tmp_path / "boards"
     for made in (folder, boards):

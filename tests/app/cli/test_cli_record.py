@@ -21,7 +21,7 @@ from tactune.core import ContactPipeline, load_preset, open_source
 from tactune.core.errors import SourceError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.sources import FrameSource
-from tactune.core.sources.base import CameraHealth, Health
+from tactune.core.sources.base import Health
 from tactune.core.sources.mcap.source import McapSource
 
 Run = Callable[..., Any]
@@ -46,9 +46,7 @@ class LiveSource(FrameSource):
         self._source = source
         self._asked = 0
         self.given = 0
-        self.message = ""
-        self.cameras: tuple[CameraHealth, ...] = ()
-        self.lost_each = self.interrupt_after = 0
+        self.interrupt_after = 0
 
     @property
     def rig(self) -> Any:
@@ -71,8 +69,7 @@ class LiveSource(FrameSource):
         return frame
 
     def health(self) -> Health:
-        lost = self.lost_each * self.given
-        return Health(ok=not self.message, message=self.message, dropped=lost, cameras=self.cameras)
+        return Health()
 
 
 @pytest.fixture
@@ -103,43 +100,6 @@ def test_frames_and_seconds_end_a_recording(tmp_path: Path, recording: Path, tac
     ):
         tactune("record", "-s", recording, "-o", tmp_path / "a.mcap", option, value, "--force")
         assert length_of(tmp_path / "a.mcap") == count
-
-
-def test_nothing_is_overwritten_unless_forced(tmp_path: Path, recording: Path, tactune: Run) -> None:
-    out = tmp_path / "a.mcap"
-    out.write_text("precious")
-    for words in (("record", "-s", recording, "-o", out), ("convert", recording, out)):
-        assert "a.mcap is already there; choose another name or give --force" in tactune(*words).sentence
-        assert out.read_text() == "precious"
-    assert tactune("convert", recording, out, "--force").status == 0
-    assert tactune("record", "-s", recording, "-o", out, "--force").status == 0
-    (tmp_path / "dir.mcap").mkdir()
-    assert "is already there" in tactune("record", "-s", recording, "-o", tmp_path / "dir.mcap", "--force").sentence
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (("record", "-s", "sim:tea", "-o", "{}/a.mcap"), "no scene 'tea'"),
-        (("record", "-s", "sim", "-o", "{}/a.bag"), ".mcap"),
-        (("record", "-s", "sim", "-o", "{}/a.mcap", "-p", "nowhere"), "cannot read preset nowhere"),
-        (("convert", "{}/none.bag", "{}/a.mcap"), "nothing is at that path"),
-        (("convert", "sim", "{}/a.bag"), "read only"),
-    ],
-)
-def test_what_cannot_be_done_is_told_and_leaves_no_file(
-    tmp_path: Path, tactune: Run, words: tuple[str, ...], sentence: str
-) -> None:
-    assert sentence in tactune(*(word.format(tmp_path) for word in words)).sentence
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_live_source_ends_by_frames_time_or_its_own_end(tmp_path: Path, live: LiveSource, tactune: Run) -> None:
-    done = tactune("record", "-s", "live:x", "-o", tmp_path / "a.mcap", "--frames", 7)
-    assert done.status == 0
-    assert length_of(tmp_path / "a.mcap") == 7
-    assert tactune("record", "-s", "live:x", "-o", tmp_path / "b.mcap", "--seconds", 0.2).status == 0
-    assert length_of(tmp_path / "b.mcap") >= 1
 
 
 def test_ctrl_c_ends_a_recording_cleanly(tmp_path: Path, live: LiveSource, tactune: Run) -> None:
@@ -246,19 +206,17 @@ def test_patches_go_into_one_bag_with_the_stamps_of_their_frames(tmp_path: Path,
     assert "holds contact patches, no images" in tactune("run", "-s", out, "--json").sentence
 
 
-@pytest.mark.parametrize("sent", [pytest.param(signal.SIGINT, marks=pytest.mark.long), signal.SIGTERM])
-def test_the_command_itself_ends_on_a_signal_with_a_whole_file(
-    tmp_path: Path, recording: Path, sent: signal.Signals
-) -> None:
+@pytest.mark.parametrize("words", [("record", "-o"), ("run", "--out")])
+def test_sigterm_ends_a_live_source_with_a_whole_file(tmp_path: Path, recording: Path, words: tuple[str, str]) -> None:
     out = tmp_path / "a.mcap"
-    command = [sys.executable, "-m", "tactune.app", "record", "-s", f"live:folder:{recording}", "-o", out]
+    command = [sys.executable, "-m", "tactune.app", words[0], "-s", f"live:folder:{recording}", words[1], str(out)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
         end = time.monotonic() + 300
         while not (out.exists() and out.stat().st_size > 20_000) and time.monotonic() < end:
             time.sleep(0.05)
-        child.send_signal(sent)
+        child.send_signal(signal.SIGTERM)
         printed, said = child.communicate(timeout=300)
     assert child.returncode == 0, said
-    with McapSource(out) as source:
-        assert source.health().ok
-        assert f"recorded {source.length} frames" in printed
+    assert str(out) in printed
+    with out.open("rb") as file:
+        assert make_reader(file).get_summary().statistics.message_count > 0

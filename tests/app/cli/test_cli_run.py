@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import itertools
 import json
 import os
 import select
@@ -18,9 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from mcap.reader import make_reader
 
-from commands import read_line
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.model.rig_file import load_rig
 from tactune.core.preset import Preset
@@ -43,22 +40,11 @@ def names(folder: Path) -> list[str]:
     return sorted(file.name for file in folder.iterdir())
 
 
-@pytest.mark.parametrize("source", ["small", "sim:cup", "real"])
-def test_the_files_hold_what_three_lines_of_python_give(
-    tactune: Tactune, request: pytest.FixtureRequest, tmp_path: Path, source: str
-) -> None:
-    name = source
-    if source == "small":
-        name = str(request.getfixturevalue("recording"))
-    elif source == "real":
-        name = f"folder:{request.getfixturevalue('shared_data') / 'real_pair'}"
-    words = ["--source", name, "--preset", "default", "--frames", "16", "--out", tmp_path / "out"]
-    assert tactune("run", *words).status == 0
-
-    with open_source(name) as frames:
-        pipeline = ContactPipeline(load_preset("default"), frames.rig)
-        patches = [pipeline.process(frame) for frame in itertools.islice(frames, 16)]
-
+def test_the_files_hold_what_three_lines_of_python_give(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
+    assert tactune("run", "--source", recording, "--preset", "default", "--out", tmp_path / "out").status == 0
+    with open_source(str(recording)) as source:
+        pipeline = ContactPipeline(load_preset("default"), source.rig)
+        patches = [pipeline.process(frame) for frame in source]
     assert any(len(patch.points) for patch in patches)
     assert names(tmp_path / "out") == [f"patch_{patch.sequence:06d}.npz" for patch in patches]
     for patch in patches:
@@ -66,8 +52,6 @@ def test_the_files_hold_what_three_lines_of_python_give(
             assert saved["points"].dtype == np.float32
             assert saved["points"].tobytes() == patch.points.tobytes()
             assert np.array_equal(np.stack([saved["v"], saved["u"]]), np.nonzero(patch.mask))
-            difference = patch.relative_difference[patch.mask]
-            assert saved["relative_difference"].tobytes() == difference.tobytes()
 
 
 def test_json_lines_say_what_the_patch_is(tactune: Tactune, recording: Path) -> None:
@@ -148,43 +132,6 @@ def test_another_serial_is_a_warning_and_another_size_an_error(
     assert "80 x 48" in sentence
 
 
-@pytest.mark.parametrize(
-    ("words", "named"),
-    [
-        (["run", "--source", "folder:/no/such/folder", "--json"], "/no/such/folder"),
-        (["run", "--source", "simulator", "--json"], "simulator"),
-        (["run", "--source", "sim:teapot", "--json"], "teapot"),
-        (["run", "--source", "RECORDING", "--preset", "no_such_preset", "--json"], "no_such_preset"),
-        (["run", "--source", "RECORDING", "--preset", "RECORDING/rig.json", "--json"], "rig.json"),
-        (["run", "--source", "RECORDING", "--out", "/dev/null/out"], "/dev/null/out"),
-        (["run", "--source", "RECORDING", "--out", "RECORDING/rig.json"], "rig.json"),
-        (["convert", "RECORDING", "RECORDING"], "recording"),
-        (["convert", "RECORDING", "/dev/null/out"], "/dev/null/out"),
-        (["convert", "RECORDING", "."], "working folder"),
-        (["run", "--source", "x" * 5000, "--json"], "too long"),
-        (["run", "--source", "~nosuchuser/x", "--json"], "nosuchuser"),
-        (["run", "--source", "RECORDING", "--json", "--set", "tolerance.tt=1"], "did you mean tolerance.t"),
-    ],
-)
-def test_what_cannot_be_used_is_named_in_one_sentence(
-    tactune: Tactune, recording: Path, words: list[str], named: str
-) -> None:
-    assert named in tactune(*(word.replace("RECORDING", str(recording)) for word in words)).sentence
-
-
-def test_a_folder_holds_what_was_converted(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
-    finished = tactune("convert", recording, tmp_path / "copy", "--frames", "3")
-    assert finished.status == 0
-    assert "wrote 3 frames" in finished.out
-    original, copy = open_source(str(recording)), open_source(str(tmp_path / "copy"))
-    assert copy.rig == original.rig
-    assert copy.length == 3
-    for one, other in zip(original, copy, strict=False):
-        assert np.array_equal(one.proximity_depth, other.proximity_depth)
-        assert np.array_equal(one.tactile_depth, other.tactile_depth)
-        assert np.array_equal(one.proximity_color, other.proximity_color)
-
-
 def test_run_uses_the_preset_with_what_was_set(tactune: Tactune, recording: Path) -> None:
     def points(*settings: str) -> list[Any]:
         words = [word for setting in settings for word in ("--set", setting)]
@@ -207,13 +154,6 @@ def test_a_full_disk_behind_standard_output_is_told_in_one_sentence(recording: P
     assert done.stderr.count("\n") == 1
 
 
-def test_closed_standard_streams_take_no_part_in_a_command(recording: Path, tmp_path: Path) -> None:
-    words = ["run", "--source", str(recording), "--json", "--out", str(tmp_path / "out")]
-    closed = ["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh"]
-    assert subprocess.run([*closed, *COMMAND, *words], check=False).returncode == 0
-    assert names(tmp_path / "out")
-
-
 def test_a_reader_that_stops_reading_ends_the_command_like_sigpipe(recording: Path) -> None:
     command = [*COMMAND, "run", "--source", str(recording), "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -224,9 +164,7 @@ def test_a_reader_that_stops_reading_ends_the_command_like_sigpipe(recording: Pa
     assert process.returncode == 141
 
 
-@pytest.mark.parametrize("reads", [pytest.param(True, marks=pytest.mark.long), False])
-def test_sigterm_ends_json_lines_of_a_live_source_with_a_whole_line(recording: Path, reads: bool) -> None:
-    """Also where nobody reads and the pipe is full."""
+def test_sigterm_ends_json_lines_with_a_whole_line_although_nobody_reads(recording: Path) -> None:
     read_end, write_end = os.pipe()
     fcntl.fcntl(write_end, fcntl.F_SETPIPE_SZ, 4096)
     command = [*COMMAND, "run", "--source", f"live:folder:{recording}", "--json"]
@@ -234,14 +172,13 @@ def test_sigterm_ends_json_lines_of_a_live_source_with_a_whole_line(recording: P
         os.fdopen(read_end, encoding="utf-8") as lines,
         subprocess.Popen(command, stdout=write_end, stderr=subprocess.PIPE) as process,
     ):
-        read = [read_line(lines), read_line(lines)] if reads else []
         end = time.monotonic() + 300
-        while not reads and select.select([], [write_end], [], 0)[1] and time.monotonic() < end:
+        while select.select([], [write_end], [], 0)[1] and time.monotonic() < end:
             time.sleep(0.05)
         os.close(write_end)
         process.send_signal(signal.SIGTERM)
         assert process.wait(timeout=300) == 0
-        read += lines.readlines()
+        read = lines.readlines()
     assert read[-1].endswith("}\n")
     sequences = [line["sequence"] for line in json_lines("".join(read))]
     assert sequences == sorted(set(sequences))
@@ -271,49 +208,7 @@ def test_interrupted_with_finished_files_intact(recording: Path, tmp_path: Path)
         assert len(saved["points"]) > 0
 
 
-@pytest.mark.parametrize("sent", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
-def test_a_signal_ends_patches_of_a_live_source_with_a_whole_file_and_a_summary(
-    recording: Path, tmp_path: Path, sent: signal.Signals
-) -> None:
-    out = tmp_path / "patches.mcap"
-    command = [*COMMAND, "run", "--source", f"live:folder:{recording}", "--out", str(out)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        end = time.monotonic() + 300
-        while not (out.exists() and out.stat().st_size > 20_000) and time.monotonic() < end:
-            time.sleep(0.05)
-        process.send_signal(sent)
-        printed, complaints = process.communicate(timeout=300)
-    assert process.returncode == 0, complaints
-    with out.open("rb") as file:
-        counted = make_reader(file).get_summary().statistics.message_count
-    assert printed.startswith(f"{counted} frames of live:folder:")
-    assert f"wrote {out}" in printed
-
-
-def test_standard_output_holds_json_only_while_a_bar_is_drawn_on_a_terminal(recording: Path) -> None:
-    master, terminal = os.openpty()
-    command = [*COMMAND, "run", "--source", str(recording), "--json"]
-    environment = os.environ | {"TERM": "xterm"}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=terminal, text=True, env=environment) as process:
-        os.close(terminal)
-        drawn = b""
-        while chunk := _read(master):
-            drawn += chunk
-        out, _ = process.communicate(timeout=300)
-    os.close(master)
-    assert process.returncode == 0
-    assert len(json_lines(out)) == 4
-    assert b"frames" in drawn
-
-
-def _read(master: int) -> bytes:
-    try:
-        return os.read(master, 4096)
-    except OSError:  # how Linux tells that the other end of a terminal is closed
-        return b""
-
-
-@pytest.mark.parametrize("estimate", ["tilt", "tilt-filtered", "tilt-pca"])
+@pytest.mark.parametrize("estimate", ["tilt-filtered", "tilt-pca"])
 def test_estimates_the_tilt_of_each_patch(tactune: Tactune, estimate: str) -> None:
     options = ("run", "--source", "sim:cube?press=medium", "--frames", "2", "--estimate", estimate)
     tilts = [record["tilt"] for record in json_lines(tactune(*options, "--json").out)]

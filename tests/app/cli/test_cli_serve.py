@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import re
 import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -23,7 +21,6 @@ import pytest
 from commands import Finished, read_line
 from foxglove_client import WAIT_S, FoxgloveClient
 from sockets import listening
-from tactune.app.worker import compiling
 from tactune.core import ContactPatch, ContactPipeline, load_preset, open_source
 from tactune.core.estimation.object_mesh import simulated_mesh
 from tactune.core.estimation.pose import PoseTracker
@@ -121,56 +118,6 @@ def test_frames_go_on_while_the_object_is_searched_and_the_end_ends_the_search(
     done = tactune("serve", "--foxglove", "--port", 0, "--source", "sim:cup", "--mesh", mesh, "--unit", "m", "-n", 5)
     assert "published 5 frames" in done.out
     assert len(searches) == 1
-
-
-def test_frames_go_on_with_the_former_test_while_a_client_s_is_compiled(
-    monkeypatch: pytest.MonkeyPatch, tactune: Callable[..., Finished]
-) -> None:
-    compiled, seen = threading.Event(), list[str]()
-
-    def compile_test(tell: Callable[[float, str], object], _: Preset) -> None:
-        tell(0.5, "Compiling the tolerance test, 5 of 10")
-        assert compiled.wait(WAIT_S)
-
-    monkeypatch.setattr(compiling, "is_compiled", lambda preset: preset.contact_test != "tolerance")
-    monkeypatch.setattr(compiling, "warm_up_if_needed", compile_test)
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = int(free.getsockname()[1])
-
-    def watch() -> None:
-        try:
-            end = time.monotonic() + WAIT_S
-            while ("tcp", "127.0.0.1", port) not in listening():
-                assert time.monotonic() < end, "no server listens"
-                time.sleep(0.05)
-            with FoxgloveClient(port) as client:
-                client.subscribe(["/diagnostics"])
-                next(client.messages())
-                assert client.set_parameter("contact_test", "tolerance") == {"contact_test": "tolerance"}
-                while "5 of 10; until then the former" not in client.wait_for_text("status")["message"]:
-                    pass
-                for count, (_, _, message) in enumerate(client.messages()):
-                    state = message.status[0]
-                    is_new = "outliers ms" in {pair.key for pair in state.values}
-                    if count < 10:
-                        assert not is_new
-                    elif count == 10:
-                        assert "Compiling" in state.message
-                        compiled.set()
-                    elif is_new and not state.message:
-                        seen.append("the new test")
-                        return
-        finally:
-            compiled.set()
-            os.kill(os.getpid(), signal.SIGINT)
-
-    watching = threading.Thread(target=watch)
-    watching.start()
-    done = tactune("serve", "--foxglove", "--port", port, "--settable", "--source", "sim:cup")
-    watching.join(WAIT_S)
-    assert done.status == 0
-    assert seen == ["the new test"]
 
 
 @pytest.mark.parametrize(

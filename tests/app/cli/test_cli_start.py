@@ -38,29 +38,12 @@ def test_help_is_one_screen_with_every_command(tactune: Tactune) -> None:
     assert sorted(shown) == sorted(name for names in main.GROUPS.values() for name in names)
 
 
-@pytest.mark.parametrize("group", ["preset", "lab"])
-def test_no_summary_of_a_group_is_cut(tactune: Tactune, group: str) -> None:
-    lines = tactune(group, "--help").out.splitlines()
-    assert "Commands:" in lines and not any(line.endswith("...") for line in lines[1:])
-
-
 def test_the_tab_key_completes_commands() -> None:
     words = {"COMP_WORDS": "tactune re", "COMP_CWORD": "1", "_TACTUNE_COMPLETE": "complete_bash"}
     done = subprocess.run(
         [sys.executable, "-m", "tactune.app"], capture_output=True, text=True, env=os.environ | words, check=False
     )
     assert done.stdout.split() == ["record", "recheck"]
-
-
-def test_the_installed_command_is_the_module(tmp_path: Path) -> None:
-    command = Path(sys.executable).with_name("tactune")
-    words = ["preset", "validate", str(tmp_path / "missing.json")]
-    ends = [
-        subprocess.run([*start, *words], check=False, capture_output=True, text=True)
-        for start in ([str(command)], [sys.executable, "-m", "tactune.app"])
-    ]
-    assert ends[0].returncode == ends[1].returncode == 2
-    assert ends[0].stderr == ends[1].stderr != ""
 
 
 def test_help_imports_nothing_heavy() -> None:
@@ -101,26 +84,6 @@ def test_gui_passes_on_what_it_is_told(tactune: Tactune, opened: list[tuple[Any,
 
 
 @pytest.mark.parametrize(
-    "words",
-    [
-        ["--size", "big"],
-        ["--size", "1280x"],
-        ["--theme", "pink"],
-        ["--size", "9x9"],
-        ["--after", "0"],
-        ["--after", "-3"],
-        ["--screenshot", "window.txt"],
-        ["--screenshot", "window"],
-    ],
-)
-def test_gui_refuses_what_it_cannot_do(tactune: Tactune, opened: list[tuple[Any, ...]], words: list[str]) -> None:
-    finished = tactune("gui", *words)
-    assert finished.status == 2
-    assert words[0] in finished.err
-    assert opened == []
-
-
-@pytest.mark.parametrize(
     ("obstacle", "remedy"),
     [
         ("sys.modules['PyQt6'] = None", 'pip install "tactune[gui]"'),
@@ -156,7 +119,6 @@ def test_without_a_display_the_window_is_declined(tactune: Tactune, monkeypatch:
     assert "tactune run" in tactune().sentence
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="X displays are tried on Linux only")
 def test_a_display_that_does_not_answer_is_said_in_words(tactune: Tactune, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
         monkeypatch.delenv(name, raising=False)

@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-from fakes import FakeSource
 from tactune.core.preset.file import save_preset
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.presets import load_preset
@@ -44,21 +43,6 @@ def test_each_proposal_is_printed_and_all_are_written(tactune: Tactune, spoiled:
     assert load_preset(tmp_path / "set.json").mask == mended.mask
 
 
-def test_the_preset_stays_without_out(tactune: Tactune, spoiled: Path) -> None:
-    before = spoiled.read_bytes()
-    assert tactune("preset", "suggest", "--source", SCENE, "--preset", spoiled).status == 0
-    assert spoiled.read_bytes() == before
-
-
-def test_a_file_is_replaced_only_by_force(tactune: Tactune, spoiled: Path, tmp_path: Path) -> None:
-    out = tmp_path / "mine.json"
-    save_preset(SHIPPED, out)
-    command = ("preset", "suggest", "--source", SCENE, "--preset", spoiled, "--section", "mask", "--out", out)
-    assert "is already there" in tactune(*command).sentence
-    assert tactune(*command, "--force").status == 0
-    assert load_preset(out).alignment.depth_offset_m == 0.012  # only the mask was asked for
-
-
 def test_a_section_without_evidence_is_refused_with_the_remedy(tactune: Tactune, tmp_path: Path) -> None:
     with open_source("sim:octopus?press=low&sensor=datasheet") as source:
         export_folder(source, tmp_path / "pressed", frames=1)
@@ -89,13 +73,3 @@ def test_the_present_frame_can_be_chosen(tactune: Tactune) -> None:
     areas = [tactune(*named, "--frame", number).out.partition("changes from ")[2] for number in (0, 45)]
     assert float(areas[0].split()[0]) < float(areas[1].split()[0])
     assert "frames run from 0 to 89" in tactune(*named, "--frame", 5000).sentence
-
-
-def test_an_unknown_section_is_refused(tactune: Tactune) -> None:
-    assert "mask, contact_test" in tactune("preset", "suggest", "--source", SCENE, "--section", "musk").sentence
-
-
-def test_an_untouched_frame_of_another_rig_is_refused(tactune: Tactune, tmp_path: Path) -> None:
-    export_folder(FakeSource(2), tmp_path / "tiny")
-    named = ("--section", "mask", "--untouched", f"folder:{tmp_path / 'tiny'}")
-    assert "the rig says" in tactune("preset", "suggest", "--source", SCENE, *named).sentence

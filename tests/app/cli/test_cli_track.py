@@ -14,10 +14,6 @@ from mcap_ros2.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
 from tactune.core.estimation.object_mesh import simulated_mesh
-from tactune.core.estimation.pose import PoseEstimate
-from tactune.core.estimation.pose_files import pose_record, save_poses
-from tactune.core.lab.scan import save_transform
-from tactune.core.model.frames import rigid_transform
 from tactune.core.sources.simulator.source import SimulatorSource
 
 FRAMES = 20
@@ -44,20 +40,6 @@ def cup(tmp_path_factory):
 def arguments(cup, *more):
     mesh, start = str(cup / "cup.stl"), str(cup / "start.txt")
     return ["track", "--source", "sim:cup", "--mesh", mesh, "--start", start, "-n", str(FRAMES), *map(str, more)]
-
-
-def test_evo_reads_poses_tracked_again_after_a_jump_back(tmp_path):
-    pose = np.eye(4)
-    records = []
-    for time_s in (1.0, 2.0, 3.0, 2.0):
-        pose[0, 3] = 0.1 * len(records)
-        estimate = PoseEstimate(len(records), time_s, pose.copy(), np.eye(6), (), 0.0, 1.0, lost=time_s == 3.0)
-        records.append(pose_record(estimate))
-    save_poses(tmp_path / "poses.tum", records)
-    found = file_interface.read_tum_trajectory_file(tmp_path / "poses.tum")
-    assert found.check()[0]
-    assert found.timestamps.tolist() == [1.0, 2.0]
-    assert found.positions_xyz[:, 0] == pytest.approx([0.0, 0.3])
 
 
 def test_evo_reads_the_poses_and_finds_them_near_the_truth(tactune, cup, truths, tmp_path):
@@ -114,13 +96,6 @@ def test_patches_and_poses_together_as_ros_reads_them(tactune, cup, truths, tmp_
     covariance = np.reshape(stamped.pose.covariance, (6, 6))
     assert np.linalg.eigvalsh(covariance).min() > 0
     assert 0 not in found["/object/pose"], "a lost pose is not published"
-
-
-def test_a_pose_that_lab_scan_wrote_is_a_start(tactune, cup, tmp_path):
-    start = tmp_path / "start.json"
-    save_transform(start, rigid_transform(np.loadtxt(cup / "start.txt")))
-    done = tactune("track", "--source", "sim:cup", "--start", start, "-n", 1, "--truth")
-    assert done.status == 0
 
 
 def test_wrong_mesh_and_wrong_options_end_with_one_sentence(tactune, cup, tmp_path):

@@ -52,12 +52,6 @@ def test_capturing_puts_a_file_beside_the_preset(tactune: Tactune, recording: Pa
     assert preset.created == LAST_YEAR < preset.modified
 
 
-@pytest.mark.parametrize("preset", ["default", "gone.json"])
-def test_only_a_preset_file_can_take_it(tactune: Tactune, recording: Path, preset: str) -> None:
-    sentence = tactune("preset", "capture-untouched", "--source", recording, "--preset", preset).sentence
-    assert f"{preset} is no preset file" in sentence
-
-
 def test_a_touched_membrane_is_no_untouched_frame_where_the_mask_hides_the_prints(
     tactune: Tactune, recording: Path, mine: Path
 ) -> None:
@@ -76,35 +70,6 @@ def test_a_touched_membrane_is_no_untouched_frame_where_the_mask_hides_the_print
     assert load_preset(mine).untouched is not None
 
 
-def test_a_membrane_that_differs_in_one_place_from_the_present_untouched_frame_is_told(
-    tactune: Tactune, recording: Path, captured: Path
-) -> None:
-    for image in recording.glob("**/tactile_depth.png"):
-        depth = cv2.imread(str(image), cv2.IMREAD_UNCHANGED)
-        depth[:16, :16] -= 100
-        cv2.imwrite(str(image), depth)
-    finished = tactune("preset", "capture-untouched", "--source", recording, "--preset", captured)
-    assert finished.status == 0
-    assert "by more than 3 mm in places" in finished.err
-
-
-def test_run_takes_the_presets_own_untouched_frame(tactune: Tactune, recording: Path, mine: Path) -> None:
-    words = ("run", "--source", recording, "--preset", mine, "--watch", "--json")
-    assert "no untouched frame" in tactune(*words).sentence
-    assert tactune("preset", "capture-untouched", "--source", recording, "--preset", mine).status == 0
-    finished = tactune(*words)
-    assert finished.status == 0
-    assert len(finished.out.splitlines()) == 4
-
-
-def test_a_lost_untouched_frame_is_told(tactune: Tactune, recording: Path, captured: Path) -> None:
-    for file in captured.parent.glob("*.npz"):
-        file.unlink()
-    finished = tactune("run", "--source", recording, "--preset", captured, "--watch")
-    assert finished.status == 2
-    assert "missing" in finished.err and "no untouched frame" in finished.err
-
-
 def test_recheck_says_that_all_holds(tactune: Tactune, recording: Path, captured: Path) -> None:
     finished = tactune("recheck", "--source", recording, "--preset", captured, "--json")
     assert finished.status == 0
@@ -121,14 +86,6 @@ def test_recheck_needs_the_untouched_frame_that_the_preset_names(
         file.unlink()
     sentence = tactune("recheck", "--source", recording, "--preset", captured).sentence
     assert "is missing; put it there, or capture the untouched frame again" in sentence
-
-
-def test_recheck_says_that_the_simulators_object_is_taken_away(tactune: Tactune) -> None:
-    finished = tactune(
-        "recheck", "--source", "sim:cup?press=low&sensor=datasheet", "--preset", "simulator", "--frames", 2
-    )
-    assert finished.status == 0
-    assert "is simulated: its object is removed" in finished.err
 
 
 def test_recheck_ends_with_1_after_a_drift(tactune: Tactune, recording: Path, captured: Path) -> None:

@@ -1,9 +1,6 @@
-import json
-
 import pytest
 
 from tactune.app.document.document import Document
-from tactune.core.errors import TactuneError
 from tactune.core.preset import Preset
 from tactune.core.sources.presets import load_preset
 
@@ -83,23 +80,3 @@ def test_save_and_open_give_the_same_values_back(document, tmp_path):
     assert other.preset.mask.hue == (170, 10)
     assert other.preset.tolerance.t == 0.0123
     assert not other.dirty
-
-
-def test_undoing_past_a_save_is_unsaved_again(document, tmp_path):
-    document.edit("tolerance.t", 0.01)
-    document.save(tmp_path / "mine.json")
-    document.undo_stack.undo()
-    assert document.dirty
-    document.undo_stack.redo()
-    assert not document.dirty
-
-
-def test_a_wrong_file_leaves_the_document_alone(document, preset, tmp_path):
-    path = tmp_path / "wrong.json"
-    path.write_text(json.dumps({"schema": "something else"}))
-    document.edit("tolerance.t", 0.01)
-    with pytest.raises(TactuneError, match=r"wrong\.json"):
-        document.open(path)
-    assert document.preset.tolerance.t == 0.01
-    assert document.path is None
-    assert document.undo_stack.count() == 1

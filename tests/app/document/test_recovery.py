@@ -1,4 +1,3 @@
-import gc
 import itertools
 import os
 import socket
@@ -62,16 +61,6 @@ def test_nothing_is_left_after_saving_undoing_or_a_normal_end(document, folder, 
     autosave.flush()
     autosave.close()
     assert unsaved_work(folder) == []
-
-
-def test_the_work_of_a_window_that_still_runs_is_not_offered(document, folder):
-    autosave = Autosave(document, folder)
-    document.edit("tolerance.t", 0.01)
-    autosave.flush()
-    assert unsaved_work(folder) == []
-    crash(autosave)
-    gc.collect()
-    assert len(unsaved_work(folder)) == 1
 
 
 def test_a_damaged_file_is_passed_over_and_left_alone(document, folder):

@@ -60,20 +60,6 @@ def test_the_untouched_frame_goes_wherever_the_preset_is_saved(document: Documen
     assert kept_beside(tmp_path / "c" / "four.json").any()
 
 
-def test_undo_and_saving_again_bring_the_former_untouched_frame_back(
-    document: Document, store: UntouchedStore, tmp_path: Path
-) -> None:
-    document.save(tmp_path / "p" / "mine.json")
-    former = document.preset.untouched
-    document.edit("untouched", store.keep(tiny_frame(5, RIG), 3).model_dump())
-    document.save(tmp_path / "p" / "mine.json")
-    assert load_preset(tmp_path / "p" / "mine.json").untouched != former
-    document.undo_stack.undo()
-    document.save(tmp_path / "p" / "mine.json")
-    assert load_preset(tmp_path / "p" / "mine.json").untouched == former
-    assert kept_beside(tmp_path / "p" / "mine.json").any()
-
-
 def test_a_lost_untouched_frame_is_a_warning_when_saving(document: Document, tmp_path: Path) -> None:
     warnings: list[str] = []
     document.warned.connect(warnings.append)
@@ -146,16 +132,3 @@ def test_the_untouched_frame_of_a_recorded_preset_is_saved_from_the_recording(qt
     qtbot.waitUntil(lambda: window.untouched.keeper.frame is not None)
     window.document.save(tmp_path / "saved" / "mine.json")
     assert (kept_beside(tmp_path / "saved" / "mine.json") == frame.tactile_depth).all()
-
-
-def test_an_untouched_frame_of_other_image_sizes_is_not_recorded(qtbot, window):
-    controls = window.untouched
-    record = controls.store.keep(tiny_frame(0, tiny_rig(32, 24)), 1)
-    window.document.edit("untouched", record.model_dump())
-    qtbot.waitUntil(lambda: not controls.keeper.busy)
-    assert controls.keeper.frame is None
-    fitting = controls.store.keep(tiny_frame(0, RIG), 1)
-    window.document.edit("untouched", fitting.model_dump())
-    window.document.edit("untouched", record.model_dump())  # while the other one is being read
-    qtbot.waitUntil(lambda: not controls.keeper.busy)
-    assert controls.keeper.frame is None

@@ -1,0 +1,78 @@
+"""What a command cannot do is one sentence that names it, exit status 2, and no file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+SETTINGS = [
+    ("mask.hues=[1,2]", "mask.hue?"),
+    ("tolerance.t=7", "0 to 1"),
+    ("tolerance.t=NaN", "tolerance.t"),
+    ("mask.hue=[1,180]", "mask.hue[1]"),
+    ("outliers.k=2.5", "outliers.k"),
+    ("mask.enabled=maybe", "maybe"),
+    ("range.limits_m=[0.5,0.1]", "range.limits_m"),
+    ("alignment=rigid", "alignment"),
+    ("alignment.model=sideways", "sideways"),
+    ("tolerance.t", "FIELD=VALUE"),
+    ("mask.hue=" + "[" * 50_000, "mask.hue"),
+    ("alignment.rigid.T_proximity_tactile={}", "alignment.rigid.T_proximity_tactile"),
+]
+REFUSED = [
+    ("run --source folder:/no/such/folder --json", "/no/such/folder"),
+    ("run --source simulator --json", "simulator"),
+    ("run --source sim:teapot --json", "teapot"),
+    ("run --source IN --preset no_such_preset --json", "no_such_preset"),
+    ("run --source IN --preset IN/rig.json --json", "rig.json"),
+    ("run --source IN --out /dev/null/out", "/dev/null/out"),
+    ("run --source IN --out IN/rig.json", "rig.json"),
+    (f"run --source {'x' * 5000} --json", "too long"),
+    ("run --source ~nosuchuser/x --json", "nosuchuser"),
+    ("run --source IN --json --set tolerance.tt=1", "did you mean tolerance.t"),
+    ("run --source IN --watch", "no untouched frame"),
+    ("convert IN IN", "recording"),
+    ("convert IN /dev/null/out", "/dev/null/out"),
+    ("convert IN .", "working folder"),
+    ("convert OUT/none.bag OUT/a.mcap", "nothing is at that path"),
+    ("convert sim OUT/a.bag", "read only"),
+    ("record -s sim:tea -o OUT/a.mcap", "no scene 'tea'"),
+    ("record -s sim -o OUT/a.bag", ".mcap"),
+    ("record -s sim -o OUT/a.mcap -p nowhere", "cannot read preset nowhere"),
+    ("record -s IN -o IN/precious.mcap", "give --force"),
+    ("convert IN IN/precious.mcap", "give --force"),
+    ("preset new --rig IN --out IN/rig.json", "give --force"),
+    ("preset new --out OUT/a.json", "--rig"),
+    ("preset new --from default --out OUT/a.json", "names no rig"),
+    ("preset new --rig nowhere --out OUT/a.json", "nowhere"),
+    ("preset new --rig IN --out /dev/null/a.json", "/dev/null"),
+    ("preset capture-untouched --source IN --preset default", "default is no preset file"),
+    ("preset measure-rig --source IN --preset default", "default is no preset file"),
+    ("preset measure-rig --source IN --out OUT/clip.mcap", "stays as it is"),
+    ("preset measure-rig --source IN --out SHIPPED --force", "stays as it is"),
+    ("preset suggest --source IN --section musk", "mask, contact_test"),
+    ("preset suggest --source IN --out IN/rig.json", "give --force"),
+    ("preset create-rig IN --tactile D405=60,61,31,23 --proximity L515=1,1,31,23", "a view of"),
+    ("preset create-rig IN --tactile D405=60,61,31,23 --proximity L515=nan,1,31,23", "fx is nan"),
+    ("preset create-rig IN --proximity L515=none", "none"),
+    *((f"preset new --rig IN --out OUT/a.json --set {setting}", named) for setting, named in SETTINGS),
+]
+
+
+@pytest.mark.parametrize(("words", "named"), REFUSED)
+def test_it_is_one_sentence_and_writes_nothing(
+    tactune: Callable[..., Any], recording: Path, tmp_path: Path, words: str, named: str
+) -> None:
+    out, shipped = tmp_path / "out", Path(str(resources.files("tactune.presets"))) / "simulator.json"
+    out.mkdir()
+    (recording / "precious.mcap").write_text("precious")
+    before = {path: path.read_bytes() for path in (*recording.rglob("*.*"), shipped) if path.is_file()}
+    for place, path in (("SHIPPED", shipped), ("OUT", out), ("IN", recording)):
+        words = words.replace(place, str(path))
+    assert named in tactune(*words.split()).sentence
+    assert list(out.iterdir()) == []
+    assert {path: path.read_bytes() for path in before} == before
