@@ -220,8 +220,9 @@ class LineOutput:
         """End the command, and keep Python from writing the rest to the broken pipe at its exit."""
         if not self.reader_gone:
             self.reader_gone = True
-            with Path(os.devnull).open("wb") as nowhere:
-                os.dup2(nowhere.fileno(), sys.stdout.fileno())
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, sys.stdout.fileno())
+            os.close(nowhere)
         self._stopped.set()
 
 
