@@ -120,7 +120,7 @@ class McapFile:
                     indexes, chunk, chunks = [], start, chunks + 1
                     if opcode == Opcode.FOOTER:
                         return True
-                    if self._progress is not None and chunks % 256 == 1:
+                    if self._progress is not None and chunks % 256 == 0:
                         self._progress(offset / self._size, f"indexing {self.path.name}")
                 elif opcode == Opcode.MESSAGE_INDEX:
                     indexes.append(self._read(start, length))
