@@ -203,7 +203,7 @@ def test_patches_go_into_one_bag_with_the_stamps_of_their_frames(tmp_path: Path,
             np.testing.assert_array_equal(points, pipeline.process(frame).points)
     assert len(clouds[-1][2].data) > 0
     assert "patches.mcap is already there" in tactune("run", "-s", recording, "--out", out).sentence
-    assert "holds contact patches, no images" in tactune("run", "-s", out, "--json").sentence
+    assert "its topics are /contact/patch" in tactune("run", "-s", out, "--json").sentence
 
 
 @pytest.mark.parametrize("words", [("record", "-o"), ("run", "--out")])
