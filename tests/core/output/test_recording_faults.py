@@ -69,7 +69,7 @@ def test_a_hole_that_a_power_failure_left_ends_the_recording(
         assert plays(tmp_path / "hole.mcap", frames, same_frame) in (2, 3)
 
 
-def test_a_broken_record_ends_the_recording_and_cancelling_is_no_damage(
+def test_a_broken_record_ends_the_recording(
     tmp_path: Path, rig: Rig, make_frames: Frames, record: Record, same_frame: Same
 ) -> None:
     frames, path = make_frames(3), tmp_path / "whole.mcap"
@@ -79,7 +79,15 @@ def test_a_broken_record_ends_the_recording_and_cancelling_is_no_damage(
     (tmp_path / "broken.mcap").write_bytes(data[: data.rindex(LZ4_MAGIC) - 52] + attachment)  # up to the last chunk
     assert plays(tmp_path / "broken.mcap", frames, same_frame) == 2
 
+
+def test_opening_a_long_recording_can_be_cancelled(
+    tmp_path: Path, rig: Rig, make_frames: Frames, record: Record
+) -> None:
+    path = tmp_path / "long.mcap"
+    record(path, rig, make_frames(2) * 150)
+
     def cancel(share: float, words: str) -> None:
+        assert 0.0 < share < 1.0
         raise AdviceError("cancelled")
 
     with pytest.raises(AdviceError, match="cancelled"):
