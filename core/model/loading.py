@@ -90,10 +90,9 @@ def parse_npy(data: bytes) -> AnyArray:
 
 def parse_npz(data: bytes) -> dict[str, AnyArray]:
     """Return the arrays in the bytes of an ``.npz`` by name; `ValueError` if they are damaged or far too large."""
-    loaded = _load(data)
-    if not isinstance(loaded, dict):
-        raise ValueError("it is a single array, no archive of arrays")
-    return loaded
+    if not zipfile.is_zipfile(io.BytesIO(data)):  # NumPy would take it for a pickle
+        raise ValueError("it is no archive of arrays (.npz)")
+    return dict(_load(data))
 
 
 def _load(data: bytes) -> Any:
