@@ -24,11 +24,13 @@ if TYPE_CHECKING:
     from .rig.noise import measure_noise
     from .sources.presets import load_preset
     from .sources.registry import open_source
+    from .tuning.advice.proposal import Evidence
     from .tuning.advice.suggest import suggest_all
 
 _HOME = {
     "ContactPatch": ".model.patch",
     "ContactPipeline": ".contact.pipeline",
+    "Evidence": ".tuning.advice.proposal",
     "PoseTracker": ".estimation.pose",
     "Preset": ".preset",
     "Publisher": ".output.publisher",
@@ -49,6 +51,7 @@ _HOME = {
 __all__ = [
     "ContactPatch",
     "ContactPipeline",
+    "Evidence",
     "PoseTracker",
     "Preset",
     "Publisher",
