@@ -18,9 +18,8 @@ def test_the_shipped_scene_is_the_solver_s():
     simulator = SimulatorSource()
     solved = simulator.solve_anew(lambda share, words: None)
     shipped = load_scene(path, len(solved.states))
-    for ours, theirs in zip(
-        shipped.facts, solved.facts, strict=True
-    ):  # other processors round the last digits otherwise
+    # Other processors round the last digits otherwise.
+    for ours, theirs in zip(shipped.facts, solved.facts, strict=True):
         assert flat(asdict(ours)) == pytest.approx(flat(asdict(theirs)), rel=1e-6, abs=1e-9, nan_ok=True)
     for ours, theirs in zip(shipped.states, solved.states, strict=True):
         for name, image in vars(theirs).items():
@@ -28,4 +27,7 @@ def test_the_shipped_scene_is_the_solver_s():
 
 
 def flat(facts: dict[str, Any]) -> list[float]:
-    return np.concatenate([np.ravel(np.asarray(value, float)) for value in facts.values()]).tolist()
+    numbers: list[float] = []
+    for value in facts.values():
+        numbers += flat(value) if isinstance(value, dict) else np.ravel(np.asarray(value, float)).tolist()
+    return numbers
