@@ -262,7 +262,10 @@ def save_transform(path: Path | str, pose: Matrix4) -> None:
 
 def read_pairs(path: Path | str, unit_m: float = 1.0) -> tuple[Float64Array, Float64Array]:
     """Read point pairs for `pose_from_pairs` from a CSV file with the columns of `HEADER`; both in metres, (N, 3)."""
-    rows = [row for row in csv.reader(read_text(path).splitlines()) if any(word.strip() for word in row)]
+    try:
+        rows = [row for row in csv.reader(read_text(path).splitlines()) if any(word.strip() for word in row)]
+    except csv.Error as error:
+        raise SourceError(f"{path} is no table of pairs ({error}); each line is six numbers") from error
     if not rows or tuple(word.strip() for word in rows[0]) != HEADER:
         raise SourceError(f"{path} lacks the header {','.join(HEADER)}; put it into the first line")
     try:

@@ -101,5 +101,5 @@ def test_damaged_files_are_read_or_refused_and_kept(
             other.unlink()
         for other, whole in wholes.items():
             other.write_bytes(whole)
-    assert refused > kind.damaged // 10
+    assert refused > kind.damaged // 25  # a recording plays up to its damage
     assert capfd.readouterr().err == "", "a library writes to the terminal"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from array import array
 from collections import OrderedDict, defaultdict
 from collections.abc import Iterator
 from contextlib import suppress
@@ -33,6 +34,8 @@ MAGIC: Final = b"\x89MCAP0\r\n"
 _OUTSIDE: Final = 2**64 - 1
 #: A chunk unpacks to at most this, plus 8 times the size of the file. One frame takes 20 MB.
 _MAX_CHUNK_BYTES: Final = 2**26
+#: A channel has at most this many messages, plus one for each 8 bytes of the file.
+_MOST_MESSAGES: Final = 2**20
 _CACHED_CHUNKS, _CACHED_BYTES = 8, 2**27
 
 
@@ -48,7 +51,7 @@ class McapFile:
         self._cache: OrderedDict[int, memoryview] = OrderedDict()
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
-        self._places: defaultdict[int, list[tuple[int, int, int]]] = defaultdict(list)
+        self._places: defaultdict[int, array[int]] = defaultdict(lambda: array("Q"))  # a list takes ten times as much
         self._attachments: dict[str, tuple[int, int]] = {}  # offset and length of each record's body
         self.metadata: dict[str, dict[str, str]] = {}
         self._file = path.open("rb")
@@ -71,8 +74,8 @@ class McapFile:
 
     def places(self, topic: str) -> Uint64Array:
         """Return log time (ns), chunk and offset of each message of a topic, in the order of log time."""
-        found = [place for number in self._numbers.get(topic, []) for place in self._places[number]]
-        table = np.array(found, np.uint64).reshape(-1, 3)
+        found = [np.frombuffer(self._places[number], np.uint64) for number in self._numbers.get(topic, [])]
+        table = np.concatenate([*found, np.empty(0, np.uint64)]).reshape(-1, 3)
         return table[np.argsort(table[:, 0], kind="stable")]
 
     def message(self, place: Uint64Array) -> memoryview:
@@ -126,7 +129,7 @@ class McapFile:
                     indexes.append(self._read(start, length))
                 elif opcode == Opcode.MESSAGE:
                     channel, log_time_ns = struct.unpack("<H4xQ", self._read(start, 14))
-                    self._places[channel].append((log_time_ns, _OUTSIDE, start - 9))
+                    self._add_place(channel, log_time_ns, _OUTSIDE, start - 9)
                 elif opcode == Opcode.ATTACHMENT:
                     self._attachments[Attachment.read(_stream(self._read(start, length))).name] = start, length
                 elif opcode == Opcode.METADATA:
@@ -148,15 +151,21 @@ class McapFile:
             for index in indexes:
                 channel, length = struct.unpack_from("<HI", index)
                 for log_time_ns, offset in struct.iter_unpack("<QQ", index[6 : 6 + length]):
-                    self._places[channel].append((log_time_ns, start, offset))
+                    self._add_place(channel, log_time_ns, start, offset)
         elif start:
             data = self._chunk_data(start)
             for opcode, offset, length in _records(data):
                 if opcode == Opcode.MESSAGE:
                     channel, log_time_ns = struct.unpack_from("<H4xQ", data, offset)
-                    self._places[channel].append((log_time_ns, start, offset - 9))
+                    self._add_place(channel, log_time_ns, start, offset - 9)
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self._declare(opcode, bytes(data[offset : offset + length]))
+
+    def _add_place(self, channel: int, log_time_ns: int, chunk: int, offset: int) -> None:
+        places = self._places[channel]
+        places.extend((log_time_ns, chunk, offset))
+        if len(places) > 3 * (_MOST_MESSAGES + self._size // 8):
+            raise ValueError("it claims far more messages than its size allows")
 
     def _declare(self, opcode: int, body: bytes) -> None:
         if opcode == Opcode.SCHEMA:
