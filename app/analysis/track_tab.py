@@ -30,7 +30,6 @@ from ...widgets.basics.messages import Severity
 from ...widgets.basics.theme import theme_colors
 from ...widgets.clouds.cloud_data import free_cloud
 from ...widgets.clouds.cloud_view import CloudView
-from ...widgets.plots.pose_plot import PosePlot
 from ..context import Context
 from ..worker.job_row import JobRow
 from ..worker.jobs import Job, Progress, Work
@@ -129,7 +128,7 @@ class FrameTracker:
 
 
 class TrackTab(LiveTab):
-    """The patch with the model in its pose, the numbers of the pose, and its errors over time."""
+    """The patch with the model in its pose, and the numbers of the pose."""
 
     COLUMNS = tuple(pose_record(_NOBODY))
     EXPORT = "poses"
@@ -150,7 +149,7 @@ class TrackTab(LiveTab):
         )
         self.guide = wrapped_label(verdict=True)
         self.scene = CloudView("Patch and model")
-        self.pose, self.plot = QLabel(), PosePlot()
+        self.pose = QLabel()
         self._lay_out()
         self.open_button.clicked.connect(self._ask_mesh)
         self.simulated.clicked.connect(self._open_simulated)
@@ -178,7 +177,7 @@ class TrackTab(LiveTab):
         entries = (self.open_button, self.simulated, caption("&Unit", self.unit), self.unit, self.track_button)
         self.top.addLayout(hbox(*entries, STRETCH, JobRow(self._loading)))
         side = QWidget()
-        vbox(self.guide, self.pose, self.plot, STRETCH, within=side, margins=0)
+        vbox(self.guide, self.pose, STRETCH, within=side, margins=0)
         self.column.addWidget(splitter(Qt.Orientation.Horizontal, (self.scene, 1), side, sizes=(600, 340)))
 
     @property
@@ -218,7 +217,6 @@ class TrackTab(LiveTab):
         if self.rows:
             self._reset()
         self.model = model
-        self.plot.clear()
         self.messages.show_message("mesh", Severity.INFO, f"{model.mesh.assumed}.")
         self._show()
 
@@ -242,7 +240,6 @@ class TrackTab(LiveTab):
     def begin(self, result: Result) -> None:
         """Offer the simulator's own object where there is one."""
         self.simulated.setVisible(result.source.name.removeprefix("live:").startswith("sim:"))
-        self.plot.clear()
 
     def work(self, result: Result) -> Work:
         """Return the tracking of a frame. Its pose is published at once, not when the window has time."""
@@ -262,13 +259,8 @@ class TrackTab(LiveTab):
         if self.tracked is None:
             self._show()
             return None
-        estimate, error = self.tracked.estimate, self.tracked.error
-        position_mm, angle_deg = math.nan, math.nan
-        if error is not None:
-            position_mm, angle_deg = 1e3 * error.position_m, math.degrees(error.angle_rad)
-        self.plot.add(estimate.time_s, 1e3 * estimate.residual_m, position_mm, angle_deg)
         self._show()
-        return tuple(pose_record(estimate, error).values())
+        return tuple(pose_record(self.tracked.estimate, self.tracked.error).values())
 
     def write_rows(self, path: Path, rows: list[Row]) -> None:
         """Write a ``.tum`` file."""
@@ -280,8 +272,7 @@ class TrackTab(LiveTab):
         tracked, model, result = self.tracked, self.model, self.result
         self.track_button.setEnabled(model is not None and result is not None)
         self.guide.setText(self._next_step())
-        self.pose.setText("" if tracked is None else pose_text(tracked.estimate))
-        self.plot.setVisible(self.plot.filled)
+        self.pose.setText("" if tracked is None else pose_text(tracked))
         patch = np.zeros((0, 3)) if result is None or result.patch is None else result.patch.points
         points, colors, legend = patch, np.full(len(patch), CONTACT_ROW, np.uint8), [("patch", CONTACT_COLOR)]
         lut = patch_lut(palette_theme(self.palette())).copy()
@@ -317,12 +308,13 @@ class TrackTab(LiveTab):
     def changeEvent(self, event: QEvent | None) -> None:
         """Follow the theme."""
         super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.PaletteChange and hasattr(self, "plot"):
+        if event is not None and event.type() == QEvent.Type.PaletteChange and hasattr(self, "pose"):
             self._show()
 
 
-def pose_text(estimate: PoseEstimate) -> str:
+def pose_text(tracked: Tracked) -> str:
     """Return the pose with its standard deviations as a table for people; what is not determined is red."""
+    estimate, error = tracked.estimate, tracked.error
     if estimate.lost:
         return ""
     pose, sigmas = estimate.T_proximity_object, np.sqrt(np.diag(estimate.covariance))
@@ -337,4 +329,7 @@ def pose_text(estimate: PoseEstimate) -> str:
         cells = (name, minus(f"{value:z.1f}{unit}"), "free" if sigma > limit else f"± {sigma:.2f}{unit}")
         lines.append(f"<tr{color}>" + "".join(f'<td align="right">{cell}&nbsp;&nbsp;</td>' for cell in cells) + "</tr>")
     fit = f"Residual {1e3 * estimate.residual_m:.2f} mm, {100 * estimate.overlap:.0f} % on the model"
-    return f"<table>{''.join(lines)}</table>{fit}"
+    true = ""
+    if error is not None:
+        true = f"<br>True error {1e3 * error.position_m:.2f} mm, {math.degrees(error.angle_rad):.2f}°"
+    return f"<table>{''.join(lines)}</table>{fit}{true}"

@@ -15,9 +15,9 @@ from ...core.preset.file import shipped_presets
 from ...core.sources.registry import open_source
 from ...core.tuning.advice.suggest import SECTIONS
 from ...widgets.basics.controls import ProgressCard
-from ...widgets.basics.dialogs import Dialogs, bring_up, local_files, room_on
+from ...widgets.basics.dialogs import Dialogs, local_files, room_on
 from ...widgets.basics.layouts import vbox
-from ...widgets.basics.messages import MessageHistory, Messages, Severity
+from ...widgets.basics.messages import Messages, Severity
 from ...widgets.basics.style import apply_theme
 from ...widgets.basics.theme import ThemeChoice, theme_name
 from ...widgets.images.image_strip import ImageStrip
@@ -180,7 +180,6 @@ class MainWindow(QMainWindow):
         for part in (self.opening, self.recording_bar, self.export_bar, self.status.details):
             self.messages.pin(part)
         self.setStatusBar(self.status)
-        self.message_history = MessageHistory(self)
         self.computer = ComputerWindow(self)
         self.publishing = PublishControl(self.context, self.actions_.publish, self.status.publishing)
         self.setAcceptDrops(True)
@@ -238,7 +237,7 @@ class MainWindow(QMainWindow):
         )
         self.strip.widthHintChanged.connect(self._send_wanted)
         self.strip.regionEdited.connect(partial(self.document.edit, "region.rectangle"))
-        self.panel.maskViewChanged.connect(self._send_wanted)
+        self.panel.maskShown.connect(self._send_wanted)
         self.eyedropper.started.connect(self._show_color_image)
         self.contacts.section.collapsedChanged.connect(self._send_wanted)
         for path in self.panel.histograms:
@@ -269,13 +268,12 @@ class MainWindow(QMainWindow):
         )
         self.context.sourceRequested.connect(self.open_source)
         actions.quit.triggered.connect(self.close)
-        actions.measure.triggered.connect(self.pointing.add_marked)
         actions.show_strip.toggled.connect(self.strip.setVisible)
         actions.show_panel.toggled.connect(self.panel.setVisible)
         actions.show_panel.toggled.connect(self._show_beside)
         for action in (actions.show_strip, actions.show_panel):
             action.toggled.connect(self._send_wanted)
-        actions.messages.triggered.connect(self._show_messages)
+        actions.messages.triggered.connect(self.messages.focus_newest)
         actions.shortcuts.triggered.connect(
             lambda: show_shortcuts(self, [*actions.all(), *self.analysis.actions.values()])
         )
@@ -310,11 +308,6 @@ class MainWindow(QMainWindow):
             timeline.availableChanged.connect(action.setEnabled)
             action.setEnabled(False)
         actions.show_time.toggled.connect(timeline.set_shown)
-
-    def _show_messages(self) -> None:
-        if not self.messages.focus_newest():
-            self.message_history.refresh()
-            bring_up(self.message_history)
 
     def open_source(self, name: str) -> None:
         """Open a source by its name; the present one stays open until that has succeeded."""
@@ -380,7 +373,7 @@ class MainWindow(QMainWindow):
                 color_by=self.views.chosen_colors(),
                 strip=not self.strip.isHidden(),
                 strip_width=self.strip.width_hint(),
-                mask_view=self.panel.mask_view(),
+                shows_mask=self.panel.show_mask.isChecked(),
                 histograms=self.panel.open_histograms() if panel else frozenset(),
                 dark=theme_name() == "dark",
                 patch_difference=self.comparison.shows_difference,
@@ -473,7 +466,7 @@ class MainWindow(QMainWindow):
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
         """Space plays or pauses; Esc dismisses a message, clears a distance, goes back or ends a comparison."""
         if event is not None and event.key() == Qt.Key.Key_Escape:
-            undo = (self.messages.dismiss_newest, self.pointing.clear_distance, self.parts.back)
+            undo = (self.messages.dismiss_newest, self.parts.back)
             if not any(step() for step in undo):
                 self.context.comparison.end()
             return

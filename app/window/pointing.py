@@ -1,4 +1,4 @@
-"""Pointing at pixels: linked views and images, distances, and the eyedropper that sets the mask by a click."""
+"""Pointing at pixels: linked views and images, and the eyedropper that sets the mask by a click."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from PyQt6.QtCore import QObject, QPoint, QPointF, pyqtSignal
 from PyQt6.QtGui import QColor
 
+from ...core.contact.alignment import make_alignment
 from ...core.errors import TactuneError
 from ...core.model.arrays import Uint8Array
 from ...core.model.frames import Rig
@@ -22,17 +23,13 @@ from ...widgets.images.image_strip import ImageStrip
 from ...widgets.images.point_image import SPAN, Loupe
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..calibration.pictures import pack_rgb
-from ..context import SOURCE, TASK, Context
+from ..context import SOURCE, Context
 from ..worker.rendering import colors_around
-from ..worker.results import CloudName, Result, SourceInfo
-from ..worker.tactile_use import alignment_model
+from ..worker.results import CloudName, Result
 from .view_area import ViewArea
 
 Pixel = tuple[int, int]
 _NOWHERE: Pixel = (-1, -1)
-_NO_MARK = (
-    "No point is marked: move the crosshair in the images to a pixel with depth (arrow keys), then press Shift+D."
-)
 
 
 class Pointing(QObject):
@@ -43,37 +40,10 @@ class Pointing(QObject):
         self._context, self._views, self._strip = context, views.views, strip
         self._pixel = _NOWHERE
         self._leads = False
-        self._ends: tuple[Place, ...] = ()
-        self._source: SourceInfo | None = None
         for name, view in self._views.items():
             view.pointHovered.connect(partial(self._point_in_view, name))
-            view.endChosen.connect(self.add_end)
         strip.hovered.connect(self._point_in_image)
         context.frameShown.connect(self._follow_frame)
-
-    def add_end(self, place: Place) -> None:
-        """Choose an end of a distance; a third one begins another distance."""
-        self._show_ends((*self._ends, place) if len(self._ends) == 1 else (place,))
-
-    def add_marked(self) -> None:
-        """Choose the point under the images' crosshair as an end, or say that there is none."""
-        order = CloudName.PATCH, CloudName.PROXIMITY, CloudName.TACTILE
-        mark = next((mark for name in order if (mark := self._views[name].mark()) is not None), None)
-        if mark is None:
-            self._context.messages.show_message("measure", Severity.INFO, _NO_MARK, subject=TASK)
-        else:
-            self.add_end(mark)
-
-    def clear_distance(self) -> bool:
-        """Remove the distance; return whether there was one."""
-        shown = bool(self._ends)
-        self._show_ends(())
-        return shown
-
-    def _show_ends(self, ends: tuple[Place, ...]) -> None:
-        self._ends = ends
-        for view in self._views.values():
-            view.set_ends(ends)
 
     def _point_in_view(self, name: CloudName, found: tuple[int, Place] | None) -> None:
         result = self._context.result
@@ -100,12 +70,7 @@ class Pointing(QObject):
 
     def _follow_frame(self) -> None:
         result = self._context.result
-        if result is None:
-            return
-        if result.source is not self._source:
-            self._source = result.source
-            self.clear_distance()
-        if self._pixel != _NOWHERE:
+        if result is not None and self._pixel != _NOWHERE:
             self._mark(self._places(result))
 
     def _mark(self, places: dict[CloudName, Place]) -> None:
@@ -149,7 +114,7 @@ def _tactile_pixel(result: Result, flat: int) -> int | None:
     rig = result.source.rig
     depth_m = result.frame.proximity_depth.reshape(-1)[flat : flat + 1] * np.float32(rig.proximity.depth_unit_m)
     try:
-        model = alignment_model(result.preset.alignment, rig)
+        model = make_alignment(result.preset.alignment, rig)
     except TactuneError:
         return None
     u, v = (float(part[0]) for part in model.tactile_pixels(np.array([flat]), depth_m, rig))

@@ -28,7 +28,6 @@ from ...widgets.basics.colormaps import (
     overlap_legend,
     patch_legend,
     provenance_legend,
-    tactile_use_legend,
 )
 from ...widgets.basics.controls import ChoiceBox, caption
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
@@ -58,8 +57,7 @@ _COLOR_TIPS = {
     ColorBy.CONTACT: "Depth in the camera views; contact in its own colour in the patch",
     ColorBy.DEPTH: "Depth in all views, including the patch",
     ColorBy.DIFFERENCE: "(dp - dt) / dp: how closely both cameras agree",
-    ColorBy.PROVENANCE: "Proximity: why each point was kept or dropped. Tactile: what each point was used for. "
-    "Patch: contact, and what the last steps dropped",
+    ColorBy.PROVENANCE: "Proximity: why each point was kept or dropped. Patch: what the last steps dropped",
 }
 
 
@@ -269,14 +267,12 @@ def legend_of(
 ) -> Legend:
     near, far = range_m
     around = patch_legend(theme)[1:]
-    if color_by is ColorBy.PROVENANCE and verdicts:
-        return {
-            CloudName.PROXIMITY: provenance_legend(theme, verdicts - {Provenance.NO_PROXIMITY_DEPTH}),
-            CloudName.TACTILE: tactile_use_legend(theme),
-            CloudName.PATCH: provenance_legend(theme, verdicts & {*LATE_VERDICTS}) + around,
-        }[name]
     if name is CloudName.TACTILE:
         return depth_legend(near, far)
+    if color_by is ColorBy.PROVENANCE and verdicts:
+        if name is CloudName.PROXIMITY:
+            return provenance_legend(theme, verdicts - {Provenance.NO_PROXIMITY_DEPTH})
+        return provenance_legend(theme, verdicts & {*LATE_VERDICTS}) + around
     if color_by is ColorBy.DIFFERENCE:
         return difference_legend(t) if name is CloudName.PROXIMITY else _patch_difference_legend(t, theme)
     if name is CloudName.PROXIMITY:

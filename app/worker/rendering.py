@@ -32,12 +32,10 @@ from ...widgets.basics.colormaps import (
     patch_index,
     patch_lut,
     provenance_lut,
-    tactile_use_lut,
 )
 from ...widgets.clouds.cloud_data import DepthCloud
-from ...widgets.images.strip_render import MaskView, RenderedStrip, StripImages, render_strip, stride_for
+from ...widgets.images.strip_render import RenderedStrip, StripImages, render_strip, stride_for
 from .results import CloudName, ColorBy, Histogram, Rendered, Wanted
-from .tactile_use import tactile_use
 
 
 def draw_strip(
@@ -49,7 +47,7 @@ def draw_strip(
     *,
     accepted: float,
     width_hint: int,
-    mask_view: MaskView = MaskView.OVERLAY,
+    shows_mask: bool = True,
 ) -> RenderedStrip:
     """Return the four images of the strip: colour, expected and measured depth, relative difference.
 
@@ -73,8 +71,7 @@ def draw_strip(
         )
     images = StripImages(
         color=color,
-        mask_overlay=in_hsv_range(color, preset.mask) if preset.mask.enabled else None,
-        mask_view=mask_view,
+        mask_overlay=in_hsv_range(color, preset.mask) if preset.mask.enabled and shows_mask else None,
         proximity_m=expected_m,
         tactile_m=measured_m,
         relative=np.asarray((expected_m - measured_m) / expected_m, np.float32),
@@ -210,7 +207,7 @@ class Renderer:
                 tactile_range_m,
                 accepted=scene.accepted,
                 width_hint=wanted.strip_width,
-                mask_view=wanted.mask_view,
+                shows_mask=wanted.shows_mask,
             )
         if not patch or len(patch.points) or CloudName.PATCH not in wanted.clouds:
             self._no_contact = "", ""
@@ -350,25 +347,17 @@ def proximity_view(scene: Scene) -> DepthCloud:
 
 
 def tactile_view(scene: Scene) -> DepthCloud | None:
-    """Return the tactile cloud in the proximity frame, depth correction included; None without a pose.
-
-    It is coloured by depth, or by what its pixels were used for.
-    """
+    """Return the tactile cloud in the proximity frame, depth correction included; None without a pose."""
     alignment, camera = scene.preset.alignment, scene.rig.tactile
     try:
         pose = tactile_pose(alignment, scene.rig)
     except TactuneError:
         return None
-    index, lut = None, depth_lut()
-    if scene.color_by is ColorBy.PROVENANCE and scene.patch is not None:
-        index = tactile_use(scene.frame, scene.patch, alignment, scene.rig)
-        lut = tactile_use_lut(scene.theme)
     return DepthCloud(
         depth=scene.frame.tactile_depth,
         depth_unit_m=camera.depth_unit_m,
         rays=ray_table(camera.intrinsics),
-        lut=lut,
-        index=index,
+        lut=depth_lut(),
         pose=pose.astype(np.float64),
         depth_scale=alignment.depth_scale,
         depth_offset_m=alignment.depth_offset_m,

@@ -20,7 +20,6 @@ from ...core.model.provenance import Provenance
 from ...core.preset import Preset
 from ...core.rig.untouched import FoundUntouched, find_untouched, kept_untouched
 from ...core.sources.base import FrameSource, Health, Progress
-from ...widgets.images.strip_render import MaskView
 from ..document.comparison import Side
 from .playback import PlaybackState
 
@@ -119,7 +118,7 @@ class Wanted:
     color_by: ColorBy = ColorBy.CONTACT
     strip: bool = True
     strip_width: int = 0
-    mask_view: MaskView = MaskView.OVERLAY
+    shows_mask: bool = True
     histograms: frozenset[str] = frozenset({"tolerance.t", "membrane.gap_m"})
     dark: bool = False
     patch_difference: bool = False

@@ -133,7 +133,6 @@ class SharedWindow:
         window.context.comparison.end()
         window.eyedropper.use("off")
         window.parts.back()
-        window.pointing.clear_distance()
         for key in list(window.messages.keys()):  # a method of Messages, no dict
             window.messages.clear(key)
         window.document.new(preset)

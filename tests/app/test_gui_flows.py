@@ -19,7 +19,6 @@ from hands import (
     type_into,
 )
 from tactune.app.worker.worker import SourceRequest
-from tactune.widgets.images.strip_render import MaskView
 
 
 def test_a_typed_value_is_undone_while_its_entry_has_the_focus(window, qtbot):
@@ -127,18 +126,23 @@ def test_while_picking_a_banner_says_what_to_click_and_a_loupe_shows_the_colour(
     assert not loupe.isVisible(), "the colour is told without picking, too"
 
 
-def test_the_mask_is_shown_in_black_and_white_with_its_share(window, qtbot):
+def test_the_mask_tints_the_image_until_it_is_hidden(window, qtbot):
     panel, pane = window.panel, window.strip.panes["color"]
     assert not panel.masked_share.isVisible()
-    assert not panel.mask_views[MaskView.BLACK_WHITE].isEnabled(), "there is no mask"
+    assert not panel.show_mask.isEnabled(), "there is no mask"
     QTest.mouseClick(panel.eyedroppers["set"], LEFT)
     QTest.mouseClick(pane.view.viewport(), LEFT, pos=image_position(pane, 8, 8).toPoint())
     qtbot.waitUntil(panel.masked_share.isVisible)
     share = np.mean((window.result.frame.proximity_color == MEMBRANE_RGB).all(-1))
     assert f"{100 * share:.1f} % of the colour image" in panel.masked_share.text()
-    QTest.mouseClick(panel.mask_views[MaskView.BLACK_WHITE], LEFT)
-    qtbot.waitUntil(lambda: set(np.unique(window.result.rendered.strip.panes[0][4:8, 4:8, :3])) == {255})
-    assert [view for view, button in panel.mask_views.items() if button.isChecked()] == [MaskView.BLACK_WHITE]
+
+    def tinted():
+        corner = window.result.rendered.strip.panes[0][4:8, 4:8, :3]
+        return bool((corner != MEMBRANE_RGB[::-1]).any(axis=2).all())
+
+    assert tinted()
+    QTest.mouseClick(panel.show_mask, LEFT)
+    qtbot.waitUntil(lambda: not tinted())
 
 
 def test_hovering_says_why_a_pixel_was_kept(window, qtbot):

@@ -56,15 +56,8 @@ def test_in_provenance_each_view_answers_its_own_question(window, qtbot):
     verdicts = window.result.patch.provenance
     assert {Provenance.OUTSIDE_REGION, Provenance.OUTSIDE_TOLERANCE} < set(np.unique(verdicts))
     assert "out of region" in names[PROXIMITY] and "out of region" not in names[PATCH]
-    assert names[TACTILE] == ["in contact", "agreed, dropped later", "not touching", "not compared"]
     assert names[PATCH][-1] == "not touching"
-    tactile, patch = colors_of(window, TACTILE), colors_of(window, PATCH)
-    shown = {text: color.getRgb()[:3] for text, color in window.views.views[TACTILE].legend()}
-    in_contact = verdicts == Provenance.CONTACT
-    assert (tactile[in_contact][:, :3] == shown["in contact"]).all()
-    assert (patch[in_contact][:, :3] == CONTACT_RGB).all()
-    assert (tactile[30:, :, :3] == shown["not compared"]).all(), "outside the region nothing is compared"
-    assert (tactile[2:6, 2:6, :3] == shown["not touching"]).all()
+    assert (colors_of(window, PATCH)[verdicts == Provenance.CONTACT][:, :3] == CONTACT_RGB).all()
 
 
 def test_the_patch_view_shows_what_late_steps_dropped(window, qtbot):
@@ -74,6 +67,4 @@ def test_the_patch_view_shows_what_late_steps_dropped(window, qtbot):
     window.document.edit_many(values, 1, "Drop the disc")
     qtbot.waitUntil(lambda: window.result.preset == window.document.preset and not window.result.patch.mask.any())
     patch = {text: color.getRgb()[:3] for text, color in window.views.views[PATCH].legend()}
-    tactile = {text: color.getRgb()[:3] for text, color in window.views.views[TACTILE].legend()}
     assert (colors_of(window, PATCH)[disc][:, :3] == patch["masked"]).all()
-    assert (colors_of(window, TACTILE)[disc][:, :3] == tactile["agreed, dropped later"]).all()

@@ -1,4 +1,4 @@
-"""What a person does in the views: framing, enlarging, pointing, measuring, copying, by real mouse and key events."""
+"""What a person does in the views: framing, enlarging, pointing, copying, by real mouse and key events."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from fakes import FakeSource, tiny_frame
 from hands import image_position, show_source
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.results import CloudName
-from tactune.widgets.clouds.inspect_view import distance_text
 
 LEFT = Qt.MouseButton.LeftButton
 PATCH, TACTILE, PROXIMITY = CloudName.PATCH, CloudName.TACTILE, CloudName.PROXIMITY
@@ -182,45 +181,6 @@ def test_a_pixel_in_an_image_marks_its_points_in_the_views(window, qtbot):
         window.views.views[PATCH].mark(), place_of(window, PATCH, 31, 20), atol=1e-6, err_msg="keys point, too"
     )
     assert canvas(window, PATCH).grab().toImage() != before, "the mark is painted"
-
-
-def shift_click(window, name, place):
-    QTest.mouseClick(canvas(window, name), LEFT, Qt.KeyboardModifier.ShiftModifier, on_canvas(window, name, place))
-
-
-def test_two_clicks_with_shift_measure_the_distance_and_escape_clears_it(window):
-    QTest.keyClick(window, Qt.Key.Key_V)
-    camera = window.views.views[PATCH].camera()
-    start, end = place_of(window, PROXIMITY, 33, 24), place_of(window, PROXIMITY, 50, 24)
-    bare = canvas(window, PATCH).grab().toImage()
-    shift_click(window, PROXIMITY, start)
-    shift_click(window, PROXIMITY, end)
-    assert window.views.views[PATCH].camera() == camera, "a click is not a drag"
-    for view in window.views.views.values():
-        np.testing.assert_allclose(view.ends(), [start, end], atol=1e-6)
-    assert canvas(window, PATCH).grab().toImage() != bare, "every view shows it"
-    QTest.keyClick(window, Qt.Key.Key_Escape)
-    assert {view.ends() for view in window.views.views.values()} == {()}
-    shift_click(window, PROXIMITY, start)
-    shift_click(window, PROXIMITY, end)
-    shift_click(window, TACTILE, place_of(window, TACTILE, 20, 20))
-    assert len(window.views.views[PATCH].ends()) == 1, "the third click begins another distance"
-
-
-def test_a_distance_is_measured_with_the_keyboard(window):
-    QTest.keyClick(window, Qt.Key.Key_D, Qt.KeyboardModifier.ShiftModifier)
-    assert any("No point is marked" in sentence for sentence in window.messages.sentences())
-    places = []
-    for _ in range(2):
-        QTest.keyClick(window.strip, Qt.Key.Key_Right, Qt.KeyboardModifier.ShiftModifier)
-        QTest.keyClick(window.strip, Qt.Key.Key_D, Qt.KeyboardModifier.ShiftModifier)
-        places.append(window.views.views[PATCH].mark())
-    assert window.views.views[PROXIMITY].ends() == tuple(places)
-    assert places[0] != places[1]
-
-
-def test_the_text_of_a_distance():
-    assert distance_text((0.0, 0.0, 0.3), (0.003, 0.004, 0.288)) == "13.0 mm (dz −12.0 mm)"
 
 
 def test_a_view_is_copied_as_it_is_shown_with_its_legend(window, qtbot):

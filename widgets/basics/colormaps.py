@@ -40,9 +40,6 @@ UNDEFINED_ROW: Final = 0
 CONTACT_ROW: Final = 255
 BOTH_ROW, ONLY_A_ROW, ONLY_B_ROW = 253, 254, 255
 
-#: The rows of what a tactile pixel was used for; row 0: not compared.
-USED_ROW, AGREED_ROW, TOUCHING_ROW = 1, 2, 3
-
 _DEPTH_MAP, _DEPTH_PART = "viridis", (0.96, 0.14)
 #: Blue, white, ochre: made for colour-blind people (P. Kovesi, CET perceptually uniform colour maps).
 _DIFFERENCE_MAP = "CET-CBD1"
@@ -161,28 +158,6 @@ def provenance_lut(theme: Theme) -> Uint8Array:
 
 #: Verdicts on points that agreed in distance; later steps decided.
 LATE_VERDICTS: Final = tuple(reason for reason in _REASON_RGB if reason != Provenance.NO_TACTILE_DEPTH)
-
-_USE_NAMES = {
-    TOUCHING_ROW: "in contact",
-    AGREED_ROW: "agreed, dropped later",
-    USED_ROW: "not touching",
-    0: "not compared",
-}
-
-
-@cache
-def tactile_use_lut(theme: Theme) -> Uint8Array:
-    """Return the colours of what tactile pixels were used for: uint8 (256, 4)."""
-    lut = np.zeros((256, 4), np.uint8)
-    lut[0] = (*_REASON_RGB[Provenance.NO_TACTILE_DEPTH], 255)
-    lut[USED_ROW] = (*_CONTEXT_RGB[Provenance.OUTSIDE_TOLERANCE][theme], 255)
-    lut[AGREED_ROW] = (*_REASON_RGB[Provenance.OUTLIER], 255)
-    lut[TOUCHING_ROW] = (*CONTACT_RGB, 255)
-    return _frozen(lut)
-
-
-def tactile_use_legend(theme: Theme) -> Legend:
-    return [(name, _color(tactile_use_lut(theme), row)) for row, name in _USE_NAMES.items()]
 
 
 def patch_index(contact: BoolArray, depth: Uint16Array, near: float, far: float) -> Uint8Array:

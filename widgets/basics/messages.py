@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Sequence
-from datetime import datetime
 from enum import StrEnum
 from html import escape
 
@@ -12,8 +10,6 @@ from PyQt6.QtCore import QEvent, QObject, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QEnterEvent, QHideEvent, QKeyEvent, QPalette, QShowEvent
 from PyQt6.QtWidgets import (
     QApplication,
-    QDialog,
-    QDialogButtonBox,
     QFrame,
     QHBoxLayout,
     QPlainTextEdit,
@@ -23,7 +19,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from .controls import copy_text, dialog_buttons, push_button, shortened, tool_button, wrapped_label
+from .controls import shortened, tool_button, wrapped_label
 from .layouts import STRETCH, hbox, vbox
 
 #: Messages on the screen at once; older ones wait.
@@ -47,10 +43,6 @@ class Severity(StrEnum):
 
 #: Text and action of a button.
 Offer = tuple[str, Callable[[], object]]
-
-
-#: The messages of all windows since the start, oldest first, each with its time.
-HISTORY: deque[str] = deque(maxlen=500)
 
 
 def _make_card(frame: QFrame) -> None:
@@ -193,8 +185,6 @@ class Messages(QWidget):
             old.run()
             return
         self._remove(key)
-        indented = "".join(f"\n    {line}" for line in details.splitlines())
-        HISTORY.append(f"{datetime.now():%H:%M:%S}  {severity}: {sentence}{indented}")
         self._messages[key] = Message(severity, sentence, details, subject, offers, lambda: self._dismiss(key), self)
         self.arrange()
         self.setAccessibleName(f"{severity}: {sentence}")  # PyQt has no call that announces; a changed name is reported
@@ -301,30 +291,3 @@ class Messages(QWidget):
 
 def _height(frame: QFrame, width: int) -> int:
     return frame.heightForWidth(width) if frame.hasHeightForWidth() else frame.sizeHint().height()
-
-
-class MessageHistory(QDialog):
-    """Lists all messages since the start, the newest first; brought up to date whenever it is activated."""
-
-    def __init__(self, parent: QWidget) -> None:
-        super().__init__(parent)
-        self.setWindowTitle("Messages")
-        self.text = QPlainTextEdit()
-        self.text.setReadOnly(True)
-        self.text.setPlaceholderText("No message yet")
-        self.text.setAccessibleName("Messages of this start, the newest first")
-        self.copy = push_button("&Copy all", "Copy the list to the clipboard")
-        self.copy.clicked.connect(lambda: copy_text(self.text.toPlainText()))
-        buttons = dialog_buttons(QDialogButtonBox.StandardButton.Close)
-        buttons.addButton(self.copy, QDialogButtonBox.ButtonRole.ActionRole)
-        buttons.rejected.connect(self.close)
-        vbox(self.text, buttons, within=self)
-        self.resize(620, 360)
-
-    def changeEvent(self, event: QEvent | None) -> None:
-        super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.ActivationChange and self.isActiveWindow():
-            self.refresh()
-
-    def refresh(self) -> None:
-        self.text.setPlainText("\n".join(reversed(HISTORY)))

@@ -36,8 +36,6 @@ Place = tuple[float, float, float]
 PICK_PX = 10.0
 #: Distance in pixels within which a point counts as under the cursor; points are drawn as squares.
 _UNDER_PX = 1.5
-#: Distance in pixels between press and release up to which they are a click.
-CLICK_PX = 4.0
 _ORBIT_STEP = radians(5.0)
 _ZOOM_STEP = 1.15
 _RING = 2

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Final
 
 import cv2
@@ -32,20 +31,12 @@ MASK_TINT: Final = 0.6
 _KERNEL = np.ones((5, 5), np.uint8)  # a rim of two pixels: one alone gets lost when the image is shown smaller
 
 
-class MaskView(StrEnum):
-    """How the colour image shows what the mask covers."""
-
-    COLOR = "Colour"
-    OVERLAY = "Overlay"
-    BLACK_WHITE = "Black/white"
-
-
 @dataclass(frozen=True, eq=False)
 class StripImages:
     """One frame's images, (H, W) of every ``stride``-th proximity pixel; nan where there is no depth.
 
-    ``mask_overlay`` is where the colour is the mask's, ``relative`` is (dp - dt) / dp, ``size`` is width and height of
-    the whole image.
+    ``mask_overlay`` is where the colour is tinted as masked, ``relative`` is (dp - dt) / dp, ``size`` is width and
+    height of the whole image.
     """
 
     color: Uint8Array
@@ -58,7 +49,6 @@ class StripImages:
     size: tuple[int, int]
     stride: int = 1
     contact: BoolArray | None = None
-    mask_view: MaskView = MaskView.OVERLAY
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +71,7 @@ def render_strip(images: StripImages) -> RenderedStrip:
     limit = max(DIFFERENCE_LIMIT, 2.0 * images.tolerance)
     depths, differences = _pack_lut(depth_lut()), _pack_lut(difference_lut(round(images.tolerance, 6), limit))
     packed = (
-        _colored(images.color, images.mask_overlay, images.mask_view),
+        _colored(images.color, images.mask_overlay),
         np.take(depths, _depth_index(images.proximity_m, images.depth_range_m)),
         np.take(depths, _depth_index(images.tactile_m, images.depth_range_m)),
         np.take(differences, difference_index(images.relative, limit)),
@@ -115,11 +105,9 @@ def _depth_index(depth_m: Float32Array, range_m: tuple[float, float]) -> Uint8Ar
     return rows.astype(np.uint8)
 
 
-def _colored(color: Uint8Array, mask: BoolArray | None, view: MaskView) -> _Packed:
-    if mask is not None and view is MaskView.BLACK_WHITE:
-        return np.where(mask, _pack_rgb((255, 255, 255)), _pack_rgb((0, 0, 0)))
+def _colored(color: Uint8Array, mask: BoolArray | None) -> _Packed:
     bgra = np.asarray(cv2.cvtColor(np.ascontiguousarray(color), cv2.COLOR_RGB2BGRA), np.uint8)
-    if mask is not None and view is MaskView.OVERLAY:
+    if mask is not None:
         tint(bgra, mask, MASKED_RGB, MASK_TINT)
     return bgra.view(np.uint32)[:, :, 0]
 

@@ -20,7 +20,6 @@ from ..basics.controls import CollapsibleSection, tool_button, wrapped_label
 from ..basics.fields import FieldSpec, field_spec, section_fields
 from ..basics.gestures import new_gesture
 from ..basics.layouts import hbox, vbox
-from ..images.strip_render import MaskView
 from ..plots.histogram import GAP, RELATIVE_DIFFERENCE, LimitHistogram
 from .form import Form, ParameterRow, ShownFinding, align_columns
 
@@ -46,12 +45,6 @@ _EYEDROPPERS = {
     "shrink": ("−", "Shrink: click what the mask wrongly covers, and one range is narrowed to exclude it. Esc stops."),
 }
 
-_MASK_VIEWS = {
-    MaskView.COLOR: "Show the colour image as it is",
-    MaskView.OVERLAY: "Tint what the mask covers in the colour image",
-    MaskView.BLACK_WHITE: "Show what the mask covers in white, all else in black",
-}
-
 
 class ParameterPanel(QScrollArea):
     """Shows and edits every tunable value of a preset.
@@ -66,7 +59,7 @@ class ParameterPanel(QScrollArea):
     #: Values, gesture: a section was reset: several fields at once.
     valuesEdited = pyqtSignal(object, int)
     eyedropperRequested = pyqtSignal(str)  # mode: "set", "expand", "shrink", or "off"
-    maskViewChanged = pyqtSignal()  # another way to show the mask was chosen
+    maskShown = pyqtSignal(bool)  # whether the colour image is tinted where the mask covers it
     suggestRequested = pyqtSignal(str)  # section: a proposal for a section is wanted; ``"all"`` for all sections
     remedyPressed = pyqtSignal(str)  # path: the button of the finding below a row was pressed
 
@@ -80,7 +73,8 @@ class ParameterPanel(QScrollArea):
         self.section_resets: dict[str, QToolButton] = {}
         self.suggests: dict[str, QToolButton] = {}
         self.eyedroppers: dict[str, QToolButton] = {}
-        self.mask_views: dict[MaskView, QToolButton] = {}
+        tip = "Tint what the mask covers in the colour image"
+        self.show_mask = _bar_button("Show", tip, "Show mask")
         self.histograms: dict[str, LimitHistogram] = {}
         self.masked_share, self.alignment_info, self.tolerance_mm, self._test_note = (_note() for _ in range(4))
 
@@ -175,9 +169,6 @@ class ParameterPanel(QScrollArea):
     def open_histograms(self) -> frozenset[str]:
         return frozenset(path for path in self.histograms if not self.sections[_section_of(path)].collapsed)
 
-    def mask_view(self) -> MaskView:
-        return next(view for view, button in self.mask_views.items() if button.isChecked())
-
     def show_masked_share(self, share: float | None) -> None:
         """Say how much of the image has the mask's colour; None hides it."""
         self.masked_share.setVisible(share is not None)
@@ -245,12 +236,9 @@ class ParameterPanel(QScrollArea):
             for mode, (text, tip) in _EYEDROPPERS.items():
                 button = self.eyedroppers[mode] = _bar_button(text, tip, f"Eyedropper: {mode}")
                 button.clicked.connect(lambda checked, mode=mode: self._choose_eyedropper(mode if checked else "off"))
-            for view, tip in _MASK_VIEWS.items():
-                button = self.mask_views[view] = _bar_button(view.value, tip, f"Show mask: {view.value}")
-                button.clicked.connect(lambda _, view=view: self._choose_mask_view(view))
-            self.mask_views[MaskView.OVERLAY].setChecked(True)
-            form.add_line(_bar(self.eyedroppers.values()), "Eyedropper")
-            form.add_line(_bar(self.mask_views.values()), "Show")
+            self.show_mask.setChecked(True)
+            self.show_mask.clicked.connect(self.maskShown)
+            form.add_line(_bar((*self.eyedroppers.values(), self.show_mask)), "Eyedropper")
             form.add_line(self.masked_share, column=1)
         if suggestible:
             evidence = "the newest frames, the untouched frame and the examples"
@@ -290,7 +278,7 @@ class ParameterPanel(QScrollArea):
             plain = [row for row in rows if not row.in_header and not row.spec.advanced]
             chain += [stop for row in plain for stop in (*row.tab_stops, row.reset, row.finding.button)]
             if name == "mask":
-                chain += [*self.eyedroppers.values(), *self.mask_views.values()]
+                chain += [*self.eyedroppers.values(), self.show_mask]
             chain.append(form.more)
             chain += [stop for row in form.advanced for stop in (*row.tab_stops, row.reset, row.finding.button)]
         for first, second in pairwise(chain):
@@ -313,11 +301,6 @@ class ParameterPanel(QScrollArea):
         self._refresh()
         if changed:
             self.valuesEdited.emit(changed, new_gesture())
-
-    def _choose_mask_view(self, chosen: MaskView) -> None:
-        for view, button in self.mask_views.items():
-            button.setChecked(view is chosen)
-        self.maskViewChanged.emit()
 
     def _choose_eyedropper(self, mode: str) -> None:
         self.set_eyedropper(mode)
@@ -355,8 +338,7 @@ class ParameterPanel(QScrollArea):
     def _enable_eyedroppers(self) -> None:
         """While the mask is off, enable only *Pick*; without a frame, none."""
         mask_on, pick = bool(self._value("mask.enabled")), self.eyedroppers["set"]
-        for button in self.mask_views.values():
-            button.setEnabled(mask_on)
+        self.show_mask.setEnabled(mask_on)
         for mode in ("expand", "shrink"):
             button = self.eyedroppers[mode]
             button.setEnabled(mask_on and pick.isEnabled())
