@@ -1,4 +1,4 @@
-"""The time strip of the window: its series, cursor and marks, for recordings and live sources."""
+"""The time strip of the window: its series, cursor and in and out marks, for recordings and live sources."""
 
 from __future__ import annotations
 
@@ -8,14 +8,11 @@ from collections import deque
 import numpy as np
 from PyQt6.QtCore import QObject, QTimer, pyqtSignal
 
-from ...core.output.markers import Marks
 from ...core.preset import Preset
 from ...core.sources.registry import opens_by_name
-from ...widgets.basics.messages import Severity
 from ...widgets.plots.time_strip import CURVES, LIVE_S, TimeStrip
-from ..context import SOURCE, Context
+from ..context import Context
 from ..worker.results import Result, SourceInfo
-from .marks import MarksKeeper
 from .series import FrameValues, Series, frame_values
 from .series_job import SeriesJob
 
@@ -23,27 +20,23 @@ from .series_job import SeriesJob
 _REST_MS = 500
 #: Interval between updates of a live strip, in ms.
 _LIVE_MS = 200
-#: Series of presets that are remembered for undo.
-_REMEMBERED = 40
 #: Fields of a preset that no patch depends on.
 _WITHOUT_EFFECT = {"name", "notes", "created", "modified", "cameras", "untouched", "rig"}
 
 
 class Timeline(QObject):
-    """Fills the time strip, and keeps the marks of the open source."""
+    """Fills the time strip, and sets the in and out marks of the open recording."""
 
     availableChanged = pyqtSignal(bool)  # whether the source has frames to mark
 
     def __init__(self, context: Context, strip: TimeStrip) -> None:
         super().__init__(context)
         self._context, self._strip = context, strip
-        self.keeper = MarksKeeper(context.data_folder / "markers", self)
         self.job = SeriesJob(self)
         self._info: SourceInfo | None = None
         self._shown = True
         self._series: Series | None = None
-        self._former: Series | None = None
-        self._remembered: dict[str, Series] = {}
+        self._series_of = ""
         self._live: deque[tuple[float, FrameValues]] = deque()
         self._rest = QTimer(self)
         self._rest.setSingleShot(True)
@@ -61,13 +54,8 @@ class Timeline(QObject):
         worker.opened.connect(self._opened)
         context.frameShown.connect(self._frame_shown)
         context.document.presetChanged.connect(self._preset_changed)
-        context.trimChanged.connect(lambda: worker.set_trim(context.trim))
         self.job.found.connect(self._found)
         self.job.ended.connect(strip.set_words)
-        self.keeper.changed.connect(self._show_marks)
-        self.keeper.failed.connect(
-            lambda sentence: context.messages.show_message("markers", Severity.WARNING, sentence, subject=SOURCE)
-        )
 
     @property
     def series(self) -> Series | None:
@@ -84,44 +72,32 @@ class Timeline(QObject):
             self.job.stop()
 
     def close(self) -> None:
-        """Stop computing, and wait until the last marker is written."""
         self.job.stop()
         self._rest.stop()
         self._scroll.stop()
-        self.keeper.close()
 
     def mark_in(self) -> None:
-        if (index := self._index()) is not None:
-            self.keeper.set_in(index)
+        """Mark the first frame of a part; an out mark before it goes."""
+        result = self._context.result
+        if result is not None and (length := result.source.length) is not None:
+            index, (_, end) = result.playback.index, self._context.trim or (0, length)
+            self._set_trim((index, end if end > index else length))
 
     def mark_out(self) -> None:
-        if (index := self._index()) is not None:
-            self.keeper.set_out(index)
-
-    def add_marker(self) -> None:
-        """Add a marker at the frame on the screen, or delete the one there."""
-        index = self._index()
-        if index is not None and self._series is not None:
-            self.keeper.toggle(index, float(self._series.seconds()[index]))
-
-    def go_to_marker(self, forward: bool) -> None:
-        """Show the next marker's frame, or that of the marker before."""
-        index = self._index()
-        target = None if index is None else self.keeper.beyond(index, forward)
-        if target is not None:
-            self._context.worker.seek(target)
-
-    def _index(self) -> int | None:
-        """Return the index of the frame on the screen; None for a source without marks."""
+        """Mark the last frame of a part; an in mark behind it goes."""
         result = self._context.result
-        return result.playback.index if result is not None and self._several(result.source) else None
+        if result is not None and result.source.length is not None:
+            index, (first, _) = result.playback.index, self._context.trim or (0, 0)
+            self._set_trim((first if first <= index else 0, index + 1))
 
-    def _show_marks(self, marks: Marks) -> None:
-        self._strip.set_markers([(marker.frame, marker.name) for marker in marks.markers])
-        self._strip.set_trim(self.keeper.trim)
-        if self._context.trim != self.keeper.trim:
-            self._context.trim = self.keeper.trim
-            self._context.trimChanged.emit()
+    def clear_marks(self) -> None:
+        self._set_trim(None)
+
+    def _set_trim(self, trim: tuple[int, int] | None) -> None:
+        self._context.trim = trim
+        self._strip.set_trim(trim)
+        self._context.worker.set_trim(trim)
+        self._context.trimChanged.emit()
 
     @staticmethod
     def _several(info: SourceInfo) -> bool:
@@ -130,16 +106,12 @@ class Timeline(QObject):
     def _opened(self, info: SourceInfo) -> None:
         self._info = info
         self.job.stop()  # the file may have been replaced by another of the same name
-        self._remembered.clear()
         self._live.clear()
-        self._series = self._former = None
-        several = self._several(info)
-        self.availableChanged.emit(several)
-        self._context.messages.clear("markers")
+        self._series = None
+        self.availableChanged.emit(self._several(info))
         self._strip.set_words("")
-        if several:
-            self._preset_changed(self._context.document.preset)
-        self.keeper.open(info.name, info.length if several and info.length is not None else 0)
+        self._preset_changed(self._context.document.preset)
+        self.clear_marks()
         self._show_strip()
 
     def _show_strip(self) -> None:
@@ -154,25 +126,16 @@ class Timeline(QObject):
             self._scroll.stop()
 
     def _preset_changed(self, preset: Preset) -> None:
-        """Show the series of a preset as far as it is known; compute the rest after a moment."""
+        """Begin an empty series, unless the present one holds for the preset too; compute it after a moment."""
         info = self._info
         if info is None or info.length is None or not self._several(info):
             return
-        series = self._remembered.get(_key(preset))
-        if series is None:
-            series = Series(info.length, info.frame_rate_hz)
-            if self._series is not None:  # stamps do not depend on the preset
-                series.values["time_s"][:] = self._series.values["time_s"]
-        if series is not self._series:
-            if self._series is not None and self._series.complete:
-                self._former = self._series
-            self._series = series
+        depends_on = preset.model_dump_json(exclude=_WITHOUT_EFFECT)
+        if self._series is None or depends_on != self._series_of:
+            self._series, self._series_of = Series(info.length, info.frame_rate_hz), depends_on
             self.job.rest()
             self._show_series()
-        if series.complete:
-            self._rest.stop()
-            self._strip.set_words("")
-        elif self._shown:
+        if self._shown and not self._series.complete:
             self._rest.start()
 
     def _compute(self) -> None:
@@ -185,15 +148,8 @@ class Timeline(QObject):
         if result is None or (result.patch is None and not result.problem):
             self._rest.start()  # the contact test is being compiled; the other process would do the same at once
             return
-        preset = self._context.document.preset
-        if preset.averaged_frames > 1:  # such a preset must see all frames in order
-            self._series.computed[:] = False
-        self._remembered[_key(preset)] = self._series
-        while len(self._remembered) > _REMEMBERED:
-            self._remembered.pop(next(iter(self._remembered)))
         self._strip.set_words("Computing…")
-        known = frozenset(np.flatnonzero(self._series.computed).tolist())
-        self.job.start(self._info.name, len(self._series), preset, known)
+        self.job.start(self._info.name, len(self._series), self._context.document.preset)
 
     def _found(self, values: list[FrameValues]) -> None:
         if self._series is None:
@@ -205,8 +161,7 @@ class Timeline(QObject):
 
     def _show_series(self) -> None:
         if (series := self._series) is not None:
-            older = None if self._former is None or series.complete else self._former.values
-            self._strip.set_series(series.seconds(), series.values, series.computed, older)
+            self._strip.set_series(series.seconds(), series.values, series.computed)
 
     def _frame_shown(self) -> None:
         result = self._context.result
@@ -229,8 +184,3 @@ class Timeline(QObject):
         seconds = np.array([arrived_s - now_s for arrived_s, _ in self._live])
         values = {curve.key: np.array([getattr(each, curve.key) for _, each in self._live]) for curve in CURVES}
         self._strip.set_live(seconds, values)
-
-
-def _key(preset: Preset) -> str:
-    """Return what a preset's patches depend on."""
-    return preset.model_dump_json(exclude=_WITHOUT_EFFECT)

@@ -39,7 +39,6 @@ class FrameValues:
     """What the time strip shows of one frame, by its index from 0; nan where it is unknown."""
 
     index: int
-    time_s: float = math.nan
     area_mm2: float = math.nan
     points: float = math.nan
     ms: float = math.nan
@@ -48,13 +47,12 @@ class FrameValues:
 
 @dataclass(frozen=True)
 class Order:
-    """A series to compute, without the frames that are known."""
+    """A series to compute."""
 
     number: int
     source: str
     length: int
     preset: Preset
-    known: frozenset[int]
 
 
 @dataclass(frozen=True)
@@ -73,19 +71,13 @@ def frame_values(index: int, frame: SensorFrame, patch: ContactPatch) -> FrameVa
         either = np.count_nonzero(patch.mask | frame.truth.contact)
         iou = np.count_nonzero(patch.mask & frame.truth.contact) / either if either else 1.0
     ms = sum(patch.stage_ms.values())
-    return FrameValues(index, frame.proximity_time_s, patch.area_mm2, len(patch.points), ms, float(iou))
+    return FrameValues(index, patch.area_mm2, len(patch.points), ms, float(iou))
 
 
 def visiting_order(length: int, preset: Preset) -> list[int]:
-    """Return all frames: every 2^k-th first, then those halfway between; in order if a preset averages."""
-    if preset.averaged_frames > 1:
-        return list(range(length))
-    step = 1 << max(0, math.ceil(math.log2(max(1, length) / _FIRST_PASS)))
-    order = list(range(0, length, step))
-    while step > 1:
-        order += range(step // 2, length, step)
-        step //= 2
-    return order
+    """Return all frames: first `_FIRST_PASS` of them evenly spaced, then the others; in order if a preset averages."""
+    step = 1 if preset.averaged_frames > 1 else math.ceil(length / _FIRST_PASS)
+    return [*range(0, length, step), *(index for index in range(length) if index % step)]
 
 
 def time_series(source: FrameSource, preset: Preset, order: Iterable[int]) -> Iterator[FrameValues]:
@@ -107,8 +99,7 @@ def time_series(source: FrameSource, preset: Preset, order: Iterable[int]) -> It
 def serve_series(orders: Connection) -> None:
     """Obey orders until the other end closes; None or another `Order` of the same source ends the one before."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends Ctrl+C to all processes; the window ends this one
-    with suppress(OSError, AttributeError):  # Windows has no nice
-        os.nice(19)  # playback and everything else of the user come first
+    os.nice(19)  # playback and everything else of the user come first
     set_threads(1)
     cv2.setNumThreads(1)
     source: FrameSource | None = None
@@ -135,10 +126,9 @@ def _compute(source: FrameSource, order: Order, orders: Connection) -> None:
     if source.length != order.length:
         was = f"not {order.length} as when it was opened"
         raise SourceError(f"{source.name} has {source.length} frames, {was}; open it again")
-    frames = [index for index in visiting_order(order.length, order.preset) if index not in order.known]
     waiting: list[FrameValues] = []
     sent_s = time.monotonic()
-    for values in time_series(source, order.preset, frames):
+    for values in time_series(source, order.preset, visiting_order(order.length, order.preset)):
         if orders.poll():
             return
         waiting.append(values)
@@ -171,16 +161,5 @@ class Series:
             column[found.index] = getattr(found, name)
 
     def seconds(self) -> Float64Array:
-        """Return the time of each frame since the first by the stamps, interpolated between known ones, increasing.
-
-        Where the stamps do not increase, they follow from the frame rate.
-        """
-        nominal = np.arange(len(self)) / self._rate_hz
-        stamps = self.values["time_s"]
-        known = np.flatnonzero(np.isfinite(stamps))
-        times = stamps[known]
-        if len(known) == 0 or np.any(np.diff(times) <= 0):
-            return nominal
-        late_s = np.interp(nominal, nominal[known], times - nominal[known])
-        seconds = nominal + late_s
-        return np.asarray(seconds - seconds[0])
+        """Return the time of each frame since the first, by the frame rate."""
+        return np.arange(len(self)) / self._rate_hz

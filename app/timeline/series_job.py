@@ -36,14 +36,14 @@ class SeriesJob(QObject):
         self._timer.setInterval(_LOOK_MS)
         self._timer.timeout.connect(self._look)
 
-    def start(self, source: str, length: int, preset: Preset, known: frozenset[int]) -> None:
-        """Compute the series of a source's ``length`` frames except the known ones; ends the one before."""
+    def start(self, source: str, length: int, preset: Preset) -> None:
+        """Compute the series of a source's ``length`` frames; ends the one before."""
         self._number += 1
         if self._orders is None:
             self._start_process()
         assert self._orders is not None
         with suppress(OSError):  # the process has died: `_look` says so
-            self._orders.send(Order(self._number, source, length, preset, known))
+            self._orders.send(Order(self._number, source, length, preset))
         self._timer.start()
 
     def rest(self) -> None:
@@ -66,14 +66,12 @@ class SeriesJob(QObject):
         context = multiprocessing.get_context("spawn")
         self._orders, other = context.Pipe()
         self.process = context.Process(target=serve_series, args=(other,), name="time strip", daemon=True)
-        if not hasattr(signal, "pthread_sigmask"):  # Windows
+        # A Ctrl+C while it still imports would end it with a traceback; it inherits that they are held back.
+        usual = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+        try:
             self.process.start()
-        else:  # a Ctrl+C while it still imports would end it with a traceback; it inherits that they are held back
-            usual = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
-            try:
-                self.process.start()
-            finally:
-                signal.pthread_sigmask(signal.SIG_SETMASK, usual)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, usual)
         other.close()
 
     def _look(self) -> None:

@@ -292,17 +292,12 @@ class MainWindow(QMainWindow):
 
     def _connect_timeline(self) -> None:
         actions, timeline = self.actions_, self.timeline
-        marking = (actions.mark_in, actions.mark_out, actions.clear_marks, actions.add_marker)
-        self.time_strip.add_buttons(marking)
+        self.time_strip.add_buttons((actions.mark_in, actions.mark_out, actions.clear_marks))
         for action, act in (
             (actions.mark_in, timeline.mark_in),
             (actions.mark_out, timeline.mark_out),
-            (actions.clear_marks, timeline.keeper.clear_trim),
-            (actions.add_marker, timeline.add_marker),
-            (actions.next_marker, partial(timeline.go_to_marker, True)),
-            (actions.previous_marker, partial(timeline.go_to_marker, False)),
-            (actions.export_recording, self.export.ask_recording),
-            (actions.export_patches, self.export.ask_patches),
+            (actions.clear_marks, timeline.clear_marks),
+            (actions.export_recording, self.export.ask),
         ):
             action.triggered.connect(lambda _, act=act: act())
             timeline.availableChanged.connect(action.setEnabled)

@@ -120,8 +120,7 @@ class SharedWindow:
         self._window = None
 
     def _reusable(self, window: MainWindow) -> bool:
-        marks = window.timeline.keeper.marks
-        busy = window.recording.running or window.status.publishing.isVisible() or marks.markers or marks.trim
+        busy = window.recording.running or window.status.publishing.isVisible() or window.context.trim
         return not busy and window.worker.isRunning() and _others(window) == self._others
 
     def _remembered(self, window: MainWindow) -> dict[str, str]:

@@ -22,7 +22,6 @@ from tactune.core.calibration.lens import fit_lens
 from tactune.core.errors import TactuneError
 from tactune.core.estimation.pose_files import load_transform
 from tactune.core.model.rig_file import load_rig
-from tactune.core.output.markers import load_marks
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 from tactune.core.tuning.advice.proposal import Example
@@ -120,7 +119,6 @@ FILES: dict[str, tuple[Callable[[Path], object], Callable[[Path], Any]]] = {
     ),
     "deep.preset.json": (lambda p: p.write_text(DEEP), load_preset),
     "deep.rig.json": (lambda p: p.write_text(DEEP), load_rig),
-    "deep.marks.json": (lambda p: p.write_text(DEEP), load_marks),
     "deep.pose.json": (lambda p: p.write_text('{"T_proximity_scan":' + DEEP + "}"), load_transform),
     "zeros.json": (lambda p: p.write_bytes(bytes(50_000_000)), load_preset),
 }

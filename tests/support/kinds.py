@@ -47,7 +47,6 @@ from tactune.core.output import SessionWriter
 from tactune.core.output.bag import PatchWriter
 from tactune.core.output.cloud_files import write_cloud
 from tactune.core.output.foxglove import save_layout
-from tactune.core.output.markers import Marker, Marks, load_marks, save_marks
 from tactune.core.output.writer import export_mcap
 from tactune.core.preset import Preset
 from tactune.core.preset.file import save_preset
@@ -289,7 +288,6 @@ def cloud(name: str) -> Kind:
 
 
 PICTURE = QImage(64, 64, QImage.Format.Format_RGB32)
-MARKS = [Marks(markers=tuple(Marker(frame=k, name=f"{n} {k}", time_s=0.1) for k in range(99))) for n in range(2)]
 POINTS = [PAIR.model_copy(update={"id": str(k)}) for k in range(50)]
 SCENE = table.Scene("cup", "low")
 CELL = table.Cell("usual", "standard", "cup", "low", "", 0, "straight", rmse_mm=0.5)
@@ -309,7 +307,6 @@ KINDS: dict[str, Kind] = {
     "recording": Kind(record, play_all, 400, grows=True),
     "converted recording": Kind(lambda f, n: export_mcap(ListSource(FRAMES[n:]), f / "a.mcap"), play_all, 100),
     "patches": Kind(write_patches, grows=True),
-    "markers": Kind(lambda f, n: save_marks(f / "a.json", MARKS[n]), lambda f: load_marks(f / "a.json")),
     "cloud.npz": cloud("a.npz"),
     "cloud.ply": cloud("a.ply"),
     "cloud.csv": cloud("a.csv"),

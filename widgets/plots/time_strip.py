@@ -1,11 +1,11 @@
-"""A value of each frame over time, with a cursor to seek, in and out marks, and named markers."""
+"""A value of each frame over time, with a cursor to seek, and in and out marks."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import pyqtgraph as pg
@@ -18,7 +18,7 @@ from ...core.model.arrays import BoolArray, Float64Array
 from ..basics.controls import ChoiceBox, action_button
 from ..basics.fields import format_number
 from ..basics.layouts import STRETCH, hbox, vbox
-from ..basics.theme import ThemeColors, theme_colors
+from ..basics.theme import ThemeColors
 from .plot import Plot
 
 
@@ -107,11 +107,9 @@ class TimeStrip(QWidget):
         self._seconds: Float64Array = np.zeros(0)
         self._values: Mapping[str, Float64Array] = {}
         self._computed: BoolArray = np.zeros(0, np.bool_)
-        self._former: Mapping[str, Float64Array] | None = None
         self._live = False
         self._index = -1
         self._trim: tuple[int, int] | None = None
-        self._markers: tuple[tuple[int, str], ...] = ()
         self._words = ""
         self._dragging = False
         self.curve_box = self._make_curve_box()
@@ -143,7 +141,7 @@ class TimeStrip(QWidget):
         view.setAccessibleName("Time strip")
         view.setToolTip(
             "Click or drag to seek, wheel to zoom, middle button to pan, double click to see everything. "
-            "Shaded: not computed yet. Grey line meanwhile: the preset before."
+            "Shaded: not computed yet."
         )
         view.sought.connect(self._seek)
         view.held.connect(self._hold)
@@ -159,13 +157,11 @@ class TimeStrip(QWidget):
         self._box = plot.getViewBox()
         self._shade = pg.PlotCurveItem([0.0, 1.0], [0.0], stepMode="center", fillLevel=0)
         self._outside = [pg.LinearRegionItem(movable=False) for _ in range(2)]
-        self._old_line = pg.PlotCurveItem(connect="finite")
         self._line = pg.PlotCurveItem(connect="finite")
         self._cursor = pg.InfiniteLine(angle=90)
         self._text = pg.TextItem(anchor=(1, 0))
         self._text.setParentItem(self._box)
-        self._flags: list[Any] = []
-        for item in (self._shade, *self._outside, self._old_line, self._line, self._cursor):
+        for item in (self._shade, *self._outside, self._line, self._cursor):
             plot.addItem(item, ignoreBounds=True)
         self._box.sigResized.connect(lambda: self._text.setPos(self._box.width() - 2, -3))
 
@@ -182,20 +178,14 @@ class TimeStrip(QWidget):
         """Show another curve; an unknown key changes nothing."""
         self.curve_box.setCurrentIndex(max(0, self.curve_box.findData(key)))
 
-    def set_series(
-        self,
-        seconds: Float64Array,
-        values: Mapping[str, Float64Array],
-        computed: BoolArray,
-        former: Mapping[str, Float64Array] | None = None,
-    ) -> None:
+    def set_series(self, seconds: Float64Array, values: Mapping[str, Float64Array], computed: BoolArray) -> None:
         """Show the frames of a recording: ``seconds`` since the first one, and ``values`` by the keys of `CURVES`.
 
-        Values are nan where unknown. ``former`` is an older series, drawn behind in grey.
+        Values are nan where unknown.
         """
         whole = self._live or len(seconds) != len(self._seconds) or self._box.viewRange()[0] == [0.0, self._end_s()]
         self._live = False
-        self._seconds, self._values, self._computed, self._former = seconds, values, computed, former
+        self._seconds, self._values, self._computed = seconds, values, computed
         self._draw()
         self._limit()
         if whole:
@@ -205,7 +195,7 @@ class TimeStrip(QWidget):
     def set_live(self, seconds: Float64Array, values: Mapping[str, Float64Array]) -> None:
         """Show the last minute of a live source; ``seconds`` are at most 0, which is now."""
         if not self._live:
-            self._live, self._trim, self._markers, self._former = True, None, (), None
+            self._live, self._trim = True, None
             self._place_marks()
             self._box.setLimits(xMin=-LIVE_S, xMax=0.0, minXRange=1.0, maxXRange=LIVE_S)
             self._box.setXRange(-LIVE_S, 0.0, padding=0)
@@ -221,10 +211,6 @@ class TimeStrip(QWidget):
     def set_trim(self, trim: tuple[int, int] | None) -> None:
         """Shade what lies outside the in and out marks (first frame, the one behind the last)."""
         self._trim = trim
-        self._place_marks()
-
-    def set_markers(self, markers: Sequence[tuple[int, str]]) -> None:
-        self._markers = tuple(markers)
         self._place_marks()
 
     def set_words(self, words: str) -> None:
@@ -263,12 +249,7 @@ class TimeStrip(QWidget):
         shown = self._values.get(curve.key, np.full(len(self._seconds), math.nan)) * curve.factor
         known = np.flatnonzero(self._computed)
         self._line.setData(self._seconds[known], shown[known])
-        former = self._former
-        old = former[curve.key] * curve.factor if former is not None else np.zeros(0)
-        there = np.flatnonzero(np.isfinite(old))
-        self._old_line.setData(self._seconds[there], old[there])
-        finite = np.concatenate([shown[np.isfinite(shown)], old[there]])
-        top = float(finite.max(initial=0.0)) or 1.0
+        top = float(shown[np.isfinite(shown)].max(initial=0.0)) or 1.0
         self._box.setYRange(0.0, 1.0 if curve.key == "iou" else 1.08 * top, padding=0)
         self._shade_unknown(1.08 * top)
 
@@ -296,19 +277,7 @@ class TimeStrip(QWidget):
             self._box.setXRange(now_s, now_s + last_s - first_s, padding=0)
 
     def _place_marks(self) -> None:
-        colors = theme_colors()
-        for flag in self._flags:
-            self._plot.removeItem(flag)
-        self._flags = []
         length = len(self._seconds)
-        shown = [] if self._live else sorted(mark for mark in self._markers if mark[0] < length)
-        pen = pg.mkPen(colors.accent_text, style=Qt.PenStyle.DashLine)
-        for number, (frame, name) in enumerate(shown):
-            label: dict[str, object] = {"anchors": [(0, 0.5), (1, 0.5)], "color": colors.text, "fill": colors.alternate}
-            label["position"] = 0.4 if number % 2 else 0.86  # two rows, so that names of neighbours do not overlap
-            flag = pg.InfiniteLine(float(self._seconds[frame]), angle=90, pen=pen, label=name, labelOpts=label)
-            self._plot.addItem(flag, ignoreBounds=True)
-            self._flags.append(flag)
         marked = self._trim is not None and length > 0 and not self._live
         for part in self._outside:
             part.setVisible(marked)
@@ -341,9 +310,8 @@ class TimeStrip(QWidget):
         index, curve = self._frame_at(time_s), self.curve
         value = float(self._values[curve.key][index]) * curve.factor
         known = f"{minus(format_number(value, 3))} {curve.unit}".rstrip() if math.isfinite(value) else "not known"
-        names = [name for frame, name in self._markers if frame == index]
         place = f"{self._seconds[index]:.1f} s" + ("" if self._live else f", frame {index + 1}")
-        self._write("  ".join([*names, f"{place}: {known}"]))
+        self._write(f"{place}: {known}")
 
     def _show_words(self) -> None:
         overlap = self._values.get("iou") if self.curve.key == "iou" else None
@@ -357,7 +325,6 @@ class TimeStrip(QWidget):
 
     def _recolor(self, colors: ThemeColors) -> None:
         self._line.setPen(pg.mkPen(colors.accent_text))
-        self._old_line.setPen(pg.mkPen(colors.outside))
         self._cursor.setPen(pg.mkPen(colors.text, width=2))
         self._text.setColor(colors.text)
         self._text.fill = pg.mkBrush(colors.base)
@@ -370,4 +337,3 @@ class TimeStrip(QWidget):
             part.lines[edge].setPen(pg.mkPen(colors.error, width=2))
             part.lines[1 - edge].setPen(None)
         self._draw()
-        self._place_marks()

@@ -1,4 +1,4 @@
-"""Series over time equal the pipeline's patches frame by frame; every frame is visited once; times are increasing."""
+"""Series over time equal the pipeline's patches frame by frame; every frame is visited once."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fakes import FakeSource
-from tactune.app.timeline.series import FrameValues, Series, time_series, visiting_order
+from tactune.app.timeline.series import Series, time_series, visiting_order
 from tactune.app.timeline.series_job import SeriesJob
 from tactune.core import ContactPipeline
 from tactune.core.model.frames import GroundTruth
@@ -54,28 +54,18 @@ def test_visits_every_frame_once_and_the_whole_recording_first(length):
     assert visiting_order(length, Preset().with_values({"membrane.frames": 5})) == list(range(length))
 
 
-def test_times_follow_the_stamps_and_increase():
-    series = Series(5, 10.0)
-    assert series.seconds().tolist() == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
-    for index, time_s in ((0, 7.0), (2, 7.4), (4, 8.4)):
-        series.put(FrameValues(index, time_s))
-    assert series.seconds().tolist() == pytest.approx([0, 0.2, 0.4, 0.9, 1.4])
-    series.put(FrameValues(3, 2.0))
-    assert series.seconds().tolist() == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
-
-
-def test_the_process_leaves_out_what_is_known_and_tells_what_is_wrong(qtbot, tmp_path):
+def test_the_process_computes_the_same_and_tells_what_is_wrong(qtbot, tmp_path):
     export_folder(FakeSource(8), tmp_path / "tiny")
     name, found = f"folder:{tmp_path / 'tiny'}", []
     job = SeriesJob()
     job.found.connect(found.extend)
     with qtbot.waitSignal(job.ended, timeout=60_000) as ended:
-        job.start(name, 8, PRESET, frozenset({2, 5}))
+        job.start(name, 8, PRESET)
     assert ended.args == [""]
     expected = {values.index: values.area_mm2 for values in time_series(FakeSource(8), PRESET, range(8))}
-    assert {values.index: values.area_mm2 for values in found} == {i: expected[i] for i in (0, 1, 3, 4, 6, 7)}
+    assert {values.index: values.area_mm2 for values in found} == expected
     with qtbot.waitSignal(job.ended, timeout=60_000) as ended:
-        job.start(name, 5, PRESET, frozenset())
+        job.start(name, 5, PRESET)
     assert "8 frames" in ended.args[0]
     job.stop()
     assert job.process is None
