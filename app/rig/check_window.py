@@ -23,7 +23,7 @@ class CheckWindow(QDialog):
         self.tabs = QTabWidget()
         self.tabs.setDocumentMode(True)
         for tab, title, tip in (
-            (self.quality, "&Quality", "Fill rate, noise, flatness and bias in a region"),
+            (self.quality, "&Quality", "Fill rate and flatness in a region"),
             (self.skew, "&Skew", "The delay between both cameras, from motion"),
             (self.noise, "&Noise and bias", "The noise of both cameras and the bias between them, for the preset"),
         ):

@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import pyqtgraph as pg
-from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QDoubleSpinBox, QLabel
 
 from ...core.model.frames import SensorFrame
@@ -28,8 +26,6 @@ from ...core.rig.skew import MAX_GAP_S, MIN_TIME_S, Sample, Skew, measure_skew
 from ...core.sources.registry import open_source
 from ...widgets.basics.controls import frame_count, make_verdict, push_button, wrapped_label
 from ...widgets.basics.layouts import STRETCH, vbox
-from ...widgets.basics.theme import theme_colors
-from ...widgets.plots.plot import Plot
 from ..context import Context
 from ..worker.jobs import Progress, Work
 from ..worker.results import SourceInfo
@@ -45,8 +41,6 @@ _SKEW_INTRO: Final = (
     "Both cameras see this motion. The delay at which they agree best is their skew, independent of their time stamps."
 )
 DELAY_PATH: Final = "cameras.tactile_delay_s"
-#: A second colour that is readable in both themes.
-_TACTILE_HUE: Final = "#d9730d"
 
 
 @dataclass(frozen=True)
@@ -164,27 +158,9 @@ class SkewTab(Gather):
         use = push_button("Compensate", "Set the preset's tactile delay; it takes effect when cameras are opened again")
         super().__init__(context, start, self.seconds, use)
         make_verdict(self.sentence)
-        self.curve = Plot("Delay of the tactile camera, ms", "Correlation", movable=True)
-        self.motion = Plot("Time, s (tactile moved by the delay)", "Pressed in, mm", movable=True)
-        for plot, name in ((self.curve, "Correlation against delay"), (self.motion, "Motion of both cameras")):
-            plot.getPlotItem().showGrid(x=True, y=True, alpha=0.2)
-            plot.setAccessibleName(name)
-        self.motion.add_legend(2)
-        vbox(
-            wrapped_label(_SKEW_INTRO), self.taking_row(QLabel("Watch for")), self.sentence, self.applying_row(),
-            (self.curve, 100), (self.motion, 100), STRETCH, within=self,
-        )  # fmt: skip
-        self.skew: Skew | None = None
+        row = self.taking_row(QLabel("Watch for"))
+        vbox(wrapped_label(_SKEW_INTRO), row, self.sentence, self.applying_row(), STRETCH, within=self)
         self._show_busy()
-        self.curve.follow_theme()
-        self.motion.follow_theme(lambda _colors: self._draw())
-
-    def begin(self) -> None:
-        """Take frames, without the curves of the measurement before."""
-        if not self.busy:
-            self.skew = None
-            self._draw()
-        super().begin()
 
     def keep(self, frame: SensorFrame) -> Sample:
         """Return the frame, subsampled."""
@@ -202,12 +178,9 @@ class SkewTab(Gather):
 
     def show_found(self, found: Skew | None) -> None:
         """Show a measurement."""
-        if found is not None:  # else the curves stay until the next measurement begins
-            self.skew = found
-            self._draw()
+        if found is not None:
             self.sentence.setText(found.sentence)
             self.apply.setText(f"Set the tactile delay to {1e3 * self.change()[1]:.1f} ms")
-            self.apply.setEnabled(found.significant)
 
     def change(self) -> tuple[str, Any]:
         """Return the field and its value. Live time stamps are already corrected by the present one."""
@@ -219,24 +192,3 @@ class SkewTab(Gather):
         super()._show_busy()
         if self.found is not None and not self.found.significant:
             self.apply.setEnabled(False)
-
-    def _draw(self) -> None:
-        """Plot the curve and both series."""
-        skew = self.skew
-        for plot in (self.curve, self.motion):
-            plot.clear()
-            plot.setVisible(skew is not None)
-        if skew is None:
-            return
-        accent = theme_colors().accent_text
-        known = np.isfinite(skew.correlations)
-        self.curve.plot(1e3 * skew.delays_s[known], skew.correlations[known], pen=pg.mkPen(accent, width=2))
-        line = pg.InfiniteLine(1e3 * skew.delay_s, pen=pg.mkPen(theme_colors().text, style=Qt.PenStyle.DashLine))
-        self.curve.addItem(line)
-        start_s = float(skew.proximity.time_s[0])
-        for name, series, hue, shift_s in (
-            ("proximity camera", skew.proximity, accent, 0.0),
-            ("tactile camera", skew.tactile, _TACTILE_HUE, skew.delay_s),
-        ):
-            time_s = series.time_s - start_s - shift_s
-            self.motion.plot(time_s, 1e3 * series.depth_m, pen=pg.mkPen(hue, width=2), name=name)

@@ -19,8 +19,8 @@ from scipy.interpolate import CubicSpline
 
 from ..contact.alignment import make_alignment
 from ..contact.kernels.chain import Region
-from ..errors import FrameError, TactuneError, counted, minus
-from ..model.arrays import AnyArray, Float32Array, Float64Array, Uint16Array
+from ..errors import FrameError, counted, minus
+from ..model.arrays import Float32Array, Float64Array, Uint16Array
 from ..model.clouds import valid_depth
 from ..model.frames import Rig, SensorFrame
 from ..preset import AlignmentSection
@@ -43,9 +43,8 @@ STEP: Final = 4
 #: which on a pixel belongs to the object; share of the frames in which a pixel needs a depth; fewest pixels.
 _REST, _DEEPEST, _CORE, _SEEN, _MIN_PIXELS = 95, 98, 0.5, 0.8, 20
 
-
-class SkewError(TactuneError):
-    """The delay cannot be measured; the message says why and what to do."""
+#: Times, seconds, and how deep the object is pressed in, metres, as one camera sees it.
+_Series = tuple[Float64Array, Float64Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,40 +63,15 @@ class Sample:
         return cls(frame.proximity_time_s, frame.tactile_time_s, *depths)
 
 
-@dataclass(frozen=True, eq=False)
-class MotionSeries:
-    """Indentation over time as one camera sees it: float64 (N,), seconds and metres."""
-
-    time_s: Float64Array
-    depth_m: Float64Array
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Skew:
-    """The delay between both cameras.
+    """The delay between both cameras, seconds, and its 95 % uncertainty.
 
-    Attributes
-    ----------
-    delay_s : float
-        Tactile minus proximity time stamp for the same moment, seconds. Subtract it from the tactile time stamps:
-        preset field ``cameras.tactile_delay_s``.
-    uncertainty_s : float
-        95 % uncertainty, seconds.
-    correlation : float
-        Correlation at the peak.
-    delays_s, correlations : float64, shape (K,)
-        The correlation curve.
-    proximity, tactile : MotionSeries
-        The compared series.
+    It is tactile minus proximity time stamp for the same moment, the preset field ``cameras.tactile_delay_s``.
     """
 
     delay_s: float
     uncertainty_s: float
-    correlation: float
-    delays_s: Float64Array
-    correlations: Float64Array
-    proximity: MotionSeries
-    tactile: MotionSeries
 
     @property
     def significant(self) -> bool:
@@ -107,16 +81,9 @@ class Skew:
     @property
     def sentence(self) -> str:
         """The result in words."""
-        about = f"± {max(1e3 * self.uncertainty_s, 0.1):.1f} ms"
-        if abs(self.delay_s) <= self.uncertainty_s:
-            delay = minus(f"{1e3 * self.delay_s:+.1f}")
-            return f"Both cameras' time stamps agree within the uncertainty: {delay} {about}."
-        later = "later" if self.delay_s > 0 else "earlier"
-        doubt = "" if self.significant else " This is too uncertain to compensate: measure again for longer."
-        return (
-            f"The tactile camera's time stamps are {1e3 * abs(self.delay_s):.1f} {about} {later} "
-            f"than the proximity camera's for the same moment.{doubt}"
-        )
+        delay = minus(f"{1e3 * self.delay_s:+.1f}") + f" ± {1e3 * self.uncertainty_s:.1f} ms"
+        doubt = "" if self.significant else ", too little to compensate"
+        return f"Time stamps for the same moment, tactile minus proximity: {delay}{doubt}."
 
 
 def measure_skew(
@@ -124,76 +91,54 @@ def measure_skew(
 ) -> Skew:
     """Measure the delay from a few seconds in which an object is pressed in and released.
 
-    Parameters
-    ----------
-    samples : sequence of Sample
-        In the order of their time stamps.
-    rig : Rig
-    section : AlignmentSection
-        The preset's alignment, which relates the pixels of both cameras.
-    progress : callable, optional
+    The samples are in the order of their time stamps; the alignment relates the pixels of both cameras.
     """
     if len(samples) < _MIN_SAMPLES:
-        raise SkewError(
+        raise FrameError(
             f"only {counted(len(samples), 'frame')} came; record at least {MIN_TIME_S:g} s in which something moves"
         )
-    proximity, tactile = pressed_depths(samples, rig, section, progress)
-    for camera, series in (("proximity", proximity), ("tactile", tactile)):
-        low_m, high_m = np.percentile(series.depth_m, (5, 95))
+    proximity, tactile = _pressed_depths(samples, rig, section, progress)
+    for camera, (_, depth_m) in (("proximity", proximity), ("tactile", tactile)):
+        low_m, high_m = np.percentile(depth_m, (5, 95))
         if high_m - low_m < MIN_MOTION_M:
-            raise SkewError(
+            raise FrameError(
                 f"the {camera} camera sees too little motion, {1e3 * (high_m - low_m):.1f} mm where "
                 f"{1e3 * MIN_MOTION_M:.0f} mm are needed; press an object into the membrane and pull it out, several "
                 "times and irregularly"
             )
-        if len(series.time_s) < _MIN_SAMPLES:
-            raise SkewError(f"the {camera} camera gave only {counted(len(series.time_s), 'time stamp')}; record longer")
     delays_s, near, far = _resampled(proximity, tactile)
     curve = _correlations(near, far)
-    known = np.flatnonzero(np.isfinite(curve))
-    if len(known) < 3:
-        raise SkewError("the series of both cameras overlap too little in time; check their clocks and measure again")
-    best = int(np.nanargmax(curve))
-    if curve[best] < _MIN_CORRELATION:
-        raise SkewError(
-            f"both cameras do not see the same motion (correlation {curve[best]:.2f}, {_MIN_CORRELATION} is needed); "
-            "press one object into the middle of the membrane, and check the alignment"
-        )
-    if best in (known[0], known[-1]):
-        raise SkewError(
-            f"no peak lies within ±{1e3 * MAX_DELAY_S:.0f} ms; check that both cameras use global time, "
-            "and measure again"
+    best, reach = int(np.argmax(curve)), round(_REACH_S / _STEP_S)
+    if curve[best] < _MIN_CORRELATION or not reach <= best < len(curve) - reach:
+        raise FrameError(
+            f"both cameras do not see the same motion within ±{1e3 * MAX_DELAY_S:.0f} ms (correlation "
+            f"{curve[best]:.2f}, {_MIN_CORRELATION} is needed); press one object into the middle of the membrane, and "
+            "check the alignment"
         )
     inner = curve[1:-1]
     tops = np.flatnonzero((inner > curve[:-2]) & (inner >= curve[2:])) + 1
-    for other in tops[np.abs(tops - best) * _STEP_S > _REACH_S]:
+    for other in tops[np.abs(tops - best) > reach]:
         if 1 - curve[other] ** 2 <= _AMBIGUOUS_RATIO * (1 - curve[best] ** 2):
-            raise SkewError(
+            raise FrameError(
                 f"delays of {1e3 * delays_s[best]:.0f} ms and {1e3 * delays_s[other]:.0f} ms fit almost equally well, "
                 "because the motion repeats; press in and pull out irregularly and measure again"
             )
-    delay_s = _refined(delays_s, curve, best)
     # Delete-a-group jackknife over tenths of the time (Efron 1982, ch. 3), since neighbouring values are correlated.
-    reach = round(_REACH_S / _STEP_S)
-    around = slice(max(best - reach, 0), best + reach + 1)
-    estimates = []
-    for group in np.array_split(np.arange(len(near)), _GROUPS):
-        part = _correlations(np.delete(near, group, axis=0), np.delete(far[around], group, axis=1))
-        if not np.isfinite(part).any():
-            raise SkewError("the series of both cameras overlap too little in time; record longer and measure again")
-        top = int(np.clip(np.nanargmax(part), 1, len(part) - 2))
-        estimates.append(_refined(delays_s[around], part, top))
-    jackknife = 2 * np.sqrt((_GROUPS - 1) / _GROUPS * np.sum((np.array(estimates) - np.mean(estimates)) ** 2))
-    uncertainty_s = float(np.hypot(jackknife, 0.001))  # of interpolation between frames
+    around = slice(best - reach, best + reach + 1)
+    estimates = [
+        _peak(delays_s[around], _correlations(np.delete(near, group, axis=0), np.delete(far[around], group, axis=1)))
+        for group in np.array_split(np.arange(len(near)), _GROUPS)
+    ]
+    uncertainty_s = float(np.hypot(2 * np.sqrt(_GROUPS - 1) * np.std(estimates), 0.001))  # 1 ms of interpolation
     if uncertainty_s > _MAX_UNCERTAINTY_S:
-        raise SkewError(
+        raise FrameError(
             f"the delay is uncertain by {1e3 * uncertainty_s:.0f} ms; move longer, faster and irregularly, "
             "and measure again"
         )
-    return Skew(delay_s, uncertainty_s, float(curve[best]), delays_s, curve, proximity, tactile)
+    return Skew(_peak(delays_s, curve), uncertainty_s)
 
 
-def _resampled(proximity: MotionSeries, tactile: MotionSeries) -> tuple[Float64Array, Float64Array, Float64Array]:
+def _resampled(proximity: _Series, tactile: _Series) -> tuple[Float64Array, Float64Array, Float64Array]:
     """Return the delays (K,), and on a fine grid of M times the changes of both depths.
 
     Those of the proximity depth and its powers have shape (M, 4), a constant first; those of the tactile depth (K, M),
@@ -202,52 +147,45 @@ def _resampled(proximity: MotionSeries, tactile: MotionSeries) -> tuple[Float64A
     reach = round(MAX_DELAY_S / _STEP_S)
     delays_s: Float64Array = np.arange(-reach, reach + 1, dtype=np.float64) * _STEP_S
     half = _CHANGE_OVER_S / 2
-    grid = np.arange(proximity.time_s[0] + half, proximity.time_s[-1] - half, _GRID_S)
+    near, far = (
+        CubicSpline(time_s, depth_m / np.max(depth_m), extrapolate=False) for time_s, depth_m in (proximity, tactile)
+    )
+    grid = np.arange(proximity[0][0] + half, proximity[0][-1] - half, _GRID_S)
     later = grid + delays_s[:, None]
-    before, after = (_between(proximity, at) / np.max(proximity.depth_m) for at in (grid - half, grid + half))
-    powers = [np.ones_like(grid), *(after**power - before**power for power in (1, 2, 3))]
-    known = np.isfinite(before) & np.isfinite(after)
-    change = _between(tactile, later + half) - _between(tactile, later - half)
-    return delays_s, np.column_stack(powers)[known], change[:, known]
-
-
-def _between(series: MotionSeries, time_s: Float64Array) -> Float64Array:
-    """Return the depth at any times by a spline; nan outside of the series and in its gaps."""
-    depth_m = np.asarray(CubicSpline(series.time_s, series.depth_m, extrapolate=False)(time_s))
-    after = np.searchsorted(series.time_s, time_s).clip(1, len(series.time_s) - 1)
-    depth_m[np.diff(series.time_s)[after - 1] > MAX_GAP_S] = np.nan
-    return depth_m
+    powers = [near(grid + half) ** power - near(grid - half) ** power for power in (1, 2, 3)]
+    return delays_s, np.column_stack([np.ones_like(grid), *powers]), far(later + half) - far(later - half)
 
 
 def _correlations(near: Float64Array, far: Float64Array) -> Float64Array:
-    """Return the multiple correlation of `_resampled` changes at each delay; nan without enough overlap."""
-    curve = np.full(len(far), np.nan)
+    """Return the multiple correlation of `_resampled` changes at each delay; 0 without enough overlap."""
+    curve = np.zeros(len(far))
     for number, change in enumerate(far):
         both = np.isfinite(change)
-        if both.sum() >= _MIN_OVERLAP * len(change):
+        if both.sum() > _MIN_OVERLAP * len(change):
             wanted = change[both] - change[both].mean()
             left = wanted - near[both] @ np.linalg.lstsq(near[both], wanted, rcond=None)[0]
             curve[number] = np.sqrt(max(1 - left @ left / max(wanted @ wanted, 1e-18), 0.0))
     return curve
 
 
-def _refined(delays_s: Float64Array, curve: Float64Array, best: int) -> float:
-    """Return the vertex of the parabola through a value and its neighbours."""
+def _peak(delays_s: Float64Array, curve: Float64Array) -> float:
+    """Return the vertex of the parabola through the largest value and its neighbours."""
+    best = int(np.clip(np.argmax(curve), 1, len(curve) - 2))
     before, top, after = curve[best - 1 : best + 2]
     bend = before - 2 * top + after
     return float(delays_s[best] + (0.5 * (before - after) / bend * _STEP_S if bend < 0 else 0.0))
 
 
-def pressed_depths(
-    samples: Sequence[Sample], rig: Rig, section: AlignmentSection, progress: Progress | None = None
-) -> tuple[MotionSeries, MotionSeries]:
-    """Return the indentation as the proximity and as the tactile camera see it; errors as of `measure_skew`."""
+def _pressed_depths(
+    samples: Sequence[Sample], rig: Rig, section: AlignmentSection, progress: Progress | None
+) -> tuple[_Series, _Series]:
+    """Return the indentation as the proximity and as the tactile camera see it."""
     tactile = np.stack([sample.tactile_depth for sample in samples])
     seen = valid_depth(tactile)
     often = seen.mean(axis=0) >= _SEEN
     if often.sum() < _MIN_PIXELS:
         raise FrameError("the tactile camera sees almost no depth; check its light and its distance")
-    rest = np.where(often, _quantile(np.where(seen, tactile, np.uint16(0)), _REST), np.uint16(0))
+    rest = np.where(often, np.percentile(np.where(seen, tactile, 0), _REST, axis=0, method="lower"), 0)
     unit_m = np.float32(rig.tactile.depth_unit_m)
     membrane = np.where(seen & often, rest.astype(np.float32) - tactile, np.float32(np.nan)) * unit_m
     # The images are put back to full size with depth at every STEP-th pixel only, so rig and alignment hold.
@@ -267,22 +205,16 @@ def pressed_depths(
     return _series(times[:, 0], object_, "proximity"), _series(times[:, 1], membrane, "tactile")
 
 
-def _series(time_s: Float64Array, depth_m: Float32Array, camera: str) -> MotionSeries:
+def _series(time_s: Float64Array, depth_m: Float32Array, camera: str) -> _Series:
     """Return the mean over the pixels with the largest indentation; frames without depth are left out."""
     flat = depth_m.reshape(len(depth_m), -1)
     flat = flat[:, np.isfinite(flat).mean(axis=0) >= _SEEN]
     if flat.shape[1] < _MIN_PIXELS:
         raise FrameError(f"the {camera} camera sees almost no depth where the membrane is; check the alignment")
-    deepest = _quantile(np.where(np.isfinite(flat), flat, np.float32(-np.inf)), _DEEPEST)
+    deepest = np.percentile(np.nan_to_num(flat), _DEEPEST, axis=0, method="lower")
     core = flat[:, deepest >= _CORE * np.percentile(deepest, 99.0)]
     known = np.isfinite(core).any(axis=1)
     known &= time_s > np.append(-np.inf, np.fmax.accumulate(time_s)[:-1])  # a spline needs increasing times
-    if not known.any():
-        raise SkewError(f"the {camera} camera's images have no time stamps; record with live cameras")
-    return MotionSeries(time_s[known], np.nanmean(core[known], axis=1, dtype=np.float64))
-
-
-def _quantile(values: AnyArray, percent: int) -> AnyArray:
-    """Return the quantile over time; missing values are given as the lowest."""
-    rank = percent * (len(values) - 1) // 100
-    return np.asarray(np.partition(values, rank, axis=0)[rank])
+    if known.sum() < _MIN_SAMPLES:
+        raise FrameError(f"the {camera} camera gave only {counted(int(known.sum()), 'time stamp')}; record longer")
+    return time_s[known], np.nanmean(core[known], axis=1, dtype=np.float64)
