@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...core.errors import CalibrationError, PresetError, counted
+from ...core.errors import CalibrationError, counted
 from .common import (
     SOURCE,
     CliProgress,
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from ...core.estimation.pose import PoseTracker
     from ...core.estimation.tilt import Tilt
     from ...core.model.frames import SensorFrame
-    from ...core.output.parameters import PresetParameters
     from ...core.output.publisher import Publisher
     from ...core.preset import Preset
     from ...core.sources import FrameSource
@@ -41,7 +40,6 @@ if TYPE_CHECKING:
 #: Time without a fit to the contact after which clients are warned of a wrong mesh, seconds.
 _LOST_S = 1.0
 _LAYOUT_HELP = "Write the layout for the Foxglove app (Import from file) and end, unless --foxglove or --ros2 is given."
-_SETTABLE_HELP = "Let clients of --foxglove set preset parameters; any program or web page on this computer then can."
 
 
 def serve(
@@ -62,7 +60,6 @@ def serve(
         int, typer.Option(min=0, max=232, metavar="N", envvar="ROS_DOMAIN_ID", help="ROS 2 domain id.")
     ] = 0,
     namespace: Annotated[str, typer.Option(metavar="NAME", help="ROS 2 namespace of the topics.")] = "tactune",
-    settable: Annotated[bool, typer.Option("--settable", help=_SETTABLE_HELP)] = False,
     estimate: EstimateOption = None,
     mesh: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Track this object (.obj, .ply, .stl) and publish its pose.")
@@ -71,9 +68,7 @@ def serve(
     layout: Annotated[Path | None, typer.Option("--layout", metavar="FILE", help=_LAYOUT_HELP)] = None,
 ) -> None:
     """Publish contact patches live for Foxglove and ROS 2, until Ctrl+C; a recording is repeated at its own rate."""
-    from ...core.contact.pipeline import ContactPipeline
     from ...core.output.connections import Connections
-    from ...core.output.parameters import PresetParameters
     from ...core.output.publisher import Publisher
     from ...core.sources.capture.live import LiveLoop
     from ...core.sources.presets import load_preset
@@ -89,10 +84,9 @@ def serve(
     if not (foxglove or ros2):
         raise typer.BadParameter("give --foxglove or --ros2; nothing is published unless it is asked for")
     chosen = load_preset(preset or default_preset(source))
-    connections = Connections(foxglove, ros2, host, port, domain, namespace, settable)
-    parameters = PresetParameters(chosen, check=_refuse_while_opening, settable=settable)
+    connections = Connections(foxglove, ros2, host, port, domain, namespace)
     with (
-        Publisher(connections.make_sinks(parameters)) as publisher,  # a taken port is told before cameras start
+        Publisher(connections.make_sinks()) as publisher,  # a taken port is told before cameras start
         open_for_preset(source, chosen) as opened,
     ):
         playing = opened if opened.length is None else LiveLoop(opened)
@@ -103,23 +97,18 @@ def serve(
             poses = _Poses(PoseTracker(read_mesh(mesh, unit), chosen, playing.rig), publisher)
         with CliProgress() as progress:
             warm_up_if_needed(progress.preparing, chosen)
-        parameters.check = lambda changed: ContactPipeline(changed, playing.rig)
         with stop_on_signals() as stopped:
             for output in publisher.status():
                 typer.echo(f"{output.sink.name}: {output.sink.place}")
             if connections.warning:
                 warn(connections.warning)
-            count = _publish(playing, parameters, publisher, tilt, poses, frames, stopped)
+            count = _publish(playing, chosen, publisher, tilt, poses, frames, stopped)
         typer.echo(f"published {counted(count, 'frame')} of {playing.name}")
-
-
-def _refuse_while_opening(_: Preset) -> None:
-    raise PresetError("the source is still being opened; set the value again once frames come")
 
 
 def _publish(
     source: FrameSource,
-    parameters: PresetParameters,
+    preset: Preset,
     publisher: Publisher,
     tilt: Callable[[ContactPatch, SensorFrame], Tilt] | None,
     poses: _Poses | None,
@@ -129,28 +118,18 @@ def _publish(
     """Process and publish frames; return their number."""
     from ...core.contact.pipeline import ContactPipeline
     from ...core.model.patch import Lazy
-    from ..worker.compiling import BackgroundCompiler
 
-    pipeline = ContactPipeline(parameters.preset, source.rig)
-    compiler = BackgroundCompiler(lambda: None, views=False)
+    pipeline = ContactPipeline(preset, source.rig)
     count = 0
     try:
         for frame in live_frames(source, frames, stopped):
-            if (wanted := parameters.preset) is not pipeline.preset:
-                compiling = compiler.missing(wanted)
-                publisher.tell("compiling", f"{compiling}; until then the former values apply." if compiling else "")
-                if compiling:
-                    compiler.start()
-                else:
-                    pipeline.update(wanted)
             patch = pipeline.process(frame)
             record = None if tilt is None else Lazy(tilt(patch, frame).record)
-            publisher.put(frame, patch, pipeline.preset, record)
+            publisher.put(frame, patch, preset, record)
             if poses is not None:
                 poses.put(patch, frame.proximity_time_s)
             count += 1
     finally:
-        compiler.stop()
         if poses is not None:
             poses.close()
     return count

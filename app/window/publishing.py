@@ -30,7 +30,6 @@ from ..context import Context
 from ..worker.jobs import Job
 
 if TYPE_CHECKING:
-    from ...core.output.parameters import PresetParameters
     from ...core.output.publisher import OutputStatus, Publisher
 
 #: Interval at which clients and rates are shown, ms.
@@ -49,7 +48,7 @@ class PublishWindow(QDialog):
         self.port.setRange(1, 65535)
         self.domain.setRange(0, 232)
         for widget, tip in (
-            (self.foxglove, "A WebSocket server: the Foxglove app and its clients read topics and parameters"),
+            (self.foxglove, "A WebSocket server: the Foxglove app and its clients read topics"),
             (self.ros2, "ROS 2 topics by DDS; neither side needs anything but its own middleware"),
             (self.port, "TCP port of the Foxglove server, 1 to 65535"),
             (self.domain, "ROS 2 domain id, 0 to 232, as ROS_DOMAIN_ID of the subscribers"),
@@ -143,7 +142,6 @@ class PublishControl(QObject):
         super().__init__(context)
         self._context, self._indicator = context, indicator
         self._publisher: Publisher | None = None
-        self._parameters: PresetParameters | None = None
         self._start = _Start()
         self.window = PublishWindow(context.window)
         self.window.show_connections(self._remembered())
@@ -156,7 +154,6 @@ class PublishControl(QObject):
         for opener in (action.triggered, indicator.clicked):
             opener.connect(lambda: bring_up(self.window))
         self.window.start.clicked.connect(self._switch)
-        context.document.presetChanged.connect(self._pass_on)
 
     def close(self) -> None:
         self._stop()
@@ -168,25 +165,22 @@ class PublishControl(QObject):
             self._stop()
             return
         self.window.show_state(True, "Starting…")
-        connections, preset = self.window.connections, self._context.document.preset
+        connections = self.window.connections
         self._remember(connections)
         pressed = self._start = _Start()
 
-        def start(_: object) -> tuple[_Start, Publisher, PresetParameters] | None:
-            from ...core.output.parameters import PresetParameters
+        def start(_: object) -> tuple[_Start, Publisher] | None:
             from ...core.output.publisher import Publisher
 
-            parameters = PresetParameters(preset)
-            publisher = Publisher(connections.make_sinks(parameters))
-            return (pressed, publisher, parameters) if pressed.keep(publisher) else None
+            publisher = Publisher(connections.make_sinks())
+            return (pressed, publisher) if pressed.keep(publisher) else None
 
         self._job.start(start)
 
-    def _started(self, started: tuple[_Start, Publisher, PresetParameters] | None) -> None:
+    def _started(self, started: tuple[_Start, Publisher] | None) -> None:
         if started is None or started[0].cancelled:
             return
-        _, self._publisher, self._parameters = started
-        self._pass_on()
+        _, self._publisher = started
         self._context.worker.set_publisher(self._publisher)
         self._timer.start()
         self._show()
@@ -200,7 +194,7 @@ class PublishControl(QObject):
         self._timer.stop()
         self._context.worker.set_publisher(None)
         self._start.cancel()
-        self._publisher = self._parameters = None
+        self._publisher = None
         self._indicator.hide()
         self.window.show_state(False)
 
@@ -212,10 +206,6 @@ class PublishControl(QObject):
         clients = sum(state.sink.clients for state in states)
         self._indicator.setText(f"Publishing, {counted(clients, 'client')}")
         self._indicator.show()
-
-    def _pass_on(self, _: object = None) -> None:
-        if self._parameters is not None:
-            self._parameters.use(self._context.document.preset)
 
     def _remembered(self) -> Connections:
         with suppress(ValueError):

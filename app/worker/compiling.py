@@ -15,8 +15,8 @@ _Kernels = tuple[str, bool]
 class BackgroundCompiler:
     """Compiles the kernels of the contact tests that are asked for, one test after the other."""
 
-    def __init__(self, changed: Callable[[], object], views: bool = True) -> None:
-        self._changed, self._views = changed, views
+    def __init__(self, changed: Callable[[], object]) -> None:
+        self._changed = changed
         self._ready: set[_Kernels] = set()
         self._wanted: Preset | None = None
         self._thread: Thread | None = None
@@ -58,8 +58,7 @@ class BackgroundCompiler:
         try:
             warm_up_if_needed(self._tell, preset)
             self._end(preset)
-            if self._views:
-                warm_up_views(preset.contact_test)
+            warm_up_views(preset.contact_test)
         except _StoppedError:
             return
         except Exception:  # the first frame meets the same error and tells it

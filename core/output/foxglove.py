@@ -1,4 +1,4 @@
-"""The Foxglove server: live messages and preset parameters over WebSocket, for the Foxglove app and its clients.
+"""The Foxglove server: live messages over WebSocket, for the Foxglove app and its clients.
 
 Channels have the message encoding ``cdr`` and schemas in ``ros2msg``, as ROS 2 bags in MCAP have them, so the bytes are
 those of recordings and of ROS 2.
@@ -14,14 +14,13 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import MissingExtraError, PublishError, TactuneError
+from ..errors import MissingExtraError, PublishError
 from ..model.files import atomic_path
 from .messages import definition
-from .parameters import PresetParameters
 from .publisher import LiveMessage, SinkStatus
 
 if TYPE_CHECKING:
-    from foxglove.websocket import ChannelView, Client, Parameter, WebSocketServer
+    from foxglove.websocket import ChannelView, Client, WebSocketServer
 
 
 def save_layout(path: Path) -> None:
@@ -34,8 +33,7 @@ def save_layout(path: Path) -> None:
 class FoxgloveSink:
     """A `Sink` that Foxglove clients connect to; port 0 is any free one."""
 
-    def __init__(self, parameters: PresetParameters, host: str, port: int) -> None:
-        self._parameters = parameters
+    def __init__(self, host: str, port: int) -> None:
         self._host, self._port = host, port
         self._server: WebSocketServer | None = None
         self._context: Any = None  # channels live only as long as it
@@ -46,13 +44,12 @@ class FoxgloveSink:
     def start(self, topics: Mapping[str, str]) -> None:
         try:
             import foxglove
-            from foxglove.websocket import Capability
         except ImportError as error:
             raise MissingExtraError(
                 "Foxglove needs foxglove-sdk: install it with pip install 'tactune[live]'"
             ) from error
         logging.getLogger("foxglove").addHandler(logging.NullHandler())  # a client that vanishes is no news on stderr
-        listener: Any = self  # the protocol also asks for what servers without parameters call
+        listener: Any = self  # the protocol also asks for what servers without these abilities call
         context = self._context = foxglove.Context()
         for topic, kind in topics.items():
             schema = foxglove.Schema(name=kind, encoding="ros2msg", data=definition(kind).encode())
@@ -62,7 +59,6 @@ class FoxgloveSink:
                 name="Tactune",
                 host=self._host,
                 port=self._port,
-                capabilities=[Capability.Parameters],
                 server_listener=listener,
                 context=context,
                 message_backlog_size=len(topics),  # a slow client is at most one frame behind
@@ -73,7 +69,6 @@ class FoxgloveSink:
                 "end the program that listens there, or choose another port and an address of this computer"
             ) from error
         self._port = self._server.port
-        self._parameters.on_change = self._tell_parameters
 
     def wanted(self) -> Collection[str]:
         with self._lock:
@@ -96,7 +91,6 @@ class FoxgloveSink:
 
     def close(self) -> None:
         if self._server is not None:
-            self._parameters.on_change = lambda values: None
             self._server.stop()
             self._server = None
             for channel in self._channels.values():
@@ -119,35 +113,3 @@ class FoxgloveSink:
         with self._lock:
             self._subscriptions[client.id, channel.topic] -= 1
             self._subscriptions = +self._subscriptions  # without those at 0
-
-    def on_parameters_subscribe(self, names: list[str]) -> None:
-        """Nothing to do: the server knows who subscribed."""
-
-    def on_parameters_unsubscribe(self, names: list[str]) -> None:
-        """Nothing to do."""
-
-    def on_get_parameters(self, client: Client, names: list[str], request: str | None = None) -> list[Parameter]:
-        """Return present values, all of them where no name is given."""
-        return self._values(names)
-
-    def _values(self, names: Collection[str]) -> list[Parameter]:
-        from foxglove.websocket import Parameter
-
-        values = self._parameters.values()
-        return [Parameter(name, value=value) for name, value in values.items() if not names or name in names]  # type: ignore[arg-type]
-
-    def on_set_parameters(self, client: Client, wanted: list[Parameter], request: str | None = None) -> list[Parameter]:
-        """Set values and return the present ones: the old where one was refused, with a message to the clients."""
-        from foxglove import StatusLevel
-
-        for parameter in wanted:
-            try:
-                self._parameters.set(parameter.name, parameter.get_value())
-            except TactuneError as error:
-                if self._server is not None:
-                    self._server.publish_status(str(error), StatusLevel.Warning)
-        return self._values({parameter.name for parameter in wanted})
-
-    def _tell_parameters(self, values: Mapping[str, object]) -> None:
-        if self._server is not None:
-            self._server.publish_parameter_values(self._values(values.keys()))

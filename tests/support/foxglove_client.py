@@ -103,18 +103,6 @@ class FoxgloveClient:
                     return dict(text)
                 self.texts.append(text)
 
-    def parameters(self) -> dict[str, Any]:
-        self.send("getParameters", parameterNames=[], id="all")
-        return {one["name"]: one["value"] for one in self.wait_for_text("parameterValues")["parameters"]}
-
-    def set_parameter(self, name: str, value: Any) -> dict[str, Any]:
-        """Set one parameter and return what the server answers."""
-        self.send("setParameters", parameters=[{"name": name, "value": value}], id="set")
-        while True:
-            answer = self.wait_for_text("parameterValues")
-            if answer.get("id") == "set":
-                return {one["name"]: one["value"] for one in answer["parameters"]}
-
     def vanish(self) -> None:
         """Cut the connection, as a program does that is killed."""
         self._socket.socket.shutdown(socket.SHUT_RDWR)
