@@ -26,7 +26,7 @@ from .kernels.threads import in_parallel
 class AlignmentModel:
     """An alignment model, with its tables for the kernels."""
 
-    tables: kernels.Alignment
+    tables: kernels.AlignmentTables
 
     @property
     def size(self) -> kernels.ImageSizes:
@@ -74,7 +74,7 @@ def make_alignment(section: AlignmentSection, rig: Rig) -> AlignmentModel:
         table = kernels.flat(homography_table(tactile_homography(section, rig), *shapes))
     lens, camera = lens_parameters(rig.tactile.intrinsics)
     return AlignmentModel(
-        kernels.Alignment(
+        kernels.AlignmentTables(
             rigid,
             kernels.ImageSizes(width, height, tactile_width, tactile_height),
             np.float32(rig.proximity.depth_unit_m),

@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from ...model.arrays import BoolArray, Float32Array, Int32Array, Uint16Array
-from .chain import Alignment
+from .chain import AlignmentTables
 from .compiling import inline, kernel
 from .lenses import project
 from .membrane import bulge_at, derivatives, divide_by_shares
@@ -67,7 +67,7 @@ class MembraneImage(NamedTuple):
     """The tactile depth image, and how it is aligned."""
 
     counts: Uint16Array  # flat
-    alignment: Alignment
+    alignment: AlignmentTables
 
 
 class BesideCells(NamedTuple):

@@ -92,7 +92,7 @@ class ImageSizes(NamedTuple):
     tactile_height: int
 
 
-class Alignment(NamedTuple):
+class AlignmentTables(NamedTuple):
     """An alignment model: the tactile pixel and the expected tactile depth of each proximity pixel."""
 
     rigid: bool  # Otherwise a homography
@@ -127,7 +127,7 @@ class DepthLimits(NamedTuple):
 class PixelTest(NamedTuple):
     """Everything but the colour that decides about a pixel."""
 
-    alignment: Alignment
+    alignment: AlignmentTables
     region: Region
     limits: DepthLimits
     rays: Float32Array  # flat: x / z, then y / z of each proximity ray
@@ -138,7 +138,7 @@ class ColorLookup(NamedTuple):
 
     separate: bool  # Whether the colour camera stands apart; otherwise the other fields are not used
     transform: Float32Array  # (12,): Rotation (row by row) and translation (metres) from the depth to the colour frame
-    lens: int  # Lens model of the colour camera, as in `Alignment`
+    lens: int  # Lens model of the colour camera, as in `AlignmentTables`
     camera: Float32Array
     width: int  # Of the colour image
     height: int

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...model.arrays import AnyArray, BoolArray, Float32Array, Int32Array
-from .chain import SLACK, TILE_ROWS, Alignment, DepthImages, DepthLimits, accepted_range
+from .chain import SLACK, TILE_ROWS, AlignmentTables, DepthImages, DepthLimits, accepted_range
 from .compiling import inline, kernel
 from .lenses import PINHOLE
 from .simd import (
@@ -79,7 +79,7 @@ tile_grid: Callable[[int, int], tuple[int, int]] = _tile_grid.py_func
 class CoarseTest:
     """The coarse test of one alignment model, with its tables and buffers. For one thread at a time."""
 
-    def __init__(self, alignment: Alignment) -> None:
+    def __init__(self, alignment: AlignmentTables) -> None:
         width, height, tactile_width, tactile_height = alignment.size
         self.shape = tile_grid(width, height)
         self._all = np.ones(self.shape, np.bool_)
@@ -319,7 +319,7 @@ def _mark_tiles(images: Any, alignment: Any, tables: Any, limits: Any, margin: A
 
     Parameters
     ----------
-    images, alignment, limits, buffers : DepthImages, Alignment, DepthLimits, TileBuffers
+    images, alignment, limits, buffers : DepthImages, AlignmentTables, DepthLimits, TileBuffers
     tables : float32, flat
         As `CoarseTest` makes them: for the rigid model least and largest x, y and z of the rotated rays of each tile;
         for a homography left, right, top and bottom of the tactile pixels that each tile looks up.

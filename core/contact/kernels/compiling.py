@@ -31,8 +31,9 @@ def kernel(function: Callable[..., Any], *, allocates: bool = False, **options: 
     options["_nrt"] = allocates
     try:
         compiled = njit(nogil=True, cache=True, **options)(function)
-        # numba checks the kernel's own file only, but code of other files is compiled into it
-        compiled._cache._cache_file._source_stamp = _stamp(function)
+        # numba checks the kernel's own file only, but code of other files is compiled into it; and it compares versions
+        # before it reads anything else, which may name types that another version of this package had
+        compiled._cache._cache_file._version += f" {_stamp(function)}"
     except RuntimeError:  # numba found no writable cache folder
         compiled = njit(nogil=True, **options)(function)
     _kernels.append(compiled)
