@@ -15,15 +15,14 @@ from ...core.errors import TactuneError
 from ...core.model.arrays import Uint8Array
 from ...core.model.frames import Rig
 from ...widgets.basics.gestures import new_gesture
-from ...widgets.basics.messages import Severity
 from ...widgets.clouds.cloud_data import DepthCloud
 from ...widgets.clouds.cloud_view import Place, as_place
-from ...widgets.images.eyedropper import RADIUS, EyedropperError, Mode, new_ranges
+from ...widgets.images.eyedropper import RADIUS, Mode, new_ranges
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.images.point_image import SPAN, Loupe
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..calibration.pictures import pack_rgb
-from ..context import SOURCE, Context
+from ..context import Context
 from ..worker.rendering import colors_around
 from ..worker.results import CloudName, Result
 from .view_area import ViewArea
@@ -128,7 +127,6 @@ _WORDS = {
     "off": "",
     "set": "Click the membrane's prints in the colour image. Esc ends.",
     "expand": "Click prints that the mask misses in the colour image. Esc ends.",
-    "shrink": "Click what the mask wrongly covers in the colour image. Esc ends.",
 }
 
 
@@ -158,7 +156,7 @@ class Eyedropper(QObject):
 
     def __init__(self, context: Context, panel: ParameterPanel, strip: ImageStrip) -> None:
         super().__init__(context)
-        self._context, self._document, self._messages = context, context.document, context.messages
+        self._context, self._document = context, context.document
         self._panel = panel
         self._strip = strip
         self.mode = "off"
@@ -176,7 +174,6 @@ class Eyedropper(QObject):
         self.mode = mode
         self._panel.set_eyedropper(mode)
         self._strip.set_picking(_WORDS[mode])
-        self._messages.clear("eyedropper")
         self._show_loupe()
 
     def _hovered(self, u: int, v: int) -> None:
@@ -205,12 +202,7 @@ class Eyedropper(QObject):
         result, mask = self._context.result, self._document.preset.mask
         if self.mode == "off" or pane != "color" or result is None:
             return
-        try:
-            ranges = new_ranges(color_around(result, u, v, RADIUS), mask, cast(Mode, self.mode))
-        except EyedropperError as error:
-            self._messages.show_message("eyedropper", Severity.WARNING, str(error), subject=SOURCE)
-            return
-        self._messages.clear("eyedropper")
+        ranges = new_ranges(color_around(result, u, v, RADIUS), mask, cast(Mode, self.mode))
         picked = {f"mask.{name}": getattr(ranges, name) for name in ("hue", "saturation", "value")}
         if not mask.enabled:
             picked = {"mask.enabled": True, **picked}

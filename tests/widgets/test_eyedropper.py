@@ -2,13 +2,11 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactune.core.errors import TactuneError
 from tactune.core.preset import MaskSection
-from tactune.widgets.images.eyedropper import contains, new_ranges, take_sample
+from tactune.widgets.images.eyedropper import new_ranges
 
 FULL = MaskSection(hue=(0, 179), saturation=(0, 255), value=(0, 255))
 
@@ -32,6 +30,14 @@ def patch_of(hue: int, saturation: int, value: int, spread: int, seed: int) -> n
     return cv2.cvtColor(hsv.astype(np.uint8), cv2.COLOR_HSV2RGB)
 
 
+def contains(mask: MaskSection, hsv: np.ndarray) -> np.ndarray:
+    """Which of the colours, H, S and V, a mask covers, as OpenCV finds them."""
+    (low, high), (from_s, to_s), (from_v, to_v) = mask.hue, mask.saturation, mask.value
+    arcs = [(low, high)] if low <= high else [(low, 179), (0, high)]
+    found = [cv2.inRange(hsv.reshape(1, -1, 3), (a, from_s, from_v), (b, to_s, to_v)) for a, b in arcs]
+    return np.any(found, axis=0).reshape(hsv.shape[:-1])
+
+
 def to_hsv(rgb: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2HSV)
 
@@ -44,12 +50,6 @@ patches = st.builds(
 )
 noise = st.integers(0, 999).map(lambda seed: np.random.default_rng(seed).integers(0, 256, (7, 7, 3)).astype(np.uint8))
 samples = st.one_of(patches, noise)
-
-
-def median_color(rgb: np.ndarray, present: MaskSection) -> np.ndarray:
-    sample = take_sample(rgb)
-    hue = present.hue[0] if sample.median_hue is None else sample.median_hue
-    return np.array([hue, sample.median_saturation, sample.median_value], np.uint8)
 
 
 @given(samples, ranges)
@@ -73,21 +73,6 @@ def test_expand_covers_both(rgb: np.ndarray, present: MaskSection) -> None:
     assert wider[contains(new_ranges(rgb, present, "set"), COLORS)].all()
 
 
-@given(samples, ranges)
-@settings(max_examples=60)
-def test_shrink_excludes_the_median_and_adds_nothing(rgb: np.ndarray, present: MaskSection) -> None:
-    median = median_color(rgb, present)
-    try:
-        less = new_ranges(rgb, present, "shrink")
-    except TactuneError:
-        assert contains(present, median)
-        return
-    assert not contains(less, median)
-    assert contains(present, COLORS)[contains(less, COLORS)].all()
-    changed = [name for name in ("hue", "saturation", "value") if getattr(less, name) != getattr(present, name)]
-    assert len(changed) == (1 if contains(present, median) else 0)
-
-
 def test_a_sample_around_red_wraps() -> None:
     red = patch_of(hue=1, saturation=200, value=200, spread=4, seed=0)
     fresh = new_ranges(red, FULL, "set")
@@ -95,10 +80,3 @@ def test_a_sample_around_red_wraps() -> None:
     assert fresh.hue[1] < 30
     assert fresh.hue[0] > fresh.hue[1]
     assert not contains(fresh, np.array([90, 200, 200], np.uint8))
-
-
-def test_shrinking_to_nothing_is_refused_in_words() -> None:
-    pure = np.zeros((7, 7, 3), np.uint8)
-    pure[:] = (255, 0, 0)
-    with pytest.raises(TactuneError, match="turn the mask off"):
-        new_ranges(pure, MaskSection(hue=(0, 0), saturation=(255, 255), value=(255, 255)), "shrink")

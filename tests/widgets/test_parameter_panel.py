@@ -164,11 +164,11 @@ def test_a_refused_value_is_explained_and_taken_back(panel: ParameterPanel, seen
 
 def test_eyedroppers_exclude_each_other_and_escape_leaves(panel: ParameterPanel, seen: Recorder) -> None:
     panel.set_preset(Preset(mask=MaskSection(enabled=True)))
-    for mode in ("set", "expand", "shrink"):
+    for mode in ("set", "expand"):
         QTest.mouseClick(panel.eyedroppers[mode], LEFT)
         assert [name for name, button in panel.eyedroppers.items() if button.isChecked()] == [mode]
     QTest.keyClick(panel, Qt.Key.Key_Escape)
-    assert seen.modes == ["set", "expand", "shrink", "off"]
+    assert seen.modes == ["set", "expand", "off"]
     assert not any(button.isChecked() for button in panel.eyedroppers.values())
     QTest.mouseClick(panel.eyedroppers["set"], LEFT)
     QTest.mouseClick(panel.eyedroppers["set"], LEFT)

@@ -42,7 +42,6 @@ _EYEDROPPERS = {
         "Pick the colour of the membrane's prints: click one in the image, which also turns the mask on. Esc stops.",
     ),
     "expand": ("+", "Expand: click membrane that the mask misses, and the ranges widen to include it. Esc stops."),
-    "shrink": ("−", "Shrink: click what the mask wrongly covers, and one range is narrowed to exclude it. Esc stops."),
 }
 
 
@@ -58,7 +57,7 @@ class ParameterPanel(QScrollArea):
     valueEdited = pyqtSignal(str, object, int)
     #: Values, gesture: a section was reset: several fields at once.
     valuesEdited = pyqtSignal(object, int)
-    eyedropperRequested = pyqtSignal(str)  # mode: "set", "expand", "shrink", or "off"
+    eyedropperRequested = pyqtSignal(str)  # mode: "set", "expand", or "off"
     maskShown = pyqtSignal(bool)  # whether the colour image is tinted where the mask covers it
     suggestRequested = pyqtSignal(str)  # section: a proposal for a section is wanted; ``"all"`` for all sections
     remedyPressed = pyqtSignal(str)  # path: the button of the finding below a row was pressed
@@ -339,11 +338,10 @@ class ParameterPanel(QScrollArea):
         """While the mask is off, enable only *Pick*; without a frame, none."""
         mask_on, pick = bool(self._value("mask.enabled")), self.eyedroppers["set"]
         self.show_mask.setEnabled(mask_on)
-        for mode in ("expand", "shrink"):
-            button = self.eyedroppers[mode]
-            button.setEnabled(mask_on and pick.isEnabled())
-            if not mask_on and button.isChecked():
-                self._choose_eyedropper("off")
+        expand = self.eyedroppers["expand"]
+        expand.setEnabled(mask_on and pick.isEnabled())
+        if not mask_on and expand.isChecked():
+            self._choose_eyedropper("off")
 
     def _show_tolerance_mm(self) -> None:
         known = np.isfinite(self._median_m) and self._median_m > 0
