@@ -170,7 +170,7 @@ def _camera(text: str, kind: str, size: tuple[int, int], corners: tuple[int, int
             f"cent; give {name}=camera, or {name}=DIR with pictures of a chessboard"
         )
     elif how == "camera":
-        lens, unit_m = _connected(name, "color" if kind == "colour" else kind, size)
+        lens, unit_m = _connected(name, kind, size)
     elif how.count(",") == 3:
         try:
             numbers = dict(zip(("fx", "fy", "cx", "cy"), map(float, how.split(",")), strict=True))
@@ -187,14 +187,16 @@ def _camera(text: str, kind: str, size: tuple[int, int], corners: tuple[int, int
 
 
 def _connected(model: str, kind: str, size: tuple[int, int]) -> tuple[Intrinsics, float]:
-    """Return the lens that a connected camera states for images of this size, and its depth unit in metres."""
-    from ...core.sources.cameras.drivers import list_devices, list_lenses
+    """Return the lens that a connected camera states for its images, and its depth unit in metres."""
+    from ...core.sources.cameras.drivers import camera_drivers, connected_devices
 
-    lenses = list_lenses()
-    for device in list_devices()[0]:
-        for lens in lenses.get(device.serial, []) if model in device.model else []:
-            if lens.kind == kind and (lens.intrinsics.width, lens.intrinsics.height) == size:
-                return lens.intrinsics, lens.depth_unit_m
+    for driver, device in connected_devices(camera_drivers()[0])[0]:
+        if model in device.model:
+            camera = driver.open(device.serial, device.role or "proximity")
+            lens = camera.calibration.depth.intrinsics if kind == "depth" else camera.calibration.color
+            camera.close()
+            if lens is not None and (lens.width, lens.height) == size:
+                return lens, camera.calibration.depth.depth_unit_m
     raise CalibrationError(
         f"no connected {model} states a {kind} lens for {size[0]} x {size[1]} pixels; tactune devices"
     )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from itertools import groupby
 from typing import Any
 
 import typer
@@ -18,14 +17,13 @@ from .common import CliProgress, JsonOption, emit
 NONE_STATUS = 1
 #: Exit status of ``doctor`` if a check fails.
 FAILED_STATUS = 1
-_NEEDED = (640, 480, 30)
 
 
 def devices(
     *,
     as_json: JsonOption = False,
 ) -> None:
-    """List the connected cameras: model, serial number, firmware, USB version and streams.
+    """List the connected cameras: model, serial number, firmware and USB version.
 
     Exit status 0 if a camera is connected, 1 if none is, 2 if the camera driver is missing or fails.
     """
@@ -66,16 +64,6 @@ def _words(device: dict[str, Any]) -> list[str]:
     lines = [f"{device['model']}, serial {device['serial'] or 'unknown'}", f"  {firmware}, {usb}"]
     if device.get("problem"):
         lines.append(f"  {as_sentence(device['problem'])}")
-    modes = sorted({(mode["stream"], mode["width"], mode["height"], mode["rate_hz"]) for mode in device["modes"]})
-    for stream, of_stream in groupby(modes, key=lambda mode: mode[0]):
-        sizes = [
-            f"{width} x {height} at {', '.join(str(mode[3]) for mode in group)} Hz"
-            for (width, height), group in groupby(of_stream, key=lambda mode: mode[1:3])
-        ]
-        lines.append(f"  {stream}: {'; '.join(sizes)}")
-    if modes and not any((mode[0], *mode[1:]) == ("depth", *_NEEDED) for mode in modes):
-        width, height, rate = _NEEDED
-        lines.append(f"  It has no depth stream of {width} x {height} at {rate} Hz, which Tactune needs.")
     return lines
 
 

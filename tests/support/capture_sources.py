@@ -15,6 +15,7 @@ from tactune.core.errors import MissingExtraError, SourceError
 from tactune.core.model.frames import ColorCamera, DepthCamera, GroundTruth, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.sources.base import CameraHealth, CameraOption, CameraRole, FrameSource, Health, Progress
+from tactune.core.sources.capture.live import LiveLoop
 
 Size = tuple[int, int]
 POSE = tuple(tuple(float(row == column) for column in range(4)) for row in range(4))
@@ -86,26 +87,17 @@ def recorded(rig: Rig, frames: Sequence[SensorFrame], rate_hz: float = 30.0) -> 
     return FakeSource(frames=frames, rig=rig, name="recorded", rate_hz=rate_hz, untouched=untouched)
 
 
-def open_recorded(rig: Rig, frames: Sequence[SensorFrame], progress: Progress) -> FakeSource:
+def open_recorded(rig: Rig, frames: Sequence[SensorFrame], progress: Progress) -> LiveLoop:
+    """Open a recording that is played live."""
     progress(0.5, "half way")
     time.sleep(0.3)
-    return recorded(rig, frames)
-
-
-def open_noting(rig: Rig, frames: Sequence[SensorFrame], folder: Path, progress: Progress) -> FakeSource:
-    """Open a recording that leaves a file in a folder for each frame that is read."""
-
-    def make(index: int, _rig: Rig) -> SensorFrame:
-        (folder / f"read {index}").touch()
-        return frames[index]
-
-    return FakeSource(len(frames), rig, make=make)
+    return LiveLoop(recorded(rig, frames))
 
 
 class Troubled(FrameSource):
     """A live source at 100 Hz that does what the file says, once, when its frame 20 is due.
 
-    Words: ``raise``, ``segfault``, ``hang``, ``size N`` (N frames of another size), ``end``.
+    Words: ``raise``, ``segfault``, ``hang``, ``size`` (a frame of another size), ``end``.
     """
 
     def __init__(self, orders: Path, rig: Rig) -> None:
@@ -113,7 +105,6 @@ class Troubled(FrameSource):
         self._orders = orders
         self._rig = rig
         self._count = 0
-        self._odd = 0
         self._gain = 16.0
         self._begun_s = time.monotonic()
 
@@ -129,7 +120,7 @@ class Troubled(FrameSource):
     def next_frame(self) -> SensorFrame | None:
         self._count += 1
         if self._count >= 20 and self._orders.exists():
-            word, *numbers = self._orders.read_text().split()
+            word = self._orders.read_text()
             self._orders.unlink()
             if word == "raise":
                 raise SourceError(f"troubled: frame {self._count} is damaged; clean the lens")
@@ -139,13 +130,10 @@ class Troubled(FrameSource):
                 time.sleep(3600)
             if word == "end":
                 return None
-            self._odd = int(numbers[0])
-        rig = self._rig
-        if self._odd:
-            self._odd -= 1
-            rig = make_rig(tactile=(10, 7))
-        time_s = self._count / 100
-        made = make_frame(rig, self._count % 50)
+            if word == "size":
+                return make_frame(make_rig(tactile=(10, 7)), self._count)
+        time_s = time.time()
+        made = make_frame(self._rig, self._count % 50)
         return replace(made, sequence=self._count, proximity_time_s=time_s, tactile_time_s=time_s + 0.0021)
 
     def health(self) -> Health:

@@ -49,19 +49,17 @@ class Fault:
 
 
 FAULTS = {
-    "tactile stops": Fault(Command("stop", "tactile"), "sends nothing", Command("go", "tactile")),
-    "proximity stops": Fault(Command("stop", "proximity"), "sends nothing", Command("go", "proximity")),
-    "stutters": Fault(Command("stutter", "tactile", 1.5), "sends nothing"),
+    "tactile stops": Fault(Command("stop", "tactile"), "sends no images", Command("go", "tactile")),
+    "proximity stops": Fault(Command("stop", "proximity"), "sends no images", Command("go", "proximity")),
+    "stutters": Fault(Command("stutter", "tactile", 1.5), "sends no images"),
     "depth only": Fault(
         Command("streams", "proximity", text="depth"),
-        "sends depth images but no colour",
+        "sends no images with colour",
         Command("streams", "proximity", text="depth color"),
     ),
-    "clock jumps": Fault(Command("jump", "tactile", 5.0), "images are timed by their arrival"),
-    "other size": Fault(Command("size", "tactile", 20.0), "tactile_depth is 320 x 240 pixels, the rig says 640 x 480"),
-    "tactile removed": Fault(Command("remove", "tactile"), "is unplugged", Command("add", "tactile")),
-    "proximity removed": Fault(Command("remove", "proximity"), "is unplugged", Command("add", "proximity")),
-    "killed": Fault(signal.SIGKILL, "was ended by signal 9 (SIGKILL)"),
+    "tactile removed": Fault(Command("remove", "tactile"), "is not connected", Command("add", "tactile")),
+    "proximity removed": Fault(Command("remove", "proximity"), "is not connected", Command("add", "proximity")),
+    "killed": Fault(signal.SIGKILL, "ended with status -9"),
     "stopped": Fault(signal.SIGSTOP, "has given no sign of life"),
     "driver hangs": Fault(Command("hang", "tactile", 30.0), "has given no sign of life"),
 }

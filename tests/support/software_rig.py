@@ -30,7 +30,7 @@ COLOR_ROTATION = (0.0, 1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 COLOR_TRANSLATION_M = (0.015, -0.004, 0.002)
 ANY_CAMERAS = CamerasSection()
 
-Action = Literal["stop", "go", "stutter", "streams", "jump", "size", "remove", "add", "hang", "quit"]
+Action = Literal["stop", "go", "stutter", "streams", "remove", "add", "hang", "quit"]
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,7 @@ class Command:
     """What a camera is to do next.
 
     ``stop`` and ``go``; ``stutter``: nothing for ``value`` seconds, then all at once; ``streams``: only those
-    of ``text``, such as ``"depth"`` or ``"depth color"``; ``jump``: its clock jumps by ``value`` seconds;
-    ``size``: ``value`` images of another size; ``remove``, and ``add`` with ``text`` as its serial number,
+    of ``text``, such as ``"depth"`` or ``"depth color"``; ``remove``, and ``add`` with ``text`` as its serial number,
     if given; ``hang``: the whole process stands still for ``value`` seconds, holding the GIL; ``quit``: no more
     images at all.
     """
@@ -89,8 +88,6 @@ class SoftwareCamera:
         is_l515 = role == "proximity"
         self.streams: tuple[str, ...] = ("depth", "color")
         self.running = True
-        self.odd_images = 0
-        self.clock_offset_s = 0.0
         self.held: deque[Callable[[], None]] = deque()
         self.hold_until_s = 0.0
         self._in_use: deque[Any] = deque(maxlen=64)
@@ -123,7 +120,7 @@ class SoftwareCamera:
             "depth": depth_sensor.add_video_stream(self._stream("depth", WIDTH, HEIGHT), True),
             "color": color_sensor.add_video_stream(self._stream("color", WIDTH, HEIGHT), True),
         }
-        self._odd_profile = depth_sensor.add_video_stream(self._stream("depth", WIDTH // 2, HEIGHT // 2), False)
+        depth_sensor.add_video_stream(self._stream("depth", WIDTH // 2, HEIGHT // 2), False)
         pose = rs.extrinsics()
         if is_l515:
             pose.rotation, pose.translation = list(COLOR_ROTATION), list(COLOR_TRANSLATION_M)
@@ -157,15 +154,12 @@ class SoftwareCamera:
         for stream in self.streams:
             profile = self._profiles[stream]
             image: Any = depth_image(self.role, number) if stream == "depth" else color_image(self.role, number)
-            if stream == "depth" and self.odd_images > 0:
-                self.odd_images -= 1
-                profile, image = self._odd_profile, np.ascontiguousarray(image[::2, ::2])
             rs = self._rs
             frame = rs.software_video_frame()
             frame.pixels = image
             frame.bpp = 2 if stream == "depth" else 3
             frame.stride = frame.bpp * image.shape[1]
-            frame.timestamp = 1e3 * (time_s + self.clock_offset_s)
+            frame.timestamp = 1e3 * time_s
             frame.domain = rs.timestamp_domain.global_time
             frame.frame_number = number
             frame.profile = profile.as_video_stream_profile()
@@ -267,10 +261,6 @@ class SoftwareRig:
             camera.hold_until_s = time.time() + command.value
         elif command.action == "streams":
             camera.streams = tuple(command.text.split())
-        elif command.action == "jump":
-            camera.clock_offset_s += command.value
-        elif command.action == "size":
-            camera.odd_images = int(command.value)
         else:
             camera.running = command.action == "go"
 
@@ -301,7 +291,7 @@ class SoftwareSource(CameraSource):
 
     def __init__(self, cameras: CamerasSection, rig: SoftwareRig) -> None:
         self.software_rig = rig
-        super().__init__([RealSenseDriver(rig.devices)], cameras, scheme="realsense")
+        super().__init__([RealSenseDriver(rig.devices)], cameras)
 
     def close(self) -> None:
         self.software_rig.close()

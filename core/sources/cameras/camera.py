@@ -1,55 +1,50 @@
 """The interface of camera drivers: a `CameraDriver` lists and opens devices, a `Camera` delivers images.
 
-Threads, pairing, time stamps, reopening and all messages are shared by all makers: see
-`camera_thread`, `pairing` and `source`. A package adds a driver by an entry point in the group ``tactune.cameras``
-that names a subclass of `CameraDriver`; ``docs/guide/extending.md`` has an example.
+Threads, pairing, reopening and all messages are shared by all makers: see `camera_thread`, `pairing` and `source`. A
+package adds a driver by an entry point in the group ``tactune.cameras`` that names a subclass of `CameraDriver`;
+``docs/guide/extending.md`` has an example.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from ...contact.masking import colors_at
-from ...errors import SourceError, as_sentence
-from ...model.arrays import AnyArray, Uint8Array, Uint16Array
+from ...errors import SourceError
+from ...model.arrays import Uint8Array, Uint16Array
 from ...model.clouds import deproject, valid_depth
 from ...model.frames import ColorCamera, DepthCamera, Matrix4, Rig, rigid_transform
 from ...model.intrinsics import Distortion, Intrinsics
 from ..base import CameraOption, CameraRole
-
-Kind = Literal["depth", "color"]
 
 _NO_DISTORTION = {"distortion": Distortion.NONE}
 _SAME_FRAME = rigid_transform(np.eye(4))
 
 
 @dataclass(frozen=True, eq=False)
-class Image:
-    """One image, copied out of the driver.
+class Images:
+    """What one camera saw at one moment, copied out of the driver.
 
     Attributes
     ----------
     number : int
-        The camera's number of the image. Gaps count as dropped images.
-    pixels : uint16, shape (H, W), or uint8, shape (H, W, 3)
-        Raw counts or RGB.
-    stamp_s : float
-        The camera's time stamp, seconds.
-    on_host_clock : bool
-        Whether the stamp is on the computer's clock, as `time.time`. Otherwise it is on the camera's own clock,
-        and images are placed by their arrival.
+        The camera's number of the depth image. Gaps count as dropped images.
+    depth : uint16, shape (H, W)
+        Raw counts.
+    color : uint8, shape (H, W, 3), or None
+        RGB; None if the camera has no colour or lost the image. The proximity camera's images are skipped then.
+    time_s : float
+        When the depth image was taken, by the computer's clock, as `time.time`. A driver that cannot tell gives the
+        time of arrival.
     """
 
-    kind: Kind
     number: int
-    pixels: AnyArray
-    stamp_s: float
-    on_host_clock: bool = True
+    depth: Uint16Array
+    color: Uint8Array | None
+    time_s: float
 
 
 @dataclass(frozen=True)
@@ -98,20 +93,6 @@ class Calibration:
         return aligned
 
 
-@dataclass(frozen=True, order=True)
-class StreamMode:
-    """One mode in which a sensor can stream; ``stream`` and ``format`` are the driver's own words."""
-
-    stream: str
-    width: int
-    height: int
-    rate_hz: int
-    format: str
-
-    def __str__(self) -> str:
-        return f"{self.stream} {self.width} x {self.height} at {self.rate_hz} Hz ({self.format})"
-
-
 @dataclass(frozen=True)
 class DeviceInfo:
     """A connected device.
@@ -124,12 +105,8 @@ class DeviceInfo:
         Unique among all connected devices.
     role : {"proximity", "tactile"} or None
         Default role if the preset names no serial number. None: used only if its serial number is named.
-    is_second_choice : bool
-        Gets its default role only if no other device has this default role.
     usb : str
         USB version of the connection, such as ``"3.2"``; empty if unknown.
-    modes : tuple of StreamMode
-        Available modes, sorted.
     problem : str
         Why it cannot be used; empty if it can.
     """
@@ -137,33 +114,14 @@ class DeviceInfo:
     model: str
     serial: str
     role: CameraRole | None = None
-    is_second_choice: bool = False
     firmware: str = ""
     usb: str = ""
-    modes: tuple[StreamMode, ...] = ()
     problem: str = ""
 
     @property
     def title(self) -> str:
         """Model and serial number."""
         return f"{self.model} (serial {self.serial})"
-
-
-@dataclass(frozen=True)
-class StreamLens:
-    """The factory calibration of one image size.
-
-    Attributes
-    ----------
-    kind : {"depth", "color"}
-    intrinsics : Intrinsics
-    depth_unit_m : float
-        Length of one count of the camera's depth images.
-    """
-
-    kind: Kind
-    intrinsics: Intrinsics
-    depth_unit_m: float
 
 
 class Camera(ABC):
@@ -178,7 +136,7 @@ class Camera(ABC):
     role : {"proximity", "tactile"}
     calibration : Calibration
     rate_hz : float
-        Rate of the depth images; both cameras of a rig need the same.
+        Rate of the images; both cameras of a rig need the same.
     """
 
     def __init__(self, info: DeviceInfo, role: CameraRole, calibration: Calibration, rate_hz: float = 30.0) -> None:
@@ -187,13 +145,8 @@ class Camera(ABC):
         self.calibration = calibration
         self.rate_hz = rate_hz
 
-    @property
-    def defaults(self) -> Mapping[str, float]:
-        """Options that are set unless the preset names them."""
-        return {}
-
     def start(self) -> None:
-        """Start streaming. Options are already set.
+        """Start streaming; the preset's options are already set, in the order in which `options` lists them.
 
         Raises
         ------
@@ -202,14 +155,11 @@ class Camera(ABC):
         """
 
     @abstractmethod
-    def read(self, timeout_s: float) -> Sequence[Image]:
-        """Return the next images, depth and colour in any order; empty if none arrives in time.
+    def read(self, timeout_s: float) -> Images | None:
+        """Return the next images; None if none arrive in time.
 
         An exception closes the camera; it is then opened again.
         """
-
-    def flush(self) -> None:
-        """Drop the images that have already arrived."""
 
     def close(self) -> None:
         """Stop streaming and release the device. Closing twice is harmless."""
@@ -227,23 +177,6 @@ class Camera(ABC):
             The camera has no such option or refuses the value.
         """
         raise SourceError(f"the {self.info.title} has no option {name!r}; it has none")
-
-    def apply_options(self, wanted: Mapping[str, float]) -> list[str]:
-        """Set options, and return a sentence for each one that the camera refuses."""
-        return self._apply(wanted.items())
-
-    def reset_by(self, name: str) -> Collection[str]:
-        """Return the options that change too when ``name`` is set, such as those of a visual preset."""
-        return ()
-
-    def _apply(self, options: Iterable[tuple[str, float]]) -> list[str]:
-        refused = []
-        for name, value in options:
-            try:
-                self.set_option(name, value)
-            except SourceError as error:
-                refused.append(as_sentence(str(error)))
-        return refused
 
 
 class CameraDriver(ABC):
@@ -266,17 +199,9 @@ class CameraDriver(ABC):
             The maker's software is missing or fails; the message says what to do.
         """
 
-    def serials(self) -> list[str]:
-        """Return the serial numbers of the connected devices; asked twice a second while a camera is silent."""
-        return [info.serial for info in self.devices()]
-
-    def lenses(self, serial: str) -> list[StreamLens]:
-        """Return the lens of every image size of a device, without streaming; empty if the driver does not tell."""
-        return []
-
     @abstractmethod
     def open(self, serial: str, role: CameraRole) -> Camera:
-        """Open the device with this serial number, not streaming yet.
+        """Open the device with this serial number, not streaming yet; tried twice a second while it is missing.
 
         Raises
         ------

@@ -3,40 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from typing import Final
 
-from ...errors import PluginError, SourceError, TactuneError
+from ...errors import SourceError, TactuneError
 from ...model.plugins import added_by_others
 from ...preset import CamerasSection
 from ..base import CameraRole
-from .camera import CameraDriver, DeviceInfo, StreamLens
+from .camera import CameraDriver, DeviceInfo
 from .realsense import RealSenseDriver
 
 #: Entry points of other packages: classes of camera drivers.
 GROUP: Final = "tactune.cameras"
+#: Names of live sources, and all their messages, begin with it.
+SCHEME: Final = "cameras"
 
 
-def camera_drivers(name: str = "") -> tuple[list[CameraDriver], list[str]]:
-    """Return all installed drivers, or one by its name, and a sentence for each that cannot be loaded.
-
-    Raises
-    ------
-    PluginError
-        The named driver cannot be loaded.
-    """
+def camera_drivers() -> tuple[list[CameraDriver], list[str]]:
+    """Return all installed drivers, and a sentence for each that cannot be loaded."""
     found, failed = added_by_others(GROUP, CameraDriver)
     known = {**found, "realsense": RealSenseDriver}
-    if name and name not in known:
-        raise PluginError(failed.get(name, f"there is no camera driver {name!r}; known are {', '.join(known)}"))
-    drivers, problems = [], [] if name else list(failed.values())
-    for each in [name] if name else sorted(known):
+    drivers, problems = [], list(failed.values())
+    for name in sorted(known):
         try:
-            drivers.append(known[each]())
+            drivers.append(known[name]())
         except Exception as error:  # another package's driver may raise anything
-            problems.append(f"the camera driver {each!r} failed ({error}); update or uninstall its package")
-    if name and problems:
-        raise PluginError(problems[0])
+            problems.append(f"the camera driver {name!r} failed ({error}); update or uninstall its package")
     return drivers, problems
 
 
@@ -79,55 +70,34 @@ def list_devices() -> tuple[list[DeviceInfo], str, list[str]]:
     return devices, "; ".join(filter(None, (driver.hint() for driver in drivers))), [*failures, *problems]
 
 
-def list_lenses() -> dict[str, list[StreamLens]]:
-    """Return the lenses of all connected devices by serial number; a driver that fails gives none."""
-    lenses: dict[str, list[StreamLens]] = {}
-    for driver, info in connected_devices(camera_drivers()[0])[0]:
-        with suppress(Exception):  # another package's driver may raise anything
-            lenses[info.serial] = driver.lenses(info.serial)
-    return lenses
-
-
-def choose(
-    devices: Sequence[DeviceInfo], cameras: CamerasSection, source: str, *, what: str = "camera", hint: str = ""
-) -> dict[CameraRole, DeviceInfo]:
+def choose(devices: Sequence[DeviceInfo], cameras: CamerasSection, hint: str = "") -> dict[CameraRole, DeviceInfo]:
     """Decide which device gets which role: by serial number where the preset names one, else by `DeviceInfo.role`.
 
-    Messages begin with ``source``, such as ``"realsense:"``, call a camera ``what`` if none is connected, and give
-    ``hint`` as the reason why the driver may not list one. `SourceError` if a camera is missing, or several would fit.
+    ``hint`` is the reason why a driver may not list a camera. `SourceError` if one is missing, or several would fit.
     """
     if not devices:
         note = f"; note that {hint}" if hint else ""
         raise SourceError(
-            f"{source} finds no {what} connected: plug both into USB 3 ports; tactune doctor finds other causes{note}"
+            f"{SCHEME}: finds no camera connected: plug both into USB 3 ports; tactune doctor finds other causes{note}"
         )
     serials: dict[CameraRole, str] = {"proximity": cameras.proximity.serial, "tactile": cameras.tactile.serial}
-    if serials["proximity"] and serials["proximity"] == serials["tactile"]:
-        raise SourceError(f"{source} both cameras have the serial {serials['tactile']}; name two different ones")
-    form = f"{source.partition(':')[0]}:PROXIMITY,TACTILE"
-    connected = f"{_titles(devices)} {'is' if len(devices) == 1 else 'are'}"
+    form = f"name both serials as {SCHEME}:PROXIMITY,TACTILE or choose in the camera dialog"
     chosen: dict[CameraRole, DeviceInfo] = {}
     for role, serial in serials.items():
         if serial:
             fitting = [device for device in devices if device.serial == serial]
-            if not fitting:
-                raise SourceError(
-                    f"{source} the {role} camera with the serial {serial} is not connected, but {connected}; "
-                    f"plug it in, or name another one in the camera dialog or as {form}"
-                )
         else:
-            free = [device for device in devices if device.role == role and device.serial not in serials.values()]
-            fitting = [device for device in free if not device.is_second_choice] or free
+            fitting = [device for device in devices if device.role == role and device.serial not in serials.values()]
         if not fitting:
+            what = f"the {role} camera with the serial {serial}" if serial else f"a {role} camera"
             model = "an L515" if role == "proximity" else "a D405"
-            remedy = hint or f"plug {model} into a USB 3 port, or name a camera in its place as {form}"
-            raise SourceError(f"{source} there is no {role} camera, only {connected} connected; {remedy}")
+            remedy = hint or f"plug {'it' if serial else model} in, or {form}"
+            raise SourceError(f"{SCHEME}: {what} is not connected, only {_titles(devices)}; {remedy}")
         if len(fitting) > 1:
-            raise SourceError(
-                f"{source} {_titles(fitting)} may each be the {role} camera; "
-                f"choose in the camera dialog, or name both serials as {form}"
-            )
+            raise SourceError(f"{SCHEME}: {_titles(fitting)} may each be the {role} camera; {form}")
         chosen[role] = fitting[0]
+    if chosen["proximity"] is chosen["tactile"]:
+        raise SourceError(f"{SCHEME}: both cameras have the serial {serials['tactile']}; name two different ones")
     return chosen
 
 

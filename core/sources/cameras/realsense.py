@@ -11,13 +11,16 @@ from typing import Any
 
 from ...errors import MissingExtraError, SourceError
 from ..base import CameraRole
-from .camera import Camera, CameraDriver, DeviceInfo, StreamLens, StreamMode
+from .camera import Camera, CameraDriver, DeviceInfo
 
 #: Returns the driver's objects of the connected devices.
 DeviceQuery = Callable[[], list[Any]]
 
 #: The last release that knows the L515; the next one dropped it.
 LAST_WITH_L515 = "2.54.2"
+
+#: An L515 looks through the membrane, a D405 sees the membrane; others are used where their serial number is named.
+_ROLES: dict[str, CameraRole] = {"L515": "proximity", "D405": "tactile"}
 
 #: System libraries that the driver's wheel needs and the Debian packages that have them.
 _PACKAGES = {"libusb-1.0": "libusb-1.0-0", "libudev": "libudev1"}
@@ -38,10 +41,6 @@ class RealSenseDriver(CameraDriver):
         """Return the connected devices."""
         return [describe(device) for device in self._query()]
 
-    def serials(self) -> list[str]:
-        """Return the serial numbers of the connected devices, without asking for their modes."""
-        return [_serial(device) for device in self._query()]
-
     def open(self, serial: str, role: CameraRole) -> Camera:
         """Open a device."""
         from .realsense_camera import RealSenseCamera
@@ -50,12 +49,6 @@ class RealSenseDriver(CameraDriver):
             if _serial(device) == serial:
                 return RealSenseCamera(load_driver(), device, describe(device), role)
         raise SourceError(f"the RealSense camera with the serial {serial} is not connected; plug it in")
-
-    def lenses(self, serial: str) -> list[StreamLens]:
-        """Return the lens of every size of depth and colour images."""
-        from .realsense_camera import read_lenses
-
-        return [lens for device in self._query() if _serial(device) == serial for lens in read_lenses(device)]
 
     def hint(self) -> str:
         """Return why this version of the driver finds no L515."""
@@ -131,16 +124,13 @@ def describe(device: Any) -> DeviceInfo:
 
     try:
         model = told("name").removeprefix("Intel RealSense ").removeprefix("RealSense ").strip() or "unknown"
-        modes = {mode for sensor in device.query_sensors() for mode in map(_mode, sensor.get_stream_profiles()) if mode}
         usb = told("usb_type_descriptor")
         return DeviceInfo(
             model=model,
             serial=told("serial_number"),
-            role=_role(model),
-            is_second_choice=model != "D405" and _role(model) == "tactile",
+            role=_ROLES.get(model),
             firmware=told("firmware_version"),
             usb=usb,
-            modes=tuple(sorted(modes)),
             problem="it runs at USB 2, too slow for these cameras; use a USB 3 port and cable"
             if usb.startswith("2")
             else "",
@@ -149,23 +139,8 @@ def describe(device: Any) -> DeviceInfo:
         return DeviceInfo(model="unknown", serial="", problem=f"it does not answer ({error}); plug it in again")
 
 
-def _mode(profile: Any) -> StreamMode | None:
-    if not profile.is_video_stream_profile():
-        return None
-    video = profile.as_video_stream_profile()
-    stream = profile.stream_type().name
-    return StreamMode(stream, video.width(), video.height(), profile.fps(), profile.format().name)
-
-
 def _numbers(text: str) -> tuple[int, ...]:
     return tuple(int(number) for number in re.findall(r"\d+", text))
-
-
-def _role(model: str) -> CameraRole | None:
-    """Return the role of a model: an L515 looks through the membrane, a D400 camera sees the membrane."""
-    if model.startswith("L5"):
-        return "proximity"
-    return "tactile" if model.startswith("D4") else None
 
 
 def _serial(device: Any) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+import time
 from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
@@ -13,26 +13,23 @@ from ...errors import SourceError
 from ...model.frames import DepthCamera, Matrix4, camera_pose
 from ...model.intrinsics import Distortion, Intrinsics
 from ..base import CameraOption, CameraRole
-from .camera import Calibration, Camera, DeviceInfo, Image, StreamLens
+from .camera import Calibration, Camera, DeviceInfo, Images
 
 WIDTH, HEIGHT, RATE_HZ = 640, 480, 30
 _FORMATS = {"depth": "z16", "color": "rgb8"}
 
-#: Images that wait in the driver's queue: a second of both streams, then the oldest is dropped. The queue keeps its
-#: frames; other queues count against the driver's pool of 16, and a full pool silently stops the stream.
-_QUEUE: Final = 60
+#: Framesets that wait in the driver; they count against its pool of 16, and a full pool silently stops the stream.
+_QUEUE: Final = 8
 _BUSY = ("busy", "in use", "is streaming", "already opened", "errno=16", "power state")
 _FORBIDDEN = ("permission", "errno=13", "access")
 
-VISUAL_PRESET: Final = "visual_preset"
-_AUTO_EXPOSURE: Final = "enable_auto_exposure"
-
-#: Options that are offered where the camera has them, in the order in which they are applied: description, unit.
+#: Options that are offered where the camera has them, in the order in which they are applied: description, unit. A
+#: visual preset changes most others, and exposure and gain turn the automatic off.
 _OFFERED: Final = {
-    VISUAL_PRESET: ("A set of values for one purpose; selecting one changes other settings.", ""),
-    _AUTO_EXPOSURE: ("Automatic exposure and gain; 1 on, 0 off.", ""),
+    "visual_preset": ("A set of values for one purpose; selecting one changes other settings.", ""),
     "exposure": ("Exposure time; setting it turns automatic exposure off.", "us"),
     "gain": ("Amplification of the image sensor; more is brighter and noisier.", ""),
+    "enable_auto_exposure": ("Automatic exposure and gain; 1 on, 0 off.", ""),
     "emitter_enabled": ("The infrared projector; 0 off, 1 on.", ""),
     "laser_power": ("Power of the infrared laser; less helps near objects, which are otherwise too bright.", ""),
     "receiver_gain": ("Gain of the laser's receiver; less helps near objects, more helps dark ones.", ""),
@@ -43,10 +40,8 @@ _OFFERED: Final = {
     "pre_processing_sharpening": ("Sharpening before depth is computed.", ""),
     "post_processing_sharpening": ("Sharpening of the depth image.", ""),
 }
-#: Options that an L515's visual preset sets too.
-_SET_BY_PRESET: Final = frozenset(_OFFERED) - {VISUAL_PRESET, _AUTO_EXPOSURE, "exposure", "gain", "emitter_enabled"}
 
-#: Visual preset of an L515 for objects as near as the membrane.
+#: Visual preset of an L515 for objects as near as the membrane; it is set unless the preset names another.
 _SHORT_RANGE: Final = 5.0
 
 
@@ -58,10 +53,9 @@ class _Stream(NamedTuple):
 
 
 class RealSenseCamera(Camera):
-    """Depth and colour of one device.
+    """Depth and colour of one device, which the driver pairs by time.
 
-    The sensors are opened directly, without the driver's pipeline, which waits for devices by itself and drops images
-    that it cannot pair. The driver puts images into its own queue, so none of its threads waits for Python.
+    The sensors are opened directly, without the driver's pipeline, which waits for devices by itself.
     """
 
     def __init__(self, driver: Any, device: Any, info: DeviceInfo, role: CameraRole) -> None:
@@ -75,15 +69,12 @@ class RealSenseCamera(Camera):
             for sensor, _ in self._sensors:
                 if sensor.supports(option) and not sensor.get_option(option):
                     sensor.set_option(option, 1.0)
+            if self._is_l515:
+                self.set_option("visual_preset", _SHORT_RANGE)
         except RuntimeError as error:
             raise SourceError(_explain(info, error)) from error
-        self._queue = self._driver.frame_queue(_QUEUE, True)
+        self._syncer = driver.syncer(_QUEUE)
         self._opened: list[Any] = []
-
-    @property
-    def defaults(self) -> Mapping[str, float]:
-        """The short-range visual preset for an L515."""
-        return {VISUAL_PRESET: _SHORT_RANGE} if self._is_l500 else {}
 
     def start(self) -> None:
         """Start streaming."""
@@ -91,51 +82,40 @@ class RealSenseCamera(Camera):
             for sensor, profiles in self._sensors:
                 sensor.open(profiles)
                 self._opened.append(sensor)
-                sensor.start(self._queue)
+                sensor.start(self._syncer)
         except RuntimeError as error:
             self.close()
             raise SourceError(_explain(self.info, error)) from error
 
-    def read(self, timeout_s: float) -> Sequence[Image]:
-        """Wait for the next image of either stream and copy it."""
-        has_come, frame = self._queue.try_wait_for_frame(max(int(1e3 * timeout_s), 1))
-        if not has_come:
-            return ()
-        domain = frame.get_frame_timestamp_domain()
-        image = Image(
-            kind="depth" if frame.get_profile().stream_type() == self._driver.stream.depth else "color",
-            number=int(frame.get_frame_number()),
-            pixels=np.array(np.asanyarray(frame.as_video_frame().get_data())),
-            stamp_s=1e-3 * float(frame.get_timestamp()),
-            on_host_clock=domain != self._driver.timestamp_domain.hardware_clock,
+    def read(self, timeout_s: float) -> Images | None:
+        """Wait for the next images and copy them; None if none come in time, or no depth image."""
+        has_come, frames = self._syncer.try_wait_for_frames(max(int(1e3 * timeout_s), 1))
+        depth = frames.get_depth_frame() if has_come else None
+        if not depth:
+            return None
+        color = frames.get_color_frame()
+        is_hosts = depth.get_frame_timestamp_domain() != self._driver.timestamp_domain.hardware_clock
+        return Images(
+            number=int(depth.get_frame_number()),
+            depth=np.array(np.asanyarray(depth.get_data())),
+            color=np.array(np.asanyarray(color.get_data())) if color else None,
+            time_s=1e-3 * float(depth.get_timestamp()) if is_hosts else time.time(),
         )
-        return (image,)
-
-    def flush(self) -> None:
-        """Drop the images that wait."""
-        while self._queue.poll_for_frame():
-            pass
 
     def close(self) -> None:
         """Stop streaming; twice is harmless."""
         opened, self._opened = self._opened, []
         for sensor in opened:
             for step in (sensor.stop, sensor.close):
-                try:
+                with suppress(RuntimeError):  # not started, or unplugged meanwhile
                     step()
-                except RuntimeError:  # not started, or unplugged meanwhile
-                    continue
 
     def options(self) -> tuple[CameraOption, ...]:
         """Return the settings that can be changed, with their present values."""
         options = []
         for name in _OFFERED:
-            try:
-                option = self._option(name)
-            except RuntimeError:  # some cannot be read in some modes
-                continue
-            if option is not None:
-                options.append(option)
+            with suppress(RuntimeError):  # some cannot be read in some modes
+                options += self._option(name)
         return tuple(options)
 
     def set_option(self, name: str, value: float) -> None:
@@ -154,77 +134,58 @@ class RealSenseCamera(Camera):
                 f"allowed are {extent.min:g} to {extent.max:g} in steps of {extent.step:g}"
             ) from error
 
-    def apply_options(self, wanted: Mapping[str, float]) -> list[str]:
-        """Set options in an order in which none undoes another; return a sentence for each refused one."""
-        order = list(_OFFERED)
-        names = sorted(wanted, key=lambda name: order.index(name) if name in order else len(order))
-        # Exposure and gain would turn the automatic exposure off again.
-        skipped = ("exposure", "gain") if wanted.get(_AUTO_EXPOSURE) else ()
-        return self._apply((name, wanted[name]) for name in names if name not in skipped)
-
-    def reset_by(self, name: str) -> Collection[str]:
-        """Return the options that a visual preset sets too."""
-        return _SET_BY_PRESET if name == VISUAL_PRESET else ()
-
-    def _option(self, name: str) -> CameraOption | None:
+    def _option(self, name: str) -> list[CameraOption]:
+        """Return one setting; none where the camera does not have it."""
         option, sensor = getattr(self._driver.option, name, None), self._depth_sensor
         if option is None or not sensor.supports(option):
-            return None
+            return []
         extent = sensor.get_option_range(option)
         description, unit = _OFFERED[name]
-        return CameraOption(
-            camera=self.role,
-            name=name,
-            description=description,
-            minimum=float(extent.min),
-            maximum=float(extent.max),
-            step=float(extent.step),
-            # The default of options that the preset does not name.
-            default=self.defaults.get(name, float(extent.default)),
-            value=float(sensor.get_option(option)),
-            unit=unit,
-            choices=self._choices(option, extent) if name == VISUAL_PRESET else (),
-            read_only=bool(sensor.is_option_read_only(option)),
-        )
-
-    def _choices(self, option: Any, extent: Any) -> tuple[tuple[float, str], ...]:
-        enumeration = self._driver.l500_visual_preset if self._is_l500 else self._driver.rs400_visual_preset
-        names = {int(member): name.replace("_", " ") for name, member in enumeration.__members__.items()}
-        choices = []
-        for number in range(int(extent.min), int(extent.max) + 1):
-            told = self._depth_sensor.get_option_value_description(option, float(number))
-            if told or number in names:
-                choices.append((float(number), str(told or names[number])))
-        return tuple(choices)
+        is_preset = name == "visual_preset"
+        numbers = range(int(extent.min), int(extent.max) + 1) if is_preset else ()
+        named = ((float(number), sensor.get_option_value_description(option, float(number))) for number in numbers)
+        return [
+            CameraOption(
+                camera=self.role,
+                name=name,
+                description=description,
+                minimum=float(extent.min),
+                maximum=float(extent.max),
+                step=float(extent.step),
+                default=_SHORT_RANGE if is_preset and self._is_l515 else float(extent.default),
+                value=float(sensor.get_option(option)),
+                unit=unit,
+                choices=tuple((number, str(words)) for number, words in named if words),
+                read_only=bool(sensor.is_option_read_only(option)),
+            )
+        ]
 
     @property
-    def _is_l500(self) -> bool:
-        return self.info.model.startswith("L5")
+    def _is_l515(self) -> bool:
+        return self.info.model == "L515"
 
 
 def _find_streams(device: Any, info: DeviceInfo) -> dict[str, _Stream]:
     """Return the depth and the colour stream in the needed mode; `SourceError` names the modes that there are."""
     found: dict[str, _Stream] = {}
+    modes = set()
     for sensor in device.query_sensors():
         for profile in sensor.get_stream_profiles():
             kind = profile.stream_type().name
-            if kind not in found and _is_wanted(profile, kind):
-                found[kind] = _Stream(sensor, profile)
-    for kind, form in _FORMATS.items():
+            if kind not in _FORMATS or profile.format().name != _FORMATS[kind]:
+                continue
+            video = profile.as_video_stream_profile()
+            mode = video.width(), video.height(), profile.fps()
+            modes.add(f"{kind} {mode[0]} x {mode[1]} at {mode[2]} Hz")
+            if mode == (WIDTH, HEIGHT, RATE_HZ):
+                found.setdefault(kind, _Stream(sensor, profile))
+    for kind in _FORMATS:
         if kind not in found:
-            there = [str(mode) for mode in info.modes if mode.stream == kind]
             raise SourceError(
-                f"the {info.title} offers no {kind} stream of {WIDTH} x {HEIGHT} at {RATE_HZ} Hz ({form}), but "
-                f"{', '.join(there[:12]) or 'none at all'}; use a USB 3 port, or update the camera's firmware"
+                f"the {info.title} offers no {kind} stream of {WIDTH} x {HEIGHT} at {RATE_HZ} Hz, but "
+                f"{', '.join(sorted(modes)) or 'none at all'}; use a USB 3 port, or update the camera's firmware"
             )
     return found
-
-
-def _is_wanted(profile: Any, kind: str) -> bool:
-    if not profile.is_video_stream_profile() or profile.format().name != _FORMATS.get(kind):
-        return False
-    video = profile.as_video_stream_profile()
-    return (video.width(), video.height(), profile.fps()) == (WIDTH, HEIGHT, RATE_HZ)
 
 
 def _read_calibration(streams: dict[str, _Stream], info: DeviceInfo) -> Calibration:
@@ -246,23 +207,6 @@ def _read_calibration(streams: dict[str, _Stream], info: DeviceInfo) -> Calibrat
         return Calibration(camera, _lens(color.profile), _pose(depth.profile, color.profile))
     except (ValidationError, ValueError) as error:
         raise SourceError(f"the {info.title} reports a lens or pose that cannot be ({error}); calibrate it") from error
-
-
-def read_lenses(device: Any) -> list[StreamLens]:
-    """Return the lens of every size of a device's depth and colour images; sizes without one are left out."""
-    found: dict[tuple[str, int, int], Intrinsics] = {}
-    unit_m = 0.0
-    for sensor in device.query_sensors():
-        if sensor.is_depth_sensor():
-            unit_m = float(f"{sensor.as_depth_sensor().get_depth_scale():.7g}")
-        for profile in sensor.get_stream_profiles():
-            kind = profile.stream_type().name
-            if kind not in _FORMATS or not profile.is_video_stream_profile():
-                continue
-            with suppress(RuntimeError, ValueError):  # ValidationError is a ValueError
-                lens = _lens(profile)
-                found.setdefault((kind, lens.width, lens.height), lens)
-    return [StreamLens("depth" if kind == "depth" else "color", lens, unit_m) for (kind, _, _), lens in found.items()]
 
 
 def _lens(profile: Any) -> Intrinsics:
@@ -292,15 +236,10 @@ def _pose(source: Any, target: Any) -> Matrix4:
 
 def _by_sensor(streams: dict[str, _Stream]) -> list[tuple[Any, list[Any]]]:
     """Group the streams by the sensor that has them: a D405 has one for both."""
-    groups: list[tuple[Any, list[Any]]] = []
-    for stream in streams.values():
-        for sensor, profiles in groups:
-            if sensor is stream.sensor:
-                profiles.append(stream.profile)
-                break
-        else:
-            groups.append((stream.sensor, [stream.profile]))
-    return groups
+    depth, color = streams["depth"], streams["color"]
+    if depth.sensor is color.sensor:
+        return [(depth.sensor, [depth.profile, color.profile])]
+    return [(depth.sensor, [depth.profile]), (color.sensor, [color.profile])]
 
 
 def _explain(info: DeviceInfo, error: RuntimeError) -> str:

@@ -1,5 +1,1 @@
 """Capture in a separate process, so that a driver that hangs or crashes does not stop the program."""
-
-from .source import ProcessSource
-
-__all__ = ["ProcessSource"]

@@ -11,11 +11,10 @@ from ..base import FrameSource, Health
 
 
 class LiveLoop(FrameSource):
-    """A recording without a length: each frame comes when it is due.
+    """A recording without a length: each frame comes when it is due, and is stamped with that time.
 
     The n-th frame is due n periods after the first, by the clock, so nothing drifts. A frame that
-    cannot be read in time is skipped and counted as dropped, as with a camera. Time stamps keep
-    increasing when the recording starts over.
+    cannot be read in time is skipped and counted as dropped, as with a camera.
     """
 
     def __init__(self, source: FrameSource) -> None:
@@ -27,7 +26,6 @@ class LiveLoop(FrameSource):
         self._source = source
         self._length = source.length
         self._period_s = 1.0 / source.frame_rate_hz
-        self._loop_s = self._length_s()
         self._began_s: float | None = None
         self._count = 0
         self._dropped = 0
@@ -83,25 +81,12 @@ class LiveLoop(FrameSource):
         late = max(0, int(-self._due_in_s() / self._period_s)) if self._count else 0
         self._count += late
         self._dropped += late
-        loop, index = divmod(self._count, self._length)
-        frame = self._read(index)
-        self._next = replace(
-            frame,
-            sequence=self._count,
-            proximity_time_s=frame.proximity_time_s + loop * self._loop_s,
-            tactile_time_s=frame.tactile_time_s + loop * self._loop_s,
-        )
-        return self._next
-
-    def _length_s(self) -> float:
-        """Return the length of one loop by the recording's time stamps, where these are plausible."""
-        taken_s = self._read(self._length - 1).proximity_time_s - self._read(0).proximity_time_s
-        return max(taken_s, 0.0) + self._period_s
-
-    def _read(self, index: int) -> SensorFrame:
+        index = self._count % self._length
         if self._source.position != index:
             self._source.seek(index)
         frame = self._source.next_frame()
         if frame is None:
             raise SourceError(f"{self.name}: frame {index} is missing; record again")
-        return frame
+        due_s = time.time() + self._due_in_s()
+        self._next = replace(frame, sequence=self._count, proximity_time_s=due_s, tactile_time_s=due_s + frame.skew_s)
+        return self._next

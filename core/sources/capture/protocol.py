@@ -1,19 +1,17 @@
 """The protocol of the two processes: pickled messages over a pipe, images in shared memory.
 
 The memory is cut into slots; each slot holds the images of one frame. Messages pass the ownership of a slot: the
-capture process announces it after writing, and the parent returns it after copying. No slot is therefore read while it
-is being written.
+capture process announces it after writing, and the parent sends its number after copying. No slot is therefore read
+while it is being written. A `Health` is a message, too, and the sign of life.
 """
 
 from __future__ import annotations
 
 import math
 import pickle
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.shared_memory import SharedMemory
-from pathlib import Path
 from typing import Any, Final
 
 from ...errors import FrameError, SourceError, TactuneError
@@ -25,28 +23,9 @@ Opener = Callable[[Progress], FrameSource]
 
 #: Number of slots: the queued frames, one that is being written and one that is being copied.
 SLOTS: Final = 8
-#: Interval of the capture process's heartbeats, seconds.
-HEARTBEAT_S: Final = 0.2
 _ALIGNMENT: Final = 64
 #: Slots are whole pages: an attached memory is rounded up to pages on some systems, which must not move the slots.
 _PAGE: Final = 4096
-#: Where POSIX systems keep shared memory; elsewhere it is not limited.
-_SHARED: Final = Path("/dev/shm")  # noqa: S108  # only asked for its size
-
-
-@dataclass(frozen=True)
-class Start:
-    """To the capture process, first: what to open, and whether to wait instead of dropping a frame."""
-
-    opener: Opener
-    lossless: bool
-
-
-@dataclass(frozen=True)
-class GiveBack:
-    """To the capture process: this slot has been copied."""
-
-    slot: int
 
 
 @dataclass(frozen=True)
@@ -87,14 +66,6 @@ class FrameReady:
 
 
 @dataclass(frozen=True)
-class Heartbeat:
-    """From the capture process, regularly: the source's health, and how long its present call has lasted."""
-
-    health: Health
-    busy_s: float
-
-
-@dataclass(frozen=True)
 class Reply:
     """From the capture process: what a call returned, or the error that it raised."""
 
@@ -118,28 +89,11 @@ def as_tactune_error(error: Exception, what: str) -> TactuneError:
 
 
 def create_memory(rig: Rig) -> SharedMemory:
-    """Allocate the slots for the frames of a rig.
-
-    Raises
-    ------
-    SourceError
-        There is not enough shared memory; writing to it would end the process.
-    """
-    size = SLOTS * _slot_bytes(rig)
-    if _SHARED.is_dir() and shutil.disk_usage(_SHARED).free < size:
-        raise SourceError(
-            f"there are no {size / 1e6:.0f} MB of shared memory for the frames; close other programs, "
-            f"or give the container more with --shm-size"
-        )
-    return SharedMemory(create=True, size=size)
-
-
-def _slot_bytes(rig: Rig) -> int:
-    """Return the size of a slot that holds every array of a frame of this rig, its truth included."""
+    """Allocate the slots for the frames of a rig: for every array of a frame, its truth included."""
     proximity, tactile = math.prod(rig.proximity.intrinsics.shape), math.prod(rig.tactile.intrinsics.shape)
     color = math.prod(rig.proximity_color_shape)
     sizes = 2 * proximity, 2 * tactile, 3 * color, 3 * tactile, proximity, 4 * proximity
-    return -(-sum(map(_aligned, sizes)) // _PAGE) * _PAGE
+    return SharedMemory(create=True, size=SLOTS * (-(-sum(map(_aligned, sizes)) // _PAGE) * _PAGE))
 
 
 def write_frame(memory: SharedMemory, slot: int, frame: SensorFrame) -> FrameReady:

@@ -4,59 +4,69 @@ from __future__ import annotations
 
 import itertools
 import math
+import multiprocessing
+import pickle
+import sys
 import time
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from multiprocessing.shared_memory import SharedMemory
 from multiprocessing.util import Finalize
-from threading import Condition, Event, Thread, current_thread
+from threading import Condition, Event, Lock, Thread, current_thread
+from types import ModuleType
 from typing import Any, Final
 
 from ...errors import SourceError, TactuneError
-from ...model.frames import DepthCamera, Rig, SensorFrame
+from ...model.frames import Rig, SensorFrame
 from ..base import CameraOption, CameraRole, FrameSource, Health, Progress
-from .process import POLL_S, CaptureProcess, Patience
-from .protocol import (
-    SLOTS,
-    Call,
-    Ended,
-    FrameReady,
-    GiveBack,
-    Heartbeat,
-    Opened,
-    Opener,
-    Opening,
-    Reply,
-    Start,
-    read_frame,
-)
+from .child import main
+from .protocol import SLOTS, Call, Ended, FrameReady, Opened, Opener, Opening, Reply, read_frame
 
-#: Longest queue of frames of a live source; then the oldest frame is dropped.
+#: Longest queue of frames; then the oldest frame is dropped.
 _MAX_WAITING: Final = SLOTS - 2
-#: Seconds that a notice stays in the health message.
+#: Longest wait for a message of the process, seconds.
+POLL_S: Final = 0.1
+#: Seconds without a message after which the process counts as hung: while it opens the source, which may load a driver
+#: or simulate; until the first frame; later.
+_SILENT_OPENING_S: Final = 60.0
+_SILENT_FIRST_S: Final = 20.0
+_SILENT_S: Final = 3.0
+#: Time to close the source after the pipe is closed, seconds; then the process is killed.
+_CLOSING_S: Final = 1.5
+#: Seconds that a notice stays in the health message after a restart.
 _NOTICE_S: Final = 10.0
 _CALL_S: Final = 3.0
-#: Pause before a restart where the process did not capture for long, seconds.
-_PAUSE_S: Final = 0.5
-_SOON_S: Final = 5.0
+#: Pause before a restart, seconds.
+_PAUSE_S: Final = 0.3
+
+_SPAWN: Final = multiprocessing.get_context("spawn")
+_spawning = Lock()
 
 
 class ProcessSource(FrameSource):
     """A live source in a separate process.
 
     Frames come through shared memory, copied once. A capture process that dies, hangs or fails is restarted. Meanwhile
-    `health` states the cause and marks the last frame as stale, and `wait` returns False. Sequence numbers and times
-    keep increasing. Frames that are not fetched in time are dropped, the oldest first, and counted in `health`. All
+    `health` states the cause and marks the last frame as stale, and `wait` returns False. Sequence numbers keep
+    increasing. Frames that are not fetched in time are dropped, the oldest first, and counted in `health`. All
     methods may be called from any thread.
 
     ``opener`` is called in the capture process with a progress callable. It is pickled, so it must be a function of a
     module (not of the main script or a notebook), or `functools.partial` of one. An exception of ``progress`` cancels
-    opening. With ``lossless`` no frame is dropped: the capture process waits for the caller, and after a failure
-    `next_frame` raises an error. Errors of opening have the class and message that they have without the process.
+    opening. Errors of opening have the class and message that they have without the process.
     """
 
-    def __init__(self, opener: Opener, progress: Progress | None = None, *, lossless: bool = False) -> None:
-        self._supervisor = Supervisor(Start(opener, lossless))
+    def __init__(self, opener: Opener, progress: Progress | None = None) -> None:
+        try:
+            order = pickle.dumps(opener)
+        except Exception as error:  # objects refuse to be pickled in many ways
+            raise SourceError(
+                f"the opener of the source cannot be sent to the capture process ({error}); "
+                "use a function of a module or functools.partial of one"
+            ) from error
+        self._supervisor = Supervisor(order)
         # Also called when an unclosed source is collected, and at exit before multiprocessing waits for its processes.
         self._close = Finalize(self, self._supervisor.stop, exitpriority=10)
         try:
@@ -118,28 +128,28 @@ class ProcessSource(FrameSource):
 class Supervisor:
     """One thread that runs one capture process at a time; one condition guards all state."""
 
-    def __init__(self, start: Start) -> None:
+    def __init__(self, order: bytes) -> None:
         self.kept_options: dict[tuple[CameraRole, str], float] = {}
-        self._start = start
+        self._order = order
         self._changed = Condition()
         self._stop = Event()
-        self._process: CaptureProcess | None = None
-        self._serving: CaptureProcess | None = None
-        self._waiting: deque[tuple[CaptureProcess, SharedMemory, FrameReady]] = deque()
+        self._process: _Process | None = None
+        self._serving: _Process | None = None
+        self._waiting: deque[tuple[_Process, SharedMemory, FrameReady]] = deque()
         self._opening = Opening(0.0, "")
         self._opened: Opened | None = None
         self._error: TactuneError | None = None
         self._ended = False
         self._numbers = itertools.count()
         self._replies: dict[int, Reply | None] = {}
-        # Health: what the present process says, the counts of the former ones, and what happened to them.
+        # Health: what the present process says, what this one dropped, and what happened to the one before.
         self._health = Health()
-        self._dropped = self._unmatched = 0
+        self._dropped = 0
         self._stale = False
         self._notice, self._notice_until_s = "", 0.0
-        # Numbers and times go on where another process starts over.
-        self._last: tuple[CaptureProcess, int, float, float] | None = None
-        self._shift = 0, 0.0
+        # Frame numbers go on where another process starts over.
+        self._last: tuple[_Process, int] | None = None
+        self._shift = 0
         self._thread = Thread(target=self._supervise, name="capture supervisor", daemon=True)
         self._thread.start()
 
@@ -173,28 +183,12 @@ class Supervisor:
                 return None
             process, memory, ready = self._waiting.popleft()
         frame = read_frame(memory, ready)
-        process.send(GiveBack(ready.slot))
+        process.send(ready.slot)
         with self._changed:
-            return self._renumbered(process, frame)
-
-    def _renumbered(self, process: CaptureProcess, frame: SensorFrame) -> SensorFrame:
-        """Return a frame whose number and times are later than those of the frames of former processes."""
-        now_s = time.monotonic()
-        if self._last is not None and self._last[0] is not process:
-            _, number, time_s, at_s = self._last
-            starts_over = frame.proximity_time_s <= time_s
-            self._shift = (
-                number + 1 - frame.sequence,
-                time_s + now_s - at_s - frame.proximity_time_s if starts_over else 0.0,
-            )
-        if self._shift != (0, 0.0):
-            frame = replace(
-                frame,
-                sequence=frame.sequence + self._shift[0],
-                proximity_time_s=frame.proximity_time_s + self._shift[1],
-                tactile_time_s=frame.tactile_time_s + self._shift[1],
-            )
-        self._last = process, frame.sequence, frame.proximity_time_s, now_s
+            if self._last is not None and self._last[0] is not process:
+                self._shift = self._last[1] + 1 - frame.sequence
+            frame = replace(frame, sequence=frame.sequence + self._shift)
+            self._last = process, frame.sequence
         return frame
 
     def health(self) -> Health:
@@ -208,7 +202,6 @@ class Supervisor:
                 message=" ".join(filter(None, (notice, now.message))),
                 dropped=self._dropped + now.dropped,
                 stale=now.stale or stale,
-                unmatched=self._unmatched + now.unmatched,
             )
 
     def call(self, method: str, *arguments: Any) -> Any:
@@ -258,11 +251,10 @@ class Supervisor:
     def _supervise(self) -> None:
         try:
             while not (self._stop.is_set() or self._ended):
-                began_s = time.monotonic()
                 problem = self._run_process()
                 if not (self._stop.is_set() or self._ended):
                     self._note_failure(problem)
-                    self._stop.wait(_PAUSE_S if time.monotonic() - began_s < _SOON_S else 0.0)
+                    self._stop.wait(_PAUSE_S)
         except TactuneError as error:
             self._error = error.with_traceback(None)  # otherwise the traceback would keep the shared memory
         except Exception as error:  # a caller that waits for a frame must get this error
@@ -276,7 +268,7 @@ class Supervisor:
 
     def _run_process(self) -> TactuneError | str:
         """Run one process to its end; return its error, or why it ended."""
-        process = CaptureProcess(self._start)
+        process = _Process(self._order)
         with self._changed:
             self._process = process
         problem: TactuneError | str = ""
@@ -288,29 +280,25 @@ class Supervisor:
             ending = process.end(politely=not (isinstance(problem, str) and problem))
         return problem or ending
 
-    def _serve(self, process: CaptureProcess) -> TactuneError | str:
+    def _serve(self, process: _Process) -> TactuneError | str:
         """Obey messages until the process ends or hangs; return its error, or how it hangs, or an empty string."""
-        patience = Patience()
         memory: SharedMemory | None = None
+        silent, patience_s = 0, _SILENT_OPENING_S
         while not self._stop.is_set():
-            began_s = time.monotonic()
             try:
                 message = process.receive()
             except (EOFError, OSError):
                 return ""
-            if message is None:
-                patience.silent(time.monotonic() - began_s)
-                if not process.running:
-                    return ""
-            else:
-                patience.heard(message)
-            if patience.problem:
-                return patience.problem
+            # Waits are counted, not timed: while this process itself was stopped, the other one's messages were queued.
+            silent = silent + 1 if message is None else 0
+            if silent * POLL_S >= patience_s:
+                return f"has given no sign of life for {patience_s:.0f} s"
             if isinstance(message, Opened):
-                memory = SharedMemory(message.memory)
+                memory, patience_s = SharedMemory(message.memory), _SILENT_FIRST_S
                 memory.unlink()  # both processes have it, so the system frees it with them
                 self._use(process, message)
             elif isinstance(message, FrameReady) and memory is not None:
+                patience_s = _SILENT_S
                 self._take(process, memory, message)
             elif isinstance(message, Ended):
                 if message.error is not None:
@@ -322,81 +310,113 @@ class Supervisor:
                 self._note(message)
         return ""
 
-    def _use(self, process: CaptureProcess, opened: Opened) -> None:
+    def _use(self, process: _Process, opened: Opened) -> None:
         """Continue with a process that has opened the source; check that the rig is the same."""
         before = self._opened
         if before is not None:
-            _check_same_rig(before.name, before.rig, opened.rig)
+            if opened.rig != before.rig:
+                raise SourceError(f"{before.name}: after a restart it has other cameras than before; open it again")
             for (camera, name), value in list(self.kept_options.items()):
                 process.send(Call(next(self._numbers), "set_option", (camera, name, value)))
         with self._changed:
-            if before is not None:
-                self._notice = self._notice.replace("is being restarted.", "has been restarted.")
-                self._notice_until_s = time.monotonic() + _NOTICE_S
+            self._notice_until_s = time.monotonic() + _NOTICE_S
             self._health = opened.health
             self._opened = before or opened
             self._serving = process
             self._changed.notify_all()
 
-    def _take(self, process: CaptureProcess, memory: SharedMemory, ready: FrameReady) -> None:
+    def _take(self, process: _Process, memory: SharedMemory, ready: FrameReady) -> None:
         """Queue a frame; drop the oldest one if the queue is full."""
         with self._changed:
             self._waiting.append((process, memory, ready))
             oldest = None
-            if not self._start.lossless and len(self._waiting) > _MAX_WAITING:
+            if len(self._waiting) > _MAX_WAITING:
                 oldest = self._waiting.popleft()
                 self._dropped += 1
             self._stale = False
             self._changed.notify_all()
         if oldest is not None:
-            oldest[0].send(GiveBack(oldest[2].slot))
+            oldest[0].send(oldest[2].slot)
 
-    def _note(self, message: Opening | Heartbeat | Reply) -> None:
+    def _note(self, message: Opening | Health | Reply) -> None:
         with self._changed:
             if isinstance(message, Opening):
                 self._opening = message
-            elif isinstance(message, Heartbeat):
-                if self._serving is not None:
-                    self._health = message.health
+            elif isinstance(message, Health):
+                self._health = message
             elif message.number in self._replies:
                 self._replies[message.number] = message
-            elif message.error is not None:  # an option that the restarted source refuses
-                self._notice = f"{self._notice} {message.error}"
             self._changed.notify_all()
 
     def _note_failure(self, problem: TactuneError | str) -> None:
-        """Keep the problem for the health message; raise it before the first frame, or if the source is lossless."""
-        first = self._opened is None
-        if first or self._start.lossless:
+        """Keep the problem for the health message; raise it where the source has never been open."""
+        if self._opened is None:
             if isinstance(problem, TactuneError):
                 raise problem
-            raise SourceError(f"{self._name}: the capture process {problem}{' while opening' if first else ''}")
+            raise SourceError(f"{self._name}: the capture process {problem} while opening")
         with self._changed:
             self._stale = True
-            if isinstance(problem, TactuneError):
-                notice = f"Capturing failed: {str(problem).rstrip('.')}. The capture process"
-            else:
-                notice = f"The capture process {problem} and"
-            self._notice, self._notice_until_s = f"{notice} is being restarted.", math.inf
-            now, restarting = self._health, "The capture process is being restarted."
-            self._dropped, self._unmatched = self._dropped + now.dropped, self._unmatched + now.unmatched
-            self._health = Health(
-                cameras=tuple(replace(camera, state="stalled", message=restarting) for camera in now.cameras)
-            )
+            what = f"Capturing failed: {str(problem).rstrip('.')}." if isinstance(problem, TactuneError) else ""
+            self._notice = f"{what or f'The capture process {problem}.'} It is started again."
+            self._notice_until_s = math.inf
+            stalled = (replace(camera, state="stalled", message=self._notice) for camera in self._health.cameras)
+            self._health = Health(cameras=tuple(stalled))
 
 
-def _check_same_rig(name: str, before: Rig, now: Rig) -> None:
-    """Raise `SourceError` if the rig after a restart is another one than before."""
+class _Process:
+    """One capture process and its pipe; a restart makes another one."""
 
-    def facts(camera: DepthCamera) -> str:
-        lens = camera.intrinsics
-        return f"{camera.model} {camera.serial} with {lens.width} x {lens.height} pixels of {camera.depth_unit_m:g} m"
+    def __init__(self, order: bytes) -> None:
+        self._connection, theirs = _SPAWN.Pipe()
+        self._sending = Lock()
+        self._process = _SPAWN.Process(target=main, args=(theirs, order), name="tactune capture", daemon=True)
+        try:
+            with _as_imported_program():
+                self._process.start()
+        except OSError as error:
+            self._connection.close()
+            raise SourceError(f"no capture process can be started ({error}); check {sys.executable}") from error
+        finally:
+            theirs.close()
 
-    for role, old, new in (("proximity", before.proximity, now.proximity), ("tactile", before.tactile, now.tactile)):
-        if facts(old) != facts(new):
-            raise SourceError(
-                f"{name}: after a restart the {role} camera is {facts(new)} instead of {facts(old)}; "
-                "open the source again"
-            )
-    if before.proximity_color_shape != now.proximity_color_shape:
-        raise SourceError(f"{name}: after a restart the proximity colour image has another size; open the source again")
+    @property
+    def pid(self) -> int | None:
+        """The process's number."""
+        return self._process.pid
+
+    def receive(self) -> Any:
+        """Return the next message, or None after `POLL_S`; `EOFError` or `OSError` if the process has gone."""
+        return self._connection.recv() if self._connection.poll(POLL_S) else None
+
+    def send(self, message: Any) -> None:
+        """Send a message to the process; one that has gone is noticed by `receive`."""
+        with self._sending, suppress(OSError):
+            self._connection.send(message)
+
+    def end(self, *, politely: bool) -> str:
+        """End the process, by closing its pipe or at once by force; return how it ended, in words."""
+        with self._sending:
+            self._connection.close()
+        if politely:
+            self._process.join(_CLOSING_S)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join(_CLOSING_S)
+        return f"ended with status {self._process.exitcode}"
+
+
+@contextmanager
+def _as_imported_program() -> Iterator[None]:
+    """Keep `multiprocessing` from running the caller's script again: a robot's script then needs no main guard.
+
+    A daemonic process may start one too: it ends with its pipe.
+    """
+    own = multiprocessing.current_process()
+    with _spawning:
+        script, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
+        daemonic, own.daemon = own.daemon, False
+        try:
+            yield
+        finally:
+            own.daemon = daemonic
+            sys.modules["__main__"] = script

@@ -20,7 +20,7 @@ from tactune.app.worker.recorder import RecordingEnd
 from tactune.app.worker.results import SourceState
 from tactune.core.preset import Preset
 from tactune.core.sources.base import FrameSource, Progress
-from tactune.core.sources.capture import ProcessSource
+from tactune.core.sources.capture.source import ProcessSource
 from tactune.core.sources.registry import open_source
 from tactune.widgets.basics.messages import Message
 
@@ -91,8 +91,8 @@ def watch(qtbot, tmp_path: Path) -> Iterator[Watch]:
 @pytest.mark.parametrize(
     ("harm", "what"),
     [
-        (lambda watched: watched.kill(signal.SIGKILL), "was ended by signal 9 (SIGKILL)"),
-        (lambda watched: watched.order("hang"), "for its source"),
+        (lambda watched: watched.kill(signal.SIGKILL), "ended with status -9"),
+        (lambda watched: watched.order("hang"), "given no sign of life"),
     ],
     ids=["killed", "hang"],
 )

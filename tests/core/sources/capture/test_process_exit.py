@@ -21,7 +21,7 @@ sys.path.append({str(Path(capture_sources.__file__).parent)!r})
 from functools import partial
 from pathlib import Path
 from capture_sources import open_troubled
-from tactune.core.sources.capture import ProcessSource
+from tactune.core.sources.capture.source import ProcessSource
 source = ProcessSource(partial(open_troubled, Path("/nonexistent")))
 source.next_frame()
 print(source.capture_pid, flush=True)
