@@ -45,7 +45,6 @@ ACTIONS = (
     "capture_untouched",
     "suggest_all",
     "examples",
-    "messages",
     "shortcuts",
     "details",
     "check_computer",
