@@ -261,7 +261,7 @@ class ExamplesWindow(QDialog):
             self.image.set_message("Mark a frame of the main window.")
             self.region.set_rectangle(None)
             return
-        pixels = picture(marked.example.frame, rig, "proximity", "depth", stretch=True).pixels
+        pixels = picture(marked.example.frame, rig, "proximity", "depth").pixels
         self.image.set_pixels(pixels, (pixels.shape[1], pixels.shape[0]), 1)
         self.image.set_message("")
         self.image.show_rect(self.image.image_rect())

@@ -11,14 +11,14 @@ from PyQt6.QtWidgets import QComboBox, QSpinBox, QWidget
 from ...core.calibration.detect import detect_chessboard
 from ...core.calibration.texture import match_texture
 from ...core.errors import CalibrationError, counted
-from ...core.model.alignment import PointPair, Side
+from ...core.model.alignment import PointPair
 from ...core.model.frames import Rig
 from ...widgets.basics.controls import ElidedLabel, ProgressBar, caption, push_button
 from ...widgets.basics.gestures import GestureClock
 from ...widgets.basics.layouts import hbox
 from ..worker.jobs import Job, Progress
-from .pictures import picture, tactile_depth_at
-from .session import Choices, ImageChoice, Session, SessionState, Snapshot, Target, renumbered
+from .pictures import picture
+from .session import SIDES, Choices, Session, SessionState, Snapshot, Target, renumbered, tactile_depth
 
 _TARGETS: dict[Target, tuple[str, str]] = {
     "texture": (
@@ -40,62 +40,60 @@ class Found:
 
 def find_pairs(choices: Choices, snapshots: Sequence[Snapshot], rig: Rig, progress: Progress) -> Found:
     """Search every snapshot for points."""
-    digests, many = tuple(snapshot.digest for snapshot in snapshots), counted(len(snapshots), "snapshot")
+    many = counted(len(snapshots), "snapshot")
     if choices.target == "texture":
-        for snapshot in snapshots:
-            if snapshot.frame.tactile_color is None:
-                raise CalibrationError(
-                    f"{snapshot.name}: the tactile camera has no colour image to match; detect a chessboard or click "
-                    "the points"
-                )
-        progress(0.1, f"Matching droplets in {many}")
-        try:
-            matches, rms_px = match_texture([snapshot.frame for snapshot in snapshots], rig)
-        except CalibrationError as error:
-            why = str(error).partition(";")[0]  # what follows is advice on clicked pairs
+        pairs, words = _matches(snapshots, rig, progress)
+    else:
+        pairs, words = [], ""
+        for number, snapshot in enumerate(snapshots):
+            progress(number / len(snapshots), f"Searching {snapshot.name}")
+            try:
+                pairs += _corners(number, snapshot, choices, rig)
+            except CalibrationError as error:
+                words += f" Not in {snapshot.name}: {error}."
+        if not pairs:
+            raise CalibrationError(words.strip().rstrip("."))
+    return Found(
+        pairs, tuple(snap.digest for snap in snapshots), f"{counted(len(pairs), 'pair')} found in {many}.{words}"
+    )
+
+
+def _matches(snapshots: Sequence[Snapshot], rig: Rig, progress: Progress) -> tuple[list[PointPair], str]:
+    for snapshot in snapshots:
+        if snapshot.frame.tactile_color is None:
             raise CalibrationError(
-                f"nothing reliable was found, click at least four dots in both images: {why}"
-            ) from error
-        progress(1.0, "Matched")
-        words = f"{counted(len(matches), 'pair')} found in {many}; together they fit a rigid pose to {rms_px:.2f} px."
-        return Found(matches, digests, words)
-    found: list[PointPair] = []
-    problems: list[str] = []
-    for number, snapshot in enumerate(snapshots):
-        progress(number / len(snapshots), f"Searching {snapshot.name}")
-        try:
-            found += _corners(number, snapshot, choices, rig)
-        except CalibrationError as error:
-            problems.append(f"{snapshot.name}: {error}")
-    if not found:
-        raise CalibrationError(problems[-1] if problems else "no snapshot yet: take one on the page Snapshots")
-    words = f"{counted(len(found), 'pair')} found in {many}."
-    return Found(found, digests, " ".join([words, *(f"Not in {problem}." for problem in problems)]))
+                f"{snapshot.name}: the tactile camera has no colour image to match; detect a chessboard or click "
+                "the points"
+            )
+    progress(0.1, "Matching droplets")
+    try:
+        pairs, rms_px = match_texture([snapshot.frame for snapshot in snapshots], rig)
+    except CalibrationError as error:
+        why = str(error).partition(";")[0]  # what follows is advice on clicked pairs
+        raise CalibrationError(f"nothing reliable was found, click at least four dots in both images: {why}") from error
+    progress(1.0, "Matched")
+    return pairs, f" Together they fit a rigid pose to {rms_px:.2f} px."
 
 
 def _corners(number: int, snapshot: Snapshot, choices: Choices, rig: Rig) -> list[PointPair]:
     frame = snapshot.frame
-    sides: tuple[tuple[Side, ImageChoice], ...] = (
-        ("proximity", choices.proximity_image),
-        ("tactile", choices.tactile_image),
-    )
-    left, right = (
-        detect_chessboard(picture(frame, rig, side, image, stretch=True).gray, choices.columns, choices.rows).tolist()
-        for side, image in sides
+    proximity, tactile = (
+        detect_chessboard(picture(frame, rig, side, choices.image).gray, choices.columns, choices.rows).tolist()
+        for side in SIDES
     )
     return [
         PointPair(
             id=str(corner),
-            proximity_u=u,
-            proximity_v=v,
-            tactile_u=tactile[0],
-            tactile_v=tactile[1],
-            tactile_depth_m=tactile_depth_at(frame, rig, *tactile),
-            proximity_image="color" if choices.proximity_image == "color" else "depth",
+            proximity_u=left[0],
+            proximity_v=left[1],
+            tactile_u=right[0],
+            tactile_v=right[1],
+            tactile_depth_m=tactile_depth(frame, rig, *right),
+            proximity_image=choices.image,
             snapshot=number,
             origin=f"chessboard {corner}",
         )
-        for corner, ((u, v), tactile) in enumerate(zip(left, right, strict=True))
+        for corner, (left, right) in enumerate(zip(proximity, tactile, strict=True))
     ]
 
 
@@ -109,12 +107,11 @@ class Finder(QWidget):
         super().__init__()
         self._session = session
         gestures = GestureClock()
-        self._job = Job(self)
+        self.job = Job(self)
         self.search = push_button(
             "Find points", "Find points automatically in all snapshots and add them as pairs (Ctrl+F)", "Ctrl+F"
         )
         self.target = QComboBox()
-        self.target.setAccessibleName("What to find")
         for number, (target, (title, tip)) in enumerate(_TARGETS.items()):
             self.target.addItem(title, target)
             self.target.setItemData(number, tip, Qt.ItemDataRole.ToolTipRole)
@@ -129,7 +126,7 @@ class Finder(QWidget):
         row = (caption("&Find", self.target), self.target, self.columns, self.rows, self.progress, self.cancel)
         hbox(*row, (self.words, 1), within=self, margins=0, spacing=8)
         self.search.clicked.connect(self.find_points)
-        self.cancel.clicked.connect(self._job.cancel)
+        self.cancel.clicked.connect(self.job.cancel)
         self.target.activated.connect(
             lambda _: session.choose(f"Look for: {self.target.currentText()}", target=self.target.currentData())
         )
@@ -138,25 +135,20 @@ class Finder(QWidget):
         )
         self.rows.valueChanged.connect(lambda count: session.choose("Rows of the board", gestures.number(), rows=count))
         session.changed.connect(self._show_state)
-        self._job.progress.connect(self.progress.show_share)
-        self._job.done.connect(self._found)
-        self._job.failed.connect(self._failed)
-        self._job.busyChanged.connect(lambda _: self._show_busy())
+        self.job.progress.connect(self.progress.show_share)
+        self.job.done.connect(self._found)
+        self.job.failed.connect(self._failed)
+        self.job.busyChanged.connect(self._show_busy)
         self._show_state(session.state)
 
     @property
     def busy(self) -> bool:
-        """Whether a search is running."""
-        return self._job.busy
+        return self.job.busy
 
     def find_points(self) -> None:
         """Search all snapshots, on another thread."""
         state, rig = self._session.state, self._session.rig
-        self._job.start(lambda progress: find_pairs(state.choices, state.snapshots, rig, progress))
-
-    def close_jobs(self) -> None:
-        """Cancel a running search."""
-        self._job.stop()
+        self.job.start(lambda progress: find_pairs(state.choices, state.snapshots, rig, progress))
 
     def _show_state(self, state: SessionState) -> None:
         choices = state.choices
@@ -166,25 +158,25 @@ class Finder(QWidget):
             with QSignalBlocker(box):
                 box.setValue(count)
             box.setVisible(choices.target == "chessboard")
-        self._show_busy()
+        self._show_busy(self.busy)
 
-    def _show_busy(self) -> None:
-        self.progress.setVisible(self.busy)
-        self.cancel.setVisible(self.busy)
-        self.words.setVisible(not self.busy)
-        self.search.setEnabled(not self.busy and bool(self._session.state.snapshots))
+    def _show_busy(self, busy: bool) -> None:
+        self.progress.setVisible(busy)
+        self.cancel.setVisible(busy)
+        self.words.setVisible(not busy)
+        self.search.setEnabled(not busy and bool(self._session.state.snapshots))
 
     def _found(self, found: Found) -> None:
         """Add what the session does not have yet; nothing is selected, as hundreds of rings would hide the images."""
         state = self._session.state
         have = {(pair.snapshot, pair.proximity, pair.tactile) for pair in state.pairs}
         pairs = renumbered(found.pairs, found.digests, state.digests)  # one may be removed during the search
-        pairs = tuple(pair for pair in pairs if pair.snapshot is not None)
-        new = [pair for pair in pairs if (pair.snapshot, pair.proximity, pair.tactile) not in have]
+        present = [pair for pair in pairs if pair.snapshot is not None]
+        new = [pair for pair in present if (pair.snapshot, pair.proximity, pair.tactile) not in have]
         if new:
             self._session.add_pairs(new, f"Find {counted(len(new), 'pair')}")
             self._session.select(())
-        known = len(pairs) - len(new)
+        known = len(present) - len(new)
         self.words.setText(found.words + (f" {known} of them were pairs already." if known else ""))
 
     def _failed(self, sentence: str) -> None:

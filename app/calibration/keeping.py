@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PyQt6.QtCore import QLockFile, QObject
+from PyQt6.QtCore import QObject
 
 from ...core.calibration.snapshots import content_hash
 from ...core.errors import TactuneError
@@ -20,6 +20,7 @@ from ..document.keeping import KeptState, check_version, lock_of, remove_unnamed
 from .session import Choices, Session, SessionState, Snapshot, renumbered, rig_key
 
 _VERSION = 2
+#: Windows on one rig that keep files of their own.
 _SLOTS = 8
 _IMAGES = ("proximity_depth", "tactile_depth", "proximity_color", "tactile_color")
 
@@ -38,12 +39,16 @@ class Keeper(KeptState[SessionState]):
         self._stored: set[str] = set()
         self._missing: list[str] = []
         folder.mkdir(parents=True, exist_ok=True)
-        file, self._lock = _free_slot(folder, rig_key(session.rig))
+        key = rig_key(session.rig)
+        for slot in range(1, _SLOTS + 1):
+            file = folder / f"calibration-{key}{'' if slot == 1 else f'-{slot}'}.json"
+            self._lock = lock_of(file)
+            if self._lock.tryLock(0):
+                break
         self.follow(file, session.state)
         session.changed.connect(self.schedule)
 
     def present(self) -> SessionState:
-        """Return the session's state."""
         return self._session.state
 
     def restore(self) -> datetime | None:
@@ -81,7 +86,7 @@ class Keeper(KeptState[SessionState]):
         content = {
             "version": _VERSION,
             "snapshots": [
-                {"digest": snap.digest, "name": snap.name, "averaged": snap.averaged, "moved_m": snap.moved_m,
+                {"digest": snap.digest, "name": snap.name, "averaged": snap.averaged,
                  "sequence": snap.frame.sequence, "source": snap.source}
                 for snap in state.snapshots
             ],
@@ -92,8 +97,6 @@ class Keeper(KeptState[SessionState]):
 
     def _parse(self, content: dict[str, Any]) -> SessionState:
         """Return the saved state without the snapshots whose images are missing."""
-        if content["version"] == 1:
-            content = _from_version_1(content)
         check_version(content, _VERSION)
         snapshots = []
         self._missing = []
@@ -104,9 +107,7 @@ class Keeper(KeptState[SessionState]):
             except (OSError, ValueError, TypeError, TactuneError):  # missing, damaged or of another rig
                 self._missing.append(entry["name"])
                 continue
-            snapshots.append(
-                Snapshot(entry["digest"], entry["name"], frame, entry["averaged"], entry["moved_m"], entry["source"])
-            )
+            snapshots.append(Snapshot(entry["digest"], entry["name"], frame, entry["averaged"], entry["source"]))
         digests = [entry["digest"] for entry in content["snapshots"]]
         pairs = [PointPair.model_validate_json(json.dumps(entry)) for entry in content["pairs"]]
         state = SessionState(
@@ -117,29 +118,6 @@ class Keeper(KeptState[SessionState]):
         if state.snapshot is None:
             state = state.with_choices(snapshot=snapshots[-1].digest if snapshots else "")
         return state
-
-
-def _from_version_1(content: dict[str, Any]) -> dict[str, Any]:
-    """Return a state as the program wrote it before pairs of the wizard and of points files were of one type."""
-    places = {entry["digest"]: number for number, entry in enumerate(content["snapshots"])}
-    pairs = []
-    for old in content["pairs"]:
-        new = {name: old[name] for name in ("enabled", "tactile_depth_m", "proximity_image", "origin")}
-        for side in ("proximity", "tactile"):
-            new[f"{side}_u"], new[f"{side}_v"] = old[side] or (None, None)
-        pairs.append(new | {"id": str(old["key"]), "snapshot": places.get(old["snapshot"])})
-    fields = {name: kept for name, kept in content["choices"].items() if name not in {"target", "depth_fit"}}
-    return content | {"version": _VERSION, "pairs": pairs, "choices": fields}
-
-
-def _free_slot(folder: Path, key: str) -> tuple[Path, QLockFile]:
-    """Return the first file of a rig that no running window has locked, with its lock taken."""
-    for slot in range(1, _SLOTS + 1):
-        file = folder / f"calibration-{key}{'' if slot == 1 else f'-{slot}'}.json"
-        lock = lock_of(file)
-        if lock.tryLock(0) or slot == _SLOTS:
-            break
-    return file, lock
 
 
 def _images_file(folder: Path, digest: str) -> Path:

@@ -1,52 +1,62 @@
-"""The table of point pairs: where they are, how deep, and how well they agree with the fit."""
+"""The table of point pairs: how deep they are, how well they agree with the fit, and what to do about them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from math import isfinite, nan
+from dataclasses import dataclass
+from math import nan
 
 from PyQt6.QtCore import Qt
 
 from ...core.calibration.report import PairQuality
 from ...core.model.alignment import PointPair
 from ...widgets.basics.record_table import Column, RecordTable
+from .fitting import Outcome
+from .session import SessionState
 
 
 @dataclass(frozen=True)
 class PointRow:
-    """A pair under the fit, where it comes from, and what to do about it; marked if it stands out."""
+    """A pair under the fit, and where it comes from or what to do about it; marked if it stands out."""
 
     pair: PointPair
-    fit: PairQuality = field(default_factory=lambda: PairQuality(""))
+    fit: PairQuality
     note: str = ""
-    hint: str = ""
     marked: bool = False
 
 
+def table_rows(state: SessionState, outcome: Outcome) -> list[PointRow]:
+    fits, worst = outcome.fits, outcome.worst
+    rows = []
+    for pair in state.pairs:
+        fit = fits.get(pair.id, PairQuality(pair.id))
+        snapshot = state.snapshot_of(pair)
+        note = f"{pair.origin} in {'colour' if pair.proximity_image == 'color' else 'depth'}"
+        if snapshot is not None:
+            note += f", {snapshot.name}"
+        if not pair.complete:
+            note = "Click the same point in the other image, or press Esc to remove this click"
+        elif pair.tactile_depth_m is None:
+            note = "No depth under the right point: only the homography can use this pair; move the point a few pixels"
+        elif pair.id in fits and not fit.used:
+            note = "Rejected, because the others contradict it; check both points"
+        elif pair.id in worst:
+            note = "The residual is large; check both points, or disable the pair"
+        rows.append(PointRow(pair, fit, note, pair.id in worst))
+    return rows
+
+
 class PointTable(RecordTable):
-    """Shows pairs; sorted by any column, those that stand out highlighted."""
+    """Shows pairs; sorted by any column, the worst on top at first, those that stand out highlighted."""
 
     def __init__(self) -> None:
-        self._pending = False
+        def number(title: str, tip: str, value: str, decimals: int = 2) -> Column:
+            return Column(title, lambda row: getattr(row.fit, value), tip, decimals, sample="-0000.00")
 
-        def fitted(title: str, tip: str, name: str) -> Column:
-            def shown(row: PointRow) -> float | str:
-                residual: float = getattr(row.fit, name)
-                return "…" if self._pending and row.pair.enabled and not isfinite(residual) else residual
-
-            return Column(title, shown, tip, 2, hint=lambda row: row.hint, sample="-0000.00")
-
-        def placed(title: str, tip: str, name: str, scale: float = 1.0) -> Column:
-            def shown(row: PointRow) -> float | str:
-                value = getattr(row.pair, name)
-                return nan if value is None else scale * value
-
-            return Column(title, shown, tip, 2 if scale == 1.0 else 1, hint=lambda row: row.hint, sample="-0000.00")
+        def depth_mm(row: PointRow) -> float:
+            return nan if row.pair.tactile_depth_m is None else 1e3 * row.pair.tactile_depth_m
 
         columns = (
-            Column(
-                "#", lambda row: float(row.pair.id), "Number of the pair", 0, hint=lambda row: row.hint, sample="000"
-            ),
+            Column("#", lambda row: float(row.pair.id), "Number of the pair", 0, sample="000"),
             Column(
                 "On",
                 lambda row: "",
@@ -54,39 +64,21 @@ class PointTable(RecordTable):
                 ticked=lambda row: row.pair.enabled,
                 sample="000",
             ),
-            placed("Left u", "Column in the left image, pixels", "proximity_u"),
-            placed("Left v", "Row in the left image, pixels", "proximity_v"),
-            placed("Right u", "Column in the right image, pixels", "tactile_u"),
-            placed("Right v", "Row in the right image, pixels", "tactile_v"),
-            placed("Depth mm", "Tactile depth at the right point, millimetres", "tactile_depth_m", 1e3),
-            fitted("dX px", "Horizontal residual in the left image, pixels, positive to the right", "dx"),
-            fitted("dY px", "Vertical residual in the left image, pixels, positive downwards", "dy"),
-            fitted("Res. px", "Length of the residual in the left image, pixels", "residual_px"),
-            fitted("Res. mm", "The residual at the point's depth, millimetres", "residual_mm"),
-            fitted(
+            number("Res. px", "Distance in the left image between the click and its fitted place", "residual_px"),
+            number("Res. mm", "The residual at the point's depth, millimetres", "residual_mm"),
+            number(
                 "Left out px",
                 "Residual in a fit without this pair, pixels. If much larger than the residual, the fit depends on it",
                 "left_out_px",
             ),
-            Column(
-                "Origin",
-                lambda row: row.note,
-                "Image and snapshot that were clicked, or the helper that found it",
-                hint=lambda row: row.hint or row.note,
-            ),
+            Column("Depth mm", depth_mm, "Tactile depth at the right point, millimetres", 1, sample="-0000.00"),
+            Column("Note", lambda row: row.note, hint=lambda row: row.note),
         )
         super().__init__(
             columns,
-            "Point pairs: left is proximity, right is tactile",
             "Point pairs and their residuals: left is proximity, right is tactile",
             key=lambda row: row.pair.id,
             marked=lambda row: row.marked,
             sortable=True,
         )
-        titles = [column.title for column in columns]
-        self.sortByColumn(titles.index("Res. px"), Qt.SortOrder.DescendingOrder)  # the worst on top
-
-    def show_pending(self, pending: bool) -> None:
-        """Show that a fit is being computed: "…" instead of a dash where a residual is not known yet."""
-        self._pending = pending
-        self.set_records(self.records())
+        self.sortByColumn(2, Qt.SortOrder.DescendingOrder)

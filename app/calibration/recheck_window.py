@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from PyQt6.QtGui import QCloseEvent
-from PyQt6.QtWidgets import QComboBox, QDialog, QFormLayout, QWidget
+from PyQt6.QtWidgets import QDialog, QWidget
 
 from ...core.calibration.recheck import Drift, recheck
 from ...core.errors import TactuneError, minus
@@ -19,9 +19,8 @@ from ...widgets.images.marks import Mark, MarkKind
 from ...widgets.images.point_image import PointImage
 from ..worker.jobs import Job
 from .pictures import picture
-from .session import ImageChoice
+from .points_page import ARROW_FACTOR
 
-_FACTORS = {"Arrows ×1": 1.0, "Arrows ×10": 10.0, "Arrows ×30": 30.0}
 _CHECKING = "Searching the points in the current frame…"
 _WORST_SHARE = 0.95
 _NO_UNTOUCHED = (
@@ -59,31 +58,21 @@ class RecheckWindow(QDialog):
         super().__init__(parent)
         self.setWindowTitle("Re-check calibration – Tactune")
         self.drift: Drift | None = None
-        self.membrane_drift: MembraneDrift | None = None
         self._job = Job(self)
-        self.sentence = wrapped_label(_CHECKING, verdict=True)
-        self.membrane = wrapped_label(verdict=True)
-        self.membrane.setToolTip(
-            "Change of the membrane's tactile and proximity depth since the preset's untouched frame"
+        self.sentence, self.membrane = wrapped_label(_CHECKING, verdict=True), wrapped_label(verdict=True)
+        self.numbers = wrapped_label(selectable=True)
+        self.image = PointImage(
+            f"Tactile camera: offset of each point from where the calibration expects it, ×{ARROW_FACTOR:.0f}"
         )
-        self.image = PointImage("Tactile camera: offset of each point from where the calibration expects it")
         self.image.set_loupe_wanted(False)
-        self.numbers = QFormLayout()
-        self.factor = QComboBox()
-        self.factor.addItems(list(_FACTORS))
-        self.factor.setCurrentIndex(1)
-        self.factor.setAccessibleName("Arrows")
-        self.factor.setToolTip("Enlargement of the arrows, which show offsets in proximity pixels")
-        self.again = push_button("Check again", "Check on the newest frame (Ctrl+R)")
-        self.again.setShortcut("Ctrl+R")
+        self.image.layer.set_arrow_factor(ARROW_FACTOR)
+        self.again = push_button("Check again", "Check on the newest frame (Ctrl+R)", "Ctrl+R")
         self.calibrate = push_button("Calibrate…", "Open the calibration wizard")
-        self.leave = push_button("Close", "Close this window")
-        row = hbox(self.factor, STRETCH, self.again, self.calibrate, self.leave)
+        leave = push_button("Close", "Close this window")
+        row = hbox(STRETCH, self.again, self.calibrate, leave)
         vbox(self.sentence, self.membrane, self.numbers, (self.image, 1), row, within=self)
         self.resize(760, 720)
-        self.factor.currentTextChanged.connect(lambda text: self.image.layer.set_arrow_factor(_FACTORS[text]))
-        self.image.layer.set_arrow_factor(_FACTORS[self.factor.currentText()])
-        self.leave.clicked.connect(self.close)
+        leave.clicked.connect(self.close)
         self._job.done.connect(self._show)
         self._job.failed.connect(lambda sentence: self._show((sentence, "")))
 
@@ -91,8 +80,7 @@ class RecheckWindow(QDialog):
         """Check a preset on a frame, on another thread; its untouched frame lies beside ``preset_path``."""
         self.sentence.setText(_CHECKING)
         self.membrane.setText("")
-        choice: ImageChoice = "color" if frame.tactile_color is not None else "depth"
-        self.image.set_image(picture(frame, rig, "tactile", choice, stretch=True).pixels)
+        self.image.set_image(picture(frame, rig, "tactile", "color").pixels)
         self._job.start(lambda _: recheck_all(preset, preset_path, rig, frame))
 
     def closeEvent(self, event: QCloseEvent | None) -> None:
@@ -103,27 +91,17 @@ class RecheckWindow(QDialog):
     def _show(self, found: Rechecked) -> None:
         alignment, membrane = found
         self.drift = alignment if isinstance(alignment, Drift) else None
-        self.membrane_drift = membrane if isinstance(membrane, MembraneDrift) else None
         self.sentence.setText(alignment if isinstance(alignment, str) else alignment.sentence)
         self.membrane.setText(membrane if isinstance(membrane, str) else membrane.sentence)
-        while self.numbers.rowCount():
-            self.numbers.removeRow(0)
-        rows: list[tuple[str, str]] = []
+        lines = []
         if self.drift is not None:
             drift = self.drift
-            again = f"{drift.found} of {drift.stored}" if drift.stored else "none stored in the preset"
-            rows += [
-                ("Drift, median", f"{drift.drift_px:.2f} px, {drift.drift_mm:.2f} mm"),
-                ("95 % of the points within", f"{drift.worst_px:.2f} px, of {len(drift.tactile)} compared"),
-                ("Clicked points found again", again),
-            ]
+            again = f"; {drift.found} of {drift.stored} clicked points found again" if drift.stored else ""
+            lines.append(f"95 % of {len(drift.tactile)} points are off by less than {drift.worst_px:.2f} px{again}.")
         if isinstance(membrane, MembraneDrift):
-            rows += [
-                ("Tactile depth changed by", _change(membrane.tactile)),
-                ("Proximity depth changed by", _change(membrane.proximity)),
-            ]
-        for title, value in rows:
-            self.numbers.addRow(title, wrapped_label(value, selectable=True))
+            changes = f"tactile {_change(membrane.tactile)}; proximity {_change(membrane.proximity)}"
+            lines.append(f"Change of depth since the untouched frame: {changes}.")
+        self.numbers.setText("\n".join(lines))
         self.image.set_marks([] if self.drift is None else _marks(self.drift))
 
 
@@ -138,8 +116,7 @@ def _marks(drift: Drift) -> list[Mark]:
     return [
         Mark(
             str(number),
-            float(place[0]),
-            float(place[1]),
+            *(float(place[0]), float(place[1])),
             kind=MarkKind.WORST if length > _WORST_SHARE * drift.worst_px else MarkKind.POINT,
             arrow=(float(offset[0]), float(offset[1])),
         )

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict
 from PyQt6.QtCore import QObject, pyqtSignal
 
-from ...core.calibration.calibrate import DepthFit, ModelChoice
+from ...core.calibration.calibrate import ModelChoice
+from ...core.calibration.snapshots import depth_under
 from ...core.errors import counted
 from ...core.model.alignment import PointPair, Side
 from ...core.model.frames import Rig, SensorFrame
 from ..document.history import History
 
-ProximityImage = Literal["color", "depth"]
-ImageChoice = Literal["color", "depth", "relative"]
+ImageChoice = Literal["color", "depth"]
 Target = Literal["texture", "chessboard"]
 
 SIDES: tuple[Side, Side] = ("proximity", "tactile")
@@ -29,31 +29,21 @@ class Choices(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore")
 
     snapshot: str = ""
-    proximity_image: ImageChoice = "color"
-    tactile_image: ImageChoice = "color"
-    stretch: bool = True
-    snap: bool = True
-    average: int = 10
+    image: ImageChoice = "color"
     target: Target = "texture"
     columns: int = 9
     rows: int = 6
     model: ModelChoice = "auto"
-    depth_fit: DepthFit = "auto"
-    set_tolerance: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """One averaged frame.
-
-    ``moved_m`` is how far the membrane moved while it was taken; ``source`` names where it was taken, empty if unknown.
-    """
+    """One averaged frame; ``source`` names where it was taken, empty if unknown."""
 
     digest: str
     name: str
     frame: SensorFrame
     averaged: int = 1
-    moved_m: float = 0.0
     source: str = ""
 
 
@@ -67,12 +57,10 @@ class SessionState:
 
     @property
     def empty(self) -> bool:
-        """Whether there is neither a snapshot nor a pair."""
         return not self.snapshots and not self.pairs
 
     @property
     def complete_pairs(self) -> tuple[PointPair, ...]:
-        """Pairs with both sides."""
         return tuple(pair for pair in self.pairs if pair.complete)
 
     @property
@@ -82,7 +70,6 @@ class SessionState:
 
     @property
     def digests(self) -> tuple[str, ...]:
-        """The digests of the snapshots."""
         return tuple(snap.digest for snap in self.snapshots)
 
     @property
@@ -106,7 +93,6 @@ class SessionState:
         return self.snapshots[pair.snapshot] if known and pair.snapshot is not None else None
 
     def next_id(self) -> int:
-        """Return the number of the next pair."""
         return max((int(pair.id) for pair in self.pairs), default=0) + 1
 
     def with_pair(self, pair: PointPair) -> SessionState:
@@ -116,7 +102,6 @@ class SessionState:
         return replace(self, pairs=(*self.pairs, pair))
 
     def with_choices(self, **values: object) -> SessionState:
-        """Change choices."""
         return replace(self, choices=Choices.model_validate({**self.choices.model_dump(), **values}))
 
 
@@ -129,6 +114,11 @@ def renumbered(pairs: Iterable[PointPair], before: Sequence[str], after: Sequenc
     )
 
 
+def tactile_depth(frame: SensorFrame, rig: Rig, u: float, v: float) -> float | None:
+    """Return the raw tactile depth in metres at a pixel, from its neighbourhood; None without depth."""
+    return depth_under(frame.tactile_depth, rig.tactile.depth_unit_m, u, v)
+
+
 def rig_key(rig: Rig) -> str:
     """Return a key for a pair of cameras, to be used in file names."""
     text = f"{rig.proximity.model} {rig.proximity.serial} {rig.tactile.model} {rig.tactile.serial}"
@@ -136,47 +126,32 @@ def rig_key(rig: Rig) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-DepthReader = Callable[[Snapshot, float, float], float | None]
-
-
 class Session(History[SessionState]):
-    """What the wizard's pages edit; every edit is one undoable step.
-
-    ``read_depth`` returns the tactile depth in metres at a pixel of a snapshot, or None.
-    """
+    """What the wizard's pages edit; every edit is one undoable step."""
 
     selectionChanged = pyqtSignal(object)  # ids; selecting is not an undo step
 
-    def __init__(self, rig: Rig, read_depth: DepthReader, parent: QObject | None = None) -> None:
+    def __init__(self, rig: Rig, parent: QObject | None = None) -> None:
         super().__init__(SessionState(), parent)
         self.rig = rig
-        self._read_depth = read_depth
-        self._selected: tuple[str, ...] = ()
-
-    @property
-    def selected(self) -> tuple[str, ...]:
-        """Ids of the selected pairs."""
-        return self._selected
+        self.selected: tuple[str, ...] = ()  # ids of pairs
 
     def pair(self, name: str) -> PointPair:
-        """Return a pair by its id."""
         return next(pair for pair in self._state.pairs if pair.id == name)
 
     def show(self, state: SessionState) -> None:
         """Change the state without a step, and deselect pairs that no longer exist."""
         super().show(state)
         present = {pair.id for pair in state.pairs}
-        self.select(name for name in self._selected if name in present)
+        self.select(name for name in self.selected if name in present)
 
     def select(self, names: Iterable[str]) -> None:
-        """Select pairs."""
         names = tuple(names)
-        if names != self._selected:
-            self._selected = names
+        if names != self.selected:
+            self.selected = names
             self.selectionChanged.emit(names)
 
     def choose(self, text: str, gesture: int = 0, **values: Any) -> None:
-        """Change choices, as one step with this text."""
         self.edit(text, self._state.with_choices(**values), gesture, tuple(values))
 
     def set_display(self, **values: Any) -> None:
@@ -223,18 +198,15 @@ class Session(History[SessionState]):
         self.edit(f"Move point {name}", self._state.with_pair(moved), gesture)
 
     def cancel_pending(self) -> None:
-        """Remove a pending first click."""
         if self._state.pending is not None:
             self.remove([self._state.pending.id])
 
     def remove(self, names: Iterable[str]) -> None:
-        """Delete pairs."""
         gone = set(names)
         kept = tuple(pair for pair in self._state.pairs if pair.id not in gone)
         self.edit(f"Delete {counted(len(self._state.pairs) - len(kept), 'pair')}", replace(self._state, pairs=kept))
 
     def enable(self, name: str, enabled: bool) -> None:
-        """Switch a pair on or off."""
         switched = self.pair(name).model_copy(update={"enabled": enabled})
         self.edit(f"Switch pair {name} {'on' if enabled else 'off'}", self._state.with_pair(switched))
 
@@ -248,8 +220,8 @@ class Session(History[SessionState]):
     def _placed(self, pair: PointPair, side: Side, u: float, v: float, keep_image: bool = False) -> PointPair:
         values: dict[str, Any] = {f"{side}_u": float(u), f"{side}_v": float(v)}
         if side == "proximity" and not keep_image:
-            values["proximity_image"] = "color" if self._state.choices.proximity_image == "color" else "depth"
+            values["proximity_image"] = self._state.choices.image
         if side == "tactile":
             snapshot = self._state.snapshot_of(pair)
-            values["tactile_depth_m"] = self._read_depth(snapshot, u, v) if snapshot is not None else None
+            values["tactile_depth_m"] = None if snapshot is None else tactile_depth(snapshot.frame, self.rig, u, v)
         return pair.model_copy(update=values)

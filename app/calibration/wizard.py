@@ -11,13 +11,7 @@ from pathlib import Path
 from pydantic import BaseModel
 from PyQt6.QtCore import QObject, Qt, pyqtSignal
 from PyQt6.QtGui import QCloseEvent, QKeyEvent, QKeySequence, QShortcut
-from PyQt6.QtWidgets import (
-    QButtonGroup,
-    QDialog,
-    QHBoxLayout,
-    QStackedWidget,
-    QWidget,
-)
+from PyQt6.QtWidgets import QButtonGroup, QDialog, QStackedWidget, QWidget
 
 from ...core.calibration import CalibrationReport, read_points, write_points
 from ...core.calibration.recheck import is_worse, present_error_px
@@ -26,7 +20,7 @@ from ...core.errors import TactuneError, counted
 from ...core.model.alignment import SnapshotRecord
 from ...widgets.basics.controls import AccentButton, push_button, wrapped_label
 from ...widgets.basics.dialogs import Dialogs, bring_up
-from ...widgets.basics.layouts import hbox, vbox
+from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.messages import Messages, Severity
 from ..context import SOURCE, TASK, Context
 from ..document.document import Document
@@ -35,12 +29,11 @@ from .check_page import CheckPage
 from .fitting import Fitter, Outcome, at_least, missing_pairs, with_contact, with_depth
 from .frames_page import FramesPage
 from .keeping import Keeper
-from .pictures import snap, tactile_depth_at
 from .points_page import PointsPage
 from .quality_page import QualityPage
 from .recheck_window import RecheckWindow
 from .session import Session, SessionState
-from .snapshots import MOVED_LIMIT_M, Collector
+from .snapshots import Collector
 
 STEPS = ("Snapshots", "Points", "Quality", "Save")
 _TIPS = (
@@ -59,7 +52,6 @@ _SAVED = (
     "alignment.depth_offset_m",
     "alignment.calibration",
     "rig",
-    "tolerance.t",
 )
 _POINTS = "Points (*.csv)"
 
@@ -84,15 +76,14 @@ class CalibrationWizard(QDialog):
         self._dialogs = dialogs.over(self)
         self.outcome = Outcome()
         self._saved = False
-        rig = feed.rig
-        self.session = Session(rig, lambda snapshot, u, v: tactile_depth_at(snapshot.frame, rig, u, v), self)
+        self.session = Session(feed.rig, self)
         self.keeper = Keeper(self.session, folder, self)
         self.fitter = Fitter(self.session, self)
         self.collector = Collector(feed, self)
         self.frames = FramesPage(self.session, feed, self.collector)
-        self.points = PointsPage(self.session, snap)
+        self.points = PointsPage(self.session)
         self.quality = QualityPage(self.session)
-        self.check = CheckPage(self.session, document, feed)
+        self.check = CheckPage(self.session, document)
         self.pages: tuple[QWidget, ...] = (self.frames, self.points, self.quality, self.check)
         #: What a page offers to do before *Next*; both stand at the same place on every page.
         self.page_actions = {0: self.frames.take, 1: self.points.finder.search}
@@ -101,27 +92,22 @@ class CalibrationWizard(QDialog):
         self.resize(1240, 760)
         self._offer(self.keeper.restore())
         self._offer_stored()
-        self._show_state(self.session.state)
         self.go_to(1 if self.session.state.snapshots and not self._elsewhere() else 0)
 
     # Building
 
     def _lay_out(self) -> None:
-        steps = QHBoxLayout()
-        steps.setSpacing(4)
         self.steps = QButtonGroup(self)
+        buttons = []
         for number, (name, tip) in enumerate(zip(STEPS, _TIPS, strict=True)):
             button = AccentButton(f"{number + 1}  {name}", f"{tip} (Ctrl+{number + 1})")
             button.setMinimumHeight(30)
             button.setMinimumWidth(124)
             self.steps.addButton(button, number)
-            steps.addWidget(button)
-        steps.addStretch(1)
-        self.over = push_button("Start over", "Clear the wizard, after a question; undo restores everything")
+            buttons.append(button)
+        self.over = push_button("Start over", "Clear the wizard; undo restores everything until it is closed")
         self.undo = push_button("Undo", "Nothing to undo (Ctrl+Z)")
         self.redo = push_button("Redo", "Nothing to redo (Ctrl+Shift+Z)")
-        for push in (self.over, self.undo, self.redo):
-            steps.addWidget(push)
         self.stack = QStackedWidget()
         for page in self.pages:
             self.stack.addWidget(page)
@@ -132,24 +118,21 @@ class CalibrationWizard(QDialog):
             "Save preset", "Put the alignment with its points and quality into the preset, and save its file (Ctrl+S)"
         )
         self.leave = push_button("Close", "Close the wizard; everything is saved and restored next time")
-        footer = hbox((self.verdict, 1), self.leave, self.back, *self.page_actions.values(), self.next, self.save)
         for push in (*self.page_actions.values(), self.next, self.save):
             push.setMinimumWidth(120)
             push.setProperty("wide", True)  # a style sheet's width wins over the one above
         area = QWidget()
         vbox(self.stack, within=area, margins=0)
         self.messages = Messages(area, self._below_views)
-        vbox(steps, (area, 1), footer, within=self, margins=8, spacing=4)
+        top = hbox(*buttons, STRETCH, self.over, self.undo, self.redo, spacing=4)
+        footer = hbox((self.verdict, 1), self.leave, self.back, *self.page_actions.values(), self.next, self.save)
+        vbox(top, (area, 1), footer, within=self, margins=8, spacing=4)
 
     def _connect(self) -> None:
         session, stack = self.session, self.session.undo_stack
-        self.steps.idClicked.connect(self.go_to)
-        self.back.clicked.connect(lambda: self.go_to(self.stack.currentIndex() - 1))
-        self.next.clicked.connect(self.go_on)
-        self.over.clicked.connect(self.ask_start_over)
-        for push, name, keys, changed, can in (
-            (self.undo, "Undo", "Ctrl+Z", stack.undoTextChanged, stack.canUndoChanged),
-            (self.redo, "Redo", "Ctrl+Shift+Z", stack.redoTextChanged, stack.canRedoChanged),
+        for push, name, keys, do, changed, can in (
+            (self.undo, "Undo", "Ctrl+Z", stack.undo, stack.undoTextChanged, stack.canUndoChanged),
+            (self.redo, "Redo", "Ctrl+Shift+Z", stack.redo, stack.redoTextChanged, stack.canRedoChanged),
         ):
             changed.connect(
                 lambda text, push=push, name=name, keys=keys: push.setToolTip(
@@ -158,23 +141,31 @@ class CalibrationWizard(QDialog):
             )
             can.connect(push.setEnabled)
             push.setEnabled(False)
-        self.undo.clicked.connect(stack.undo)
-        self.redo.clicked.connect(stack.redo)
+            push.clicked.connect(do)
+        self.steps.idClicked.connect(self.go_to)
+        self.back.clicked.connect(lambda: self.go_to(self.stack.currentIndex() - 1))
+        self.next.clicked.connect(self.go_on)
+        self.over.clicked.connect(self.start_over)
         self.save.clicked.connect(self.save_preset)
         self.leave.clicked.connect(self.close)
-        self.points.load.clicked.connect(self._import_dialog)
-        self.points.store.clicked.connect(self._export_dialog)
+        self.points.load.clicked.connect(
+            lambda: self._dialogs.open_file("points", "Import points", _POINTS, self.import_points)
+        )
+        self.points.store.clicked.connect(
+            lambda: self._dialogs.save_file("points", "Export points", "points.csv", [_POINTS], self.export_points)
+        )
+        self.points.split.splitterMoved.connect(self.messages.arrange)
         self.keeper.failed.connect(lambda words: self.messages.show_message("keeping", Severity.WARNING, words))
         self.fitter.fitted.connect(self._show_outcome)
         self._document.refused.connect(self._refused)
         self._document.fileChanged.connect(self._file_changed)
-        session.changed.connect(self._show_state)
-        self.points.split.splitterMoved.connect(self.messages.arrange)
-        self.fitter.busyChanged.connect(self.points.show_fitting)
-        for changed in (self.fitter.busyChanged, self._document.presetChanged, self._document.fileChanged):
+        for changed in (
+            *(session.changed, self.fitter.job.busyChanged),
+            *(self._document.presetChanged, self._document.fileChanged),
+        ):
             changed.connect(self._show_steps)
         shortcuts: tuple[tuple[str, Callable[[], object]], ...] = (
-            ("Ctrl+PgUp", lambda: self.go_to(self.stack.currentIndex() - 1)),
+            ("Ctrl+PgUp", self.back.click),
             ("Ctrl+PgDown", self.go_on),
             ("Ctrl+Z", stack.undo),
             ("Ctrl+Shift+Z", stack.redo),
@@ -189,7 +180,7 @@ class CalibrationWizard(QDialog):
 
     def _below_views(self) -> int:
         """Return the height below the images of a page, where messages must not cover anything."""
-        views: dict[QWidget | None, QWidget] = {self.points: self.points.view, self.check: self.check.image}
+        views: dict[QWidget | None, QWidget] = {self.points: self.points.views, self.check: self.check.image}
         view = views.get(self.stack.currentWidget())
         return 0 if view is None else self.stack.height() - view.mapTo(self.stack, view.rect().bottomLeft()).y()
 
@@ -214,20 +205,9 @@ class CalibrationWizard(QDialog):
         self.back.setEnabled(number > 0)
         self._show_steps()
 
-    def ask_start_over(self) -> None:
-        """Clear the session after a question."""
-        self._dialogs.ask(
-            "Start over",
-            f"Clear {_contents(self.session.state)}?",
-            "Undo restores them until the wizard is closed.",
-            "Clear",
-            self.start_over,
-        )
-
     def start_over(self) -> None:
         """Clear the session, as one undoable step."""
-        kept_choices = SessionState().with_choices(average=self.session.state.choices.average)
-        self.session.edit("Start over", kept_choices)
+        self.session.edit("Start over", SessionState())
         self.messages.clear("kept")
         self.go_to(0)
 
@@ -237,24 +217,17 @@ class CalibrationWizard(QDialog):
         return bool(sources) and self._feed.info.name not in sources
 
     def _offer(self, kept_at: datetime | None) -> None:
+        """Say what was restored, and where it is of another source, as its membrane may be another one too."""
         if kept_at is None:
             return
-        state = self.session.state
+        state, elsewhere = self.session.state, self._elsewhere()
         of = f" of {', '.join(state.sources)}" if state.sources else ""
-        words = f"Restored the calibration{of} from {kept_at.astimezone():%d %B, %H:%M}: {_contents(state)}. "
-        if self._elsewhere():
-            words += (
-                f"{self._feed.info.name} is open now, and its membrane may be another one. Take new snapshots, "
-                "continue with the old ones, or start over."
-            )
-        else:
-            words += "Continue, or start over."
-        self.messages.show_message(
-            "kept",
-            Severity.WARNING if self._elsewhere() else Severity.INFO,
-            words,
-            offers=[("Start over", self.ask_start_over)],
-        )
+        held = f"{counted(len(state.pairs), 'pair')} and {counted(len(state.snapshots), 'snapshot')}"
+        words = f"Restored the calibration{of} from {kept_at.astimezone():%d %B, %H:%M}: {held}."
+        if elsewhere:
+            words += f" {self._feed.info.name} is open now: take new snapshots, or start over."
+        severity = Severity.WARNING if elsewhere else Severity.INFO
+        self.messages.show_message("kept", severity, words, offers=[("Start over", self.start_over)])
 
     def _offer_stored(self) -> None:
         """Offer the points stored in the preset, if there are no newer ones."""
@@ -269,10 +242,6 @@ class CalibrationWizard(QDialog):
             "nothing has moved since.",
             offers=[("Use them", lambda: self.session.add_pairs(pairs, "Take the preset's pairs"))],
         )
-
-    def _show_state(self, state: SessionState) -> None:
-        self.over.setEnabled(not state.empty)
-        self._show_steps()
 
     def _show_outcome(self, outcome: Outcome) -> None:
         self.outcome, self._saved = outcome, False
@@ -292,26 +261,24 @@ class CalibrationWizard(QDialog):
         few = missing_pairs(state)
         if few:
             return f"{few} Press Find points, or click them in both images."
-        return "" if self.outcome.report is not None or self.fitter.busy else self.outcome.sentence
+        return "" if self.outcome.report is not None or self.fitter.busy else self.outcome.problem
 
     def _findings(self) -> dict[str, str]:
         """Say by step what is to be looked at; empty for nothing."""
-        state, report = self.session.state, self.outcome.report
-        moved = any(snapshot.moved_m > MOVED_LIMIT_M for snapshot in state.snapshots)
-        findings = {"Snapshots": "The membrane moved during a snapshot." if moved else ""}
+        report = self.outcome.report
         if report is None:
-            findings["Points"] = self.outcome.sentence if state.pairs else ""
-        else:
-            rejected, judged = self.outcome.rejected, grade(report.chosen)
-            worse = is_worse(report, self.check.present_preset())
-            findings["Points"] = f"{counted(len(rejected), 'rejected pair')}." if rejected else ""
-            findings["Quality"] = "" if report.model == report.recommended else report.reason
-            findings["Quality"] = findings["Quality"] if judged.startswith(("Good", "Usable")) else judged
-            findings["Save"] = "The new calibration is worse than the present alignment." if worse else ""
-        return findings
+            return {"Points": self.outcome.problem if self.session.state.pairs else ""}
+        rejected, judged = self.outcome.rejected, grade(report.chosen)
+        unusual = "" if report.model == report.recommended else report.reason
+        worse = is_worse(report, self._document.preset)
+        return {
+            "Points": f"{counted(len(rejected), 'rejected pair')}." if rejected else "",
+            "Quality": unusual if judged.startswith(("Good", "Usable")) else judged,
+            "Save": "The new calibration is worse than the present alignment." if worse else "",
+        }
 
     def _done(self, step: int) -> bool:
-        if STEPS[step] == "Snapshots":
+        if step == 0:
             return bool(self.session.state.snapshots)
         if step == _SAVE:
             return self._saved and not self._document.dirty
@@ -319,6 +286,7 @@ class CalibrationWizard(QDialog):
 
     def _show_steps(self, _: object = None) -> None:
         """Show what is done and what needs attention on the step buttons, and what the page on top lacks."""
+        self.over.setEnabled(not self.session.state.empty)
         findings = self._findings()
         for step, (name, tip) in enumerate(zip(STEPS, _TIPS, strict=True)):
             button, attention = self.steps.button(step), findings.get(name, "")
@@ -331,7 +299,7 @@ class CalibrationWizard(QDialog):
         missing = self._missing(step)
         if not missing:
             self.messages.clear("next")
-        fitted = self.outcome.sentence if report is None else _short(report)
+        fitted = self.outcome.problem if report is None else _short(report)
         self.verdict.setText(missing or ("Fitting…" if self.fitter.busy else fitted))
         action, onward = self.page_actions.get(step), self.save if step == _SAVE else self.next
         for push in (*self.page_actions.values(), self.next, self.save):
@@ -360,12 +328,6 @@ class CalibrationWizard(QDialog):
             return
         self.messages.show_message("file", Severity.INFO, f"The pairs were written to {path}.")
 
-    def _import_dialog(self) -> None:
-        self._dialogs.open_file("points", "Import points", _POINTS, self.import_points)
-
-    def _export_dialog(self) -> None:
-        self._dialogs.save_file("points", "Export points", "points.csv", [_POINTS], self.export_points)
-
     def save_preset(self) -> None:
         """Put the alignment into the preset and save its file; ask first if it is worse than the present one."""
         report = self.outcome.report
@@ -387,17 +349,15 @@ class CalibrationWizard(QDialog):
 
     def _save(self, report: CalibrationReport) -> None:
         """Put the alignment and its record into the document, as one undoable step, and save the file."""
-        state = self.session.state
         records = tuple(
             SnapshotRecord(name=snapshot.name, sha256=snapshot.digest, frames=snapshot.averaged)
-            for snapshot in state.snapshots
+            for snapshot in self.session.state.snapshots
         )
-        applied = report.apply_to(self._document.preset, snapshots=records, set_tolerance=state.choices.set_tolerance)
+        applied = report.apply_to(self._document.preset, snapshots=records)
         values = {path: applied.value(path) for path in _SAVED}
         values |= {
             path: value.model_dump(mode="json") for path, value in values.items() if isinstance(value, BaseModel)
         }
-        self.check.keep_present()
         if not self._document.edit_many(values):
             return
         self._saved = True
@@ -435,17 +395,11 @@ class CalibrationWizard(QDialog):
     def closeEvent(self, event: QCloseEvent | None) -> None:
         """Save the state and cancel running jobs."""
         self.collector.close()
-        self.fitter.close()
-        for page in (self.points.finder, self.quality, self.check):
-            page.close_jobs()
+        for job in (self.fitter.job, self.points.finder.job, self.quality.job, self.check.job):
+            job.stop()
         self.keeper.close()
         self.session.close()
         super().closeEvent(event)
-
-
-def _contents(state: SessionState) -> str:
-    """Return what a session holds, in words."""
-    return f"{counted(len(state.pairs), 'pair')} and {counted(len(state.snapshots), 'snapshot')}"
 
 
 def _short(report: CalibrationReport) -> str:

@@ -134,7 +134,7 @@ class QualityTab(QWidget):
 
         def measure(_: Progress) -> tuple[tuple[CameraQuality, CameraQuality], list[Uint8Array]]:
             quality = measure_quality(frame, rig, preset, region)
-            return quality, [picture(frame, rig, side, "depth", stretch=True).pixels for side in self.panes]
+            return quality, [picture(frame, rig, side, "depth").pixels for side in self.panes]
 
         self._job.start(measure)
 

@@ -206,7 +206,7 @@ class CaptureWindow(QDialog):
     def _draw(self, pane: ImagePane, frame: SensorFrame) -> None:
         result = self._context.result
         if result is not None and frame.tactile_depth.shape == result.source.rig.tactile.intrinsics.shape:
-            shown = picture(frame, result.source.rig, "tactile", "depth", stretch=True).pixels
+            shown = picture(frame, result.source.rig, "tactile", "depth").pixels
             pane.set_pixels(shown, (shown.shape[1], shown.shape[0]), 1)
             _fit(pane)
 

@@ -213,7 +213,7 @@ PAIR = PointPair(id="1", proximity_u=1.0, proximity_v=2.0, tactile_u=4.0, tactil
 
 def calibrate(folder: Path, n: int) -> None:
     application()
-    session = Session(RIG, lambda *_: None)
+    session = Session(RIG)
     with said_as_errors(Keeper(session, folder)) as keeper:
         session.edit("all", SessionState((SNAPSHOTS[n],), (PAIR,) * 9))
         keeper.close()
@@ -221,7 +221,7 @@ def calibrate(folder: Path, n: int) -> None:
 
 def restore_calibration(folder: Path) -> bool:
     application()
-    session, said = Session(RIG, lambda *_: None), list[str]()
+    session, said = Session(RIG), list[str]()
     keeper = Keeper(session, folder)
     keeper.failed.connect(said.append)
     keeper.restore()

@@ -11,7 +11,6 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
-from hands import answer_question
 from tactune.app.worker.playback import PlaybackState
 from tactune.core.contact.alignment import tactile_pose
 from tactune.core.contact.pipeline import ContactPipeline
@@ -30,6 +29,13 @@ def press_button(button):
     QTest.mouseClick(button, LEFT)
 
 
+def take_first(wizard, feed, frames, qtbot):
+    """Take a snapshot of the frame on the screen: the membrane moves after it."""
+    press_button(wizard.frames.take)
+    feed.deliver(frames[1.0], PlaybackState(index=1, length=2))
+    qtbot.waitUntil(lambda: len(wizard.session.state.snapshots) == 1)
+
+
 def choose(box, index):
     """Choose by keys: to the top, then down."""
     box.setFocus()
@@ -46,18 +52,15 @@ def test_a_whole_calibration_by_mouse_and_keys(  # noqa: PLR0915 - one flow, ste
 
     # Frames: two inflation levels
     assert wizard.stack.currentIndex() == 0
-    wizard.frames.average.setValue(1)
-    press_button(wizard.frames.take)
-    qtbot.waitUntil(lambda: len(state().snapshots) == 1)
+    take_first(wizard, feed, frames, qtbot)
     first = state().choices.snapshot
-    feed.deliver(frames[1.0], PlaybackState(index=1, length=2))
     press_button(wizard.frames.take)
     qtbot.waitUntil(lambda: len(state().snapshots) == 2)
     second = state().choices.snapshot
     press_button(wizard.next)
     assert wizard.stack.currentIndex() == 1
     page = wizard.points
-    left, right = page.view.images["proximity"], page.view.images["tactile"]
+    left, right = page.images["proximity"], page.images["tactile"]
     QApplication.processEvents()
 
     # Points: six pairs on the high level, clicked beside the dots, either side first; snapping puts them right
@@ -157,11 +160,9 @@ def tactile_depth(scene, level, dot):
 
 def test_nothing_is_lost_by_closing(open_wizard, hand, feed, frames, scene, qtbot):
     wizard = open_wizard()
-    wizard.frames.average.setValue(1)
-    press_button(wizard.frames.take)
-    qtbot.waitUntil(lambda: len(wizard.session.state.snapshots) == 1)
+    take_first(wizard, feed, frames, qtbot)
     QTest.keyClick(wizard, Qt.Key.Key_2, CONTROL)
-    left = wizard.points.view.images["proximity"]
+    left = wizard.points.images["proximity"]
     QApplication.processEvents()
     hand.click(left, scene.proximity_pixels(0.2)[30])
     kept = wizard.session.state
@@ -177,20 +178,14 @@ def test_nothing_is_lost_by_closing(open_wizard, hand, feed, frames, scene, qtbo
     assert any("Restored the calibration of tiny" in sentence for sentence in again.messages.sentences())
 
     press_button(again.over)
-    assert "1 pair and 1 snapshot" in answer_question(qtbot, "Cancel")
-    assert again.session.state.pairs == kept.pairs
-    press_button(again.over)
-    answer_question(qtbot, "Clear")
     assert again.session.state.empty
     QTest.keyClick(again, Qt.Key.Key_Z, CONTROL)
     assert again.session.state.pairs == kept.pairs
 
 
-def test_a_restored_calibration_of_another_source_says_so(open_wizard, feed, qtbot):
+def test_a_restored_calibration_of_another_source_says_so(open_wizard, feed, frames, qtbot):
     wizard = open_wizard()
-    wizard.frames.average.setValue(1)
-    press_button(wizard.frames.take)
-    qtbot.waitUntil(lambda: len(wizard.session.state.snapshots) == 1)
+    take_first(wizard, feed, frames, qtbot)
     press_button(wizard.leave)
     feed.info = replace(feed.info, name="other")
 
@@ -211,10 +206,6 @@ def test_points_file_round_trip(open_wizard, scene, qtbot, tmp_path: Path):
     before = [(pair.proximity, pair.tactile, pair.enabled, pair.proximity_image) for pair in wizard.session.state.pairs]
     path = tmp_path / "points.csv"
     wizard.export_points(path)
-    wizard.start_over()
-    assert not wizard.session.state.pairs
-    wizard.session.undo_stack.undo()
-    assert len(wizard.session.state.pairs) == len(before), "a start that was not meant is taken back"
     wizard.start_over()
     wizard.import_points(path)
     after = [(pair.proximity, pair.tactile, pair.enabled, pair.proximity_image) for pair in wizard.session.state.pairs]

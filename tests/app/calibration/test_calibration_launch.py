@@ -52,8 +52,7 @@ def window(qtbot, tmp_path, scene, frames):
     QApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
 
 
-def test_snapshots_come_from_the_present_source(window, scene, frames, qtbot, monkeypatch):
-    monkeypatch.setattr(snapshots, "MOVED_LIMIT_M", 1.0)  # every frame of this source is of another press
+def test_snapshots_come_from_the_present_source(window, scene, frames, qtbot):
     window.open_request(SourceRequest("tiny", lambda progress: TinySource(scene, frames)))
     qtbot.waitUntil(lambda: window.result is not None, timeout=15000)
     window.worker.pause()
@@ -64,10 +63,9 @@ def test_snapshots_come_from_the_present_source(window, scene, frames, qtbot, mo
     wizard = window.calibration.wizard
     assert wizard is not None and wizard.isVisible()
 
-    wizard.frames.average.setValue(3)
     wizard.frames.start()
     qtbot.waitUntil(lambda: bool(wizard.session.state.snapshots), timeout=15000)
-    assert wizard.session.state.snapshots[0].averaged == 3
+    assert wizard.session.state.snapshots[0].averaged == 1, "the next frame is of another press"
     qtbot.waitUntil(lambda: window.result.frame.sequence == 2, timeout=15000)
     qtbot.waitUntil(lambda: not window.transport.state.playing, timeout=15000)
 
@@ -107,7 +105,6 @@ def test_a_snapshot_of_a_playing_recording_has_all_its_frames(window, scene, fra
     assert wizard.session.state.snapshots[0].averaged == 6
     window.worker.play()
     qtbot.waitUntil(lambda: window.transport.state.playing)
-    wizard.frames.average.setValue(2)
     wizard.frames.start()
     qtbot.waitUntil(lambda: not wizard.collector.busy)
     qtbot.waitUntil(lambda: window.transport.state.playing)
@@ -119,7 +116,6 @@ def test_six_actions_lead_from_the_window_to_a_good_preset(window, scene, frames
     window.document.save(tmp_path / "tiny.json")
     QTest.keyClick(window, Qt.Key.Key_K, CONTROL)
     wizard = window.calibration.wizard
-    wizard.session.choose("Frames", average=1)
     press = lambda button: QTest.mouseClick(button, Qt.MouseButton.LeftButton)
     press(wizard.frames.take)
     qtbot.waitUntil(lambda: bool(wizard.session.state.snapshots), timeout=15000)

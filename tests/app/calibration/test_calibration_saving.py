@@ -67,32 +67,12 @@ def test_a_better_calibration_is_saved_without_a_question_also_twice(open_wizard
     assert "worse" in answer_question(qtbot, "Cancel"), "four pairs do not replace what 26 gave"
 
 
-def test_present_stays_the_old_alignment_until_the_file_is_saved(
-    open_wizard, scene, frames, feed, document, qtbot, tmp_path
-):
-    wizard = open_wizard()
-    before = document.preset.alignment
-    fitted(qtbot, wizard, with_pairs(scene, frames, feed))
-    wizard.go_to(SAVE)
-    page = wizard.check
-    qtbot.waitUntil(lambda: page.image.empty_label.text() == "" and "cm²" in page.areas.text(), timeout=60_000)
-    with qtbot.waitSignal(wizard.fileSaveRequested):
-        QTest.mouseClick(wizard.save, LEFT)
-    assert document.preset.alignment != before
-    assert page.present_preset().alignment == before
-    new = page.image.grab().toImage()
-    QTest.mouseClick(page.which.button(1), LEFT)
-    qtbot.waitUntil(lambda: page.image.grab().toImage() != new)
-    document.save(tmp_path / "saved.json")
-    assert page.present_preset().alignment == document.preset.alignment
-
-
 def test_messages_cover_nothing_below_the_images_of_points(open_wizard, scene, frames, feed):
     wizard = open_wizard()
     for number in range(3):
         wizard.messages.show_message(f"long {number}", Severity.WARNING, "A sentence of many words. " * 6)
     shown = wizard.messages
-    for step, table in ((1, wizard.points.table), (SAVE, wizard.check.numbers)):
+    for step, table in ((1, wizard.points.table), (SAVE, wizard.check.errors)):
         wizard.go_to(step)
         covered = QRect(shown.mapToGlobal(QPoint(0, 0)), shown.size())
         assert shown.isVisible()
