@@ -6,9 +6,12 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QShowEvent
 from PyQt6.QtWidgets import QButtonGroup, QLabel, QSlider, QWidget
 
+from ...core.calibration import CalibrationReport
 from ...core.calibration.geometry import Alignment
 from ...core.calibration.recheck import present_error_px
 from ...core.contact.checks import rig_in_use
+from ...core.model.frames import Rig, SensorFrame
+from ...core.preset import AlignmentSection
 from ...widgets.basics.controls import AccentButton, caption, wrapped_label
 from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.images.point_image import PointImage
@@ -17,8 +20,6 @@ from ..worker.jobs import Job
 from .correspondence import Overlay, make_overlay
 from .fitting import Outcome, at_least
 from .session import ImageChoice, Session
-
-_NO_FIT = "No calibration yet: click at least four pairs on the page Points"
 
 
 class CheckPage(QWidget):
@@ -75,18 +76,14 @@ class CheckPage(QWidget):
             words = f"Expected alignment error: <b>{at_least(new.alignment_px, 'px')}, "
             words += f"{at_least(new.alignment_mm, 'mm')}</b> new"
             self.errors.setText(words + ("" if present is None else f"; {at_least(present, 'px')} present"))
-        if snapshot is None:
+        wanted = report if self.which.checkedId() == 0 else preset.alignment
+        if wanted is None:
+            self._show_none("No calibration yet: click at least four pairs on the page Points")
+        elif snapshot is None:
             self._show_none("Take a snapshot to compare the images")
-        elif self.which.checkedId() == 0 and report is None:
-            self._show_none(_NO_FIT)
-        else:
-            if self.which.checkedId() == 0 and report is not None:
-                preset = report.apply_to(preset)
-            frame, section, rig = snapshot.frame, preset.alignment, rig_in_use(preset, self._session.rig)
-            image: ImageChoice = "depth" if frame.tactile_color is None else "color"
-            if (frame, section.geometry) != self._drawn:
-                self._drawn = (frame, section.geometry)
-                self.job.start(lambda _: make_overlay(Alignment.of_preset(section, rig), rig, frame, image))
+        elif (snapshot, wanted) != self._drawn:
+            self._drawn = (snapshot, wanted)
+            self.job.start(lambda _: overlay_by(wanted, rig_in_use(preset, self._session.rig), snapshot.frame))
 
     def _show_overlay(self, overlay: Overlay) -> None:
         self._overlay = overlay
@@ -99,3 +96,11 @@ class CheckPage(QWidget):
     def _compose(self) -> None:
         if self._overlay is not None:
             self.image.set_image(self._overlay.blended(self.share.value() / 100))
+
+
+def overlay_by(alignment: CalibrationReport | AlignmentSection, rig: Rig, frame: SensorFrame) -> Overlay:
+    """Lay the tactile image over the proximity image by a new alignment or a preset's, in colour where both have it."""
+    image: ImageChoice = "depth" if frame.tactile_color is None else "color"
+    if isinstance(alignment, CalibrationReport):
+        return make_overlay(alignment.chosen.fit.alignment, alignment.rig, frame, image)
+    return make_overlay(Alignment.of_preset(alignment, rig), rig, frame, image)

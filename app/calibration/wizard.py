@@ -160,7 +160,7 @@ class CalibrationWizard(QDialog):
         self._document.refused.connect(self._refused)
         self._document.fileChanged.connect(self._file_changed)
         for changed in (
-            *(session.changed, self.fitter.job.busyChanged),
+            *(session.changed, self.fitter.job.busyChanged, self.points.finder.job.busyChanged),
             *(self._document.presetChanged, self._document.fileChanged),
         ):
             changed.connect(self._show_steps)
@@ -185,17 +185,13 @@ class CalibrationWizard(QDialog):
         return 0 if view is None else self.stack.height() - view.mapTo(self.stack, view.rect().bottomLeft()).y()
 
     def go_on(self) -> None:
-        """Show the next step, or say what this one lacks."""
-        missing = self._missing(self.stack.currentIndex())
-        if missing:
-            self.messages.show_message("next", Severity.WARNING, missing)
-        else:
+        """Show the next step, unless this one lacks something, which the line beside the button says."""
+        if not self._missing(self.stack.currentIndex()):
             self.go_to(self.stack.currentIndex() + 1)
 
     def go_to(self, number: int) -> None:
         """Show a step."""
         number = max(0, min(number, len(STEPS) - 1))
-        self.messages.clear("next")
         self.stack.setCurrentIndex(number)
         self.messages.arrange()
         button = self.steps.button(number)
@@ -252,8 +248,6 @@ class CalibrationWizard(QDialog):
     def _missing(self, step: int) -> str:
         """Say what a step lacks before the next one makes sense; empty if nothing."""
         state = self.session.state
-        if self.collector.busy:
-            return "The snapshot is not complete yet: wait for it, or cancel it."
         if step == 0:
             return "" if state.snapshots or state.pairs else "No snapshot yet: hold the membrane still and take one."
         if self.points.finder.busy:
@@ -297,10 +291,10 @@ class CalibrationWizard(QDialog):
             button.setAccessibleName(f"Step {step + 1}, {name}. {status}".strip())
         step, report = self.stack.currentIndex(), self.outcome.report
         missing = self._missing(step)
-        if not missing:
-            self.messages.clear("next")
         fitted = self.outcome.problem if report is None else _short(report)
         self.verdict.setText(missing or ("Fitting…" if self.fitter.busy else fitted))
+        self.next.setEnabled(not missing)
+        self.save.setEnabled(report is not None and not self.fitter.busy)
         action, onward = self.page_actions.get(step), self.save if step == _SAVE else self.next
         for push in (*self.page_actions.values(), self.next, self.save):
             push.setVisible(push in {action, onward})
@@ -332,7 +326,6 @@ class CalibrationWizard(QDialog):
         """Put the alignment into the preset and save its file; ask first if it is worse than the present one."""
         report = self.outcome.report
         if report is None or self.fitter.busy:
-            self.messages.show_message("next", Severity.WARNING, self._missing(_SAVE) or "The fit is not complete yet.")
             return
         if not is_worse(report, self._document.preset):
             self._save(report)
@@ -353,7 +346,11 @@ class CalibrationWizard(QDialog):
             SnapshotRecord(name=snapshot.name, sha256=snapshot.digest, frames=snapshot.averaged)
             for snapshot in self.session.state.snapshots
         )
-        applied = report.apply_to(self._document.preset, snapshots=records)
+        try:
+            applied = report.apply_to(self._document.preset, snapshots=records)
+        except TactuneError as error:
+            self.messages.show_message("saved", Severity.ERROR, str(error))
+            return
         values = {path: applied.value(path) for path in _SAVED}
         values |= {
             path: value.model_dump(mode="json") for path, value in values.items() if isinstance(value, BaseModel)

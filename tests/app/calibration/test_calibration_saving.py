@@ -30,13 +30,6 @@ def careless(state, sigma_px=2.5):
     return state
 
 
-def test_saving_without_pairs_says_what_is_missing(open_wizard, document):
-    wizard, before = open_wizard(), document.preset
-    wizard.go_to(SAVE)
-    QTest.mouseClick(wizard.save, LEFT)
-    assert "Press Find points" in wizard.messages.message("next").sentence and document.preset == before
-
-
 def test_a_worse_calibration_asks_before_it_replaces_a_better_one(open_wizard, scene, frames, feed, document, qtbot):
     document.edit(GEOMETRY, scene.T_p_t.tolist())
     before = document.preset.alignment
@@ -81,23 +74,19 @@ def test_messages_cover_nothing_below_the_images_of_points(open_wizard, scene, f
     assert shown.mapToGlobal(QPoint(0, shown.height())).y() > covered.bottom(), "elsewhere they stand at the lower edge"
 
 
-def test_next_and_save_say_what_is_missing(open_wizard, scene, frames, feed, document, qtbot):
+def test_next_and_save_wait_for_what_the_footer_says(open_wizard, scene, frames, feed, document, qtbot):
     wizard = open_wizard()
-    sentence = lambda: wizard.messages.message("next").sentence
-    QTest.mouseClick(wizard.next, LEFT)
-    assert "No snapshot yet" in sentence() and wizard.stack.currentIndex() == 0
+    QTest.keyClick(wizard, Qt.Key.Key_PageDown, CONTROL)
+    assert "No snapshot yet" in wizard.verdict.text() and wizard.stack.currentIndex() == 0
+    assert not wizard.next.isEnabled()
     wizard.session.click("proximity", 100.0, 100.0)
     wizard.session.click("tactile", 80.0, 100.0)
-    QTest.mouseClick(wizard.steps.button(1), LEFT)
-    qtbot.waitUntil(lambda: "1 pair; 3 pairs more" in wizard.verdict.text())
-    QTest.keyClick(wizard, Qt.Key.Key_PageDown, CONTROL)
-    assert "1 pair; 3 pairs more" in sentence() and "Find points" in sentence()
-    QTest.mouseClick(wizard.steps.button(SAVE), LEFT)
-    assert wizard.messages.message("next") is None
-    QTest.mouseClick(wizard.save, LEFT)
-    assert "1 pair; 3 pairs more" in sentence() and document.undo_stack.count() == 0
+    QTest.keyClick(wizard, Qt.Key.Key_4, CONTROL)
+    QTest.keyClick(wizard, Qt.Key.Key_S, CONTROL)
+    assert "1 pair; 3 pairs more" in wizard.verdict.text() and "Find points" in wizard.verdict.text()
+    assert not wizard.save.isEnabled() and document.undo_stack.count() == 0
     fitted(qtbot, wizard, with_pairs(scene, frames, feed))
-    assert wizard.messages.message("next") is None
+    qtbot.waitUntil(wizard.save.isEnabled)
     step = wizard.quality.step.text().removeprefix("Next: ")
     assert step and step not in wizard.verdict.text(), "the next step is said once, on the page Quality"
 
