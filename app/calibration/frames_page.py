@@ -10,7 +10,7 @@ from PyQt6.QtWidgets import QGridLayout, QLabel, QListWidget, QListWidgetItem, Q
 from ...core.model.alignment import Side
 from ...core.model.clouds import valid_depth
 from ...core.model.frames import SensorFrame
-from ...widgets.basics.controls import ProgressBar, push_button, wrapped_label
+from ...widgets.basics.controls import push_button, wrapped_label
 from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.images.image_pane import ImagePane
 from ..worker.feed import FrameFeed
@@ -54,8 +54,6 @@ class FramesPage(QWidget):
             "(Ctrl+T)",
             shortcut="Ctrl+T",
         )
-        self.cancel = push_button("Cancel", "Cancel the snapshot")
-        self.progress = ProgressBar()
         self.note = wrapped_label(_ADVICE)
         self.note.setMinimumHeight(2 * self.fontMetrics().height() + 4)
         self.note.setAlignment(Qt.AlignmentFlag.AlignTop)
@@ -70,7 +68,6 @@ class FramesPage(QWidget):
         self.setFocusProxy(self.take)
         self._show_state(session.state)
         self._show_frame()
-        self._show_busy()
 
     def _lay_out(self) -> None:
         images = QGridLayout()
@@ -78,7 +75,7 @@ class FramesPage(QWidget):
         for number, pane in enumerate(self.previews.values()):
             pane.view.setMinimumSize(160, 100)
             images.addWidget(pane, number // 2, number % 2)
-        left = vbox((images, 1), self.seek, hbox((self.progress, 1), self.cancel), self.note)
+        left = vbox((images, 1), self.seek, self.note)
         box = QWidget()
         vbox(QLabel("Snapshots"), (self.list, 1), self.remove, within=box, margins=0)
         box.setFixedWidth(300)
@@ -89,19 +86,13 @@ class FramesPage(QWidget):
         self._feed.frameArrived.connect(self._frame_arrived)
         self._redraw.timeout.connect(self._show_frame)
         self.seek.valueChanged.connect(self._feed.seek)
-        self.take.clicked.connect(self.start)
-        self.cancel.clicked.connect(collector.cancel)
-        collector.progress.connect(self.progress.show_share)
+        self.take.clicked.connect(collector.start)
+        collector.progress.connect(self.note.setText)
         collector.taken.connect(self._taken)
-        collector.failed.connect(self._failed)
+        collector.failed.connect(self.note.setText)
         session.changed.connect(self._show_state)
         self.list.currentRowChanged.connect(self._chosen)
         self.remove.clicked.connect(lambda: session.remove_snapshot(session.state.choices.snapshot))
-
-    def start(self) -> None:
-        """Take a snapshot of the current frame and the following ones."""
-        self._collector.start()
-        self._show_busy()
 
     # Display
 
@@ -154,12 +145,6 @@ class FramesPage(QWidget):
             words += f"\n{snapshot.source}"
         return QListWidgetItem(QIcon(QPixmap.fromImage(thumbnail)), words)
 
-    def _show_busy(self) -> None:
-        busy = self._collector.busy
-        self.progress.setVisible(busy)
-        self.cancel.setVisible(busy)
-        self.take.setEnabled(not busy)
-
     def _taken(self, snapshot: Snapshot) -> None:
         words = "Snapshot taken."
         if snapshot.averaged < FRAMES:
@@ -167,11 +152,6 @@ class FramesPage(QWidget):
             words = f"{snapshot.averaged} of {FRAMES} frames: {end}."
         self.note.setText(f"{words} {_NEXT}")
         self._session.add_snapshot(snapshot)
-        self._show_busy()
-
-    def _failed(self, sentence: str) -> None:
-        self.note.setText(sentence or "Cancelled; no snapshot was taken.")
-        self._show_busy()
 
     def _chosen(self, row: int) -> None:
         if row >= 0:

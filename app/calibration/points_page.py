@@ -51,8 +51,6 @@ class PointsPage(QWidget):
         self._linking = False
         #: The predicted partner of the first click, if one is offered.
         self.ghost: tuple[Side, Place] | None = None
-        #: What the last click snapped to, and the state that the click led to.
-        self._landing: tuple[SessionState, str] = (session.state, "")
         self.finder = Finder(session)
         self.images = {side: PointImage(TITLES[side]) for side in SIDES}
         self.table = PointTable()
@@ -137,7 +135,7 @@ class PointsPage(QWidget):
         self.table.set_records(table_rows(state, self._outcome))
         self.table.select(selected)
         self._show_ghost()
-        self._show_hint()
+        self.hint.setText(self._next_step())
 
     def _show_ghost(self) -> None:
         self.ghost = None
@@ -153,12 +151,6 @@ class PointsPage(QWidget):
                 self.ghost = side, self.snapped(side, expected)[0]
         for side, image in self.images.items():
             image.layer.set_ghost(self.ghost[1] if self.ghost is not None and self.ghost[0] == side else None)
-
-    def _show_hint(self) -> None:
-        """Say what the last click snapped to and what to do next."""
-        state, landing = self._landing
-        words = f"{landing[0].upper()}{landing[1:]}. " if landing and state is self._session.state else ""
-        self.hint.setText(words + self._next_step())
 
     def _next_step(self) -> str:
         state = self._session.state
@@ -236,13 +228,7 @@ class PointsPage(QWidget):
 
     def _clicked(self, side: Side, u: float, v: float, modifiers: Qt.KeyboardModifier) -> None:
         free = bool(modifiers & Qt.KeyboardModifier.ControlModifier)
-        place, landing = ((u, v), "") if free else self.snapped(side, (u, v))
-        self._session.click(side, *place)
-        self._landed(landing)
-
-    def _landed(self, landing: str) -> None:
-        self._landing = self._session.state, landing
-        self._show_hint()
+        self._session.click(side, *((u, v) if free else self.snapped(side, (u, v))[0]))
 
     def _pressed(self, key: str, modifiers: Qt.KeyboardModifier) -> None:
         selected = self._session.selected
@@ -254,11 +240,10 @@ class PointsPage(QWidget):
     def _dragged(self, side: Side, key: str, u: float, v: float, done: bool) -> None:
         if not self._clock.held:
             self._clock.hold()
-        place, landing = self.snapped(side, (u, v)) if done else ((u, v), "")
+        place = self.snapped(side, (u, v))[0] if done else (u, v)
         self._session.move(key, side, *place, gesture=self._clock.number())
         if done:
             self._clock.release()
-            self._landed(landing)
 
     def _nudged(self, side: Side, du: float, dv: float) -> None:
         gesture = self._nudges.number()

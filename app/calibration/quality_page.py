@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 
 import cv2
@@ -38,15 +37,6 @@ _PERCENTILE = 97.0
 _MODELS = {"Recommended": "auto", "Rigid pose": "rigid", "Homography": "homography"}
 
 
-@dataclass(frozen=True, eq=False)
-class UncertaintyPicture:
-    """Pixels for the screen, (H, W, 4), and the millimetres at the ends of the colour scale."""
-
-    pixels: Uint8Array
-    low: float
-    high: float
-
-
 @cache
 def uncertainty_lut() -> Uint8Array:
     """Return the colour map from certain (dark) to uncertain (bright): uint8 (256, 4)."""
@@ -54,8 +44,8 @@ def uncertainty_lut() -> Uint8Array:
     return np.ascontiguousarray(colors)
 
 
-def uncertainty_picture(report: CalibrationReport, frame: SensorFrame) -> UncertaintyPicture:
-    """Colour the proximity colour image by the expected alignment error."""
+def uncertainty_picture(report: CalibrationReport, frame: SensorFrame) -> tuple[Uint8Array, float, float]:
+    """Colour the proximity colour image by the expected alignment error; return the millimetres at the scale's ends."""
     quality, rig = report.chosen, report.rig
     shown = picture(frame, rig, "proximity", "color")
     height, width = shown.gray.shape
@@ -69,7 +59,7 @@ def uncertainty_picture(report: CalibrationReport, frame: SensorFrame) -> Uncert
     known = np.isfinite(where).all(axis=1) & np.isfinite(sigma_px)  # a strongly bending lens has places without a ray
     places, where = places[known], where[known]
     if len(places) < 4:
-        return UncertaintyPicture(shown.pixels, 0.0, 1.0)
+        return shown.pixels, 0.0, 1.0
     sigma_mm = sigma_px[known] * millimetres_per_pixel(places[:, 2], rig)
     v, u = np.mgrid[0:height:_COARSE, 0:width:_COARSE]
     coarse = LinearNDInterpolator(where, sigma_mm)(u, v)
@@ -81,7 +71,7 @@ def uncertainty_picture(report: CalibrationReport, frame: SensorFrame) -> Uncert
     gray = cv2.cvtColor(shown.gray, cv2.COLOR_GRAY2RGB).astype(np.float32)
     weight = (_OPACITY * covered)[:, :, None]
     blended = gray * (1 - weight) + colors * weight
-    return UncertaintyPicture(pack_rgb(blended.astype(np.uint8)), low, high)
+    return pack_rgb(blended.astype(np.uint8)), low, high
 
 
 class QualityPage(QWidget):
@@ -193,9 +183,10 @@ class QualityPage(QWidget):
             self._drawn = (report, snapshot.digest)
             self.job.start(lambda _: uncertainty_picture(report, snapshot.frame))
 
-    def _show_map(self, drawn: UncertaintyPicture) -> None:
-        self.map.set_image(drawn.pixels)
-        self.map.set_legend(ends_legend(f"{drawn.low:.2f} mm", f"{drawn.high:.2f} mm", uncertainty_lut()))
+    def _show_map(self, drawn: tuple[Uint8Array, float, float]) -> None:
+        pixels, low, high = drawn
+        self.map.set_image(pixels)
+        self.map.set_legend(ends_legend(f"{low:.2f} mm", f"{high:.2f} mm", uncertainty_lut()))
         self._show_marks()
 
     def _show_no_map(self, why: str) -> None:

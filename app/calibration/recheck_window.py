@@ -8,10 +8,10 @@ from PyQt6.QtGui import QCloseEvent
 from PyQt6.QtWidgets import QDialog, QWidget
 
 from ...core.calibration.recheck import Drift, recheck
-from ...core.errors import TactuneError, minus
+from ...core.errors import TactuneError
 from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import Preset
-from ...core.rig.drift import DepthChange, MembraneDrift, compare_with_untouched
+from ...core.rig.drift import MembraneDrift, compare_with_untouched
 from ...core.rig.untouched import load_untouched
 from ...widgets.basics.controls import push_button, wrapped_label
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
@@ -93,22 +93,14 @@ class RecheckWindow(QDialog):
         self.drift = alignment if isinstance(alignment, Drift) else None
         self.sentence.setText(alignment if isinstance(alignment, str) else alignment.sentence)
         self.membrane.setText(membrane if isinstance(membrane, str) else membrane.sentence)
-        lines = []
+        self.numbers.setText("")
         if self.drift is not None:
             drift = self.drift
             again = f"; {drift.found} of {drift.stored} clicked points found again" if drift.stored else ""
-            lines.append(f"95 % of {len(drift.tactile)} points are off by less than {drift.worst_px:.2f} px{again}.")
-        if isinstance(membrane, MembraneDrift):
-            changes = f"tactile {_change(membrane.tactile)}; proximity {_change(membrane.proximity)}"
-            lines.append(f"Change of depth since the untouched frame: {changes}.")
-        self.numbers.setText("\n".join(lines))
+            self.numbers.setText(
+                f"95 % of {len(drift.tactile)} points are off by less than {drift.worst_px:.2f} px{again}."
+            )
         self.image.set_marks([] if self.drift is None else _marks(self.drift))
-
-
-def _change(change: DepthChange | None) -> str:
-    if change is None:
-        return "not seen"
-    return minus(f"{1e3 * change.median_m:+.2f} mm, spread {1e3 * change.spread_m:.2f} mm")
 
 
 def _marks(drift: Drift) -> list[Mark]:

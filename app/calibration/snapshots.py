@@ -11,7 +11,7 @@ from ...core.calibration.snapshots import take_snapshot as take_median
 from ...core.model.clouds import valid_depth
 from ...core.model.frames import SensorFrame
 from ..worker.feed import FrameFeed
-from ..worker.jobs import Job, Progress
+from ..worker.jobs import Job
 from ..worker.results import SourceInfo
 from .session import Snapshot
 
@@ -19,12 +19,10 @@ from .session import Snapshot
 FRAMES = 10
 #: Movement of the membrane that would blur an averaged frame, metres; the noise of real cameras stays below.
 MOVED_LIMIT_M = 0.0025
-_WAITING_SHARE = 0.5
 
 
-def take_snapshot(frames: Sequence[SensorFrame], number: int, info: SourceInfo, progress: Progress) -> Snapshot:
+def take_snapshot(frames: Sequence[SensorFrame], number: int, info: SourceInfo) -> Snapshot:
     """Average frames into one snapshot, named after its first frame; frames count from 1."""
-    progress(0.0, "Averaging")
     taken = take_median(frames)
     last = number + frames[-1].sequence - frames[0].sequence
     name = f"Frame {number}" if len(frames) == 1 else f"Frames {number} to {last}"
@@ -49,9 +47,9 @@ class Collector(QObject):
     A recording is read frame by frame, because frames that play may be dropped; afterwards it goes on where it was.
     """
 
-    progress = pyqtSignal(float, str)
+    progress = pyqtSignal(str)
     taken = pyqtSignal(object)
-    failed = pyqtSignal(str)  # empty if the job was cancelled
+    failed = pyqtSignal(str)
 
     def __init__(self, feed: FrameFeed, parent: QObject | None = None) -> None:
         super().__init__(parent)
@@ -62,20 +60,14 @@ class Collector(QObject):
         #: Whether the last snapshot ended where the membrane moves.
         self.moved_on = False
         self._job = Job(self)
-        self._job.progress.connect(
-            lambda share, words: self.progress.emit(_WAITING_SHARE + (1 - _WAITING_SHARE) * share, words)
-        )
         self._job.done.connect(self.taken)
         self._job.failed.connect(self.failed)
         feed.frameArrived.connect(self._take)
 
-    @property
-    def busy(self) -> bool:
-        return self._gathering or self._job.busy
-
     def start(self) -> None:
-        if self.busy:
-            return
+        """Take a snapshot; one that waits for frames begins anew."""
+        if self._gathering:
+            self._end_gathering()
         self._frames, self._gathering, self.moved_on = [], True, False
         self._before = self._feed.playback
         if self._before.seekable and self._before.running:
@@ -83,12 +75,6 @@ class Collector(QObject):
         self._take(self._feed.frame)
         if self._gathering and not self._before.seekable:
             self._feed.play()
-
-    def cancel(self) -> None:
-        if self._gathering:
-            self._end_gathering()
-            self.failed.emit("")
-        self._job.cancel()
 
     def close(self) -> None:
         """Stop permanently."""
@@ -108,7 +94,7 @@ class Collector(QObject):
             self._average()
             return
         self._frames.append(frame)
-        self.progress.emit(_WAITING_SHARE * len(self._frames) / FRAMES, f"Frame {len(self._frames)} of {FRAMES}")
+        self.progress.emit(f"Frame {len(self._frames)} of {FRAMES}…")
         if len(self._frames) == FRAMES or playback.at_end:
             self._average()
         elif playback.seekable:
@@ -117,7 +103,7 @@ class Collector(QObject):
     def _average(self) -> None:
         frames, number = tuple(self._frames), self._before.index + 1
         self._end_gathering()
-        self._job.start(lambda progress: take_snapshot(frames, number, self._feed.info, progress))
+        self._job.start(lambda _: take_snapshot(frames, number, self._feed.info))
 
     def _end_gathering(self) -> None:
         self._gathering, self._frames = False, []

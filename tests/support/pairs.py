@@ -10,7 +10,7 @@ from tactune.core.model.alignment import PointPair
 
 
 def snapshot_of(frame, feed):
-    return take_snapshot([frame], frame.sequence + 1, feed.info, lambda share, words: None)
+    return take_snapshot([frame], frame.sequence + 1, feed.info)
 
 
 def with_pairs(scene, frames, feed, dots=range(0, 63, 5)):

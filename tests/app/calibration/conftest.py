@@ -15,6 +15,7 @@ from PyQt6.QtCore import QEvent, QPoint, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
+from scipy.spatial.transform import Rotation
 
 from tactune.app.calibration.wizard import CalibrationWizard
 from tactune.app.document.document import Document
@@ -36,16 +37,9 @@ NOBODY = Qt.KeyboardModifier.NoModifier
 
 def pose(degrees: tuple[float, float, float], translation_m: tuple[float, float, float]) -> Any:
     """A rigid transform from small turns about x, y, z."""
-    x, y, z = np.radians(degrees)
-    turn = np.eye(3)
-    for axis, angle in enumerate((x, y, z)):
-        a, b = [(1, 2), (2, 0), (0, 1)][axis]
-        one = np.eye(3)
-        one[a, a] = one[b, b] = np.cos(angle)
-        one[a, b], one[b, a] = -np.sin(angle), np.sin(angle)
-        turn = one @ turn
     matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = turn, translation_m
+    matrix[:3, :3] = Rotation.from_euler("xyz", degrees, degrees=True).as_matrix()
+    matrix[:3, 3] = translation_m
     return rigid_transform(matrix)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtTest import QTest
@@ -29,14 +31,7 @@ class TinySource(SeekableSource):
         self._scene, self._frames = scene, list(frames.values())
 
     def read(self, index):
-        frame = self._frames[index % 2]
-        return type(frame)(
-            sequence=index,
-            proximity_depth=frame.proximity_depth,
-            tactile_depth=frame.tactile_depth,
-            proximity_color=frame.proximity_color,
-            tactile_color=frame.tactile_color,
-        )
+        return replace(self._frames[index % 2], sequence=index)
 
 
 @pytest.fixture
@@ -63,7 +58,7 @@ def test_snapshots_come_from_the_present_source(window, scene, frames, qtbot):
     wizard = window.calibration.wizard
     assert wizard is not None and wizard.isVisible()
 
-    wizard.frames.start()
+    wizard.frames.take.click()
     qtbot.waitUntil(lambda: bool(wizard.session.state.snapshots), timeout=15000)
     assert wizard.session.state.snapshots[0].averaged == 1, "the next frame is of another press"
     qtbot.waitUntil(lambda: window.result.frame.sequence == 2, timeout=15000)
@@ -99,14 +94,14 @@ def test_a_snapshot_of_a_playing_recording_has_all_its_frames(window, scene, fra
     qtbot.waitUntil(lambda: window.result.frame.sequence == 0 and not window.transport.state.playing)
     window.actions_.calibrate.trigger()
     wizard = window.calibration.wizard
-    wizard.frames.start()
+    wizard.frames.take.click()
     qtbot.waitUntil(lambda: bool(wizard.session.state.snapshots))
     assert wizard.session.state.snapshots[0].name == "Frames 1 to 6"
     assert wizard.session.state.snapshots[0].averaged == 6
     window.worker.play()
     qtbot.waitUntil(lambda: window.transport.state.playing)
-    wizard.frames.start()
-    qtbot.waitUntil(lambda: not wizard.collector.busy)
+    with qtbot.waitSignal(wizard.collector.taken, timeout=15000):
+        wizard.frames.take.click()
     qtbot.waitUntil(lambda: window.transport.state.playing)
 
 

@@ -91,20 +91,6 @@ def test_next_and_save_wait_for_what_the_footer_says(open_wizard, scene, frames,
     assert step and step not in wizard.verdict.text(), "the next step is said once, on the page Quality"
 
 
-def test_save_preset_saves_the_file_too(open_wizard, scene, frames, feed, document, qtbot, tmp_path):
-    document.save(tmp_path / "tiny.json")
-    wizard = open_wizard()
-    wizard.fileSaveRequested.connect(lambda: document.save(tmp_path / "tiny.json"))
-    fitted(qtbot, wizard, with_pairs(scene, frames, feed))
-    wizard.go_to(SAVE)
-    QTest.mouseClick(wizard.save, LEFT)
-    qtbot.waitUntil(lambda: wizard.messages.message("saved") is not None)
-    assert "tiny.json" in wizard.messages.message("saved").sentence
-    assert not document.dirty
-    assert load_preset(tmp_path / "tiny.json").alignment.calibration is not None
-    assert wizard.steps.button(SAVE).text().endswith("✓")
-
-
 def test_a_file_that_was_not_saved_is_said_and_saved_later(open_wizard, scene, frames, feed, document, qtbot, tmp_path):
     wizard = open_wizard()
     fitted(qtbot, wizard, with_pairs(scene, frames, feed))
@@ -114,3 +100,5 @@ def test_a_file_that_was_not_saved_is_said_and_saved_later(open_wizard, scene, f
     press(wizard.messages.message("saved"), "Save preset")
     assert not document.dirty
     assert "tiny.json" in wizard.messages.message("saved").sentence
+    assert load_preset(tmp_path / "tiny.json").alignment.calibration is not None
+    assert wizard.steps.button(SAVE).text().endswith("✓")
