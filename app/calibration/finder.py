@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from PyQt6.QtCore import QSignalBlocker, Qt
 from PyQt6.QtWidgets import QComboBox, QSpinBox, QWidget
@@ -29,22 +28,15 @@ _TARGETS: dict[Target, tuple[str, str]] = {
 }
 
 
-@dataclass(frozen=True)
-class Found:
-    """The pairs of a search in snapshots, by their digests, and what was found and what was not, in words."""
-
-    pairs: list[PointPair]
-    digests: tuple[str, ...]
-    words: str
-
-
-def find_pairs(choices: Choices, snapshots: Sequence[Snapshot], rig: Rig, progress: Progress) -> Found:
-    """Search every snapshot for points."""
-    many = counted(len(snapshots), "snapshot")
+def find_pairs(
+    choices: Choices, snapshots: Sequence[Snapshot], rig: Rig, progress: Progress
+) -> tuple[list[PointPair], str]:
+    """Search every snapshot for points; return the pairs, and in words what was found and what was not."""
+    pairs: list[PointPair] = []
     if choices.target == "texture":
         pairs, words = _matches(snapshots, rig, progress)
     else:
-        pairs, words = [], ""
+        words = ""
         for number, snapshot in enumerate(snapshots):
             progress(number / len(snapshots), f"Searching {snapshot.name}")
             try:
@@ -53,9 +45,7 @@ def find_pairs(choices: Choices, snapshots: Sequence[Snapshot], rig: Rig, progre
                 words += f" Not in {snapshot.name}: {error}."
         if not pairs:
             raise CalibrationError(words.strip().rstrip("."))
-    return Found(
-        pairs, tuple(snap.digest for snap in snapshots), f"{counted(len(pairs), 'pair')} found in {many}.{words}"
-    )
+    return pairs, f"{counted(len(pairs), 'pair')} found in {counted(len(snapshots), 'snapshot')}.{words}"
 
 
 def _matches(snapshots: Sequence[Snapshot], rig: Rig, progress: Progress) -> tuple[list[PointPair], str]:
@@ -106,6 +96,7 @@ class Finder(QWidget):
     def __init__(self, session: Session) -> None:
         super().__init__()
         self._session = session
+        self._searched: tuple[str, ...] = ()
         gestures = GestureClock()
         self.job = Job(self)
         self.search = push_button(
@@ -148,6 +139,7 @@ class Finder(QWidget):
     def find_points(self) -> None:
         """Search all snapshots, on another thread."""
         state, rig = self._session.state, self._session.rig
+        self._searched = state.digests
         self.job.start(lambda progress: find_pairs(state.choices, state.snapshots, rig, progress))
 
     def _show_state(self, state: SessionState) -> None:
@@ -166,18 +158,19 @@ class Finder(QWidget):
         self.words.setVisible(not busy)
         self.search.setEnabled(not busy and bool(self._session.state.snapshots))
 
-    def _found(self, found: Found) -> None:
+    def _found(self, found: tuple[list[PointPair], str]) -> None:
         """Add what the session does not have yet; nothing is selected, as hundreds of rings would hide the images."""
+        pairs, words = found
         state = self._session.state
         have = {(pair.snapshot, pair.proximity, pair.tactile) for pair in state.pairs}
-        pairs = renumbered(found.pairs, found.digests, state.digests)  # one may be removed during the search
-        present = [pair for pair in pairs if pair.snapshot is not None]
+        present = renumbered(pairs, self._searched, state.digests)  # one may be removed during the search
+        present = tuple(pair for pair in present if pair.snapshot is not None)
         new = [pair for pair in present if (pair.snapshot, pair.proximity, pair.tactile) not in have]
         if new:
             self._session.add_pairs(new, f"Find {counted(len(new), 'pair')}")
             self._session.select(())
         known = len(present) - len(new)
-        self.words.setText(found.words + (f" {known} of them were pairs already." if known else ""))
+        self.words.setText(words + (f" {known} of them were pairs already." if known else ""))
 
     def _failed(self, sentence: str) -> None:
         self.words.setText(sentence[:1].upper() + sentence[1:] if sentence else "Cancelled; no pairs were added.")
