@@ -19,6 +19,6 @@ else
     echo "There is no display; doing the same job without it."
 fi
 "$tactune" run --source "$source" --preset "$preset" --frames 90 --out "$out/patches"
-set -- gui --source "$source" --preset "$preset" --screenshot "$out/window.png" --after 30
+set -- gui --source "$source" --preset "$preset" --screenshot "$out/window.png"
 QT_QPA_PLATFORM=offscreen "$tactune" "$@"
 echo "Patches are in $out/patches, the window is in $out/window.png; to see it live, run make run on a machine with a screen or over ssh -X."

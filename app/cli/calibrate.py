@@ -11,7 +11,6 @@ import typer
 
 from ...core.errors import CalibrationError, FrameError
 from .common import (
-    AveragedFrames,
     CliProgress,
     JsonOption,
     UntouchedSource,
@@ -44,10 +43,6 @@ def calibrate(
     model: Annotated[
         Literal["auto", "homography", "rigid"], typer.Option(help="auto: fit both and take the better one.")
     ] = "auto",
-    depth_fit: Annotated[
-        Literal["auto", "none", "offset"],
-        typer.Option("--depth-fit", help="Also fit an offset of the tactile depth. auto: if it is certain."),
-    ] = "auto",
     as_json: JsonOption = False,
     out: Annotated[
         Path | None,
@@ -66,7 +61,7 @@ def calibrate(
     base = None
     if out is not None:
         base = load_preset(out) if out.exists() else Preset().with_value("name", out.stem)
-    report = fit(pairs, cameras, model, depth_fit=depth_fit)
+    report = fit(pairs, cameras, model)
     if out is not None and base is not None:
         save_preset(report.apply_to(base), out)
     emit(report.to_json(), report.words() + ("" if out is None else f"\nwrote {out}"), as_json)
@@ -76,7 +71,6 @@ def recheck(
     *,
     source: UntouchedSource,
     preset: Annotated[str, typer.Option("--preset", "-p", metavar="FILE|NAME", help="The preset to check.")],
-    frames: AveragedFrames = 15,
     as_json: JsonOption = False,
 ) -> None:
     """Check whether the cameras have moved or the membrane's inflation has changed since the preset was made.
@@ -94,7 +88,7 @@ def recheck(
     checked = load_preset(preset)
     untouched = None if checked.untouched is None else load_untouched(checked.untouched, Path(preset))
     with open_with_progress(source, checked.cameras) as opened:
-        now, rig = average_frames(opened, frames).frame, opened.rig
+        now, rig = average_frames(opened).frame, opened.rig
     found: dict[str, Any] = {}
     try:
         drift = recheck_alignment(checked, rig, now)
@@ -123,17 +117,13 @@ def create_rig(
     *,
     proximity: Annotated[str, typer.Option(metavar="LENS", help=_LENS_HELP.format("proximity"))] = "L515",
     tactile: Annotated[str, typer.Option(metavar="LENS", help=_LENS_HELP.format("tactile"))] = "D405",
-    proximity_color: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LENS",
-            help="The same of its colour images, where they have another size than the depth images. Default: the "
-            "model of --proximity, from the connected camera if --proximity says so, else the maker's values.",
-        ),
-    ] = None,
     corners: Annotated[str, typer.Option(metavar="CxR", help="Inner corners of the chessboard.")] = "9x6",
 ) -> None:
-    """Write the rig.json of a folder of images. The pose of the cameras is a matter of tactune calibrate."""
+    """Write the rig.json of a folder of images. The pose of the cameras is a matter of tactune calibrate.
+
+    Colour images of another size than the depth images get the lens that the connected camera states if --proximity
+    says =camera, else the maker's.
+    """
     from ...core.calibration.lens import make_rig
     from ...core.sources.folder import first_image_sizes, write_rig
 
@@ -148,8 +138,7 @@ def create_rig(
     }
     if sizes["proximity_color.png"] != sizes["proximity_depth.png"]:
         model, _, how = proximity.partition("=")
-        color = proximity_color or (proximity if how == "camera" else model)
-        lens = _camera(color, "colour", sizes["proximity_color.png"], size)
+        lens = _camera(proximity if how == "camera" else model, "colour", sizes["proximity_color.png"], size)
         cameras["proximity_color"] = {key: lens[key] for key in lens if key not in ("model", "depth_unit_m")}
     write_rig(folder, make_rig(cameras))
     typer.echo(f"wrote {folder / 'rig.json'}")

@@ -5,14 +5,11 @@ Everything heavy is imported inside the functions, since ``tactune --help`` impo
 
 from __future__ import annotations
 
-import io
 import json
-import os
-import select
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -35,6 +32,8 @@ if TYPE_CHECKING:
 SOURCE = "sim"
 #: Exit status after Ctrl+C or SIGTERM, as shells use it.
 INTERRUPTED_STATUS = 130
+#: Number of frames of the untouched membrane that are averaged.
+AVERAGED = 15
 #: Interval at which a command that waits for a live source checks for Ctrl+C, seconds.
 WAIT_S = 0.2
 
@@ -60,13 +59,9 @@ PresetOption = Annotated[
         help="A preset file or shipped name; default: the recording's own, simulator for sim, else default.",
     ),
 ]
-ForceOption = Annotated[bool, typer.Option("--force", help="Replace a file that is already there.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 FrameCount = Annotated[
     int | None, typer.Option("--frames", "-n", min=1, metavar="N", help="Stop after N frames; default: all.")
-]
-AveragedFrames = Annotated[
-    int, typer.Option("--frames", "-n", min=1, max=1000, metavar="N", help="Number of frames to average.")
 ]
 
 
@@ -102,13 +97,12 @@ def _cell_text(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def refuse_existing(path: Path, force: bool) -> None:
-    """Raise unless a file can be written there: over another file only by ``--force``, never over anything else."""
+def refuse_existing(path: Path) -> None:
+    """Raise unless a new file can be written there."""
     from ...core.model.files import check_writable
 
-    if path.exists() and not (force and path.is_file()):
-        how = "choose another name or give --force" if path.is_file() else "choose another name"
-        raise ExportError(f"{path} is already there; {how}")
+    if path.exists():
+        raise ExportError(f"{path} is already there; choose another name or remove it first")
     check_writable(path)
 
 
@@ -181,49 +175,6 @@ def stop_on_signals() -> Iterator[threading.Event]:
         yield stopped
     finally:
         restore()
-
-
-class LineOutput:
-    """Standard output as lines for a reader that may be slow, or go away: then ``reader_gone`` is true."""
-
-    def __init__(self, stopped: threading.Event) -> None:
-        self.reader_gone = False
-        self._stopped = stopped
-        self._poll: select.poll | None = None
-        # Not a file of the system (or none, or a system without poll): it never makes anybody wait.
-        with suppress(io.UnsupportedOperation, AttributeError):
-            poll = select.poll()
-            poll.register(sys.stdout.fileno(), select.POLLOUT)
-            self._poll = poll
-
-    def write(self, line: str) -> None:
-        """Write a line at once; while the reader does not read, wait until it does or a signal comes."""
-        while not self.look(WAIT_S):
-            if self._stopped.is_set():
-                return
-        try:
-            typer.echo(line)
-        except BrokenPipeError:
-            self._leave()
-
-    def look(self, timeout_s: float = 0.0) -> bool:
-        """Return whether a line can be written without waiting; notice if the reader has gone."""
-        if self._poll is None:
-            return True
-        events = self._poll.poll(1e3 * timeout_s)
-        if any(event & select.POLLERR for _, event in events):
-            self._leave()
-            return False
-        return bool(events)
-
-    def _leave(self) -> None:
-        """End the command, and keep Python from writing the rest to the broken pipe at its exit."""
-        if not self.reader_gone:
-            self.reader_gone = True
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, sys.stdout.fileno())
-            os.close(nowhere)
-        self._stopped.set()
 
 
 def parse_settings(texts: Sequence[str] | None) -> dict[str, Any]:
@@ -300,10 +251,8 @@ def tell_of_stop(source: FrameSource, done: int, asked: int | None) -> None:
         raise typer.Exit(INTERRUPTED_STATUS)
 
 
-def live_frames(
-    source: FrameSource, total: int | None, stopped: threading.Event, idle: Callable[[], object] = lambda: None
-) -> Iterator[SensorFrame]:
-    """Yield frames until there are ``total``, the source ends or ``stopped`` is set; call ``idle`` while none comes.
+def live_frames(source: FrameSource, total: int | None, stopped: threading.Event) -> Iterator[SensorFrame]:
+    """Yield frames until there are ``total``, the source ends or ``stopped`` is set.
 
     A rig whose depth unit puts the membrane where it cannot be gives a warning.
     """
@@ -312,7 +261,6 @@ def live_frames(
     count = 0
     while count != total and not stopped.is_set():
         if not source.wait(WAIT_S):
-            idle()
             continue
         frame = source.next_frame()
         if frame is None:
@@ -340,15 +288,15 @@ def find_rig(name: str) -> Rig:
         return source.rig
 
 
-def average_frames(source: FrameSource, frames: int) -> UntouchedAverage:
+def average_frames(source: FrameSource) -> UntouchedAverage:
     """Average the next frames of the untouched membrane; the simulator removes its object, with a warning."""
     from ...core.rig.untouched import average_untouched, frames_to_average
     from ...core.sources.simulator.source import SimulatorSource
 
     if isinstance(source, SimulatorSource):
         warn(f"{source.name} is simulated: its object is removed for this, so nothing touches the membrane")
-    with frames_to_average(source, frames) as shown, CliProgress() as progress:
-        return average_untouched(counted_out(shown, frames, progress))
+    with frames_to_average(source, AVERAGED) as shown, CliProgress() as progress:
+        return average_untouched(counted_out(shown, AVERAGED, progress))
 
 
 def counted_out(frames: Iterable[SensorFrame], total: int, progress: CliProgress) -> Iterator[SensorFrame]:

@@ -11,7 +11,7 @@ import typer
 from ...core.errors import as_sentence
 from ..doctor.checks import State
 from ..sources.list_devices import ask_driver
-from .common import CliProgress, JsonOption, emit
+from .common import CliProgress, warn
 
 #: Exit status of ``devices`` if no camera is connected.
 NONE_STATUS = 1
@@ -19,10 +19,7 @@ NONE_STATUS = 1
 FAILED_STATUS = 1
 
 
-def devices(
-    *,
-    as_json: JsonOption = False,
-) -> None:
+def devices() -> None:
     """List the connected cameras: model, serial number, firmware and USB version.
 
     Exit status 0 if a camera is connected, 1 if none is, 2 if the camera driver is missing or fails.
@@ -30,8 +27,7 @@ def devices(
     answer = ask_driver()
     found: list[dict[str, Any]] = answer["devices"]
     notes = [*_notes(found), *map(as_sentence, answer.get("problems", []))]
-    words = "\n".join([*(line for device in found for line in _words(device)), *notes])
-    emit({"devices": found, "notes": notes}, words, as_json)
+    typer.echo("\n".join([*(line for device in found for line in _words(device)), *notes]))
     if not found:
         raise typer.Exit(NONE_STATUS)
 
@@ -39,7 +35,7 @@ def devices(
 def _notes(found: Sequence[dict[str, Any]]) -> list[str]:
     """Return sentences on missing cameras and their causes."""
     from ...core.sources.cameras.realsense import driver_version, no_l515_sentence
-    from ..doctor.cameras import usb_cameras
+    from ..doctor.computer import usb_cameras
 
     notes = []
     plugged = usb_cameras()
@@ -67,30 +63,26 @@ def _words(device: dict[str, Any]) -> list[str]:
     return lines
 
 
-def doctor(
-    *,
-    as_json: JsonOption = False,
-) -> None:
+def doctor() -> None:
     """Check Python, packages, camera driver, USB, permissions, Qt and display, and name a remedy for each problem.
 
     Exit status 0 if no check fails (warnings concern only some uses), 1 if one does.
     """
-    from ..doctor.report import check_computer, report
+    from ..doctor.computer import check_computer, report
 
     lines = check_computer()
-    failed = [line for line in lines if line.state is State.FAIL]
-    emit({"ok": not failed, "checks": [line.to_json() for line in lines]}, report(lines), as_json)
-    if failed:
+    typer.echo(report(lines))
+    if any(line.state is State.FAIL for line in lines):
         raise typer.Exit(FAILED_STATUS)
 
 
 def warmup() -> None:
     """Compile the pipeline for this computer, so that a robot's first frame need not wait."""
-    from ...core.warmup import is_compiled, warm_up
+    from ...core.warmup import warm_up
 
     started = time.perf_counter()
     with CliProgress() as progress:
-        result = warm_up(progress.preparing) if not is_compiled() else warm_up()
+        result = warm_up(progress.preparing)
     seconds = time.perf_counter() - started
     if result.compiled:
         typer.echo(f"compiled {result.compiled} kernels and loaded {result.loaded} in {seconds:.1f} s")
@@ -99,8 +91,4 @@ def warmup() -> None:
     if result.folders:
         typer.echo("kept in " + ", ".join(str(folder) for folder in result.folders))
     else:
-        typer.echo(
-            "tactune: no cache folder is writable, so every start compiles again; "
-            "set NUMBA_CACHE_DIR to a writable folder",
-            err=True,
-        )
+        warn("no cache folder is writable, so every start compiles again; set NUMBA_CACHE_DIR to a writable folder")

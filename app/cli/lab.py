@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import itertools
-import sys
 from collections import deque
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,15 +17,12 @@ from .common import (
     SOURCE,
     CliProgress,
     FrameCount,
-    JsonOption,
     PresetOption,
     SourceOption,
     default_preset,
-    emit,
     number_of_frames,
     open_with_progress,
     table_text,
-    tell_notes,
     warn,
 )
 
@@ -40,6 +36,8 @@ if TYPE_CHECKING:
     from ...core.sources import FrameSource
 
 Record = dict[str, Any]
+#: Rounds of each engine of the benchmark.
+_ROUNDS = 15
 
 CsvOption = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Also write the lines to a CSV file.")]
 
@@ -71,32 +69,20 @@ def table(
         bool,
         typer.Option("--held-out", help="Use sensors, a membrane, objects and seeds that no method was developed on."),
     ] = False,
-    rig: Annotated[
-        Literal["measured", "unmeasured"], typer.Option(help="Measure noise and bias of each rig first, or not.")
-    ] = "measured",
-    preset: Annotated[
-        str, typer.Option("--preset", "-p", metavar="FILE|NAME", help="The preset of all methods.")
-    ] = "simulator",
-    work: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder for finished cells, so that the command can go on; default: cache."),
-    ] = None,
     csv_file: CsvOption = None,
-    as_json: JsonOption = False,
 ) -> None:
     """Compare methods on simulated presses with known truth, on one or more sensors."""
     from platformdirs import user_cache_dir
 
-    from ...core.lab.table import cell_line, measure_table, plan_table, table_json, table_text, time_table
+    from ...core.lab.table import cell_line, measure_table, plan_table, table_text, time_table
     from ...core.sources.presets import load_preset
     from ...core.sources.simulator.sensors import DEFAULT_SENSOR
 
     if csv_file is not None:
         check_writable(csv_file)
-    chosen = load_preset(preset)
     plan = plan_table(
-        chosen,
-        work or Path(user_cache_dir("tactune")) / "table",
+        load_preset("simulator"),
+        Path(user_cache_dir("tactune")) / "table",
         methods=_names(methods),
         objects=_names(objects),
         presses=_names(presses),
@@ -104,9 +90,7 @@ def table(
         membranes=_names(membranes),
         seeds=seeds,
         held_out=held_out,
-        rig_measured=rig == "measured",
     )
-    tell_notes(chosen)
     cells: list[Cell] = []
     done = 0
     try:
@@ -122,7 +106,7 @@ def table(
         write_csv(csv_file, [asdict(cell) for cell in cells])
     order = {name: place for place, name in enumerate(plan.methods)}
     cells.sort(key=lambda cell: order[cell.method])
-    emit(table_json(cells, times), table_text(cells, times), as_json)
+    typer.echo(table_text(cells, times))
 
 
 def _names(text: str) -> tuple[str, ...]:
@@ -155,7 +139,6 @@ def strain(
         ),
     ] = 1,
     csv_file: CsvOption = None,
-    as_json: JsonOption = False,
 ) -> None:  # fmt: skip
     """Measure membrane strain from a printed grid of dots.
 
@@ -175,7 +158,7 @@ def strain(
     latest: deque[SensorFrame] = deque(maxlen=average)
     with (
         open_with_progress(source, chosen.cameras) as opened,
-        CliProgress(quiet=as_json and sys.stdout.isatty()) as progress,
+        CliProgress() as progress,
     ):
         total, kept = number_of_frames(opened, frames), kept_untouched(chosen, origin, opened)
         untouched = kept.frame
@@ -199,7 +182,7 @@ def strain(
     if csv_file is not None:
         names = dict.fromkeys(name for record in records for name in record)
         write_csv(csv_file, [names | record for record in records])
-    emit({"frames": records}, table_text(records), as_json)
+    typer.echo(table_text(records))
 
 
 def _strain_record(frame: SensorFrame, displacement_m: float, measured: StrainMeasurement) -> Record:
@@ -223,7 +206,7 @@ def _strain_record(frame: SensorFrame, displacement_m: float, measured: StrainMe
 
 
 @lab_commands.command(short_help="Compare methods with the contact on a painted 3D scan.")
-def scan(  # noqa: PLR0915  # one thought: options, pose, frames, words
+def scan(
     *,
     source: SourceOption = SOURCE,
     scan: Annotated[
@@ -254,21 +237,16 @@ def scan(  # noqa: PLR0915  # one thought: options, pose, frames, words
         list[str] | None,
         typer.Option(
             metavar="NAME=VALUE",
-            help="Colour of touched paint and filter of its spots: hue=150:179 (0-179; may wrap), "
-            "saturation=40:255, value=60:255, least_area_mm2=20, largest=0. May be repeated.",
+            help="Colour of touched paint and filter of its spots: hue=[150,179] (0-179; may wrap), "
+            "saturation=[40,255], value=[60,255], least_area_mm2=20, largest=0. May be repeated.",
         ),
     ] = None,
-    save_transform: Annotated[
-        Path | None, typer.Option(metavar="FILE.json", help="Write the pose that was used, refined or not.")
-    ] = None,
     csv_file: CsvOption = None,
-    as_json: JsonOption = False,
 ) -> None:
     """Compare methods with the contact that thermochromic paint shows on the object's 3D scan.
 
     --refine hides errors that all patch points share; a pose that was measured without the patch is fairer.
     """
-    from ...core.lab import scan as lab_scan
     from ...core.lab.methods import check_methods, method_names, patch_area_mm2
     from ...core.lab.scan import (
         load_scan,
@@ -280,8 +258,8 @@ def scan(  # noqa: PLR0915  # one thought: options, pose, frames, words
     )
     from ...core.sources.presets import load_preset
 
-    for target in filter(None, (csv_file, save_transform)):
-        check_writable(target)
+    if csv_file is not None:
+        check_writable(csv_file)
     settings, unit_m = _paint(paint or []), UNITS_M[unit or MeshUnit.M]
     names = () if not methods else _names(methods) or method_names()
     check_methods(names)
@@ -319,17 +297,13 @@ def scan(  # noqa: PLR0915  # one thought: options, pose, frames, words
                 records.append(record)
     if not records:
         raise SourceError(f"{source} has no frame {frame}; check --frame and the source")
-    if save_transform is not None:
-        lab_scan.save_transform(save_transform, pose)
     if csv_file is not None:
         write_csv(csv_file, records)
-    icp = None if refined is None else {key: value for key, value in asdict(refined).items() if key[0] != "T"}
-    whole = {"contact_mm2": truth.area_mm2, "T_proximity_scan": pose, "refined": icp, "results": records}
-    head = f"painted contact: {truth.area_mm2:.0f} mm2"
-    if icp is not None:
-        head += f"\nICP: {1e3 * icp['rmse_m']:.3f} mm over {icp['pairs']} pairs, {icp['iterations']} rounds"
-        head += "" if icp["converged"] else ", not converged"
-    emit(whole, f"{head}\n{table_text(records)}", as_json)
+    typer.echo(f"painted contact: {truth.area_mm2:.0f} mm2")
+    if refined is not None:
+        end = "" if refined.converged else ", not converged"
+        typer.echo(f"ICP: {1e3 * refined.rmse_m:.3f} mm over {counted(refined.pairs, 'pair')}{end}")
+    typer.echo(table_text(records))
 
 
 def _finds(names: tuple[str, ...], preset: Preset, origin: str, source: FrameSource) -> dict[str, Find]:
@@ -351,21 +325,18 @@ def _finds(names: tuple[str, ...], preset: Preset, origin: str, source: FrameSou
 
 
 def _paint(words: list[str]) -> PaintSettings:
-    """Turn ``NAME=VALUE`` texts such as ``hue=150:179`` into settings; the others keep their defaults."""
+    """Turn ``NAME=VALUE`` texts such as ``hue=[150,179]`` into settings; the others keep their defaults."""
     from ...core.lab.scan import PaintSettings
+    from ...core.preset.preset import json_or_word
 
     values: Record = {}
     for word in words:
         name, _, text = word.partition("=")
         if name not in PaintSettings.__dataclass_fields__:
             raise TactuneError(f"--paint knows no {name!r}; known are {', '.join(PaintSettings.__dataclass_fields__)}")
-        try:
-            if name in ("hue", "saturation", "value"):
-                values[name] = tuple(map(int, text.split(":", 1)))
-            else:
-                values[name] = float(text) if name == "least_area_mm2" else int(text)
-        except ValueError as error:
-            raise TactuneError(f"--paint {word!r} cannot be read; write hue=150:179, largest=2 and the like") from error
+        values[name] = json_or_word(text)
+        if name in ("least_area_mm2", "largest") and not isinstance(values[name], int | float):
+            raise TactuneError(f"--paint {word}: write a number, such as {name}=2")
     settings = PaintSettings(**values)
     settings.color_range()
     return settings
@@ -390,50 +361,31 @@ def bench(
     engines: Annotated[
         str, typer.Option("--engines", metavar="A,B", help="Engines besides the baseline, or 'all'.")
     ] = "all",
-    rounds: Annotated[int, typer.Option("--rounds", min=3, metavar="N", help="Rounds per engine.")] = 15,
     gate: Annotated[
         bool, typer.Option("--gate", help="Check only the promised speed; exit status 1 if a check fails.")
     ] = False,
-    stability: Annotated[
-        int, typer.Option("--stability", min=0, metavar="N", help="Instead compare N random frames with float64.")
-    ] = 0,
-    as_json: JsonOption = False,
 ) -> None:
-    """Measure run time and error of the pipeline beside NumPy, OpenCV and Open3D; with --gate check the promised speed.
-
-    --stability also changes parameters and frames N times and compares with a new pipeline; exit status 1 for a
-    difference that rounding does not explain.
-    """
+    """Measure run time and error beside NumPy, OpenCV and Open3D; with --gate check the promised speed."""
     from ...core.lab import bench as lab_bench
     from ...core.lab.bench_scenes import scene_names
-    from ...core.lab.stability import check_long_run, check_stability
 
-    if stability:
-        with CliProgress(quiet=as_json) as progress:
-            report = check_stability(stability, 0, lambda share: progress.preparing(share, "comparing frames"))
-            run = check_long_run(stability, 0, lambda share: progress.preparing(share, "changing parameters"))
-        record: Record = {"stability": asdict(report), "long_run": asdict(run)}
-        emit(record, f"{report.words()}\n{run.words()}", as_json)
-        raise typer.Exit(1 if report.unexplained or run.different else 0)
     facts = lab_bench.machine_facts()
     if "open3d" not in facts["packages"]:
         raise TactuneError("the benchmark compares with open3d, which is not installed: pip install 'tactune[lab]'")
     head = f"{facts['processor']}, {facts['cores']} cores, {facts['memory_gib']} GiB, load {facts['load_1min']}; "
     head += ", ".join(f"{name} {number}" for name, number in facts["packages"].items())
-    with CliProgress(quiet=as_json) as progress:
+    with CliProgress() as progress:
         if gate:
-            checks = lab_bench.run_gate(rounds, progress.preparing)
+            checks = lab_bench.run_gate(_ROUNDS, progress.preparing)
         else:
             chosen = [_known("engine", engines, list(lab_bench.ENGINES)), _known("scene", scenes, scene_names())]
-            rows = lab_bench.compare_engines(chosen[1], chosen[0], rounds, progress.preparing)
-    if gate:
-        record = {"machine": facts, "checks": [asdict(check) | {"holds": check.holds} for check in checks]}
-        emit(record, "\n".join([head, *map(str, checks)]), as_json)
-        raise typer.Exit(0 if all(check.holds for check in checks) else 1)
-    numbers = [
-        {key: finite_or_none(v) if isinstance(v, float) else v for key, v in asdict(row).items()} for row in rows
-    ]
-    emit({"machine": facts, "rows": numbers}, f"{head}\n\n{lab_bench.rows_text(rows)}", as_json)
+            rows = lab_bench.compare_engines(chosen[1], chosen[0], _ROUNDS, progress.preparing)
+    if not gate:
+        typer.echo(f"{head}\n\n{lab_bench.rows_text(rows)}")
+        return
+    typer.echo("\n".join([head, *map(str, checks)]))
+    if not all(check.holds for check in checks):
+        raise typer.Exit(1)
 
 
 def _known(what: str, text: str, known: list[str] | tuple[str, ...]) -> list[str]:

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import ctypes
 import os
-import re
 import sys
 from importlib.metadata import version
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
@@ -32,6 +31,8 @@ from .tune import tune
 
 #: Exit status of errors that the person can correct: a wrong option, a wrong file.
 USAGE_STATUS = 2
+#: Frames that are shown before ``gui --screenshot``.
+FRAMES_BEFORE_PICTURE = 30
 #: The commands as the help lists them.
 GROUPS = {
     "Every day": ("gui", "run", "calibrate", "record", "convert", "devices", "doctor"),
@@ -85,8 +86,8 @@ commands.add_typer(lab_commands, name="lab", short_help="For papers: tables of m
 def main() -> int:
     """Run the command line and return its exit status.
 
-    0: done; 1: a check failed; 2: an error that the person can correct, in one sentence; 130: interrupted;
-    141: the reader of standard output has gone (``tactune run --json``).
+    0: done; 1: a check failed, or the reader of standard output has gone; 2: an error that the person can correct, in
+    one sentence; 130: interrupted.
     """
     # The matrices are small: more threads of NumPy's BLAS would only spin while they wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -114,7 +115,7 @@ def _start(
     if show_version:
         typer.echo(f"tactune {version('tactune')}")
     elif context.invoked_subcommand is None:
-        raise typer.Exit(_open_window(SOURCE, None, None, 0))
+        raise typer.Exit(_open_window(SOURCE, None, None))
 
 
 @commands.command(short_help="Open the window, as without a command.")
@@ -126,22 +127,11 @@ def gui(
         Path | None,
         typer.Option(metavar="FILE", help="Save a picture of the window to a .png or .jpg file and close it."),
     ] = None,
-    after: Annotated[int, typer.Option(min=1, metavar="N", help="Frames to show before the picture.")] = 30,
-    size: Annotated[str | None, typer.Option(metavar="WxH", help="Size of the window, such as 1280x800.")] = None,
-    theme: Annotated[
-        Literal["light", "dark", "system"] | None, typer.Option(help="Default: the theme used last.")
-    ] = None,
 ) -> None:
     """Open the window."""
     if screenshot is not None and screenshot.suffix.lower() not in (".png", ".jpg"):
         raise typer.BadParameter(f"--screenshot is {screenshot}; give a file that ends in .png or .jpg")
-    width_height = None
-    if size is not None:
-        match = re.fullmatch(r"([1-9][0-9]{2,4})x([1-9][0-9]{2,4})", size)
-        if match is None:
-            raise typer.BadParameter(f"--size is {size!r}; write width x height in pixels, such as 1280x800")
-        width_height = int(match[1]), int(match[2])
-    raise typer.Exit(_open_window(source, preset, screenshot, after, size=width_height, theme=theme))
+    raise typer.Exit(_open_window(source, preset, screenshot))
 
 
 def _check_x_display() -> None:
@@ -165,15 +155,7 @@ def _check_x_display() -> None:
         )
 
 
-def _open_window(
-    source: str,
-    preset: str | None,
-    screenshot: Path | None,
-    after: int,
-    *,
-    size: tuple[int, int] | None = None,
-    theme: str | None = None,
-) -> int:
+def _open_window(source: str, preset: str | None, screenshot: Path | None) -> int:
     if sys.platform == "linux" and not any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"))):
         raise TactuneError(
             "there is no display to open a window on; use tactune run, or QT_QPA_PLATFORM=offscreen for a picture"
@@ -195,7 +177,7 @@ def _open_window(
             f"the window needs a library of the operating system ({error}); install it, "
             "or use tactune run, which works without it"
         ) from error
-    return run_gui(source, preset or default_preset(source), screenshot, after, size=size, theme=theme)
+    return run_gui(source, preset or default_preset(source), screenshot, FRAMES_BEFORE_PICTURE)
 
 
 if __name__ == "__main__":

@@ -12,16 +12,13 @@ import typer
 
 from ...core.errors import CalibrationError, PresetError, TactuneError, counted
 from .common import (
-    AveragedFrames,
+    AVERAGED,
     CliProgress,
-    ForceOption,
-    JsonOption,
     PresetOption,
     UntouchedSource,
     average_frames,
     counted_out,
     default_preset,
-    emit,
     find_rig,
     open_for_preset,
     parse_settings,
@@ -34,6 +31,9 @@ if TYPE_CHECKING:
     from ...core.model.frames import Rig, SensorFrame
     from ...core.preset import Preset, RigNoise
     from ...core.sources import FrameSource
+
+#: Number of frames of which the rig's noise is measured.
+_MEASURED = 60
 
 preset_commands = typer.Typer(
     help="Make, show, check and improve presets and rigs.",
@@ -68,7 +68,6 @@ def new(
             "test, such as tolerance.t, outliers.k or membrane.frames, chooses that test.",
         ),
     ] = None,
-    force: ForceOption = False,
 ) -> None:
     """Write a new preset: the paper's values or those of another preset, changed by --set."""
     from ...core.preset import Preset, now
@@ -76,7 +75,7 @@ def new(
     from ...core.rig.untouched import copy_untouched
     from ...core.sources.presets import load_preset
 
-    refuse_existing(out, force)
+    refuse_existing(out)
     values = {"name": out.stem, **parse_settings(settings)}
     base = Preset() if start is None else load_preset(start)
     made_for = base.rig if rig is None else find_rig(rig)
@@ -130,7 +129,6 @@ def capture_untouched(
     *,
     source: UntouchedSource,
     preset: Annotated[Path, typer.Option("--preset", "-p", metavar="FILE", help="The preset file to change.")],
-    frames: AveragedFrames = 15,
     force: Annotated[
         bool, typer.Option("--force", help="Keep the frame even if the preset finds contact in it.")
     ] = False,
@@ -152,12 +150,12 @@ def capture_untouched(
         )
     chosen = load_preset(preset)
     with open_for_preset(source, chosen) as opened:
-        captured = average_frames(opened, frames)
+        captured = average_frames(opened)
         _check_untouched(chosen, preset, opened.rig, captured.frame, force=force)
     record = save_untouched(captured.frame, captured.frames, preset)
     save_preset(chosen.model_copy(update={"untouched": record, "modified": now()}), preset)
-    if captured.frames < frames:
-        warn(f"{opened.name} ended after {captured.frames} of the {frames} frames asked for")
+    if captured.frames < AVERAGED:
+        warn(f"{opened.name} has only {captured.frames} of the {AVERAGED} frames to average")
     before, after = (1e3 * opened.rig.tactile.depth_unit_m * counts for counts in captured.noise_counts)
     noise = "" if math.isnan(before) else f": noise of the tactile depth {before:.2f} mm before, {after:.2f} mm after"
     typer.echo(f"averaged {counted(captured.frames, 'frame')} of {opened.name}{noise}")
@@ -171,15 +169,10 @@ def measure_rig(
         str, typer.Option("--source", "-s", metavar="SOURCE", help="Frames of a scene at rest, at least 10.")
     ],
     preset: PresetOption = None,
-    frames: Annotated[
-        int, typer.Option("--frames", "-n", min=10, max=300, metavar="N", help="Number of frames to measure.")
-    ] = 60,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", metavar="FILE", help="The preset file to write; default: the file of --preset."),
     ] = None,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
 ) -> None:
     """Measure the noise of both cameras and the bias between them, and store them in a preset.
 
@@ -193,17 +186,16 @@ def measure_rig(
     origin = preset or default_preset(source)
     target = out or (None if preset is None else Path(preset))
     if target is not None:
-        check_target(target, preset, force=force)
+        check_target(target, preset)
     chosen = load_preset(origin)
     with open_for_preset(source, chosen) as opened:
-        noise = _measure_noise(opened, chosen, origin, frames)
-    emit(noise.model_dump(mode="json"), "\n".join(describe(noise)), as_json)
+        noise = _measure_noise(opened, chosen, origin)
+    typer.echo("\n".join(describe(noise)))
     if target is None:
         warn("nothing was written; add --out FILE, or --preset with a preset file, to keep the measurement")
         return
     save_changed(chosen.model_copy(update={"noise": noise}), origin, target)
-    if not as_json:
-        typer.echo(f"wrote {target}")
+    typer.echo(f"wrote {target}")
 
 
 @preset_commands.command()
@@ -231,17 +223,17 @@ def _check_untouched(preset: Preset, path: Path, rig: Rig, membrane: SensorFrame
         warn(sentence)
 
 
-def check_target(target: Path, preset: str | None, *, force: bool) -> None:
-    """Raise unless the preset can be written there: never over a shipped one, over another file only by ``force``."""
+def check_target(target: Path, preset: str | None) -> None:
+    """Raise unless a changed preset can be written there: into a new file, or the preset's own unless it is shipped."""
     import importlib.resources
 
     shipped = Path(str(importlib.resources.files("tactune.presets"))).resolve()
     if target.suffix == ".mcap" or target.resolve().parent == shipped:
         raise PresetError(f"{target} is a recording or a shipped preset and stays as it is; add --out FILE")
-    own = preset is not None and target == Path(preset)
-    if own and not target.is_file():
+    if preset is None or target != Path(preset):
+        refuse_existing(target)
+    elif not target.is_file():
         raise PresetError(f"{target} is no preset file, so nothing can be stored in it; add --out FILE")
-    refuse_existing(target, force or own)
 
 
 def save_changed(preset: Preset, origin: str, target: Path) -> None:
@@ -256,7 +248,7 @@ def save_changed(preset: Preset, origin: str, target: Path) -> None:
     save_preset(preset.model_copy(update={"name": name, "modified": now()}), target)
 
 
-def _measure_noise(source: FrameSource, preset: Preset, origin: str, count: int) -> RigNoise:
+def _measure_noise(source: FrameSource, preset: Preset, origin: str) -> RigNoise:
     """Measure the next frames of a source, with the preset's or the source's untouched frame."""
     from ...core.rig.noise import frames_at_rest, measure_noise, object_moves
     from ...core.rig.untouched import find_untouched
@@ -265,10 +257,10 @@ def _measure_noise(source: FrameSource, preset: Preset, origin: str, count: int)
         warn(f"the object of {source.name} moves: it is removed for this")
     with CliProgress() as progress:
         found = find_untouched(preset, origin, source, progress.preparing)
-        with frames_at_rest(source, count, progress.preparing) as shown:
-            frames = list(counted_out(shown, count, progress))
+        with frames_at_rest(source, _MEASURED, progress.preparing) as shown:
+            frames = list(counted_out(shown, _MEASURED, progress))
         warn(*found.warnings)
         noise = measure_noise(frames, source.rig, preset, found.frame, progress.preparing, warn=warn)
-    if len(frames) < count:
-        warn(f"{source.name} has only {len(frames)} frames, fewer than {count}; all of them were measured")
+    if len(frames) < _MEASURED:
+        warn(f"{source.name} has only {len(frames)} of the {_MEASURED} frames to measure")
     return noise

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +11,6 @@ from ...core.errors import ExportError, counted
 from .common import (
     WAIT_S,
     CliProgress,
-    ForceOption,
     number_of_frames,
     open_with_progress,
     refuse_existing,
@@ -41,11 +38,7 @@ def record(
     ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.mcap", help="The new recording.")],
     preset: _Preset = None,
-    seconds: Annotated[
-        float | None, typer.Option("--seconds", min=0.001, metavar="N", help="Stop after N seconds.")
-    ] = None,
     frames: _Frames = None,
-    force: ForceOption = False,
 ) -> None:
     """Record into a ROS 2 bag (MCAP). Ctrl+C or SIGTERM ends the recording; so does the end of the source.
 
@@ -57,20 +50,17 @@ def record(
 
     if out.suffix != ".mcap":
         raise ExportError(f"--out is {out}, but a recording is a .mcap file; name it so")
-    refuse_existing(out, force)
+    refuse_existing(out)
     kept = None if preset is None else load_preset(preset)
     with open_with_progress(source, kept.cameras if kept else None) as opened:
         untouched, rate_hz = _untouched(kept, preset, opened), opened.frame_rate_hz
-        new = out.with_name(f"{out.stem}.new.mcap") if out.exists() else out  # the old file stays until then
-        with SessionWriter(new, opened.rig, preset=kept, frame_rate_hz=rate_hz, untouched=untouched) as writer:
-            _record_frames(opened, writer, frames, seconds)
+        with SessionWriter(out, opened.rig, preset=kept, frame_rate_hz=rate_hz, untouched=untouched) as writer:
+            _record_frames(opened, writer, frames)
             with stop_on_signals():  # one more signal must not lose the frames that are queued
                 status = writer.close()
         if status.error:
             kept_frames = f"; the {counted(status.frames, 'frame')} before are in the file" if status.frames else ""
             raise ExportError(status.error + kept_frames)
-        if new != out:
-            new.replace(out)
         if status.dropped:
             warn(f"{counted(status.dropped, 'frame')} dropped, because the disk was too slow; record to a faster one")
         size = f"{status.seconds:.1f} s, {status.bytes / 1e6:.1f} MB"
@@ -85,7 +75,6 @@ def convert(
     ],
     preset: _Preset = None,
     frames: _Frames = None,
-    force: ForceOption = False,
 ) -> None:
     """Convert any recording to MCAP or to a folder of PNG images, without loss."""
     from ...core.output.writer import export_mcap
@@ -97,7 +86,7 @@ def convert(
         raise ExportError(f"cannot write {target}: {target.suffix} is read only; name a .mcap or a folder")
     to_mcap = target.suffix == ".mcap"
     if to_mcap:
-        refuse_existing(target, force)
+        refuse_existing(target)
     kept = None if preset is None else load_preset(preset)
     with open_with_progress(source) as opened, CliProgress() as progress, stop_on_signals() as stopped:
         if kept is None and isinstance(opened, McapSource):
@@ -131,17 +120,13 @@ def _untouched(preset: Preset | None, origin: str | None, source: FrameSource) -
     return found.frame
 
 
-def _record_frames(source: FrameSource, writer: SessionWriter, frames: int | None, seconds: float | None) -> None:
+def _record_frames(source: FrameSource, writer: SessionWriter, frames: int | None) -> None:
     """Write frames until the source ends, the limit is reached, writing fails or Ctrl+C is pressed."""
     live = source.length is None
-    total, end_s = number_of_frames(source, frames), math.inf
-    if seconds is not None and live:
-        end_s = time.monotonic() + seconds
-    elif seconds is not None and total is not None:
-        total = math.ceil(min(total, seconds * source.frame_rate_hz))
+    total = number_of_frames(source, frames)
     said, done = "", 0
     with CliProgress() as progress, stop_on_signals() as stopped:
-        while done != total and time.monotonic() < end_s and not stopped.is_set():
+        while done != total and not stopped.is_set():
             if source.health().message != said and (said := source.health().message):
                 warn(said)
             if not source.wait(WAIT_S):

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import json
-import math
-import sys
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import closing, contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 from shlex import quote
 from statistics import median
@@ -22,7 +19,6 @@ from .common import (
     SOURCE,
     CliProgress,
     FrameCount,
-    LineOutput,
     PresetOption,
     SourceOption,
     default_preset,
@@ -40,7 +36,6 @@ if TYPE_CHECKING:
     from ...core.estimation.tilt import Tilt
     from ...core.model.frames import GroundTruth, Rig, SensorFrame
     from ...core.preset import Preset
-    from ...core.rig.drift import WatchReport
     from ...core.sources import FrameSource
 
     SavePatch = Callable[[ContactPatch, SensorFrame], None]
@@ -48,8 +43,6 @@ if TYPE_CHECKING:
 
 Record = dict[str, Any]
 
-#: Exit status after the reader of standard output has gone: that of a program that SIGPIPE ends.
-READER_GONE_STATUS = 141
 #: Suffix of recordings and of bags of patches.
 MCAP_SUFFIX = ".mcap"
 #: Keys that ``--truth`` adds to a record beside ``touched``, with their units.
@@ -80,7 +73,6 @@ def run(
             help="A folder for one file per frame (patch_000012.npz), or a .mcap for all patches as PointCloud2.",
         ),
     ] = None,
-    file_format: Annotated[Literal["npz", "ply", "csv"], typer.Option("--format", help="Format of the files.")] = "npz",
     json_lines: Annotated[
         bool, typer.Option("--json", help="Print a JSON line for each frame at once; no summary.")
     ] = False,
@@ -105,11 +97,13 @@ def run(
     estimate: EstimateOption = None,
 ) -> None:
     """Compute contact patches without a window."""
-    if out is None and not json_lines and not truth and not watch and estimate is None:
+    if out is None and not json_lines and not truth and not watch:
         raise typer.BadParameter(
-            "give --out DIR or FILE.mcap for the patches, --json for one line per frame, --truth for a comparison, "
-            "--watch for the check for drift, or --estimate tilt"
+            "give --out DIR or FILE.mcap for the patches, --json for one line per frame, --truth for a comparison, or "
+            "--watch for the check for drift"
         )
+    if estimate is not None and not json_lines:
+        raise typer.BadParameter("--estimate is printed with --json; add it")
     from ...core.sources.presets import load_preset
 
     origin = preset or default_preset(source)
@@ -117,16 +111,10 @@ def run(
     if out is not None and out.suffix != MCAP_SUFFIX:
         out.mkdir(parents=True, exist_ok=True)  # before anything is computed
     with open_pipeline(source, chosen) as (opened, pipeline):
-        with (
-            closing(_Watching(chosen, origin, opened)) if watch else nullcontext() as look,
-            stop_on_signals() as stopped,
-            _patch_output(out, file_format, opened, chosen) as save,
-        ):
-            lines = LineOutput(stopped) if json_lines else None
-            tilt = make_tilt(estimate, chosen, opened.rig)
-            done, records = _process(opened, pipeline, frames, save, stopped, truth, look, lines, tilt)
-        if lines is not None and lines.reader_gone:
-            raise typer.Exit(READER_GONE_STATUS)
+        look = _drift_watch(chosen, origin, opened) if watch else None
+        tilt = make_tilt(estimate, chosen, opened.rig)
+        with stop_on_signals() as stopped, _patch_output(out, opened, chosen) as save:
+            done, records = _process(opened, pipeline, frames, save, stopped, truth, look, json_lines, tilt)
         if not done and not stopped.is_set():
             raise SourceError(f"{opened.name} gave no frames; check the source")
         if opened.health().message:
@@ -134,7 +122,7 @@ def run(
         if records:
             typer.echo("\n".join(_summary(records, opened.name, chosen.name)))
             if out is not None:
-                typer.echo(_written(records, out, file_format))
+                typer.echo(f"wrote {out}")
             if frames is not None and done < frames and not stopped.is_set():
                 typer.echo(f"{opened.name} ended after {done} of the {frames} frames asked for")
         if stopped.is_set():
@@ -142,7 +130,7 @@ def run(
 
 
 @contextmanager
-def _patch_output(out: Path | None, file_format: str, source: FrameSource, preset: Preset) -> Iterator[SavePatch]:
+def _patch_output(out: Path | None, source: FrameSource, preset: Preset) -> Iterator[SavePatch]:
     """Yield the function that saves a patch: into one bag, into one file each, or nowhere."""
     if out is None:
         yield lambda patch, frame: None
@@ -159,7 +147,7 @@ def _patch_output(out: Path | None, file_format: str, source: FrameSource, prese
 
         def save(patch: ContactPatch, frame: SensorFrame) -> None:
             note_number(seen, frame)
-            write_cloud(_patch_path(out, frame.sequence, file_format), patch_cloud(patch, frame, source.rig))
+            write_cloud(out / f"patch_{frame.sequence:06d}.npz", patch_cloud(patch, frame, source.rig))
 
         yield save
 
@@ -171,16 +159,16 @@ def _process(
     save: SavePatch,
     stopped: Event,
     truth: bool,
-    look: _Watching | None,
-    lines: LineOutput | None,
+    look: Callable[[SensorFrame], None] | None,
+    json_lines: bool,
     tilt: Estimator | None,
 ) -> tuple[int, list[Record]]:
     """Process and save up to ``frames`` frames; return their number and, unless printed as lines, their records."""
     records: list[Record] = []
     done, scored = 0, False
     total = number_of_frames(source, frames)
-    with CliProgress(quiet=lines is not None and sys.stdout.isatty()) as progress:
-        for frame in live_frames(source, total, stopped, idle=(lambda: None) if lines is None else lines.look):
+    with CliProgress(quiet=json_lines) as progress:
+        for frame in live_frames(source, total, stopped):
             patch = pipeline.process(frame)
             record = _patch_record(patch, frame)
             if truth:
@@ -189,10 +177,10 @@ def _process(
             if tilt is not None:
                 record["tilt"] = tilt(patch, frame).record()
             if look is not None:
-                record["watch"] = look(frame)
+                look(frame)
             save(patch, frame)
-            if lines is not None:
-                lines.write(json.dumps(record, allow_nan=False))
+            if json_lines:
+                typer.echo(json.dumps(record, allow_nan=False))
             else:
                 records.append(record)
             done += 1
@@ -217,10 +205,6 @@ def make_tilt(estimate: Estimate | None, preset: Preset, rig: Rig) -> Estimator 
         return found if filtered is None else filtered.update(found)
 
     return tilt
-
-
-def _patch_path(folder: Path, sequence: int, file_format: str) -> Path:
-    return folder / f"patch_{sequence:06d}.{file_format}"
 
 
 def _patch_record(patch: ContactPatch, frame: SensorFrame) -> Record:
@@ -260,30 +244,8 @@ def _summary(records: list[Record], source: str, preset: str) -> list[str]:
         f"{counted(len(records), 'frame')} of {source} with preset {preset!r}",
         contact,
         f"{sum(stages.values()):.1f} ms per frame ({details})",
-        *_tilt_lines([record["tilt"] for record in records if "tilt" in record]),
         *_truth_lines(records),
     ]
-
-
-def _written(records: list[Record], out: Path, file_format: str) -> str:
-    if out.suffix == MCAP_SUFFIX:
-        return f"wrote {out}"
-    first, last = (_patch_path(out, records[i]["sequence"], file_format) for i in (0, -1))
-    return f"wrote {first}" + (f" to {last.name}" if last != first else "")
-
-
-def _tilt_lines(tilts: list[Record]) -> list[str]:
-    """Return in how many frames roll and pitch are determined, their range and median standard deviation."""
-    lines = []
-    for name in ("roll", "pitch") if tilts else ():
-        known = [tilt for tilt in tilts if tilt[f"{name}_rad"] is not None]
-        line = f"{name}: determined in {len(known)} of {counted(len(tilts), 'frame')}"
-        if known:
-            angles = [math.degrees(tilt[f"{name}_rad"]) for tilt in known]
-            sigma = math.degrees(median(tilt[f"{name}_sigma_rad"] for tilt in known))
-            line += f", {min(angles):.2f} to {max(angles):.2f} degrees, standard deviation {sigma:.2f} degrees (median)"
-        lines.append(line)
-    return lines
 
 
 def _truth_lines(records: list[Record]) -> list[str]:
@@ -302,45 +264,20 @@ def _truth_lines(records: list[Record]) -> list[str]:
     return lines
 
 
-class _Watching:
-    """Looks once in ten seconds of the source's time whether something has moved, and warns of each change.
+def _drift_watch(preset: Preset, origin: str, source: FrameSource) -> Callable[[SensorFrame], None]:
+    """Return a function that looks once in ten seconds of the source's time whether something has moved, and warns."""
+    from ...core.rig.drift import Watch
+    from ...core.rig.untouched import find_untouched
 
-    A live source's look runs on another thread, so no frame waits for it; a recording waits, so its result is the same
-    each time.
-    """
+    found = find_untouched(preset, origin, source)
+    warn(*found.warnings)
+    watch = Watch(preset, source.rig, found.frame)
+    remedy = f" Check with: tactune recheck --preset {quote(origin)} --source {quote(source.name)}"
 
-    def __init__(self, preset: Preset, origin: str, source: FrameSource) -> None:
-        from ...core.rig.drift import Watch
-        from ...core.rig.untouched import find_untouched
-
-        found = find_untouched(preset, origin, source)
-        warn(*found.warnings)
-        self._watch = Watch(preset, source.rig, found.frame)
-        self._remedy = f" Check with: tactune recheck --preset {quote(origin)} --source {quote(source.name)}"
-        self._live = source.length is None
-        self._pool = ThreadPoolExecutor(1)
-        self._look: Future[WatchReport | None] | None = None
-
-    def __call__(self, frame: SensorFrame) -> Record | None:
-        """Return what a look that has ended measured (mm), what is told at present, and what it decided; else None."""
+    def look(frame: SensorFrame) -> None:
         time_s = frame.proximity_time_s
-        if self._look is None and self._watch.due(time_s):
-            self._look = self._pool.submit(self._watch.look, frame, time_s)
-        if self._look is None or (self._live and not self._look.done()):
-            return None
-        report, self._look = self._look.result(), None
+        report = watch.look(frame, time_s) if watch.due(time_s) else None
         if report is not None:
-            warn(f"{report.time_s:.1f} s: {report.sentence}" + (self._remedy if report.state == "told" else ""))
-        drift = self._watch.drift
-        measured = {} if drift is None else drift.moved_m | {"inflation": drift.inflation_m}
-        return {
-            "measured": {f"{name}_mm": round(1e3 * value, 3) for name, value in measured.items()},
-            "told": [] if self._watch.told == "fine" else [self._watch.told],
-            "state": None if report is None else report.state,
-            "subject": None if report is None else report.verdict,
-            "sentence": None if report is None else report.sentence,
-        }
+            warn(f"{report.time_s:.1f} s: {report.sentence}" + (remedy if report.state == "told" else ""))
 
-    def close(self) -> None:
-        """End the thread."""
-        self._pool.shutdown()
+    return look

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...core.errors import CalibrationError, counted
+from ...core.errors import counted
 from .common import (
     SOURCE,
     CliProgress,
@@ -143,7 +143,6 @@ class _Poses:
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="track")
         self._newest: Future[None] | None = None
         self._lost_since_s = math.nan
-        self._told = self._warned = False
         self._closed = Event()
 
     def close(self) -> None:
@@ -164,22 +163,12 @@ class _Poses:
     def _track(self, patch: ContactPatch, time_s: float) -> None:
         pose = self._tracker.track(patch, time_s, self._go_on)
         if not pose.lost:
-            self._lost_since_s, self._told = math.nan, False
+            self._lost_since_s = math.nan
             self._publisher.tell("object", "")
             self._publisher.put_pose(pose.T_proximity_object, pose.covariance, time_s)
         elif self._tracker.is_enough(patch):
             if math.isnan(self._lost_since_s):
                 self._lost_since_s = time_s
-            elif time_s > self._lost_since_s + _LOST_S and not self._told:
-                self._search(patch)
-
-    def _search(self, patch: ContactPatch) -> None:
-        """Search once more, and say how badly the mesh fits; the tracker goes on searching."""
-        try:
-            self._tracker.find(patch, self._go_on)
-        except CalibrationError as error:
-            sentence = f"{error}; there is no pose until it fits."
-            self._publisher.tell("object", sentence)
-            if not self._warned:
-                warn(sentence)
-            self._warned = self._told = True
+            elif time_s > self._lost_since_s + _LOST_S:
+                name = self._tracker.mesh.name
+                self._publisher.tell("object", f"{name} does not fit the contact; check the mesh and its unit.")

@@ -14,29 +14,25 @@ import typer
 from ...core.errors import AdviceError
 from .common import (
     CliProgress,
-    ForceOption,
     JsonOption,
     PresetOption,
     SourceOption,
-    average_frames,
     default_preset,
     emit,
     open_for_preset,
     open_pipeline,
-    open_with_progress,
     warn,
 )
 from .preset import check_target, save_changed
 
 if TYPE_CHECKING:
     from ...core.model.frames import SensorFrame
-    from ...core.preset import Preset
     from ...core.sources import FrameSource
 
 #: Exit status of ``check`` if there are findings.
 FOUND_STATUS = 1
-#: Number of frames up to the present one, and of those averaged to an untouched frame.
-_RECENT, _AVERAGED = 4, 15
+#: Number of frames up to the present one.
+_RECENT = 4
 
 FrameOption = Annotated[
     int | None, typer.Option(min=0, metavar="N", help="The present frame, from 0; default: the fourth.")
@@ -56,42 +52,31 @@ def suggest(
         ),
     ] = None,
     frame: FrameOption = None,
-    untouched: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SOURCE", help="Frames of the untouched membrane; default: the preset's own or that of --source."
-        ),
-    ] = None,
-    example: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="FILE", help="An example of contact that the window has stored; may be repeated."),
-    ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="FILE", help="The preset file to write, with all suggestions.")
     ] = None,
-    force: ForceOption = False,
 ) -> None:
     """Suggest values for a preset, with the evidence for each; later ones are computed with the earlier ones applied.
 
-    The evidence is the present frame, the three before it, an untouched frame, and examples. Nothing is written without
-    --out.
+    The evidence is the present frame, the three before it, and the untouched frame of the preset or the source. Nothing
+    is written without --out.
     """
+    from ...core.rig.untouched import find_untouched
     from ...core.sources.presets import load_preset
-    from ...core.tuning.advice.proposal import Evidence, Example
+    from ...core.tuning.advice.proposal import Evidence
     from ...core.tuning.advice.suggest import suggest_all
     from ...core.warmup import warm_up_if_needed
 
     origin = preset or default_preset(source)
     if out is not None:
-        check_target(out, preset, force=force)
+        check_target(out, preset)
     chosen = load_preset(origin)
     with open_for_preset(source, chosen) as opened:
         frames = _recent_frames(opened, frame)
-        free = _untouched(opened, chosen, origin, untouched)
-        examples = tuple(Example.load(path) for path in example or ())
-        for each in filter(None, [free, *(stored.frame for stored in examples)]):
-            each.check_against(opened.rig)
-        evidence = Evidence(chosen, opened.rig, frames, free, examples)
+        with CliProgress() as progress:
+            found = find_untouched(chosen, origin, opened, progress.preparing)
+        warn(*found.warnings)
+        evidence = Evidence(chosen, opened.rig, frames, found.frame)
     with CliProgress() as progress:
         warm_up_if_needed(progress.preparing)
         proposals = suggest_all(evidence, progress.preparing, section)
@@ -158,19 +143,6 @@ def _recent_frames(source: FrameSource, last: int | None) -> tuple[SensorFrame, 
     if not frames or (last is not None and len(frames) < end - first):
         raise AdviceError(f"{source.name}: there is no frame {last or 0}; choose another --frame or source")
     return frames
-
-
-def _untouched(source: FrameSource, preset: Preset, origin: str, name: str | None) -> SensorFrame | None:
-    """Return the untouched frame of a source of its own, or its frames averaged; else the preset's or the source's."""
-    from ...core.rig.untouched import find_untouched, untouched_frame
-
-    if name is not None:
-        with open_with_progress(name) as opened:
-            return untouched_frame(opened) or average_frames(opened, _AVERAGED).frame
-    with CliProgress() as progress:
-        found = find_untouched(preset, origin, source, progress.preparing)
-    warn(*found.warnings)
-    return found.frame
 
 
 def _as_options(changes: Mapping[str, object]) -> list[str]:

@@ -57,14 +57,6 @@ def track(
         typer.Option(metavar="FILE", help="The object: .obj, .ply or .stl; default for sim: its own object."),
     ] = None,
     unit: UnitOption = None,
-    start: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Pose in the first frame, T_proximity_object: four lines of four numbers, or JSON as tactune lab scan "
-            "writes it.",
-        ),
-    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -82,10 +74,9 @@ def track(
 ) -> None:
     """Track the pose of a known object by its contact patches.
 
-    Without --start the object is searched for in the first patch that is large enough.
+    The object is searched for in the first patch that is large enough.
     """
     from ...core.estimation.pose import PoseTracker
-    from ...core.estimation.pose_files import load_transform
     from ...core.sources.presets import load_preset
 
     if out is None and not truth:
@@ -95,8 +86,6 @@ def track(
     chosen = load_preset(preset or default_preset(source))
     with open_pipeline(source, chosen) as (opened, pipeline):
         tracker = PoseTracker(_mesh(mesh, unit, opened), chosen, opened.rig)
-        if start is not None:
-            tracker.start(load_transform(start))
         with stop_on_signals() as stopped, _output(out, opened, chosen) as save:
             done, text = _track(opened, pipeline, tracker, frames, save, stopped, truth)
         if done:

@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
@@ -36,9 +36,6 @@ class Check:
         first = f"{self.state:<5}{self.name:<16}{self.found}"
         return f"{first}\n{'':<21}{self.remedy}" if self.remedy else first
 
-    def to_json(self) -> dict[str, str]:
-        return {key: str(value) for key, value in asdict(self).items()}
-
 
 @dataclass(frozen=True)
 class Child:
@@ -49,12 +46,10 @@ class Child:
 
     def answer(self) -> dict[str, Any]:
         """Return the JSON object on the last printed line; empty if there is none."""
-        lines = self.out.strip().splitlines()
         try:
-            answer = json.loads(lines[-1]) if lines else {}
-        except ValueError:
+            return dict(json.loads(self.out.strip().splitlines()[-1]))
+        except (IndexError, ValueError, TypeError):
             return {}
-        return answer if isinstance(answer, dict) else {}
 
 
 RunChild = Callable[[Sequence[str]], Child]
@@ -72,8 +67,7 @@ def run_child(command: Sequence[str], patience_s: float = PATIENCE_S) -> Child:
         return Child(problem=f"{command[0]} cannot be started: {error.strerror or error}")
     out = done.stdout.decode(errors="replace")
     if done.returncode < 0:
-        names = {known.value: known.name for known in signal.Signals}
-        return Child(out, f"crashed ({names.get(-done.returncode, f'signal {-done.returncode}')})")
+        return Child(out, f"crashed ({signal.Signals(-done.returncode).name})")
     if done.returncode > 0:
         said = done.stderr.decode(errors="replace").strip().splitlines()
         return Child(out, said[-1] if said else f"exit status {done.returncode}")

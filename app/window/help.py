@@ -21,7 +21,7 @@ from ...widgets.basics.messages import Messages, Severity
 from ...widgets.basics.record_table import Column, RecordTable
 from ..context import TASK
 from ..doctor.checks import Check, State
-from ..doctor.report import check_computer, report
+from ..doctor.computer import check_computer, report
 from ..worker.jobs import Job
 from .actions import plain_text
 

@@ -90,7 +90,7 @@ def save_poses(path: Path, records: Iterable[Mapping[str, Any]]) -> None:
 
 
 def load_transform(path: Path | str) -> Matrix4:
-    """Read a pose: JSON as ``tactune lab scan --save-transform`` writes it, or four lines of four numbers.
+    """Read a pose: JSON ``{"T_proximity_scan": 4 x 4}``, or four lines of four numbers.
 
     Raises
     ------

@@ -7,7 +7,6 @@ vertex colours are used.
 from __future__ import annotations
 
 import csv
-import json
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,7 +26,6 @@ from ..errors import CalibrationError, MissingExtraError, SourceError, TactuneEr
 from ..estimation.mesh_files import load_meshes, merge, triangle_areas
 from ..estimation.pose_files import read_text
 from ..model.arrays import AnyArray, BoolArray, Float64Array, Int32Array, Uint8Array
-from ..model.files import atomic_path
 from ..model.frames import Matrix4, rigid_transform
 from ..model.metrics import nearest_distances
 from ..preset import MaskSection
@@ -251,13 +249,6 @@ def transformed(pose: Matrix4, points: npt.ArrayLike) -> Float64Array:
     """Transform points, (N, 3), by a pose."""
     matrix = np.asarray(pose)
     return np.asarray(np.asarray(points, np.float64).reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3])
-
-
-def save_transform(path: Path | str, pose: Matrix4) -> None:
-    """Write a pose as JSON, ``{"T_proximity_scan": 4 x 4}``."""
-    rows = ",\n    ".join(json.dumps(row) for row in rigid_transform(pose))
-    with atomic_path(path) as temporary:
-        temporary.write_text(f'{{\n  "T_proximity_scan": [\n    {rows}\n  ]\n}}\n', encoding="utf-8")
 
 
 def read_pairs(path: Path | str, unit_m: float = 1.0) -> tuple[Float64Array, Float64Array]:

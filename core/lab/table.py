@@ -102,8 +102,6 @@ class Plan:
     methods: tuple[str, ...]
     preset: Preset
     work: Path
-    #: Noise and bias of each rig are measured first, on the untouched membrane.
-    rig_measured: bool = True
 
     @property
     def presses(self) -> int:
@@ -128,7 +126,6 @@ def plan_table(
     membranes: Sequence[str] = (),
     seeds: int = 2,
     held_out: bool = False,
-    rig_measured: bool = True,
 ) -> Plan:
     """Choose the cells of a table. Empty names: all that methods are developed on; with ``held_out``, all others."""
     chosen = methods or table_methods()
@@ -149,7 +146,7 @@ def plan_table(
         for side in (("right", "left") if press == "high" else ("",))
     ]
     first = FIRST_HELD_OUT_SEED if held_out else 0
-    return Plan(tuple(scenes), tuple(range(first, first + seeds)), tuple(chosen), preset, work, rig_measured)
+    return Plan(tuple(scenes), tuple(range(first, first + seeds)), tuple(chosen), preset, work)
 
 
 def _chosen(what: str, names: Sequence[str], known: dict[str, bool], held_out: bool) -> tuple[str, ...]:
@@ -255,7 +252,7 @@ class _Rig:
         rivals = any(name not in PIPELINES and name != BEST_T for name in plan.methods)
         untouched = untouched_frame(source) if rivals else None
         try:
-            return cls(measured_rig(plan.preset, source) if plan.rig_measured else plan.preset, untouched)
+            return cls(measured_rig(plan.preset, source), untouched)
         except TactuneError as error:
             return cls(error, untouched)
 
@@ -353,7 +350,7 @@ def time_table(plan: Plan) -> dict[tuple[str, str, str], float]:
 
 def _path(plan: Plan, scene: Scene, seed: int) -> Path:
     settings = plan.preset.model_dump(mode="json", exclude={"name", "notes", "created", "modified"})
-    key = json.dumps([asdict(scene), seed, plan.rig_measured, settings, code_version()], sort_keys=True)
+    key = json.dumps([asdict(scene), seed, settings, code_version()], sort_keys=True)
     digest = hashlib.sha256(key.encode()).hexdigest()[:20]
     return plan.work / f"{scene.sensor}-{scene.membrane}-{scene.object}-{scene.press}-{digest}.json"
 
@@ -448,23 +445,6 @@ def _failures(cells: Sequence[Cell]) -> list[str]:
 
 def _names(cells: Sequence[Cell], *fields: str) -> Collection[Any]:
     return dict.fromkeys(tuple(getattr(cell, field) for field in fields) for cell in cells)
-
-
-def table_json(cells: Sequence[Cell], times: dict[tuple[str, str, str], float]) -> dict[str, Any]:
-    """Return averages and cells as JSON values; missing numbers are None."""
-    averages = [
-        {
-            "sensor": sensor,
-            "method": method,
-            "press": press,
-            "rmse_mm": finite_or_none(
-                mean_rmse_mm(c for c in cells if (c.sensor, c.method, c.press) == (sensor, method, press))
-            ),
-            "ms": times.get((sensor, method, press)),
-        }
-        for sensor, method, press in _names(cells, "sensor", "method", "press")
-    ]
-    return {"averages": averages, "cells": [asdict(cell) for cell in cells]}
 
 
 def _number(number: float | None, digits: int) -> str:

@@ -9,7 +9,7 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
 from hands import cells
-from tactune.app.doctor import report as doctor_report
+from tactune.app.doctor import computer
 from tactune.app.doctor.checks import Check, State
 from tactune.app.window import help as help_menu
 
@@ -39,11 +39,11 @@ def test_a_guide_that_is_not_built_says_how_to_build_it(window, opened, monkeypa
 
 def test_the_checks_of_this_computer_are_a_table_that_can_be_copied(window, qtbot, monkeypatch):
     lines = [Check("Sun", State.OK, "shines"), Check("Moon", State.FAIL, "wanes", "Wait for two weeks.")]
-    monkeypatch.setattr(doctor_report, "all_checks", lambda: [lambda: lines])
+    monkeypatch.setattr(computer, "all_checks", lambda: [lambda: lines])
     window.actions_.check_computer.trigger()
     shown = window.computer
     qtbot.waitUntil(lambda: len(cells(shown.table)) == 2)
     assert cells(shown.table) == [["Sun", "✓ ok", "shines"], ["Moon", "✕ failed", "wanes\nWait for two weeks."]]
     assert "2 checks: 1 failed" in shown.status.text()
     QTest.mouseClick(shown.copy, LEFT)
-    assert QApplication.clipboard().text() == doctor_report.report(lines)
+    assert QApplication.clipboard().text() == computer.report(lines)

@@ -115,9 +115,9 @@ def test_the_source_is_run_by_scheme_and_by_path(acme: Path, tmp_path: Path) -> 
 
 
 def test_the_cameras_are_listed_and_recorded(acme: Path, tmp_path: Path) -> None:
-    listed = tactune(acme, "devices", "--json")
+    listed = tactune(acme, "devices")
     assert listed.returncode == 0, listed.stderr
-    assert {device["serial"] for device in json.loads(listed.stdout)["devices"]} >= {"acme1", "acme2"}
+    assert "serial acme1" in listed.stdout and "serial acme2" in listed.stdout
     done = tactune(acme, "convert", "cameras:", str(tmp_path / "three"), "--frames", "3")
     assert done.returncode == 0, done.stderr
     with open_source(str(tmp_path / "three")) as recording:

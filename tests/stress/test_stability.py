@@ -1,32 +1,15 @@
-"""Float32 against float64, cached results against fresh ones: short runs of the seeded checks."""
+"""Float32 against float64."""
 
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from random_cases import BOUND_ULPS, differing_ulps, random_case, ulps_to_thresholds
 from tactune.core.contact.kernels import chain as kernels
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.lab.reference import reference_patch
-from tactune.core.lab.stability import (
-    BOUND_ULPS,
-    check_long_run,
-    check_stability,
-    differing_ulps,
-    random_case,
-    ulps_to_thresholds,
-)
-
-
-@pytest.mark.long
-def test_no_verdict_differs_beyond_the_stated_bound() -> None:
-    report = check_stability(120)
-    assert report.unexplained == 0
-    assert report.worst_ulps <= BOUND_ULPS
-    # without ties the check would prove nothing
-    assert report.differing > 0
 
 
 @settings(max_examples=40, deadline=None)
@@ -45,11 +28,6 @@ def test_a_wrong_pipeline_is_found_out() -> None:
     where = np.flatnonzero(found != right)
     assert len(where) > 0
     assert (ulps_to_thresholds(preset, rig, frame)[where] > BOUND_ULPS).any()
-
-
-@pytest.mark.long
-def test_remembering_changes_nothing() -> None:
-    assert check_long_run(400, seed=3).different == 0
 
 
 def test_kernels_do_not_use_fast_math() -> None:

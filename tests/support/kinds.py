@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import os
 import shutil
 from collections.abc import Callable, Iterator
@@ -36,7 +37,7 @@ from tactune.core.errors import ExportError, SourceError
 from tactune.core.estimation.object_mesh import load_mesh
 from tactune.core.estimation.pose_files import load_transform, save_poses
 from tactune.core.lab import table
-from tactune.core.lab.scan import load_scan, save_transform
+from tactune.core.lab.scan import load_scan
 from tactune.core.lab.scan import read_pairs as read_scan_pairs
 from tactune.core.model.alignment import PointPair
 from tactune.core.model.clouds import PointCloud
@@ -311,7 +312,9 @@ KINDS: dict[str, Kind] = {
     "cloud.ply": cloud("a.ply"),
     "cloud.csv": cloud("a.csv"),
     "points": Kind(lambda f, n: write_points(f / "a.csv", POINTS[n:]), lambda f: read_pairs(f / "a.csv")),
-    "transform": Kind(lambda f, n: save_transform(f / "a.json", POSE), lambda f: load_transform(f / "a.json"), 400),
+    "transform": Kind(
+        text("a.json", json.dumps({"T_proximity_scan": POSE})), lambda f: load_transform(f / "a.json"), 400, ours=False
+    ),
     "poses": Kind(lambda f, n: save_poses(f / "a.csv", [{"sequence": n, "time_s": 0.1, "lost": 0}] * 999)),
     "picture": Kind(lambda f, n: write_picture(PICTURE, f"{n}\n" * 999, f / "a.png", "It was")),
     "layout": Kind(lambda f, n: save_layout(f / "a.json")),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import cKDTree
 
-from tactune.core.lab.scan import save_transform, transformed
+from tactune.core.lab.scan import transformed
 from tactune.core.model.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Uint8Array
 from tactune.core.model.frames import GroundTruth, Matrix4, Rig
 from tactune.core.sources.simulator.object_surface import object_surface, to_surface
@@ -78,7 +79,7 @@ def write_painted_scan(source: SimulatorSource, index: int, path: Path, flaws: P
     for file, data in write(path, vertices, quads, painter).items():
         file.write_bytes(data)
     transform = path.with_suffix(".transform.json")
-    save_transform(transform, pose)
+    transform.write_text(json.dumps({"T_proximity_scan": pose}))
     return [path, *([path.with_suffix(suffix) for suffix in (".mtl", ".png")] if texture else []), transform]
 
 

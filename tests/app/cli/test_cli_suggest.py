@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ from tactune.core.preset.file import save_preset
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
-from tactune.core.tuning.advice.proposal import Example
 
 Tactune = Callable[..., Any]
 SCENE = "sim:cup?press=medium"
@@ -49,23 +47,6 @@ def test_a_section_without_evidence_is_refused_with_the_remedy(tactune: Tactune,
     save_preset(load_preset("simulator").with_value("mask.enabled", False), tmp_path / "bare.json")
     named = ("preset", "suggest", "--source", f"folder:{tmp_path / 'pressed'}", "--preset", tmp_path / "bare.json")
     assert "capture an untouched frame" in tactune(*named, "--section", "mask").sentence
-    # another source can show the untouched membrane
-    finished = tactune(*named, "--section", "mask", "--untouched", "sim:octopus?press=low&sensor=datasheet")
-    assert finished.status == 0
-    assert "mask" in finished.out
-
-
-def test_stored_examples_count(tactune: Tactune, tmp_path: Path) -> None:
-    with open_source(SCENE) as source:
-        frame = source.next_frame()
-    assert frame is not None and frame.truth is not None
-    Example(replace(frame, truth=None), frame.truth.contact).save(tmp_path / "cup.npz")
-    command = ("preset", "suggest", "--source", SCENE, "--section", "tolerance")
-    assert "(weak)" in tactune(*command).out
-    finished = tactune(*command, "--example", tmp_path / "cup.npz")
-    assert "1 frame with marked contact" in finished.out and "(weak)" not in finished.out
-    (tmp_path / "bad.npz").write_bytes(b"nothing")
-    assert "mark it again" in tactune(*command, "--example", tmp_path / "bad.npz").sentence
 
 
 def test_the_present_frame_can_be_chosen(tactune: Tactune) -> None:

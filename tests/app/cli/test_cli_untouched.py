@@ -42,12 +42,12 @@ def set_tactile_depth(recording: Path, counts: int) -> None:
 
 
 def test_capturing_puts_a_file_beside_the_preset(tactune: Tactune, recording: Path, mine: Path) -> None:
-    finished = tactune("preset", "capture-untouched", "--source", recording, "--preset", mine, "--frames", 3)
+    finished = tactune("preset", "capture-untouched", "--source", recording, "--preset", mine)
     assert finished.status == 0
-    assert "averaged 3 frames" in finished.out
+    assert "averaged 4 frames" in finished.out
     preset = load_preset(mine)
     assert preset.untouched is not None
-    assert preset.untouched.frames == 3
+    assert preset.untouched.frames == 4
     assert (load_untouched(preset.untouched, mine).tactile_depth == 3000).all()
     assert preset.created == LAST_YEAR < preset.modified
 

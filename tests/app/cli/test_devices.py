@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from tactune.app.doctor import cameras as doctor_cameras
 from tactune.app.doctor import checks as doctor
-from tactune.app.doctor.cameras import UsbCamera
+from tactune.app.doctor import computer
 from tactune.app.doctor.checks import Child
+from tactune.app.doctor.computer import UsbCamera
 from tactune.app.sources import list_devices
 from tactune.core.sources.cameras import drivers
 from tactune.core.sources.cameras import realsense as driver
@@ -37,7 +37,7 @@ D405 = {
 def usb(monkeypatch):
     """What the operating system sees; nothing at first."""
     cameras: list[UsbCamera] = []
-    monkeypatch.setattr(doctor_cameras, "usb_cameras", lambda: cameras)
+    monkeypatch.setattr(computer, "usb_cameras", lambda: cameras)
     monkeypatch.setattr(driver, "driver_version", lambda: "2.54.2.5684")
     return cameras
 
@@ -91,4 +91,3 @@ def test_what_the_driver_s_process_writes_is_what_is_put_into_words(tactune, mon
         "  firmware unknown, USB version unknown",
         "  It does not answer.",
     ]
-    assert json.loads(tactune("devices", "--json").out)["devices"][0] == L515

@@ -1,4 +1,4 @@
-"""Numerical stability: float32 against float64 on random frames, and cached results against fresh ones.
+"""Random frames of the tolerance test, and how near each pixel's verdict is to a threshold.
 
 A verdict may differ from the float64 reference only if the float64 value lies within `BOUND_ULPS` float32 units in
 the last place (ulps) of a threshold: the tolerance, a range limit, or the border between two pixels of the image that
@@ -7,66 +7,21 @@ is looked up. Any other difference is a bug.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..contact.pipeline import ContactPatch, ContactPipeline
-from ..model.arrays import AnyArray, Float64Array, Uint16Array
-from ..model.frames import ColorCamera, DepthCamera, Matrix4, Rig, SensorFrame, rigid_transform
-from ..model.intrinsics import Distortion, Intrinsics
-from ..preset import CONTACT_TESTS, Preset
-from .reference import Reference, reference_patch
+from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.lab.reference import Reference, reference_patch
+from tactune.core.model.arrays import AnyArray, Float64Array, Uint16Array
+from tactune.core.model.frames import ColorCamera, DepthCamera, Matrix4, Rig, SensorFrame, rigid_transform
+from tactune.core.model.intrinsics import Distortion, Intrinsics
+from tactune.core.preset import Preset
 
 #: A verdict involves about ten roundings after the tables, each of half an ulp of the largest number involved: the
 #: depth for the tolerance, the image width for a looked-up pixel.
 BOUND_ULPS = 16.0
 
 _SIZE = (96, 72)
-
-#: Of `check_long_run`: steps with the same rig, and the share of steps that change the frame.
-_NEW_RIG_EVERY, _NEW_FRAME_SHARE = 500, 0.4
-
-
-@dataclass(frozen=True)
-class StabilityReport:
-    """Result of `check_stability`."""
-
-    frames: int
-    pixels: int
-    differing: int  # pixels with a verdict other than that of the float64 reference
-    unexplained: int  # of these, farther than `BOUND_ULPS` from every threshold
-    worst_ulps: float
-
-    def words(self) -> str:
-        """Return the result as one sentence."""
-        share = self.differing / max(self.pixels, 1)
-        return (
-            f"{self.frames:,} frames, {self.pixels:,} pixels: {self.differing:,} verdicts ({share:.1e}) differ from "
-            f"the float64 reference, the farthest {self.worst_ulps:.1f} ulps from its threshold; "
-            f"{self.unexplained:,} lie beyond the bound of {BOUND_ULPS:g} ulps"
-        )
-
-
-def check_stability(
-    frames: int, seed: int = 0, progress: Callable[[float], None] = lambda share: None
-) -> StabilityReport:
-    """Compare the pipeline with the float64 reference on seeded frames, every second one adversarial."""
-    differing = unexplained = 0
-    worst = 0.0
-    for number in range(frames):
-        preset, rig, frame = random_case(np.random.default_rng((seed, number)), adversarial=number % 2 == 1)
-        ulps = differing_ulps(preset, rig, frame)
-        differing += len(ulps)
-        unexplained += int(np.count_nonzero(ulps > BOUND_ULPS))
-        worst = max(worst, float(ulps.max(initial=0.0)))
-        if number % 50 == 0:
-            progress(number / frames)
-    progress(1.0)
-    return StabilityReport(frames, frames * _SIZE[0] * _SIZE[1], differing, unexplained, worst)
 
 
 def random_case(random: np.random.Generator, *, adversarial: bool) -> tuple[Preset, Rig, SensorFrame]:
@@ -203,79 +158,3 @@ def _counts(depth_m: Float64Array, unit_m: float, random: np.random.Generator) -
     odd = random.random(counts.shape) < 0.02
     counts[odd] = random.choice(np.array([0, 1, 65534, 65535], np.uint16), int(odd.sum()))
     return counts
-
-
-@dataclass(frozen=True)
-class LongRunReport:
-    """Number of steps, and of steps in which the patch differed from that of a new pipeline."""
-
-    steps: int
-    different: int
-
-    def words(self) -> str:
-        """Return the result as one sentence."""
-        return f"{self.steps:,} changes of parameters and frames: {self.different:,} patches differ from a new pipeline"
-
-
-def check_long_run(steps: int, seed: int = 0, progress: Callable[[float], None] = lambda share: None) -> LongRunReport:
-    """Change a parameter or the frame at each step; compare one pipeline with a new one, bit by bit."""
-    random = np.random.default_rng(seed)
-    different = 0
-    for step in range(steps):
-        if step % _NEW_RIG_EVERY == 0:
-            preset, rig, frame = random_case(random, adversarial=False)
-            preset = preset.with_value("outliers.enabled", True)
-            kept = ContactPipeline(preset, rig)
-            frames = [frame, *_variants(frame, random)]
-            progress(step / steps)
-        if random.random() < _NEW_FRAME_SHARE:
-            frame = frames[int(random.integers(len(frames)))]
-        else:
-            preset = preset.with_values(_change(preset, random))
-            kept.update(preset)
-        different += not _same(kept.process(frame), ContactPipeline(preset, rig).process(frame))
-    progress(1.0)
-    return LongRunReport(steps, different)
-
-
-def _variants(frame: SensorFrame, random: np.random.Generator) -> list[SensorFrame]:
-    """Return variants of a frame: much, little and no depth changed, and other colours."""
-    much = np.where(random.random(frame.tactile_depth.shape) < 0.2, 0, frame.tactile_depth).astype(np.uint16)
-    little = frame.proximity_depth.copy()
-    little[:, : little.shape[1] // 2] = np.clip(little[:, : little.shape[1] // 2], 1, 65534) - 1
-    nothing = np.zeros_like(frame.proximity_depth)
-    changed: tuple[dict[str, Any], ...] = (
-        {"tactile_depth": much}, {"proximity_depth": little}, {"proximity_depth": nothing},
-        {"proximity_color": frame.proximity_color[::-1]},
-    )  # fmt: skip
-    fields = {name: getattr(frame, name) for name in ("proximity_depth", "tactile_depth", "proximity_color")}
-    return [SensorFrame(sequence=n + 1, **(fields | change)) for n, change in enumerate(changed)]
-
-
-def _change(preset: Preset, random: np.random.Generator) -> dict[str, Any]:
-    """Return a random parameter with a random value."""
-    choices: dict[str, Callable[[], Any]] = {
-        "tolerance.t": lambda: float(10 ** random.uniform(-3, -0.5)),
-        "mask.enabled": lambda: not preset.mask.enabled,
-        "mask.hue": lambda: tuple(int(value) for value in random.integers(0, 180, 2)),
-        "outliers.enabled": lambda: not preset.outliers.enabled,
-        "outliers.k": lambda: int(random.integers(1, 40)),
-        "outliers.ratio": lambda: float(random.uniform(0.2, 4.0)),
-        "outliers.min_cluster_area_mm2": lambda: float(random.choice((0.0, 50.0, 500.0))),
-        "range.enabled": lambda: not preset.range.enabled,
-        "region.enabled": lambda: not preset.region.enabled,
-        "region.rectangle": lambda: (int(random.integers(40)), int(random.integers(30)), 50, 40),
-        "alignment.model": lambda: str(random.choice(("rigid", "homography"))),
-        "alignment.depth_offset_m": lambda: float(random.uniform(-0.01, 0.01)),
-        "contact_test": lambda: str(random.choice(tuple(CONTACT_TESTS))),
-        "membrane.gap_m": lambda: float(random.uniform(0.0, 0.001)),
-        "membrane.trust_m": lambda: float(random.choice((0.004, 0.016, 0.05))),
-        "membrane.bias": lambda: not preset.membrane.bias,
-        "membrane.shape_px": lambda: float(random.choice((1.0, 4.0, 8.0))),
-    }
-    name = str(random.choice(list(choices)))
-    return {name: choices[name]()}
-
-
-def _same(first: ContactPatch, second: ContactPatch) -> bool:
-    return first.points.tobytes() == second.points.tobytes() and np.array_equal(first.provenance, second.provenance)
