@@ -44,9 +44,8 @@ class LiveTab(AnalysisTab):
 
     #: Columns of the CSV.
     COLUMNS: tuple[str, ...] = ()
-    #: Name of the exported file without its suffix, and filters of other formats, for `write_rows`.
+    #: Name of the exported file without its suffix.
     EXPORT = "frames"
-    FILTERS: tuple[str, ...] = ()
     #: Whether the rows of all frames are kept; else those of the shown frame.
     KEEPS_ALL = True
 
@@ -96,10 +95,6 @@ class LiveTab(AnalysisTab):
     def picture(self) -> QWidget | None:
         """Return what the export shows as a picture beside the CSV; None for the CSV alone."""
         return None
-
-    def write_rows(self, path: Path, rows: list[Row]) -> None:
-        """Write rows in another format of `FILTERS`; called on another thread."""
-        raise NotImplementedError
 
     # Frames
 
@@ -192,7 +187,7 @@ class LiveTab(AnalysisTab):
     def _ask_where(self, rows: list[Row] | None) -> None:
         """Ask for a file for the present rows, or for those of a former source."""
         pictured = rows is None and self.picture() is not None
-        filters = [*(["PNG picture, CSV beside it (*.png)"] if pictured else []), "Table (*.csv)", *self.FILTERS]
+        filters = [*(["PNG picture, CSV beside it (*.png)"] if pictured else []), "Table (*.csv)"]
         name = f"{self.EXPORT}{'.png' if pictured else '.csv'}"
         dialogs = self.context.dialogs.over(self.window() or self)
         dialogs.save_file("export", "Export", name, filters, lambda path: self.save_to(path, rows))
@@ -200,14 +195,6 @@ class LiveTab(AnalysisTab):
     def save_to(self, path: Path, rows: list[Row] | None = None) -> None:
         """Write rows as CSV, on another thread; the present ones into a .png with the picture, the CSV beside it."""
         every = list(self.rows.values()) if rows is None else rows
-        if any(f"*{path.suffix.lower()})" in each for each in self.FILTERS):
-
-            def write(_: Progress) -> str:
-                self.write_rows(path, every)
-                return f"The numbers were written to {path}."
-
-            self._writing.start(write)
-            return
         widget = self.picture() if rows is None and path.suffix.lower() != ".csv" else None
         picture = None if widget is None else widget.grab().toImage()
         text = rows_as_csv(self.COLUMNS, every)

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from ...core.errors import MissingExtraError, as_sentence, minus
 from ...core.estimation.object_mesh import SUFFIXES, ObjectMesh, import_open3d, load_mesh, simulated_mesh
 from ...core.estimation.pose import PoseError, PoseEstimate, PoseTracker, pose_error
-from ...core.estimation.pose_files import pose_record, save_poses
+from ...core.estimation.pose_files import pose_record
 from ...core.model.arrays import Float64Array, Uint8Array
 from ...core.model.units import UNITS_M
 from ...core.sources.simulator.names import read_name, source_options
@@ -132,7 +132,6 @@ class TrackTab(LiveTab):
 
     COLUMNS = tuple(pose_record(_NOBODY))
     EXPORT = "poses"
-    FILTERS = ("TUM trajectory (*.tum)",)
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -261,10 +260,6 @@ class TrackTab(LiveTab):
             return None
         self._show()
         return tuple(pose_record(self.tracked.estimate, self.tracked.error).values())
-
-    def write_rows(self, path: Path, rows: list[Row]) -> None:
-        """Write a ``.tum`` file."""
-        save_poses(path, [dict(zip(self.COLUMNS, row, strict=True)) for row in rows])
 
     # Display
 

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from ...core.preset import Preset
     from ...core.sources import FrameSource
 
-SUFFIXES = (".csv", ".tum", MCAP_SUFFIX)
+SUFFIXES = (".csv", MCAP_SUFFIX)
 
 Record = dict[str, Any]
 Save = Callable[["ContactPatch", "PoseEstimate", Record], object]
@@ -63,7 +63,7 @@ def track(
             "--out",
             "-o",
             metavar="FILE",
-            help=".csv; .tum (time, position, quaternion, as evo reads it); .mcap for patches and poses together.",
+            help="A .csv, or a .mcap for patches and poses together.",
         ),
     ] = None,
     preset: PresetOption = None,
@@ -165,8 +165,7 @@ def _track(
         for frame in live_frames(source, total, stopped):
             patch = pipeline.process(frame)
             begun = time.perf_counter()
-            touches = tracker.is_enough(patch)
-            if touches and not tracker.started:
+            if tracker.is_enough(patch) and not tracker.started:
                 with suppress(CancelledError):
                     tracker.find(patch, searching)  # refuses a wrong mesh
                 if stopped.is_set():
@@ -176,7 +175,7 @@ def _track(
             true = frame.truth.T_proximity_object if truth and frame.truth is not None else None
             error = None if true is None or pose.lost else pose_error(pose, true, tracker.mesh)
             save(patch, pose, pose_record(pose, error) | {"ms": round(ms, 2)})
-            count.update(frames=1, touches=touches, lost=touches and pose.lost, known=not pose.lost)
+            count.update(frames=1, known=not pose.lost)
             if not pose.lost:
                 times_ms.append(ms)
             if error is not None:
@@ -185,11 +184,6 @@ def _track(
             progress.frames(count["frames"], total)
     if not count["frames"] and not stopped.is_set():
         raise SourceError(f"{source.name} gave no frames; check the source")
-    if count["lost"] > count["touches"] / 2:
-        warn(
-            f"{name} fits the contact in {count['touches'] - count['lost']} of {counted(count['touches'], 'frame')} "
-            "only; check that it is the mesh of this object, and its unit"
-        )
     if truth and not position_mm:
         warn(f"{source.name} knows no true pose, or the object was lost in every frame; the errors are empty")
     lines = [f"{counted(count['frames'], 'frame')} of {source.name}, object {name}: pose known in {count['known']}"]

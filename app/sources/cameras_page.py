@@ -75,17 +75,8 @@ class CamerasPage(SourcePage):
         return self.proximity.currentData() or "", self.tactile.currentData() or ""
 
     def show_name(self, name: str) -> bool:
-        """Choose the cameras that a name states, if they are connected."""
-        if not name.startswith(CAMERA_SCHEMES):
-            return False
-        serials = name.partition(":")[2].split(",")
-        if len(serials) == 2:
-            self._remembered = (serials[0].strip(), serials[1].strip())
-            for combo, serial in zip((self.proximity, self.tactile), self._remembered, strict=True):
-                if (index := combo.findData(serial)) >= 0:
-                    with QSignalBlocker(combo):
-                        combo.setCurrentIndex(index)
-        return True
+        """Return whether a name is one of cameras; which ones is chosen in the fields."""
+        return name.startswith(CAMERA_SCHEMES)
 
     def come_up(self) -> None:
         """Search when the page is shown first."""

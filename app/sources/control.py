@@ -10,7 +10,7 @@ from PyQt6.QtCore import QObject, pyqtSignal
 from PyQt6.QtWidgets import QCheckBox, QDialog, QDialogButtonBox, QLabel, QWidget
 
 from ...core.preset import CamerasSection, Preset
-from ...core.sources.base import CameraHealth, CameraOption, CameraRole
+from ...core.sources.base import CameraOption, CameraRole
 from ...widgets.basics.controls import CollapsibleSection, dialog_buttons, wrapped_label
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.fields import FieldSpec, field_spec
@@ -18,18 +18,13 @@ from ...widgets.basics.layouts import STRETCH, scrolling, vbox
 from ...widgets.basics.messages import Severity
 from ...widgets.parameters.form import Form, ParameterRow
 from ..context import Context
-from ..worker.results import SourceInfo, SourceState
+from ..worker.results import SourceInfo
 from .cameras_page import CAMERA_SCHEMES, CAMERAS
 
 DELAY_PATH = "cameras.tactile_delay_s"
 _TITLES: dict[CameraRole, str] = {"proximity": "Proximity camera", "tactile": "Tactile camera"}
-_NOT_CONNECTED = (
-    "This camera is not connected, or has no settings. When it is connected, its settings appear here with the "
-    "preset's values."
-)
-_NO_CAMERAS = (
-    "The current source is a recording or the simulator, without camera settings. Connect cameras (F3): their "
-    "settings appear here with the preset's values."
+_NO_SETTINGS = (
+    "There is no camera with settings here. Connect cameras (F3): their settings appear here with the preset's values."
 )
 #: Above this ratio of a range's ends, such as of exposure times, the slider is logarithmic.
 _LOG_SPAN = 500.0
@@ -112,7 +107,6 @@ class CameraPanel(QDialog):
         self.rows: dict[tuple[CameraRole, str], OptionRow] = {}
         self.delay = ParameterRow(field_spec(Preset, DELAY_PATH))
         self._options: tuple[CameraOption, ...] = ()
-        self._cameras: dict[CameraRole, CameraHealth] = {}
         self._sections = {role: CollapsibleSection(title) for role, title in _TITLES.items()}
         self._bodies: dict[CameraRole, QWidget] = {}
         timing, column = CollapsibleSection("Timing"), QWidget()
@@ -120,7 +114,7 @@ class CameraPanel(QDialog):
         vbox(*self._sections.values(), timing, STRETCH, within=column, margins=4)
         for role, section in self._sections.items():
             vbox(within=section.body, margins=0)
-            self._replace_body(role, _note(_NO_CAMERAS))
+            self._replace_body(role, _note(_NO_SETTINGS))
         buttons = dialog_buttons(QDialogButtonBox.StandardButton.Close)
         buttons.rejected.connect(self.close)
         vbox((scrolling(column), 1), buttons, within=self)
@@ -144,28 +138,13 @@ class CameraPanel(QDialog):
             self.rows[option.camera, option.name].option = option
         self.set_cameras(cameras)
 
-    def set_health(self, cameras: tuple[CameraHealth, ...]) -> None:
-        """Show which devices have the two roles; a source without cameras has none."""
-        self._cameras = {camera.role: camera for camera in cameras}
-        for role, title in _TITLES.items():
-            camera = self._cameras.get(role)
-            device = "" if camera is None else camera.model
-            serial = f"(serial {camera.serial})" if camera is not None and camera.serial else ""
-            self._sections[role].button.setText(" ".join(filter(None, (title, device, serial))))
-            body = self._bodies[role]
-            if isinstance(body, QLabel):
-                body.setText(self._why_nothing(role))
-
     def _rebuild(self, role: CameraRole, options: list[CameraOption]) -> None:
         self.rows = {key: row for key, row in self.rows.items() if key[0] != role}
         rows = {(role, option.name): OptionRow(option) for option in options}
         for (_, name), row in rows.items():
             row.chosen.connect(partial(self.optionEdited.emit, role, name))
         self.rows |= rows
-        self._replace_body(role, Form(rows.values()) if rows else _note(self._why_nothing(role)))
-
-    def _why_nothing(self, role: CameraRole) -> str:
-        return _NOT_CONNECTED if role in self._cameras else _NO_CAMERAS
+        self._replace_body(role, Form(rows.values()) if rows else _note(_NO_SETTINGS))
 
     def _replace_body(self, role: CameraRole, body: QWidget) -> None:
         if (old := self._bodies.get(role)) is not None:
@@ -203,7 +182,6 @@ class CameraControl(QObject):
         self._worker.optionRefused.connect(
             lambda sentence: self._messages.show_message("camera option", Severity.WARNING, sentence)
         )
-        self._worker.stateChanged.connect(self._show_health)
 
     def show_panel(self) -> None:
         """Show the settings, or bring them to the front."""
@@ -248,16 +226,12 @@ class CameraControl(QObject):
 
     def _opened(self, info: SourceInfo) -> None:
         self._source = info.name
-        self.panel.set_health(())
         self._messages.clear("cameras")
         self._messages.clear("camera option")
 
     def _options_changed(self, options: tuple[CameraOption, ...]) -> None:
         self._options = options
         self.panel.set_options(options, self._document.preset.cameras)
-
-    def _show_health(self, state: SourceState) -> None:
-        self.panel.set_health(state.health.cameras)
 
 
 def _kept(cameras: CamerasSection, option: CameraOption) -> float | None:

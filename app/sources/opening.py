@@ -7,13 +7,11 @@ from collections.abc import Sequence
 from PyQt6.QtCore import QObject, QSignalBlocker, pyqtSignal
 from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QLineEdit, QListWidget, QPushButton, QStackedWidget, QWidget
 
-from ...core.errors import SourceError
 from ...widgets.basics.controls import NoteLabel, ProgressBar, caption, dialog_buttons
 from ...widgets.basics.layouts import hbox, vbox
 from ..context import Context
 from .cameras_page import CamerasPage
-from .pages import FilesPage, RecentPage, SourcePage
-from .simulator_page import SimulatorPage
+from .pages import FilesPage, SourcePage
 
 _SIZE = (820, 560)
 
@@ -119,12 +117,8 @@ class OpenDialog(QDialog):
         """Move the page to a typed name; return whether one knows it."""
         self.note.say("")
         for page in self.pages:
-            try:
-                with QSignalBlocker(page):
-                    known = page.show_name(text.strip())
-            except SourceError as error:
-                self.note.say(str(error), error=True)
-                known = True
+            with QSignalBlocker(page):
+                known = page.show_name(text.strip())
             if known:
                 self._switch_to(page)
                 return True
@@ -189,7 +183,7 @@ class OpenControl(QObject):
     def _make_dialog(self) -> OpenDialog:
         context = self._context
         self._cameras = CamerasPage(context.document.preset.cameras)
-        pages = [self._cameras, RecentPage(context.settings), SimulatorPage(), FilesPage(context.dialogs)]
+        pages = [self._cameras, FilesPage(context.settings, context.dialogs)]
         self.dialog = OpenDialog(pages, context.window)
         self.dialog.requested.connect(self._request)
         self.dialog.finished.connect(self._closed)

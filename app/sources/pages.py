@@ -1,4 +1,4 @@
-"""Pages of the dialog *Open…*: what a page is, the recent sources, and files and other kinds."""
+"""Pages of the dialog *Open…*: what a page is, and the recent sources with files and folders."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from PyQt6.QtGui import QKeyEvent, QPalette
 from PyQt6.QtWidgets import QListWidget, QListWidgetItem, QWidget
 
 from ...core.errors import SourceError
-from ...core.sources.registry import missing_path, source_kinds
+from ...core.sources.registry import missing_path
 from ...widgets.basics.controls import push_button, wrapped_label
 from ...widgets.basics.dialogs import Dialogs
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
-from ...widgets.basics.record_table import Column, RecordTable
 from ..settings import Settings
 from .paths import recording_filters, recording_name
 
@@ -38,7 +37,7 @@ class SourcePage(QWidget):
         self.name = self.note = ""
 
     def show_name(self, name: str) -> bool:
-        """Show a name that was typed and return whether it belongs to this page; `SourceError` if it is wrong."""
+        """Return whether a name that was typed belongs to this page, and show it."""
         return False
 
     def come_up(self) -> None:
@@ -52,25 +51,26 @@ class SourcePage(QWidget):
         self.changed.emit()
 
 
-class RecentPage(SourcePage):
-    """Lists the recent sources, newest first. Those that are gone are grey."""
+class FilesPage(SourcePage):
+    """Asks for a file or folder, and lists the recent sources, newest first. Those that are gone are grey."""
 
-    title = "Recent"
+    title = "Files and recent"
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, dialogs: Dialogs) -> None:
         super().__init__()
         self._settings = settings
+        self._dialogs = dialogs.over(self)
+        self.file = push_button("Choose fi&le…", "Choose a recording, or the two .bag files of two cameras")
+        self.folder = push_button("Choose fol&der…", "Choose a recording stored as a folder of images")
+        self.simulator = push_button("Open &simulator", f"Open {_SIMULATOR}, a sensor that needs no cameras")
         self.list = QListWidget()
         self.list.setAccessibleName("Recent sources")
         self.list.setToolTip("Sources that were open before; double-click one to open it, Delete removes it")
         self.list.setWordWrap(True)
         self.list.setSpacing(2)
         self.list.setTextElideMode(Qt.TextElideMode.ElideMiddle)
-        self.none = wrapped_label("Sources that you open will be listed here.")
-        self.simulator = push_button("Open simulator", f"Open {_SIMULATOR}, a sensor that needs no cameras")
-        self._empty = QWidget()
-        vbox(self.none, hbox(self.simulator, STRETCH), STRETCH, within=self._empty, margins=0)
-        vbox(self.list, self._empty, within=self, margins=0)
+        buttons = hbox(self.file, self.folder, self.simulator, STRETCH)
+        vbox(buttons, wrapped_label("Open before:"), (self.list, 1), within=self, margins=0)
         for name in settings.recent(RECENT):
             item = QListWidgetItem(name)
             item.setData(Qt.ItemDataRole.UserRole, name)
@@ -79,9 +79,14 @@ class RecentPage(SourcePage):
                 item.setForeground(self.palette().color(QPalette.ColorGroup.Disabled, QPalette.ColorRole.Text))
             item.setToolTip(item.text())
             self.list.addItem(item)
-        self._show_list()
         self.list.currentItemChanged.connect(lambda item, _: self._selected(item))
         self.list.itemActivated.connect(lambda _: self.activated.emit())
+        self.file.clicked.connect(
+            lambda: self._dialogs.open_files("source", "Open a recording", recording_filters(), self._chosen)
+        )
+        self.folder.clicked.connect(
+            lambda: self._dialogs.open_folder("source", "Open a recorded folder", lambda path: self._chosen([path]))
+        )
         self.simulator.clicked.connect(self._open_simulator)
 
     def show_name(self, name: str) -> bool:
@@ -107,12 +112,6 @@ class RecentPage(SourcePage):
             return
         self._settings.remove_recent(RECENT, item.data(Qt.ItemDataRole.UserRole))
         self.list.takeItem(self.list.row(item))
-        self._show_list()
-
-    def _show_list(self) -> None:
-        """Show the list; while it is empty, what it is for."""
-        self.list.setVisible(self.list.count() > 0)
-        self._empty.setVisible(self.list.count() == 0)
 
     def _open_simulator(self) -> None:
         self._choose(_SIMULATOR)
@@ -122,40 +121,6 @@ class RecentPage(SourcePage):
         name = "" if item is None else item.data(Qt.ItemDataRole.UserRole)
         missing = missing_path(name) if name else None
         self._choose(name, "" if missing is None else _MISSING.format(missing))
-
-
-class FilesPage(SourcePage):
-    """Asks for a file or folder, and lists every kind of source with its form."""
-
-    title = "Files and others"
-
-    def __init__(self, dialogs: Dialogs) -> None:
-        super().__init__()
-        self._dialogs = dialogs.over(self)
-        self.file = push_button("Choose fi&le…", "Choose a recording, or the two .bag files of two cameras")
-        self.folder = push_button("Choose fol&der…", "Choose a recording stored as a folder of images")
-        tip = "All kinds of sources, also those of other packages; double-click one to begin its name"
-        columns = [
-            Column("Name", lambda kind: kind.form.partition("[")[0], hint=lambda kind: kind.form),
-            Column("What it opens", lambda kind: kind.description, stretch=True),
-        ]
-        self.kinds = RecordTable(columns, "Kinds of sources", tip, key=lambda kind: kind.scheme, wraps=True)
-        self.kinds.set_records(source_kinds())
-        buttons = hbox(self.file, self.folder, STRETCH)
-        vbox(buttons, wrapped_label("Or type a name below:"), (self.kinds, 1), within=self, margins=0)
-        self.file.clicked.connect(self._ask_file)
-        self.folder.clicked.connect(self._ask_folder)
-        self.kinds.activated.connect(lambda _: self._kind_chosen())
-
-    def _kind_chosen(self) -> None:
-        for scheme in self.kinds.selected_keys()[:1]:
-            self._choose(f"{scheme}:")
-
-    def _ask_file(self) -> None:
-        self._dialogs.open_files("source", "Open a recording", recording_filters(), self._chosen)
-
-    def _ask_folder(self) -> None:
-        self._dialogs.open_folder("source", "Open a recorded folder", lambda path: self._chosen([path]))
 
     def _chosen(self, paths: list[Path]) -> None:
         try:

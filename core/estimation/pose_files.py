@@ -1,10 +1,10 @@
-"""Poses in files: a start pose, and tracked poses as CSV or in the format of the TUM RGB-D benchmark (``evo``)."""
+"""Poses in files: a pose to start from, and tracked poses as CSV."""
 
 from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
@@ -20,7 +20,6 @@ from .pose import PoseError, PoseEstimate
 
 Record = dict[str, Any]
 
-TUM_SUFFIX: Final = ".tum"
 AXES: Final = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 _FILE_BYTES: Final = 10_000_000
 _QUATERNION: Final = ("qx", "qy", "qz", "qw")
@@ -47,25 +46,19 @@ def pose_record(pose: PoseEstimate, error: PoseError | None = None) -> Record:
 
 @contextmanager
 def open_poses(path: Path) -> Iterator[Callable[[Mapping[str, Any]], None]]:
-    """Yield a function that writes a record of `pose_record`; the file gets its name when this ends.
+    """Yield a function that writes a record of `pose_record` into a CSV file, which gets its name when this ends.
 
-    A ``.tum`` file holds no lost frames, and its times increase, as ``evo`` demands; other files are CSV with all
-    columns. After a `TactuneError`, such as of an unplugged camera, the poses until then are kept.
+    After a `TactuneError`, such as of an unplugged camera, the poses until then are kept.
     """
-    is_tum, rows, known, last_s = path.suffix.lower() == TUM_SUFFIX, 0, False, -math.inf
+    rows, known = 0, False
     failure: TactuneError | None = None
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file, lineterminator="\n")
 
         def write(record: Mapping[str, Any]) -> None:
-            nonlocal rows, known, last_s
-            if is_tum and (record["lost"] or record["time_s"] <= last_s):
-                return
-            if is_tum:
-                file.write(" ".join(repr(record[key]) for key in ("time_s", *AXES[:3], *_QUATERNION)) + "\n")
-            else:
-                table.writerows([record.values()] if rows else [record, record.values()])
-            rows, known, last_s = rows + 1, known or not record["lost"], record["time_s"]
+            nonlocal rows, known
+            table.writerows([record.values()] if rows else [record, record.values()])
+            rows, known = rows + 1, known or not record["lost"]
 
         try:
             yield write
@@ -77,16 +70,6 @@ def open_poses(path: Path) -> Iterator[Callable[[Mapping[str, Any]], None]]:
             raise ExportError(f"the object was in no frame, so {path} would be empty")
     if failure is not None:
         raise failure
-
-
-def save_poses(path: Path, records: Iterable[Mapping[str, Any]]) -> None:
-    """Write records as `open_poses` does; of several poses of one time a ``.tum`` file gets the last."""
-    if path.suffix.lower() == TUM_SUFFIX:
-        newest = {record["time_s"]: record for record in records if not record["lost"]}
-        records = [newest[time_s] for time_s in sorted(newest)]
-    with open_poses(path) as write:
-        for record in records:
-            write(record)
 
 
 def load_transform(path: Path | str) -> Matrix4:

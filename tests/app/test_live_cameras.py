@@ -149,10 +149,6 @@ def section(panel, role):
     return made
 
 
-def title(panel, role):
-    return section(panel, role).button.text()
-
-
 def note(panel, role):
     """What the section says in place of settings."""
     body = section(panel, role).body
@@ -168,7 +164,6 @@ def test_every_option_has_a_row_that_says_what_it_means(panel):
     assert not panel.rows["tactile", "temperature"].widget.isEnabled()
     assert panel.rows["proximity", "visual_preset"].widget.currentText() == "Custom"
     assert isinstance(panel.rows["tactile", "enable_auto_exposure"].widget, QCheckBox)
-    assert "L515" in title(panel, "Proximity")
 
 
 def test_a_typed_number_reaches_the_camera_and_the_preset_and_can_be_undone(window, cameras, panel, qtbot):
@@ -232,9 +227,7 @@ def test_changed_cameras_are_offered_to_be_opened_again(window, qtbot):
 
 
 def test_after_the_cameras_a_recording_has_none(window, panel, qtbot):
-    assert "L515" in title(panel, "Proximity")
     window.open_request(SourceRequest("tiny", lambda progress: FakeSource()))
     qtbot.waitUntil(lambda: panel.rows == {})
-    assert title(panel, "Proximity") == "Proximity camera"
     # the rows that are gone are deleted by the event loop
-    qtbot.waitUntil(lambda: "without camera settings" in note(panel, "Proximity"))
+    qtbot.waitUntil(lambda: "no camera with settings" in note(panel, "Proximity"))

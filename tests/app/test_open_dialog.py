@@ -5,13 +5,13 @@ from __future__ import annotations
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QComboBox, QDialogButtonBox
+from PyQt6.QtWidgets import QDialogButtonBox
 
 from fakes import FakeSource
 from hands import CONTROL, LEFT
 from tactune.core.sources.folder import export_folder
 
-CAMERAS, RECENT, SIMULATOR, FILES = range(4)
+CAMERAS, FILES = range(2)
 
 
 @pytest.fixture
@@ -41,43 +41,6 @@ def type_name(dialog, name):
 
 def shows(window, name):
     return window.result is not None and window.result.source.name == name
-
-
-def choose(combo: QComboBox, text: str) -> None:
-    """Choose an entry as its popup does, by the letters of its text."""
-    combo.setFocus()
-    combo.showPopup()
-    QTest.keyClicks(combo.view(), text)
-    QTest.keyClick(combo.view(), Qt.Key.Key_Return)
-
-
-# The simulator
-
-
-def test_fields_write_the_name_and_the_name_moves_the_fields(window, qtbot):
-    dialog = open_dialog(window, qtbot, SIMULATOR)
-    fields = dialog.page.editors
-    assert dialog.name.text() == "sim:cup"
-    choose(fields["press"], "low")
-    assert dialog.name.text() == "sim:cup?press=low"
-    fields["seed"].setFocus()
-    QTest.keyClick(fields["seed"], Qt.Key.Key_Up)
-    assert dialog.name.text() == "sim:cup?press=low&seed=1"
-    type_name(dialog, "sim:octopus?press=high&side=left&sensor=worn&noise=0.5")
-    shown = {key: fields[key].currentData() for key in ("scene", "press", "side", "sensor")}
-    assert shown == {"scene": "octopus", "press": "high", "side": "left", "sensor": "worn"}
-    assert fields["noise"].value() == 0.5
-    assert fields["side"].isEnabled()
-    assert not fields["gap"].isEnabled()
-
-
-def test_a_scene_that_lacks_an_option_drops_it(window, qtbot):
-    dialog = open_dialog(window, qtbot)
-    type_name(dialog, "sim:cup?move=slide&seed=7")
-    assert dialog.page is dialog.pages[SIMULATOR]
-    choose(dialog.page.editors["scene"], "tray")
-    assert dialog.name.text() == "sim:tray?seed=7"
-    assert not dialog.page.editors["move"].isEnabled()
 
 
 # Opening
@@ -111,7 +74,7 @@ def test_a_recording_that_was_open_opens_by_double_click(make_window, qtbot, rec
     name = f"folder:{recording}"
     window.open_source(name)
     qtbot.waitUntil(lambda: shows(window, name))
-    dialog = open_dialog(window, qtbot, RECENT)
+    dialog = open_dialog(window, qtbot, FILES)
     opened = []
     window.worker.opened.connect(opened.append)
     place = dialog.page.list.visualItemRect(dialog.page.list.item(0)).center()
@@ -124,7 +87,7 @@ def test_a_recording_that_was_open_opens_by_double_click(make_window, qtbot, rec
 def test_a_recording_that_is_gone_is_grey_and_can_be_removed(window, qtbot, tmp_path):
     gone = f"mcap:{tmp_path / 'gone.mcap'}"
     window.settings.add_recent("sources", gone)
-    dialog = open_dialog(window, qtbot, RECENT)
+    dialog = open_dialog(window, qtbot, FILES)
     texts = [dialog.page.list.item(row).text() for row in range(dialog.page.list.count())]
     row = next(row for row, text in enumerate(texts) if text.startswith(gone))
     assert "it was moved or deleted" in texts[row]
@@ -136,25 +99,7 @@ def test_a_recording_that_is_gone_is_grey_and_can_be_removed(window, qtbot, tmp_
     assert all(not dialog.page.list.item(row).text().startswith(gone) for row in range(dialog.page.list.count()))
 
 
-def test_an_empty_list_says_what_it_is_for_and_opens_the_simulator(window, qtbot):
-    for name in window.settings.recent("sources"):
-        window.settings.remove_recent("sources", name)
-    dialog = open_dialog(window, qtbot, RECENT)
-    assert not dialog.page.list.isVisible() and "will be listed here" in dialog.page.none.text()
+def test_the_simulator_is_one_click_away(window, qtbot):
+    dialog = open_dialog(window, qtbot, FILES)
     QTest.mouseClick(dialog.page.simulator, LEFT)
     qtbot.waitUntil(lambda: shows(window, "sim:cup"))
-
-
-# Files and others
-
-
-def test_each_kind_begins_a_name(window, qtbot):
-    dialog = open_dialog(window, qtbot, FILES)
-    assert dialog.name.text() == "", "sim:cup belongs to the page before"
-    assert "a path" in dialog.name.placeholderText()
-    kinds = dialog.page.kinds
-    row = [kind.scheme for kind in kinds.records()].index("mcap")
-    kinds.setFocus()
-    kinds.selectRow(row)
-    QTest.keyClick(kinds, Qt.Key.Key_Return)
-    assert dialog.name.text() == "mcap:"

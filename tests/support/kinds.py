@@ -35,7 +35,7 @@ from tactune.core.calibration.points import write_points
 from tactune.core.calibration.snapshots import content_hash
 from tactune.core.errors import ExportError, SourceError
 from tactune.core.estimation.object_mesh import load_mesh
-from tactune.core.estimation.pose_files import load_transform, save_poses
+from tactune.core.estimation.pose_files import load_transform, open_poses
 from tactune.core.lab import table
 from tactune.core.lab.scan import load_scan
 from tactune.core.lab.scan import read_pairs as read_scan_pairs
@@ -276,6 +276,12 @@ def box(name: str) -> Callable[[Path, int], object]:
     return lambda folder, n: trimesh.creation.box((0.1, 0.1, 0.1)).export(folder / name)
 
 
+def write_poses(folder: Path, n: int) -> None:
+    with open_poses(folder / "a.csv") as write:
+        for _ in range(999):
+            write({"sequence": n, "time_s": 0.1, "lost": 0})
+
+
 def text(name: str, content: str) -> Callable[[Path, int], object]:
     return lambda folder, n: (folder / name).write_text(content)
 
@@ -315,7 +321,7 @@ KINDS: dict[str, Kind] = {
     "transform": Kind(
         text("a.json", json.dumps({"T_proximity_scan": POSE})), lambda f: load_transform(f / "a.json"), 400, ours=False
     ),
-    "poses": Kind(lambda f, n: save_poses(f / "a.csv", [{"sequence": n, "time_s": 0.1, "lost": 0}] * 999)),
+    "poses": Kind(write_poses),
     "picture": Kind(lambda f, n: write_picture(PICTURE, f"{n}\n" * 999, f / "a.png", "It was")),
     "layout": Kind(lambda f, n: save_layout(f / "a.json")),
     "table.csv": Kind(lambda f, n: write_csv(f / "a.csv", [{"a": n}] * 999)),
