@@ -87,7 +87,7 @@ def recheck(
 
     checked = load_preset(preset)
     untouched = None if checked.untouched is None else load_untouched(checked.untouched, Path(preset))
-    with open_with_progress(source, checked.cameras) as opened:
+    with open_with_progress(source, checked) as opened:
         now, rig = average_frames(opened).frame, opened.rig
     found: dict[str, Any] = {}
     try:

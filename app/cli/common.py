@@ -24,7 +24,7 @@ from ...core.model.files import user_path
 if TYPE_CHECKING:
     from ...core.contact.pipeline import ContactPipeline
     from ...core.model.frames import Rig, SensorFrame
-    from ...core.preset import CamerasSection, Preset
+    from ...core.preset import Preset
     from ...core.rig.untouched import UntouchedAverage
     from ...core.sources import FrameSource
 
@@ -200,13 +200,16 @@ def parse_settings(texts: Sequence[str] | None) -> dict[str, Any]:
 
 
 @contextmanager
-def open_with_progress(name: str, cameras: CamerasSection | None = None) -> Iterator[FrameSource]:
-    """Open a source, for live cameras with a preset's section; at its end warn of frames that were lost."""
+def open_with_progress(name: str, preset: Preset | None = None) -> Iterator[FrameSource]:
+    """Open a source, live cameras as a preset says, and warn where preset and rig do not match or frames were lost."""
+    from ...core.contact.checks import check_rig
     from ...core.sources.registry import open_source
 
     with CliProgress() as progress:
-        source = open_source(name, progress.preparing, cameras)
+        source = open_source(name, progress.preparing, None if preset is None else preset.cameras)
     with source:
+        if preset is not None:
+            warn(*check_rig(preset, source.rig))
         lost_before = source.health().dropped
         try:
             yield source
@@ -216,22 +219,12 @@ def open_with_progress(name: str, cameras: CamerasSection | None = None) -> Iter
 
 
 @contextmanager
-def open_for_preset(name: str, preset: Preset) -> Iterator[FrameSource]:
-    """Open a source with the preset's cameras, and warn where preset and rig do not match."""
-    from ...core.contact.checks import check_rig
-
-    with open_with_progress(name, preset.cameras) as source:
-        warn(*check_rig(preset, source.rig))
-        yield source
-
-
-@contextmanager
 def open_pipeline(name: str, preset: Preset) -> Iterator[tuple[FrameSource, ContactPipeline]]:
     """Open a source for a preset, and compile what the first frame would wait for."""
     from ...core.contact.pipeline import ContactPipeline
     from ...core.warmup import warm_up_if_needed
 
-    with open_for_preset(name, preset) as source:
+    with open_with_progress(name, preset) as source:
         with CliProgress() as progress:
             warm_up_if_needed(progress.preparing, preset)
         yield source, ContactPipeline(preset, source.rig)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from typing import Any
 
 import typer
 
-from ...core.errors import as_sentence
+from ...core.errors import as_sentence, counted
 from ..doctor.checks import State
 from ..sources.list_devices import ask_driver
 from .common import CliProgress, warn
@@ -80,15 +79,8 @@ def warmup() -> None:
     """Compile the pipeline for this computer, so that a robot's first frame need not wait."""
     from ...core.warmup import warm_up
 
-    started = time.perf_counter()
     with CliProgress() as progress:
         result = warm_up(progress.preparing)
-    seconds = time.perf_counter() - started
-    if result.compiled:
-        typer.echo(f"compiled {result.compiled} kernels and loaded {result.loaded} in {seconds:.1f} s")
-    else:
-        typer.echo(f"nothing to compile: {result.loaded} kernels loaded in {seconds:.1f} s")
-    if result.folders:
-        typer.echo("kept in " + ", ".join(str(folder) for folder in result.folders))
-    else:
+    typer.echo(f"compiled {counted(result.compiled, 'kernel')}, loaded {result.loaded}")
+    if not result.folders:
         warn("no cache folder is writable, so every start compiles again; set NUMBA_CACHE_DIR to a writable folder")

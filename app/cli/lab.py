@@ -157,7 +157,7 @@ def strain(
     records: list[Record] = []
     latest: deque[SensorFrame] = deque(maxlen=average)
     with (
-        open_with_progress(source, chosen.cameras) as opened,
+        open_with_progress(source, chosen) as opened,
         CliProgress() as progress,
     ):
         total, kept = number_of_frames(opened, frames), kept_untouched(chosen, origin, opened)
@@ -276,7 +276,7 @@ def scan(
     truth, refined = scan_truth(loaded, contact, pose), None
     records: list[Record] = []
     empty = {"rmse_mm": None, "hausdorff_mm": None, "area_error_mm2": None, "failure": ""}
-    with open_with_progress(source, chosen.cameras) as opened:
+    with open_with_progress(source, chosen) as opened:
         if opened.length is None and frames is None:
             raise TactuneError(f"{source} is endless; say how many frames to compare, such as --frames 30")
         finds = _finds(names, chosen, origin, opened)
@@ -357,10 +357,6 @@ def _start_pose(transform: Path | None, pairs: Path | None, unit_m: float) -> Ma
 @lab_commands.command(short_help="Measure the pipeline's run time and error.")
 def bench(
     *,
-    scenes: Annotated[str, typer.Option("--scenes", metavar="A,B", help="Scenes, or 'all'.")] = "all",
-    engines: Annotated[
-        str, typer.Option("--engines", metavar="A,B", help="Engines besides the baseline, or 'all'.")
-    ] = "all",
     gate: Annotated[
         bool, typer.Option("--gate", help="Check only the promised speed; exit status 1 if a check fails.")
     ] = False,
@@ -378,19 +374,10 @@ def bench(
         if gate:
             checks = lab_bench.run_gate(_ROUNDS, progress.preparing)
         else:
-            chosen = [_known("engine", engines, list(lab_bench.ENGINES)), _known("scene", scenes, scene_names())]
-            rows = lab_bench.compare_engines(chosen[1], chosen[0], _ROUNDS, progress.preparing)
+            rows = lab_bench.compare_engines(scene_names(), list(lab_bench.ENGINES), _ROUNDS, progress.preparing)
     if not gate:
         typer.echo(f"{head}\n\n{lab_bench.rows_text(rows)}")
         return
     typer.echo("\n".join([head, *map(str, checks)]))
     if not all(check.holds for check in checks):
         raise typer.Exit(1)
-
-
-def _known(what: str, text: str, known: list[str] | tuple[str, ...]) -> list[str]:
-    names = _names(text) or known
-    for name in names:
-        if name not in known:
-            raise TactuneError(f"there is no {what} {name!r}; known are {', '.join(known)}")
-    return list(names)

@@ -163,19 +163,10 @@ def _open_window(source: str, preset: str | None, screenshot: Path | None) -> in
     _check_x_display()
     try:
         from ..gui import run_gui
-    except ModuleNotFoundError as error:
-        if str(error.name).partition(".")[0] not in ("PyQt6", "pyqtgraph"):
-            raise
-        raise MissingExtraError(
-            f'the window needs {error.name}, which is not installed: pip install "tactune[gui]"; '
-            "tactune run works without it"
-        ) from error
     except ImportError as error:
-        if "shared object file" not in str(error):
-            raise
         raise MissingExtraError(
-            f"the window needs a library of the operating system ({error}); install it, "
-            "or use tactune run, which works without it"
+            f'the window cannot be opened ({error}): pip install "tactune[gui]", or let tactune doctor say what is '
+            "missing; tactune run works without it"
         ) from error
     return run_gui(source, preset or default_preset(source), screenshot, FRAMES_BEFORE_PICTURE)
 

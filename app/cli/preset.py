@@ -20,7 +20,7 @@ from .common import (
     counted_out,
     default_preset,
     find_rig,
-    open_for_preset,
+    open_with_progress,
     parse_settings,
     refuse_existing,
     tell_notes,
@@ -149,7 +149,7 @@ def capture_untouched(
             "new, or copy a shipped one with tactune preset show NAME > FILE"
         )
     chosen = load_preset(preset)
-    with open_for_preset(source, chosen) as opened:
+    with open_with_progress(source, chosen) as opened:
         captured = average_frames(opened)
         _check_untouched(chosen, preset, opened.rig, captured.frame, force=force)
     record = save_untouched(captured.frame, captured.frames, preset)
@@ -188,7 +188,7 @@ def measure_rig(
     if target is not None:
         check_target(target, preset)
     chosen = load_preset(origin)
-    with open_for_preset(source, chosen) as opened:
+    with open_with_progress(source, chosen) as opened:
         noise = _measure_noise(opened, chosen, origin)
     typer.echo("\n".join(describe(noise)))
     if target is None:

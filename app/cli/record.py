@@ -52,7 +52,7 @@ def record(
         raise ExportError(f"--out is {out}, but a recording is a .mcap file; name it so")
     refuse_existing(out)
     kept = None if preset is None else load_preset(preset)
-    with open_with_progress(source, kept.cameras if kept else None) as opened:
+    with open_with_progress(source, kept) as opened:
         untouched, rate_hz = _untouched(kept, preset, opened), opened.frame_rate_hz
         with SessionWriter(out, opened.rig, preset=kept, frame_rate_hz=rate_hz, untouched=untouched) as writer:
             _record_frames(opened, writer, frames)

@@ -19,7 +19,7 @@ from .common import (
     SourceOption,
     default_preset,
     live_frames,
-    open_for_preset,
+    open_with_progress,
     stop_on_signals,
     warn,
 )
@@ -87,7 +87,7 @@ def serve(
     connections = Connections(foxglove, ros2, host, port, domain, namespace)
     with (
         Publisher(connections.make_sinks()) as publisher,  # a taken port is told before cameras start
-        open_for_preset(source, chosen) as opened,
+        open_with_progress(source, chosen) as opened,
     ):
         playing = opened if opened.length is None else LiveLoop(opened)
         tilt, poses = make_tilt(estimate, chosen, playing.rig), None

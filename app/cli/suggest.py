@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 from collections.abc import Mapping
 from itertools import islice
 from pathlib import Path
@@ -19,8 +18,8 @@ from .common import (
     SourceOption,
     default_preset,
     emit,
-    open_for_preset,
     open_pipeline,
+    open_with_progress,
     warn,
 )
 from .preset import check_target, save_changed
@@ -71,7 +70,7 @@ def suggest(
     if out is not None:
         check_target(out, preset)
     chosen = load_preset(origin)
-    with open_for_preset(source, chosen) as opened:
+    with open_with_progress(source, chosen) as opened:
         frames = _recent_frames(opened, frame)
         with CliProgress() as progress:
             found = find_untouched(chosen, origin, opened, progress.preparing)
@@ -114,8 +113,6 @@ def check(
         warn(*stored.warnings)
         patches = [pipeline.process(each) for each in frames]
         findings = Examiner(opened.rig).findings(frames[-1], patches[-1], chosen, stored.frame)
-    target = [] if origin.endswith(".json") else ["--out", "measured.json"]
-    measure_rig = shlex.join(["tactune", "preset", "measure-rig", "--source", source, "--preset", origin, *target])
     lines, records = [], []
     for finding in findings:
         lines.append(f"{finding.field}: {finding.sentence}")
@@ -123,7 +120,7 @@ def check(
         if finding.proposal is not None:
             lines += [f"  {finding.proposal.evidence}", *_as_options(changes)]
         elif finding.action == "measure_noise":
-            lines.append(f"  measure the rig: {measure_rig}")
+            lines.append("  measure the rig: tactune preset measure-rig")
         about = {"name": finding.name, "field": finding.field, "sentence": finding.sentence}
         records.append({**about, "changes": changes})
     emit(records, "\n".join(lines) or "no findings", as_json)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 
 SOURCE = "sim:cup?press=medium"
 
@@ -24,14 +23,3 @@ def test_findings_are_printed_with_what_mends_them(tactune, tmp_path):
     [finding] = json.loads(tactune("preset", "check", "--source", SOURCE, "--preset", spoiled, "--json").out)
     assert finding["name"] == "peak"
     assert finding["changes"] == {"alignment.depth_offset_m": 0.0}
-
-
-def test_the_printed_command_measures_the_rig(tactune, tmp_path):
-    no_mask = tmp_path / "no mask.json"
-    values = ("--from", "simulator", "--set", "mask.enabled=false")
-    assert tactune("preset", "new", *values, "--out", no_mask).status == 0
-    finished = tactune("preset", "check", "--source", "sim:cup?press=none", "--preset", no_mask)
-    [command] = [line for line in finished.out.splitlines() if "tactune preset measure-rig" in line]
-    program, *words = shlex.split(command.partition("measure the rig: ")[2])
-    assert program == "tactune"
-    assert tactune(*words).status == 0
