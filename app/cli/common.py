@@ -60,6 +60,18 @@ PresetOption = Annotated[
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="FIELD=VALUE",
+        help="Any preset field by its path, such as mask.hue=[150,170] or tolerance.t=0.01; may be repeated. Setting a "
+        "field of mask, outliers, range or region turns that section on; one of a contact test chooses that test.",
+    ),
+]
+TruthOption = Annotated[
+    bool, typer.Option("--truth", help="Compare with the truth that the source knows, such as the simulator.")
+]
 FrameCount = Annotated[
     int | None, typer.Option("--frames", "-n", min=1, metavar="N", help="Stop after N frames; default: all.")
 ]
@@ -245,7 +257,7 @@ def tell_of_stop(source: FrameSource, done: int, asked: int | None) -> None:
 
 
 def live_frames(source: FrameSource, total: int | None, stopped: threading.Event) -> Iterator[SensorFrame]:
-    """Yield frames until there are ``total``, the source ends or ``stopped`` is set.
+    """Yield frames until there are ``total``, the source ends or ``stopped`` is set; `SourceError` if none comes.
 
     A rig whose depth unit puts the membrane where it cannot be gives a warning.
     """
@@ -256,6 +268,8 @@ def live_frames(source: FrameSource, total: int | None, stopped: threading.Event
         if not source.wait(WAIT_S):
             continue
         frame = source.next_frame()
+        if frame is None and not count:
+            raise SourceError(f"{source.name} gave no frames; check the source")
         if frame is None:
             return
         if not count and (finding := wrong_unit(frame, source.rig)) is not None:

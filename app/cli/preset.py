@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import json
-import math
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...core.errors import CalibrationError, PresetError, TactuneError, counted
+from ...core.errors import CalibrationError, PresetError, counted
 from .common import (
     AVERAGED,
     CliProgress,
     PresetOption,
+    SetOption,
     UntouchedSource,
     average_frames,
     counted_out,
@@ -58,16 +58,7 @@ def new(
             help="The preset's rig: a rig.json, another preset, or a source of frames; default: that of --from.",
         ),
     ] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="FIELD=VALUE",
-            help="Any field by its path, such as mask.hue=[150,170] or tolerance.t=0.01; may be repeated. "
-            "Setting a field of mask, outliers, range or region turns that section on; setting a field of one contact "
-            "test, such as tolerance.t, outliers.k or membrane.frames, chooses that test.",
-        ),
-    ] = None,
+    settings: SetOption = None,
 ) -> None:
     """Write a new preset: the paper's values or those of another preset, changed by --set."""
     from ...core.preset import Preset, now
@@ -88,9 +79,7 @@ def new(
     save_preset(preset, out)
     typer.echo(f"wrote {out}")
     if base.rig is not None and base.rig != made_for:
-        typer.echo(
-            f"note: cameras and alignment are those of {start}, made for another rig; calibrate again.", err=True
-        )
+        warn(f"cameras and alignment are those of {start}, made for another rig; calibrate again")
     tell_notes(preset)
 
 
@@ -103,25 +92,16 @@ def show(preset: Annotated[str, typer.Argument(metavar="FILE|NAME", help="A file
     typer.echo(preset_json(load_preset(preset)), nl=False)
 
 
-@preset_commands.command(short_help="Check preset files.")
-def validate(presets: Annotated[list[str], typer.Argument(metavar="FILE...")]) -> None:
-    """Check preset files; the exit status is 2 if one of them cannot be used."""
+@preset_commands.command()
+def validate(preset: Annotated[str, typer.Argument(metavar="FILE", help="A preset file or a recording.")]) -> None:
+    """Check a preset file."""
     from ...core.sources.presets import load_preset_and_note
 
-    bad = 0
-    for origin in presets:
-        try:
-            preset, older = load_preset_and_note(origin)
-        except TactuneError as error:
-            bad += 1
-            warn(str(error))
-            continue
-        cameras = () if preset.rig is None else (preset.rig.proximity, preset.rig.tactile)
-        made_for = " and ".join(f"{camera.model} {camera.serial}".strip() for camera in cameras) or "any rig"
-        typer.echo(f"{origin}: good, preset {preset.name!r} for {made_for}" + (f", {older}" if older else ""))
-        tell_notes(preset)
-    if bad:
-        raise typer.Exit(2)
+    loaded, older = load_preset_and_note(preset)
+    cameras = () if loaded.rig is None else (loaded.rig.proximity, loaded.rig.tactile)
+    made_for = " and ".join(f"{camera.model} {camera.serial}".strip() for camera in cameras) or "any rig"
+    typer.echo(f"{preset}: good, preset {loaded.name!r} for {made_for}" + (f", {older}" if older else ""))
+    tell_notes(loaded)
 
 
 @preset_commands.command("capture-untouched", short_help="Average frames of the untouched membrane.")
@@ -156,9 +136,7 @@ def capture_untouched(
     save_preset(chosen.model_copy(update={"untouched": record, "modified": now()}), preset)
     if captured.frames < AVERAGED:
         warn(f"{opened.name} has only {captured.frames} of the {AVERAGED} frames to average")
-    before, after = (1e3 * opened.rig.tactile.depth_unit_m * counts for counts in captured.noise_counts)
-    noise = "" if math.isnan(before) else f": noise of the tactile depth {before:.2f} mm before, {after:.2f} mm after"
-    typer.echo(f"averaged {counted(captured.frames, 'frame')} of {opened.name}{noise}")
+    typer.echo(f"averaged {counted(captured.frames, 'frame')} of {opened.name}")
     typer.echo(f"wrote {preset.parent / record.file}, named in {preset}")
 
 

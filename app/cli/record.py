@@ -11,6 +11,7 @@ from ...core.errors import ExportError, counted
 from .common import (
     WAIT_S,
     CliProgress,
+    FrameCount,
     number_of_frames,
     open_with_progress,
     refuse_existing,
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
 _Preset = Annotated[
     str | None, typer.Option("--preset", "-p", metavar="FILE|NAME", help="The preset to store in the recording.")
 ]
-_Frames = Annotated[int | None, typer.Option("--frames", "-n", min=1, metavar="N", help="Stop after N frames.")]
 
 
 def record(
@@ -38,7 +38,7 @@ def record(
     ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.mcap", help="The new recording.")],
     preset: _Preset = None,
-    frames: _Frames = None,
+    frames: FrameCount = None,
 ) -> None:
     """Record into a ROS 2 bag (MCAP). Ctrl+C or SIGTERM ends the recording; so does the end of the source.
 
@@ -74,7 +74,7 @@ def convert(
         Path, typer.Argument(metavar="FILE.mcap|DIR", help="A .mcap, or a new folder for PNG images with rig.json.")
     ],
     preset: _Preset = None,
-    frames: _Frames = None,
+    frames: FrameCount = None,
 ) -> None:
     """Convert any recording to MCAP or to a folder of PNG images, without loss."""
     from ...core.output.writer import export_mcap

@@ -6,21 +6,22 @@ import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from shlex import quote
 from statistics import median
 from threading import Event
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from ...core.errors import SourceError, counted
+from ...core.errors import counted
 from ...core.model.files import finite_or_none
 from .common import (
     SOURCE,
     CliProgress,
     FrameCount,
     PresetOption,
+    SetOption,
     SourceOption,
+    TruthOption,
     default_preset,
     live_frames,
     number_of_frames,
@@ -66,33 +67,15 @@ def run(
     frames: FrameCount = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="DIR|FILE.mcap",
-            help="A folder for one file per frame (patch_000012.npz), or a .mcap for all patches as PointCloud2.",
-        ),
+        typer.Option("--out", "-o", metavar="DIR|FILE.mcap", help="A folder for .npz files, or a ROS 2 bag."),
     ] = None,
     json_lines: Annotated[
         bool, typer.Option("--json", help="Print a JSON line for each frame at once; no summary.")
     ] = False,
-    truth: Annotated[
-        bool, typer.Option("--truth", help="Compare with the ground truth of the source (simulator, labels).")
-    ] = False,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="FIELD=VALUE",
-            help="Change a preset field for this run, as in tactune preset new; may be repeated.",
-        ),
-    ] = None,
+    truth: TruthOption = False,
+    settings: SetOption = None,
     watch: Annotated[
-        bool,
-        typer.Option(
-            "--watch",
-            help="Look once in ten seconds whether a camera moved or the pressure changed, and warn.",
-        ),
+        bool, typer.Option("--watch", help="Warn if a camera has moved or the pressure has changed.")
     ] = False,
     estimate: EstimateOption = None,
 ) -> None:
@@ -115,16 +98,12 @@ def run(
         tilt = make_tilt(estimate, chosen, opened.rig)
         with stop_on_signals() as stopped, _patch_output(out, opened, chosen) as save:
             done, records = _process(opened, pipeline, frames, save, stopped, truth, look, json_lines, tilt)
-        if not done and not stopped.is_set():
-            raise SourceError(f"{opened.name} gave no frames; check the source")
         if opened.health().message:
             warn(opened.health().message)
         if records:
             typer.echo("\n".join(_summary(records, opened.name, chosen.name)))
             if out is not None:
                 typer.echo(f"wrote {out}")
-            if frames is not None and done < frames and not stopped.is_set():
-                typer.echo(f"{opened.name} ended after {done} of the {frames} frames asked for")
         if stopped.is_set():
             tell_of_stop(opened, done, frames)
 
@@ -240,27 +219,17 @@ def _summary(records: list[Record], source: str, preset: str) -> list[str]:
     # Medians, because the first frame also loads the compiled code and makes the tables.
     stages = {stage: median(record["stage_ms"][stage] for record in records) for stage in records[0]["stage_ms"]}
     details = ", ".join(f"{stage} {ms:.1f}" for stage, ms in stages.items())
-    return [
+    lines = [
         f"{counted(len(records), 'frame')} of {source} with preset {preset!r}",
         contact,
         f"{sum(stages.values()):.1f} ms per frame ({details})",
-        *_truth_lines(records),
     ]
-
-
-def _truth_lines(records: list[Record]) -> list[str]:
-    """Return median scores of frames with true contact, and how many other frames have points; [] without truth."""
     with_touch = [record for record in records if record.get("touched")]
-    without = [record for record in records if record.get("touched") is False]
-    lines = []
     for key, unit in TRUTH_KEYS.items():
-        known = [record[key] for record in with_touch if record[key] is not None]
-        if known:
-            over = f"{counted(len(known), 'frame')} with true contact"
-            lines.append(f"{key}: median {median(known):.3f}{unit} over {over}")
-    if without:
-        false = sum(bool(record["points"]) for record in without)
-        lines.append(f"{counted(len(without), 'frame')} without true contact, {false} of them with false points")
+        if known := [record[key] for record in with_touch if record[key] is not None]:
+            lines.append(
+                f"{key}: median {median(known):.3f}{unit} over {counted(len(known), 'frame')} with true contact"
+            )
     return lines
 
 
@@ -272,12 +241,12 @@ def _drift_watch(preset: Preset, origin: str, source: FrameSource) -> Callable[[
     found = find_untouched(preset, origin, source)
     warn(*found.warnings)
     watch = Watch(preset, source.rig, found.frame)
-    remedy = f" Check with: tactune recheck --preset {quote(origin)} --source {quote(source.name)}"
 
     def look(frame: SensorFrame) -> None:
         time_s = frame.proximity_time_s
         report = watch.look(frame, time_s) if watch.due(time_s) else None
         if report is not None:
-            warn(f"{report.time_s:.1f} s: {report.sentence}" + (remedy if report.state == "told" else ""))
+            remedy = " Check with tactune recheck." if report.state == "told" else ""
+            warn(f"{report.time_s:.1f} s: {report.sentence}{remedy}")
 
     return look

