@@ -24,7 +24,6 @@ _HEADLESS = "tactune run works without it."
 #: Distribution names whose import name differs.
 _IMPORT_NAMES = {"opencv-contrib-python-headless": "cv2"}
 
-_RULES_FOLDERS = ("/etc/udev/rules.d", "/run/udev/rules.d", "/usr/lib/udev/rules.d", "/lib/udev/rules.d")
 _USB = Path("/sys/bus/usb/devices")
 _NODES = Path("/dev/bus/usb")
 _INTEL = "8086"
@@ -60,7 +59,6 @@ def all_checks() -> Sequence[Callable[[], Sequence[Check]]]:
         check_cache_folder,
         check_shared_memory,
         check_drivers,
-        check_udev_rules,
         check_cameras,
         check_window,
         check_qt_libraries,
@@ -160,14 +158,6 @@ def check_drivers(run: RunChild = run_child) -> list[Check]:
 
 def _capital(words: str) -> str:
     return words[:1].upper() + words[1:]
-
-
-def check_udev_rules() -> list[Check]:
-    """Check for the udev rule that lets all users open the cameras."""
-    found = [file for folder in _RULES_FOLDERS for file in sorted(Path(folder).glob("*realsense*.rules"))]
-    if found:
-        return [Check("udev rules", State.OK, str(found[0]))]
-    return [Check("udev rules", State.WARN, "no rule for RealSense cameras; only root can use them", _INSTALL_RULES)]
 
 
 def check_cameras(usb: Path = _USB, nodes: Path = _NODES) -> list[Check]:

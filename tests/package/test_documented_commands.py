@@ -75,12 +75,6 @@ def test_the_guide_builds_without_a_warning_and_reads_without_a_network(tmp_path
         assert [url for url in loaded if "canonical" not in url] == [], page.name
 
 
-def test_every_picture_of_the_guide_is_made_by_the_script() -> None:
-    text = (ROOT / "scripts" / "make_pictures.py").read_text("utf-8")
-    made = set(re.findall(r'^    "([a-z-]+)": \w+,$', text, re.MULTILINE))
-    assert made == {path.stem for path in (ROOT / "docs" / "guide" / "images").glob("*.png")}
-
-
 def test_scripts_that_the_pages_name_exist() -> None:
     for page in [*PAGES, *(ROOT / "docs").glob("*.md")]:
         for script in re.findall(r"scripts/\w+\.py", page.read_text("utf-8")):

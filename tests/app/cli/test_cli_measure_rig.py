@@ -42,10 +42,8 @@ def test_noise_and_bias_are_said_and_stored(tactune: Tactune, wall: Path, mine: 
     assert finished.status == 0
     assert "has only 14 of the 60 frames" in finished.err
     tactile, proximity, bias, written = finished.out.splitlines()
-    assert tactile.startswith("Tactile noise 0.30 mm")
-    assert proximity.startswith("Proximity noise 0.60 mm")
+    assert tactile.startswith("Tactile noise 0.30 mm") and proximity.startswith("Proximity noise 0.60 mm")
     assert bias.startswith("The proximity camera reads 4.0 ± 0.2 mm farther")
-    assert bias.endswith(("(measured on prints).", "(measured on contact)."))
     assert written == f"wrote {mine}"
     preset = load_preset(mine)
     assert preset.noise is not None
@@ -57,8 +55,6 @@ def test_noise_and_bias_are_said_and_stored(tactune: Tactune, wall: Path, mine: 
 def test_a_shipped_preset_is_measured_into_another_file(tactune: Tactune, rig: Rig, tmp_path: Path) -> None:
     wall = tmp_path / "apart"  # the proximity camera looks through the membrane at something 60 mm behind
     export_folder(Wall(rig, 14, bias_m=0.060), wall)
-    refused = tactune("preset", "measure-rig", "--source", wall, "--preset", "default")
-    assert "default is no preset file, so nothing can be stored in it; add --out FILE" in refused.sentence
     out = tmp_path / "measured.json"
     finished = tactune("preset", "measure-rig", "--source", wall, "--out", out)
     assert finished.status == 0
@@ -78,17 +74,3 @@ def test_the_untouched_frame_goes_with_the_preset(tactune: Tactune, wall: Path, 
     assert copied.name == "mine"
     assert load_untouched(copied.untouched, out).tactile_depth.shape == (HEIGHT, WIDTH)
     assert load_preset(mine).noise is None
-
-
-def test_what_cannot_be_measured_is_one_sentence(
-    tactune: Tactune, recording: Path, mine: Path, rig: Rig, tmp_path: Path
-) -> None:
-    export_folder(Wall(rig, 14, step_m=0.001), tmp_path / "moving")
-    before = mine.read_bytes()
-    for source, words in (
-        (recording, "the noise needs 10 different frames of a scene at rest, there are 4"),
-        (tmp_path / "moving", "the scene moves: the tactile depth changes in 100 % of the image"),
-        ("gone", "gone"),
-    ):
-        assert words in tactune("preset", "measure-rig", "--source", source, "--preset", mine).sentence
-    assert mine.read_bytes() == before

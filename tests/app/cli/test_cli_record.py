@@ -80,21 +80,14 @@ def live(recording: Path, monkeypatch: pytest.MonkeyPatch) -> LiveSource:
 
 def test_a_recording_is_recorded_whole(tmp_path: Path, recording: Path, tactune: Run) -> None:
     done = tactune("record", "--source", recording, "--out", tmp_path / "new" / "a.mcap", "--preset", "default")
-    assert done.status == 0
+    assert (done.status, done.err) == (0, "")
     assert done.out.startswith(f"recorded 4 frames of folder:{recording}, ")
-    assert done.out.endswith(f" MB, into {tmp_path / 'new' / 'a.mcap'}\n")
-    assert done.err == ""
+    tactune("record", "-s", recording, "-o", tmp_path / "short.mcap", "--frames", 3)
+    assert length_of(tmp_path / "short.mcap") == 3
     with McapSource(tmp_path / "new" / "a.mcap") as source:
         assert source.preset() == load_preset("default")
         with open_source(str(recording)) as original:
             assert_same_recording(source, original)
-
-
-def test_frames_end_a_recording(tmp_path: Path, recording: Path, tactune: Run) -> None:
-    for asked, count in ((3, 3), (9, 4)):
-        out = tmp_path / f"{asked}.mcap"
-        tactune("record", "-s", recording, "-o", out, "--frames", asked)
-        assert length_of(out) == count
 
 
 def test_ctrl_c_ends_a_recording_cleanly(tmp_path: Path, live: LiveSource, tactune: Run) -> None:

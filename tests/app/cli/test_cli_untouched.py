@@ -94,10 +94,3 @@ def test_recheck_ends_with_1_after_a_drift(tactune: Tactune, recording: Path, ca
     assert finished.status == 1
     assert "The tactile camera has moved" in finished.out
     assert "2.5 mm" in finished.out
-
-
-def test_recheck_without_anything_to_check_is_refused(tactune: Tactune, recording: Path, mine: Path) -> None:
-    finished = tactune("recheck", "--source", recording, "--preset", mine)
-    assert finished.status == 2
-    assert "capture-untouched" in finished.err
-    assert "nothing of" in finished.err.splitlines()[-1]
