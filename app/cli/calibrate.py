@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -71,7 +70,6 @@ def recheck(
     *,
     source: UntouchedSource,
     preset: Annotated[str, typer.Option("--preset", "-p", metavar="FILE|NAME", help="The preset to check.")],
-    as_json: JsonOption = False,
 ) -> None:
     """Check whether the cameras have moved or the membrane's inflation has changed since the preset was made.
 
@@ -89,26 +87,24 @@ def recheck(
     untouched = None if checked.untouched is None else load_untouched(checked.untouched, Path(preset))
     with open_with_progress(source, checked) as opened:
         now, rig = average_frames(opened).frame, opened.rig
-    found: dict[str, Any] = {}
+    found: dict[str, bool] = {}  # whether all is well, by the sentence that says so
     try:
         drift = recheck_alignment(checked, rig, now)
+        found[drift.sentence] = not drift.recalibrate
     except CalibrationError as error:
         warn(f"the alignment was not checked: {error}")
-    else:
-        numbers = {name: getattr(drift, name) for name in ("drift_px", "drift_mm", "worst_px", "stored", "found")}
-        found["alignment"] = {"ok": not drift.recalibrate, "sentence": drift.sentence, **numbers}
     if untouched is None:
         warn(f"the membrane was not checked: {preset} has no untouched frame; see tactune preset capture-untouched")
     else:
         try:
             membrane = compare_with_untouched(checked, rig, now, untouched)
-            found["membrane"] = {"ok": membrane.verdict == "fine", **asdict(membrane)}
+            found[membrane.sentence] = membrane.verdict == "fine"
         except (CalibrationError, FrameError) as error:
             warn(f"the membrane was not checked: {error}")
     if not found:
         raise CalibrationError(f"nothing of {preset} could be checked on {opened.name}; see the warnings above")
-    emit(found, "\n".join(check["sentence"] for check in found.values()), as_json)
-    if not all(check["ok"] for check in found.values()):
+    typer.echo("\n".join(found))
+    if not all(found.values()):
         raise typer.Exit(DRIFTED_STATUS)
 
 

@@ -13,11 +13,9 @@ import typer
 from ...core.errors import AdviceError
 from .common import (
     CliProgress,
-    JsonOption,
     PresetOption,
     SourceOption,
     default_preset,
-    emit,
     open_pipeline,
     open_with_progress,
     warn,
@@ -95,7 +93,6 @@ def check(
     source: SourceOption,
     preset: PresetOption = None,
     frame: FrameOption = None,
-    as_json: JsonOption = False,
 ) -> None:
     """Say what is wrong with a preset on a frame, and what mends it; the exit status is 1 if there are findings.
 
@@ -113,18 +110,15 @@ def check(
         warn(*stored.warnings)
         patches = [pipeline.process(each) for each in frames]
         findings = Examiner(opened.rig).findings(frames[-1], patches[-1], chosen, stored.frame)
-    lines, records = [], []
     for finding in findings:
-        lines.append(f"{finding.field}: {finding.sentence}")
-        changes = {} if finding.proposal is None else dict(finding.proposal.changes)
+        typer.echo(f"{finding.field}: {finding.sentence}")
         if finding.proposal is not None:
-            lines += [f"  {finding.proposal.evidence}", *_as_options(changes)]
+            typer.echo("\n".join([f"  {finding.proposal.evidence}", *_as_options(finding.proposal.changes)]))
         elif finding.action == "measure_noise":
-            lines.append("  measure the rig: tactune preset measure-rig")
-        about = {"name": finding.name, "field": finding.field, "sentence": finding.sentence}
-        records.append({**about, "changes": changes})
-    emit(records, "\n".join(lines) or "no findings", as_json)
-    if findings:
+            typer.echo("  measure the rig: tactune preset measure-rig")
+    if not findings:
+        typer.echo("no findings")
+    else:
         raise typer.Exit(FOUND_STATUS)
 
 
