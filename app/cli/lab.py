@@ -39,6 +39,10 @@ Record = dict[str, Any]
 #: Rounds of each engine of the benchmark.
 _ROUNDS = 15
 
+NamesOption = Annotated[
+    str,
+    typer.Option(metavar="A,B", help="Names with commas between, or 'all'; a wrong one lists those that there are."),
+]
 CsvOption = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Also write the lines to a CSV file.")]
 
 lab_commands = typer.Typer(
@@ -52,18 +56,11 @@ lab_commands = typer.Typer(
 @lab_commands.command(short_help="Compare methods on simulated presses with known truth.")
 def table(
     *,
-    methods: Annotated[
-        str, typer.Option(metavar="A,B", help="Methods, or 'all'; a wrong name lists all methods.")
-    ] = "all",
-    objects: Annotated[
-        str, typer.Option(metavar="A,B", help="Objects, or 'all': octopus, cup, cube; with --held-out mug, hand.")
-    ] = "all",
-    presses: Annotated[str, typer.Option(metavar="A,B", help="Presses: low, medium, high.")] = "low,medium,high",
-    sensors: Annotated[
-        str | None,
-        typer.Option(metavar="A,B", help="Sensors of the simulator, or 'all'; default: the usual one."),
-    ] = None,
-    membranes: Annotated[str, typer.Option(metavar="A,B", help="Membranes of the simulator, or 'all'.")] = "all",
+    methods: NamesOption = "all",
+    objects: NamesOption = "all",
+    presses: NamesOption = "low,medium,high",
+    sensors: NamesOption = "l515-d405",
+    membranes: NamesOption = "all",
     seeds: Annotated[int, typer.Option(min=1, max=1000, metavar="N", help="Noise seeds per press.")] = 2,
     held_out: Annotated[
         bool,
@@ -76,7 +73,6 @@ def table(
 
     from ...core.lab.table import cell_line, measure_table, plan_table, table_text, time_table
     from ...core.sources.presets import load_preset
-    from ...core.sources.simulator.sensors import DEFAULT_SENSOR
 
     if csv_file is not None:
         check_writable(csv_file)
@@ -86,7 +82,7 @@ def table(
         methods=_names(methods),
         objects=_names(objects),
         presses=_names(presses),
-        sensors=_names(sensors) if sensors is not None else (() if held_out else (DEFAULT_SENSOR,)),
+        sensors=_names(sensors),
         membranes=_names(membranes),
         seeds=seeds,
         held_out=held_out,
@@ -111,12 +107,7 @@ def table(
 
 def _names(text: str) -> tuple[str, ...]:
     """Return the names of an option, separated by commas; none for ``all``."""
-    if text == "all":
-        return ()
-    names = tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
-    if not names:
-        raise typer.BadParameter(f"{text!r} has no name; give names, separated by commas")
-    return names
+    return () if text == "all" else tuple(dict.fromkeys(name.strip() for name in text.split(",")))
 
 
 # Strain
@@ -132,14 +123,10 @@ def strain(
     ] = 10.0,
     frames: FrameCount = None,
     average: Annotated[
-        int,
-        typer.Option(
-            "--average", "-a", min=1, max=30, metavar="N",
-            help="Average up to N of the last frames while the membrane does not move.",
-        ),
+        int, typer.Option(min=1, max=30, metavar="N", help="Average up to N frames while the membrane is at rest.")
     ] = 1,
     csv_file: CsvOption = None,
-) -> None:  # fmt: skip
+) -> None:
     """Measure membrane strain from a printed grid of dots.
 
     The displacement is relative to the untouched frame of the preset or the source, else to the first frame. On the
@@ -156,10 +143,7 @@ def strain(
     chosen = load_preset(origin)
     records: list[Record] = []
     latest: deque[SensorFrame] = deque(maxlen=average)
-    with (
-        open_with_progress(source, chosen) as opened,
-        CliProgress() as progress,
-    ):
+    with open_with_progress(source, chosen) as opened, CliProgress() as progress:
         total, kept = number_of_frames(opened, frames), kept_untouched(chosen, origin, opened)
         untouched = kept.frame
         warn(*kept.warnings)
@@ -218,62 +202,48 @@ def scan(
     ] = None,
     pairs: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE.csv",
-            help="Or point pairs picked on both: scan_x,scan_y,scan_z (the scan's unit),patch_x_m,patch_y_m,patch_z_m.",
-        ),
+        typer.Option(metavar="FILE.csv", help="Or point pairs picked on both; a wrong header says which columns."),
     ] = None,
     refine: Annotated[
         bool, typer.Option("--refine", help="Refine the pose by ICP to the first method's patch in the first frame.")
     ] = False,
-    methods: Annotated[
-        str, typer.Option("--methods", metavar="A,B", help="Methods, or 'all'; default: the preset's own test.")
-    ] = "",
+    methods: NamesOption = "",
     frame: Annotated[int, typer.Option(min=0, metavar="N", help="The first frame, from 0.")] = 0,
     frames: FrameCount = None,
     preset: PresetOption = None,
-    unit: Annotated[MeshUnit | None, typer.Option(help="Unit of the scan's numbers; default: m.")] = None,
+    unit: Annotated[MeshUnit, typer.Option(help="Unit of the scan's numbers.")] = MeshUnit.M,
     paint: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME=VALUE",
-            help="Colour of touched paint and filter of its spots: hue=[150,179] (0-179; may wrap), "
-            "saturation=[40,255], value=[60,255], least_area_mm2=20, largest=0. May be repeated.",
+            help="Touched paint: hue=[150,179] (0-179; may wrap), saturation=[40,255], value=[60,255], "
+            "least_area_mm2=20 and number of the largest spots (0: all) largest=0. May be repeated.",
         ),
     ] = None,
     csv_file: CsvOption = None,
 ) -> None:
     """Compare methods with the contact that thermochromic paint shows on the object's 3D scan.
 
-    --refine hides errors that all patch points share; a pose that was measured without the patch is fairer.
+    Without --methods the preset's own test is compared. --refine hides errors that all patch points share; a pose that
+    was measured without the patch is fairer.
     """
+    from ...core.lab import scan as lab_scan
     from ...core.lab.methods import check_methods, method_names, patch_area_mm2
-    from ...core.lab.scan import (
-        load_scan,
-        painted_contact,
-        refine_pose,
-        scan_truth,
-        score_against_scan,
-        surface_points,
-    )
     from ...core.sources.presets import load_preset
 
     if csv_file is not None:
         check_writable(csv_file)
-    settings, unit_m = _paint(paint or []), UNITS_M[unit or MeshUnit.M]
+    settings, unit_m = _paint(paint or []), UNITS_M[unit]
     names = () if not methods else _names(methods) or method_names()
     check_methods(names)
     pose = _start_pose(transform, pairs, unit_m)
     origin = preset or default_preset(source)
     chosen = load_preset(origin)
-    loaded = load_scan(scan, unit_m)
-    if unit is None:
-        sides = " x ".join(f"{1e3 * side:.0f}" for side in loaded.sides_m)
-        warn(f"{scan.name} was read in m: {sides} mm; say --unit if that is wrong")
-    contact = painted_contact(loaded, settings)
+    loaded = lab_scan.load_scan(scan, unit_m)
+    contact = lab_scan.painted_contact(loaded, settings)
     if not contact.any():
         raise TactuneError(f"{scan} has no spot of the touched paint's colour ({settings}); change it with --paint")
-    truth, refined = scan_truth(loaded, contact, pose), None
+    truth, refined = lab_scan.scan_truth(loaded, contact, pose), None
     records: list[Record] = []
     empty = {"rmse_mm": None, "hausdorff_mm": None, "area_error_mm2": None, "failure": ""}
     with open_with_progress(source, chosen) as opened:
@@ -286,10 +256,10 @@ def scan(
                 try:
                     patch = find(each)
                     if refine and refined is None:
-                        refined = refine_pose(surface_points(loaded, contact)[0], patch.points, pose)
+                        refined = lab_scan.refine_pose(lab_scan.surface_points(loaded, contact)[0], patch.points, pose)
                         pose = refined.T_proximity_scan
-                        truth = scan_truth(loaded, contact, pose)
-                    scores = score_against_scan(patch.points, patch_area_mm2(patch), truth)
+                        truth = lab_scan.scan_truth(loaded, contact, pose)
+                    scores = lab_scan.score_against_scan(patch.points, patch_area_mm2(patch), truth)
                     record |= {key: finite_or_none(value) for key, value in scores.items()}
                     record["points"] = len(patch.points)
                 except TactuneError as error:
