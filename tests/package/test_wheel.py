@@ -22,7 +22,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parents[2]
-SOURCES = (
+SOURCES = [
     "core",
     "widgets",
     "app",
@@ -33,7 +33,7 @@ SOURCES = (
     "MANIFEST.in",
     "README.md",
     "LICENSE",
-)
+]
 
 
 def needed_by(requirements: list[str]) -> dict[str, Distribution]:

@@ -64,19 +64,12 @@ def test_json_lines_say_what_the_patch_is(tactune: Tactune, recording: Path) -> 
     assert list(lines[3]["stage_ms"]) == ["fusion", "equilibrium", "edge", "clusters", "points"]
 
 
-def test_truth_is_compared_where_it_is_known(
-    tactune: Tactune, make_recording: Callable[..., Path], tmp_path: Path
-) -> None:
-    everything = tmp_path / "all.json"
-    save_preset(
-        Preset(contact_test="tolerance").with_values({"outliers.enabled": False, "tolerance.t": 0.03}), everything
-    )
-    labelled = tactune("run", "-s", make_recording(), "-p", everything, "--json", "--truth")
-    lines = json_lines(labelled.out)
+def test_truth_is_compared_where_it_is_known(tactune: Tactune, make_recording: Callable[..., Path]) -> None:
+    everything = ("--set", "tolerance.t=0.03", "--set", "outliers.enabled=false")
+    lines = json_lines(tactune("run", "-s", make_recording(), "-p", "default", *everything, "--json", "--truth").out)
     assert [line["touched"] for line in lines] == [False, True, True, True]
-    assert [line["iou"] for line in lines] == [1, 1, 1, 1]
-    assert [line["precision"] for line in lines] == [1, 1, 1, 1]
-    assert [line["recall"] for line in lines] == [1, 1, 1, 1]
+    for score in ("iou", "precision", "recall"):
+        assert [line[score] for line in lines] == [1, 1, 1, 1]
     assert lines[0]["rmse_mm"] is None
     assert lines[3]["rmse_mm"] == pytest.approx(0, abs=1e-3)
 

@@ -85,7 +85,6 @@ def test_gui_passes_on_what_it_is_told(tactune: Tactune, opened: list[tuple[Any,
     ("obstacle", "remedy"),
     [
         ("sys.modules['PyQt6'] = None", 'pip install "tactune[gui]"'),
-        ("sys.modules['pyqtgraph'] = None", 'pip install "tactune[gui]"'),
         ("sys.meta_path.insert(0, WithoutLibrary)", "libEGL.so.1"),
     ],
 )
