@@ -8,7 +8,6 @@ import sys
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import cast
 
 from PyQt6.QtCore import QObject, QTimer
 from PyQt6.QtWidgets import QApplication
@@ -19,7 +18,6 @@ from ..core.preset import Preset
 from ..core.sources.presets import load_preset
 from ..widgets.basics.icons import app_icon
 from ..widgets.basics.style import use_style
-from ..widgets.basics.theme import ThemeChoice
 from .settings import Settings, default_data_folder, default_settings_file
 from .window.main_window import MainWindow
 from .worker.threads import wait_for_abandoned
@@ -32,24 +30,17 @@ MAX_WAIT_S = 5.0
 WAKE_MS = 200
 
 
-def run_gui(
-    source: str,
-    preset: str,
-    screenshot: Path | None,
-    after: int,
-    size: tuple[int, int] | None = None,
-    theme: str | None = None,
-) -> int:
+def run_gui(source: str, preset: str, screenshot: Path | None, after: int = 30) -> int:
     """Open the main window on a source, run it until it is closed, and return the program's exit status.
 
-    With ``screenshot`` save a picture of it there once ``after`` frames have been processed, then end. Without ``size``
-    and ``theme`` the window is as at the last start. Raise a `TactuneError` where preset or picture fail.
+    With ``screenshot`` save a picture of it there once ``after`` frames have been processed, then end. Raise a
+    `TactuneError` where preset or picture fail.
     """
     start_preset, preset_path = start_with(preset)
     application = make_application()
     if screenshot is None:
         window = MainWindow(start_preset, Settings(default_settings_file()), default_data_folder())
-        _prepare(window, preset_path, size, theme)
+        _prepare(window, preset_path)
         window.open_source(source)
         window.file_flows.offer_unsaved_work()
         _stop_on_interrupt(window, application)
@@ -57,7 +48,7 @@ def run_gui(
     # A screenshot neither depends on remembered settings nor changes them.
     with TemporaryDirectory(prefix="tactune-") as folder:
         window = MainWindow(start_preset, Settings(Path(folder) / "window.json"), Path(folder))
-        _prepare(window, preset_path, size, theme)
+        _prepare(window, preset_path)
         picture = _Screenshot(window, screenshot, after)
         window.open_source(source)
         application.exec()
@@ -98,13 +89,9 @@ def _stop_on_interrupt(window: MainWindow, application: QApplication) -> None:
     wake.start(WAKE_MS)
 
 
-def _prepare(window: MainWindow, preset_path: Path | None, size: tuple[int, int] | None, theme: str | None) -> None:
+def _prepare(window: MainWindow, preset_path: Path | None) -> None:
     if preset_path is not None:
         window.document.open(preset_path)
-    if theme is not None:
-        window.set_theme(cast(ThemeChoice, theme), remember=False)
-    if size is not None:
-        window.resize_to(*size)
     window.error_hook.install()
     window.show()
 

@@ -31,8 +31,6 @@ from .tune import tune
 
 #: Exit status of errors that the person can correct: a wrong option, a wrong file.
 USAGE_STATUS = 2
-#: Frames that are shown before ``gui --screenshot``.
-FRAMES_BEFORE_PICTURE = 30
 #: The commands as the help lists them.
 GROUPS = {
     "Every day": ("gui", "run", "calibrate", "record", "convert", "devices", "doctor"),
@@ -168,7 +166,7 @@ def _open_window(source: str, preset: str | None, screenshot: Path | None) -> in
             f'the window cannot be opened ({error}): pip install "tactune[gui]", or let tactune doctor say what is '
             "missing; tactune run works without it"
         ) from error
-    return run_gui(source, preset or default_preset(source), screenshot, FRAMES_BEFORE_PICTURE)
+    return run_gui(source, preset or default_preset(source), screenshot)
 
 
 if __name__ == "__main__":

@@ -28,14 +28,10 @@ def recording(tmp_path):
     return f"folder:{tmp_path / 'recording'}"
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
-def test_a_screenshot_is_a_picture_of_the_window(qapp, recording, tmp_path, theme):
+def test_a_screenshot_is_a_picture_of_the_window(qapp, recording, tmp_path):
     picture = tmp_path / "window.png"
-    assert run_gui(recording, "default", picture, after=2, size=(1100, 700), theme=theme) == 0
-    image = QImage(str(picture))
-    assert (image.width(), image.height()) == (1100, 700)
-    corner = image.pixelColor(1098, 690).lightness()
-    assert corner > 200 if theme == "light" else corner < 80
+    assert run_gui(recording, "default", picture, after=2) == 0
+    assert QImage(str(picture)).width() > 700
     assert sorted(path.name for path in tmp_path.iterdir()) == ["recording", "window.png"]
 
 
