@@ -74,10 +74,6 @@ class CamerasPage(SourcePage):
             return None
         return self.proximity.currentData() or "", self.tactile.currentData() or ""
 
-    def show_name(self, name: str) -> bool:
-        """Return whether a name is one of cameras; which ones is chosen in the fields."""
-        return name.startswith(CAMERA_SCHEMES)
-
     def come_up(self) -> None:
         """Search when the page is shown first."""
         if not self._has_searched:

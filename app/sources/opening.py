@@ -1,23 +1,25 @@
-"""The dialog *Open…*: pages for each kind of source above the name of the chosen one."""
+"""The dialog *Open…*: cameras, files and recent sources, above the name of the chosen one."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from PyQt6.QtCore import QObject, QSignalBlocker, pyqtSignal
-from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QLineEdit, QListWidget, QPushButton, QStackedWidget, QWidget
+from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QLineEdit, QPushButton, QTabWidget, QWidget
 
 from ...widgets.basics.controls import NoteLabel, ProgressBar, caption, dialog_buttons
 from ...widgets.basics.layouts import hbox, vbox
 from ..context import Context
-from .cameras_page import CamerasPage
+from .cameras_page import CAMERA_SCHEMES, CamerasPage
 from .pages import FilesPage, SourcePage
 
 _SIZE = (820, 560)
+#: Places of the pages.
+_CAMERAS, _FILES = range(2)
 
 
 class OpenDialog(QDialog):
-    """Asks for a source. A page and the name always show the same choice, whichever was edited last.
+    """Asks for a source, on a page or by its name.
 
     It stays open until the source is, and shows progress and errors: call `show_progress`, `show_failure` or `accept`.
     """
@@ -28,17 +30,12 @@ class OpenDialog(QDialog):
         super().__init__(parent)
         self.setWindowTitle("Open")
         self.pages = pages
-        self.list = QListWidget()
-        self.list.addItems([page.title for page in pages])
-        self.list.setAccessibleName("Kinds of sources")
-        self.list.setToolTip("Where the frames come from")
-        self.list.setFixedWidth(150)
-        self.list.setSpacing(4)
-        self._stack = QStackedWidget()
+        self.tabs = QTabWidget()
         for page in pages:
-            self._stack.addWidget(page)
+            self.tabs.addTab(page, page.title)
             page.changed.connect(self._page_changed)
             page.activated.connect(self._open)
+            self.finished.connect(page.stop)
         self.name = QLineEdit()
         self.name.setAccessibleName("Name of the source")
         self.name.setToolTip("Name of the source, as “tactune run --source” takes it, or a path")
@@ -48,45 +45,29 @@ class OpenDialog(QDialog):
         self.progress = ProgressBar("Opening…")
         self.progress.setAccessibleName("Progress of opening")
         self.buttons = dialog_buttons(QDialogButtonBox.StandardButton.Open | QDialogButtonBox.StandardButton.Cancel)
-        vbox(
-            (hbox(self.list, (self._stack, 1)), 1),
-            hbox(caption("&Name", self.name), (self.name, 1)),
-            self.note,
-            self.progress,
-            self.buttons,
-            within=self,
-        )
+        name = hbox(caption("&Name", self.name), (self.name, 1))
+        vbox((self.tabs, 1), name, self.note, self.progress, self.buttons, within=self)
         self.progress.hide()
         self._button = self.buttons.button(QDialogButtonBox.StandardButton.Open) or QPushButton()
         self._button.setDefault(True)
         self._button.setEnabled(False)
         self.resize(*_SIZE)
-        self.list.currentRowChanged.connect(self._page_chosen)
-        self.name.textEdited.connect(self._typed)
+        self.tabs.currentChanged.connect(self._page_chosen)
+        self.name.textEdited.connect(lambda _: self.note.say(""))
         self.name.textChanged.connect(lambda text: self._button.setEnabled(bool(text.strip())))
         self.buttons.accepted.connect(self._open)
         self.buttons.rejected.connect(self.reject)
-        for page in pages:
-            self.finished.connect(page.stop)
 
     @property
     def page(self) -> SourcePage:
         """The page that is shown."""
-        return self.pages[self._stack.currentIndex()]
+        return self.pages[self.tabs.currentIndex()]
 
-    def start_with(self, name: str) -> None:
-        """Show a name and its page, the last one if no other knows it."""
-        self.name.setText(name)
-        if self._typed(name):
-            self.page.come_up()
-        else:
-            self._switch_to(self.pages[-1])
-        self.list.setFocus()
-
-    def start_on(self, page: SourcePage) -> None:
+    def start_on(self, index: int) -> None:
         """Show a page and its choice."""
-        self.list.setCurrentRow(self.pages.index(page))
-        self.list.setFocus()
+        with QSignalBlocker(self.tabs):
+            self.tabs.setCurrentIndex(index)
+        self._page_chosen()
 
     def show_progress(self, share: float, words: str) -> None:
         """Show how far the source is opened."""
@@ -99,8 +80,7 @@ class OpenDialog(QDialog):
         self.note.say(sentence, error=True)
         self.name.setFocus()
 
-    def _page_chosen(self, row: int) -> None:
-        self._stack.setCurrentIndex(row)
+    def _page_chosen(self) -> None:
         self.page.come_up()
         self._show_choice()
 
@@ -113,24 +93,6 @@ class OpenDialog(QDialog):
         self.name.setText(self.page.name)
         self.note.say(self.page.note)
 
-    def _typed(self, text: str) -> bool:
-        """Move the page to a typed name; return whether one knows it."""
-        self.note.say("")
-        for page in self.pages:
-            with QSignalBlocker(page):
-                known = page.show_name(text.strip())
-            if known:
-                self._switch_to(page)
-                return True
-        return False
-
-    def _switch_to(self, page: SourcePage) -> None:
-        """Show a page, and leave the name as it is."""
-        row = self.pages.index(page)
-        self._stack.setCurrentIndex(row)
-        with QSignalBlocker(self.list):
-            self.list.setCurrentRow(row)
-
     def _open(self) -> None:
         name = self.name.text().strip()
         if name and not self.progress.isVisible():
@@ -141,7 +103,7 @@ class OpenDialog(QDialog):
 
     def _set_busy(self, busy: bool) -> None:
         self.progress.setVisible(busy)
-        for widget in (self.list, self._stack, self.name, self._button):
+        for widget in (self.tabs, self.name, self._button):
             widget.setEnabled(not busy)
 
 
@@ -157,15 +119,17 @@ class OpenControl(QObject):
         context.worker.opened.connect(self._opened)
 
     def open(self) -> None:
-        """Ask for a source, from the present one on."""
+        """Ask for a source; cameras first if they are open."""
         result = self._context.result
         if self.dialog is None:
-            self._make_dialog().start_with(result.source.name if result is not None else "sim:")
+            self._make_dialog().start_on(
+                _CAMERAS if result is not None and result.source.name.startswith(CAMERA_SCHEMES) else _FILES
+            )
 
     def open_cameras(self) -> None:
         """Ask for two cameras."""
         if self.dialog is None:
-            self._make_dialog().start_on(self._cameras)
+            self._make_dialog().start_on(_CAMERAS)
 
     def take_failure(self, name: str, sentence: str) -> bool:
         """Show in the dialog why a source was not opened; return False if the dialog did not ask for it."""

@@ -36,10 +36,6 @@ class SourcePage(QWidget):
         super().__init__()
         self.name = self.note = ""
 
-    def show_name(self, name: str) -> bool:
-        """Return whether a name that was typed belongs to this page, and show it."""
-        return False
-
     def come_up(self) -> None:
         """The page is shown."""
 
@@ -88,15 +84,6 @@ class FilesPage(SourcePage):
             lambda: self._dialogs.open_folder("source", "Open a recorded folder", lambda path: self._chosen([path]))
         )
         self.simulator.clicked.connect(self._open_simulator)
-
-    def show_name(self, name: str) -> bool:
-        """Select a name if it is in the list."""
-        for row in range(self.list.count()):
-            item = self.list.item(row)
-            if item is not None and item.data(Qt.ItemDataRole.UserRole) == name:
-                self.list.setCurrentItem(item)
-                return True
-        return False
 
     def come_up(self) -> None:
         """Choose what is selected, the newest at first."""

@@ -206,7 +206,7 @@ def test_a_session_is_opened_by_key_and_dialog(make_window, qtbot, session):
     window = make_window()
     QTest.keyClick(window, Qt.Key.Key_O, CONTROL)
     qtbot.waitUntil(lambda: window.sources.dialog is not None)
-    window.sources.dialog.list.setCurrentRow(1)
+    window.sources.dialog.tabs.setCurrentIndex(1)
     QTest.mouseClick(window.sources.dialog.page.file, LEFT)
     qtbot.waitUntil(lambda: isinstance(QApplication.activeModalWidget(), QFileDialog))
     assert "*.mcap" in QApplication.activeModalWidget().nameFilters()[0]
