@@ -18,9 +18,7 @@ from mcap_ros2.decoder import DecoderFactory
 
 from capture_sources import same_frame
 from tactune.core import ContactPipeline, load_preset, open_source
-from tactune.core.model.frames import SensorFrame
 from tactune.core.sources import FrameSource
-from tactune.core.sources.base import Health
 from tactune.core.sources.mcap.source import McapSource
 
 Run = Callable[..., Any]
@@ -37,47 +35,6 @@ def length_of(path: Path) -> int | None:
         return source.length
 
 
-class LiveSource(FrameSource):
-    """Plays a recording as if live, without an end: not ready every other time."""
-
-    def __init__(self, source: FrameSource) -> None:
-        self.name = "live"
-        self._source = source
-        self._asked = 0
-        self.given = 0
-        self.interrupt_after = 0
-
-    @property
-    def rig(self) -> Any:
-        return self._source.rig
-
-    def wait(self, timeout_s: float) -> bool:
-        self._asked += 1
-        if self._asked % 2:
-            time.sleep(min(timeout_s, 0.001))
-        return self._asked % 2 == 0
-
-    def next_frame(self) -> SensorFrame | None:
-        frame = self._source.next_frame()
-        if frame is None:
-            self._source.seek(0)
-            frame = self._source.next_frame()
-        self.given += 1
-        if self.given == self.interrupt_after:
-            os.kill(os.getpid(), signal.SIGINT)
-        return frame
-
-    def health(self) -> Health:
-        return Health()
-
-
-@pytest.fixture
-def live(recording: Path, monkeypatch: pytest.MonkeyPatch) -> LiveSource:
-    source = LiveSource(open_source(str(recording)))
-    monkeypatch.setattr("tactune.core.sources.registry.open_source", lambda *_: source)
-    return source
-
-
 def test_a_recording_is_recorded_whole(tmp_path: Path, recording: Path, tactune: Run) -> None:
     done = tactune("record", "--source", recording, "--out", tmp_path / "new" / "a.mcap", "--preset", "default")
     assert (done.status, done.err) == (0, "")
@@ -88,18 +45,6 @@ def test_a_recording_is_recorded_whole(tmp_path: Path, recording: Path, tactune:
         assert source.preset() == load_preset("default")
         with open_source(str(recording)) as original:
             assert_same_recording(source, original)
-
-
-def test_ctrl_c_ends_a_recording_cleanly(tmp_path: Path, live: LiveSource, tactune: Run) -> None:
-    live.interrupt_after = 5
-    usual = signal.getsignal(signal.SIGINT)
-    done = tactune("record", "-s", "live:x", "-o", tmp_path / "a.mcap")
-    assert done.status == 0
-    assert signal.getsignal(signal.SIGINT) is usual
-    with McapSource(tmp_path / "a.mcap") as source:
-        assert source.health().ok
-        assert source.length >= 1
-        assert f"recorded {source.length} frames" in done.out
 
 
 def test_a_signal_while_queued_frames_are_written_loses_none(
