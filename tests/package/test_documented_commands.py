@@ -75,12 +75,6 @@ def test_the_guide_builds_without_a_warning_and_reads_without_a_network(tmp_path
         assert [url for url in loaded if "canonical" not in url] == [], page.name
 
 
-def test_scripts_that_the_pages_name_exist() -> None:
-    for page in [*PAGES, *(ROOT / "docs").glob("*.md")]:
-        for script in re.findall(r"scripts/\w+\.py", page.read_text("utf-8")):
-            assert (ROOT / script).is_file(), f"{page.name} names {script}"
-
-
 def test_the_page_of_keys_is_that_of_the_window() -> None:
     words = runpy.run_path(str(ROOT / "scripts" / "make_keys.py"))["page"]()
     assert (ROOT / "docs" / "guide" / "keys.md").read_text("utf-8") == words, "run scripts/make_keys.py"

@@ -13,12 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rigs import save_rig
-
-if not any(os.environ.get(name) for name in ("QT_QPA_PLATFORM", "DISPLAY", "WAYLAND_DISPLAY")):
-    os.environ["QT_QPA_PLATFORM"] = "offscreen"  # so that a bare pytest works on a machine without a display
-
 from fakes import FakeSource
+from rigs import save_rig
 from tactune.app.analysis.tab import TABS, TabKind
 from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow

@@ -27,11 +27,6 @@ def test_every_folder_with_code_is_a_package_and_listed(pyproject: dict[str, Any
     assert [folder for folder in with_code if not (ROOT / folder / "__init__.py").is_file()] == []
 
 
-def test_no_two_packages_are_mapped_to_one_folder(pyproject: dict[str, Any]) -> None:
-    mapped = pyproject["tool"]["setuptools"]["package-dir"]
-    assert mapped == {f"tactune.{name}": name for name in FOLDERS}
-
-
 def test_the_lock_holds_what_pyproject_allows(pyproject: dict[str, Any]) -> None:
     locked = dict(re.findall(r"^([a-z0-9-]+)==(\S+)", (ROOT / "requirements.lock").read_text(), re.MULTILINE))
     project = pyproject["project"]
