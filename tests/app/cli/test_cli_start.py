@@ -62,23 +62,14 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
     from tactune.app import gui
 
     calls: list[tuple[Any, ...]] = []
-
-    def run_gui(*words: object, **options: object) -> int:
-        calls.append((*words, options))
-        return 0
-
-    monkeypatch.setattr(gui, "run_gui", run_gui)
+    monkeypatch.setattr(gui, "run_gui", lambda *words: calls.append(words))
     return calls
 
 
-def test_without_a_command_the_window_opens_on_the_simulator(tactune: Tactune, opened: list[tuple[Any, ...]]) -> None:
+def test_the_window_opens_on_the_simulator_or_what_it_is_told(tactune: Tactune, opened: list[tuple[Any, ...]]) -> None:
     assert tactune().status == 0
-    assert [call[:3] for call in opened] == [("sim", "simulator", None)]
-
-
-def test_gui_passes_on_what_it_is_told(tactune: Tactune, opened: list[tuple[Any, ...]]) -> None:
     assert tactune("gui", "--source", "sim:cup", "--preset", "default", "--screenshot", "window.png").status == 0
-    assert [call[:3] for call in opened] == [("sim:cup", "default", Path("window.png"))]
+    assert opened == [("sim", "simulator", None), ("sim:cup", "default", Path("window.png"))]
 
 
 @pytest.mark.parametrize(
