@@ -130,7 +130,7 @@ class CompareTab(LiveTab):
                 own = [("contact", method_color(outcome.name, theme_name()))]
                 view.set_legend(_AGREEMENT if found.by_truth else own)
         rate = self.rate.rate()
-        playing = f" · {rate:.1f} compared per second" if result.playback.running and rate else ""
+        playing = f" · {rate:.1f} compared per second" if result.playback.playing and rate else ""
         unknown = " · no truth known, so no RMSE and IoU" if result.frame.truth is None else ""
         self.status.setText(f"Frame {result.frame_number} of {result.source.name}{playing}{unknown}")
         # The export holds the shown frame only.

@@ -142,7 +142,7 @@ class Comparer:
         set up, which may take seconds.
         """
         leave_room_for_the_window()
-        if result.playback.running:  # window and worker share the processor
+        if result.playback.playing:  # window and worker share the processor
             time.sleep(min(self._rest_s, _MAX_REST_S))
         started = time.perf_counter()
         truth = result.frame.truth

@@ -19,8 +19,7 @@ from ...widgets.basics.controls import ElidedLabel, push_button
 from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.basics.messages import Messages, Severity
 from ..context import Context
-from ..worker.job_row import JobRow
-from ..worker.jobs import Job, Progress, Work
+from ..worker.jobs import Job, JobRow, Progress, Work
 from ..worker.results import RateMeter, Result, SourceInfo
 from .tab import AnalysisTab
 

@@ -31,8 +31,7 @@ from ...widgets.basics.theme import theme_colors
 from ...widgets.clouds.cloud_data import free_cloud
 from ...widgets.clouds.cloud_view import CloudView
 from ..context import Context
-from ..worker.job_row import JobRow
-from ..worker.jobs import Job, Progress, Work
+from ..worker.jobs import Job, JobRow, Progress, Work
 from ..worker.results import Result
 from .live_tab import LiveTab, Row
 

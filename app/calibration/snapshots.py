@@ -70,7 +70,7 @@ class Collector(QObject):
             self._end_gathering()
         self._frames, self._gathering, self.moved_on = [], True, False
         self._before = self._feed.playback
-        if self._before.seekable and self._before.running:
+        if self._before.seekable and self._before.playing:
             self._feed.pause()
         self._take(self._feed.frame)
         if self._gathering and not self._before.seekable:
@@ -107,7 +107,7 @@ class Collector(QObject):
 
     def _end_gathering(self) -> None:
         self._gathering, self._frames = False, []
-        if self._before.running:
+        if self._before.playing:
             self._feed.play()
         elif self._before.seekable:
             self._feed.pause()

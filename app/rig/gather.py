@@ -144,8 +144,8 @@ class Gather(QWidget):
 
         self._kept, self._counted, self._last_s = kept, 0, time.monotonic()
         playback = result.playback
-        self._played = playback.running
-        self._return_to = playback.index if playback.seekable and not playback.running else None
+        self._played = playback.playing
+        self._return_to = playback.index if playback.seekable and not playback.playing else None
         try:
             take(result.frame)
         except TactuneError as error:
@@ -153,7 +153,7 @@ class Gather(QWidget):
             return
         recorder.watch(take, self._takingFailed.emit)
         self._timer.start()
-        if not playback.running:
+        if not playback.playing:
             self._context.worker.play()
 
     def stop(self) -> None:
@@ -190,7 +190,7 @@ class Gather(QWidget):
             self._counted, self._last_s = count, now
         share = self.share(list(self._kept.values()))
         self.progress.show_share(_GATHERED * min(share, 1.0), f"{self.prompt}: {counted(count, 'frame')}")
-        ended = self._played and playback is not None and not playback.running and playback.at_end
+        ended = self._played and playback is not None and not playback.playing and playback.at_end
         if share >= 1.0 or count == self.info.length:
             self._end_taking()
         elif ended or now - self._last_s > PATIENCE_S:
@@ -213,7 +213,7 @@ class Gather(QWidget):
 
     def _playback_changed(self) -> None:
         playback = self._context.playback
-        self._played = self._played or (playback is not None and playback.running)
+        self._played = self._played or (playback is not None and playback.playing)
 
     def _source_opened(self, info: SourceInfo) -> None:
         waits = self.found is not None and not self.at_once  # for `apply`; else it is in the preset already

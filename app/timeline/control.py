@@ -96,7 +96,6 @@ class Timeline(QObject):
     def _set_trim(self, trim: tuple[int, int] | None) -> None:
         self._context.trim = trim
         self._strip.set_trim(trim)
-        self._context.worker.set_trim(trim)
         self._context.trimChanged.emit()
 
     @staticmethod

@@ -326,7 +326,7 @@ class ComparisonControl(QObject):
         if result is None or result.compared is None:
             return
         now = time.perf_counter()
-        if not result.playback.running or now - self._numbers_s >= INTERVAL_S:
+        if not result.playback.playing or now - self._numbers_s >= INTERVAL_S:
             self._numbers_s = now
             self._panel.show_frame(result.compared)
 

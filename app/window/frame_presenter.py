@@ -165,7 +165,7 @@ class FramePresenter(QObject):
             limit = self._context.document.preset.value(histogram.field)
             self._panel.set_histogram(histogram.field, histogram.counts, histogram.edges, limit, histogram.known)
         now = time.perf_counter()
-        if not result.playback.running or now - self._read_s >= READING_INTERVAL_S:
+        if not result.playback.playing or now - self._read_s >= READING_INTERVAL_S:
             self._read_s = now
             self._panel.set_median_distance_m(result.rendered.median_distance_m)
             self._panel.show_masked_share(None if strip is None else strip.masked_share)

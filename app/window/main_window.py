@@ -66,7 +66,7 @@ _NO_SOURCE = "No source is open: open one (Ctrl+O), or drop a recording here"
 #: The actions whose state is remembered between starts.
 _TOGGLES = ("watch_drift", "show_time", "show_strip", "show_panel", "show_proximity", "show_tactile", "show_patch")
 #: The actions whose keys work in the analysis window too.
-_SHARED_ACTIONS = ("capture_untouched", "previous", "next", "first", "loop", "freeze")
+_SHARED_ACTIONS = ("capture_untouched", "previous", "next", "first", "loop")
 #: Shares of the height of views and images at first.
 _ROWS = (65, 35)
 _COLLAPSED_AT_FIRST = "range,region,contacts"
@@ -250,7 +250,6 @@ class MainWindow(QMainWindow):
         actions.next.triggered.connect(lambda: worker.step(1))
         actions.first.triggered.connect(lambda: worker.seek(0))
         actions.loop.triggered.connect(worker.set_loop)
-        actions.freeze.triggered.connect(worker.set_frozen)
         flows.connect_actions(actions)
         actions.calibrate.triggered.connect(self.calibration.open_wizard)
         actions.recheck.triggered.connect(self.calibration.open_recheck)
@@ -390,7 +389,7 @@ class MainWindow(QMainWindow):
         self.beside.setHidden(self.panel.isHidden() and self.comparison_panel.isHidden())
 
     def _play_or_pause(self) -> None:
-        (self.worker.pause if self.transport.state.running else self.worker.play)()
+        (self.worker.pause if self.transport.state.playing else self.worker.play)()
 
     def _show_document(self) -> None:
         preset = self.document.preset

@@ -24,7 +24,6 @@ from ...widgets.basics.messages import Offer, Severity
 from ..context import TASK, Context
 from ..settings import default_recordings_folder
 from ..sources.pages import RECENT
-from ..worker.playback import PlaybackState
 from ..worker.recorder import RecordingEnd
 from ..worker.results import SourceState
 
@@ -51,15 +50,12 @@ class RecordingBar(QFrame):
         vbox(hbox(dot, (self._name, 1), self.stop), numbers, self._room, within=self, margins=(8, 4, 4, 4), spacing=4)
         self.hide()
 
-    def show_start(self) -> None:
+    def show_start(self, name: str) -> None:
         self.stop.setEnabled(True)
+        self._name.setText(f"Recording {name}")
         for label in (self._written, self._dropped, self._room):
             label.setText("")
         self.show()
-
-    def show_hint(self, name: str, hint: str) -> None:
-        """Show beside the name why no frames arrive."""
-        self._name.setText(f"Recording {name}{f': {hint}' if hint else ''}")
 
     def show_progress(self, status: RecordingStatus, elapsed_s: float, free_bytes: int) -> None:
         self._written.setText(f"{clock(elapsed_s)}   {counted(status.frames, 'frame')}   {size(status.bytes)}")
@@ -92,7 +88,6 @@ MIN_FREE_TO_START = 1_000_000_000
 MIN_FREE_TO_CONTINUE = 200_000_000
 
 _FOLDER = "folder/recordings"
-_STANDS_STILL = "playback is paused, press Space to continue"
 
 
 class RecordingControl(QObject):
@@ -104,7 +99,6 @@ class RecordingControl(QObject):
         self._worker, self._settings, self._messages = context.worker, context.settings, context.messages
         self._path: Path | None = None
         self._started_s = 0.0
-        self._hint = ""
         self._lost = self._lost_before = 0
         self._then: Callable[[], object] | None = None
         self._refresh = QTimer(self)
@@ -116,7 +110,6 @@ class RecordingControl(QObject):
         worker.recordingStarted.connect(self._started)
         worker.recordingFailed.connect(self._failed)
         worker.recordingEnded.connect(self._ended)
-        worker.playbackChanged.connect(self._playback_changed)
         worker.stateChanged.connect(self._source_changed)
 
     @property
@@ -169,8 +162,7 @@ class RecordingControl(QObject):
 
     def _started(self, path: Path) -> None:
         self._path, self._started_s, self._lost_before = path, time.monotonic(), self._lost
-        self._bar.show_start()
-        self._bar.show_hint(path.name, self._hint)
+        self._bar.show_start(path.name)
         self._show_action()
         self._refresh.start()
 
@@ -237,11 +229,6 @@ class RecordingControl(QObject):
     def _with_lost(self, status: RecordingStatus) -> RecordingStatus:
         """Add the frames that were lost before they reached the recorder."""
         return replace(status, dropped=status.dropped + self._lost - self._lost_before)
-
-    def _playback_changed(self, state: PlaybackState) -> None:
-        self._hint = _STANDS_STILL if state.seekable and not state.running else ""
-        if self._path is not None and self._refresh.isActive():
-            self._bar.show_hint(self._path.name, self._hint)
 
     def _show_action(self) -> None:
         self._action.setChecked(self.running)

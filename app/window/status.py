@@ -52,7 +52,7 @@ class FrameDetails(Card):
         result = self._result
         if result is None:
             return
-        patch, runs = result.patch, result.playback.running
+        patch, runs = result.patch, result.playback.playing
         stages = {} if patch is None else patch.stage_ms
         computed = [f"{stage} {ms:.1f}" for stage, ms in stages.items() if ms >= _MIN_SHOWN_MS]
         times = f"{' + '.join(computed)} = {sum(stages.values()):.1f} ms" if computed else "unchanged"
@@ -121,7 +121,7 @@ class FrameStatus(QStatusBar):
 
     def show_playback(self, state: PlaybackState) -> None:
         self._playback = state
-        if not state.running:
+        if not state.playing:
             self._rate.setText("")
         self._show_words()
 
@@ -134,7 +134,7 @@ class FrameStatus(QStatusBar):
         self._shown_rate.tick()
         self._area.setText("" if result.patch is None else f"patch {result.area_mm2 / 100:.1f} cm²")
         now = time.perf_counter()
-        running = result.playback.running
+        running = result.playback.playing
         if running and now - self._last_s < INTERVAL_S:
             return
         self._last_s = now
@@ -145,9 +145,7 @@ class FrameStatus(QStatusBar):
         playback = self._playback
         if self._stale:
             words = "No frames"
-        elif playback.frozen:
-            words = "Frozen"
-        elif not playback.running:
+        elif not playback.playing:
             words = "Paused"
         else:
             words = "Live" if playback.length is None else "Playing"

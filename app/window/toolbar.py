@@ -90,7 +90,7 @@ class Transport(QWidget):
         self.position = FrameNumber()
         self.position.sought.connect(self.seekRequested)
         actions.go_to.triggered.connect(self._go_to)
-        buttons = map(action_button, (actions.previous, actions.play, actions.next, actions.loop, actions.freeze))
+        buttons = map(action_button, (actions.previous, actions.play, actions.next, actions.loop))
         hbox(*buttons, 4, (self.slider, 1), 4, self.position, within=self, margins=0, spacing=4)
         self._show_mode()
 
@@ -114,18 +114,16 @@ class Transport(QWidget):
     def _show_mode(self) -> None:
         state, actions = self.state, self._actions
         several = state.length is None or state.length > 1
-        word = "Pause" if state.running else "Play"
+        word = "Pause" if state.playing else "Play"
         actions.play.setIcon(icon(word.lower()))
         actions.play.setText(f"&{word}\tSpace")
         actions.play.setToolTip(f"{word} (Space)")
-        for action in (actions.play, actions.freeze):
-            action.setEnabled(several)
+        actions.play.setEnabled(several)
         for control in (
             *(actions.previous, actions.next, actions.first, actions.loop, actions.go_to),
             *(self.slider, self.position),
         ):
             control.setEnabled(state.seekable and several)
-        actions.freeze.setChecked(state.frozen)
         actions.loop.setChecked(state.loop)
 
     def _go_to(self) -> None:

@@ -36,7 +36,7 @@ from ...widgets.clouds.cloud_data import DepthCloud
 from ...widgets.clouds.cloud_view import link_cameras
 from ...widgets.clouds.inspect_view import InspectView
 from ...widgets.images.image_strip import PANES, ImageStrip
-from ..worker.rendering import VALUE_ROWS, patch_difference_limit, patch_difference_lut
+from ..worker.rendering import VALUE_ROWS, patch_difference_limit, values_lut
 from ..worker.results import CloudName, ColorBy, ComparedFrame, ComparedSide, Rendered, Result, SourceInfo
 from .actions import Actions
 
@@ -137,7 +137,7 @@ class ViewArea(QWidget):
         legends = dict(self._legends)
         self.set_wipe(wipe)
         for view in self.views.values():
-            view.set_running(result.playback.running)
+            view.set_running(result.playback.playing)
         if result.compared is not None:
             self._show_compared(result.compared, result.source.rig, theme)
         else:
@@ -282,7 +282,7 @@ def legend_of(
 
 def _patch_difference_legend(t: float, theme: Theme) -> Legend:
     limit = patch_difference_limit(t)
-    lut = patch_difference_lut(limit, theme)
+    lut = values_lut(ColorBy.DIFFERENCE, theme, limit)
     places = ((f"−{limit:.1%}", 1), ("below 0", 56), ("above 0", 72), (f"+{limit:.1%}", 127))
     return [(text, QColor(*(int(channel) for channel in lut[VALUE_ROWS + row, :3]))) for text, row in places]
 

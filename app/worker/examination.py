@@ -8,13 +8,13 @@ from pathlib import Path
 from ...core.errors import TactuneError
 from ...core.model.frames import SensorFrame
 from ...core.preset import Preset
+from ...core.rig.untouched import kept_untouched
 from ...core.tuning.advice.findings import Examiner
 from ...core.tuning.advice.proposal import Finding
 from .results import Result, SourceInfo
 
-#: Shortest time between two examinations, seconds, and largest share of the thread's time while frames play.
-INTERVAL_S = 0.5
-_MAX_SHARE = 0.05
+#: Shortest time between two examinations, seconds: they take a small share of the thread's time.
+INTERVAL_S = 1.0
 
 
 class Examination:
@@ -27,7 +27,7 @@ class Examination:
         self._home: Path | None = None
         self._untouched_key: object = None
         self._untouched: SensorFrame | None = None
-        self._ended_s, self._took_s = -INTERVAL_S, 0.0
+        self._ended_s = -INTERVAL_S
 
     def note(self, result: Result, home: Path | None) -> None:
         """Examine this result when it is due; ``home`` is the file beside which the preset's untouched frame lies."""
@@ -40,10 +40,7 @@ class Examination:
         """Seconds until the next examination is due (0: now); None while there is nothing new to examine."""
         if self._result is None:
             return None
-        pause_s = INTERVAL_S
-        if self._result.playback.running:
-            pause_s = max(pause_s, self._took_s / _MAX_SHARE)
-        return max(0.0, self._ended_s + pause_s - time.perf_counter())
+        return max(0.0, self._ended_s + INTERVAL_S - time.perf_counter())
 
     def findings(self) -> tuple[tuple[Finding, ...], Preset]:
         """Return what is wrong with the newest result, and its preset; call it only when that is due."""
@@ -51,13 +48,11 @@ class Examination:
         assert result is not None
         if result.patch is None:
             return (), result.preset
-        started_s = time.perf_counter()
         if self._examiner is None or result.source is not self._info:
             self._examiner, self._info = Examiner(result.source.rig), result.source
         untouched = self._stored_untouched(result.source, result.preset)
         found = self._examiner.findings(result.frame, result.patch, result.preset, untouched)
         self._ended_s = time.perf_counter()
-        self._took_s = self._ended_s - started_s
         return found, result.preset
 
     def _stored_untouched(self, info: SourceInfo, preset: Preset) -> SensorFrame | None:
@@ -66,7 +61,8 @@ class Examination:
         if key != self._untouched_key:
             self._untouched_key = key
             try:
-                self._untouched = info.stored_untouched(preset, self._home, lambda share, words: None).frame
+                at_rest = info.at_rest
+                self._untouched = None if at_rest is None else kept_untouched(preset, self._home, at_rest).frame
             except TactuneError:
                 self._untouched = None  # who needs it says why it cannot be read
         return self._untouched

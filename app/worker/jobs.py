@@ -1,14 +1,18 @@
-"""Jobs: work on another thread, one at a time, with progress and cancelling."""
+"""Jobs: work on another thread, one at a time, with progress and cancelling; and a row that shows them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from threading import Event
 from typing import Any
 
 from PyQt6.QtCore import QObject, QThread, pyqtSignal
+from PyQt6.QtWidgets import QWidget
 
 from ...core.errors import TactuneError
+from ...widgets.basics.controls import ProgressBar, push_button
+from ...widgets.basics.layouts import hbox
 from .threads import abandon
 
 Progress = Callable[[float, str], None]
@@ -116,3 +120,31 @@ class Job(QObject):
         if newest is not None and self._thread is None:
             self.start(newest)
         thread.deleteLater()
+
+
+class JobRow(QWidget):
+    """Visible while one of the jobs reports progress; work that reports none, as on each frame, shows nothing."""
+
+    def __init__(self, *jobs: Job) -> None:
+        super().__init__()
+        self.bar, self.cancel = ProgressBar(), push_button("Cancel", "Cancel")
+        self.bar.setAccessibleName("Progress")
+        hbox((self.bar, 1), self.cancel, within=self, margins=0)
+        policy = self.sizePolicy()
+        policy.setRetainSizeWhenHidden(True)  # so that the layout does not jump
+        self.setSizePolicy(policy)
+        for job in jobs:
+            job.progress.connect(self._show)
+            job.busyChanged.connect(partial(self._end, jobs))
+            self.cancel.clicked.connect(job.cancel)
+        self.hide()
+
+    def _show(self, share: float, words: str) -> None:
+        """Show a share, 0 to 1, and the step; a share of 0 means unknown."""
+        self.bar.setRange(0, 100 if share > 0 else 0)
+        self.bar.show_share(share, words)
+        self.setVisible(share < 1)
+
+    def _end(self, jobs: tuple[Job, ...], _busy: bool) -> None:
+        if not any(job.busy for job in jobs):
+            self.hide()

@@ -18,13 +18,7 @@ class PlaybackState:
     length: int | None = None
     playing: bool = False
     loop: bool = True
-    frozen: bool = False
     speed: float = 1.0
-
-    @property
-    def running(self) -> bool:
-        """Whether the next frame comes without an order."""
-        return self.playing and not self.frozen
 
     @property
     def seekable(self) -> bool:
@@ -48,7 +42,6 @@ class Playback:
         self.index = -1
         self.length: int | None = None
         self.loop = True
-        self.frozen = False
         self.playing = False
         self.held = False
         self.speed = 1.0
@@ -57,7 +50,7 @@ class Playback:
 
     @property
     def state(self) -> PlaybackState:
-        return PlaybackState(self.index, self.length, self.playing, self.loop, self.frozen, self.speed)
+        return PlaybackState(self.index, self.length, self.playing, self.loop, self.speed)
 
     @property
     def period_s(self) -> float:
@@ -68,7 +61,6 @@ class Playback:
         self.index = -1
         self.length = length
         self._frame_rate_hz = max(frame_rate_hz, 1e-3)
-        self.frozen = False
         self.playing = length != 1
         self._due_s = 0.0
 
@@ -79,14 +71,13 @@ class Playback:
         if not self.loop and self.state.at_end:
             self.index = -1
         self.playing = True
-        self.frozen = False
 
     def pause(self) -> None:
         self.playing = False
 
     def wait_s(self, now_s: float) -> float | None:
         """Seconds until the next frame of a recording is due (0: now); None while nothing plays."""
-        if self.length is None or not self.playing or self.frozen or self.held:
+        if self.length is None or not self.playing or self.held:
             return None
         return max(0.0, self._due_s - now_s)
 

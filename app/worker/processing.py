@@ -107,7 +107,7 @@ class FrameProcessor:
         started = time.perf_counter()
         if self._present.waiting and not self._processed:  # the images' kernels are compiled after the first picture
             wanted = replace(wanted, strip=False)
-        if playback.running and not held:
+        if playback.playing and not held:
             wanted = self._due(wanted.while_running(), started)
         if compared is None:
             rendered, both = self._render(self._present, frame, info.rig, wanted), None

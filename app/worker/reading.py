@@ -110,17 +110,10 @@ PATIENCE_S = 5.0
 class LiveListener(Protocol):
     """Receives events on the reader's thread; every method must return at once."""
 
-    def frame_arrived(self, reader: LiveReader) -> None:
-        """`LiveReader.take` has a new frame."""
-
-    def state_changed(self, reader: LiveReader, state: SourceState) -> None:
-        """The state of the source changed."""
-
-    def options_changed(self, reader: LiveReader, options: tuple[CameraOption, ...]) -> None:
-        """The cameras or their settings changed."""
-
-    def option_refused(self, reader: LiveReader, sentence: str) -> None:
-        """A setting could not be changed."""
+    def frame_arrived(self, reader: LiveReader) -> None: ...
+    def state_changed(self, reader: LiveReader, state: SourceState) -> None: ...
+    def options_changed(self, reader: LiveReader, options: tuple[CameraOption, ...]) -> None: ...
+    def option_refused(self, reader: LiveReader, sentence: str) -> None: ...
 
 
 class LiveReader:
@@ -136,7 +129,6 @@ class LiveReader:
         self._listener = listener
         self._frames: Mailbox[SensorFrame] = Mailbox()
         self._wishes: dict[tuple[CameraRole, str], float] = {}
-        self._at_close: dict[tuple[CameraRole, str], float] = {}
         self._wishes_lock = Lock()
         self._closing = Event()
         self._problem = ""
@@ -156,17 +148,10 @@ class LiveReader:
     def take(self) -> SensorFrame | None:
         return self._frames.take()
 
-    def set_option(self, camera: CameraRole, name: str, value: float, at_close: float | None = None) -> None:
-        """Change a camera setting between two frames; of several waiting values, the newest is used.
-
-        ``at_close`` is for a temporary change: the value to restore if the source closes before the setting
-        is changed again.
-        """
+    def set_option(self, camera: CameraRole, name: str, value: float) -> None:
+        """Change a camera setting between two frames; of several waiting values, the newest is used."""
         with self._wishes_lock:
             self._wishes[camera, name] = value
-            self._at_close.pop((camera, name), None)
-            if at_close is not None:
-                self._at_close[camera, name] = at_close
 
     def close(self) -> None:
         self._closing.set()
@@ -181,8 +166,6 @@ class LiveReader:
                 self._read()
                 self._look_after()
         finally:
-            with self._wishes_lock:
-                self._wishes |= self._at_close
             self._set_options()
             self.source.close()
 

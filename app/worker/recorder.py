@@ -113,10 +113,10 @@ class Recorder:
     def unwatch(self) -> None:
         self._watcher = None
 
-    def put(self, frame: SensorFrame, number: int | None = None, *, wait: bool = False) -> None:
+    def put(self, frame: SensorFrame, number: int | None = None) -> None:
         """Record a frame if a recording runs; one that does not fit its rig counts as dropped.
 
-        ``number``, for messages, counts from 1. Live frames do not ``wait``: if the queue is full they are dropped.
+        ``number``, for messages, counts from 1.
         """
         number = frame.sequence + 1 if number is None else number
         self._show(frame, number)
@@ -126,7 +126,7 @@ class Recorder:
         with self._lock:
             if self._writer is not None:
                 try:
-                    self._writer.put(frame, wait=wait)
+                    self._writer.put(frame, wait=False)
                 except FrameError:
                     self._refused += 1
                 except Exception as error:

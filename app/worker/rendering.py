@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -170,7 +170,8 @@ class Scene:
 
     @property
     def accepted(self) -> float:
-        return accepted_difference(self.preset, self.depth_range_m)
+        """Relative difference up to which the contact test treats both depths as equal, at mid-range."""
+        return self.preset.test.accepted_share(self.preset, sum(self.depth_range_m) / 2)
 
 
 class Renderer:
@@ -222,7 +223,9 @@ class Renderer:
             median_distance_m=self._median_m,
             depth_range_m=depth_range_m,
             tactile_range_m=tactile_range_m,
-            verdicts=verdicts_of(patch) if patch and wanted.color_by is ColorBy.PROVENANCE else frozenset(),
+            verdicts=frozenset(map(Provenance, np.flatnonzero(np.bincount(patch.provenance.ravel())).tolist()))
+            if patch and wanted.color_by is ColorBy.PROVENANCE
+            else frozenset(),
             accepted=scene.accepted,
             no_contact=no_contact,
             no_contact_action=no_contact_action,
@@ -305,11 +308,6 @@ def why_no_contact(frame: SensorFrame, patch: ContactPatch, preset: Preset, rig:
     return preset.test.why_no_contact(patch.provenance)
 
 
-def accepted_difference(preset: Preset, depth_range_m: tuple[float, float]) -> float:
-    """Return the relative difference up to which the contact test treats both depths as equal, at mid-range."""
-    return preset.test.accepted_share(preset, sum(depth_range_m) / 2)
-
-
 def membrane_sample_m(frame: SensorFrame, preset: Preset, rig: Rig) -> Float32Array:
     """Return the membrane's depth at every sixth row and column, metres (N,); enough for ranges and medians.
 
@@ -374,13 +372,14 @@ def patch_view(scene: Scene) -> DepthCloud | None:
         index, lut = _relief(scene, patch.mask), patch_lut(scene.theme)
     elif scene.color_by is ColorBy.PROVENANCE:
         late = np.isin(patch.provenance, LATE_VERDICTS)
-        index, lut = _over_relief(scene, patch.provenance, late), patch_provenance_lut(scene.theme)
+        index, lut = _over_relief(scene, patch.provenance, late), values_lut(scene.color_by, scene.theme)
     elif scene.color_by is ColorBy.DIFFERENCE:
         limit = patch_difference_limit(scene.accepted)
         index = _over_relief(scene, difference_index(patch.relative_difference, limit) >> np.uint8(1), patch.mask)
-        lut = patch_difference_lut(limit, scene.theme)
+        lut = values_lut(scene.color_by, scene.theme, limit)
     else:
-        index, lut = _over_relief(scene, _depth_rows(scene) >> np.uint8(1), patch.mask), patch_depth_lut(scene.theme)
+        index = _over_relief(scene, _depth_rows(scene) >> np.uint8(1), patch.mask)
+        lut = values_lut(scene.color_by, scene.theme)
     return replace(_proximity_cloud(scene, index, lut, count=len(patch.points)), depth=_depth_with_patch(scene, patch))
 
 
@@ -423,11 +422,6 @@ def _depth_with_patch(scene: Scene, patch: ContactPatch) -> Uint16Array:
         counts = counts.copy()
         counts[patch.mask] = np.rint(patch.points[:, 2] / scene.rig.proximity.depth_unit_m)
     return counts
-
-
-def verdicts_of(patch: ContactPatch) -> frozenset[Provenance]:
-    counts = np.bincount(patch.provenance.ravel(), minlength=len(Provenance))
-    return frozenset(verdict for verdict in Provenance if counts[verdict])
 
 
 def patch_difference_limit(t: float) -> float:
@@ -483,25 +477,15 @@ def _over_relief(scene: Scene, rows: Uint8Array, within: BoolArray) -> Uint8Arra
 
 
 @lru_cache(maxsize=16)
-def patch_difference_lut(limit: float, theme: Theme) -> Uint8Array:
-    """Return the colours of relative differences within a patch (the upper half), over its context."""
-    return _half_relief(difference_lut(0.0, limit)[::2], theme)
+def values_lut(color_by: ColorBy, theme: Theme, limit: float = 0.0) -> Uint8Array:
+    """Return every other shade of a patch's context (the lower half), then the colours of values within the patch.
 
-
-@cache
-def patch_depth_lut(theme: Theme) -> Uint8Array:
-    """Return the colours of depth within a patch (the upper half), over its context."""
-    return _half_relief(depth_lut()[::2], theme)
-
-
-@cache
-def patch_provenance_lut(theme: Theme) -> Uint8Array:
-    """Return the colours of `LATE_VERDICTS` (the upper half), over their context."""
-    return _half_relief(provenance_lut(theme)[:VALUE_ROWS], theme)
-
-
-def _half_relief(values: Uint8Array, theme: Theme) -> Uint8Array:
-    """Return every other row of the context's shades, then the colours of values (128, 4): uint8 (256, 4)."""
+    These are those of `LATE_VERDICTS`, of depths, or of relative differences up to ``limit``.
+    """
+    if color_by is ColorBy.DIFFERENCE:
+        values = difference_lut(0.0, limit)[::2]
+    else:
+        values = depth_lut()[::2] if color_by is ColorBy.DEPTH else provenance_lut(theme)[:VALUE_ROWS]
     mixed = np.concatenate([patch_lut(theme)[::2], values])
     mixed.flags.writeable = False
     return mixed

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
@@ -18,7 +17,7 @@ from ...core.model.metrics import PatchOverlap
 from ...core.model.patch import Contact
 from ...core.model.provenance import Provenance
 from ...core.preset import Preset
-from ...core.rig.untouched import FoundUntouched, find_untouched, kept_untouched
+from ...core.rig.untouched import FoundUntouched, find_untouched
 from ...core.sources.base import FrameSource, Health, Progress
 from ..document.comparison import Side
 from .playback import PlaybackState
@@ -27,37 +26,9 @@ if TYPE_CHECKING:
     from ...widgets.clouds.cloud_data import DepthCloud
     from ...widgets.images.strip_render import RenderedStrip
 
-#: Returns the untouched frame for a preset and its file; may take long and raise a `TactuneError`.
-FindUntouched = Callable[[Preset, Path | None, Progress], FoundUntouched]
 
-
-def no_untouched(_preset: Preset, _path: Path | None, _progress: Progress) -> FoundUntouched:
-    return FoundUntouched(None)
-
-
-def untouched_finder(source: FrameSource, kept: _Kept | None = None) -> FindUntouched:
-    """Return a function like `find_untouched` that may run on any thread while the source is being read.
-
-    The source's own untouched frame is read now, on the thread that owns the source. The simulator's is
-    measured when it is asked for, in its own scene.
-    """
-    kept = kept or _Kept(source)
-
-    def find(preset: Preset, path: Path | None, progress: Progress) -> FoundUntouched:
-        from ...core.sources.simulator.source import SimulatorSource  # not imported for other sources
-
-        return find_untouched(preset, path, source if isinstance(source, SimulatorSource) else kept, progress)
-
-    return find
-
-
-def stored_untouched_finder(kept: _Kept) -> FindUntouched:
-    """Return a function like `kept_untouched` that may run on any thread; it simulates nothing."""
-    return lambda preset, path, _progress: kept_untouched(preset, path, kept)
-
-
-class _Kept(FrameSource):
-    """A source reduced to its untouched frame."""
+class _AtRest(FrameSource):
+    """A source reduced to its untouched frame, which is read now, on the thread that owns the source."""
 
     def __init__(self, source: FrameSource) -> None:
         self.name, self._rig = source.name, source.rig
@@ -177,26 +148,26 @@ class SourceInfo:
     length: int | None
     frame_rate_hz: float
     preset: Preset | None = None
-    find_untouched: FindUntouched = no_untouched
-    stored_untouched: FindUntouched = no_untouched
+    at_rest: FrameSource | None = None
+
+    def find_untouched(self, preset: Preset, path: Path | None, progress: Progress) -> FoundUntouched:
+        """Return the untouched frame for a preset and its file; on any thread, while the source is being read.
+
+        The simulator's is measured now, in its own scene, which may take long.
+        """
+        return FoundUntouched(None) if self.at_rest is None else find_untouched(preset, path, self.at_rest, progress)
 
     @classmethod
     def of(cls, source: FrameSource) -> SourceInfo:
         """Return the facts about a source; an unusable preset becomes None."""
+        from ...core.sources.simulator.source import SimulatorSource  # other sources need not wait for it
+
         try:
             preset = source.preset()
         except PresetError:
             preset = None
-        kept = _Kept(source)
-        return cls(
-            source.name,
-            source.rig,
-            source.length,
-            source.frame_rate_hz,
-            preset,
-            find_untouched=untouched_finder(source, kept),
-            stored_untouched=stored_untouched_finder(kept),
-        )
+        at_rest = source if isinstance(source, SimulatorSource) else _AtRest(source)
+        return cls(source.name, source.rig, source.length, source.frame_rate_hz, preset, at_rest)
 
 
 @dataclass(frozen=True)

@@ -84,7 +84,6 @@ class Worker(QThread):
         self._failing = False
         self._told = self._playback.state
         self._redo = False
-        self._trim: tuple[int, int] | None = None
         self._publisher: Publisher | None = None
 
     # Orders, from any thread
@@ -144,27 +143,19 @@ class Worker(QThread):
     def set_loop(self, loop: bool) -> None:
         self._orders.put(lambda: setattr(self._playback, "loop", loop))
 
-    def set_trim(self, trim: tuple[int, int] | None) -> None:
-        """Record only these frames of a recording, the first and the one behind the last; None: those that play."""
-        self._orders.put(lambda: setattr(self, "_trim", trim))
-
     def set_speed(self, speed: float) -> None:
         self._orders.put(lambda: setattr(self._playback, "speed", speed))
-
-    def set_frozen(self, frozen: bool) -> None:
-        """Hold the present frame; a live source keeps streaming, a recording waits."""
-        self._orders.put(lambda: self._freeze(frozen))
 
     def set_held(self, held: bool) -> None:
         """Make a recording wait while its slider is dragged."""
         self._orders.put(lambda: setattr(self._playback, "held", held))
 
-    def set_option(self, camera: CameraRole, name: str, value: float, at_close: float | None = None) -> None:
-        """Change a setting of a camera; ``at_close`` as for `LiveReader.set_option`."""
-        self._orders.put(lambda: self._set_option(camera, name, value, at_close))
+    def set_option(self, camera: CameraRole, name: str, value: float) -> None:
+        """Change a setting of a camera."""
+        self._orders.put(lambda: self._set_option(camera, name, value))
 
     def start_recording(self, path: Path) -> None:
-        """Record every frame of a live source into a file, or every frame of a recording that is played."""
+        """Record every frame of a live source into a file."""
         self._orders.put(lambda: self._start_recording(path))
 
     def stop_recording(self, reason: str = "") -> None:
@@ -203,13 +194,13 @@ class Worker(QThread):
     def _carry_on(self) -> None:
         """Process what is due: a new frame, or the present one again."""
         newest = self._newest
-        if newest is not None and newest is not self._frame and self._playback.state.running:
+        if newest is not None and newest is not self._frame and self._playback.playing:
             self._playback.shown(newest.sequence, time.perf_counter())
             self._frame = newest
             self._process(newest)
             return
         due = self._reader is not None and self._playback.wait_s(time.perf_counter()) == 0.0
-        if self._redo and self._frame is not None and (self._playback.frozen or not due):
+        if self._redo and self._frame is not None and not due:
             self._process(self._frame)
         elif due:
             self._advance()
@@ -313,50 +304,32 @@ class Worker(QThread):
             self._state = state
             self.stateChanged.emit(state)
 
-    def _set_option(self, camera: CameraRole, name: str, value: float, at_close: float | None) -> None:
+    def _set_option(self, camera: CameraRole, name: str, value: float) -> None:
         if self._live is not None:
-            self._live.set_option(camera, name, value, at_close)
+            self._live.set_option(camera, name, value)
         else:
             self.optionRefused.emit("No camera is open: connect cameras (F3) to change their settings.")
 
     def _start_recording(self, path: Path) -> None:
-        if self._info is None or (self._live is None and self._reader is None):
-            self.recordingFailed.emit("There is nothing to record yet: open a source first.")
+        if self._info is None or self._live is None:
+            self.recordingFailed.emit(
+                "Only cameras and other live sources are recorded: connect cameras (F3), or export a part of this "
+                "recording (File > Export recording)."
+            )
             return
-        info = self._info
         try:
-            untouched = self._reader.untouched() if self._reader is not None else None
-            self.recorder.start(RecordingRequest(path, info.rig, self._preset, info.frame_rate_hz, untouched))
+            self.recorder.start(RecordingRequest(path, self._info.rig, self._preset, self._info.frame_rate_hz))
         except Exception as error:
             self.recordingFailed.emit(explain(error, f"{path} cannot be recorded"))
             return
         self.recordingStarted.emit(path)
-        if self._live is None and self._frame is not None:  # a recording starts with the in mark or the present frame
-            if self._trim is None:
-                self._record(self._frame, self._playback.state.index)
-            elif (first := self._show(self._trim[0])) is not None:
-                self._playback.play()
-                self._record(first, self._trim[0])
-
-    def _record(self, frame: SensorFrame, index: int) -> None:
-        """Record a frame of a recording; the last frame before the out mark, or one behind it, ends the file."""
-        first, end = self._trim or (0, index + 2)
-        if first <= index < end:
-            self.recorder.put(frame, index + 1, wait=True)
-        if index >= end - 1:
-            self.recorder.stop()
 
     def _stand_still(self) -> None:
         self._playback.pause()
         self._redo = True  # a paused frame is drawn in full resolution
 
-    def _freeze(self, frozen: bool) -> None:
-        self._playback.frozen = frozen
-        self._redo = True
-
     def _step(self, by: int) -> None:
         self._playback.pause()
-        self._playback.frozen = False
         index = self._playback.step_index(by)
         if index is not None:
             self._show(index)
@@ -365,7 +338,7 @@ class Worker(QThread):
         index = self._playback.next_index()
         self._redo |= index is None  # the last frame stays, so all of it is drawn
         if index is not None and (frame := self._show(index)) is not None:
-            self._record(frame, index)
+            self.recorder.put(frame, index + 1)
 
     def _show(self, index: int) -> SensorFrame | None:
         """Read frame ``index`` of a recording, process and post it; return it."""

@@ -143,7 +143,6 @@ class SharedWindow:
         window.views.setFocus()
         window.actions_.loop.setChecked(True)
         window.worker.set_loop(True)
-        window.worker.set_frozen(False)
         window.worker.set_speed(1.0)
 
 

@@ -14,14 +14,12 @@ from hands import press, show_source, type_into
 from tactune.app.sources import list_devices
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.worker import SourceRequest
-from tactune.core.errors import SourceError
 from tactune.widgets.basics.controls import CollapsibleSection
 
 LEFT = Qt.MouseButton.LeftButton
 CONTROL = Qt.KeyboardModifier.ControlModifier
 L515 = {"model": "L515", "serial": "f001", "firmware": "1.5.8.1", "usb": "3.2", "role": "proximity"}
 D405 = {"model": "D405", "serial": "d002", "firmware": "5.12.14", "usb": "3.2"}
-D405_TOO = {**D405, "serial": "d003"}
 
 
 @pytest.fixture
@@ -87,15 +85,6 @@ def test_one_camera_twice_cannot_be_opened(window, finding, qtbot):
     assert not open_button(dialog).isEnabled()
 
 
-def test_a_driver_without_the_l515_says_so_and_a_slow_connection_is_noted(window, answering, qtbot):
-    slow = {**D405, "usb": "2.1", "problem": "it runs at USB 2"}
-    answer = {"devices": [slow, D405_TOO], "hint": "the camera driver 2.57 no longer supports the L515"}
-    answering(f"print({json.dumps(json.dumps(answer))})")
-    dialog = chooser(window, qtbot)
-    assert dialog.note.text() == "2 cameras were found. The camera driver 2.57 no longer supports the L515."
-    assert dialog.page.list.topLevelItem(0).text(4) == "it runs at USB 2"
-
-
 @pytest.mark.parametrize(
     ("program", "words"),
     [
@@ -124,13 +113,6 @@ def test_a_driver_that_hangs_is_given_up(window, answering, qtbot, monkeypatch):
     QTest.keyClick(dialog, Qt.Key.Key_F5)
     qtbot.waitUntil(lambda: dialog.note.text().startswith("Searching"))
     qtbot.waitUntil(lambda: dialog.note.text().startswith("The camera driver does not list its cameras"))
-
-
-def test_the_real_search_answers():
-    try:
-        assert "devices" in list_devices.ask_driver()
-    except SourceError as error:
-        assert "camera" in str(error)
 
 
 # Settings
@@ -175,21 +157,6 @@ def test_a_typed_number_reaches_the_camera_and_the_preset_and_can_be_undone(wind
     qtbot.waitUntil(lambda: cameras.values["tactile", "exposure"] == 8500)
     assert window.document.preset.cameras.tactile.options == {}
     qtbot.waitUntil(lambda: panel.rows["tactile", "exposure"].widget.value() == 8500)
-
-
-def test_a_drag_is_one_step_and_the_camera_ends_where_the_slider_does(window, cameras, panel, qtbot):
-    row = panel.rows["proximity", "laser_power"]
-    slider = row.widget.slider
-    left, length = slider.travel()
-    points = [QPoint(int(left + length * share), slider.height() // 2) for share in (0.7, 0.5, 0.2)]
-    QTest.mousePress(slider, LEFT, pos=points[0])
-    for point in points[1:]:
-        QTest.mouseMove(slider, point)
-    QTest.mouseRelease(slider, LEFT, pos=points[-1])
-    value = row.widget.value()
-    assert 15 <= value <= 25
-    qtbot.waitUntil(lambda: cameras.values["proximity", "laser_power"] == value)
-    assert window.document.undo_stack.count() == 1
 
 
 def test_a_choice_and_a_flag(window, cameras, panel, qtbot):

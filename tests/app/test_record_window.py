@@ -8,10 +8,8 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
 from fakes import FakeSource
-from hands import press, show_source, text_of
+from hands import press, show_source
 from tactune.app.window import recording
-from tactune.app.worker import worker
-from tactune.app.worker.threads import wait_for_abandoned
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.sources.registry import open_source
 
@@ -85,17 +83,6 @@ def test_the_key_records_every_frame_and_the_file_plays_them(window, cameras, qt
     qtbot.waitUntil(lambda: window.result is not None and window.result.source.length == 40)
 
 
-def test_a_recording_that_is_played_records_what_is_played(window, qtbot, folder):
-    window.worker.set_loop(False)
-    show_source(qtbot, window, FakeSource(length=8), 3)
-    begin(window, qtbot)
-    assert "press Space" in text_of(window.recording_bar)
-    QTest.keyClick(window, Qt.Key.Key_Space)
-    qtbot.waitUntil(lambda: window.transport.state.at_end and not window.transport.state.playing)
-    end(window, qtbot)
-    assert [frame.sequence for frame in recorded(folder)] == [3, 4, 5, 6, 7]
-
-
 def test_another_source_ends_the_recording_and_that_is_said(window, cameras, qtbot, folder):
     begin(window, qtbot)
     cameras.give(qtbot, 2)
@@ -123,21 +110,9 @@ def test_a_disk_that_fills_up_ends_the_recording_in_time(window, cameras, qtbot,
     assert len(recorded(folder)) == 4
 
 
-def test_the_window_closes_while_a_recording_is_made_of_a_source_that_hangs(window, qtbot, folder, monkeypatch):
-    monkeypatch.setattr(worker, "PATIENCE_MS", 200)
-    source = FakeSource()
-    window.open_request(SourceRequest(source.name, lambda progress: source))
-    window.worker.pause()  # a source plays once it is open, and this one must not hang yet
-    window.worker.seek(0)
-    qtbot.waitUntil(lambda: window.result is not None)
-    begin(window, qtbot)
-    source.hold(2)
-    window.worker.play()
-    qtbot.waitUntil(lambda: source.waiting.is_set() and window.result.playback.index >= 2)
-    window.worker.seek(5)  # the worker itself is stuck now
-    window.close_without_asking()
-    qtbot.waitUntil(lambda: not window.isVisible())
-    (path,) = folder.glob("*.mcap")
-    assert len(frames_of(path)) >= 2
-    source.release()
-    assert wait_for_abandoned(20.0)
+def test_a_recording_is_not_recorded_but_exported(window, qtbot):
+    show_source(qtbot, window, FakeSource(length=8), 3)
+    QTest.keyClick(window, Qt.Key.Key_F9)
+    qtbot.waitUntil(lambda: window.messages.message("recording") is not None)
+    assert "export a part" in told(window)
+    assert not window.actions_.record.isChecked()

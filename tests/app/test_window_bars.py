@@ -54,11 +54,10 @@ def test_the_state_is_said_in_a_word_or_two(bar):
         PlaybackState(length=8, playing=True),
         PlaybackState(length=8),
         PlaybackState(playing=True),
-        PlaybackState(playing=True, frozen=True),
     ):
         bar.show_playback(state)
         said.append(bar.state.text())
-    assert said == ["Playing", "Paused", "Live", "Frozen"]
+    assert said == ["Playing", "Paused", "Live"]
     bar.show_recording(True)
     bar.show_state(SourceState(stale=True))
     assert bar.state.text() == "Recording, no frames"
