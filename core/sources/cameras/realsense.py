@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
@@ -14,16 +14,13 @@ from ..base import CameraRole
 from .camera import Camera, CameraDriver, DeviceInfo
 
 #: Returns the driver's objects of the connected devices.
-DeviceQuery = Callable[[], list[Any]]
+DeviceQuery = Callable[[], Iterable[Any]]
 
 #: The last release that knows the L515; the next one dropped it.
-LAST_WITH_L515 = "2.54.2"
+_LAST_WITH_L515 = 2, 54, 2
 
 #: An L515 looks through the membrane, a D405 sees the membrane; others are used where their serial number is named.
 _ROLES: dict[str, CameraRole] = {"L515": "proximity", "D405": "tactile"}
-
-#: System libraries that the driver's wheel needs and the Debian packages that have them.
-_PACKAGES = {"libusb-1.0": "libusb-1.0-0", "libudev": "libudev1"}
 
 
 class RealSenseDriver(CameraDriver):
@@ -56,8 +53,11 @@ class RealSenseDriver(CameraDriver):
 
     def _query(self) -> list[Any]:
         if self._find is None:
-            self._find = hardware(load_driver())
-        return self._find()
+            self._find = load_driver().context().query_devices
+        try:
+            return list(self._find())
+        except RuntimeError as error:
+            raise SourceError(f"the camera driver cannot list its devices ({error}); plug them in again") from error
 
 
 def load_driver() -> Any:
@@ -69,12 +69,9 @@ def load_driver() -> Any:
             "live cameras need the camera driver pyrealsense2, which is not installed: pip install 'tactune[realsense]'"
         ) from error
     except ImportError as error:
-        missing = next((package for library, package in _PACKAGES.items() if library in str(error)), "")
         raise SourceError(
-            f"the camera driver pyrealsense2 needs a system library ({error}): sudo apt-get install {missing}"
-            if missing
-            else f"the camera driver pyrealsense2 cannot be loaded ({error}): "
-            "reinstall it with pip install --force-reinstall 'tactune[realsense]'"
+            f"the camera driver pyrealsense2 cannot be loaded ({error}): install the system library that is missing, "
+            "or reinstall it with pip install --force-reinstall 'tactune[realsense]'"
         ) from error
 
 
@@ -86,32 +83,14 @@ def driver_version() -> str:
         return ""
 
 
-def knows_l515(driver: str) -> bool:
-    """Return whether a driver of this version supports the L515."""
-    return _numbers(driver)[:3] <= _numbers(LAST_WITH_L515)
-
-
 def no_l515_sentence(driver: str) -> str:
     """Return why a driver of this version finds no L515, and what to install; empty if it supports the L515."""
-    if knows_l515(driver):
+    if tuple(map(int, re.findall(r"\d+", driver)))[:3] <= _LAST_WITH_L515:
         return ""
     return (
         f"the camera driver {driver} no longer supports the L515: with Python 3.11, "
-        f"pip install 'pyrealsense2=={LAST_WITH_L515}.5684'"
+        f"pip install 'pyrealsense2==2.54.2.5684'"
     )
-
-
-def hardware(driver: Any) -> DeviceQuery:
-    """Return a function that asks the driver for the devices on this machine's USB."""
-    context = driver.context()
-
-    def query() -> list[Any]:
-        try:
-            return list(context.query_devices())
-        except RuntimeError as error:
-            raise SourceError(f"the camera driver cannot list its devices ({error}); plug them in again") from error
-
-    return query
 
 
 def describe(device: Any) -> DeviceInfo:
@@ -137,10 +116,6 @@ def describe(device: Any) -> DeviceInfo:
         )
     except RuntimeError as error:
         return DeviceInfo(model="unknown", serial="", problem=f"it does not answer ({error}); plug it in again")
-
-
-def _numbers(text: str) -> tuple[int, ...]:
-    return tuple(int(number) for number in re.findall(r"\d+", text))
 
 
 def _serial(device: Any) -> str:

@@ -25,7 +25,6 @@ from tactune.core.errors import MissingExtraError, SourceError
 from tactune.core.model.frames import Rig
 from tactune.core.sources.capture.protocol import create_memory, read_frame, write_frame
 from tactune.core.sources.capture.source import ProcessSource
-from tactune.core.sources.registry import open_source
 
 sizes = st.tuples(st.integers(1, 40), st.integers(1, 30))
 rigs = st.builds(make_rig, sizes, sizes, st.none() | sizes)
@@ -146,9 +145,3 @@ def test_a_forgotten_source_ends_its_process(nothing_left: None, tmp_path: Path)
     assert source.next_frame() is not None
     del source
     gc.collect()
-
-
-def test_no_camera_is_told() -> None:
-    pytest.importorskip("pyrealsense2", reason="the camera driver is not installed", exc_type=ImportError)
-    with pytest.raises(SourceError, match=r"^cameras: .* connected"):
-        open_source("realsense:f0090001,130322270002")
