@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import multiprocessing
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,7 +19,15 @@ from tactune.core.sources.base import CameraHealth, CameraOption, CameraRole, Fr
 from tactune.core.sources.capture.live import LiveLoop
 
 Size = tuple[int, int]
+
 POSE = tuple(tuple(float(row == column) for column in range(4)) for row in range(4))
+
+
+def capture_pid() -> int:
+    """The number of the only capture process of this one."""
+    (pid,) = (child.pid for child in multiprocessing.active_children() if child.name == "tactune capture")
+    assert pid is not None
+    return pid
 
 
 def make_rig(proximity: Size = (16, 12), tactile: Size = (20, 14), color: Size | None = None, serial: str = "1") -> Rig:

@@ -88,11 +88,6 @@ class ProcessSource(FrameSource):
         """The rate at which frames are taken, in Hz."""
         return self._frame_rate_hz
 
-    @property
-    def capture_pid(self) -> int | None:
-        """Process number of the capture process; None while it is not running."""
-        return self._supervisor.pid
-
     def next_frame(self) -> SensorFrame | None:
         """Return the next frame, or None at the end; block until there is one. `TactuneError` if it cannot continue."""
         return self._supervisor.next_frame()
@@ -133,7 +128,6 @@ class Supervisor:
         self._order = order
         self._changed = Condition()
         self._stop = Event()
-        self._process: _Process | None = None
         self._serving: _Process | None = None
         self._waiting: deque[tuple[_Process, SharedMemory, FrameReady]] = deque()
         self._opening = Opening(0.0, "")
@@ -233,12 +227,6 @@ class Supervisor:
             self._thread.join()
 
     @property
-    def pid(self) -> int | None:
-        """Process number of the capture process; None while it is not running."""
-        with self._changed:
-            return self._process.pid if self._process is not None else None
-
-    @property
     def _finished(self) -> bool:
         return self._ended or self._error is not None
 
@@ -269,14 +257,12 @@ class Supervisor:
     def _run_process(self) -> TactuneError | str:
         """Run one process to its end; return its error, or why it ended."""
         process = _Process(self._order)
-        with self._changed:
-            self._process = process
         problem: TactuneError | str = ""
         try:
             problem = self._serve(process)
         finally:
             with self._changed:
-                self._process = self._serving = None
+                self._serving = None
             ending = process.end(politely=not (isinstance(problem, str) and problem))
         return problem or ending
 
@@ -378,11 +364,6 @@ class _Process:
             raise SourceError(f"no capture process can be started ({error}); check {sys.executable}") from error
         finally:
             theirs.close()
-
-    @property
-    def pid(self) -> int | None:
-        """The process's number."""
-        return self._process.pid
 
     def receive(self) -> Any:
         """Return the next message, or None after `POLL_S`; `EOFError` or `OSError` if the process has gone."""

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PyQt6.QtWidgets import QApplication
 
-from capture_sources import open_troubled
+from capture_sources import capture_pid, open_troubled
 from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.reading import SourceRequest
@@ -44,9 +44,7 @@ class Watched:
         return self.source
 
     def kill(self, sent: signal.Signals) -> None:
-        assert self.source is not None
-        assert self.source.capture_pid is not None
-        os.kill(self.source.capture_pid, sent)
+        os.kill(capture_pid(), sent)
 
     def order(self, word: str) -> None:
         (self.folder / "new.txt").write_text(word)

@@ -20,11 +20,11 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)  # whoever runs the tests may ignor
 sys.path.append({str(Path(capture_sources.__file__).parent)!r})
 from functools import partial
 from pathlib import Path
-from capture_sources import open_troubled
+from capture_sources import capture_pid, open_troubled
 from tactune.core.sources.capture.source import ProcessSource
 source = ProcessSource(partial(open_troubled, Path("/nonexistent")))
 source.next_frame()
-print(source.capture_pid, flush=True)
+print(capture_pid(), flush=True)
 """
 Start = Callable[[str], tuple[subprocess.Popen[str], int]]
 
@@ -92,7 +92,7 @@ def test_the_process_ends_with_a_parent_that_ends(
 def test_a_process_that_hangs_is_ended_with_its_source(
     start: Start, until: Callable[[Callable[[], bool]], None]
 ) -> None:
-    parent, pid = start("import os, signal; os.kill(source.capture_pid, signal.SIGSTOP); source.close()")
+    parent, pid = start("import os, signal; os.kill(capture_pid(), signal.SIGSTOP); source.close()")
     _, words = parent.communicate(timeout=300)
     assert words == ""
     assert not alive(pid)

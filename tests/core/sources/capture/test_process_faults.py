@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capture_sources import make_frame, make_rig, open_troubled
+from capture_sources import capture_pid, make_frame, make_rig, open_troubled
 from tactune.core.errors import SourceError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.sources.capture.source import ProcessSource
@@ -39,9 +39,8 @@ def is_whole(frame: SensorFrame) -> bool:
     )
 
 
-def kill(source: ProcessSource, sent: signal.Signals) -> None:
-    assert source.capture_pid is not None
-    os.kill(source.capture_pid, sent)
+def kill(sent: signal.Signals) -> None:
+    os.kill(capture_pid(), sent)
 
 
 def order(words: str) -> Callable[[ProcessSource, Path], None]:
@@ -55,8 +54,8 @@ def order(words: str) -> Callable[[ProcessSource, Path], None]:
 @pytest.mark.parametrize(
     ("harm", "what"),
     [
-        (lambda source, folder: kill(source, signal.SIGKILL), "The capture process ended with status -9"),
-        (lambda source, folder: kill(source, signal.SIGSTOP), "The capture process has given no sign of life for 3 s"),
+        (lambda source, folder: kill(signal.SIGKILL), "The capture process ended with status -9"),
+        (lambda source, folder: kill(signal.SIGSTOP), "The capture process has given no sign of life for 3 s"),
         (order("segfault"), "The capture process ended with status -11"),
         (order("hang"), "The capture process has given no sign of life for 3 s"),
         (order("raise"), r"Capturing failed: troubled: frame \d+ is damaged; clean the lens"),
@@ -75,7 +74,7 @@ def test_it_is_told_and_mended(
         before = take(source, 30)
         source.set_option("tactile", "gain", 64.0)
         assert source.health().message == ""
-        pid = source.capture_pid
+        pid = capture_pid()
         harm(source, tmp_path)
         until(lambda: source.health().stale)
         told = source.health()
@@ -84,7 +83,7 @@ def test_it_is_told_and_mended(
         assert [camera.state for camera in told.cameras] in (["stalled"], ["streaming"])
         until(lambda: not source.health().stale)
         after = take(source, 30)
-        assert source.capture_pid not in (None, pid)
+        assert capture_pid() != pid
         assert all(map(is_whole, before + after))
         numbers = [frame.sequence for frame in before + after]
         times_s = [frame.proximity_time_s for frame in before + after]
@@ -102,7 +101,7 @@ def test_a_source_that_cannot_be_opened_again_is_tried_until_it_can(
     with ProcessSource(partial(open_troubled, tmp_path)) as source:
         take(source, 3)
         (tmp_path / "refuse.txt").write_text("the tactile camera is not connected; plug it in")
-        kill(source, signal.SIGKILL)
+        kill(signal.SIGKILL)
         until(lambda: "is not connected" in source.health().message)
         assert source.health().message == (
             "Capturing failed: the tactile camera is not connected; plug it in. It is started again."
@@ -117,7 +116,7 @@ def test_another_rig_after_a_restart_ends_the_source(nothing_left: None, tmp_pat
     with ProcessSource(partial(open_troubled, tmp_path)) as source:
         take(source, 3)
         (tmp_path / "rig.txt").write_text("24")
-        kill(source, signal.SIGKILL)
+        kill(signal.SIGKILL)
         sentence = "troubled: after a restart it has other cameras than before; open it again"
         with pytest.raises(SourceError, match=sentence):
             take(source, 1000)
