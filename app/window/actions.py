@@ -79,7 +79,6 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
         Row("compare", "&Compare presets", "Ctrl+B", "Show two presets side by side, or end that", checked=False),
         _LINE,
         Row("next_side", "&A, B or wipe", "C", "While presets are compared: only A, only B, or both at the wipe"),
-        Row("patch_difference", "Patch &difference", "D", "While presets are compared: both patches, by colour"),
         Row("wipe_left", "Wipe to the &left", "Alt+Left", "Show less of A"),
         Row("wipe_right", "Wipe to the &right", "Alt+Right", "Show more of A"),
     ),

@@ -52,15 +52,13 @@ class Shown(StrEnum):
     WIPE = "wipe"
     A = "A"
     B = "B"
-    DIFFERENCE = "difference"
 
 
-_NEXT: Final = {Shown.A: Shown.B, Shown.B: Shown.WIPE}
+_NEXT: Final = {Shown.WIPE: Shown.A, Shown.A: Shown.B, Shown.B: Shown.WIPE}
 _MODE_TIPS: Final = {
     Shown.WIPE: "A left and B right of a line that you drag (Alt + Left and Alt + Right move it)",
     Shown.A: "Show only A (C changes between A, B and the wipe)",
     Shown.B: "Show only B (C changes between A, B and the wipe)",
-    Shown.DIFFERENCE: "Colour the patch view by which preset finds contact: both, only A, or only B (D)",
 }
 #: The rows of numbers, under a row with the letters.
 _NUMBERS: Final = {
@@ -234,7 +232,6 @@ def _square_cm(area_mm2: float | None) -> str:
 class ComparisonControl(QObject):
     """Connects `Context.comparison` with the worker, the views, the panel and the actions."""
 
-    wantedChanged = pyqtSignal()  # `shows_difference` has changed
     runningChanged = pyqtSignal(bool)
 
     def __init__(self, context: Context, actions: Actions, panel: ComparisonPanel, presenter: FramePresenter) -> None:
@@ -256,18 +253,10 @@ class ComparisonControl(QObject):
             box.opening.connect(partial(self._offer, index))
         actions.changes_since_save.triggered.connect(self.show_changes)
         actions.compare.triggered.connect(lambda wanted: self._start() if wanted else self._comparison.end())
-        actions.next_side.triggered.connect(lambda: self.show_mode(_NEXT.get(self._mode, Shown.A)))
-        actions.patch_difference.triggered.connect(
-            lambda: self.show_mode(Shown.WIPE if self._mode is Shown.DIFFERENCE else Shown.DIFFERENCE)
-        )
+        actions.next_side.triggered.connect(lambda: self.show_mode(_NEXT[self._mode]))
         actions.wipe_left.triggered.connect(lambda: self.move_wipe(self.share - STEP))
         actions.wipe_right.triggered.connect(lambda: self.move_wipe(self.share + STEP))
         self._enable(False)
-
-    @property
-    def shows_difference(self) -> bool:
-        """Whether the patch view shows the difference of both patches."""
-        return self._running and self._mode is Shown.DIFFERENCE
 
     @property
     def share(self) -> float:
@@ -280,19 +269,16 @@ class ComparisonControl(QObject):
     def move_wipe(self, share: float) -> None:
         """Put the wipe at a share of the width, 0 to 1."""
         self._share = min(max(share, 0.0), 1.0)
-        self.show_mode(Shown.DIFFERENCE if self._mode is Shown.DIFFERENCE else Shown.WIPE)
+        self.show_mode(Shown.WIPE)
 
     def show_mode(self, mode: Shown) -> None:
-        difference = self.shows_difference
         self._mode = mode
         self._panel.modes[mode].setChecked(True)
         self._presenter.set_wipe_share(self.share)
-        if self.shows_difference != difference:
-            self.wantedChanged.emit()
 
     def _enable(self, running: bool) -> None:
         actions = self._actions
-        for action in (actions.next_side, actions.patch_difference, actions.wipe_left, actions.wipe_right):
+        for action in (actions.next_side, actions.wipe_left, actions.wipe_right):
             action.setEnabled(running)
         actions.compare.setChecked(running)
 
@@ -318,7 +304,6 @@ class ComparisonControl(QObject):
         if self._running:
             self._share = 0.5
             self.show_mode(Shown.WIPE)
-        self.wantedChanged.emit()
         self.runningChanged.emit(self._running)
 
     def _show_numbers(self) -> None:

@@ -228,7 +228,6 @@ class MainWindow(QMainWindow):
 
     def _connect_views(self) -> None:
         self.views.wantedChanged.connect(self._send_wanted)
-        self.comparison.wantedChanged.connect(self._send_wanted)
         self.comparison.runningChanged.connect(self._show_comparison)
         self.views.wipeDragged.connect(self.comparison.move_wipe)
         self.strip.wipeDragged.connect(self.comparison.move_wipe)
@@ -370,7 +369,6 @@ class MainWindow(QMainWindow):
                 shows_mask=self.panel.show_mask.isChecked(),
                 histograms=self.panel.open_histograms() if panel else frozenset(),
                 dark=theme_name() == "dark",
-                patch_difference=self.comparison.shows_difference,
                 contacts=panel and not self.contacts.section.collapsed,
             )
         )

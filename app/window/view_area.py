@@ -25,7 +25,6 @@ from ...widgets.basics.colormaps import (
     behind_legend,
     depth_legend,
     difference_legend,
-    overlap_legend,
     patch_legend,
     provenance_legend,
 )
@@ -51,7 +50,6 @@ _PATCH_FILL = 0.6
 _NO_TACTILE_CAMERA = "This recording has no tactile camera"
 _ONE_CAMERA = "One camera only: no contact can be found"
 _NO_DEPTH = "This camera measured no depth in this frame"
-_NEITHER = "Neither preset finds contact in this frame"
 _NO_POSE = "The tactile camera's pose is not known: calibrate (Ctrl+K), or open a preset that has one"
 _COLOR_TIPS = {
     ColorBy.CONTACT: "Depth in the camera views; contact in its own colour in the patch",
@@ -82,7 +80,6 @@ class ViewArea(QWidget):
         self._legends: dict[CloudName, object] = {}
         self._legend_height = 0
         self._lined_for: tuple[object, ...] = ()
-        self._shows_difference = False
         self.splitter = QSplitter(Qt.Orientation.Horizontal)
         self.splitter.setChildrenCollapsible(False)
         for view in self.views.values():
@@ -133,7 +130,6 @@ class ViewArea(QWidget):
         """Show the clouds of a result with their legends, of two compared presets on both sides of the wipe."""
         self._result = result
         self._actions.zoom_to_patch.setEnabled(result.patch is not None and len(result.patch.points) > 0)
-        self._shows_difference = result.compared is not None and result.compared.difference is not None
         legends = dict(self._legends)
         self.set_wipe(wipe)
         for view in self.views.values():
@@ -159,16 +155,13 @@ class ViewArea(QWidget):
             self._any_view().zoom_to(points, _PATCH_FILL)
 
     def set_wipe(self, wipe: Wipe | None) -> None:
-        """Divide every view between two compared presets; the view of their difference stays whole."""
-        for name, view in self.views.items():
-            view.set_wipe(None if name is CloudName.PATCH and self._shows_difference else wipe)
+        """Divide every view between two compared presets."""
+        for view in self.views.values():
+            view.set_wipe(wipe)
 
     def _show_compared(self, compared: ComparedFrame, rig: Rig, theme: Theme) -> None:
-        """Show A left and B right of the wipe, or in the patch view their difference."""
+        """Show A left and B right of the wipe."""
         for name in compared.a.rendered.clouds:
-            if name is CloudName.PATCH and compared.difference is not None:
-                self._show_cloud(name, compared.difference, _NEITHER, overlap_legend(theme))
-                continue
             (left, why_left), (right, why_right) = (_shown(name, side, rig) for side in (compared.a, compared.b))
             legend, other = (self._legend_of(name, side.rendered, theme) for side in (compared.a, compared.b))
             self._show_cloud(name, left, why_left, legend + [entry for entry in other if entry not in legend])

@@ -188,11 +188,7 @@ class FrameProcessor:
         )  # fmt: skip
         if a.patch is None or b.patch is None:
             return ComparedFrame(a, b)
-        difference = None
-        if wanted.patch_difference:
-            presets = a.side.preset, b.side.preset
-            difference = self._renderer.render_difference(frame, (a.patch, b.patch), presets, rig, wanted)
-        return ComparedFrame(a, b, patch_overlap(a.patch, b.patch), difference)
+        return ComparedFrame(a, b, patch_overlap(a.patch, b.patch))
 
     def _render(self, finder: PatchFinder, frame: SensorFrame, rig: Rig, wanted: Wanted) -> Rendered:
         rig = rig_in_use(finder.preset, rig)

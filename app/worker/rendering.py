@@ -27,8 +27,6 @@ from ...widgets.basics.colormaps import (
     depth_lut_faint_behind,
     difference_index,
     difference_lut,
-    overlap_index,
-    overlap_lut,
     patch_index,
     patch_lut,
     provenance_lut,
@@ -266,20 +264,6 @@ class Renderer:
             before = self._ranges_m.get(camera, (near, far))
             self._ranges_m[camera] = min(near, before[0]), max(far, before[1])
 
-    def render_difference(
-        self,
-        frame: SensorFrame,
-        patches: tuple[ContactPatch, ContactPatch],
-        presets: tuple[Preset, Preset],
-        rig: Rig,
-        wanted: Wanted,
-    ) -> DepthCloud:
-        """Return two patches of a frame in one cloud, coloured by which of them a point belongs to."""
-        a, b = (self._scene(frame, patch, preset, rig, wanted) for patch, preset in zip(patches, presets, strict=True))
-        cloud = patch_difference_view(a, b)
-        _ = cloud.point_count
-        return cloud
-
     def _scene(
         self,
         frame: SensorFrame,
@@ -381,17 +365,6 @@ def patch_view(scene: Scene) -> DepthCloud | None:
         index = _over_relief(scene, _depth_rows(scene) >> np.uint8(1), patch.mask)
         lut = values_lut(scene.color_by, scene.theme)
     return replace(_proximity_cloud(scene, index, lut, count=len(patch.points)), depth=_depth_with_patch(scene, patch))
-
-
-def patch_difference_view(a: Scene, b: Scene) -> DepthCloud:
-    """Return the patches of two presets on one frame over the faint rest of the scene."""
-    assert a.patch is not None and b.patch is not None
-    counts = np.where(b.patch.mask & ~a.patch.mask, _depth_with_patch(b, b.patch), _depth_with_patch(a, a.patch))
-    in_a, in_b = a.patch.mask, b.patch.mask
-    near, far = (limit / a.rig.proximity.depth_unit_m for limit in a.depth_range_m)
-    index = overlap_index(in_a, in_b, a.frame.proximity_depth, near, far)
-    count = int(np.count_nonzero(in_a | in_b))
-    return replace(_proximity_cloud(a, index, overlap_lut(a.theme), count=count), depth=counts)
 
 
 _VIEWS: dict[CloudName, Callable[[Scene], DepthCloud | None]] = {

@@ -80,7 +80,7 @@ class Wanted:
 
     ``strip_width`` is the width of one image of the strip on the screen in pixels; 0 draws all pixels.
     ``histograms`` are the fields whose histograms are open; that of the contact test's own field is counted.
-    ``patch_difference`` draws the difference of two compared patches, ``contacts`` lists the patch's connected parts.
+    ``contacts`` lists the patch's connected parts.
     ``words`` counts the points of both cameras, says why a patch is empty and measures the range of the depth colours;
     else those of an earlier frame stay.
     """
@@ -92,7 +92,6 @@ class Wanted:
     shows_mask: bool = True
     histograms: frozenset[str] = frozenset({"tolerance.t", "membrane.gap_m"})
     dark: bool = False
-    patch_difference: bool = False
     contacts: bool = False
     words: bool = True
 
@@ -201,15 +200,11 @@ class ComparedSide:
 
 @dataclass(frozen=True, eq=False)
 class ComparedFrame:
-    """Two compared presets on one frame; no overlap if one cannot be used with this rig.
-
-    ``difference`` shows both patches in one view, if wanted.
-    """
+    """Two compared presets on one frame; no overlap if one cannot be used with this rig."""
 
     a: ComparedSide
     b: ComparedSide
     overlap: PatchOverlap | None = None
-    difference: DepthCloud | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,6 @@ from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.model.clouds import pixel_areas_m2
 from tactune.core.preset import Preset
 from tactune.core.preset.file import save_preset
-from tactune.widgets.basics.colormaps import BOTH_ROW, ONLY_A_ROW, ONLY_B_ROW
 
 ALT = Qt.KeyboardModifier.AltModifier
 RIG = tiny_rig()
@@ -164,23 +163,6 @@ def test_one_key_shows_a_then_b_then_the_wipe_again(compared):
         assert modes[mode].isChecked()
         assert view.wipe().share == share
         assert view.point_count() == count
-
-
-def test_the_difference_of_both_patches_has_three_colours_and_a_legend(compared, qtbot):
-    QTest.mouseClick(compared.comparison_panel.modes["difference"], LEFT)
-    qtbot.waitUntil(lambda: compared.result.compared.difference is not None)
-    view, shown = compared.views.views["patch"], compared.result.compared
-    a, b = shown.a.patch.mask, shown.b.patch.mask
-    index = view.cloud().index
-    for row, where in ((BOTH_ROW, a & b), (ONLY_A_ROW, a & ~b), (ONLY_B_ROW, b & ~a)):
-        assert ((index == row) == where).all()
-    assert [text for text, _ in view.legend()] == ["both", "only A", "only B"]
-    assert view.wipe() is None
-    assert compared.views.views["proximity"].wipe() is not None
-    QTest.keyClick(compared, Qt.Key.Key_D)
-    qtbot.waitUntil(lambda: compared.result.compared.difference is None)
-    assert view.wipe().share == 0.5
-    assert [text for text, _ in view.legend()] == ["contact", "not touching"]
 
 
 def test_the_present_side_follows_a_slider(compared, qtbot):

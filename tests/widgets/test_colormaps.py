@@ -70,15 +70,3 @@ def test_contact_has_the_same_colour_everywhere(theme: Theme) -> None:
     assert colormaps.CONTACT_COLOR.getRgb()[:3] == contact
     assert dict(colormaps.patch_legend(theme))["contact"].getRgb()[:3] == contact
     assert dict(colormaps.provenance_legend(theme))["contact"].getRgb()[:3] == contact
-
-
-@pytest.mark.parametrize("eye", EYES)
-@pytest.mark.parametrize("theme", THEMES)
-def test_two_patches_are_told_apart_with_any_colour_vision(theme: Theme, eye: str) -> None:
-    """20 is a difference seen at a glance; about 2 is the smallest that is seen at all."""
-    lut, both = colormaps.overlap_lut(theme), colormaps.BOTH_ROW
-    patches = {row: lut[row, :3] for row in (both, colormaps.ONLY_A_ROW, colormaps.ONLY_B_ROW)}
-    assert nearest(patches, eye)[0] > 20
-    for context in (0, both - 1):
-        for row, rgb in patches.items():
-            assert nearest({context: lut[context, :3], row: rgb}, eye)[0] > 20

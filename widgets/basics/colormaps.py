@@ -28,17 +28,12 @@ CONTACT_COLOR: Final = QColor(*CONTACT_RGB)
 #: What the mask covers, in every view, image and legend of both themes.
 MASKED_RGB: Final = (98, 70, 234)
 
-#: Two compared patches: only A, only B. Blue and orange of Okabe and Ito, told apart with any colour vision.
-ONLY_A_RGB: Final = (0, 114, 178)
-ONLY_B_RGB: Final = (230, 159, 0)
-
 #: Relative difference at both ends of the colour scale.
 DIFFERENCE_LIMIT: Final = 0.10
 
-#: Rows of the tables: undefined difference; contact in a patch; two compared patches.
+#: Rows of the tables: undefined difference; contact in a patch.
 UNDEFINED_ROW: Final = 0
 CONTACT_ROW: Final = 255
-BOTH_ROW, ONLY_A_ROW, ONLY_B_ROW = 253, 254, 255
 
 _DEPTH_MAP, _DEPTH_PART = "viridis", (0.96, 0.14)
 #: Blue, white, ochre: made for colour-blind people (P. Kovesi, CET perceptually uniform colour maps).
@@ -67,8 +62,6 @@ _CONTEXT_RGB: dict[Provenance, dict[Theme, tuple[int, int, int]]] = {
 }
 #: Near and far end of the relief around a patch.
 _RELIEF_GRAY: dict[str, tuple[int, int]] = {"light": (226, 168), "dark": (116, 58)}
-#: Where two patches agree: the theme's strongest grey, so that only disagreement is coloured.
-_BOTH_RGB: dict[str, tuple[int, int, int]] = {"light": (52, 56, 62), "dark": (236, 238, 240)}
 _SHORT_NAMES: dict[Provenance, str] = {
     Provenance.CONTACT: "contact",
     Provenance.RIM: "rim",
@@ -183,31 +176,6 @@ def patch_lut(theme: Theme) -> Uint8Array:
     lut[CONTACT_ROW, :3] = CONTACT_RGB
     lut[CONTACT_ROW - 1, 3] = _BEHIND_ALPHA
     return _frozen(lut)
-
-
-def overlap_index(in_a: BoolArray, in_b: BoolArray, depth: Uint16Array, near: float, far: float) -> Uint8Array:
-    """Return rows of `overlap_lut` for two contact masks; parameters as of `patch_index`."""
-    rows = np.minimum(_shades(depth, near, far), np.uint8(BOTH_ROW - 1))
-    rows[in_a & in_b] = BOTH_ROW
-    rows[in_a & ~in_b] = ONLY_A_ROW
-    rows[in_b & ~in_a] = ONLY_B_ROW
-    return rows
-
-
-@cache
-def overlap_lut(theme: Theme) -> Uint8Array:
-    """Return the colours of `overlap_index`: uint8 (256, 4)."""
-    lut = patch_lut(theme).copy()
-    lut[BOTH_ROW:, :3] = _BOTH_RGB[theme], ONLY_A_RGB, ONLY_B_RGB
-    lut[BOTH_ROW - 1 :, 3] = _BEHIND_ALPHA, 255, 255, 255
-    return _frozen(lut)
-
-
-def overlap_legend(theme: Theme) -> Legend:
-    lut = overlap_lut(theme)
-    return [
-        (name, _color(lut, row)) for name, row in (("both", BOTH_ROW), ("only A", ONLY_A_ROW), ("only B", ONLY_B_ROW))
-    ]
 
 
 def provenance_legend(theme: Theme, occurring: Container[Provenance] = frozenset(Provenance)) -> Legend:
