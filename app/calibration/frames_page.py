@@ -13,7 +13,7 @@ from ...core.model.frames import SensorFrame
 from ...widgets.basics.controls import push_button, wrapped_label
 from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.images.image_pane import ImagePane
-from ..worker.feed import FrameFeed
+from ..worker.worker import FrameFeed
 from .pictures import picture
 from .session import ImageChoice, Session, SessionState, Snapshot
 from .snapshots import FRAMES, Collector

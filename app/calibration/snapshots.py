@@ -10,9 +10,9 @@ from PyQt6.QtCore import QObject, pyqtSignal
 from ...core.calibration.snapshots import take_snapshot as take_median
 from ...core.model.clouds import valid_depth
 from ...core.model.frames import SensorFrame
-from ..worker.feed import FrameFeed
 from ..worker.jobs import Job
 from ..worker.results import SourceInfo
+from ..worker.worker import FrameFeed
 from .session import Snapshot
 
 #: Frames averaged for a snapshot: noise falls to a third.

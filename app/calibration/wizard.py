@@ -24,7 +24,7 @@ from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.messages import Messages, Severity
 from ..context import SOURCE, TASK, Context
 from ..document.document import Document
-from ..worker.feed import FrameFeed
+from ..worker.worker import FrameFeed
 from .check_page import CheckPage
 from .fitting import Fitter, Outcome, at_least, missing_pairs, with_contact, with_depth
 from .frames_page import FramesPage

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from fakes import FakeSource
 from tactune.app.cli.main import commands
 from tactune.app.gui import run_gui
-from tactune.app.worker import compiling
+from tactune.app.worker import beside
 from tactune.app.worker.results import CloudName
 from tactune.core import warmup
 from tactune.core.errors import ExportError
@@ -84,8 +84,8 @@ def test_clouds_are_shown_while_the_contact_test_is_compiled(monkeypatch, watche
         progress(0.2, words)
         assert go_on.wait(60)
 
-    monkeypatch.setattr(compiling, "is_compiled", lambda preset: False)
-    monkeypatch.setattr(compiling, "warm_up_if_needed", compile_slowly)
+    monkeypatch.setattr(beside, "is_compiled", lambda preset: False)
+    monkeypatch.setattr(beside, "warm_up_if_needed", compile_slowly)
     watched.open(FakeSource(length=1))
     qtbot.waitUntil(lambda: watched.last is not None and watched.last.rendered.no_contact == words)
     shown = watched.last
@@ -105,8 +105,8 @@ def test_a_window_can_be_closed_while_a_contact_test_is_compiled(monkeypatch, wa
             progress(0.5, "Compiling")
             told.set()
 
-    monkeypatch.setattr(compiling, "is_compiled", lambda preset: False)
-    monkeypatch.setattr(compiling, "warm_up_if_needed", compile_for_ever)
+    monkeypatch.setattr(beside, "is_compiled", lambda preset: False)
+    monkeypatch.setattr(beside, "warm_up_if_needed", compile_for_ever)
     watched.open(FakeSource(length=1))
     qtbot.waitUntil(told.is_set)
     watched.worker.shut_down()

@@ -20,10 +20,9 @@ from scipy.spatial.transform import Rotation
 from tactune.app.calibration.wizard import CalibrationWizard
 from tactune.app.document.document import Document
 from tactune.app.settings import Settings
-from tactune.app.worker.feed import FrameFeed
 from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.results import SourceInfo
-from tactune.app.worker.worker import Worker
+from tactune.app.worker.worker import FrameFeed, Worker
 from tactune.core.model.frames import ColorCamera, DepthCamera, Rig, SensorFrame, rigid_transform
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.preset import Preset

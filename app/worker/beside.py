@@ -1,0 +1,150 @@
+"""What happens beside the frames: contact tests are compiled, and the newest frame is examined for findings."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from pathlib import Path
+from threading import Thread
+
+from ...core.errors import TactuneError
+from ...core.model.frames import SensorFrame
+from ...core.preset import Preset
+from ...core.rig.untouched import kept_untouched
+from ...core.tuning.advice.findings import Examiner
+from ...core.tuning.advice.proposal import Finding
+from ...core.warmup import is_compiled, warm_up_if_needed, warm_up_views
+from .results import Result, SourceInfo
+
+_Kernels = tuple[str, bool]
+
+
+class BackgroundCompiler:
+    """Compiles the kernels of the contact tests that are asked for, one test after the other."""
+
+    def __init__(self, changed: Callable[[], object]) -> None:
+        self._changed = changed
+        self._ready: set[_Kernels] = set()
+        self._wanted: Preset | None = None
+        self._thread: Thread | None = None
+        self._words = ""
+        self._stopping = False
+
+    @property
+    def busy(self) -> bool:
+        return self._thread is not None
+
+    def missing(self, preset: Preset) -> str:
+        """Return how far the compilation of a preset's contact test is; empty if its frames need not wait.
+
+        A test that is not compiled is taken up by the next `start`.
+        """
+        kernels = _kernels_of(preset)
+        if kernels in self._ready:
+            return ""
+        if is_compiled(preset):
+            self._ready.add(kernels)
+            return ""
+        self._wanted = preset
+        return self._words or f"Compiling the {preset.contact_test} test for this computer"
+
+    def start(self) -> None:
+        """Begin to compile the test that was missing last, unless one is being compiled."""
+        preset, self._wanted = self._wanted, None
+        if preset is not None and self._thread is None:
+            self._thread = Thread(target=self._compile, args=(preset,), name="compiler", daemon=True)
+            self._thread.start()
+
+    def stop(self) -> None:
+        """Compile no further kernel, and wait for the present one."""
+        self._stopping = True
+        if (thread := self._thread) is not None:
+            thread.join()
+
+    def _compile(self, preset: Preset) -> None:
+        try:
+            warm_up_if_needed(self._tell, preset)
+            self._end(preset)
+            warm_up_views(preset.contact_test)
+        except _StoppedError:
+            return
+        except Exception:  # the first frame meets the same error and tells it
+            logging.getLogger(__name__).exception("The contact test could not be compiled in advance.")
+            self._end(preset)
+        self._thread = None
+        self._changed()  # another test may be missing by now
+
+    def _tell(self, _share: float, words: str) -> None:
+        if self._stopping:
+            raise _StoppedError
+        self._words = words
+        self._changed()
+
+    def _end(self, preset: Preset) -> None:
+        self._words = ""
+        self._ready.add(_kernels_of(preset))
+        self._changed()
+
+
+class _StoppedError(Exception):
+    """The window closes."""
+
+
+def _kernels_of(preset: Preset) -> _Kernels:
+    return preset.contact_test, preset.averaged_frames > 1
+
+
+#: Shortest time between two examinations, seconds: they take a small share of the thread's time.
+INTERVAL_S = 1.0
+
+
+class Examination:
+    """Examines results; for the worker's thread only."""
+
+    def __init__(self) -> None:
+        self._result: Result | None = None  # not examined yet
+        self._examiner: Examiner | None = None
+        self._info: SourceInfo | None = None
+        self._home: Path | None = None
+        self._untouched_key: object = None
+        self._untouched: SensorFrame | None = None
+        self._ended_s = -INTERVAL_S
+
+    def note(self, result: Result, home: Path | None) -> None:
+        """Examine this result when it is due; ``home`` is the file beside which the preset's untouched frame lies."""
+        self._result, self._home = result, home
+
+    def forget(self) -> None:
+        self._result, self._examiner, self._info, self._untouched_key = None, None, None, None
+
+    def wait_s(self) -> float | None:
+        """Seconds until the next examination is due (0: now); None while there is nothing new to examine."""
+        if self._result is None:
+            return None
+        return max(0.0, self._ended_s + INTERVAL_S - time.perf_counter())
+
+    def findings(self) -> tuple[tuple[Finding, ...], Preset]:
+        """Return what is wrong with the newest result, and its preset; call it only when that is due."""
+        result, self._result = self._result, None
+        assert result is not None
+        if result.patch is None:
+            return (), result.preset
+        if self._examiner is None or result.source is not self._info:
+            self._examiner, self._info = Examiner(result.source.rig), result.source
+        untouched = self._stored_untouched(result.source, result.preset)
+        found = self._examiner.findings(result.frame, result.patch, result.preset, untouched)
+        self._ended_s = time.perf_counter()
+        return found, result.preset
+
+    def _stored_untouched(self, info: SourceInfo, preset: Preset) -> SensorFrame | None:
+        """Return the stored untouched frame, read again only if the preset names another one."""
+        key = info, preset.untouched
+        if key != self._untouched_key:
+            self._untouched_key = key
+            try:
+                at_rest = info.at_rest
+                self._untouched = None if at_rest is None else kept_untouched(preset, self._home, at_rest).frame
+            except TactuneError:
+                self._untouched = None  # who needs it says why it cannot be read
+        return self._untouched
