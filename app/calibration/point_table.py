@@ -76,6 +76,7 @@ class PointTable(RecordTable):
         )
         super().__init__(
             columns,
+            "Point pairs",
             "Point pairs and their residuals: left is proximity, right is tactile",
             key=lambda row: row.pair.id,
             marked=lambda row: row.marked,
