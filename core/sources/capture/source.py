@@ -29,10 +29,10 @@ _MAX_WAITING: Final = SLOTS - 2
 #: Longest wait for a message of the process, seconds.
 POLL_S: Final = 0.1
 #: Seconds without a message after which the process counts as hung: while it opens the source, which may load a driver
-#: or simulate; until the first frame; later.
+#: or simulate; until the first frame; later, since a driver that looks for a lost camera may hold the interpreter lock.
 _SILENT_OPENING_S: Final = 60.0
 _SILENT_FIRST_S: Final = 20.0
-_SILENT_S: Final = 3.0
+_SILENT_S: Final = 6.0
 #: Time to close the source after the pipe is closed, seconds; then the process is killed.
 _CLOSING_S: Final = 1.5
 #: Seconds that a notice stays in the health message after a restart.
