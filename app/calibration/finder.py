@@ -14,7 +14,7 @@ from ...core.model.alignment import PointPair
 from ...core.model.frames import Rig
 from ...widgets.basics.controls import ElidedLabel, ProgressBar, caption, push_button
 from ...widgets.basics.gestures import GestureClock
-from ...widgets.basics.layouts import hbox
+from ...widgets.basics.layouts import STRETCH, hbox
 from ..worker.jobs import Job, Progress
 from .pictures import picture
 from .session import SIDES, Choices, Session, SessionState, Snapshot, Target, renumbered, tactile_depth
@@ -88,9 +88,9 @@ def _corners(number: int, snapshot: Snapshot, choices: Choices, rig: Rig) -> lis
 
 
 class Finder(QWidget):
-    """One row: the target and its size, progress, and the result. Found pairs are added as one undoable step.
+    """One row: the target and its size, and progress. Found pairs are added as one undoable step.
 
-    The wizard places the button ``search``.
+    The wizard places the button ``search``, the page the result ``words``.
     """
 
     def __init__(self, session: Session) -> None:
@@ -115,7 +115,7 @@ class Finder(QWidget):
         self.cancel = push_button("Cancel", "Stop searching")
         self.progress, self.words = ProgressBar(), ElidedLabel()
         row = (caption("&Find", self.target), self.target, self.columns, self.rows, self.progress, self.cancel)
-        hbox(*row, (self.words, 1), within=self, margins=0, spacing=8)
+        hbox(*row, STRETCH, within=self, margins=0, spacing=8)
         self.search.clicked.connect(self.find_points)
         self.cancel.clicked.connect(self.job.cancel)
         self.target.activated.connect(
@@ -155,7 +155,7 @@ class Finder(QWidget):
     def _show_busy(self, busy: bool) -> None:
         self.progress.setVisible(busy)
         self.cancel.setVisible(busy)
-        self.words.setVisible(not busy)
+        self.words.setVisible(not busy and bool(self.words.text()))
         self.search.setEnabled(not busy and bool(self._session.state.snapshots))
 
     def _found(self, found: tuple[list[PointPair], str]) -> None:
@@ -170,7 +170,11 @@ class Finder(QWidget):
             self._session.add_pairs(new, f"Find {counted(len(new), 'pair')}")
             self._session.select(())
         known = len(present) - len(new)
-        self.words.setText(words + (f" {known} of them were pairs already." if known else ""))
+        self._say(words + (f" {known} of them were pairs already." if known else ""))
 
     def _failed(self, sentence: str) -> None:
-        self.words.setText(sentence[:1].upper() + sentence[1:] if sentence else "Cancelled; no pairs were added.")
+        self._say(sentence[:1].upper() + sentence[1:] if sentence else "Cancelled; no pairs were added.")
+
+    def _say(self, words: str) -> None:
+        self.words.setText(words)
+        self.words.show()

@@ -76,10 +76,10 @@ class FramesPage(QWidget):
             pane.view.setMinimumSize(160, 100)
             images.addWidget(pane, number // 2, number % 2)
         left = vbox((images, 1), self.seek, self.note)
-        box = QWidget()
-        vbox(QLabel("Snapshots"), (self.list, 1), self.remove, within=box, margins=0)
-        box.setFixedWidth(300)
-        hbox((left, 1), box, within=self, margins=(8, 8, 8, 4))
+        self.taken = QWidget()
+        vbox(QLabel("Snapshots"), (self.list, 1), self.remove, within=self.taken, margins=0)
+        self.taken.setFixedWidth(300)
+        hbox((left, 1), self.taken, within=self, margins=(8, 8, 8, 4))
 
     def _connect(self) -> None:
         collector, session = self._collector, self._session
@@ -127,6 +127,7 @@ class FramesPage(QWidget):
                     self.list.addItem(self._item(snapshot))
             self.list.setCurrentRow(-1 if state.number is None else state.number)
         self.remove.setEnabled(state.number is not None)
+        self.taken.setVisible(bool(state.snapshots))
 
     def _item(self, snapshot: Snapshot) -> QListWidgetItem:
         shown = picture(snapshot.frame, self._session.rig, "proximity", "color")

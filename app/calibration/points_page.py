@@ -65,14 +65,14 @@ class PointsPage(QWidget):
         self.drop.hide()
         self.load = push_button("Import…", "Read pairs from a CSV file")
         self.store = push_button("Export…", "Write the pairs to a CSV file")
-        tools = hbox(
-            *(caption("&Snapshot", self.snapshot), self.snapshot, caption("&Image", self.image), self.image),
-            *((self.finder, 1), self.load, self.store),
-        )
+        shown = (caption("&Snapshot", self.snapshot), self.snapshot, caption("&Image", self.image), self.image)
+        tools = hbox(*shown, (self.finder, 1), spacing=8)
         self.views = QWidget()
         hbox(*((image, 1) for image in self.images.values()), within=self.views, margins=0, spacing=8)
         self.split = splitter(Qt.Orientation.Vertical, (self.views, 1), self.table, sizes=(480, 170))
-        vbox(tools, (self.split, 1), hbox((self.hint, 1), self.drop), within=self, margins=(8, 4, 8, 4), spacing=4)
+        below = hbox((self.hint, 1), self.drop, self.load, self.store)
+        lines = (self.finder.words, below)
+        vbox(tools, (self.split, 1), *lines, within=self, margins=(8, 4, 8, 4), spacing=4)
         self._connect()
         self.setFocusProxy(self.images["proximity"])
         self._show_state(session.state)

@@ -153,13 +153,13 @@ class QualityPage(QWidget):
         self.step.setText(f"Next: {report.verdict.removeprefix(judged).strip()}")
         self.reason.setText(report.reason)
         self.offset.setText("" if report.depth_offset is None else report.depth_offset.words())
-        residual = "exact fit, not informative"
-        if quality.rms_px is not None:
-            residual = f"{quality.rms_px:.2f} px, worst {quality.worst.residual_px:.2f} px (pair {quality.worst.id})"
-        for title, value in (
-            ("Depth difference at contact", f"{quality.effect.depth_mm:.2f} mm"),
-            ("Residual, RMS", residual),
-        ):
+        numbers = {"Depth difference at contact": f"{quality.effect.depth_mm:.2f} mm"}
+        if quality.rms_px is None:
+            numbers["Residual, RMS"] = "exact fit, not informative"
+        else:
+            numbers["Residual, RMS"] = f"{quality.rms_px:.2f} px"
+            numbers["Worst residual"] = f"{quality.worst.residual_px:.2f} px (pair {quality.worst.id})"
+        for title, value in numbers.items():
             self.numbers.addRow(title, QLabel(f"<b>{value}</b>"))
         self.warnings.setText("\n".join(f"Note: {words}" for words in report.warnings))
         depths = [
