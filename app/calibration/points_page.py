@@ -6,7 +6,6 @@ from functools import partial
 from math import hypot, isfinite
 
 from PyQt6.QtCore import QRectF, QSignalBlocker, Qt
-from PyQt6.QtGui import QKeySequence, QShortcut
 from PyQt6.QtWidgets import QComboBox, QWidget
 
 from ...core.calibration.detect import snap_to_feature
@@ -71,8 +70,7 @@ class PointsPage(QWidget):
         hbox(*((image, 1) for image in self.images.values()), within=self.views, margins=0, spacing=8)
         self.split = splitter(Qt.Orientation.Vertical, (self.views, 1), self.table, sizes=(480, 170))
         below = hbox((self.hint, 1), self.drop, self.load, self.store)
-        lines = (self.finder.words, below)
-        vbox(tools, (self.split, 1), *lines, within=self, margins=(8, 4, 8, 4), spacing=4)
+        vbox(tools, (self.split, 1), self.finder.words, below, within=self, margins=(8, 4, 8, 4), spacing=4)
         self._connect()
         self.setFocusProxy(self.images["proximity"])
         self._show_state(session.state)
@@ -98,7 +96,6 @@ class PointsPage(QWidget):
         self.snapshot.activated.connect(lambda _: session.set_display(snapshot=self.snapshot.currentData()))
         self.image.activated.connect(lambda _: session.set_display(image=self.image.currentData()))
         self.drop.clicked.connect(lambda: session.remove(self._outcome.rejected))
-        QShortcut(QKeySequence("Ctrl+Return"), self).activated.connect(self.accept_ghost)
 
     # Display
 

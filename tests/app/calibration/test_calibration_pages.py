@@ -106,16 +106,6 @@ def test_partners_are_found_both_ways(scene, frames):
 # Points
 
 
-def test_a_click_without_depth_is_told_in_words(open_wizard, frames, feed):
-    wizard = open_wizard()
-    holes = replace(frames[0.2], sequence=9, tactile_depth=np.zeros((240, 320), np.uint16))
-    wizard.session.add_snapshot(snapshot_of(holes, feed))
-    wizard.session.click("tactile", 100.0, 100.0)
-    wizard.session.click("proximity", 130.0, 100.0)
-    assert wizard.session.state.pairs[0].tactile_depth_m is None
-    assert "No depth under the right point" in wizard.points.table.records()[0].note
-
-
 def test_a_wrong_pair_is_rejected_highlighted_and_named(open_wizard, scene, frames, feed, qtbot):
     state = with_pairs(scene, frames, feed)
     wizard = open_wizard()
