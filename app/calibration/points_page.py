@@ -27,8 +27,6 @@ TITLES: dict[Side, str] = {"proximity": "Proximity camera (left)", "tactile": "T
 _NO_SNAPSHOT = "No snapshot yet: take one on the page Snapshots"
 #: Largest distance that snapping moves a click, pixels.
 _REACH_PX = 6.0
-#: Residual arrows are drawn enlarged by this factor.
-ARROW_FACTOR = 10.0
 
 
 def other_side(side: Side) -> Side:
@@ -80,7 +78,6 @@ class PointsPage(QWidget):
         session.changed.connect(self._show_state)
         session.selectionChanged.connect(lambda _: self._show_points())
         for side, image in self.images.items():
-            image.layer.set_arrow_factor(ARROW_FACTOR)
             image.placed.connect(partial(self._clicked, side))
             image.pointed.connect(partial(self._pointed, side))
             image.viewMoved.connect(partial(self._follow, side))

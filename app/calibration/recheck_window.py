@@ -15,11 +15,10 @@ from ...core.rig.drift import MembraneDrift, compare_with_untouched
 from ...core.rig.untouched import load_untouched
 from ...widgets.basics.controls import push_button, wrapped_label
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
-from ...widgets.images.marks import Mark, MarkKind
+from ...widgets.images.marks import ARROW_FACTOR, Mark, MarkKind
 from ...widgets.images.point_image import PointImage
 from ..worker.jobs import Job
 from .pictures import picture
-from .points_page import ARROW_FACTOR
 
 _CHECKING = "Searching the points in the current frame…"
 _WORST_SHARE = 0.95
@@ -65,7 +64,6 @@ class RecheckWindow(QDialog):
             f"Tactile camera: offset of each point from where the calibration expects it, ×{ARROW_FACTOR:.0f}"
         )
         self.image.set_loupe_wanted(False)
-        self.image.layer.set_arrow_factor(ARROW_FACTOR)
         self.again = push_button("Check again", "Check on the newest frame (Ctrl+R)", "Ctrl+R")
         self.calibrate = push_button("Calibrate…", "Open the calibration wizard")
         leave = push_button("Close", "Close this window")

@@ -23,6 +23,8 @@ _RADIUS = 6.5
 #: Number of marks above which they are drawn small.
 _CROWD, _SMALL_RADIUS = 80, 3.5
 _ARROW_HEAD = 8.0
+#: Residual arrows are drawn enlarged by this factor.
+ARROW_FACTOR: Final = 10.0
 
 
 class MarkKind(StrEnum):
@@ -68,7 +70,6 @@ class MarkLayer(QWidget):
         self.marks: tuple[Mark, ...] = ()
         self.ghost: tuple[float, float] | None = None
         self._partner: tuple[float, float] | None = None
-        self._factor = 0.0
         self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         pane.viewChanged.connect(lambda _: self.update())
@@ -87,11 +88,6 @@ class MarkLayer(QWidget):
         if place != self._partner:
             self._partner = place
             self.update()
-
-    def set_arrow_factor(self, factor: float) -> None:
-        """Set the magnification of residual arrows; 0 hides them."""
-        self._factor = factor
-        self.update()
 
     def to_screen(self) -> QTransform:
         """Return the transform from image pixels to this layer's coordinates."""
@@ -115,11 +111,10 @@ class MarkLayer(QWidget):
         transform = self.to_screen()
         if self._partner is not None:
             _cross(painter, transform.map(QPointF(*self._partner)), QColor(255, 255, 255, 200))
-        if self._factor > 0:
-            for mark in self.marks:
-                if mark.arrow is not None:
-                    end = QPointF(mark.u + self._factor * mark.arrow[0], mark.v + self._factor * mark.arrow[1])
-                    _arrow(painter, transform.map(QPointF(mark.u, mark.v)), transform.map(end))
+        for mark in self.marks:
+            if mark.arrow is not None:
+                end = QPointF(mark.u + ARROW_FACTOR * mark.arrow[0], mark.v + ARROW_FACTOR * mark.arrow[1])
+                _arrow(painter, transform.map(QPointF(mark.u, mark.v)), transform.map(end))
         for mark in sorted(self.marks, key=lambda mark: mark.selected):
             self._paint_mark(painter, transform.map(QPointF(mark.u, mark.v)), mark)
         if self.ghost is not None:
