@@ -27,7 +27,7 @@ from tactune.core.sources.simulator.sensors import SENSORS
 
 Array = npt.NDArray[np.float64]
 
-_SCENES = ("cup?move=slide", "cup?move=lift")
+_SCENES = ("cup?move=slide",)
 _VOXEL_M, _REACH_M = 0.003, 0.010
 
 
@@ -37,7 +37,7 @@ def main() -> None:
     parser.add_argument("--sensors", default="l515-d405", help="names of sensors, separated by commas, or all")
     parser.add_argument("--seeds", default="0", help="seeds of the cameras' noise, separated by commas")
     parser.add_argument("--alone", action="store_true", help="the tracker without plain ICP")
-    parser.add_argument("scene", nargs="*", default=_SCENES, help="sim: without its prefix; the cup's moves by default")
+    parser.add_argument("scene", nargs="*", default=_SCENES, help="sim: without its prefix; the sliding cup by default")
     words = parser.parse_args()
     print(f"{'scene':16s}{'sensor':12s}{'method':10s}{'mm':>7} {'degrees':>7} {'ms':>6}  lost   1s   2s")
     for scene in words.scene:

@@ -1,6 +1,7 @@
 """Solve the simulator's default scene and write it into the package, where the first start finds it.
 
-Needed whenever the code or the parameters of the clean images change; a test says so. Older files are removed.
+Needed whenever the parameters or, with the version in the cache module, the code of the clean images change; a test
+says so. Older files are removed.
 
     .venv/bin/python scripts/ship_scene.py
 """
@@ -15,7 +16,7 @@ def main() -> None:
     """Write the file and print its size."""
     simulator = SimulatorSource()
     path = SHIPPED / cache_file(simulator.scene.name, f"{simulator.scene.key} {simulator.rig.model_dump_json()}").name
-    solved = simulator.solve_anew(lambda share, words: None)
+    solved = simulator.solve_anew(simulator.scene, lambda share, words: None)
     for older in SHIPPED.glob("*"):
         older.unlink()
     save_scene(path, solved)

@@ -47,10 +47,9 @@ _RGB: Final = {
     "fusion-averaged": (119, 68, 255),
     "proximity-only": (0, 114, 178),
     "tactile-only": (86, 180, 233),
-    "tactile-threshold": (105, 60, 90),
     "mechanics": (110, 40, 0),
 }
-_DARK_RGB: Final = {TRUTH: (250, 250, 250), "tactile-threshold": (240, 228, 66), "mechanics": (210, 180, 110)}
+_DARK_RGB: Final = {TRUTH: (250, 250, 250), "mechanics": (210, 180, 110)}
 _OTHER_RGB: Final = (204, 121, 167)
 #: Pixels that a method and the truth share, that only the method has, and that only the truth has.
 RIGHT_RGB, FALSE_RGB, MISSED_RGB = (0, 158, 115), (213, 94, 0), (0, 114, 178)

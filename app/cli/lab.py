@@ -338,7 +338,7 @@ def bench(
     facts = lab_bench.machine_facts()
     if "open3d" not in facts["packages"]:
         raise TactuneError("the benchmark compares with open3d, which is not installed: pip install 'tactune[lab]'")
-    head = f"{facts['processor']}, {facts['cores']} cores, {facts['memory_gib']} GiB, load {facts['load_1min']}; "
+    head = f"{facts['processor']}, {facts['cores']} cores; "
     head += ", ".join(f"{name} {number}" for name, number in facts["packages"].items())
     with CliProgress() as progress:
         if gate:

@@ -19,7 +19,7 @@ from ..model.frames import Rig, SensorFrame
 from ..model.patch import ContactPatch
 from ..model.plugins import added_by_others
 from ..preset import Preset
-from .single_camera import Find, proximity_only, tactile_only, tactile_threshold
+from .single_camera import Find, proximity_only, tactile_only
 
 MakeRival = Callable[[Preset, Rig, SensorFrame], Find]
 
@@ -57,7 +57,6 @@ def mechanics(preset: Preset, rig: Rig, untouched: SensorFrame) -> Find:
 RIVALS: Final[dict[str, MakeRival]] = {
     "proximity-only": proximity_only,
     "tactile-only": tactile_only,
-    "tactile-threshold": tactile_threshold,
     "mechanics": mechanics,
 }
 

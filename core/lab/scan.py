@@ -6,7 +6,6 @@ vertex colours are used.
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -71,11 +70,6 @@ class Scan:
         """Area of each triangle, float64, shape (M,)."""
         return triangle_areas(self.vertices_m, self.triangles)
 
-    @property
-    def sides_m(self) -> Float64Array:
-        """Sides of the bounding box, metres, float64 (3,)."""
-        return np.asarray(np.ptp(self.vertices_m, axis=0))
-
 
 def load_scan(path: Path | str, unit_m: float = 1.0) -> Scan:
     """Read a ``.ply`` or ``.obj`` with colours of the vertices, or with a texture beside it."""
@@ -95,12 +89,9 @@ def load_scan(path: Path | str, unit_m: float = 1.0) -> Scan:
         parts.append((np.asarray(finer.vertices), np.asarray(finer.faces)))
         colors.append(np.asarray(finer.visual.vertex_colors, np.uint8)[:, :3])
     vertices, triangles, origin = merge(parts, path)
-    scan = Scan(vertices, triangles, np.ascontiguousarray(np.concatenate(colors)[origin]))
-    if scan.sides_m.max() < _MIN_SIZE_M:
-        raise SourceError(
-            f"{path} is {1e3 * scan.sides_m.max():.3g} mm across; give the unit of its numbers: m, mm or in"
-        )
-    return scan
+    if np.ptp(vertices, axis=0).max() < _MIN_SIZE_M:
+        raise SourceError(f"{path} is less than {1e3 * _MIN_SIZE_M:g} mm across; give the unit of its numbers")
+    return Scan(vertices, triangles, np.ascontiguousarray(np.concatenate(colors)[origin]))
 
 
 def _subdivided(mesh: Any, path: Path | str) -> Any:
@@ -253,14 +244,11 @@ def transformed(pose: Matrix4, points: npt.ArrayLike) -> Float64Array:
 
 def read_pairs(path: Path | str, unit_m: float = 1.0) -> tuple[Float64Array, Float64Array]:
     """Read point pairs for `pose_from_pairs` from a CSV file with the columns of `HEADER`; both in metres, (N, 3)."""
-    try:
-        rows = [row for row in csv.reader(read_text(path).splitlines()) if any(word.strip() for word in row)]
-    except csv.Error as error:
-        raise SourceError(f"{path} is no table of pairs ({error}); each line is six numbers") from error
-    if not rows or tuple(word.strip() for word in rows[0]) != HEADER:
+    lines = [line.split(",") for line in read_text(path).splitlines() if line.strip()]
+    if not lines or tuple(word.strip() for word in lines[0]) != HEADER:
         raise SourceError(f"{path} lacks the header {','.join(HEADER)}; put it into the first line")
     try:
-        table = np.array(rows[1:], np.float64).reshape(-1, len(HEADER))
+        table = np.array(lines[1:], np.float64).reshape(-1, len(HEADER))
     except ValueError as error:
         raise SourceError(f"{path} has a line that is no pair; each is six numbers") from error
     if not np.isfinite(table).all():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -23,8 +23,6 @@ Find = Callable[[SensorFrame], ContactPatch]
 _MARGIN_M: Final = 0.002
 #: tactile-only: share of the deformed points that is contact, as in the paper; below this deformation none is.
 _SHARE, _UNTOUCHED_M = 0.6, 0.0015
-#: tactile-threshold: the deformation above which a point is contact.
-_THRESHOLD_M: Final = 0.005
 
 
 def proximity_only(preset: Preset, rig: Rig, untouched: SensorFrame) -> Find:
@@ -44,19 +42,6 @@ def proximity_only(preset: Preset, rig: Rig, untouched: SensorFrame) -> Find:
 
 def tactile_only(preset: Preset, rig: Rig, untouched: SensorFrame) -> Find:
     """Tactile camera: the 60 % of the deformed membrane that moved most."""
-
-    def least_m(deformation_m: Float32Array) -> float:
-        return float(np.quantile(deformation_m[deformation_m > _UNTOUCHED_M], 1.0 - _SHARE))
-
-    return _most_deformed(preset, rig, untouched, least_m)
-
-
-def tactile_threshold(preset: Preset, rig: Rig, untouched: SensorFrame) -> Find:
-    """Tactile camera: parts that moved by more than 5 mm."""
-    return _most_deformed(preset, rig, untouched, lambda deformation_m: _THRESHOLD_M)
-
-
-def _most_deformed(preset: Preset, rig: Rig, untouched: SensorFrame, least_m: Callable[[Any], float]) -> Find:
     untouched.check_against(rig)
     factor = rig.tactile.depth_unit_m * preset.alignment.depth_scale
     view = MembraneView(preset.alignment, rig)
@@ -66,7 +51,9 @@ def _most_deformed(preset: Preset, rig: Rig, untouched: SensorFrame, least_m: Ca
         with np.errstate(invalid="ignore"):
             deformation_m = np.where(valid_depth(counts), untouched_m - counts * factor, np.nan)
             deformed = deformation_m > _UNTOUCHED_M
-            return deformed & (deformation_m >= least_m(deformation_m)) if deformed.any() else deformed
+            if not deformed.any():
+                return deformed
+            return deformed & (deformation_m >= np.quantile(deformation_m[deformed], 1.0 - _SHARE))
 
     def find(frame: SensorFrame) -> ContactPatch:
         frame.check_against(rig)

@@ -10,15 +10,12 @@ membrane. A frame is::
     tactile_color.png     8 bit, colour, aligned to the tactile depth image        (optional)
     truth_contact.png     8 bit, 0 or 255, proximity pixels                        (optional)
     truth_depth.npy       float32 metres, proximity pixels, nan where unknown      (optional)
-    truth_depth.png       the same in 16 bit and counts, 0 where unknown           (only read)
     frame.json            sequence, proximity_time_s, tactile_time_s               (optional)
 """
 
 from __future__ import annotations
 
-import errno
 import io
-import itertools
 import os
 import re
 import secrets
@@ -30,9 +27,8 @@ import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from ..errors import ExportError, FrameError, SourceError
+from ..errors import ExportError, SourceError
 from ..model.arrays import AnyArray, Float32Array, Uint8Array
-from ..model.clouds import valid_depth
 from ..model.files import atomic_path, remove_leftovers, user_path
 from ..model.frames import MAX_TIME_S, GroundTruth, Rig, SensorFrame, note_number
 from ..model.loading import decode_image, parse_npy, read_file
@@ -74,12 +70,8 @@ class FolderSource(SeekableSource):
         rig = load_rig(self._path / "rig.json")
         self._folders = _frame_folders(self._path)
         self._stamps = [_read_stamp(folder, index) for index, folder in enumerate(self._folders)]
-        seen: dict[int, Path] = {}  # result files are named by the sequence number
-        for folder, stamp in zip(self._folders, self._stamps, strict=True):
-            if (first := seen.setdefault(stamp.sequence, folder)) is not folder:
-                raise SourceError(
-                    f"{folder / 'frame.json'} has the sequence {stamp.sequence}, and so has {first.name}; correct it"
-                )
+        if len({stamp.sequence for stamp in self._stamps}) < len(self._stamps):  # result files are named by it
+            raise SourceError(f"{self._path} has two frames of the same sequence in frame.json; correct it")
         super().__init__(name, rig, len(self._folders))
         self.read(0)
 
@@ -117,8 +109,6 @@ def export_folder(
         raise ExportError(f"{source.name} is live and has no end; say how many frames to export")
     temporary = target.parent / f".{target.name}-{secrets.token_hex(4)}.partial"
     try:
-        if target == Path.cwd():
-            raise ExportError(f"cannot replace {target}, the working folder; name a new folder")
         if target.exists() and (not target.is_dir() or any(target.iterdir())):
             raise ExportError(f"{target} is already there and not an empty folder; choose another name or remove it")
         remove_leftovers(target.parent, f"{target.name}.partial")
@@ -128,8 +118,6 @@ def export_folder(
             target.rmdir()
         temporary.rename(target)
     except OSError as error:
-        if error.errno in (errno.ENOTEMPTY, errno.EEXIST):  # it was not there, or empty, before
-            raise ExportError(f"{target} was written by another program meanwhile; choose another name") from error
         raise ExportError(f"cannot write {target}: {error.strerror or error}; choose another place") from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
@@ -156,24 +144,15 @@ def write_rig(path: Path, rig: Rig) -> None:
 
 
 def _frame_folders(path: Path) -> list[Path]:
-    """Return the frames of a recording by their numbers."""
-    try:
-        numbered = [entry for entry in path.iterdir() if re.fullmatch("[0-9]+", entry.name) and entry.is_dir()]
-    except OSError as error:
-        raise SourceError(f"cannot list {path}: {error.strerror or error}; check its permissions") from error
+    """Return the frames of a recording by their numbers, or the folder itself if it is one frame."""
+    numbered = [entry for entry in path.iterdir() if re.fullmatch("[0-9]+", entry.name) and entry.is_dir()]
     numbered.sort(key=lambda folder: int(folder.name))
-    single = any((path / name).exists() for name in _REQUIRED)
-    if single and numbered:
-        raise SourceError(f"{path} has images and numbered subfolders ({numbered[0].name}); keep one of the two")
-    if not single and not numbered:
+    if not numbered and not any((path / name).exists() for name in _REQUIRED):
         raise SourceError(
             f"{path} has no frames: neither {_REQUIRED[0]} nor numbered subfolders such as 000000; "
             "export or copy the recording again"
         )
-    folders = [path] if single else numbered
-    for first, second in itertools.pairwise(folders):
-        if int(first.name) == int(second.name):
-            raise SourceError(f"{path}: {first.name} and {second.name} are the same number; rename one of them")
+    folders = numbered or [path]
     for folder in folders:
         _require_images(folder)
     return folders
@@ -214,21 +193,11 @@ def _read_frame(folder: Path, stamp: _Stamp, rig: Rig) -> SensorFrame:
 
 def _read_truth(folder: Path, rig: Rig) -> GroundTruth | None:
     shape = rig.proximity.intrinsics.shape
-    contact, counts, metres = (folder / name for name in ("truth_contact.png", "truth_depth.png", "truth_depth.npy"))
+    contact, metres = folder / "truth_contact.png", folder / "truth_depth.npy"
     if not contact.exists():
         return None
     mask = _read_image(contact, 8, 1, shape)
-    strange = mask[(mask != 0) & (mask != 255)]
-    if strange.size:
-        raise SourceError(f"{contact} contains the value {strange[0]}; only 0 and 255 have a meaning, write it again")
-    depth = None
-    if metres.exists():
-        depth = _read_metres(metres, shape)
-    elif counts.exists():
-        found = _read_image(counts, 16, 1, shape)
-        known = found.astype(np.float32) * np.float32(rig.proximity.depth_unit_m)
-        depth = np.where(valid_depth(found), known, np.float32(np.nan))
-    return GroundTruth(mask == 255, depth)
+    return GroundTruth(mask != 0, _read_metres(metres, shape) if metres.exists() else None)
 
 
 def _read_color(path: Path, shape: tuple[int, int]) -> Uint8Array:
@@ -239,11 +208,7 @@ def _read_image(path: Path, bits: int, channels: int, shape: tuple[int, int] | N
     """Read one image of unsigned integers and check its bit depth, its channels and its size, if one is given."""
     try:
         image = decode_image(read_file(path))
-    except OSError as error:
-        raise SourceError(
-            f"cannot read {path}: {error.strerror or error}; export or copy the recording again"
-        ) from error
-    except ValueError as error:
+    except (OSError, ValueError) as error:
         raise SourceError(f"{path} is no readable PNG image ({error}); export or copy it again") from error
     found = image.shape[2] if image.ndim == 3 else 1
     if image.dtype != f"uint{bits}" or found != channels:
@@ -305,12 +270,8 @@ def _write_frame(folder: Path, frame: SensorFrame, rig: Rig) -> None:
     _write_image(folder / "tactile_depth.png", frame.tactile_depth)
     _write_image(folder / "proximity_color.png", frame.proximity_color[:, :, ::-1])
     if frame.tactile_color is not None:
-        if frame.tactile_color.shape[:2] != frame.tactile_depth.shape:
-            raise FrameError(f"frame {frame.sequence}: tactile_color is not aligned to the tactile depth; leave it out")
         _write_image(folder / "tactile_color.png", frame.tactile_color[:, :, ::-1])
     if frame.truth is not None:
-        if frame.truth.contact.shape != frame.proximity_depth.shape:
-            raise FrameError(f"frame {frame.sequence}: its truth is not in proximity depth pixels; leave it out")
         _write_image(folder / "truth_contact.png", frame.truth.contact.astype(np.uint8) * np.uint8(255))
         if frame.truth.depth_m is not None:
             array = io.BytesIO()
@@ -319,10 +280,7 @@ def _write_frame(folder: Path, frame: SensorFrame, rig: Rig) -> None:
 
 
 def _write_image(path: Path, image: AnyArray) -> None:
-    encoded, data = cv2.imencode(".png", np.ascontiguousarray(image))
-    if not encoded:
-        raise ExportError(f"cannot write {path}: an image of {image.shape} pixels cannot be a PNG")
-    _write_file(path, data.tobytes())
+    _write_file(path, cv2.imencode(".png", np.ascontiguousarray(image))[1].tobytes())
 
 
 def _write_file(path: Path, data: bytes | str) -> None:

@@ -1,4 +1,4 @@
-"""Images of ROS messages from untrusted recordings: encodings, padded rows, byte order, and damage."""
+"""Images of ROS messages from untrusted recordings: encodings, padded rows, byte order, damage, nearest times."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from ..errors import SourceError, TactuneError
-from ..model.arrays import AnyArray, Uint8Array, Uint16Array
+from ..model.arrays import AnyArray, IndexArray, Uint8Array, Uint16Array
 
 #: Bytes per pixel of each colour encoding and OpenCV's conversion to RGB.
 _TO_RGB = {
@@ -93,3 +93,14 @@ class RawImage:
             raise DamagedFileError(f"it has {len(self.data)} bytes, too few for its size")
         rows = self.data.reshape(height, self.step)[:, : width * bytes_per_pixel]
         return np.ascontiguousarray(rows)
+
+
+def nearest(times: AnyArray, candidates: AnyArray) -> IndexArray:
+    """Return for each time the index of the nearest candidate; the earlier of two that are as near."""
+    order = np.argsort(candidates, kind="stable")
+    ordered = candidates[order]
+    after = np.searchsorted(ordered, times).clip(1, max(len(ordered) - 1, 1))
+    before = after - 1
+    after = after.clip(max=len(ordered) - 1)
+    later_is_nearer = ordered[after] - times < times - ordered[before]
+    return order[np.where(later_is_nearer, after, before)]

@@ -16,7 +16,7 @@ from tactune.core.sources.simulator.source import SimulatorSource
 def test_the_shipped_scene_is_the_solver_s():
     (path,) = SHIPPED.glob("*.npz")
     simulator = SimulatorSource()
-    solved = simulator.solve_anew(lambda share, words: None)
+    solved = simulator.solve_anew(simulator.scene, lambda share, words: None)
     shipped = load_scene(path, len(solved.states))
     # Other processors round the last digits otherwise.
     for ours, theirs in zip(shipped.facts, solved.facts, strict=True):

@@ -1,1 +1,1 @@
-"""ROS 2 bags in MCAP: Tactune's own recordings, and bags of other programs with the same topics."""
+"""ROS 2 bags in MCAP: Tactune's own recordings, and copies that ROS tools made of them."""

@@ -1,4 +1,4 @@
-"""Plays ROS 2 bags in MCAP: Tactune's own recordings bit for bit, and others with the same topics."""
+"""Plays recordings in MCAP: Tactune's own bit for bit, and copies that ROS tools made of them."""
 
 from __future__ import annotations
 
@@ -13,33 +13,26 @@ import numpy as np
 from ...errors import PresetError, SourceError
 from ...model.arrays import AnyArray, IndexArray, Int64Array, Uint64Array
 from ...model.files import user_path
-from ...model.frames import ColorCamera, DepthCamera, GroundTruth, Matrix4, Rig, SensorFrame, camera_pose
-from ...model.intrinsics import Distortion, Intrinsics
+from ...model.frames import GroundTruth, Rig, SensorFrame
 from ...model.loading import parse_json
 from ...model.rig_file import parse_rig
 from ...model.untouched_archive import parse_untouched
 from ...preset import Preset
 from ...preset.file import preset_and_note
 from ..base import Health, Progress, SeekableSource
-from ..ros_image import DamagedFileError, RawImage
+from ..ros_image import DamagedFileError, RawImage, nearest
 from .messages import (
-    CAMERA_INFO,
     FORMAT_VERSION,
     IMAGE,
     METADATA_NAME,
     PRESET_NAME,
     RIG_NAME,
     TEXT,
-    TRANSFORMS,
     UNTOUCHED_NAME,
     Topic,
-    matrix_of,
     parse,
 )
 from .reader import McapFile
-
-#: ROS reads 16UC1 as millimetres.
-_ROS_UNIT_M = 0.001
 
 #: How the images of each topic are read, from a message and the shape (H, W) that the rig states.
 _IMAGES: dict[Topic, Callable[[RawImage, tuple[int, int]], AnyArray]] = {
@@ -56,8 +49,8 @@ class McapSource(SeekableSource):
     """A recording in MCAP, with one frame for each proximity depth image.
 
     Recordings of `SessionWriter` are read bit for bit. One that was cut off plays up to its last complete chunk, and
-    `health` says so. In other bags with the same topics, a frame consists of the images nearest in log time; without
-    an attached rig, the camera infos give it.
+    `health` says so. In a bag that was recorded again while it played, a frame consists of the images nearest in log
+    time.
     """
 
     def __init__(self, path: Path | str, progress: Progress | None = None) -> None:
@@ -124,8 +117,6 @@ class McapSource(SeekableSource):
         lacks = []
         if not self._file.complete:
             lacks.append(f"this recording was cut off; it plays up to its last complete frame, number {self._length}")
-        if not self._has_rig:
-            lacks.append("this recording has no rig: depth counts as millimetres, as ROS has it")
         if self._rig.tactile.model == "none":
             lacks.append("this recording has one depth camera: for viewing only")
         if not len(self._places[Topic.PROXIMITY_COLOR]):
@@ -181,9 +172,8 @@ class McapSource(SeekableSource):
         data = self._file.attachment(RIG_NAME)
         if data is None and len(places := self._file.places(Topic.RIG)):
             data = self._parse(places[0], TEXT).data.encode()
-        self._has_rig = data is not None
         if data is None:
-            return _rig_from_lenses(self._file)
+            raise SourceError(f"{self._path} has no rig: neither {RIG_NAME} nor {Topic.RIG}; record it with Tactune")
         return parse_rig(self._json_object(data, RIG_NAME), f"{RIG_NAME} in {self._path}")
 
     def _frame_record(self, place: Uint64Array) -> tuple[int, float, float]:
@@ -243,70 +233,5 @@ def _partners(times_ns: Int64Array, candidates_ns: Int64Array, exact: bool) -> I
     """Return, for each frame, the index of the message with the same or the nearest log time; -1 if there is none."""
     if not len(candidates_ns):
         return np.full(len(times_ns), -1)
-    after = np.searchsorted(candidates_ns, times_ns).clip(max=len(candidates_ns) - 1)
-    if exact:
-        return np.where(candidates_ns[after] == times_ns, after, -1)
-    before = (after - 1).clip(min=0)
-    later_is_nearer = np.abs(candidates_ns[after] - times_ns) < np.abs(times_ns - candidates_ns[before])
-    return np.where(later_is_nearer, after, before)
-
-
-def _rig_from_lenses(file: McapFile) -> Rig:
-    """Return the rig of a bag without one, from camera infos and static transforms; depth is in millimetres.
-
-    A colour camera without a pose is omitted: colour then counts as aligned to depth. `SourceError` if a camera
-    info is missing or has an unknown lens model.
-    """
-    proximity, tactile = (_camera_info(file, topic) for topic in (Topic.PROXIMITY_DEPTH, Topic.TACTILE_DEPTH))
-    color = None
-    if Topic.PROXIMITY_COLOR.camera_info in file.topics:
-        info = _camera_info(file, Topic.PROXIMITY_COLOR)
-        pose = _pose(file, info.header.frame_id, proximity.header.frame_id)
-        color = None if pose is None else ColorCamera(intrinsics=_lens(info, file.path), T_color_depth=pose)
-    return Rig(
-        proximity=DepthCamera(intrinsics=_lens(proximity, file.path), depth_unit_m=_ROS_UNIT_M),
-        tactile=DepthCamera(intrinsics=_lens(tactile, file.path), depth_unit_m=_ROS_UNIT_M),
-        proximity_color=color,
-        T_proximity_tactile=_pose(file, proximity.header.frame_id, tactile.header.frame_id),
-    )
-
-
-def _camera_info(file: McapFile, topic: Topic) -> Any:
-    places = file.places(topic.camera_info)
-    if not len(places):
-        raise SourceError(f"{file.path} has no {topic.camera_info} and no rig; record the lenses, too")
-    return parse(file.message(places[0]), CAMERA_INFO, file.path)
-
-
-def _lens(info: Any, origin: Path) -> Intrinsics:
-    if info.distortion_model not in ("", "plumb_bob") or len(info.d) > 5:
-        raise SourceError(f"{origin} has the lens model {info.distortion_model!r}; only plumb_bob is known")
-    coefficients = [*map(float, info.d), *[0.0] * (5 - len(info.d))]
-    try:
-        return Intrinsics(
-            width=info.width,
-            height=info.height,
-            fx=info.k[0],
-            fy=info.k[4],
-            cx=info.k[2],
-            cy=info.k[5],
-            distortion=Distortion.BROWN_CONRADY if any(coefficients) else Distortion.NONE,
-            coefficients=tuple(coefficients),
-        )
-    except ValueError as error:
-        raise SourceError(f"{origin} has a camera info with values out of range; record it again") from error
-
-
-def _pose(file: McapFile, first: str, second: str) -> Matrix4 | None:
-    """Return the transform from the second frame to the first, or None if no message has it."""
-    for place in file.places(Topic.STATIC_TRANSFORMS):
-        for transform in parse(file.message(place), TRANSFORMS, file.path).transforms:
-            frames = transform.header.frame_id, transform.child_frame_id
-            if set(frames) != {first, second}:
-                continue
-            try:
-                pose = matrix_of(transform.transform)
-                return camera_pose(pose if frames == (first, second) else np.linalg.inv(pose))
-            except ValueError as error:
-                raise SourceError(f"{file.path}: the pose of {second} in {first}: {error}; record it again") from error
-    return None
+    partner = nearest(times_ns, candidates_ns)
+    return np.where(candidates_ns[partner] == times_ns, partner, -1) if exact else partner

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections import defaultdict
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from functools import lru_cache
 from io import BytesIO
 from threading import Lock
@@ -15,9 +15,10 @@ from rosbags.rosbag1 import Reader, ReaderError
 from rosbags.rosbag1.reader import Header, IndexData, RecordType, read_uint32
 from rosbags.typesys import Stores, get_typestore
 
+from ...model.arrays import Float64Array
 from ..mcap.messages import matrix_of
 from ..ros_image import DamagedFileError, RawImage
-from .recording import ImageTime, RecordingFile, Stream, make_stream, milliseconds
+from .recording import RecordingFile, Times
 
 _CACHED_CHUNKS: Final = 4
 _STORE = get_typestore(Stores.ROS1_NOETIC)
@@ -59,51 +60,48 @@ class BagFile(RecordingFile):
         options = [f"{sensor}/option/{words}/value" for words in ("Depth Units", "Depth_Units")]
         return next((float(self._first(option).data) for option in options if option in self._types), None)
 
-    def _stream(self, topic: str, images: str, times: Sequence[ImageTime]) -> Stream:
+    def _lens(self, topic: str) -> tuple[dict[str, Any], float]:
         info = self._entries[f"{topic}/info"]
         if not info:
             raise DamagedFileError(f"the topic {topic}/info is missing")
         (rate_hz,) = struct.unpack_from("<I", self._message(info[0]))
         lens: Any = self._first(f"{topic}/info/camera_info")
         fx, _, cx, _, fy, cy, *_ = lens.K
-        prefix, entries = f"{topic}/tf/", self._entries[images]
-        poses = [name for name in self._types if name.startswith(prefix)]
-        return make_stream(
-            topic,
-            {"width": lens.width, "height": lens.height, "fx": fx, "fy": fy, "cx": cx, "cy": cy},
-            lens.distortion_model,
-            lens.D,
-            float(rate_hz),
-            times,
-            {name.removeprefix(prefix): matrix_of(self._first(name)) for name in poses},
-            lambda index: _image(self._message(entries[index])),
-        )
+        size = {"width": lens.width, "height": lens.height, "fx": fx, "fy": fy, "cx": cx, "cy": cy}
+        return {**size, "distortion": lens.distortion_model, "coefficients": lens.D}, float(rate_hz)
 
-    def _times(self, topics: Collection[tuple[str, str]]) -> Mapping[str, list[ImageTime]]:
-        """Read the time stamp, clock and arrival of every image, in the order of the file."""
+    def _pose(self, topic: str) -> Float64Array:
+        return matrix_of(self._first(topic))
+
+    def _times(self, topics: Collection[tuple[str, str]]) -> Mapping[str, Times]:
+        """Read the stamp of every image, in the order of the file, and the clock of the last one."""
         stamps_s: dict[IndexData, float] = {}
-        facts: defaultdict[tuple[str, int], dict[str, str]] = defaultdict(dict)
-        wanted = [(entry, topic, True) for topic, images in topics for entry in self._entries[images]]
-        wanted += [(entry, topic, False) for topic, _ in topics for entry in self._entries[f"{topic}/image/metadata"]]
-        wanted.sort(key=lambda each: each[0].chunk_pos)
-        for done, (entry, topic, is_image) in enumerate(wanted):
-            message = self._message(entry)
-            if is_image:
-                seconds, nanoseconds = struct.unpack_from("<II", message, 4)
-                stamps_s[entry] = seconds + nanoseconds * 1e-9
-            else:  # cameras write two dozen facts for every image
-                key, value = _key_value(message)
-                facts[topic, entry.time][key] = value
+        wanted = sorted((entry.chunk_pos, entry) for _, images in topics for entry in self._entries[images])
+        for done, (_, entry) in enumerate(wanted):
+            seconds, nanoseconds = struct.unpack_from("<II", self._message(entry), 4)
+            stamps_s[entry] = seconds + nanoseconds * 1e-9
             if self.progress is not None and done % 1000 == 0:
                 self.progress(done / len(wanted), f"indexing {self.path.name}")
-        times: dict[str, list[ImageTime]] = {}
+        times: dict[str, Times] = {}
         for topic, images in topics:
-            times[topic] = []
-            for entry in self._entries[images]:
-                known = facts[topic, entry.time]
-                clock, arrived_ms = known.get("timestamp_domain", ""), milliseconds(known.get("system_time", ""))
-                times[topic].append(ImageTime(entry.time, stamps_s[entry], clock, arrived_ms))
+            entries, about = self._entries[images], self._entries[f"{topic}/image/metadata"]
+            # Cameras write two dozen facts for every image.
+            facts = dict(_key_value(self._message(entry)) for entry in about if entry.time == about[-1].time)
+            stamps = [stamps_s[entry] for entry in entries]
+            times[topic] = Times([entry.time for entry in entries], stamps, facts.get("timestamp_domain", ""))
         return times
+
+    def _image(self, topic: str, index: int) -> RawImage:
+        """Some versions append a list of metadata, which the library does not accept."""
+        message = self._message(self._entries[topic][index])
+        _, at = _text(message, 12)
+        height, width = struct.unpack_from("<II", message, at)
+        encoding, at = _text(message, at + 8)
+        big_endian, step, size = struct.unpack_from("<BII", message, at)
+        at += 9
+        if size > len(message) - at:
+            raise DamagedFileError(f"it has {len(message) - at} bytes, too few for its size")
+        return RawImage(height, width, encoding, bool(big_endian), step, np.frombuffer(message, np.uint8, size, at))
 
     def _first(self, topic: str) -> Any:
         if topic not in self._types:
@@ -188,15 +186,3 @@ def _text(message: memoryview, at: int) -> tuple[str, int]:
 def _key_value(message: memoryview) -> tuple[str, str]:
     key, at = _text(message, 0)
     return key, _text(message, at)[0]
-
-
-def _image(message: memoryview) -> RawImage:
-    """Return a ``sensor_msgs/Image``; some versions append a list of metadata, which the library does not accept."""
-    _, at = _text(message, 12)
-    height, width = struct.unpack_from("<II", message, at)
-    encoding, at = _text(message, at + 8)
-    big_endian, step, size = struct.unpack_from("<BII", message, at)
-    at += 9
-    if size > len(message) - at:
-        raise DamagedFileError(f"it has {len(message) - at} bytes, too few for its size")
-    return RawImage(height, width, encoding, bool(big_endian), step, np.frombuffer(message, np.uint8, size, at))

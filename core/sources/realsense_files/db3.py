@@ -6,10 +6,9 @@ Such a file is the SQLite database of a ROS 2 bag. Its descriptions are strings 
 
 from __future__ import annotations
 
-import re
 import sqlite3
 import sys
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from threading import Lock
 from typing import Any, Final
 
@@ -19,21 +18,17 @@ from ...model.arrays import Float64Array
 from ...model.loading import decode_image
 from ..mcap.messages import IMAGE, TEXT, TYPES
 from ..ros_image import DamagedFileError, RawImage
-from .recording import ImageTime, RecordingFile, Stream, make_stream, milliseconds
+from .recording import RecordingFile, Times
 
 if sys.version_info >= (3, 14):
     from compression import zstd
 else:
     from backports import zstd
 
-#: How 2.59 describes images that it cannot write as PNG.
-_ZSTD_LAYOUT = re.compile(r"(\w+); zstd; (\d{1,6})x(\d{1,6}) step=(\d{1,9})")
 _ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 _DEPTH_PNG_START: Final = 12  # compressed_depth_image_transport puts its settings in front
 #: How OpenCV decodes PNG images: type and number of channels.
 _PNG_ENCODINGS: Final = {("uint16", 1): "16UC1", ("uint8", 1): "mono8", ("uint8", 3): "bgr8", ("uint8", 4): "bgra8"}
-#: A message unpacks to at most this; one image takes 3 MB.
-_MAX_BYTES: Final = 128 * 2**20
 
 
 class Db3File(RecordingFile):
@@ -45,6 +40,7 @@ class Db3File(RecordingFile):
         uri = self.path.resolve().as_uri() + "?mode=ro&immutable=1"
         self._database = sqlite3.connect(uri, uri=True, check_same_thread=False)
         self._lock = Lock()
+        self._images: dict[str, list[int]] = {}
         used = "SELECT name, id FROM topics WHERE id IN (SELECT DISTINCT topic_id FROM messages)"
         self._ids: dict[str, int] = dict(self._select(used))
         return self._ids
@@ -64,51 +60,39 @@ class Db3File(RecordingFile):
         unit = self._names(f"{sensor}/option/Depth_Units/value")
         return _numbers({"unit": next(iter(unit))}, "unit")[0] if unit else None
 
-    def _stream(self, topic: str, images: str, times: Sequence[ImageTime]) -> Stream:
+    def _lens(self, topic: str) -> tuple[dict[str, Any], float]:
         info, lens = self._names(f"{topic}/info"), self._names(f"{topic}/camera_info")
-        for name, found in (("info", info), ("camera_info", lens)):
-            if not found:
-                raise DamagedFileError(f"the topic {topic}/{name} is missing")
         keys = {"width": "width", "height": "height", "fx": "fx", "fy": "fy", "cx": "ppx", "cy": "ppy"}
-        prefix, rows = f"{topic}/tf/", self._rows(images)
-        return make_stream(
-            topic,
-            {key: _numbers(lens, theirs)[0] for key, theirs in keys.items()},
-            lens.get("model", ""),
-            _numbers(lens, "coeffs"),
-            _numbers(info, "fps")[0],
-            times,
-            {name.removeprefix(prefix): _matrix(self._names(name)) for name in self._ids if name.startswith(prefix)},
-            lambda index: self._image(rows[index][1], images),
-        )
+        values: dict[str, Any] = {key: _numbers(lens, theirs)[0] for key, theirs in keys.items()}
+        values |= {"distortion": lens.get("model", ""), "coefficients": _numbers(lens, "coeffs")}
+        return values, _numbers(info, "fps")[0]
 
-    def _times(self, topics: Collection[tuple[str, str]]) -> Mapping[str, list[ImageTime]]:
-        times: dict[str, list[ImageTime]] = {}
+    def _pose(self, topic: str) -> Float64Array:
+        """Its rotation is written column by column."""
+        facts, matrix = self._names(topic), np.eye(4)
+        matrix[:3, :3] = np.reshape(_numbers(facts, "rotation"), (3, 3)).T
+        matrix[:3, 3] = _numbers(facts, "translation")
+        return matrix
+
+    def _times(self, topics: Collection[tuple[str, str]]) -> Mapping[str, Times]:
+        times: dict[str, Times] = {}
         for done, (topic, images) in enumerate(topics, start=1):
-            metadata = {time_ns: self._pairs(row) for time_ns, row in self._rows(f"{topic}/image/metadata")}
-            times[topic] = []
-            for time_ns, _ in self._rows(images):
-                facts = metadata.get(time_ns, {})
-                if "timestamp" not in facts:
-                    raise DamagedFileError(f"an image of {topic} has no time stamp")
-                stamp_s, arrived_ms = (
-                    milliseconds(facts["timestamp"]) * 1e-3,
-                    milliseconds(facts.get("system_time", "")),
-                )
-                times[topic].append(ImageTime(time_ns, stamp_s, facts.get("timestamp_domain", ""), arrived_ms))
+            facts = {time_ns: self._pairs(row) for time_ns, row in self._rows(f"{topic}/image/metadata")}
+            recorded_ns = [time_ns for time_ns, _ in self._rows(images)]
+            self._images[images] = [row for _, row in self._rows(images)]
+            stamps_s = [float(facts.get(time_ns, {}).get("timestamp", "nan")) * 1e-3 for time_ns in recorded_ns]
+            if not np.isfinite(stamps_s).all():
+                raise DamagedFileError(f"an image of {topic} has no time stamp")
+            times[topic] = Times(recorded_ns, stamps_s, facts[recorded_ns[-1]].get("timestamp_domain", ""))
             if self.progress is not None:
                 self.progress(done / len(topics), f"indexing {self.path.name}: stream {done} of {len(topics)}")
         return times
 
-    def _image(self, row: int, topic: str) -> RawImage:
-        data = self._message(row)
+    def _image(self, topic: str, index: int) -> RawImage:
+        data = self._message(self._images[topic][index])
         if topic.endswith("/image/data"):
             return RawImage.of(TYPES.deserialize_cdr(data, IMAGE))
         found: Any = TYPES.deserialize_cdr(data, "sensor_msgs/msg/CompressedImage")
-        layout = _ZSTD_LAYOUT.fullmatch(found.format)
-        if layout is not None:
-            raw = np.frombuffer(_unpacked(found.data.tobytes()), np.uint8)
-            return RawImage(int(layout[3]), int(layout[2]), layout[1], False, int(layout[4]), raw)
         return _png(found.data[_DEPTH_PNG_START if topic.endswith("Depth") else 0 :].tobytes())
 
     def _pairs(self, row: int) -> dict[str, str]:
@@ -125,19 +109,12 @@ class Db3File(RecordingFile):
         found = self._select("SELECT data FROM messages WHERE id = ?", row)
         if not found or not isinstance(found[0][0], bytes):
             raise DamagedFileError(f"message {row} is missing")
-        return _unpacked(found[0][0]) if found[0][0].startswith(_ZSTD_MAGIC) else found[0][0]
+        return zstd.decompress(found[0][0]) if found[0][0].startswith(_ZSTD_MAGIC) else found[0][0]
 
     def _select(self, query: str, *values: int) -> list[tuple[Any, ...]]:
         assert self._database is not None
         with self._lock:
             return self._database.execute(query, values).fetchall()
-
-
-def _unpacked(data: bytes) -> bytes:
-    size = zstd.get_frame_info(data).decompressed_size
-    if size is None or size > _MAX_BYTES:
-        raise DamagedFileError(f"a part of it claims {size} bytes, more than any camera writes")
-    return zstd.decompress(data)
 
 
 def _png(data: bytes) -> RawImage:
@@ -157,11 +134,3 @@ def _numbers(facts: Mapping[str, str], key: str) -> tuple[float, ...]:
         return tuple(float(np.float32(float(part))) for part in text.split(","))
     except ValueError as error:
         raise DamagedFileError(f"{key} is {text[:40]!r}, which is no number") from error
-
-
-def _matrix(facts: Mapping[str, str]) -> Float64Array:
-    """Return the 4 x 4 matrix of a pose; its rotation is written column by column."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = np.reshape(_numbers(facts, "rotation"), (3, 3)).T
-    matrix[:3, 3] = _numbers(facts, "translation")
-    return matrix

@@ -13,7 +13,7 @@ from ...model.arrays import Float64Array, IndexArray, Uint8Array, Uint16Array
 from ...model.files import recording_files, user_path
 from ...model.frames import Rig, SensorFrame, rigid_transform
 from ..base import Health, Progress, SeekableSource, part_of
-from ..ros_image import DamagedFileError, damage_told
+from ..ros_image import DamagedFileError, damage_told, nearest
 from .bag import BagFile
 from .db3 import Db3File
 from .recording import Camera, RecordingFile, Stream
@@ -28,8 +28,8 @@ class BagSource(SeekableSource):
     The proximity camera is the L515, or the first device where there is none. A frame consists of a proximity and a
     tactile depth image that are mutually nearest in time, at most half a period of the faster camera apart; `health`
     counts the other images. Times are the images' stamps where both cameras use one clock (global or system time),
-    else the recording times or, for two files, the times of arrival at the computer. Each camera's colour image is the
-    one nearest to its depth image. A recording does not contain the pose between the cameras: the preset must have it.
+    else, in one file, the recording times. Each camera's colour image is the one nearest to its depth image. A
+    recording does not contain the pose between the cameras: the preset must have it.
 
     A recording with one depth camera is for viewing only, and `health` says so: the rig's tactile camera is then a
     copy in the same place with the model ``"none"`` and depth 0.
@@ -60,12 +60,11 @@ class BagSource(SeekableSource):
         cameras = _cameras(name, self._recordings)
         self._proximity, self._tactile = cameras[0], cameras[1] if len(cameras) == 2 else None
         self._color_index = {
-            camera: nearest(*_common_times(camera.depth, camera.color, same_recording=True, same_device=True))
+            camera: nearest(*_common_times(camera.depth, camera.color, one_device=True))
             for camera in cameras
             if camera.color is not None
         }
-        self._unmatched = ""
-        self._unmatched_count = 0
+        self._unmatched = 0
         if self._tactile is None:
             self._proximity_times_s = self._tactile_times_s = self._proximity.depth.stamps_s
             self._proximity_index = self._tactile_index = np.arange(len(self._proximity_times_s))
@@ -96,8 +95,8 @@ class BagSource(SeekableSource):
             for recording in self._recordings
             if not recording.is_complete
         ]
-        words = [*lacks, self._unmatched] if self._unmatched else lacks
-        return Health(ok=not lacks, message="; ".join(words), unmatched=self._unmatched_count)
+        words = [*lacks, f"{self._unmatched} images without one of the other camera are left out"]
+        return Health(ok=not lacks, message="; ".join(words if self._unmatched else lacks), unmatched=self._unmatched)
 
     def close(self) -> None:
         self._is_open = False
@@ -122,27 +121,18 @@ class BagSource(SeekableSource):
 
     def _images(self, camera: Camera, index: int) -> tuple[Uint16Array, Uint8Array | None]:
         """Return a depth image and the colour image nearest to it; that of the tactile camera in depth pixels."""
-        depth = camera.depth_image(index)
+        depth = camera.image(camera.depth, index)
         if camera.color is None:
             return depth, None
-        color = camera.color_image(int(self._color_index[camera][index]))
+        color = camera.image(camera.color, int(self._color_index[camera][index]))
         return depth, camera.calibration.color_on_depth(color, depth) if camera is self._tactile else color
 
     def _pair(self, name: str, first: Camera, second: Camera) -> None:
-        first_s, second_s = _common_times(
-            first.depth, second.depth, same_recording=first.path == second.path, same_device=False
-        )
-        if not len(first_s):
+        first_s, second_s = _common_times(first.depth, second.depth, one_device=False)
+        if first.path != second.path and first_s is first.depth.recorded_s:
             raise SourceError(
                 f"{name}: the cameras' clocks cannot be compared ({first.depth.clock or 'unknown'} and "
-                f"{second.depth.clock or 'unknown'}, and not both files say when images arrived); "
-                "record both cameras with global time enabled"
-            )
-        apart_s = max(first_s.min() - second_s.max(), second_s.min() - first_s.max())
-        if apart_s > 0:
-            raise SourceError(
-                f"{name}: the two cameras were not recorded at the same time, but {apart_s:.3f} s apart; "
-                "give two recordings of the same moment"
+                f"{second.depth.clock or 'unknown'}); record both cameras with global time enabled"
             )
         farthest_s = min(_period_s(first_s, first.depth.rate_hz), _period_s(second_s, second.depth.rate_hz)) / 2
         self._proximity_times_s, self._tactile_times_s = first_s, second_s
@@ -153,13 +143,7 @@ class BagSource(SeekableSource):
                 f"{name}: no image of {first.info.model} has one of {second.info.model} within "
                 f"{farthest_s * 1e3:.1f} ms; record both cameras at once"
             )
-        alone = len(first_s) - count, len(second_s) - count
-        self._unmatched_count = sum(alone)
-        if self._unmatched_count:
-            self._unmatched = (
-                f"left out because the other camera has no image within {farthest_s * 1e3:.1f} ms: "
-                f"{alone[0]} of {len(first_s)} proximity and {alone[1]} of {len(second_s)} tactile images"
-            )
+        self._unmatched = len(first_s) + len(second_s) - 2 * count
 
 
 def _open(path: Path, progress: Progress | None) -> RecordingFile:
@@ -192,38 +176,20 @@ def _cameras(name: str, recordings: list[RecordingFile]) -> list[Camera]:
     return sorted(cameras, key=lambda camera: "L515" not in camera.info.model)
 
 
-def _common_times(
-    first: Stream, second: Stream, *, same_recording: bool, same_device: bool
-) -> tuple[Float64Array, Float64Array]:
-    """Return both streams' times in seconds on the most exact clock that they share; empty if they share none.
+def _common_times(first: Stream, second: Stream, *, one_device: bool) -> tuple[Float64Array, Float64Array]:
+    """Return both streams' own stamps in seconds if these are on one clock, else when they were recorded.
 
-    That is the clock of the images' own stamps where both name the same (a camera's own clock counts for that camera
-    alone), else when the images were recorded or, across two recordings, when they reached the computer.
+    A camera's own clock counts for that camera alone.
     """
-    if first.clock == second.clock != "" and (same_device or first.clock != "Hardware Clock"):
+    if first.clock == second.clock != "" and (one_device or first.clock != "Hardware Clock"):
         return first.stamps_s, second.stamps_s
-    if same_recording:
-        return first.recorded_s, second.recorded_s
-    if first.arrived_s is not None and second.arrived_s is not None:
-        return first.arrived_s, second.arrived_s
-    return np.empty(0), np.empty(0)
+    return first.recorded_s, second.recorded_s
 
 
 def _period_s(times_s: Float64Array, rate_hz: float) -> float:
     """Return the median time between two images, seconds; with a single image, that of the nominal rate."""
     usual = float(np.median(np.diff(np.sort(times_s)))) if len(times_s) > 1 else 0.0
     return usual or 1.0 / (rate_hz if rate_hz > 0 else 30.0)
-
-
-def nearest(times_s: Float64Array, candidates_s: Float64Array) -> IndexArray:
-    """Return for each time the index of the nearest candidate; the earlier of two that are as near."""
-    order = np.argsort(candidates_s, kind="stable")
-    ordered = candidates_s[order]
-    after = np.searchsorted(ordered, times_s).clip(1, max(len(ordered) - 1, 1))
-    before = after - 1
-    after = after.clip(max=len(ordered) - 1)
-    later_is_nearer = ordered[after] - times_s < times_s - ordered[before]
-    return order[np.where(later_is_nearer, after, before)]
 
 
 def pairs(first_s: Float64Array, second_s: Float64Array, farthest_s: float) -> tuple[IndexArray, IndexArray]:

@@ -1,18 +1,15 @@
 """Solved scenes on disk: in the cache of the user, and the default scene in the package.
 
 A file holds the differences between successive states, compressed. Its name contains a hash of everything that the
-images depend on, their code included, but not the errors of the cameras, which are added later.
+images depend on, but not the errors of the cameras, which are added later.
 """
 
 from __future__ import annotations
 
 import hashlib
-import io
-import tokenize
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
-from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,9 +20,9 @@ from pydantic import TypeAdapter
 from ...model.files import atomic_path
 from .scene import CleanState, PressFacts
 
-#: Files of this folder on which the clean images depend beyond `Scene.key`.
-CLEAN_CODE: Final = ("grid_strain.py", "membrane.py", "mesh.py", "objects.py", "render.py", "scene.py", "sheet.py")
-#: Folder of the solved scenes in the package; ``scripts/ship_scene.py`` writes them.
+#: To count up whenever a change of the code changes an image of a scene; then run ``scripts/ship_scene.py``.
+_IMAGES_VERSION: Final = 1
+#: Folder of the solved scenes in the package.
 SHIPPED: Final = Path(__file__).with_name("solved")
 MAX_CACHE_BYTES: Final = 4_000_000_000
 
@@ -43,23 +40,8 @@ class SolvedScene:
 
 def cache_file(scene: str, key: str) -> Path:
     """Return the cache file of a scene; ``key`` is text with all its parameters."""
-    digest = hashlib.sha256((key + _clean_code()).encode()).hexdigest()
+    digest = hashlib.sha256(f"{_IMAGES_VERSION} {key}".encode()).hexdigest()
     return Path(user_cache_dir("tactune")) / "simulator" / f"{scene}-{digest[:16]}.npz"
-
-
-@cache
-def _clean_code() -> str:
-    """Return the code of `CLEAN_CODE` without comments and docstrings, whose changes change no image."""
-    words: list[str] = []
-    for name in CLEAN_CODE:
-        text = Path(__file__).with_name(name).read_text(encoding="utf-8")
-        begins = True
-        for token in tokenize.generate_tokens(io.StringIO(text).readline):
-            if token.type in (tokenize.COMMENT, tokenize.NL) or (begins and token.type == tokenize.STRING):
-                continue
-            begins = token.type in (tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT)
-            words.append(token.string)
-    return " ".join(" ".join(words).split())
 
 
 def find_solved(path: Path, count: int) -> SolvedScene | None:

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final, get_args
 from urllib.parse import parse_qsl, urlencode
 
 from ...errors import SourceError
 from .objects import OBJECTS
-from .scenes import MAX_GAP_MM, MEMBRANES, Move, Press, Side, Variant, resolve_scene
-from .sensors import DEFAULT_SENSOR, SENSORS, find_sensor
+from .scenes import MEMBRANES, Move, Press, Side, Variant, resolve_scene
+from .sensors import DEFAULT_SENSOR, SENSORS
 from .sheet import Print
-
-_MAX_SEED: Final = 9_999_999_999
-_MAX_NOISE: Final = 100.0
 
 
 @dataclass(frozen=True)
@@ -30,33 +28,21 @@ class NameField:
     unit: str = ""
 
 
-def _named(values: Any, **about: str) -> dict[str, str]:
-    return dict.fromkeys(values, "") | about
-
-
-_SCENES = _named(OBJECTS, tray="a flat tray, 16 mm deep, that rolls")
 _PRESS_ABOUT = "A press that is held. Moving: the object approaches, presses and leaves; none: the untouched membrane"
-_MOVES = _named(
-    get_args(Move), slide="turns and slides across folds", lift="so does the cup, half of the time without its handle"
-)
-_MOVE_ABOUT = "How an object moves while it presses, for 5 s; the first opening takes a minute"
-_MEMBRANES = {name: membrane.about for name, membrane in MEMBRANES.items()}
-_SENSORS = {name: sensor.about for name, sensor in SENSORS.items()}
-_PRINT_ABOUT = "Pattern printed on the membrane; dots are 10 mm apart"
-_SEED_ABOUT = "Another seed gives other noise with the same statistics"
-_NOISE_ABOUT = "Factor on the sensor's errors; 0 gives perfect images"
+_MOVE_ABOUT = "Slide: it turns and slides across folds for 5 s; the first opening takes a minute"
+_MEMBRANE_ABOUT = "Size, material and air of the membrane; the guide's page Sources describes each"
 
 NAME_FIELDS: Final = (
-    NameField("scene", "Scene", "What presses the membrane", _SCENES),
-    NameField("press", "Press", _PRESS_ABOUT, _named(get_args(Press))),
-    NameField("move", "Move", _MOVE_ABOUT, _MOVES),
-    NameField("side", "Side", "Where a high press is, seen by the cameras", _named(get_args(Side))),
-    NameField("gap", "Gap", "Distance at which the object is held", {}, MAX_GAP_MM, 2, "mm"),
-    NameField("membrane", "Membrane", "Size, material and air of the membrane", _MEMBRANES),
-    NameField("grid", "Print", _PRINT_ABOUT, _named(get_args(Print))),
-    NameField("sensor", "Sensor", "Whose errors the cameras have", _SENSORS),
-    NameField("seed", "Seed", _SEED_ABOUT, {}, _MAX_SEED),
-    NameField("noise", "Noise", _NOISE_ABOUT, {}, _MAX_NOISE, 2, "×"),
+    NameField("scene", "Scene", "What presses the membrane; the tray rolls", dict.fromkeys(OBJECTS, "")),
+    NameField("press", "Press", _PRESS_ABOUT, dict.fromkeys(get_args(Press), "")),
+    NameField("move", "Move", _MOVE_ABOUT, dict.fromkeys(get_args(Move), "")),
+    NameField("side", "Side", "Where a high press is, seen by the cameras", dict.fromkeys(get_args(Side), "")),
+    NameField("gap", "Gap", "Distance at which the object is held", maximum=100.0, decimals=2, unit="mm"),
+    NameField("membrane", "Membrane", _MEMBRANE_ABOUT, dict.fromkeys(MEMBRANES, "")),
+    NameField("grid", "Print", "What is on the membrane; dots are 10 mm apart", dict.fromkeys(get_args(Print), "")),
+    NameField("sensor", "Sensor", "Whose errors the cameras have", {name: s.about for name, s in SENSORS.items()}),
+    NameField("seed", "Seed", "Another seed gives other noise with the same statistics", maximum=9_999_999_999),
+    NameField("noise", "Noise", "Factor on the sensor's errors; 0 gives perfect images", {}, 100.0, 2, "×"),
 )
 
 
@@ -76,39 +62,39 @@ def read_name(rest: str) -> dict[str, str]:
     """Return the value of every field of a name, without ``sim:``; `SourceError` if they cannot be opened together."""
     scene, _, query = rest.partition("?")
     try:
-        given = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
+        given = dict(parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query)))
     except ValueError as error:
         raise SourceError(f"sim:{rest}: {query!r} are no options; write them as seed=3&noise=0.5") from error
-    options = tuple(key for key in _DEFAULTS if key != "scene")
-    for key, _ in given:
-        if key not in options:
-            raise SourceError(f"sim:{rest}: the simulator has no option {key!r}; known are {', '.join(options)}")
-    if len(dict(given)) < len(given):
-        raise SourceError(f"sim:{rest}: an option is given twice; keep one")
-    values = _DEFAULTS | dict(given) | {"scene": scene or _DEFAULTS["scene"]}
+    for key in given:
+        if key not in _DEFAULTS or key == "scene":
+            options = ", ".join(option for option in _DEFAULTS if option != "scene")
+            raise SourceError(f"sim:{rest}: the simulator has no option {key!r}; known are {options}")
+    values = _DEFAULTS | given | {"scene": scene or _DEFAULTS["scene"]}
     source_options(values)
     return values
 
 
 def source_options(values: Mapping[str, str]) -> dict[str, Any]:
     """Return the arguments of a `SimulatorSource`; raises a `SourceError` if it cannot be opened with these values."""
-    name = write_name(values)
-    numbers = {}
-    for key, maximum in (("gap", MAX_GAP_MM), ("seed", _MAX_SEED), ("noise", _MAX_NOISE)):
-        try:
-            numbers[key] = float(values[key])
-            fits = 0.0 <= numbers[key] <= maximum and (key != "seed" or values[key].isdecimal())
-        except ValueError:
-            fits = False
-        if not fits:
-            kind = "whole number" if key == "seed" else "number"
-            raise SourceError(f"{name}: {key} is {values[key]!r}; it must be a {kind} from 0 to {maximum:,.0f}")
+    for part in NAME_FIELDS:
+        value, name = values[part.key], write_name(values)
+        if part.choices and value not in part.choices:
+            known = ", ".join(filter(None, part.choices))
+            raise SourceError(f"{name}: {part.key} is {value!r}; choose one of {known}")
+        if not part.choices and not _is_number(value, part):
+            kind = "number" if part.decimals else "whole number"
+            raise SourceError(f"{name}: {part.key} is {value!r}; it must be a {kind} from 0 to {part.maximum:,.0f}")
     chosen: dict[str, Any] = {key: values[key] for key in ("press", "move", "side", "membrane", "grid")}
-    variant = Variant(gap_mm=numbers["gap"], **chosen)
+    variant = Variant(gap_mm=float(values["gap"]), **chosen)
     resolve_scene(values["scene"], variant)
-    find_sensor(values["sensor"])
     kept = {"scene": values["scene"], "variant": variant, "sensor": values["sensor"]}
-    return {**kept, "seed": int(values["seed"]), "noise": numbers["noise"]}
+    return {**kept, "seed": int(values["seed"]), "noise": float(values["noise"])}
+
+
+def _is_number(text: str, part: NameField) -> bool:
+    with suppress(ValueError):
+        return 0.0 <= float(text) <= part.maximum and (part.decimals > 0 or text.isdecimal())
+    return False
 
 
 def write_name(values: Mapping[str, str]) -> str:

@@ -59,15 +59,6 @@ class _SharedNoise(NamedTuple):
     moving: Float32Array  # is displaced in each frame
 
 
-class _TofImages(NamedTuple):
-    """Clean images of a time-of-flight camera, as in `CleanState`."""
-
-    behind: Uint16Array
-    membrane: Uint16Array
-    cosine: Uint8Array
-    flags: Uint8Array
-
-
 class _TofErrors(NamedTuple):
     """Errors of a time-of-flight camera. The tables are indexed by 255 * cosine of incidence and contain ``level``."""
 
@@ -88,7 +79,7 @@ class _StereoErrors(NamedTuple):
     level: float  # factor on all errors
     unit_m: float
     focal_baseline: float  # disparity * depth, pixels * metres
-    subpixel_steps: float  # disparities that the matcher tells apart, per pixel; 0: all
+    subpixel_steps: float  # disparities that the matcher tells apart, per pixel
     white_sigma_px: float
     shared: _SharedNoise
     holes: Float32Array  # as of `_smooth_field`
@@ -143,12 +134,21 @@ def _across_edge(depth: Uint16Array, v: int, u: int, z: float) -> float:
 
 
 @compiled
-def _measure_tof(random: _Random, images: _TofImages, errors: _TofErrors, drift_m: float, out: Uint16Array) -> None:
+def _measure_tof(
+    random: _Random,
+    behind: Uint16Array,
+    membrane: Uint16Array,
+    cosines: Uint8Array,
+    flags: Uint8Array,
+    errors: _TofErrors,
+    drift_m: float,
+    out: Uint16Array,
+) -> None:
     """Fill in the counts of a time-of-flight camera.
 
     It measures ``scale z + level (bias + drift) + growth(z) (white_sigma white + shared_sigma shared)``.
     """
-    behind, level = images.behind, errors.level
+    level = errors.level
     height, width = behind.shape
     moved = _displacement(errors.shared.moving, random, _TOF_MOVING)
     for v in range(height):
@@ -157,17 +157,17 @@ def _measure_tof(random: _Random, images: _TofImages, errors: _TofErrors, drift_
         uniform = random.uniform[_row_start(random, _TOF_UNIFORM, v, 2 * width) :]
         fixed, moving = _shared_rows(errors.shared, v, moved)
         for u in range(width):
-            cosine = images.cosine[v, u]
+            cosine = cosines[v, u]
             if behind[v, u] == 0 or uniform[u] < errors.dropout[cosine]:
                 out[v, u] = 0
                 continue
             z = behind[v, u] * CLEAN_UNIT_M
             growth = 1.0 - TOF_DISTANCE_SHARE + TOF_DISTANCE_SHARE * z / _NAMED_AT_M
-            if level > 0.0 and images.flags[v, u] & REFLECTIVE_FLAG:
+            if level > 0.0 and flags[v, u] & REFLECTIVE_FLAG:
                 # The membrane's prints hide what is behind them.
-                z = images.membrane[v, u] * CLEAN_UNIT_M
+                z = membrane[v, u] * CLEAN_UNIT_M
                 cosine, growth = np.uint8(255), 1.0
-            elif images.flags[v, u] & EDGE_FLAG and uniform[u] > 1.0 - errors.flying_share:
+            elif flags[v, u] & EDGE_FLAG and uniform[u] > 1.0 - errors.flying_share:
                 z += uniform[u + width] * (_across_edge(behind, v, u, z) - z)
             shared = errors.shared.fixed_sigma * fixed[u] + errors.shared.moving_sigma * moving[u]
             noise = errors.white_sigma_m[cosine] * growth * white[u] + errors.shared_sigma_m[cosine] * growth * shared
@@ -194,8 +194,7 @@ def _measure_stereo(random: _Random, clean: Uint16Array, errors: _StereoErrors, 
             shared = noise.fixed_sigma * fixed[u] + noise.moving_sigma * moving[u]
             if noisy:
                 disparity += errors.level * (shared + errors.white_sigma_px * white[u])
-                if errors.subpixel_steps > 0.0:
-                    disparity = np.int32(disparity * errors.subpixel_steps + 0.5) / errors.subpixel_steps
+                disparity = np.int32(disparity * errors.subpixel_steps + 0.5) / errors.subpixel_steps
             counts = min(np.int32(errors.focal_baseline / (disparity * errors.unit_m) + 0.5), np.int32(65534))
             lost = 65535 if (not hidden) & (holes[u] > errors.saturated_from) else 0
             unmatched = noisy & (hidden | (holes[u] > errors.hole_from))
@@ -233,8 +232,8 @@ class NoiseModel:
         """Return the time-of-flight measurement behind the membrane in raw counts."""
         out = np.empty_like(state.behind)
         drift_m = self.sensor.tof_drift_m * np.sin(2 * np.pi * frame / _DRIFT_FRAMES + self._drift_phase)
-        images = _TofImages(state.behind, state.membrane, state.cosine, state.flags)
-        _measure_tof(self._random(frame), images, self._tof, drift_m, out)
+        images = state.behind, state.membrane, state.cosine, state.flags
+        _measure_tof(self._random(frame), *images, self._tof, drift_m, out)
         return out
 
     def tactile_depth(self, frame: int, clean: Uint16Array) -> Uint16Array:
@@ -283,10 +282,8 @@ def _tof_errors(
     rng: np.random.Generator, camera: DepthCamera, level: float, sensor: SensorModel, bias_m: Float32Array
 ) -> _TofErrors:
     width = camera.intrinsics.width
-    fixed = moving = np.zeros((1, width), dtype=np.float32)
-    if sensor.tof_correlated_m > 0.0:
-        length_px = sensor.tof_correlated_px * width / _NAMED_WIDTH_PX
-        fixed, moving = _smooth_field(rng, length_px, width), _smooth_field(rng, length_px, width)
+    length_px = sensor.tof_correlated_px * width / _NAMED_WIDTH_PX
+    fixed, moving = _smooth_field(rng, length_px, width), _smooth_field(rng, length_px, width)
     cosine = np.linspace(0.0, 1.0, 256)
     growth = np.minimum(1.0 / np.maximum(cosine, 0.05), 6.0)
     growth = 1.0 - _TOF_INCIDENCE_SHARE + _TOF_INCIDENCE_SHARE * growth
@@ -328,9 +325,8 @@ def _bias(rng: np.random.Generator, sensor: SensorModel, shape: tuple[int, int])
     bias = sensor.tof_offset_m + sensor.tof_slow_bias_m * cv2.resize(
         coarse, (width, height), interpolation=cv2.INTER_CUBIC
     )
-    if sensor.tof_slope_m:
-        v, u = np.mgrid[:height, :width]
-        turn = np.radians(sensor.tof_slope_deg)
-        right, down = (u - (width - 1) / 2) / width, (v - (height - 1) / 2) / width
-        bias = bias + sensor.tof_slope_m * (np.cos(turn) * right + np.sin(turn) * down)
+    v, u = np.mgrid[:height, :width]
+    turn = np.radians(sensor.tof_slope_deg)
+    right, down = (u - (width - 1) / 2) / width, (v - (height - 1) / 2) / width
+    bias = bias + sensor.tof_slope_m * (np.cos(turn) * right + np.sin(turn) * down)
     return np.ascontiguousarray(bias, dtype=np.float32)

@@ -63,16 +63,12 @@ def turn(angles_deg: tuple[float, float, float]) -> Float64Array:
 
 @dataclass(frozen=True)
 class PressedObject:
-    """An object: its shape, its rotation about x, y and z, where its origin presses, and its linear RGB.
-
-    A held-out one is reserved for judging methods, not for developing them.
-    """
+    """An object: its shape, its rotation about x, y and z, where its origin presses, and its linear RGB."""
 
     kind: int
     rotation_deg: tuple[float, float, float]
     offset_m: tuple[float, float]
     colour: tuple[float, float, float]
-    held_out: bool = False
 
 
 OBJECTS: Final[dict[str, PressedObject]] = {
@@ -80,9 +76,11 @@ OBJECTS: Final[dict[str, PressedObject]] = {
     "cup": PressedObject(CUP, (0.0, 0.0, 8.0), (-0.030, 0.0), (0.05, 0.62, 0.66)),
     "octopus": PressedObject(OCTOPUS, (3.0, 4.0, 10.0), (0.003, 0.004), (0.92, 0.80, 0.30)),
     "tray": PressedObject(TRAY, (0.0, 0.0, 0.0), (0.0, 0.0), (0.55, 0.36, 0.18)),
-    "mug": PressedObject(MUG, (10.0, -8.0, 35.0), (0.006, 0.004), (0.20, 0.45, 0.90), held_out=True),
-    "hand": PressedObject(HAND, (-4.0, 5.0, 60.0), (0.010, -0.006), (0.88, 0.52, 0.36), held_out=True),
+    "mug": PressedObject(MUG, (10.0, -8.0, 35.0), (0.006, 0.004), (0.20, 0.45, 0.90)),
+    "hand": PressedObject(HAND, (-4.0, 5.0, 60.0), (0.010, -0.006), (0.88, 0.52, 0.36)),
 }
+#: Objects that are reserved for judging methods.
+HELD_OUT: Final = ("mug", "hand")
 
 
 @compiled

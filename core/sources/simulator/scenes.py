@@ -9,7 +9,7 @@ from __future__ import annotations
 import cmath
 import math
 from dataclasses import dataclass, replace
-from typing import Final, Literal, NamedTuple, get_args
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -20,46 +20,22 @@ from .sheet import Print
 
 Press = Literal["", "none", "low", "medium", "high"]
 Side = Literal["right", "left"]
-Move = Literal["", "slide", "lift"]
-
-
-@dataclass(frozen=True)
-class NamedMembrane:
-    """A membrane with a few words about it; a held-out one is reserved for judging methods."""
-
-    about: str
-    design: MembraneDesign
-    held_out: bool = False
-
+Move = Literal["", "slide"]
 
 STANDARD: Final = "standard"
-MEMBRANES: Final[dict[str, NamedMembrane]] = {
-    STANDARD: NamedMembrane("apex 60 mm above the rim, pre-stretch 4 %", MembraneDesign()),
-    "soft": NamedMembrane(
-        "softer rubber, half the pressure, apex 50 mm",
-        MembraneDesign(apex_m=0.050, stiffness_n_m=150.0, stiffening=0.05, prestretch=1.03),
-    ),
-    "taut": NamedMembrane(
-        "pre-stretch 12 %, stiffer rubber that stiffens more, apex 52 mm",
-        MembraneDesign(apex_m=0.052, stiffness_n_m=300.0, stiffening=0.12, prestretch=1.12),
-    ),
-    "tall": NamedMembrane("more air, apex 80 mm", MembraneDesign(apex_m=0.080)),
-    "uneven": NamedMembrane(
-        "1.3 times as stiff at the right edge and 0.7 times at the left, thinner in the centre",
-        MembraneDesign(stiffness_slope=0.6, centre_stiffness=0.75),
-    ),
-    "sticky": NamedMembrane("sticks to the object instead of sliding along it", MembraneDesign(sticks=True)),
-    "held-membrane": NamedMembrane(
-        "other pre-stretch, stiffening, air and distribution of stiffness",
-        MembraneDesign(
-            apex_m=0.067, dead_volume_m3=0.0060, stiffness_n_m=260.0, stiffening=0.08, prestretch=1.08,
-            stiffness_slope=-0.4, centre_stiffness=1.35,
-        ),
-        held_out=True,
+#: Membranes by name; the one held out is reserved for judging methods.
+MEMBRANES: Final[dict[str, MembraneDesign]] = {
+    STANDARD: MembraneDesign(),
+    "soft": MembraneDesign(apex_m=0.050, stiffness_n_m=150.0, stiffening=0.05, prestretch=1.03),
+    "taut": MembraneDesign(apex_m=0.052, stiffness_n_m=300.0, stiffening=0.12, prestretch=1.12),
+    "tall": MembraneDesign(apex_m=0.080),
+    "uneven": MembraneDesign(stiffness_slope=0.6, centre_stiffness=0.75),
+    "sticky": MembraneDesign(sticks=True),
+    "held-membrane": MembraneDesign(
+        apex_m=0.067, dead_volume_m3=0.0060, stiffness_n_m=260.0, stiffening=0.08, prestretch=1.08,
+        stiffness_slope=-0.4, centre_stiffness=1.35,
     ),
 }  # fmt: skip
-
-HELD_OUT: Final = tuple(name for name, pressed in OBJECTS.items() if pressed.held_out)
 
 #: Gaps before and depths after first touch, metres; one frame each, so the approach is 150 mm/s and the
 #: press 45 mm/s at 30 frames/s.
@@ -81,8 +57,7 @@ _HIGH: Final = {
     "mug": ((0.060, 0.010), 0.095),
     "hand": ((0.065, -0.005), 0.080),
 }
-#: Largest gap of an object that hovers, millimetres, and the gap of one that is far away, metres.
-MAX_GAP_MM: Final = 100.0
+#: Gap of an object that is far away, metres.
 _AWAY_M: Final = 0.060
 #: How deep the tray's roll axis is, metres, and the rolls at which its scene is solved, degrees.
 _TRAY_DEPTH_M: Final = 0.016
@@ -95,10 +70,6 @@ _MOVE_TURN_DEG: Final = 44.0
 _MOVE_SWAY_M: Final = 0.012
 _MOVE_SWAY_DEG: Final = 4.0
 _MOVE_STATES: Final = 75
-#: Turn of a lifted cup about its own axis at the end, and the power of the path's share that makes its handle leave the
-#: membrane, at 20 degrees, half way. From 85 degrees the handle is hidden behind the cup.
-_LIFT_DEG: Final = 100.0
-_LIFT_POWER: Final = 2.3
 #: The cup's handle, about which it turns, in its own x and y; other objects turn about their origin.
 _HANDLE_M: Final = (0.043, 0.0)
 #: Cells of the mesh of a still press, which is ground truth, and of a press that resolves the folds.
@@ -114,8 +85,8 @@ class Variant:
 
     ``press`` holds a press, "none" shows the untouched membrane. A high press is on the ``side`` of the centre that is
     nearer to the tactile ("right") or to the proximity camera, there turned by 180 degrees. ``gap_mm`` above 0 holds
-    the object off the membrane. ``move`` turns and moves it across a folded membrane; "lift" takes the cup's handle off
-    it for half of the time. ``membrane`` is one of `MEMBRANES`, ``grid`` its print.
+    the object off the membrane. ``move`` turns and moves it across a folded membrane. ``membrane`` is one of
+    `MEMBRANES`, ``grid`` its print.
     """
 
     press: Press = ""
@@ -147,8 +118,6 @@ class Scene:
     way: tuple[Step, ...]
     drawn: tuple[int, ...]
     frames: tuple[int, ...]
-    #: Object or membrane is reserved for judging methods.
-    held_out: bool
 
     @property
     def key(self) -> str:
@@ -157,10 +126,10 @@ class Scene:
 
 
 def resolve_scene(name: str, variant: Variant | None = None, cells: tuple[int, int] | None = None) -> Scene:
-    """Return a scene by its name; raises a `SourceError` for one that does not exist or does not have these options."""
+    """Return a scene by its name; raises a `SourceError` if it does not have these options."""
     variant = variant or Variant()
     _check(name, variant)
-    press, pressed, membrane = variant.press, OBJECTS[name], MEMBRANES[variant.membrane]
+    press, pressed, design = variant.press, OBJECTS[name], MEMBRANES[variant.membrane]
     if press == "none":
         way = _still(-_AWAY_M)
     elif press:
@@ -171,11 +140,11 @@ def resolve_scene(name: str, variant: Variant | None = None, cells: tuple[int, i
     elif variant.move:
         about_x, about_y, heading = pressed.rotation_deg
         pressed = replace(pressed, rotation_deg=(about_x, about_y, 0.0))
-        way = _move(variant.move, heading, _HANDLE_M if pressed.kind == CUP else (0.0, 0.0))
+        way = _slide(heading, _HANDLE_M if pressed.kind == CUP else (0.0, 0.0))
     else:
         way = _roll() if name == "tray" else _approach()
-    usual = _FINE_CELLS if press not in ("", "none") else _MOVE_CELLS if variant.move else membrane.design.cells
-    design = replace(membrane.design, fold_m=_FOLD_M if variant.move else 0.0, cells=cells or usual)
+    usual = _FINE_CELLS if press not in ("", "none") else _MOVE_CELLS if variant.move else design.cells
+    design = replace(design, fold_m=_FOLD_M if variant.move else 0.0, cells=cells or usual)
     words = (
         name,
         variant.membrane if variant.membrane != STANDARD else "",
@@ -187,7 +156,7 @@ def resolve_scene(name: str, variant: Variant | None = None, cells: tuple[int, i
         "{}x{}".format(*design.cells),
     )
     title = "-".join(word for word in words if word)
-    return Scene(title, pressed, design, variant.grid, *way, pressed.held_out or membrane.held_out)
+    return Scene(title, pressed, design, variant.grid, *way)
 
 
 def _still_press(shape: str, press: Press, side: Side) -> tuple[PressedObject, float]:
@@ -203,29 +172,12 @@ def _still_press(shape: str, press: Press, side: Side) -> tuple[PressedObject, f
 
 
 def _check(name: str, variant: Variant) -> None:
-    if name not in OBJECTS:
-        raise SourceError(f"the simulator has no scene {name!r}; choose one of {', '.join(OBJECTS)}")
-    choices = {
-        "membrane": tuple(MEMBRANES),
-        "press": get_args(Press),
-        "move": get_args(Move),
-        "side": get_args(Side),
-        "grid": get_args(Print),
-    }
-    for option, known in choices.items():
-        given = getattr(variant, option)
-        if given not in known:
-            raise SourceError(f"sim:{name}: {option} is {given!r}; choose one of {', '.join(filter(None, known))}")
-    if not 0.0 <= variant.gap_mm <= MAX_GAP_MM:
-        raise SourceError(f"sim:{name}: gap is {variant.gap_mm:g}, but it must be 0 to {MAX_GAP_MM:g} mm")
     pressed = variant.press not in ("", "none")
     misfits = {
         "press, gap and move exclude each other": sum((pressed, variant.gap_mm > 0, variant.move != "")) > 1,
         "side is for press=high": variant.side != Variant.side and variant.press != "high",
         "the tray rolls, it has no move": bool(variant.move) and name == "tray",
-        "only the cup's handle can be lifted": variant.move == "lift" and name != "cup",
-        f"on the membrane {variant.membrane} nothing slides": bool(variant.move)
-        and MEMBRANES[variant.membrane].design.sticks,
+        f"on the membrane {variant.membrane} nothing slides": bool(variant.move) and MEMBRANES[variant.membrane].sticks,
     }
     for sentence, applies in misfits.items():
         if applies:
@@ -250,9 +202,9 @@ def _still(depth_m: float) -> Way:
     return way, (len(way) - 1,), (0,) * _STILL_FRAMES
 
 
-def _move(move: Move, heading_deg: float, centre_m: tuple[float, float]) -> Way:
+def _slide(heading_deg: float, centre_m: tuple[float, float]) -> Way:
     """Press, then turn about a point of the object while it moves across the membrane, and back the same way."""
-    places = [_moved(n / (_MOVE_STATES - 1), move, heading_deg, centre_m) for n in range(_MOVE_STATES)]
+    places = [_place(n / (_MOVE_STATES - 1), heading_deg, centre_m) for n in range(_MOVE_STATES)]
     return _there_and_back(_still(_MOVE_DEPTH_M)[0], places)
 
 
@@ -263,15 +215,14 @@ def _there_and_back(inward: tuple[Step, ...], places: list[Step]) -> Way:
     return tuple(way), tuple(range(len(inward) - 1, len(way))), tuple(there + there[::-1])
 
 
-def _moved(time: float, move: Move, heading_deg: float, centre_m: tuple[float, float]) -> Step:
+def _place(time: float, heading_deg: float, centre_m: tuple[float, float]) -> Step:
     """Return the place of a moving object at a share of the time there; it starts and ends at rest."""
     share = (1.0 - math.cos(math.pi * time)) / 2
     sway = math.sin(2 * math.pi * share)
-    lift_deg = _LIFT_DEG * share**_LIFT_POWER if move == "lift" else 0.0
     turn = _MOVE_TURN_DEG * (share - 0.5)
     before, now = (complex(*centre_m) * cmath.rect(1.0, math.radians(heading_deg + more)) for more in (0.0, turn))
     shift = complex(_MOVE_ACROSS_M * (share - 0.5), _MOVE_SWAY_M * sway) + before - now
-    turns = _MOVE_SWAY_DEG * sway, _MOVE_SWAY_DEG * sway - lift_deg, heading_deg + turn
+    turns = _MOVE_SWAY_DEG * sway, _MOVE_SWAY_DEG * sway, heading_deg + turn
     return Step(shift.real, shift.imag, _MOVE_DEPTH_M, turns)
 
 

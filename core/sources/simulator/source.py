@@ -23,7 +23,7 @@ from .noise import NoiseModel
 from .render import CLEAN_UNIT_M, CONTACT_FLAG
 from .scene import CleanState, Press, PressFacts, simulator_rig
 from .scenes import Scene, Variant, resolve_scene
-from .sensors import DEFAULT_SENSOR, find_sensor
+from .sensors import DEFAULT_SENSOR, SENSORS
 
 #: The tactile camera's exposure begins this much after the proximity camera's, seconds.
 _SKEW_S: Final = 0.0021
@@ -51,19 +51,14 @@ class SimulatorSource(SeekableSource):
         variant: Variant | None = None,
         sensor: str = DEFAULT_SENSOR,
     ) -> None:
-        variant, errors = variant or Variant(), find_sensor(sensor)
+        variant = variant or Variant()
         self.scene = resolve_scene(scene, variant, cells)
         name = write_name(name_values(scene, variant, sensor, seed, noise))
         super().__init__(name, simulator_rig(), len(self.scene.frames))
         self._message = ""
         self._solved = self._solve(self.scene, progress or (lambda share, words: None))
-        self._noise = NoiseModel(self.rig, seed, noise, errors)
+        self._noise = NoiseModel(self.rig, seed, noise, SENSORS[sensor])
         self._made_of = (scene, seed, noise, cells, variant, sensor)
-
-    @property
-    def held_out(self) -> bool:
-        """Whether the object, the membrane or the sensor is reserved for judging methods, not for developing them."""
-        return self.scene.held_out or self._noise.sensor.held_out
 
     def with_object_away(self, progress: Progress | None = None) -> SimulatorSource:
         """Return the same membrane with the object far away, and with other noise."""
@@ -105,7 +100,7 @@ class SimulatorSource(SeekableSource):
         progress(0.0, f"Looking for the scene {_title(scene)} in the cache")
         solved = _open_scenes.get(path) or find_solved(path, len(scene.drawn))
         if solved is None:
-            solved = self._compute(scene, progress)
+            solved = self.solve_anew(scene, progress)
             try:
                 save_scene(path, solved)
             except ExportError as error:
@@ -114,15 +109,11 @@ class SimulatorSource(SeekableSource):
         progress(1.0, f"The scene {_title(scene)} is ready")
         return solved
 
-    def solve_anew(self, progress: Progress) -> SolvedScene:
-        """Return the states of the scene, computed without looking for a file, and keep no file."""
-        return self._compute(self.scene, progress)
-
     def _press(self, scene: Scene) -> Press:
         """Return the press that is solved and drawn."""
         return Press(scene, deepcopy(_inflated(scene.design)), self.rig)
 
-    def _compute(self, scene: Scene, progress: Progress) -> SolvedScene:
+    def solve_anew(self, scene: Scene, progress: Progress) -> SolvedScene:
         """Solve the states in turn while a second thread draws the solved ones."""
         progress(0.0, "Inflating the simulated membrane; the very first time its solver is compiled, too")
         press = self._press(scene)

@@ -78,7 +78,7 @@ def test_times_are_those_of_each_method_and_press(plan):
 
 def test_a_plan_holds_what_methods_are_developed_on_or_what_is_held_out(tmp_path):
     plan = plan_table(Preset(), tmp_path)
-    known = {name for name, entry in MEMBRANES.items() if not entry.held_out}
+    known = {name for name in MEMBRANES if name != "held-membrane"}
     assert {scene.membrane for scene in plan.scenes} == known
     assert len(plan.scenes) == len(known) * 3 * 4 and plan.seeds == (0, 1) and plan.methods == table_methods()
     held = plan_table(Preset(), tmp_path, sensors=(), held_out=True, seeds=3)
@@ -116,7 +116,7 @@ def test_averages_are_over_sides_then_objects_then_seeds_then_membranes():
     assert mean_rmse_mm(cells) == pytest.approx((((2 + 4) / 2 + 5) / 2 + 10) / 2)
 
 
-def test_the_text_tells_missing_patches_and_the_worst_case():
+def test_the_text_tells_missing_patches():
     cells = [
         cell(1.0, method="fusion-membrane"), cell(0.5, method=BEST_T),
         cell(None, object="cube", method="fusion-membrane", failure=table.NO_CONTACT_FOUND, true_mm2=500.0),
@@ -125,4 +125,4 @@ def test_the_text_tells_missing_patches_and_the_worst_case():
     text = table_text(cells, {("a", "fusion-membrane", "low"): 3.14})
     line = next(line for line in text.splitlines() if "fusion-membrane" in line)
     assert line.split() == ["a", "fusion-membrane", "1.00", "-", "1", "3.1"]
-    assert "0 of 1 cases" in text and "2.00 times" in text and "mechanics: it gave up" in text
+    assert "mechanics: it gave up" in text

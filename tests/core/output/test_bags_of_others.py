@@ -6,14 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from tactune.core.errors import SourceError
 from tactune.core.model.frames import Rig, SensorFrame
-from tactune.core.model.intrinsics import Distortion
 from tactune.core.output import RecordingStatus
 from tactune.core.sources.mcap.source import McapSource
 
@@ -94,25 +92,9 @@ def test_a_copy_that_is_cut_off_plays_up_to_there(
             assert same_frame(source.read(index), frames[index])
 
 
-def test_a_bag_without_our_topics_takes_lenses_poses_and_stamps_from_ros(
-    tmp_path: Path, ours: Path, rig: Rig, frames: list[SensorFrame]
-) -> None:
-    with McapSource(rewrite(ours, tmp_path / "plain.mcap", without=("/tactune", "/truth"), late=True)) as source:
-        assert source.health().message == "this recording has no rig: depth counts as millimetres, as ROS has it"
-        played = list(source)
-        found = source.rig
-    assert [frame.sequence for frame in played] == [0, 1, 2, 3, 4]
-    for frame, expected in zip(played, frames, strict=True):
-        np.testing.assert_array_equal(frame.tactile_depth, expected.tactile_depth)
-        np.testing.assert_array_equal(frame.proximity_color, expected.proximity_color)
-        assert frame.truth is None
-        assert frame.proximity_time_s == pytest.approx(expected.proximity_time_s, abs=1e-9)
-        assert frame.tactile_time_s == pytest.approx(expected.tactile_time_s, abs=1e-9)
-    assert found.proximity.depth_unit_m == found.tactile.depth_unit_m == 0.001
-    assert found.tactile.intrinsics == rig.tactile.intrinsics
-    assert found.tactile.intrinsics.distortion is Distortion.BROWN_CONRADY
-    np.testing.assert_allclose(found.T_proximity_tactile, rig.T_proximity_tactile, atol=1e-12)
-    np.testing.assert_allclose(found.proximity_color.T_color_depth, rig.proximity_color.T_color_depth, atol=1e-12)
+def test_a_bag_without_a_rig_is_refused(tmp_path: Path, ours: Path) -> None:
+    with pytest.raises(SourceError, match=r"has no rig: neither rig\.json nor /tactune/rig; record it with Tactune"):
+        McapSource(rewrite(ours, tmp_path / "plain.mcap", without=("/tactune",)))
 
 
 def test_a_bag_without_one_of_the_depth_cameras_is_refused(

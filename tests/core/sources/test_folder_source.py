@@ -36,19 +36,6 @@ def test_an_export_gives_back_every_bit(tmp_path: Path) -> None:
     assert same_frame(untouched, stored)
 
 
-def test_truth_in_a_png_is_in_counts_with_0_and_65535_unknown(recording: Path) -> None:
-    folder = recording / "000000"
-    (folder / "truth_depth.npy").unlink()
-    counts = np.full((5, 7), 1000, np.uint16)
-    counts[0, :2] = 0, 65535
-    cv2.imwrite(str(folder / "truth_depth.png"), counts)
-    truth = FolderSource(recording).read(0).truth
-    assert truth is not None
-    assert truth.depth_m is not None
-    assert np.isnan(truth.depth_m[0, :2]).all()
-    assert (truth.depth_m[1:] == np.float32(0.25)).all()
-
-
 # --- reading ---------------------------------------------------------------------------------------
 
 

@@ -109,7 +109,7 @@ def test_a_folder_is_opened_by_scheme_or_by_its_rig(recording: Path) -> None:
         ("realsense:1", r"cameras:1: give both serial numbers, as in cameras:f0090001,130322270002, or none"),
         ("folder:nowhere", r"folder:nowhere: there is no folder nowhere"),
         ("bag:nowhere", r"bag:nowhere: there is no file nowhere"),
-        ("sim:table", "no scene 'table'"),
+        ("sim:table", "scene is 'table'"),
         ("folder:~nosuchuser/scene", r"there is no folder ~nosuchuser/scene"),
     ],
 )

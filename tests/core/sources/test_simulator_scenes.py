@@ -10,18 +10,14 @@ from tactune.core.sources.simulator.names import read_name, write_name
 from tactune.core.sources.simulator.objects import distance
 from tactune.core.sources.simulator.scene import RIM_M
 from tactune.core.sources.simulator.scenes import (
-    HELD_OUT,
     MEMBRANES,
     STANDARD,
     TRAY_ROLLS_DEG,
     Variant,
-    resolve_scene,
 )
 from tactune.core.sources.simulator.source import SimulatorSource
 
 COARSE = (60, 36)
-#: Outside of this distance from the cup's axis there is only its handle, metres.
-BODY_M = 0.042
 
 
 def open_coarse(scene, noise=0.0, **variant):
@@ -31,21 +27,19 @@ def open_coarse(scene, noise=0.0, **variant):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("teapot", "no scene 'teapot'; choose one of cube, cup"),
+        ("teapot", "scene is 'teapot'; choose one of cube, cup"),
         ("cube?press=hard", "press is 'hard'; choose one of none, low, medium, high"),
         ("cube?press=low&gap=3", "press, gap and move exclude each other"),
         ("cup?move=slide&press=low", "press, gap and move exclude each other"),
         ("cube?gap=nan", "gap is 'nan'"),
         ("cube?press=low&side=left", "side is for press=high"),
         ("cube?grid=lines", "grid is 'lines'"),
-        ("cube?move=lift", "only the cup's handle can be lifted"),
         ("tray?move=slide", "the tray rolls"),
         ("cup?move=slide&membrane=sticky", "on the membrane sticky nothing slides"),
         ("cube?membrane=drum", "membrane is 'drum'; choose one of standard, soft, taut, tall, uneven"),
-        ("cube?sensor=eye", "no sensor 'eye'"),
+        ("cube?sensor=eye", "sensor is 'eye'"),
         ("cube?seed=-1", "seed is '-1'"),
         ("cube?noise=200", "noise is '200'"),
-        ("cube?seed=1&seed=2", "given twice"),
         ("cube?light=dim", "no option 'light'"),
         ("cube?seed", "are no options"),
     ],
@@ -105,15 +99,6 @@ def test_hovering_object_keeps_its_gap(gap_mm):
         assert np.nanquantile(behind[frame.truth.depth_m > 0], 0.0005) == pytest.approx(gap_mm / 1e3, abs=1.5e-3)
 
 
-@pytest.mark.parametrize("shape", HELD_OUT)
-def test_held_out_shapes_say_so_and_press(shape):
-    with open_coarse(shape, press="medium") as source:
-        assert source.held_out
-        assert source.read(0).truth.contact.sum() > 500
-        assert source.facts(0).residual < 1e-3
-    assert not resolve_scene("cube").pressed.held_out
-
-
 @pytest.mark.parametrize(
     ("shape", "press"),
     [
@@ -124,12 +109,11 @@ def test_held_out_shapes_say_so_and_press(shape):
 )
 @pytest.mark.parametrize("membrane", MEMBRANES)
 def test_every_membrane_is_solved_and_has_its_rim_at_the_same_place(membrane, shape, press):
-    design = MEMBRANES[membrane].design
+    design = MEMBRANES[membrane]
     with open_coarse(shape, press="none", membrane=membrane) as source:
         frame, rest = source.read(0), source.facts(0)
         assert np.nanmax(frame.truth.depth_m) == pytest.approx(RIM_M + design.apex_m, abs=2e-4)
         assert rest.residual < 1e-3
-        assert source.held_out is MEMBRANES[membrane].held_out
         assert ("membrane=" in source.name) is (membrane != STANDARD)
     with open_coarse(shape, press=press, membrane=membrane) as source:
         facts = source.facts(0)
@@ -162,13 +146,13 @@ def test_the_tray_rolls_there_and_back_with_its_underside_as_its_plane():
 
 
 @pytest.fixture(scope="module")
-def lift():
-    return SimulatorSource("cup", noise=0.0, cells=(68, 40), variant=Variant(move="lift"), sensor="clean")
+def slide():
+    return SimulatorSource("cup", noise=0.0, cells=(68, 40), variant=Variant(move="slide"), sensor="clean")
 
 
-def test_the_cup_turns_about_its_handle_smoothly_for_five_seconds(lift):
-    assert lift.length == 5 * lift.frame_rate_hz
-    poses = np.array([lift.facts(n).T_proximity_object for n in range(lift.length)])
+def test_the_cup_turns_about_its_handle_smoothly_for_five_seconds(slide):
+    assert slide.length == 5 * slide.frame_rate_hz
+    poses = np.array([slide.facts(n).T_proximity_object for n in range(slide.length)])
     np.testing.assert_array_equal(poses[::-1], poses)
     turned = np.einsum("nji,njk->nik", poses[:-1, :3, :3], poses[1:, :3, :3])
     angles = np.degrees(np.arccos(np.clip((np.trace(turned, axis1=1, axis2=2) - 1) / 2, -1, 1)))
@@ -177,31 +161,20 @@ def test_the_cup_turns_about_its_handle_smoothly_for_five_seconds(lift):
     assert np.abs(np.diff(moved)).max() < 0.0005 and moved[[0, -1]].max() < 0.0005
     handle = poses[:75, :3, :3] @ (0.043, 0.0, 0.0) + poses[:75, :3, 3]
     across = (1 - np.cos(np.pi * np.linspace(0, 1, 75))) / 2
-    # until the cup turns about its own axis, too
-    assert np.abs((handle - handle[0])[:20, 0] - 0.040 * across[:20]).max() < 0.001
+    assert np.abs((handle - handle[0])[:, 0] - 0.040 * across).max() < 0.001
 
 
 @pytest.mark.parametrize("n", [0, 74])
-def test_the_images_show_the_object_at_its_true_pose(lift, n):
-    frame, identity = lift.read(n), np.eye(4)[:3]
+def test_the_images_show_the_object_at_its_true_pose(slide, n):
+    frame, identity = slide.read(n), np.eye(4)[:3]
 
     def gaps(points):
-        return np.abs([distance(lift.scene.pressed.kind, identity, *point) for point in points[::10]])
+        return np.abs([distance(slide.scene.pressed.kind, identity, *point) for point in points[::10]])
 
-    touched = on_object(lift, frame, frame.truth.depth_m, frame.truth.contact)
+    touched = on_object(slide, frame, frame.truth.depth_m, frame.truth.contact)
     assert len(touched) > 1500
     assert np.median(gaps(touched)) < 2e-4
-    depth = frame.proximity_depth * lift.rig.proximity.depth_unit_m
-    behind = on_object(lift, frame, depth, (frame.proximity_depth > 0) & (depth < 0.36))
+    depth = frame.proximity_depth * slide.rig.proximity.depth_unit_m
+    behind = on_object(slide, frame, depth, (frame.proximity_depth > 0) & (depth < 0.36))
     assert len(behind) > 8000
     assert np.percentile(gaps(behind), 90) < 5e-4
-
-
-def test_the_handle_leaves_the_membrane_for_half_of_the_time(lift):
-    gone = []
-    for n in range(0, 75, 3):
-        frame = lift.read(n)
-        points = on_object(lift, frame, frame.truth.depth_m, frame.truth.contact)
-        gone.append(np.count_nonzero(np.hypot(points[:, 0], points[:, 2]) > BODY_M) <= 20)
-    assert 0.4 < np.mean(gone) < 0.6
-    assert gone == sorted(gone)

@@ -147,21 +147,6 @@ def test_the_cache_has_a_largest_size(tmp_path, monkeypatch):
     assert {file.stem for file in tmp_path.iterdir()} == {"cup-6", "cup-5", "cup-0", "cup-1"}
 
 
-def test_comments_and_docstrings_do_not_change_the_key(tmp_path, monkeypatch):
-    def key(**texts):
-        for name in cache.CLEAN_CODE:
-            (tmp_path / name).write_text("X = 1\n")
-        (tmp_path / "mesh.py").write_text(texts["mesh"])
-        monkeypatch.setattr(cache, "__file__", str(tmp_path / "cache.py"))
-        cache._clean_code.cache_clear()
-        return cache_file("cup", "").name
-
-    first = key(mesh='"""Words."""\n\n# why\ndef f(x):\n    """Double."""\n    return 2 * x\n')
-    assert first == key(mesh='"""Other."""\ndef f(x):\n    return 2 * x  # twice\n')
-    assert first != key(mesh='"""Words."""\ndef f(x):\n    """Double."""\n    return 3 * x\n')
-    cache._clean_code.cache_clear()
-
-
 def test_a_scene_is_computed_once_and_survives_a_cache_that_fails(tmp_path, monkeypatch):
     monkeypatch.setattr(cache, "user_cache_dir", lambda name: str(tmp_path / name))
     computed, fake, low = [], fake_scene(1, largest=0), Variant(press="low")

@@ -154,7 +154,7 @@ def test_a_mask_that_covers_the_image():
     assert mended(found, covered, rig, frame)
 
 
-@pytest.mark.parametrize("sensor", ["white", "l515-d405", "datasheet"])
+@pytest.mark.parametrize("sensor", ["l515-d405", "datasheet"])
 @pytest.mark.parametrize("preset", [NO_MASK, TOLERANCE.with_values({"mask.enabled": False})])
 def test_contact_of_nothing_but_prints(request, sensor, preset):
     if sensor == "datasheet" and preset is NO_MASK:
