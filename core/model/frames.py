@@ -134,7 +134,6 @@ class Rig(_Frozen):
 class TrueStrain:
     """Largest in-plane strain of the membrane, relative to the flat clamped state."""
 
-    largest: float  # In any direction anywhere on the membrane; it increases with a finer solver mesh
     #: Along the membrane's length and width between neighbours of a grid of 10 mm.
     length: float
     width: float

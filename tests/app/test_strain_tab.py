@@ -38,7 +38,7 @@ def pressed(untouched=True, dots=True) -> FakeSource:
 
     def make(index, rig):
         frame = sheet(index, (1 + 0.05 * index, 1 + 0.02 * index), 0.3 - 0.003 * index, dots)
-        strain = TrueStrain(0.09 * index, 0.05 * index, 0.02 * index, 0.05 * index, 0.02 * index)
+        strain = TrueStrain(0.05 * index, 0.02 * index, 0.05 * index, 0.02 * index)
         return replace(frame, truth=GroundTruth(np.zeros((240, 320), bool), strain=strain))
 
     return FakeSource(rig=RIG, make=make, untouched=sheet(0) if untouched else None)

@@ -29,7 +29,6 @@ class Images:
     encoding: str
     clock: str | None = "Hardware Clock"
     clocks: list[str] | None = None
-    arrived_s: list[float] | None = None
     lens: str = "None"
     D: tuple[float, ...] = (0.0,) * 5
     K: tuple[float, float, float, float] = (20.0, 21.0, 3.5, 2.5)
@@ -125,9 +124,8 @@ class BagMaker:
                 rotation=T["geometry_msgs/msg/Quaternion"](*rotation.as_quat()),
             )
         clocks = stream.clocks or [stream.clock] * len(stream.images)
-        arrived_s = stream.arrived_s or [0.0] * len(stream.images)
-        columns = (stream.images, stream.recorded_s, stream.stamps_s, clocks, arrived_s)
-        for image, recorded_s, stamp_s, clock, arrival_s in zip(*columns, strict=True):
+        columns = (stream.images, stream.recorded_s, stream.stamps_s, clocks)
+        for image, recorded_s, stamp_s, clock in zip(*columns, strict=True):
             array = image.astype(">u2") if stream.big_endian else image
             rows = np.ascontiguousarray(array).view(np.uint8).reshape(image.shape[0], -1)
             rows = np.pad(rows, ((0, 0), (0, stream.padding)), constant_values=7)
@@ -144,7 +142,7 @@ class BagMaker:
                 data=rows.reshape(-1)[: rows.size - stream.missing_bytes],
             )
             if clock is not None:
-                for key, value in (("system_time", f"{arrival_s * 1e3:.6f}"), ("timestamp_domain", clock)):
+                for key, value in (("system_time", "0.0"), ("timestamp_domain", clock)):
                     kind = "diagnostic_msgs/msg/KeyValue"
                     self.add(recorded_s, f"{topic}/image/metadata", kind, key=key, value=value)
 

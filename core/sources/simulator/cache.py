@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final
@@ -24,7 +23,6 @@ from .scene import CleanState, PressFacts
 _IMAGES_VERSION: Final = 1
 #: Folder of the solved scenes in the package.
 SHIPPED: Final = Path(__file__).with_name("solved")
-MAX_CACHE_BYTES: Final = 4_000_000_000
 
 _IMAGES: Final = tuple(field.name for field in fields(CleanState))
 _FACTS = TypeAdapter(list[PressFacts])
@@ -60,27 +58,14 @@ def load_scene(path: Path, count: int) -> SolvedScene | None:
         states = [CleanState(**{name: images[name][n] for name in _IMAGES}) for n in range(count)]
     except Exception:  # a damaged file may raise anything
         return None
-    with suppress(OSError):
-        path.touch()
     return SolvedScene(states, facts) if len(facts) == count else None
 
 
 def save_scene(path: Path, scene: SolvedScene) -> None:
-    """Write a scene to a file, whole or not at all, and remove the files that were used least recently."""
+    """Write a scene to a file, whole or not at all."""
     arrays: dict[str, Any] = {"facts": np.frombuffer(_FACTS.dump_json(list(scene.facts)), np.uint8)}
     for name in _IMAGES:
         arrays[name] = np.stack([getattr(state, name) for state in scene.states])
         arrays[name][1:] -= arrays[name][:-1].copy()
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, **arrays)
-    _clean_up(path)
-
-
-def _clean_up(newest: Path) -> None:
-    """Keep as many of the most recently used files as fit."""
-    total = 0
-    with suppress(OSError):  # another process removes files, too
-        for file in sorted(newest.parent.iterdir(), key=lambda file: file.stat().st_mtime, reverse=True):
-            total += file.stat().st_size
-            if total > MAX_CACHE_BYTES and file != newest:
-                file.unlink()

@@ -38,7 +38,7 @@ def true_strain(membrane: Membrane, nodes: Float64Array, camera: Camera) -> True
         both = np.take(whole, range(1, whole.shape[axis]), axis) & np.take(whole, range(whole.shape[axis] - 1), axis)
         largest.append((float(strain.max()), float(strain[both].max(initial=0.0))))
     (length, length_seen), (width, width_seen) = largest
-    return TrueStrain(float(membrane.stretches(nodes).max()) - 1.0, length, width, length_seen, width_seen)
+    return TrueStrain(length, width, length_seen, width_seen)
 
 
 def _dots_shown(membrane: Membrane, nodes: Float64Array, camera: Camera) -> Float64Array:

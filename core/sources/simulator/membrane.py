@@ -397,15 +397,6 @@ class Membrane:
         lower = (1 - fs) * grid[j + 1, i] + fs * grid[j + 1, i + 1]
         return np.asarray((1 - ft) * upper + ft * lower)
 
-    def stretches(self, nodes: Float64Array) -> Float64Array:
-        """Return the principal stretches of every triangle, (T, 2), larger first."""
-        corners = nodes[self.mesh.triangles]
-        edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
-        gradient = edges @ self.mesh.inverse
-        squares = np.linalg.eigvalsh(gradient.transpose(0, 2, 1) @ gradient)
-        stretches: Float64Array = np.sqrt(squares[:, ::-1])
-        return stretches
-
 
 def object_pose(rotation: Any, origin: Any) -> Float64Array:
     """Return the 3 x 4 matrix from the surrounding frame to an object's frame."""

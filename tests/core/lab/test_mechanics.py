@@ -93,26 +93,6 @@ def test_contact_radius_under_a_flat_plate(shallow, nodes, share, monkeypatch):
     assert pixel_scores(patch.mask, frame.truth.contact).iou > 0.93
 
 
-def test_the_minimum_is_no_worse_than_any_feasible_neighbour(bulged):
-    """Random steps in the null space of A that keep the pressures positive do not lower the objective."""
-    method = mechanics(bulged)
-    problem = method.problem
-    way = method.way_m(bulged.frame(0.5 * bulged.radius_m, noise_m=0.0005).tactile_depth)
-    P, q = problem.program(way)
-    x = problem.solve(way)
-    assert np.abs(problem.A @ x).max() < 1e-6
-    assert x[problem.positive].min() > -1e-6
-    random = np.random.default_rng(0)
-    best = x @ P @ x / 2 + q @ x
-    moved = problem.positive.start
-    for _ in range(20):
-        target = np.maximum(x[problem.positive] + random.normal(0, 0.1, len(x) - moved), 0)
-        free = problem.A[:, :moved]
-        rest = spsolve(free.tocsc(), -problem.A[:, problem.positive] @ target)
-        other = np.concatenate([rest, target])
-        assert other @ P @ other / 2 + q @ other >= best - 1e-6 * abs(best)
-
-
 def test_nothing_presses_on_the_untouched_membrane(bulged):
     patch = mechanics(bulged).find(bulged.frame(0.0, noise_m=0.0003, seed=5))
     assert len(patch.points) == 0
@@ -127,7 +107,7 @@ def test_the_cup_is_found_by_its_pressure(cup_frames):
     assert scores.precision > 0.3
 
 
-def test_failures_are_told_and_do_not_spoil_the_next_frame(bulged, monkeypatch):
+def test_failures_are_told_and_do_not_spoil_the_next_frame(bulged):
     method, frame = mechanics(bulged), bulged.frame(0.5 * bulged.radius_m)
     before = method.find(frame).points
     half = frame.tactile_depth.copy()
@@ -136,19 +116,12 @@ def test_failures_are_told_and_do_not_spoil_the_next_frame(bulged, monkeypatch):
         with pytest.raises(TactuneError, match="nodes"):
             method.find(with_tactile(frame, counts))
     np.testing.assert_array_equal(method.find(frame).points, before)
-    monkeypatch.setattr(module, "_MAX_STEPS", 2)
-    with pytest.raises(TactuneError, match="gave up after 2 steps"):
-        mechanics(bulged).find(frame)
 
 
 def test_untouched_frames_that_show_no_membrane_are_refused(bulged, cup_frames):
     frame = bulged.frame(0.0)
     with pytest.raises(TactuneError, match="take a new untouched frame"):
         MembraneMechanics(Preset(), bulged.rig, with_tactile(frame, np.zeros_like(frame.tactile_depth)))
-    strip = frame.tactile_depth.copy()
-    strip[:118] = strip[130:] = 0
-    with pytest.raises(TactuneError, match="nodes within the membrane's outline have depth"):
-        MembraneMechanics(Preset(), bulged.rig, with_tactile(frame, strip), nodes=50)
     with pytest.raises(TactuneError, match="not bulge"):
         flat = np.where(frame.tactile_depth > 0, 25_000, 0).astype(np.uint16)
         MembraneMechanics(Preset(), bulged.rig, with_tactile(frame, flat))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from folder_scenes import RIG, ListSource, LiveSource, make_frame
+from folder_scenes import RIG, ListSource, make_frame
 from tactune.core.errors import ExportError, FrameError
 from tactune.core.model.frames import Rig
 from tactune.core.sources.folder import FolderSource, export_folder
@@ -21,12 +21,6 @@ def test_export_starts_at_the_position_and_stops_after_so_many_frames(tmp_path: 
     assert told == pytest.approx([1 / 3, 2 / 3, 1.0])
     assert export_folder(source, tmp_path / "rest", frames=9, progress=lambda share, _: told.append(share)) == 1
     assert told[-1] == 1.0
-
-
-def test_a_live_source_is_exported_for_so_many_frames(tmp_path: Path) -> None:
-    assert export_folder(LiveSource(), tmp_path / "out", frames=2) == 2
-    with pytest.raises(ExportError, match=r"live is live.*how many frames"):
-        export_folder(LiveSource(), tmp_path / "other")
 
 
 def test_an_export_overwrites_nothing(tmp_path: Path) -> None:

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import gc
-import os
 
 import numpy as np
 import pytest
 
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import ExportError
-from tactune.core.model.frames import TrueStrain
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator import cache, source
-from tactune.core.sources.simulator.cache import SolvedScene, cache_file, find_solved, load_scene, save_scene
+from tactune.core.sources.simulator.cache import cache_file, find_solved
 from tactune.core.sources.simulator.objects import distance
 from tactune.core.sources.simulator.render import REFLECTIVE_FLAG
-from tactune.core.sources.simulator.scene import APEX_M, CleanState, PressFacts
+from tactune.core.sources.simulator.scene import APEX_M
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.source import SimulatorSource
 
@@ -105,84 +103,34 @@ def clean_states(simulator):
     return find_solved(path, len(scene.drawn)).states
 
 
-def fake_scene(count, largest=255):
-    """Images of random numbers up to the largest; with 0 they are packed in no time."""
-    rng = np.random.default_rng(0)
-
-    def state():
-        depths = {
-            name: rng.integers(0, 256 * largest + 1, (480, 640), np.uint16)
-            for name in ("behind", "membrane", "tactile")
-        }
-        bytes_ = {name: rng.integers(0, largest + 1, (480, 640), np.uint8) for name in ("cosine", "flags")}
-        colours = {
-            name: rng.integers(0, largest + 1, (480, 640, 3), np.uint8) for name in ("proximity_color", "tactile_color")
-        }
-        return CleanState(**depths, **bytes_, **colours)
-
-    pose = tuple(tuple(row) for row in np.eye(4).tolist())
-    facts = PressFacts(0.0, TrueStrain(0.1, 0.08, 0.09, 0.07, 0.08), 1e-4, pose)
-    return SolvedScene([state()] * count, [facts] * count)
-
-
-def test_cache_keeps_every_bit(tmp_path):
-    path = tmp_path / "new" / "cup-1.npz"
-    scene = fake_scene(2)
-    save_scene(path, scene)
-    back = load_scene(path, 2)
-    for mine, kept in zip(scene.states, back.states, strict=True):
-        for name, image in vars(mine).items():
-            np.testing.assert_array_equal(image, vars(kept)[name], strict=True)
-    assert back.facts == scene.facts
-
-
-def test_the_cache_has_a_largest_size(tmp_path, monkeypatch):
-    for age in range(3):
-        (tmp_path / f"cup-{age}.npz").write_bytes(b"x" * 1000)
-        os.utime(tmp_path / f"cup-{age}.npz", (1e9 - age, 1e9 - age))
-    save_scene(tmp_path / "cup-5.npz", fake_scene(1, largest=0))
-    size = (tmp_path / "cup-5.npz").stat().st_size
-    monkeypatch.setattr(cache, "MAX_CACHE_BYTES", 2 * size + 2500)
-    save_scene(tmp_path / "cup-6.npz", fake_scene(1, largest=0))
-    assert {file.stem for file in tmp_path.iterdir()} == {"cup-6", "cup-5", "cup-0", "cup-1"}
-
-
-def test_a_scene_is_computed_once_and_survives_a_cache_that_fails(tmp_path, monkeypatch):
+def test_a_scene_is_solved_once_and_a_damaged_file_or_a_full_disk_does_no_harm(tmp_path, monkeypatch):
     monkeypatch.setattr(cache, "user_cache_dir", lambda name: str(tmp_path / name))
-    computed, fake, low = [], fake_scene(1, largest=0), Variant(press="low")
+    solved, solve = [], SimulatorSource.solve_anew
 
-    class FakePress:
-        def __init__(self, *_):
-            computed.append(1)
-
-        def states(self):
-            return [(0.0, 0, None)]
-
-        def picture(self, index, _):
-            return fake.states[index]
-
-        def facts(self, _depth, index, _):
-            return fake.facts[index]
-
-    monkeypatch.setattr(source, "Press", FakePress)
-    monkeypatch.setattr(source, "_inflated", lambda design: None)
-    told = []
-    SimulatorSource("cube", variant=low, progress=lambda share, words: told.append((share, words)))
-    assert told[-1] == (1.0, "The scene cube low is ready")
-    assert SimulatorSource("cube", variant=low).health().message == ""
-    assert len(computed) == 1
-    (kept,) = (tmp_path / "tactune" / "simulator").iterdir()
-    kept.write_bytes(kept.read_bytes()[:1000])
+    def counted(*given):
+        solved.append(1)
+        return solve(*given)
 
     def refuse(*_):
         raise ExportError("cannot write: disk full; choose another place")
 
+    def open_again():
+        gc.collect()  # open sources share their scene; none is open now
+        simulator = SimulatorSource("cube", variant=Variant(press="low"), cells=(36, 20))
+        return images(simulator.read(3)), simulator.facts(3), simulator.health().message
+
+    monkeypatch.setattr(SimulatorSource, "solve_anew", counted)
+    first, again = open_again(), open_again()
+    assert len(solved) == 1
+    (kept,) = (tmp_path / "tactune" / "simulator").iterdir()
+    kept.write_bytes(kept.read_bytes()[:1000])
     monkeypatch.setattr(source, "save_scene", refuse)
-    gc.collect()  # open sources share their scene; none is open now
-    without = SimulatorSource("cube", variant=low)
-    assert len(computed) == 2
-    assert "disk full" in without.health().message
-    assert without.read(5).truth.contact.dtype == bool
+    damaged = open_again()
+    assert len(solved) == 2
+    for other in (again, damaged):
+        assert all(np.array_equal(a, b) for a, b in zip(first[0], other[0], strict=True))
+        assert other[1] == first[1]
+    assert first[2] == again[2] == "" and "disk full" in damaged[2]
 
 
 def test_the_default_scene_comes_with_the_package(tmp_path, monkeypatch):

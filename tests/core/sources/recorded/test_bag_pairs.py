@@ -67,9 +67,7 @@ def test_the_stamps_pair_images_whose_recorders_were_started_at_different_moment
         np.testing.assert_array_equal(frame.tactile_depth, tactile.images[index])
     assert source.health().unmatched == 4
     assert source.health().ok
-    assert source.health().message == (
-        "left out because the other camera has no image within 16.7 ms: 2 of 5 proximity and 2 of 5 tactile images"
-    )
+    assert source.health().message == "4 images without one of the other camera are left out"
 
 
 @pytest.mark.parametrize(("late_s", "expected"), [(0.016, 4), (-0.016, 4), (0.0175, 3), (-0.0175, 3)])
@@ -79,17 +77,6 @@ def test_half_a_period_is_the_limit(open_bag: Opener, tmp_path: Path, late_s: fl
     source = open_bag(two_files(tmp_path, on_global_time(1, stamps), on_global_time(2, alone)))
     assert source.length == expected
     assert source.health().unmatched == 2 * (4 - expected)
-
-
-def test_cameras_on_their_own_clocks_are_paired_by_arrival(open_bag: Opener, tmp_path: Path) -> None:
-    proximity = depth_images(1, times(4), stamps_s=times(4, 7.0), arrived_s=times(4, EPOCH_S))
-    tactile = depth_images(2, times(4), stamps_s=times(4, 999.0), arrived_s=times(4, EPOCH_S + RATE_S))
-    source = open_bag(two_files(tmp_path, proximity, tactile))
-    assert source.length == 3
-    frame = source.read(0)
-    np.testing.assert_array_equal(frame.proximity_depth, proximity.images[1])
-    np.testing.assert_array_equal(frame.tactile_depth, tactile.images[0])
-    assert frame.proximity_time_s == pytest.approx(EPOCH_S + RATE_S, abs=1e-5)
 
 
 def test_clocks_that_cannot_be_compared_are_refused(tmp_path: Path) -> None:
@@ -108,26 +95,9 @@ def test_first_images_on_the_cameras_own_clock_are_brought_to_the_others(open_ba
     assert [frame.proximity_time_s for frame in source] == pytest.approx(stamps, abs=1e-5)
 
 
-def test_recordings_of_different_moments_are_refused(tmp_path: Path) -> None:
-    proximity, tactile = on_global_time(1, times(4, EPOCH_S)), on_global_time(2, times(4, EPOCH_S + 3600.1))
-    with pytest.raises(SourceError, match=r"not recorded at the same time, but 3600\.0\d\d s apart"):
-        BagSource(two_files(tmp_path, proximity, tactile))
-
-
 def test_the_same_camera_twice_is_refused(tmp_path: Path) -> None:
     path = make_bag(tmp_path / "a.bag", L515)
     copy = tmp_path / "b.bag"
     copy.write_bytes(path.read_bytes())
     with pytest.raises(SourceError, match=r"both recordings are of the same camera, Intel RealSense L515 sn0"):
         BagSource(f"{path},{copy}")
-
-
-def test_paths_may_contain_commas(open_bag: Opener, tmp_path: Path) -> None:
-    folder = tmp_path / "lab, 3,2"
-    folder.mkdir()
-    first = make_bag(folder / "l515,a.bag", replace(L515, depth=on_global_time(1, times(3, EPOCH_S))))
-    second = make_bag(folder / "d405,b.bag", replace(D405, serial="t", depth=on_global_time(2, times(3, EPOCH_S))))
-    assert open_bag(f"{first},{second}").rig.tactile.model == D405.name
-    assert open_bag(first).rig.tactile.model == "none"
-    with open_source(f"{second},{first}") as source:
-        assert source.rig.proximity.model == L515.name

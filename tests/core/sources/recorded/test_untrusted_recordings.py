@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable
@@ -15,11 +14,6 @@ import bag_maker
 from bag_maker import D405, L515, make_bag
 from tactune.core.errors import SourceError
 from tactune.core.sources.realsense_files.source import BagSource
-
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd
 
 DATA = Path(__file__).parents[3] / "data"
 BAG, ZSTD_DB3, PNG_DB3 = (DATA / name for name in ("l515_2.54.2.bag", "d405_2.58.4.db3", "d405_2.59.1.db3"))
@@ -53,23 +47,6 @@ def test_a_file_cut_anywhere_is_refused_or_plays_what_is_whole(path: Path, tmp_p
                     np.testing.assert_array_equal(frame.proximity_depth, frames[frame.proximity_time_s])
         except SourceError as error:
             assert "record it again" in str(error)
-
-
-def _change(tmp_path: Path, source: Path, statement: str, *values: object) -> Path:
-    path = tmp_path / source.name
-    path.write_bytes(source.read_bytes())
-    with sqlite3.connect(path) as database:
-        database.execute(statement, values)
-    database.close()
-    return path
-
-
-def test_a_message_that_unpacks_to_gigabytes_is_refused(tmp_path: Path) -> None:
-    where = "topic_id = (SELECT id FROM topics WHERE name LIKE '%image/metadata')"
-    bomb = zstd.compress(bytes(2**28))
-    path = _change(tmp_path, ZSTD_DB3, f"UPDATE messages SET data = ? WHERE {where}", bomb)
-    with pytest.raises(SourceError, match=r"claims 268435456 bytes"):
-        BagSource(path)
 
 
 @pytest.mark.parametrize("has_index", [True, False])
