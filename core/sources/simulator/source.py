@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import replace
 from functools import lru_cache
@@ -14,7 +15,7 @@ import numpy as np
 
 from ...errors import ExportError
 from ...model.frames import GroundTruth, SensorFrame
-from ..base import Health, Progress, SeekableSource
+from ..base import Progress, SeekableSource
 from .cache import SolvedScene, cache_file, find_solved, save_scene
 from .membrane import Membrane
 from .mesh import MembraneDesign
@@ -55,7 +56,6 @@ class SimulatorSource(SeekableSource):
         self.scene = resolve_scene(scene, variant, cells)
         name = write_name(name_values(scene, variant, sensor, seed, noise))
         super().__init__(name, simulator_rig(), len(self.scene.frames))
-        self._message = ""
         self._solved = self._solve(self.scene, progress or (lambda share, words: None))
         self._noise = NoiseModel(self.rig, seed, noise, SENSORS[sensor])
         self._made_of = (scene, seed, noise, cells, variant, sensor)
@@ -69,10 +69,6 @@ class SimulatorSource(SeekableSource):
     def facts(self, index: int) -> PressFacts:
         """Return depth of the press, strain and true object pose of a frame."""
         return self._solved.facts[self.scene.frames[index]]
-
-    def health(self) -> Health:
-        """Report a cache that could not be written."""
-        return Health(message=self._message)
 
     def read(self, index: int) -> SensorFrame:
         """Return frame ``index``, 0 <= index < length."""
@@ -101,10 +97,8 @@ class SimulatorSource(SeekableSource):
         solved = _open_scenes.get(path) or find_solved(path, len(scene.drawn))
         if solved is None:
             solved = self.solve_anew(scene, progress)
-            try:
+            with suppress(ExportError):  # the next start takes as long
                 save_scene(path, solved)
-            except ExportError as error:
-                self._message = f"The scene was not kept, so the next start takes as long: {error}"
         _open_scenes[path] = solved
         progress(1.0, f"The scene {_title(scene)} is ready")
         return solved

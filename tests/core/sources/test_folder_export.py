@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from folder_scenes import RIG, ListSource, make_frame
-from tactune.core.errors import ExportError, FrameError
-from tactune.core.model.frames import Rig
+from folder_scenes import ListSource, make_frame
+from tactune.core.errors import ExportError
 from tactune.core.sources.folder import FolderSource, export_folder
 
 
@@ -40,14 +39,3 @@ def test_an_export_overwrites_nothing(tmp_path: Path) -> None:
     with pytest.raises(ExportError, match="already there"):
         export_folder(ListSource([make_frame(0)]), file)
     assert file.read_text() == "mine"
-
-
-def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ExportError, match="0 frames"):
-        export_folder(ListSource([make_frame(0)]), tmp_path / "out", frames=0)
-    with pytest.raises(ExportError, match="no frames left"):
-        export_folder(ListSource([]), tmp_path / "out")
-    small = Rig(proximity=RIG.tactile, tactile=RIG.tactile)
-    with pytest.raises(FrameError, match="7 x 5 pixels, the rig says 6 x 4"):
-        export_folder(ListSource([make_frame(0)], rig=small), tmp_path / "out")
-    assert list(tmp_path.iterdir()) == []

@@ -50,19 +50,6 @@ def test_a_name_is_written_without_what_is_the_default():
     assert write_name(read_name("?press=&seed=0&noise=1")) == "sim:cup"
 
 
-def test_still_presses_grow_and_only_their_noise_changes():
-    areas, strains = [], []
-    for press in ("low", "medium"):
-        with open_coarse("cube", noise=1.0, press=press) as source:
-            first, last = source.read(0), source.read(source.length - 1)
-            assert np.array_equal(first.truth.contact, last.truth.contact)
-            assert not np.array_equal(first.proximity_depth, last.proximity_depth)
-            areas.append(first.truth.contact.sum())
-            strains.append(source.facts(0).strain.length)
-    assert 0 < areas[0] < areas[1]
-    assert strains[0] < strains[1]
-
-
 def test_without_a_press_nothing_touches_the_same_membrane_and_the_noise_is_another():
     with open_coarse("cube", noise=1.0, press="medium") as pressed, pressed.with_object_away() as away:
         first, frame = pressed.read(0), away.read(0)

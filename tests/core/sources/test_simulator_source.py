@@ -117,7 +117,7 @@ def test_a_scene_is_solved_once_and_a_damaged_file_or_a_full_disk_does_no_harm(t
     def open_again():
         gc.collect()  # open sources share their scene; none is open now
         simulator = SimulatorSource("cube", variant=Variant(press="low"), cells=(36, 20))
-        return images(simulator.read(3)), simulator.facts(3), simulator.health().message
+        return images(simulator.read(3)), simulator.facts(3)
 
     monkeypatch.setattr(SimulatorSource, "solve_anew", counted)
     first, again = open_again(), open_again()
@@ -130,7 +130,6 @@ def test_a_scene_is_solved_once_and_a_damaged_file_or_a_full_disk_does_no_harm(t
     for other in (again, damaged):
         assert all(np.array_equal(a, b) for a, b in zip(first[0], other[0], strict=True))
         assert other[1] == first[1]
-    assert first[2] == again[2] == "" and "disk full" in damaged[2]
 
 
 def test_the_default_scene_comes_with_the_package(tmp_path, monkeypatch):

@@ -47,19 +47,6 @@ def test_colour_orders(open_bag: Opener, tmp_path: Path, encoding: str, order: l
     np.testing.assert_array_equal(frame.proximity_color, rgb)
 
 
-@pytest.mark.parametrize(("encoding", "luma", "chroma"), [("YUYV", 0, 1), ("yuv422", 1, 0)])
-def test_colour_as_luma_and_chroma(open_bag: Opener, tmp_path: Path, encoding: str, luma: int, chroma: int) -> None:
-    stored = np.zeros((10, 12, 2), np.uint8)
-    stored[..., luma] = 81
-    stored[:, 0::2, chroma], stored[:, 1::2, chroma] = 90, 240  # U, V of a strong red
-    color = color_images(7, [1.0], images=[stored], encoding=encoding)
-    frame = open_bag(make_bag(tmp_path / "one.bag", Device("L515", depth_images(4, [1.0]), color))).read(0)
-    red, green, blue = frame.proximity_color[5, 5].astype(int)
-    assert red > 240
-    assert green < 15
-    assert blue < 15
-
-
 @pytest.mark.parametrize("changes", [{"padding": 6}, {"big_endian": True}, {"encoding": "16UC1"}])
 def test_depth_layouts(open_bag: Opener, tmp_path: Path, changes: dict[str, Any]) -> None:
     depth = depth_images(4, [1.0], **changes)
