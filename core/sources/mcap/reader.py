@@ -30,8 +30,6 @@ from ..base import Progress
 from ..ros_image import damage_told
 
 MAGIC: Final = b"\x89MCAP0\r\n"
-#: Chunk number of a message that lies outside of chunks.
-_OUTSIDE: Final = 2**64 - 1
 #: A chunk unpacks to at most this, plus 8 times the size of the file. One frame takes 20 MB.
 _MAX_CHUNK_BYTES: Final = 2**26
 #: A channel has at most this many messages, plus one for each 8 bytes of the file.
@@ -83,9 +81,6 @@ class McapFile:
             raise SourceError(f"{self.path} is closed; open it again")
         with damage_told(self.path, "it is damaged"):
             chunk, offset = int(place[1]), int(place[2])
-            if chunk == _OUTSIDE:
-                _, length = struct.unpack("<BQ", self._read(offset, 9))
-                return memoryview(self._read(offset + 31, length - 22))
             data = self._chunk_data(chunk)
             opcode, length = struct.unpack_from("<BQ", data, offset)
             if opcode != Opcode.MESSAGE or not 22 <= length <= len(data) - offset - 9:
@@ -127,9 +122,6 @@ class McapFile:
                         self._progress(offset / self._size, f"indexing {self.path.name}")
                 elif opcode == Opcode.MESSAGE_INDEX:
                     indexes.append(self._read(start, length))
-                elif opcode == Opcode.MESSAGE:
-                    channel, log_time_ns = struct.unpack("<H4xQ", self._read(start, 14))
-                    self._add_place(channel, log_time_ns, _OUTSIDE, start - 9)
                 elif opcode == Opcode.ATTACHMENT:
                     self._attachments[Attachment.read(_stream(self._read(start, length))).name] = start, length
                 elif opcode == Opcode.METADATA:
