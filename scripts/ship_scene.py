@@ -1,6 +1,6 @@
 """Solve the simulator's default scene and write it into the package, where the first start finds it.
 
-Needed whenever the parameters or, with the version in the cache module, the code of the clean images change; a test
+Needed whenever the parameters or, with `_IMAGES_VERSION`, the code of the clean images change; a test
 says so. Older files are removed.
 
     .venv/bin/python scripts/ship_scene.py
@@ -8,8 +8,7 @@ says so. Older files are removed.
 
 from __future__ import annotations
 
-from tactune.core.sources.simulator.cache import SHIPPED, cache_file, save_scene
-from tactune.core.sources.simulator.source import SimulatorSource
+from tactune.core.sources.simulator.source import SHIPPED, SimulatorSource, cache_file, save_scene
 
 
 def main() -> None:

@@ -333,7 +333,6 @@ def bench(
 ) -> None:
     """Measure run time and error beside NumPy, OpenCV and Open3D; with --gate check the promised speed."""
     from ...core.lab import bench as lab_bench
-    from ...core.lab.bench_scenes import scene_names
 
     facts = lab_bench.machine_facts()
     if "open3d" not in facts["packages"]:
@@ -344,7 +343,7 @@ def bench(
         if gate:
             checks = lab_bench.run_gate(_ROUNDS, progress.preparing)
         else:
-            rows = lab_bench.compare_engines(scene_names(), list(lab_bench.ENGINES), _ROUNDS, progress.preparing)
+            rows = lab_bench.compare_engines(lab_bench.scene_names(), list(lab_bench.ENGINES), _ROUNDS, progress.preparing)
     if not gate:
         typer.echo(f"{head}\n\n{lab_bench.rows_text(rows)}")
         return

@@ -27,7 +27,7 @@ from hands import (
 from tactune.app.cli.common import default_preset
 from tactune.app.document.recovery import Autosave
 from tactune.core.errors import PresetError
-from tactune.core.lab.bench_scenes import synthetic_scene
+from tactune.core.lab.bench import synthetic_scene
 from tactune.core.output import SessionWriter
 from tactune.core.sources.presets import load_preset
 from tactune.widgets.basics.messages import Message

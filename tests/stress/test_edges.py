@@ -13,7 +13,7 @@ from tactune.core.contact.outliers.grid import Grid
 from tactune.core.contact.outliers.statistical import statistical_inliers
 from tactune.core.contact.pipeline import ContactPatch, ContactPipeline
 from tactune.core.errors import TactuneError
-from tactune.core.lab.bench_scenes import synthetic_scene
+from tactune.core.lab.bench import synthetic_scene
 from tactune.core.lab.reference import reference_patch
 from tactune.core.model.frames import ColorCamera, Rig, SensorFrame, rigid_transform
 from tactune.core.model.intrinsics import Distortion

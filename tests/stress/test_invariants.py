@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from random_cases import random_case
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.lab.bench_scenes import BenchScene, synthetic_scene
+from tactune.core.lab.bench import BenchScene, synthetic_scene
 from tactune.core.model.frames import DepthCamera, Rig, SensorFrame, rigid_transform
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.preset import Preset

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tactune.core.sources.simulator.cache import SHIPPED, load_scene
-from tactune.core.sources.simulator.source import SimulatorSource
+from tactune.core.sources.simulator.source import SHIPPED, SimulatorSource, load_scene
 
 
 @pytest.mark.long

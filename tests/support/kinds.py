@@ -54,8 +54,8 @@ from tactune.core.preset.file import save_preset
 from tactune.core.rig.untouched import load_untouched, save_untouched
 from tactune.core.sources.folder import export_folder, write_rig
 from tactune.core.sources.presets import load_preset
-from tactune.core.sources.simulator.cache import SolvedScene, load_scene, save_scene
 from tactune.core.sources.simulator.scene import CleanState, PressFacts, simulator_rig
+from tactune.core.sources.simulator.source import SolvedScene, load_scene, save_scene
 from tactune.core.tuning.advice.proposal import Example
 from tactune.core.tuning.measure import Measured
 from tactune.core.tuning.plan import Axis, Clip, Plan

@@ -15,10 +15,13 @@ from tactune.core.errors import TactuneError
 from tactune.core.lab import bench
 from tactune.core.lab.bench import (
     ENGINES,
+    BenchScene,
     compare_engines,
+    make_scene,
     rows_text,
+    scene_names,
+    synthetic_scene,
 )
-from tactune.core.lab.bench_scenes import BenchScene, make_scene, scene_names, synthetic_scene
 from tactune.core.lab.reference import reference_patch
 
 # Importing it takes 2 s in every test process that collects this file.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactune.core.errors import FrameError, TactuneError
-from tactune.core.lab.bench_scenes import synthetic_scene
+from tactune.core.lab.bench import synthetic_scene
 from tactune.core.lab.methods import make_method, method_names, method_tip
 from tactune.core.lab.single_camera import MembraneView, proximity_only, tactile_only
 from tactune.core.model.clouds import deproject

@@ -10,13 +10,12 @@ import pytest
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import ExportError
 from tactune.core.sources.presets import load_preset
-from tactune.core.sources.simulator import cache, source
-from tactune.core.sources.simulator.cache import cache_file, find_solved
+from tactune.core.sources.simulator import source
 from tactune.core.sources.simulator.objects import distance
 from tactune.core.sources.simulator.render import REFLECTIVE_FLAG
 from tactune.core.sources.simulator.scene import APEX_M
 from tactune.core.sources.simulator.scenes import Variant
-from tactune.core.sources.simulator.source import SimulatorSource
+from tactune.core.sources.simulator.source import SimulatorSource, cache_file, find_solved
 
 REST, DEEP = 0, 45
 
@@ -104,7 +103,7 @@ def clean_states(simulator):
 
 
 def test_a_scene_is_solved_once_and_a_damaged_file_or_a_full_disk_does_no_harm(tmp_path, monkeypatch):
-    monkeypatch.setattr(cache, "user_cache_dir", lambda name: str(tmp_path / name))
+    monkeypatch.setattr(source, "user_cache_dir", lambda name: str(tmp_path / name))
     solved, solve = [], SimulatorSource.solve_anew
 
     def counted(*given):
@@ -135,5 +134,5 @@ def test_a_scene_is_solved_once_and_a_damaged_file_or_a_full_disk_does_no_harm(t
 def test_the_default_scene_comes_with_the_package(tmp_path, monkeypatch):
     """If it does not: run scripts/ship_scene.py."""
     simulator = SimulatorSource()
-    monkeypatch.setattr(cache, "user_cache_dir", lambda name: str(tmp_path))
+    monkeypatch.setattr(source, "user_cache_dir", lambda name: str(tmp_path))
     assert len(clean_states(simulator)) == len(simulator.scene.drawn)
