@@ -343,7 +343,8 @@ def bench(
         if gate:
             checks = lab_bench.run_gate(_ROUNDS, progress.preparing)
         else:
-            rows = lab_bench.compare_engines(lab_bench.scene_names(), list(lab_bench.ENGINES), _ROUNDS, progress.preparing)
+            engines = list(lab_bench.ENGINES)
+            rows = lab_bench.compare_engines(lab_bench.scene_names(), engines, _ROUNDS, progress.preparing)
     if not gate:
         typer.echo(f"{head}\n\n{lab_bench.rows_text(rows)}")
         return
