@@ -90,7 +90,6 @@ class FolderSource(SeekableSource):
         folder = self._path / "untouched"
         if not folder.is_dir():
             return None
-        _require_images(folder)
         return _read_frame(folder, _read_stamp(folder, 0), self._rig)
 
 
@@ -103,8 +102,6 @@ def export_folder(
     not exist yet, or be empty.
     """
     target = Path.cwd() / user_path(path)
-    if frames is not None and frames < 1:
-        raise ExportError(f"cannot export {frames} frames of {source.name}; ask for 1 or more")
     if frames is None and source.length is None:
         raise ExportError(f"{source.name} is live and has no end; say how many frames to export")
     temporary = target.parent / f".{target.name}-{secrets.token_hex(4)}.partial"
@@ -152,16 +149,7 @@ def _frame_folders(path: Path) -> list[Path]:
             f"{path} has no frames: neither {_REQUIRED[0]} nor numbered subfolders such as 000000; "
             "export or copy the recording again"
         )
-    folders = numbered or [path]
-    for folder in folders:
-        _require_images(folder)
-    return folders
-
-
-def _require_images(folder: Path) -> None:
-    for name in _REQUIRED:
-        if not (folder / name).is_file():
-            raise SourceError(f"there is no file {folder / name}; every frame needs {', '.join(_REQUIRED)}")
+    return numbered or [path]
 
 
 def _read_stamp(folder: Path, index: int) -> _Stamp:
