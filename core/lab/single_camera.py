@@ -53,7 +53,8 @@ def tactile_only(preset: Preset, rig: Rig, untouched: SensorFrame) -> Find:
             deformed = deformation_m > _UNTOUCHED_M
             if not deformed.any():
                 return deformed
-            return deformed & (deformation_m >= np.quantile(deformation_m[deformed], 1.0 - _SHARE))
+            least_m = float(np.quantile(deformation_m[deformed], 1.0 - _SHARE))
+            return deformed & (deformation_m >= least_m)
 
     def find(frame: SensorFrame) -> ContactPatch:
         frame.check_against(rig)
