@@ -8,7 +8,7 @@ import platformdirs
 import pytest
 
 from tactune.app.cli import lab
-from tactune.core.lab import bench_scenes, table
+from tactune.core.lab import bench, table
 from tactune.core.sources.registry import open_source
 
 GRID = "sim:cup?press=low&grid=dots"
@@ -52,6 +52,6 @@ def test_strain_beside_the_solvers(tactune, tmp_path):
 def test_the_bench_compares(tactune, monkeypatch):
     pytest.importorskip("open3d")
     monkeypatch.setattr(lab, "_ROUNDS", 3)
-    monkeypatch.setattr(bench_scenes, "scene_names", lambda: ["empty"])
+    monkeypatch.setattr(bench, "scene_names", lambda: ["empty"])
     status, out, _ = tactune("lab", "bench")
     assert status == 0 and "numpy" in out and "tactune" in out
