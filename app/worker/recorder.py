@@ -19,17 +19,6 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class RecordingRequest:
-    """A file to record, and the contents of its header."""
-
-    path: Path
-    rig: Rig
-    preset: Preset
-    frame_rate_hz: float
-    untouched: SensorFrame | None = None
-
-
-@dataclass(frozen=True)
 class RecordingEnd:
     """The finished file, and the reason if the recording stopped by itself."""
 
@@ -45,17 +34,6 @@ class _Watcher:
     failed: Callable[[str], object]
 
 
-def open_writer(request: RecordingRequest) -> SessionWriter:
-    return SessionWriter(
-        request.path,
-        request.rig,
-        preset=request.preset,
-        frame_rate_hz=request.frame_rate_hz,
-        untouched=request.untouched,
-        poses=True,
-    )
-
-
 class Recorder:
     """Writes at most one file at a time; every method may be called from any thread.
 
@@ -63,7 +41,7 @@ class Recorder:
     """
 
     def __init__(
-        self, ended: Callable[[RecordingEnd], None], writer: Callable[[RecordingRequest], SessionWriter] = open_writer
+        self, ended: Callable[[RecordingEnd], None], writer: Callable[..., SessionWriter] = SessionWriter
     ) -> None:
         self._ended = ended
         self._open = writer
@@ -71,7 +49,7 @@ class Recorder:
         self._writer: SessionWriter | None = None
         self._refused = 0
         self._watcher: _Watcher | None = None
-        #: The preset's untouched frame; recordings store it instead of the source's.
+        #: The preset's untouched frame, which recordings store.
         self.untouched: SensorFrame | None = None
         self._finishing: list[Thread] = []
 
@@ -84,19 +62,18 @@ class Recorder:
         writer = self._writer
         return None if writer is None else self._with_refused(writer.status())
 
-    def start(self, request: RecordingRequest) -> None:
+    def start(self, path: Path, rig: Rig, preset: Preset, frame_rate_hz: float) -> None:
         """Start a file; does nothing while a recording runs. Raises `TactuneError` if it cannot be written."""
         with self._lock:
             if self._writer is not None:
                 return
-            if self.untouched is not None:
-                request = replace(request, untouched=self.untouched)
+            options = {"preset": preset, "frame_rate_hz": frame_rate_hz, "untouched": self.untouched}
             try:
-                self._writer = self._open(request)
+                self._writer = self._open(path, rig, **options, poses=True)
                 self._refused = 0
             except OSError as error:
                 raise TactuneError(
-                    f"{request.path} cannot be recorded: {error.strerror or error}; choose another folder"
+                    f"{path} cannot be recorded: {error.strerror or error}; choose another folder"
                 ) from error
 
     def watch(self, see: Callable[[SensorFrame], object], failed: Callable[[str], object]) -> None:

@@ -28,7 +28,7 @@ from .errors import explain, guarded
 from .playback import Playback, PlaybackState
 from .processing import FrameProcessor
 from .reading import PATIENCE_S, FrameReader, LiveReader, SourceRequest, open_requested
-from .recorder import Recorder, RecordingRequest
+from .recorder import Recorder
 from .results import Result, SourceInfo, SourceState, Wanted
 from .threads import Mailbox, abandon, leave_room_for_the_window
 
@@ -318,7 +318,7 @@ class Worker(QThread):
             )
             return
         try:
-            self.recorder.start(RecordingRequest(path, self._info.rig, self._preset, self._info.frame_rate_hz))
+            self.recorder.start(path, self._info.rig, self._preset, self._info.frame_rate_hz)
         except Exception as error:
             self.recordingFailed.emit(explain(error, f"{path} cannot be recorded"))
             return

@@ -7,7 +7,7 @@ from threading import Event
 import pytest
 
 from fakes import tiny_frame, tiny_rig
-from tactune.app.worker.recorder import Recorder, RecordingRequest
+from tactune.app.worker.recorder import Recorder
 from tactune.core.errors import FrameError
 from tactune.core.output.writer import RecordingStatus
 from tactune.core.preset import Preset
@@ -16,10 +16,9 @@ from tactune.core.preset import Preset
 class FakeWriter:
     """A file that accepts frames until a test stops it."""
 
-    def __init__(self, request) -> None:
-        self.path = request.path
+    def __init__(self, path) -> None:
+        self.path = path
         self.frames, self.dropped = [], 0
-        self.room = True
         self.error: Exception | None = None
         self.may_close = Event()
         self.may_close.set()
@@ -29,9 +28,6 @@ class FakeWriter:
         assert not self.closed
         if self.error is not None:
             raise self.error
-        if not self.room:
-            self.dropped += 1
-            return False
         self.frames.append(frame.sequence)
         return True
 
@@ -56,8 +52,8 @@ def ends():
 
 @pytest.fixture
 def recorder(made, ends):
-    def open_writer(request):
-        made.append(FakeWriter(request))
+    def open_writer(path, rig, **options):
+        made.append(FakeWriter(path))
         return made[-1]
 
     recorder = Recorder(ends.append, open_writer)
@@ -66,7 +62,7 @@ def recorder(made, ends):
 
 
 def request(tmp_path):
-    return RecordingRequest(tmp_path / "a.mcap", tiny_rig(), Preset(), 30.0)
+    return tmp_path / "a.mcap", tiny_rig(), Preset(), 30.0
 
 
 def frame(index):
@@ -74,7 +70,7 @@ def frame(index):
 
 
 def test_every_frame_between_start_and_stop_is_recorded(recorder, made, ends, tmp_path):
-    recorder.start(request(tmp_path))
+    recorder.start(*request(tmp_path))
     recorder.put(frame(0))
     recorder.put(frame(1), 2)
     recorder.close()
@@ -87,7 +83,7 @@ def test_every_frame_between_start_and_stop_is_recorded(recorder, made, ends, tm
 
 
 def test_stopping_does_not_wait_for_the_disk(recorder, made, ends, tmp_path):
-    recorder.start(request(tmp_path))
+    recorder.start(*request(tmp_path))
     recorder.put(frame(0))
     made[0].may_close.clear()
     recorder.stop("another source was opened")
@@ -99,7 +95,7 @@ def test_stopping_does_not_wait_for_the_disk(recorder, made, ends, tmp_path):
 
 
 def test_a_frame_that_does_not_fit_counts_as_dropped_and_the_recording_goes_on(recorder, made, ends, tmp_path):
-    recorder.start(request(tmp_path))
+    recorder.start(*request(tmp_path))
     made[0].error = FrameError("frame 0 is 1280 x 720")
     recorder.put(frame(0))
     made[0].error = None
@@ -110,7 +106,7 @@ def test_a_frame_that_does_not_fit_counts_as_dropped_and_the_recording_goes_on(r
 
 
 def test_another_error_ends_the_recording_with_a_reason(recorder, made, ends, tmp_path):
-    recorder.start(request(tmp_path))
+    recorder.start(*request(tmp_path))
     recorder.put(frame(0))
     made[0].error = RuntimeError("broken")
     recorder.put(frame(1))
@@ -128,7 +124,7 @@ def test_a_watcher_that_fails_is_told_and_neither_reading_nor_recording_ends(rec
         if shown.sequence == 1:
             raise RuntimeError("broken")
 
-    recorder.start(request(tmp_path))
+    recorder.start(*request(tmp_path))
     recorder.watch(see, told.append)
     for index in range(3):
         recorder.put(frame(index))

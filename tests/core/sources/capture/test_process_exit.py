@@ -63,29 +63,16 @@ def start(tmp_path: Path) -> Iterator[Start]:
         parent.communicate()
 
 
-@pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
-def test_the_process_ends_with_a_parent_that_is_killed(
-    start: Start, until: Callable[[Callable[[], bool]], None], sent: signal.Signals
-) -> None:
-    parent, pid = start("time.sleep(60)")
-    assert alive(pid)
-    parent.send_signal(sent)
-    _, words = parent.communicate(timeout=300)
-    until(lambda: not alive(pid))
-    assert "capture/child.py" not in words  # no traceback of the capture process
-
-
 @pytest.mark.parametrize(
     "more",
-    ["", "sys.exit(3)", "raise SystemExit", "source.close()", "del source", "import os; os._exit(0)"],
-    ids=["falls off", "exit", "raise", "close", "del", "abrupt"],
+    ["", "sys.exit(3)", "source.close()", "del source", "import os; os._exit(0)"]
+    + [f"import os; os.kill(os.getpid(), signal.{name})" for name in ("SIGKILL", "SIGTERM", "SIGINT")],
 )
-def test_the_process_ends_with_a_parent_that_ends(
-    start: Start, until: Callable[[Callable[[], bool]], None], more: str
-) -> None:
+def test_the_process_ends_with_its_parent(start: Start, until: Callable[[Callable[[], bool]], None], more: str) -> None:
     parent, pid = start(more)
     _, words = parent.communicate(timeout=300)
-    assert words == ""
+    assert words == "" or words.endswith("KeyboardInterrupt\n")
+    assert "child.py" not in words
     until(lambda: not alive(pid))
 
 
