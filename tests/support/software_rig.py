@@ -6,14 +6,13 @@ picklable and this module is importable by its top-level name.
 
 from __future__ import annotations
 
-import ctypes
 import queue
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -30,7 +29,7 @@ COLOR_ROTATION = (0.0, 1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 COLOR_TRANSLATION_M = (0.015, -0.004, 0.002)
 ANY_CAMERAS = CamerasSection()
 
-Action = Literal["stop", "go", "stutter", "streams", "remove", "add", "hang", "quit"]
+Action = Literal["stop", "go", "stutter", "streams", "remove", "add"]
 
 
 @dataclass(frozen=True)
@@ -38,21 +37,13 @@ class Command:
     """What a camera is to do next.
 
     ``stop`` and ``go``; ``stutter``: nothing for ``value`` seconds, then all at once; ``streams``: only those
-    of ``text``, such as ``"depth"`` or ``"depth color"``; ``remove``, and ``add`` with ``text`` as its serial number,
-    if given; ``hang``: the whole process stands still for ``value`` seconds, holding the GIL; ``quit``: no more
-    images at all.
+    of ``text``, such as ``"depth"`` or ``"depth color"``; ``remove`` and ``add``.
     """
 
     action: Action
     camera: CameraRole = "tactile"
     value: float = 0.0
     text: str = ""
-
-
-class Commands(Protocol):
-    """A `queue.Queue` or a `multiprocessing.Queue` of `Command`."""
-
-    def get_nowait(self) -> Command: ...
 
 
 def depth_image(role: CameraRole, number: int) -> npt.NDArray[np.uint16]:
@@ -233,7 +224,7 @@ class SoftwareRig:
         """Return the connected devices, as `RealSenseDriver` asks for them."""
         return [device for camera in list(self.cameras.values()) for device in camera.context.query_devices()]
 
-    def start(self, commands: Commands | None = None, count: int | None = None) -> None:
+    def start(self, commands: queue.Queue[Command] | None = None, count: int | None = None) -> None:
         """Send ``count`` images of each stream, or images for ever, and obey commands meanwhile."""
         self._thread = threading.Thread(target=self._feed, args=(commands, count), name="software cameras", daemon=True)
         self._thread.start()
@@ -245,12 +236,8 @@ class SoftwareRig:
 
     def obey(self, command: Command) -> None:
         role = command.camera
-        if command.action == "hang":
-            ctypes.PyDLL(None).usleep(int(1e6 * command.value))  # PyDLL keeps the GIL
-        elif command.action == "quit":
-            self._quit.set()
-        elif command.action == "add":
-            self.cameras[role] = SoftwareCamera(role, command.text)
+        if command.action == "add":
+            self.cameras[role] = SoftwareCamera(role)
         elif role in self.cameras:
             self._change(self.cameras[role], command)
 
@@ -264,7 +251,7 @@ class SoftwareRig:
         else:
             camera.running = command.action == "go"
 
-    def _feed(self, commands: Commands | None, count: int | None) -> None:
+    def _feed(self, commands: queue.Queue[Command] | None, count: int | None) -> None:
         start_s = time.time()
         number = 0
         while count is None or number < count:
@@ -277,7 +264,7 @@ class SoftwareRig:
                 camera.send(number, due_s)
             number += 1
 
-    def _obey_all(self, commands: Commands) -> None:
+    def _obey_all(self, commands: queue.Queue[Command]) -> None:
         while True:
             try:
                 command = commands.get_nowait()
@@ -299,13 +286,13 @@ class SoftwareSource(CameraSource):
 
 
 def open_software_rig(
-    commands: Commands | None = None, cameras: CamerasSection = ANY_CAMERAS, count: int | None = None
+    commands: queue.Queue[Command] | None = None, cameras: CamerasSection = ANY_CAMERAS, count: int | None = None
 ) -> CameraSource:
     """Open the pair through the class that opens hardware; ``functools.partial`` of this is picklable.
 
     Parameters
     ----------
-    commands : a queue of `Command`, optional
+    commands : queue of `Command`, optional
     cameras : section of a preset, optional
     count : int, optional
         Number of images that each stream sends, from number 0, after the source is open. Without: for ever.

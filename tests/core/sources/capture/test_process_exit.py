@@ -16,7 +16,6 @@ from commands import read_line
 
 OPEN = f"""
 import signal, sys, time
-signal.signal(signal.SIGHUP, signal.SIG_DFL)  # whoever runs the tests may ignore it, as nohup does
 sys.path.append({str(Path(capture_sources.__file__).parent)!r})
 from functools import partial
 from pathlib import Path
