@@ -7,8 +7,14 @@ import pytest
 
 from tactune.core.errors import FrameError, TactuneError
 from tactune.core.lab.bench import synthetic_scene
-from tactune.core.lab.methods import make_method, method_names, method_tip
-from tactune.core.lab.single_camera import MembraneView, proximity_only, tactile_only
+from tactune.core.lab.methods import (
+    MembraneView,
+    make_method,
+    method_names,
+    method_tip,
+    proximity_only,
+    tactile_only,
+)
 from tactune.core.model.clouds import deproject
 from tactune.core.model.metrics import pixel_scores
 from tactune.core.preset import Preset
@@ -37,14 +43,6 @@ class TestMembraneView:
         far = ~np.isfinite(frame.truth.depth_m)
         assert np.isnan(found[~far]).mean() < 0.003
         assert np.isfinite(found[far]).sum() < 0.02 * far.sum()
-
-    def test_a_tactile_mask_is_seen_from_the_proximity_camera(self, bulged):
-        contact = 0.5 * bulged.radius_m
-        frame = bulged.frame(contact)
-        _, r = bulged.depth_m(bulged.rig.tactile.intrinsics, 0.0, contact)
-        picked = MembraneView(Preset().alignment, bulged.rig).pick(r < contact, frame.tactile_depth)
-        assert pixel_scores(picked, frame.truth.contact).iou > 0.97
-        assert not MembraneView(Preset().alignment, bulged.rig).pick(r < 0, frame.tactile_depth).any()
 
 
 class TestProximityOnly:

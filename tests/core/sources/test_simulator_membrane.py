@@ -193,8 +193,7 @@ def contact_area_m2(cells, depth_m=0.012):
     return float((areas * touching).sum()), state
 
 
-@pytest.mark.parametrize("cells", [(44, 26), pytest.param((176, 104), marks=pytest.mark.long)])
-def test_ball_s_contact_area_and_force_hardly_depend_on_the_mesh(cells):
-    (area, state), (middle, middle_state) = contact_area_m2(cells), contact_area_m2((88, 52))
+def test_ball_s_contact_area_and_force_hardly_depend_on_the_mesh():
+    (area, state), (middle, middle_state) = contact_area_m2((44, 26)), contact_area_m2((88, 52))
     assert area == pytest.approx(middle, rel=0.02)
     assert state.reaction_n.sum() == pytest.approx(middle_state.reaction_n.sum(), rel=0.02)

@@ -7,12 +7,9 @@ import gc
 import numpy as np
 import pytest
 
-from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import ExportError
-from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator import source
 from tactune.core.sources.simulator.objects import distance
-from tactune.core.sources.simulator.render import REFLECTIVE_FLAG
 from tactune.core.sources.simulator.scene import APEX_M
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.source import SimulatorSource, cache_file, find_solved
@@ -66,22 +63,6 @@ def test_frames_depend_on_seed_and_index_only(noise):
     other = SimulatorSource("cup", seed=5, noise=noise)
     same = [np.array_equal(x, y) for x, y in zip(images(other.read(0)), forward[0], strict=True)]
     assert same == [noise == 0.0] * 4
-
-
-def test_reflective_rubber_returns_the_membrane_and_only_the_mask_removes_it(cup):
-    frame = cup.read(REST)
-    flags = clean_states(cup)[cup.scene.frames[REST]].flags
-    patch = (flags & REFLECTIVE_FLAG) != 0
-    assert patch.sum() > 1000
-    error = np.abs(frame.proximity_depth * 0.00025 - frame.truth.depth_m)[patch & (frame.proximity_depth > 0)]
-    assert np.quantile(error, 0.95) < 0.004
-    preset = load_preset("simulator")
-    published = preset.with_values({"contact_test": "tolerance", "alignment.model": "rigid"})
-    unmasked = {"mask.enabled": False}
-    assert ContactPipeline(published.with_values(unmasked), cup.rig).process(frame).mask.sum() > 1000
-    assert ContactPipeline(preset.with_values(unmasked), cup.rig).process(frame).mask.sum() > 500
-    for test in (published, preset):
-        assert ContactPipeline(test, cup.rig).process(frame).mask.sum() == 0
 
 
 def test_true_pose_lays_the_object_against_the_membrane_in_contact(cup):
