@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from PyQt6.QtCore import QObject, Qt
-from PyQt6.QtGui import QKeyEvent
+from PyQt6.QtCore import QObject
 from PyQt6.QtWidgets import QDialog, QListWidget
 
 from ...core.calibration.snapshots import content_hash
 from ...core.errors import TactuneError
-from ...core.model.frames import Rig, SensorFrame
+from ...core.model.frames import Rig
 from ...core.tuning.advice.proposal import Example
 from ...widgets.basics.controls import push_button, wrapped_label
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
@@ -36,11 +35,6 @@ class MarkedFrame:
     key: str
     example: Example
 
-    @classmethod
-    def of(cls, frame: SensorFrame, rectangle: Rectangle | None) -> MarkedFrame:
-        """Return a frame that is touched in a rectangle, or nowhere."""
-        return cls(content_hash(frame)[:16], Example(frame)).with_contact(rectangle)
-
     def with_contact(self, rectangle: Rectangle | None) -> MarkedFrame:
         """Return it with contact in another rectangle, or nowhere."""
         frame = self.example.frame
@@ -54,7 +48,7 @@ class MarkedFrame:
     @property
     def rectangle(self) -> Rectangle | None:
         """Bounding box of the contact; None without any."""
-        v, u = np.nonzero(self.example.known_contact)
+        v, u = np.nonzero(self.example.mask)
         if not len(u):
             return None
         return int(u.min()), int(v.min()), int(np.ptp(u)) + 1, int(np.ptp(v)) + 1
@@ -103,8 +97,7 @@ class ExampleKeeper(KeptState[State]):
     def __init__(self, history: ExampleHistory, folder: Path, parent: QObject | None = None) -> None:
         self._history = history
         super().__init__(folder, "examples", parent)
-        self._stored: dict[Path, dict[str, MarkedFrame]] = {}
-        self._seen: dict[Path, State] = {}
+        self._stored: State = ()
         history.changed.connect(self.schedule)
 
     def present(self) -> State:
@@ -116,24 +109,20 @@ class ExampleKeeper(KeptState[State]):
         if rig == self._history.rig:
             return
         self.flush()
-        if self.file is not None:
-            self._seen[self.file] = self._history.state
+        self.wait()
         self._history.rig = rig
         file = self.folder / rig_key(rig)
-        state = self._seen[file] if file in self._seen else self._read(file, rig)
-        self.follow(file, state)
-        self._history.start(state)
+        self._stored = self._read(file, rig)
+        self.follow(file, self._stored)
+        self._history.start(self._stored)
 
     def write(self, state: State, file: Path) -> None:
         """Write the examples that are new or changed, and remove the files of deleted ones."""
-        stored = self._stored.setdefault(file, {})
-        for marked in state:
-            if stored.get(marked.key) is not marked:
-                marked.example.save(_file_of(file, marked.key))
-                stored[marked.key] = marked
-        for key in stored.keys() - {marked.key for marked in state}:
+        for marked in set(state) - set(self._stored):
+            marked.example.save(_file_of(file, marked.key))
+        for key in {marked.key for marked in self._stored} - {marked.key for marked in state}:
             _file_of(file, key).unlink(missing_ok=True)
-            del stored[key]
+        self._stored = state
 
     def _read(self, folder: Path, rig: Rig) -> State:
         found = []
@@ -145,9 +134,8 @@ class ExampleKeeper(KeptState[State]):
                 with suppress(OSError):
                     file.replace(file.with_suffix(".damaged"))
                 self.failed.emit(f"An example was set aside: {error}.")
-                continue
-            found.append(MarkedFrame(file.stem.removeprefix("example-"), example))
-        self._stored[folder] = {marked.key: marked for marked in found}
+            else:
+                found.append(MarkedFrame(file.stem.removeprefix("example-"), example))
         return tuple(found)
 
 
@@ -171,7 +159,7 @@ class ExamplesWindow(QDialog):
         self.list = QListWidget()
         self.list.setAccessibleName("Examples")
         self.list.setToolTip("The examples; Delete removes the selected one")
-        self.delete = push_button("De&lete", "Delete the selected example (Delete)")
+        self.delete = push_button("De&lete", "Delete the selected example (Delete)", "Delete")
         self.undo = push_button("Undo", "Undo the last mark or deletion (Ctrl+Z)", "Ctrl+Z")
         self.redo = push_button("Redo", "Redo what was undone (Ctrl+Shift+Z)", "Ctrl+Shift+Z")
         self.image = ImagePane("Contact by hand")
@@ -205,18 +193,6 @@ class ExamplesWindow(QDialog):
         row, state = self.list.currentRow(), self._history.state
         return state[row] if 0 <= row < len(state) else None
 
-    def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Delete the selected example where the list has the keyboard."""
-        if event is not None and event.key() == Qt.Key.Key_Delete and self.list.hasFocus():
-            self._delete()
-        else:
-            super().keyPressEvent(event)
-
-    def close_down(self) -> None:
-        """Close the window for good."""
-        self._history.close()
-        self.reject()
-
     def _add(self, *, touched: bool) -> None:
         """Mark the main window's frame; contact begins as the middle of the image."""
         result = self._context.result
@@ -224,7 +200,8 @@ class ExamplesWindow(QDialog):
             return
         height, width = result.frame.proximity_depth.shape
         middle = (width // 3, height // 3, width // 3, height // 3)
-        marked = MarkedFrame.of(result.frame, middle if touched else None)
+        key = content_hash(result.frame)[:16]
+        marked = MarkedFrame(key, Example(result.frame)).with_contact(middle if touched else None)
         self._history.mark(marked, "Mark contact" if touched else "Mark as untouched")
         self.list.setCurrentRow([other.key for other in self._history.state].index(marked.key))
 

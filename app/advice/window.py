@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from PyQt6.QtCore import QObject, pyqtSignal
+from PyQt6.QtCore import QObject
 from PyQt6.QtGui import QKeySequence, QShortcut
 from PyQt6.QtWidgets import QCheckBox, QDialog, QFrame, QVBoxLayout, QWidget
 
-from ...core.errors import AdviceError, PresetError, TactuneError
-from ...core.model.frames import SensorFrame
+from ...core.errors import PresetError, TactuneError, as_sentence
 from ...core.preset import Preset
+from ...core.sources.base import part_of
 from ...core.tuning.advice.proposal import Evidence, Example, Proposal
-from ...core.tuning.advice.suggest import suggest, suggest_all
+from ...core.tuning.advice.suggest import AllProposals, suggest_all
 from ...widgets.basics.controls import ProgressBar, push_button, wrapped_label
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.layouts import STRETCH, hbox, scrolling, vbox
@@ -24,7 +24,7 @@ from ...widgets.basics.messages import Severity
 from ..context import SOURCE, Context
 from ..document.comparison import PRESENT, Side
 from ..worker.jobs import Job, Progress
-from ..worker.results import SourceInfo
+from ..worker.results import Result, SourceInfo
 from .card import ProposalCard, section_title
 from .examples import ExampleHistory, ExampleKeeper, ExamplesWindow
 
@@ -33,81 +33,26 @@ ALL: Final = "all"
 _NO_FRAME: Final = "There is no frame to measure yet: open a source first."
 
 
-#: Number of newest frames that suggestions are made from.
-MAX_FRAMES: Final = 8
-#: Share of the progress at which the untouched frame is found.
-_FOUND: Final = 0.3
-
-
-@dataclass(frozen=True, eq=False)
-class Gathered:
-    """Evidence without the untouched frame, which may take long to find; see `Evidence` for the attributes."""
-
-    info: SourceInfo
-    preset: Preset
-    home: Path | None
-    frames: tuple[SensorFrame, ...]
-    examples: tuple[Example, ...]
-
-    def evidence(self, progress: Progress) -> Evidence:
-        """Find the untouched frame; call it on a job's thread."""
-        untouched = None
-        try:
-            untouched = self.info.find_untouched(
-                self.preset, self.home, lambda share, words: progress(_FOUND * share, words)
-            ).frame
-        except TactuneError:
-            progress(_FOUND, "The untouched frame cannot be read")  # raises if the job was cancelled
-        return Evidence(self.preset, self.info.rig, self.frames, untouched, self.examples)
-
-
-@dataclass(frozen=True, eq=False)
-class Suggestions:
-    """What a job found: proposals, why others were refused, by section, and the evidence of both."""
-
-    parts: tuple[Proposal, ...]
-    refusals: dict[str, str]
-    evidence: Evidence
-
-
-def find_suggestions(section: str, gathered: Gathered, progress: Progress) -> Suggestions:
+def find_suggestions(
+    section: str, result: Result, preset: Preset, home: Path | None, examples: tuple[Example, ...], progress: Progress
+) -> AllProposals:
     """Make the proposals of one section or of all; takes long."""
-    evidence = gathered.evidence(progress)
-
-    def report(share: float, words: str) -> None:
-        progress(0.3 + 0.7 * share, words)
-
-    if section == ALL:
-        every = suggest_all(evidence, report)
-        return Suggestions(every.parts, dict(every.refusals), evidence)
-    try:
-        return Suggestions((suggest(section, evidence, report),), {}, evidence)
-    except AdviceError as error:
-        return Suggestions((), {section: str(error)}, evidence)
+    untouched = None
+    with suppress(TactuneError):  # it cannot be read; or the job was cancelled, which is raised again below
+        untouched = result.source.find_untouched(preset, home, part_of(progress, 0, 2)).frame
+    evidence = Evidence(preset, result.source.rig, (result.frame,), untouched, examples)
+    return suggest_all(evidence, part_of(progress, 1, 2), None if section == ALL else (section,))
 
 
 class SuggestWindow(QDialog):
-    """Shows suggestions, compares them with the present preset in the views, and applies them as one undo step.
+    """Shows suggestions, compares them with the present preset in the views, and applies them as one undo step."""
 
-    Signals
-    -------
-    kept(section: str)
-        The present values of a section follow from the evidence.
-    """
-
-    kept = pyqtSignal(str)
-
-    def __init__(
-        self, context: Context, gather: Callable[[], Gathered | None], open_examples: Callable[[], None]
-    ) -> None:
+    def __init__(self, context: Context, history: ExampleHistory, open_examples: Callable[[], None]) -> None:
         super().__init__(context.window)
         self.setWindowTitle("Suggestions – Tactune")
-        self._context, self._document, self._gather = context, context.document, gather
+        self._context, self._document, self._history = context, context.document, history
         self._section = ALL
-        self._found: Suggestions | None = None
-        self._outdated = ""
         self._shown: Side | None = None
-        self._compares = True
         self._job = Job(self)
         self.cards: list[ProposalCard] = []
         self.progress = ProgressBar()
@@ -118,11 +63,11 @@ class SuggestWindow(QDialog):
         self.examples = push_button("&Examples…", "Mark frames with and without contact, for better suggestions")
         self.compare = QCheckBox("&Compare")
         self.compare.setToolTip("Compare the present preset with the suggested one in the views")
-        self.apply = push_button("&Apply", "Put the ticked suggestions into the preset, as one undo step (Ctrl+Return)")
-        self.apply.setShortcut("Ctrl+Return")
+        self.apply = push_button(
+            "&Apply", "Put the ticked suggestions into the preset, as one undo step (Ctrl+Return)", "Ctrl+Return"
+        )
         self.apply.setDefault(True)
-        self.undo = push_button("&Undo", "Undo the last change of the preset (Ctrl+Z)")
-        self.undo.setShortcut("Ctrl+Z")
+        self.undo = push_button("&Undo", "Undo the last change of the preset (Ctrl+Z)", "Ctrl+Z")
         self.leave = push_button("Close", "Close this window; the preset stays as it is (Esc)")
         self._lay_out()
         self._connect(open_examples)
@@ -142,11 +87,10 @@ class SuggestWindow(QDialog):
         self._job.done.connect(self._show_found)
         self._job.failed.connect(self._show_failure)
         self._job.busyChanged.connect(self._show_busy)
-        self.cancel.clicked.connect(self._cancel)
+        self.cancel.clicked.connect(lambda: self._stop("Cancelled; nothing was changed."))
         self.again.clicked.connect(lambda: self.ask(self._section))
         self.examples.clicked.connect(open_examples)
         self.compare.toggled.connect(self._show_comparison)
-        self.compare.clicked.connect(self._want_comparison)
         self.apply.clicked.connect(self._apply)
         self.undo.clicked.connect(self._document.undo_stack.undo)
         self.leave.clicked.connect(self.reject)
@@ -156,24 +100,22 @@ class SuggestWindow(QDialog):
 
     def ask(self, section: str) -> None:
         """Make suggestions for a section, or for `ALL`."""
-        gathered = self._gather()
-        if gathered is None:
+        result, document = self._context.result, self._document
+        if result is None:
             self._say(_NO_FRAME)
             return
+        preset, home, examples = document.preset, document.untouched_home, self._history.examples
         self._section = section
-        self._found, self._outdated = None, ""
-        self._clear()
         self._job.cancel()
-        self._job.start(lambda progress: find_suggestions(section, gathered, progress))
+        self._clear()
+        self._job.start(lambda progress: find_suggestions(section, result, preset, home, examples, progress))
         self._show_busy(True)
         self._show_progress(0.0, "Gathering evidence")
 
     def outdated(self, reason: str) -> None:
-        """Say why the suggestions that are shown should be made again."""
-        if self._job.busy:  # said with what it finds
-            self._outdated = reason
-        elif self._found is not None:
-            self._say(f"{reason}: measure again.")
+        """Drop suggestions that are still being made, and say why those that are shown should be made again."""
+        if self._job.busy or self.cards:
+            self._stop(f"{reason}: measure again.")
 
     @property
     def busy(self) -> bool:
@@ -193,8 +135,8 @@ class SuggestWindow(QDialog):
     def done(self, result: int) -> None:
         """Stop measuring and end the comparison."""
         self._job.cancel()
-        self.compare.setChecked(False)
         super().done(result)
+        self._show_comparison()
 
     def close_down(self) -> None:
         """Close the window; its jobs emit nothing any more."""
@@ -204,26 +146,19 @@ class SuggestWindow(QDialog):
 
     # What was found
 
-    def _show_found(self, found: Suggestions) -> None:
-        self._found = found
+    def _show_found(self, found: AllProposals) -> None:
         self._say("")
         self._clear()
-        preset = self._document.preset
         for part in found.parts:
-            card = ProposalCard(part, preset, tickable=self._section == ALL)
+            card = ProposalCard(part, self._document.preset)
             card.changed.connect(self._choice_changed)
             self.cards.append(card)
             self._add(card)
         for section, sentence in found.refusals.items():
             self._add(_refusal(section, sentence))
-        for part in found.parts:
-            if not part.changes:
-                self.kept.emit(part.section)
         if found.parts and not any(card.changes for card in self.cards):
             self._say("The present values already follow from the evidence.")
-        if self._outdated:
-            self.outdated(self._outdated)
-        self._compares = True
+        self.compare.setChecked(True)
         self._choice_changed()
 
     def _show_progress(self, share: float, words: str) -> None:
@@ -233,12 +168,12 @@ class SuggestWindow(QDialog):
 
     def _show_failure(self, sentence: str) -> None:
         if sentence:
-            self._say(f"{sentence[0].upper()}{sentence[1:].rstrip('.')}.")
+            self._say(as_sentence(sentence))
 
-    def _cancel(self) -> None:
+    def _stop(self, sentence: str) -> None:
         self._job.cancel()
         self.cancel.setEnabled(False)
-        self._say("Cancelled; nothing was changed.")
+        self._say(sentence)
 
     def _show_busy(self, busy: bool) -> None:
         self.progress.setVisible(busy)
@@ -256,7 +191,7 @@ class SuggestWindow(QDialog):
 
     def _clear(self) -> None:
         self.cards.clear()
-        self.compare.setChecked(False)
+        self._show_comparison()
         while self._column.count() > 1:
             item = self._column.takeAt(0)
             widget = item.widget() if item is not None else None
@@ -273,8 +208,7 @@ class SuggestWindow(QDialog):
 
     def _choice_changed(self) -> None:
         self._show_state()
-        self.compare.setChecked(self._compares and self.isVisible() and bool(self.proposal.changes))
-        self._show_comparison(self.compare.isChecked())
+        self._show_comparison()
 
     def _show_state(self) -> None:
         changes = bool(self.proposal.changes)
@@ -284,7 +218,6 @@ class SuggestWindow(QDialog):
 
     def _apply(self) -> None:
         proposal = self.proposal
-        self.compare.setChecked(False)
         if self._document.apply(proposal):
             self._say(
                 f"Applied: {proposal.label}. The sentences below speak of the values before; Measure again judges the "
@@ -293,34 +226,28 @@ class SuggestWindow(QDialog):
 
     # Comparison in the views
 
-    def _show_comparison(self, wanted: bool) -> None:
-        comparison, proposal = self._context.comparison, self.proposal
-        if wanted and proposal.changes:
-            present = self._document.preset
+    def _show_comparison(self) -> None:
+        """Compare the present preset with the suggested one, where that is wanted and they differ."""
+        comparison, proposal, present = self._context.comparison, self.proposal, self._document.preset
+        mine, self._shown = self._is_mine(comparison.sides), None
+        if self.isVisible() and self.compare.isChecked() and proposal.changes:
             try:
-                suggested = proposal.apply(present)
+                self._shown = Side("Suggested", proposal.apply(present))
             except PresetError as error:
                 self._say(f"The suggested values do not fit together: {error}")
-                return
-            self._shown = Side("Suggested", suggested)
-            comparison.show(Side(PRESENT, present), self._shown)
-        elif self._shown is not None:
-            mine, self._shown = self._is_mine(comparison.sides), None
-            if mine:
-                comparison.end()
-
-    def _want_comparison(self, wanted: bool) -> None:
-        """Compare from now on whenever there is a change, or not."""
-        self._compares = wanted
+            else:
+                comparison.show(Side(PRESENT, present), self._shown)
+        elif mine:
+            comparison.end()
 
     def _comparison_changed(self, sides: tuple[Side, Side] | None) -> None:
         """Note that someone else ended or replaced the comparison."""
         if self._shown is not None and not self._is_mine(sides):
-            self._shown, self._compares = None, False
+            self._shown = None
             self.compare.setChecked(False)
 
     def _is_mine(self, sides: tuple[Side, Side] | None) -> bool:
-        return sides is not None and sides[1] == self._shown
+        return self._shown is not None and sides is not None and sides[1] == self._shown
 
 
 def _refusal(section: str, sentence: str) -> QWidget:
@@ -332,49 +259,12 @@ def _refusal(section: str, sentence: str) -> QWidget:
     return frame
 
 
-class FrameRing(QObject):
-    """Keeps the newest frames of the present source."""
-
-    def __init__(self, context: Context) -> None:
-        super().__init__(context)
-        self._context = context
-        self._info: SourceInfo | None = None
-        self._frames: deque[SensorFrame] = deque(maxlen=MAX_FRAMES)
-        context.frameShown.connect(self._frame_shown)
-
-    def gather(self, examples: tuple[Example, ...]) -> Gathered | None:
-        """Return what is known now; None before the first frame."""
-        document = self._context.document
-        if self._info is None or not self._frames:
-            return None
-        return Gathered(self._info, document.preset, document.untouched_home, tuple(self._frames), examples)
-
-    def _frame_shown(self) -> None:
-        result = self._context.result
-        if result is None:
-            return
-        if result.source is not self._info:
-            self._info = result.source
-            self._frames.clear()
-        if not self._frames or self._frames[-1] is not result.frame:
-            self._frames.append(result.frame)
-
-
 class SuggestControl(QObject):
-    """Opens at most one window with suggestions and one with examples, and keeps the examples of each rig.
-
-    Signals
-    -------
-    kept(section: str)
-        Suggestions were made, and those of this section are the present values.
-    """
-
-    kept = pyqtSignal(str)
+    """Opens at most one window with suggestions and one with examples, and keeps the examples of each rig."""
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._context = context
-        self._ring = FrameRing(context)
         self.examples = ExampleHistory(self)
         self._keeper = ExampleKeeper(self.examples, context.data_folder / "examples", self)
         self._keeper.failed.connect(
@@ -392,8 +282,7 @@ class SuggestControl(QObject):
             context.messages.show_message("suggest", Severity.WARNING, _NO_FRAME, subject=SOURCE)
             return
         if self.window is None:
-            self.window = SuggestWindow(context, self.gather, self.open_examples)
-            self.window.kept.connect(self.kept)
+            self.window = SuggestWindow(context, self.examples, self.open_examples)
             QShortcut(QKeySequence.StandardKey.Save, self.window).activated.connect(context.saveRequested)
             corner = context.window.mapToGlobal(context.window.rect().topLeft())
             self.window.move(corner.x() + 8, corner.y() + 110)  # the patch view and the panel stay visible
@@ -414,14 +303,11 @@ class SuggestControl(QObject):
         if self.window is not None:
             self.window.outdated(reason)
 
-    def gather(self) -> Gathered | None:
-        """Return the present evidence; None without a frame."""
-        return self._ring.gather(self.examples.examples)
-
     def close(self) -> None:
         """Close the windows, stop measuring and save the examples."""
         if self.window is not None:
             self.window.close_down()
         if self.examples_window is not None:
-            self.examples_window.close_down()
+            self.examples_window.reject()
+        self.examples.close()
         self._keeper.close()

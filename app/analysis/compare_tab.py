@@ -36,7 +36,6 @@ class CompareTab(LiveTab):
 
     COLUMNS = ("frame", "method", "averaged_frames", "median_ms", "points", "area_mm2", "rmse_mm", "iou", "remark")
     EXPORT = "comparison"
-    KEEPS_ALL = False
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -109,11 +108,9 @@ class CompareTab(LiveTab):
         by_truth = self.color_by.currentIndex() == 1
 
         def compare(progress: Progress) -> Comparison:
-            def tell(name: str) -> None:
-                progress(0.0, f"Setting up {name}")
-
             untouched = self.untouched(result, home, progress)
-            return self._comparer.compare(result, chosen, untouched, theme, by_truth, tell)
+            progress(0.0, "Comparing")
+            return self._comparer.compare(result, chosen, untouched, theme, by_truth)
 
         return compare
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from statistics import median
@@ -126,18 +126,11 @@ class Comparer:
         self._rest_s = 0.0
 
     def compare(
-        self,
-        result: Result,
-        methods: Sequence[str],
-        untouched: FoundUntouched,
-        theme: Theme,
-        by_truth: bool,
-        tell: Callable[[str], None],
+        self, result: Result, methods: Sequence[str], untouched: FoundUntouched, theme: Theme, by_truth: bool
     ) -> Comparison:
         """Run the methods on a frame, except those that have already run on it.
 
-        ``by_truth`` colours points by their agreement with the truth; ``tell`` gets the name of a method before it is
-        set up, which may take seconds.
+        ``by_truth`` colours points by their agreement with the truth.
         """
         leave_room_for_the_window()
         if result.playback.playing:  # window and worker share the processor
@@ -155,7 +148,7 @@ class Comparer:
             count = int(np.count_nonzero(truth.contact))
             outcomes.append(Outcome(TRUTH, cloud, count, area_mm2 if len(points) else math.nan, note=note))
         for name in methods:
-            entrant = self._entrant(name, result, untouched, tell)
+            entrant = self._entrant(name, result, untouched)
             self._run(name, entrant, result)
             cloud = _cloud(name, entrant.mask, result, theme, by_truth)
             ms = median(entrant.times_ms) if entrant.times_ms else math.nan
@@ -163,7 +156,7 @@ class Comparer:
         self._rest_s = time.perf_counter() - started
         return Comparison(result, tuple(methods), by_truth, tuple(outcomes))
 
-    def _entrant(self, name: str, result: Result, untouched: FoundUntouched, tell: Callable[[str], None]) -> _Entrant:
+    def _entrant(self, name: str, result: Result, untouched: FoundUntouched) -> _Entrant:
         """Return a method that fits the frame; a changed preset updates a pipeline in place."""
         preset, rig = result.preset, result.source.rig
         rival = name not in PIPELINES
@@ -177,13 +170,11 @@ class Comparer:
                 known.pipeline.update(preset.with_values(PIPELINES[name]))
                 fresh.pipeline, fresh.find, fresh.warm = known.pipeline, known.find, known.warm
             elif not rival:
-                tell(name)
                 fresh.pipeline = ContactPipeline(preset.with_values(PIPELINES[name]), rig)
                 fresh.find = fresh.pipeline.process
             elif untouched.frame is None:
                 fresh.problem = " ".join(untouched.warnings)
             else:
-                tell(name)
                 fresh.find = make_method(name, preset, rig, untouched.frame)
         except Exception as error:  # another package's method may raise anything
             fresh.problem = explain(error, f"{name} cannot be set up")

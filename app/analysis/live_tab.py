@@ -20,7 +20,7 @@ from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.basics.messages import Messages, Severity
 from ..context import Context
 from ..worker.jobs import Job, JobRow, Progress, Work
-from ..worker.results import RateMeter, Result, SourceInfo
+from ..worker.results import RateMeter, Result
 from .tab import AnalysisTab
 
 WAITING: Final = "Waiting for a frame: open a source in the main window."
@@ -45,8 +45,6 @@ class LiveTab(AnalysisTab):
     COLUMNS: tuple[str, ...] = ()
     #: Name of the exported file without its suffix.
     EXPORT = "frames"
-    #: Whether the rows of all frames are kept; else those of the shown frame.
-    KEEPS_ALL = True
 
     def __init__(self, context: Context) -> None:
         super().__init__()
@@ -68,7 +66,7 @@ class LiveTab(AnalysisTab):
         self.export = push_button("&Export…", "Save the numbers of all frames as CSV (Ctrl+E); frames count from 0")
         self.export.setShortcut("Ctrl+E")
         self.reset.clicked.connect(self._reset)
-        self.export.clicked.connect(lambda: self._ask_where(None))
+        self.export.clicked.connect(self._ask_where)
         self.top = QHBoxLayout()
         self.column = QVBoxLayout()
         state = hbox((self.status, 1), self.working, self.reset, self.export)
@@ -99,10 +97,14 @@ class LiveTab(AnalysisTab):
 
     def show_result(self, result: Result) -> None:
         """Work on this frame next."""
-        former = None if self.result is None else self.result.source
-        self.result = result
-        if result.source is not former:
-            self._begin(result, former)
+        former, self.result = self.result, result
+        if former is None or result.source is not former.source:
+            self.job.cancel()
+            self.messages.clear("reset")  # its rows belong to the former source
+            self.rows, self.found = {}, None
+            self.begin(result)
+            self.rows_changed()
+            self._offer()
         self.again()
 
     def again(self, *_: object) -> None:
@@ -131,21 +133,6 @@ class LiveTab(AnalysisTab):
         """Stop all threads, for good."""
         self.job.stop()
         self._writing.stop()
-
-    def _begin(self, result: Result, former: SourceInfo | None) -> None:
-        self.job.cancel()
-        self.messages.clear("reset")  # its rows belong to the former source
-        if former is not None and self.rows and self.KEEPS_ALL:
-            rows = list(self.rows.values())
-            sentence = (
-                f"The curve of {former.name} ({counted(len(rows), 'frame')}) ended because {result.source.name} was "
-                "opened."
-            )
-            self.messages.show_message("former", Severity.INFO, sentence, [("Save it…", lambda: self._ask_where(rows))])
-        self.rows, self.found = {}, None
-        self.begin(result)
-        self.rows_changed()
-        self._offer()
 
     def _done(self, done: tuple[Result, Any]) -> None:
         result, found = done
@@ -183,20 +170,17 @@ class LiveTab(AnalysisTab):
         sentence = f"The curve of {counted(len(rows), 'frame')} was removed."
         self.messages.show_message("reset", Severity.INFO, sentence, [("Bring it back", bring_back)])
 
-    def _ask_where(self, rows: list[Row] | None) -> None:
-        """Ask for a file for the present rows, or for those of a former source."""
-        pictured = rows is None and self.picture() is not None
+    def _ask_where(self) -> None:
+        pictured = self.picture() is not None
         filters = [*(["PNG picture, CSV beside it (*.png)"] if pictured else []), "Table (*.csv)"]
         name = f"{self.EXPORT}{'.png' if pictured else '.csv'}"
-        dialogs = self.context.dialogs.over(self.window() or self)
-        dialogs.save_file("export", "Export", name, filters, lambda path: self.save_to(path, rows))
+        self.context.dialogs.over(self.window() or self).save_file("export", "Export", name, filters, self.save_to)
 
-    def save_to(self, path: Path, rows: list[Row] | None = None) -> None:
-        """Write rows as CSV, on another thread; the present ones into a .png with the picture, the CSV beside it."""
-        every = list(self.rows.values()) if rows is None else rows
-        widget = self.picture() if rows is None and path.suffix.lower() != ".csv" else None
+    def save_to(self, path: Path) -> None:
+        """Write the rows as CSV, on another thread; into a .png the picture, with the CSV beside it."""
+        widget = self.picture() if path.suffix.lower() != ".csv" else None
         picture = None if widget is None else widget.grab().toImage()
-        text = rows_as_csv(self.COLUMNS, every)
+        text = rows_as_csv(self.COLUMNS, self.rows.values())
         self._writing.start(lambda _: write_picture(picture, text, path, "The numbers were"))
 
     def _complain(self, key: str, sentence: str) -> None:

@@ -10,9 +10,9 @@ from typing import Final
 import cv2
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QColor
-from PyQt6.QtWidgets import QComboBox, QDoubleSpinBox, QLabel, QWidget
+from PyQt6.QtWidgets import QComboBox, QDoubleSpinBox, QWidget
 
 from ...core.lab.strain import (
     SPACING_M,
@@ -37,7 +37,7 @@ from ..worker.jobs import Progress, Work
 from ..worker.results import Result
 from .live_tab import LiveTab, Row
 
-_SPACING, _AVERAGE, _MAP = "strain/spacing_mm", "strain/average", "strain/map"
+_SPACING: Final = "strain/spacing_mm"
 _MAPS: Final = ("Largest", "Along length", "Along width")
 _MAX_AVERAGED: Final = 30
 #: Smallest range of both axes of the curve, in mm and percent.
@@ -63,13 +63,13 @@ class StrainTab(LiveTab):
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._frames: deque[SensorFrame] = deque(maxlen=_MAX_AVERAGED)
-        self.map, self.numbers, self.pointed = StrainMap(), wrapped_label(verdict=True), QLabel(" ")
+        self.map, self.numbers = StrainMap(), wrapped_label(verdict=True)
         self.spacing, self.map_of = QDoubleSpinBox(), QComboBox()
         self.average = frame_count(
             _MAX_AVERAGED,
             "Number of recent frames to average while the membrane does not move. "
             "10 is more accurate at steep places; 1 follows a moving press",
-            round(self.settings.number(_AVERAGE, 1)),
+            1,
         )
         self.plot = Plot("Displacement, mm", "Largest strain, %", movable=True)
         self.plot.getViewBox().setLimits(minXRange=_MIN_RANGE, minYRange=_MIN_RANGE)
@@ -87,7 +87,6 @@ class StrainTab(LiveTab):
         self.spacing.valueChanged.connect(self._entries_changed)
         self.average.valueChanged.connect(self._entries_changed)
         self.map_of.currentTextChanged.connect(self._map_changed)
-        self.map.pointed.connect(lambda text: self.pointed.setText(text or " "))
 
     def _lay_out(self) -> None:
         low, high = (1e3 * end for end in SPACING_RANGE_M)
@@ -98,7 +97,6 @@ class StrainTab(LiveTab):
         self.spacing.setToolTip("Distance of neighbouring dots on the flat sheet, as printed")
         self.spacing.setValue(self.settings.number(_SPACING, 1e3 * SPACING_M))
         self.map_of.addItems(_MAPS)
-        self.map_of.setCurrentText(self.settings.text(_MAP, _MAPS[0]))
         self.map_of.setToolTip("Strain that colours each square of the grid")
         self.reset.setText("&Reset curve")
         for words, entry in (
@@ -110,9 +108,7 @@ class StrainTab(LiveTab):
         self.top.addStretch(1)
         side = QWidget()
         vbox(self.numbers, (self.plot, 1), within=side, margins=0)
-        left = QWidget()
-        vbox((self.map, 1), self.pointed, within=left, margins=0)
-        self.sheet = splitter(Qt.Orientation.Horizontal, (left, 3), (side, 2))
+        self.sheet = splitter(Qt.Orientation.Horizontal, (self.map, 3), (side, 2))
         self.column.addWidget(self.sheet, 1)
 
     # What the base asks
@@ -186,11 +182,9 @@ class StrainTab(LiveTab):
 
     def _entries_changed(self) -> None:
         self.settings.set(_SPACING, self.spacing.value())
-        self.settings.set(_AVERAGE, self.average.value())
         self.again()
 
     def _map_changed(self, shown: str) -> None:
-        self.settings.set(_MAP, shown)
         if self.found is not None:
             self.map.show_view(self.found, shown, self.found.problem)
 
@@ -242,15 +236,10 @@ def _map_lut() -> Uint8Array:
 
 
 class StrainMap(ImagePane):
-    """Shows one measurement; the wheel zooms, a drag pans, a double click shows all."""
-
-    #: The strain of the grid cell under the mouse as text; empty outside of the grid.
-    pointed = pyqtSignal(str)
+    """Shows one measurement; the wheel zooms, a drag pans, another size of the window shows all."""
 
     def __init__(self) -> None:
         super().__init__("Strain map (tactile colour image)")
-        self._view: StrainView | None = None
-        self._fitted = False
         shadow = pg.mkPen((0, 0, 0, 170), width=7)
         self._dots = pg.ScatterPlotItem(size=5, pen=None, brush=pg.mkBrush(255, 255, 255, 200))
         self._peaks = [
@@ -261,15 +250,11 @@ class StrainMap(ImagePane):
             item.setZValue(height)
             self.box.addItem(item, ignoreBounds=True)
         self.view.setMinimumSize(320, 200)
-        self.view.setToolTip("Wheel: zoom; drag: move; double click: show all; hover over a square to read its strain")
-        self.hovered.connect(self._hovered)
-        self.doubleClicked.connect(self.show_all)
-        self.viewMoved.connect(lambda: setattr(self, "_fitted", True))
-        self.resized.connect(self._fit)
+        self.view.setToolTip("Wheel: zoom; drag: move")
+        self.resized.connect(self._show_all)
 
     def show_view(self, view: StrainView | None, shown: str, message: str) -> None:
         """Show a measurement; without one, the image and the reason."""
-        self._view = view
         image = None if view is None or view.color is None else view.color.copy()
         measured = view.measured if view is not None else None
         self.set_legend([])
@@ -290,7 +275,7 @@ class StrainMap(ImagePane):
         self.set_pixels(None if image is None else pack_rgb(image), size, 1)
         self.set_message(message if image is None else "")
         if changed:
-            self.show_all()
+            self._show_all()
         for item in (self._dots, *self._peaks):
             item.setVisible(measured is not None)
         if measured is not None:
@@ -298,23 +283,5 @@ class StrainMap(ImagePane):
             for peak, axis in zip(self._peaks, (measured.length, measured.width), strict=True):
                 peak.setData(*largest_pair(axis, measured.pixels).T)
 
-    def show_all(self) -> None:
-        """Show the whole image."""
-        self._fitted = False
-        self._fit()
-
-    def _fit(self) -> None:
-        if not self._fitted:
-            self.show_rect(self.image_rect())
-
-    def _hovered(self, u: int, v: int) -> None:
-        measured = self._view.measured if self._view is not None else None
-        text = ""
-        if measured is not None and u >= 0 and len(measured.cells):
-            corners = measured.pixels[measured.cells]
-            edges, to = np.roll(corners, -1, axis=1) - corners, np.array([u, v]) - corners
-            turn = edges[..., 0] * to[..., 1] - edges[..., 1] * to[..., 0]
-            for cell in np.flatnonzero((turn >= 0).all(axis=1) | (turn <= 0).all(axis=1))[:1]:
-                length, width = 100 * measured.cell_strain[cell]
-                text = f"Square at ({u}, {v}): {length:.1f} % along length, {width:.1f} % along width"
-        self.pointed.emit(text)
+    def _show_all(self) -> None:
+        self.show_rect(self.image_rect())

@@ -9,14 +9,13 @@ import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtGui import QColor
-from PyQt6.QtWidgets import QCheckBox, QComboBox, QLabel, QWidget
+from PyQt6.QtWidgets import QCheckBox, QLabel, QWidget
 
 from ...core.errors import minus
-from ...core.estimation.tilt import MAX_SIGMA_RAD, Tilt, TiltEstimator, TiltMethod
+from ...core.estimation.tilt import MAX_SIGMA_RAD, Tilt, TiltEstimator
 from ...core.estimation.tilt_filter import TiltFilter
 from ...core.model.arrays import Float32Array, Float64Array
 from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_ROW, palette_theme, patch_lut
-from ...widgets.basics.controls import caption
 from ...widgets.basics.layouts import STRETCH, hbox, splitter, vbox
 from ...widgets.clouds.cloud_data import free_cloud
 from ...widgets.clouds.cloud_view import CloudView
@@ -26,7 +25,6 @@ from ..worker.jobs import Work
 from ..worker.results import Result
 from .live_tab import LiveTab, Row
 
-_METHODS: Final[dict[str, TiltMethod]] = {"Rig's noise": "noise", "Principal components": "pca"}
 _NOT_DETERMINED = f"no tilt, as of a line or a dot (standard deviation above {math.degrees(MAX_SIGMA_RAD):.0f}°)"
 _ROLL_RGB, _PITCH_RGB = (235, 60, 40), (40, 150, 255)
 _PLANE_ROW: Final = CONTACT_ROW - 1
@@ -42,7 +40,7 @@ class TiltTab(LiveTab):
     """Estimates the tilt of each frame that the main window shows, alone and filtered over time."""
 
     COLUMNS = (
-        *("frame", "time_s", "method", "points"),
+        *("frame", "time_s", "points"),
         *(name.replace("rad", "deg") for name in _ANGLES),
         *(f"filtered_{name.replace('rad', 'deg')}" for name in (*_ANGLES[:4], *_RATES)),
     )
@@ -56,7 +54,7 @@ class TiltTab(LiveTab):
         self._newest: tuple[Result, Tilt, Tilt] | None = None
         self.cloud = CloudView("Patch and plane")
         self.roll, self.pitch, self.axis = QLabel(), QLabel(), QLabel()
-        self.method, self.filtered = QComboBox(), QCheckBox("&Filtered")
+        self.filtered = QCheckBox("&Filtered")
         self.plot = Plot("Time, s", "Angle, degrees", movable=True)
         self.plot.setToolTip(
             "Roll and pitch over the time stamps of the frames, with a band of one standard deviation. "
@@ -69,7 +67,6 @@ class TiltTab(LiveTab):
         self.plot.follow_theme()
         self._lay_out()
         self.cloud.set_message(self.status.text())
-        self.method.activated.connect(self._method_changed)
         self.filtered.toggled.connect(self._filtered_changed)
 
     def _curve(self, name: str, rgb: tuple[int, int, int]) -> tuple[pg.PlotDataItem, list[pg.PlotCurveItem]]:
@@ -80,13 +77,6 @@ class TiltTab(LiveTab):
         return self.plot.plot(name=name, pen=pg.mkPen(rgb, width=1.5), connect="finite"), ends
 
     def _lay_out(self) -> None:
-        self.method.addItems(list(_METHODS))
-        self.method.setAccessibleName("Method")
-        self.method.setCurrentText(self.settings.text("tilt/method", next(iter(_METHODS))))
-        self.method.setToolTip(
-            "Rig's noise: plane by least squares, each point weighted by its noise. "
-            "Principal components: as published, each point alike"
-        )
         self.filtered.setChecked(self.settings.number("tilt/filtered", 0) > 0)
         self.filtered.setToolTip(
             "Angles after a Kalman filter with a constant rate: less noise, a little later. Off: each frame alone"
@@ -96,15 +86,10 @@ class TiltTab(LiveTab):
         self.axis.setToolTip("Direction of the long axis in the image: 0° right, 90° down; none for a round patch")
         for label in (self.roll, self.pitch, self.axis):
             label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.top.addLayout(hbox(caption("&Method", self.method), self.method, self.filtered, STRETCH))
+        self.top.addLayout(hbox(self.filtered, STRETCH))
         side = QWidget()
         vbox(self.roll, self.pitch, self.axis, (self.plot, 1), within=side, margins=0)
         self.column.addWidget(splitter(Qt.Orientation.Horizontal, self.cloud, side, sizes=(480, 480)))
-
-    def _method_changed(self, _: int) -> None:
-        self.settings.set("tilt/method", self.method.currentText())
-        self._filter.restart()
-        self.again()
 
     def _filtered_changed(self, on: bool) -> None:
         self.settings.set("tilt/filtered", int(on))
@@ -120,12 +105,11 @@ class TiltTab(LiveTab):
 
     def work(self, result: Result) -> Work:
         """Return the estimate of the tilt of a frame."""
-        method = _METHODS[self.method.currentText()]
 
         def estimate(_: object) -> Tilt | None:
             if result.patch is None:
                 return None
-            estimator = TiltEstimator(result.preset, result.source.rig, method)
+            estimator = TiltEstimator(result.preset, result.source.rig)
             return estimator.estimate(result.patch, result.frame.sequence, result.frame.proximity_time_s)
 
         return estimate
@@ -143,7 +127,7 @@ class TiltTab(LiveTab):
         angles = [getattr(found, name) for name in _ANGLES]
         angles += [getattr(filtered, name) for name in (*_ANGLES[:4], *_RATES)]
         degrees = [None if angle is None else round(math.degrees(angle), 4) for angle in angles]
-        return (found.sequence, round(found.time_s, 6), found.method, found.points, *degrees)
+        return (found.sequence, round(found.time_s, 6), found.points, *degrees)
 
     def _show_none(self) -> None:
         """Show no tilt: those of other frames would be taken for this one's."""

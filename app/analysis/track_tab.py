@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtGui import QColor
-from PyQt6.QtWidgets import QComboBox, QLabel, QWidget
+from PyQt6.QtWidgets import QLabel, QWidget
 from scipy.spatial.transform import Rotation
 
 from ...core.errors import MissingExtraError, as_sentence, minus
@@ -20,11 +20,10 @@ from ...core.estimation.object_mesh import SUFFIXES, ObjectMesh, import_open3d, 
 from ...core.estimation.pose import PoseError, PoseEstimate, PoseTracker, pose_error
 from ...core.estimation.pose_files import pose_record
 from ...core.model.arrays import Float64Array, Uint8Array
-from ...core.model.units import UNITS_M
 from ...core.sources.simulator.names import read_name, source_options
 from ...core.sources.simulator.scenes import resolve_scene
 from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_ROW, palette_theme, patch_lut
-from ...widgets.basics.controls import AccentButton, caption, push_button, wrapped_label
+from ...widgets.basics.controls import AccentButton, push_button, wrapped_label
 from ...widgets.basics.layouts import STRETCH, hbox, splitter, vbox
 from ...widgets.basics.messages import Severity
 from ...widgets.basics.theme import theme_colors
@@ -36,7 +35,6 @@ from ..worker.results import Result
 from .live_tab import LiveTab, Row
 
 _FILTER: Final = f"Meshes ({' '.join(f'*{suffix}' for suffix in SUFFIXES)})"
-_BY_SIZE: Final = "by size"
 _MODEL_RGB: Final = (24, 120, 230)
 #: A component with a larger standard deviation is not determined, metres and radians.
 _FREE_M, _FREE_RAD = 0.02, 0.3
@@ -59,10 +57,10 @@ class Model:
     shades: Uint8Array
 
 
-def read_model(path: Path, unit: str | None, progress: Progress) -> Model:
+def read_model(path: Path, progress: Progress) -> Model:
     """Read a mesh; raises as `load_mesh` does."""
     progress(0.1, f"Reading {path.name}")
-    mesh = load_mesh(path, unit)
+    mesh = load_mesh(path)
     progress(0.6, "Preparing the view")
     return _shown(mesh)
 
@@ -136,12 +134,10 @@ class TrackTab(LiveTab):
         super().__init__(context)
         self.model: Model | None = None
         self.tracked: Tracked | None = None
-        self._path: Path | None = None
         self._tracker: FrameTracker | None = None
         self._loading = Job(self)
         self.open_button = push_button("&Open mesh…", "Open the object's mesh: OBJ, PLY or STL")
         self.simulated = push_button("&Simulated object", "Use the mesh of the object that the simulator presses")
-        self.unit = QComboBox()
         self.track_button = AccentButton(
             "Find and trac&k", "Find the object in any orientation by its patch, then track it from frame to frame"
         )
@@ -151,7 +147,6 @@ class TrackTab(LiveTab):
         self._lay_out()
         self.open_button.clicked.connect(self._ask_mesh)
         self.simulated.clicked.connect(self._open_simulated)
-        self.unit.activated.connect(self._read_again)
         self.track_button.toggled.connect(self._toggled)
         self.job.failed.connect(self._stop_after)
         self.working.cancel.clicked.connect(lambda: self.track_button.setChecked(False))
@@ -163,8 +158,6 @@ class TrackTab(LiveTab):
 
     def _lay_out(self) -> None:
         self.simulated.hide()
-        self.unit.addItems([_BY_SIZE, *UNITS_M])
-        self.unit.setToolTip("Length unit of the mesh; by size: metres if the object is then 10 mm to 2 m, else mm")
         self.pose.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.pose.setToolTip(
             "Position of the mesh's origin and rotation about the camera's axes, each with its standard deviation; "
@@ -172,7 +165,7 @@ class TrackTab(LiveTab):
         )
         self.scene.set_point_size(2)
         self.scene.set_message("No patch yet: show a frame with contact in the main window")
-        entries = (self.open_button, self.simulated, caption("&Unit", self.unit), self.unit, self.track_button)
+        entries = (self.open_button, self.simulated, self.track_button)
         self.top.addLayout(hbox(*entries, STRETCH, JobRow(self._loading)))
         side = QWidget()
         vbox(self.guide, self.pose, STRETCH, within=side, margins=0)
@@ -191,10 +184,8 @@ class TrackTab(LiveTab):
     # The mesh
 
     def open_mesh(self, path: Path) -> None:
-        """Read a mesh in the chosen unit; the present one stays until that has succeeded."""
-        self._path = path
-        unit = self.unit.currentText()
-        self._loading.start(partial(read_model, path, None if unit == _BY_SIZE else unit))
+        """Read a mesh; the present one stays until that has succeeded."""
+        self._loading.start(partial(read_model, path))
 
     def _ask_mesh(self) -> None:
         dialogs = self.context.dialogs.over(self.window() or self)
@@ -202,12 +193,7 @@ class TrackTab(LiveTab):
 
     def _open_simulated(self) -> None:
         if self.result is not None:
-            self._path = None  # another unit would read that file again
             self._loading.start(partial(simulated_model, self.result.source.name))
-
-    def _read_again(self) -> None:
-        if self._path is not None:
-            self.open_mesh(self._path)
 
     def _opened(self, model: Model) -> None:
         self.job.cancel()  # it may search for the former object

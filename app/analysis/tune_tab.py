@@ -12,24 +12,14 @@ from pathlib import Path
 from typing import Any, Final
 
 from PyQt6.QtCore import QObject, QProcess, Qt, pyqtSignal
-from PyQt6.QtWidgets import (
-    QCheckBox,
-    QComboBox,
-    QFormLayout,
-    QGroupBox,
-    QLabel,
-    QSpinBox,
-    QVBoxLayout,
-    QWidget,
-)
+from PyQt6.QtWidgets import QCheckBox, QFormLayout, QGroupBox, QSpinBox, QVBoxLayout, QWidget
 
 from ...core.contact.kernels.threads import available_threads
 from ...core.errors import PresetError, TactuneError, minus
 from ...core.preset import Preset
 from ...core.preset.file import save_preset
-from ...core.tuning.advice.proposal import Proposal
-from ...core.tuning.plan import OBJECTIVES, Axis, default_axes
-from ...widgets.basics.controls import ElidedLabel, ProgressBar, push_button
+from ...core.tuning.plan import Axis, default_axes
+from ...widgets.basics.controls import ElidedLabel, push_button
 from ...widgets.basics.fields import field_spec, format_number
 from ...widgets.basics.layouts import STRETCH, hbox, scrolling, splitter, vbox
 from ...widgets.basics.messages import Messages, Severity
@@ -40,15 +30,8 @@ from ..document.document import field_title
 from ..worker.results import Result
 from .tab import AnalysisTab
 
-_TITLES: Final = {
-    "rmse": "RMSE",
-    "iou": "IoU",
-    "area_error": "Area error",
-    "stability": "Stability",
-    "area": "Area",
-}
-_TRIALS, _FRAMES = "tune/trials", "tune/frames"
-_USUAL_TRIALS, _USUAL_FRAMES = 60, 8
+#: What is optimised beside the time, with ground truth and without.
+_TITLES: Final = {"rmse": "RMSE (mm)", "stability": "Stability"}
 _WAITING = "Waiting for a frame: open a recording, a folder or the simulator in the main window."
 _READY = "Start searches the ticked fields for less error and less time. The present preset is the first trial."
 _LIVE = "A live source is never the same twice: record it first, then open the recording."
@@ -102,7 +85,7 @@ class TuneRun(QObject):
         save_preset(request.preset, preset)
         frames = request.frames
         words = ["-P", "-m", "tactune.app", "tune", "--json", "--source", request.source, "--preset", str(preset)]
-        words += ["--objective", f"{request.objective},ms", "--trials", str(request.trials), "--sampler", "tpe"]
+        words += ["--objective", f"{request.objective},ms", "--trials", str(request.trials)]
         words += ["--frames", f"{frames.start}:{frames.stop}:{frames.step}"]
         words += ["--study", str(self._folder / f"{name}.study.log")]
         words += ["--jobs", str(max(1, available_threads() - 1))]
@@ -114,7 +97,6 @@ class TuneRun(QObject):
         self._process = process = QProcess(self)
         process.readyReadStandardOutput.connect(self._read)
         process.finished.connect(self._finished)
-        process.errorOccurred.connect(self._not_started)
         process.start(command[0], command[1:])
         self.changed.emit()
 
@@ -133,13 +115,8 @@ class TuneRun(QObject):
             self._process = None
 
     def _read(self) -> None:
-        if self._process is None:
-            return
-        while self._process.canReadLine():
-            try:
-                line = json.loads(self._process.readLine().data())
-            except ValueError:
-                continue  # printed by a library
+        while self._process is not None and self._process.canReadLine():
+            line = json.loads(self._process.readLine().data())
             if "number" in line:
                 self.trials[line["number"]] = line
             elif "front" in line:
@@ -149,19 +126,14 @@ class TuneRun(QObject):
     def _finished(self, status: int) -> None:
         self._read()
         process, self._process = self._process, None
-        assert process is not None
+        if process is None:
+            return
         said = bytes(process.readAllStandardError().data()).decode(errors="replace").strip().splitlines()
         process.deleteLater()
         well = status in (0, _STOPPED) or self.stopping
         unsaid = f"the search was ended (status {status}); its trials are kept, Start continues"
         last = said[-1].removeprefix("tactune: ") if said else unsaid
         self.ended.emit("" if well else f"{last[:1].upper()}{last[1:]}.")
-
-    def _not_started(self, error: QProcess.ProcessError) -> None:
-        if error == QProcess.ProcessError.FailedToStart and self._process is not None:
-            self._process.deleteLater()
-            self._process = None
-            self.ended.emit("The search could not be started; use tactune tune on the command line.")
 
 
 def frames_of(trim: Sequence[int] | None, length: int, count: int, index: int, has_truth: bool) -> range:
@@ -186,21 +158,18 @@ class TuneTab(AnalysisTab):
         super().__init__()
         self._context, self._document = context, context.document
         self._result: Result | None = None
-        self._has_truth: bool | None = None
-        self._previewed: tuple[Side, Side] | None = None
+        self._previewed: Side | None = None
         self.run = TuneRun(context.data_folder / "searches", self)
-        self.plot, self.status = TradeOffPlot(), ElidedLabel(_WAITING)
+        self.plot, self.status, self.pointed = TradeOffPlot(), ElidedLabel(_WAITING), ElidedLabel()
         self.messages = Messages(self.plot)
         self.fields: dict[str, QCheckBox] = {}
         self._axes: dict[str, Axis] = {}
-        self.objective, self.trials, self.frames = QComboBox(), QSpinBox(), QSpinBox()
+        self.trials, self.frames = QSpinBox(), QSpinBox()
         self.start = push_button(
             "Sta&rt", "Search the ticked fields on the open recording (Ctrl+Return)", "Ctrl+Return"
         )
         self.stop = push_button("Sto&p", "Stop the search. Its trials are kept: Start continues it (Alt+P)")
         self.use = push_button("&Use", "Put the chosen trial's values into the preset, as one undo step (Return)")
-        self.progress = ProgressBar()
-        self.pointed, self.chosen = ElidedLabel(), QLabel()
         self._field_box = QGroupBox("Fields")
         self._lay_out()
         self.start.clicked.connect(self._start)
@@ -209,96 +178,64 @@ class TuneTab(AnalysisTab):
         self.plot.accepted.connect(self._use)
         self.plot.chosen.connect(self._preview)
         self.plot.pointed.connect(self.pointed.setText)
-        self.objective.currentIndexChanged.connect(lambda _: self._name_axes())
         self.run.changed.connect(self._show_trials)
         self.run.ended.connect(self._ended)
         self._document.presetChanged.connect(self._list_fields)
         self._document.baselineChanged.connect(self._list_fields)
         self._list_fields(self._document.preset)
-        self._update()
 
     def show_result(self, result: Result) -> None:
         """Offer to search on the source of this frame."""
         new = self._result is None or result.source is not self._result.source
-        has_truth = result.frame.truth is not None
         self._result = result
-        if new or has_truth != self._has_truth:
-            self._has_truth = has_truth
-            self._list_objectives()
+        if new:
             self._update()
 
     def shut_down(self) -> None:
         """End the search; its trials are kept."""
         self.run.shut_down()
 
-    # Building
-
     def _lay_out(self) -> None:
-        settings = self._context.settings
-        self.objective.setToolTip("What is optimised beside the time: RMSE, IoU and area error need ground truth")
         self.trials.setRange(1, 10_000)
-        self.trials.setValue(round(settings.number(_TRIALS, _USUAL_TRIALS)))
+        self.trials.setValue(60)
         self.trials.setToolTip("Number of trials. More find better values; a larger number continues the search")
         self.frames.setRange(1, 1000)
-        self.frames.setValue(round(settings.number(_FRAMES, _USUAL_FRAMES)))
+        self.frames.setValue(8)
         self.frames.setToolTip(
             "Number of frames of each trial, between the in and out marks: spread evenly with ground truth, otherwise "
             "consecutive from the present frame. More are more reliable and take longer"
         )
-        self.chosen.setWordWrap(True)
-        self.chosen.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.plot.setToolTip("One dot a trial; click one to preview it. Left and Right walk along the front")
-        self.progress.setToolTip("Trials that have been measured")
         form = QFormLayout()
-        for title, entry, name in (
-            ("&Optimise time and", self.objective, "Optimise"),
-            ("Tria&ls", self.trials, "Trials"),
-            ("&Frames", self.frames, "Frames"),
-        ):
+        for title, entry, name in (("Tria&ls", self.trials, "Trials"), ("&Frames", self.frames, "Frames")):
             entry.setAccessibleName(name)
             form.addRow(title, entry)
         QVBoxLayout(self._field_box).setSpacing(4)
         panel, right = QWidget(), QWidget()
         buttons = hbox(self.start, self.stop)
-        vbox(self._field_box, form, buttons, 12, self.chosen, self.use, STRETCH, within=panel, margins=(0, 0, 4, 0))
+        vbox(self._field_box, form, buttons, 12, self.use, STRETCH, within=panel, margins=(0, 0, 4, 0))
         vbox((self.plot, 1), self.pointed, within=right, margins=0)
         across = splitter(Qt.Orientation.Horizontal, scrolling(panel, _PANEL_WIDTH), (right, 1))
-        vbox(hbox((self.status, 1), self.progress), (across, 1), within=self, margins=0)
+        vbox(self.status, (across, 1), within=self, margins=0)
 
     def _list_fields(self, preset: Preset) -> None:
         """Offer the numbers of the preset's contact test; ticks stay."""
-        off = {path for path, box in self.fields.items() if not box.isChecked()}
         self._axes = {axis.path: axis for axis in default_axes(preset)}
         layout = self._field_box.layout()
         assert layout is not None
-        for path in list(self.fields):
-            if path not in self._axes:
-                self.fields.pop(path).deleteLater()
+        for path in self.fields.keys() - self._axes.keys():
+            self.fields.pop(path).deleteLater()
         for axis in self._axes.values():
             if axis.path not in self.fields:
                 box = self.fields[axis.path] = QCheckBox()
+                box.setChecked(True)
                 box.toggled.connect(self._update)
                 layout.addWidget(box)
-            box = self.fields[axis.path]
-            box.setChecked(axis.path not in off)
-            spec = field_spec(Preset, axis.path)
+            box, spec = self.fields[axis.path], field_spec(Preset, axis.path)
             ends = " to ".join(minus(format_number(end * spec.factor)) for end in (axis.low, axis.high))
             box.setText(f"{spec.title}: {ends}{spec.suffix}")
             box.setToolTip(f"{spec.description} Without the tick it keeps its value.")
         self._update()
-
-    def _list_objectives(self) -> None:
-        before = self.objective.currentData()
-        single = self._result is not None and self._result.source.length == 1
-        self.objective.clear()
-        for name in _TITLES:
-            if (OBJECTIVES[name].needs_truth and not self._has_truth) or (name == "stability" and single):
-                continue
-            self.objective.addItem(_title(name), name)
-            meaning = OBJECTIVES[name].meaning
-            last = self.objective.count() - 1
-            self.objective.setItemData(last, f"{meaning[:1].upper()}{meaning[1:]}", Qt.ItemDataRole.ToolTipRole)
-        self.objective.setCurrentIndex(max(0, self.objective.findData(before)))
 
     # Searching
 
@@ -306,16 +243,15 @@ class TuneTab(AnalysisTab):
         result = self._result
         if result is None or result.source.length is None or self.run.busy:
             return
-        length, index = result.source.length, max(0, result.playback.index)
-        self._context.settings.set(_TRIALS, self.trials.value())
-        self._context.settings.set(_FRAMES, self.frames.value())
         self.messages.clear("failed")
         self._end_preview()
         self.plot.choose(-1)
         axes = tuple(self._axes[path] for path, box in self.fields.items() if box.isChecked())
-        objective = self.objective.currentData()
-        needs_truth = OBJECTIVES[objective].needs_truth
-        frames = frames_of(self._context.trim, length, self.frames.value(), index, needs_truth)
+        has_truth = result.frame.truth is not None
+        objective = "rmse" if has_truth else "stability"
+        self.plot.set_axes("Time (ms per frame, one thread)", _TITLES[objective])
+        index = max(0, result.playback.index)
+        frames = frames_of(self._context.trim, result.source.length, self.frames.value(), index, has_truth)
         request = Request(result.source.name, self._document.preset, axes, objective, frames, self.trials.value())
         try:
             self.run.start(request)
@@ -333,56 +269,34 @@ class TuneTab(AnalysisTab):
 
     def _show_trials(self) -> None:
         request = self.run.request
-        if request is None:
-            return
-        self._name_axes()
+        assert request is not None
         dots, present = [], -1
         for number, trial in self.run.trials.items():
             figures = trial["figures"]
-            if trial["failure"] or not figures["points"]:
-                continue
-            present = number if trial["present"] else present
-            dots.append(Dot(number, figures["ms"], figures[request.objective], self._words(trial)))
+            if not trial["failure"] and figures["points"]:
+                present = number if trial["present"] else present
+                dots.append(Dot(number, figures["ms"], figures[request.objective], _words(trial, request.objective)))
         self.plot.set_dots(dots, self.run.front, present)
         self._update()
-
-    def _name_axes(self) -> None:
-        """Name the axes after the trials that are shown; before the first search, after what will be."""
-        name = self.objective.currentData() if self.run.request is None else self.run.request.objective
-        if name is not None:
-            self.plot.set_axes("Time (ms per frame, one thread)", _title(name))
-
-    def _words(self, trial: dict[str, Any]) -> str:
-        """Describe a trial in one line."""
-        request = self.run.request
-        assert request is not None
-        name, figures = request.objective, trial["figures"]
-        values = ", ".join(f"{field_title(path)} {_shown(path, value)}" for path, value in trial["values"].items())
-        which = "Present preset" if trial["present"] else f"Trial {trial['number']}"
-        unit = f" {OBJECTIVES[name].unit}".rstrip()
-        return f"{which}: {_TITLES[name]} {figures[name]:.3g}{unit}, {figures['ms']:.3g} ms; {values}"
 
     def _update(self) -> None:
         """Enable what is possible now and say what happens."""
         source = None if self._result is None else self._result.source
-        request, busy = self.run.request, self.run.busy
-        done, failed = len(self.run.trials), sum(bool(trial["failure"]) for trial in self.run.trials.values())
-        if busy and request is not None:
-            words = "Stopping…" if self.run.stopping else "Reading the frames…" if not done else "Searching…"
-        elif done and request is not None:
-            words = f"{done} of {request.trials} trials on {request.source}; {len(self.run.front)} on the front"
+        request, busy, done = self.run.request, self.run.busy, len(self.run.trials)
+        if request is not None and (busy or done):
+            now = "Stopping… " if self.run.stopping and busy else "Searching… " if busy else ""
+            words = f"{now}{done} of {request.trials} trials on {request.source}; {len(self.run.front)} on the front"
         else:
             words = _WAITING if source is None else _LIVE if source.length is None else _READY
+        failed = sum(bool(trial["failure"]) for trial in self.run.trials.values())
         self.status.setText(words + (f" ({failed} failed)" if failed else ""))
-        self.progress.setVisible(busy)
-        if request is not None:
-            self.progress.show_share(min(1.0, done / request.trials), f"{done} of {request.trials} trials")
         ticked = any(box.isChecked() for box in self.fields.values())
         self.start.setEnabled(not busy and source is not None and source.length is not None and ticked)
         self.stop.setEnabled(busy and not self.run.stopping)
-        for entry in (self._field_box, self.objective, self.trials, self.frames):
+        for entry in (self._field_box, self.trials, self.frames):
             entry.setEnabled(not busy)
-        self._show_chosen()
+        self.use.setText(f"&Use trial {self.plot.number}" if self.plot.number >= 0 else "&Use")
+        self.use.setEnabled(bool(self._changes()))
 
     # The chosen trial
 
@@ -394,58 +308,38 @@ class TuneTab(AnalysisTab):
         values = {"contact_test": request.preset.contact_test} | trial["values"]
         return {path: value for path, value in values.items() if value != self._document.preset.value(path)}
 
-    def _show_chosen(self) -> None:
-        number, changes, preset = self.plot.number, self._changes(), self._document.preset
-        lines = [
-            f"{field_title(path)}: {_shown(path, preset.value(path))} → {_shown(path, value)}"
-            for path, value in changes.items()
-        ]
-        if number < 0:
-            text = "Click a dot to preview a trial in the main window." if self.run.trials else ""
-        else:
-            text = "\n".join([f"Trial {number}", *(lines or ["The same values as the present preset."])])
-        self.chosen.setText(text)
-        self.use.setText(f"&Use trial {number}" if number >= 0 else "&Use")
-        self.use.setEnabled(bool(changes))
-
     def _preview(self, number: int) -> None:
         """Compare the present preset with a trial in the main window."""
-        self._show_chosen()
+        self._update()
         comparison = self._context.comparison
         try:
             preset = self._document.preset.with_values(self._changes())
         except PresetError as error:  # the preset was edited since the search
             self.messages.show_message("preview", Severity.WARNING, f"Trial {number} cannot be previewed: {error}")
             return
-        self._previewed = comparison.present, Side(f"Trial {number}", preset)
-        comparison.show(*self._previewed)
+        self._previewed = Side(f"Trial {number}", preset)
+        comparison.show(comparison.present, self._previewed)
 
     def _end_preview(self) -> None:
         """End the comparison if it is still this tab's."""
         sides = self._context.comparison.sides
-        if self._previewed is not None and sides is not None and sides[1] == self._previewed[1]:
+        if self._previewed is not None and sides is not None and sides[1] == self._previewed:
             self._context.comparison.end()
         self._previewed = None
 
     def _use(self) -> None:
-        changes, trial, request = self._changes(), self.run.trials.get(self.plot.number), self.run.request
-        if not changes or trial is None or request is None:
+        changes, name = self._changes(), f"Trial {self.plot.number}"
+        if not changes:
             return
         self._end_preview()
-        sections = {path.partition(".")[0] for path in changes}
-        evidence = f"{self._words(trial)}. On {len(request.frames)} frames of {request.source}."
-        section = sections.pop() if len(sections) == 1 else "all"
-        name = f"Trial {trial['number']}"
-        if self._document.apply(Proposal(section, changes, f"{name} of the search", evidence, "")):
+        if self._document.edit_many(changes, title=f"{name} of the search"):
             self.messages.show_message("used", Severity.INFO, f"{name} is in the preset. Undo: Ctrl+Z.")
-        self._show_chosen()
+        self._update()
 
 
-def _title(objective: str) -> str:
-    unit = OBJECTIVES[objective].unit
-    return f"{_TITLES[objective]} ({unit})" if unit else _TITLES[objective]
-
-
-def _shown(path: str, value: Any) -> str:
-    """Return a value as the parameter panel shows it."""
-    return field_spec(Preset, path).describe(value)
+def _words(trial: dict[str, Any], objective: str) -> str:
+    """Describe a trial in one line."""
+    figures = trial["figures"]
+    values = [f"{field_title(path)} {field_spec(Preset, path).describe(it)}" for path, it in trial["values"].items()]
+    which = "Present preset" if trial["present"] else f"Trial {trial['number']}"
+    return f"{which}: {_TITLES[objective]} {figures[objective]:.3g}, {figures['ms']:.3g} ms; {', '.join(values)}"

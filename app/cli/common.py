@@ -261,7 +261,7 @@ def live_frames(source: FrameSource, total: int | None, stopped: threading.Event
 
     A rig whose depth unit puts the membrane where it cannot be gives a warning.
     """
-    from ...core.tuning.advice.no_depth import wrong_unit
+    from ...core.tuning.advice.findings import wrong_unit
 
     count = 0
     while count != total and not stopped.is_set():

@@ -80,7 +80,7 @@ def suggest(
     if not proposals.parts:
         raise AdviceError("; ".join(proposals.refusals.values()))
     for part in proposals.parts:
-        typer.echo(f"{part.section}: {part.label}{' (weak)' if part.weak else ''}")
+        typer.echo(f"{part.section}: {part.label}")
         typer.echo("\n".join([f"  {part.evidence}", f"  {part.expected}", *_as_options(part.changes)]))
     warn(*proposals.refusals.values())
     if out is not None:

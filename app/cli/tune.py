@@ -6,7 +6,7 @@ import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -22,9 +22,9 @@ from .common import (
 
 if TYPE_CHECKING:
     from ...core.sources import FrameSource
+    from ...core.tuning.measure import Workers
     from ...core.tuning.plan import Plan
     from ...core.tuning.study import Study, Trial
-    from ...core.tuning.workers import Workers
 
 
 def tune(
@@ -41,9 +41,9 @@ def tune(
     ] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="FIELD=VALUES", help="Values of a preset field: outliers.k=10,20,30, a range "
-                     "tolerance.t=0.005:0.03, or a range with steps 0.005:0.03:6 (6log: in equal ratios); may be "
-                     "repeated. Default: all numbers of the preset's contact test over their sliders' ranges."),
+        typer.Option("--set", metavar="FIELD=VALUES", help="Values of a preset field: outliers.k=10,20,30, or a range "
+                     "tolerance.t=0.005:0.03 (0.005:0.03:log: in equal ratios); may be repeated. Default: all numbers "
+                     "of the preset's contact test over their sliders' ranges."),
     ] = None,
     frames: Annotated[
         str | None,
@@ -52,21 +52,14 @@ def tune(
     ] = None,
     objective: Annotated[
         str | None,
-        typer.Option(metavar="NAME,…", help="What to optimise: rmse (mm), iou, area_error (mm2), with truth; ms, area "
-                     "(mm2), stability (mean IoU of one frame and the next). Default: rmse,ms; stability,ms without "
-                     "truth."),
+        typer.Option(metavar="NAME,…", help="What to optimise: rmse (mm), iou, with truth; ms, stability (mean IoU of "
+                     "one frame and the next). Default: rmse,ms; stability,ms without truth."),
     ] = None,
     trials: Annotated[
         int | None,
         typer.Option(min=1, metavar="N", help="Number of trials, those of earlier runs included; default: the whole "
-                     "grid, else 60."),
+                     "grid if all fields have listed values, else 60."),
     ] = None,
-    sampler: Annotated[
-        Literal["grid", "qmc", "tpe", "nsga2"] | None,
-        typer.Option(help="grid: every combination. qmc: quasi-random, covers evenly. tpe: learns from trials. nsga2: "
-                     "evolves. Default: grid if all fields have steps and --trials is not given, else tpe."),
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, max=2**31, metavar="S", help="Seed of the sampler.")] = 0,
     jobs: Annotated[
         int | None, typer.Option("--jobs", "-j", min=1, max=1024, metavar="N", help="Processes; default: one per core.")
     ] = None,
@@ -92,9 +85,9 @@ def tune(
     from ...core.rig.untouched import copy_untouched
     from ...core.sources.presets import load_preset
     from ...core.sources.registry import open_source
+    from ...core.tuning.measure import cluster_workers, local_workers
     from ...core.tuning.plan import make_plan, parse_axis
     from ...core.tuning.study import Study, tuned_preset
-    from ...core.tuning.workers import cluster_workers, local_workers
     from ...core.warmup import warm_up_if_needed
 
     axes = [parse_axis(text) for text in settings or []]
@@ -122,9 +115,7 @@ def tune(
                 sources,
                 frames=_parse_frames(frames),
                 objectives=[word.strip() for word in (objective or "").split(",") if word.strip()],
-                sampler=sampler,
                 trials=trials,
-                seed=seed,
                 opener=read,
             )
             opened = Study(plan, kept)

@@ -19,7 +19,7 @@ from ...core.model.frames import Rig, SensorFrame
 from ...core.model.intrinsics import Intrinsics
 from ...core.model.provenance import Provenance
 from ...core.preset import Preset
-from ...core.tuning.advice.no_depth import depth_missing
+from ...core.tuning.advice.findings import depth_missing
 from ...widgets.basics.colormaps import (
     LATE_VERDICTS,
     Theme,

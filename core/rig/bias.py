@@ -20,15 +20,14 @@ from ..contact.masking import colors_at, in_hsv_range
 from ..contact.membrane.bias import most_frequent_m
 from ..contact.pixels import region_bounds
 from ..errors import minus
-from ..model.arrays import BoolArray, Float32Array
+from ..model.arrays import Float32Array
 from ..model.clouds import deproject, pixel_areas_m2, valid_depth
 from ..model.frames import Rig, SensorFrame
 from ..model.robust import spread
 from ..preset import MaskSection, Preset
 
-#: Area of firm contact below which a frame tells nothing about the bias, m^2; less is enough where a person marked it.
+#: Area of firm contact below which a frame tells nothing about the bias, m^2; .
 MIN_CONTACT_M2: Final = 1e-3
-_MIN_MARKED_M2: Final = 2e-4
 #: Standard deviation of a bias that was not measured, metres.
 UNKNOWN_BIAS_M: Final = 0.005
 #: Standard deviation of the bias that no area reduces, metres.
@@ -63,10 +62,8 @@ class MeasuredBias:
     bias_m, sigma_m : float
         Value and standard deviation, metres.
     origin : {"prints", "contact", "scene", "unknown"}
-    per_m, per_m_sigma : float
-        Slope per metre of depth, 0 if the range of depth is too small to tell, and its standard deviation.
-    depth_m : float
-        Mean depth that a slope refers to.
+    per_m : float
+        Slope per metre of depth, 0 if the range of depth is too small to tell.
     share : float
         Of a scene: share of the pixels with both depths that have this bias.
     """
@@ -75,8 +72,6 @@ class MeasuredBias:
     sigma_m: float
     origin: Literal["prints", "contact", "scene", "unknown"]
     per_m: float = 0.0
-    per_m_sigma: float = 0.0
-    depth_m: float = 0.0
     share: float = 0.0
 
     @property
@@ -136,27 +131,8 @@ def scene_bias(expected_m: Float32Array, difference_m: Float32Array, min_relief:
     wide = float(np.std(depth))
     per_m = float(np.polyfit(depth, difference, 1)[0]) if wide > 0 else 0.0
     scatter = float(np.std(difference - per_m * (depth - depth.mean()))) / np.sqrt(len(blocks))
-    per_m_sigma = scatter / wide if wide > 0 else 0.0
     sigma_m = float(np.hypot(scatter, _BIAS_FLOOR_M))
-    return MeasuredBias(centre, sigma_m, "scene", per_m, per_m_sigma, float(depth.mean()), share)
-
-
-def marked_bias(
-    marked: Sequence[tuple[SensorFrame, BoolArray]], preset: Preset, rig: Rig, density_m4: float
-) -> MeasuredBias | None:
-    """Return the median difference in contact that a person marked, pixels of the proximity image; None without any."""
-    found = []
-    for frame, contact in marked:
-        expected_m, difference_m = depth_differences(frame, preset, rig)
-        inside = contact & np.isfinite(difference_m)
-        area_m2 = float(pixel_areas_m2(expected_m[inside], rig.proximity.intrinsics).sum())
-        if area_m2 >= _MIN_MARKED_M2:
-            found.append((float(np.median(difference_m[inside])), area_m2))
-    if not found:
-        return None
-    bias_m, area_m2 = np.array(found).T
-    sigma_m = float(np.hypot(np.sqrt(density_m4 / area_m2.sum()), _BIAS_FLOOR_M))
-    return MeasuredBias(float(np.average(bias_m, weights=area_m2)), sigma_m, "contact")
+    return MeasuredBias(centre, sigma_m, "scene", per_m, share)
 
 
 def print_bias(
@@ -197,8 +173,7 @@ def print_bias(
     between = float(np.std(bias_m - away_m)) / np.sqrt(each_frame)
     noise = np.sqrt(density_m4 / (area_m2.sum() / len(frames)))
     sigma_m = float(np.hypot(max(noise, between), _BIAS_FLOOR_M))
-    per_m_sigma = max(noise, between) / float(np.std(depth_m)) if per_m else 0.0
-    return MeasuredBias(mean_m, sigma_m, "prints", per_m, per_m_sigma, mean_depth_m)
+    return MeasuredBias(mean_m, sigma_m, "prints", per_m)
 
 
 def _prints(

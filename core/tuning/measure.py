@@ -1,17 +1,23 @@
-"""Measures trials over all clips, on one thread of a worker.
+"""Measures trials over all clips: what one thread of a worker does, and the workers, as executors.
 
-The outer loop is over frames, the inner loop over trials. Each frame is therefore read once for all trials, and
-consecutive trials share the results of their common steps.
+Each frame is read once for all trials of a batch.
 """
 
 from __future__ import annotations
 
 import math
+import multiprocessing
+import os
+import signal
 import sys
+import threading
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from multiprocessing.connection import Connection
 from statistics import fmean, median
 from typing import Any, Final
 
@@ -20,7 +26,7 @@ import numpy as np
 
 from ..contact.kernels.threads import set_threads
 from ..contact.pipeline import ContactPipeline
-from ..errors import TactuneError
+from ..errors import MissingExtraError, TactuneError
 from ..model.arrays import BoolArray, Float32Array
 from ..model.frames import Rig, SensorFrame
 from ..model.metrics import TruthTree, pixel_scores, true_contact
@@ -28,15 +34,12 @@ from ..model.patch import ContactPatch
 from ..preset import Preset
 from ..sources.base import SeekableSource
 from ..warmup import warm_up
-from .plan import STAGE_OF, Plan, open_recording
+from .plan import Plan, TuneError, open_recording
 
-#: Values of `OBJECTIVES`, the time only if it is one, and ``points``; those that are undefined are missing. And why the
+#: Values of `OBJECTIVES` and ``points``; those that are undefined are missing. And why the
 #: trial's parameters cannot be used; empty if they can.
 Measured = tuple[dict[str, float], str]
 
-#: Frames on which a trial is timed without shared steps, and runs of each; the least time of a frame counts.
-_TIMES: Final = 5
-_REPEATS: Final = 3
 #: Time in which other workers and programs have the processor does not count, except on Windows, whose clock of
 #: threads counts in 16 ms.
 _clock_ns: Final = time.perf_counter_ns if sys.platform == "win32" else time.thread_time_ns
@@ -57,20 +60,15 @@ def measure(plan: Plan, trials: Sequence[dict[str, Any]]) -> list[Measured]:
     set_threads(1)
     cv2.setNumThreads(1)
     runs = [_Run(plan.base, values) for values in trials]
-    early_first = sorted(runs, key=_Run.order)
-    timed_frames = -(-_TIMES // len(plan.clips)) if "ms" in plan.objectives else 0
     for clip in plan.clips:
-        source = _source(clip.name)
+        source = _source(clip.source)
         shared = ContactPipeline(plan.base, source.rig)
         for run in runs:
             run.attempt(run.begin, shared, source.rig)
-        for number, frame in enumerate(map(source.read, clip.frames)):
+        for frame in map(source.read, clip.frames):
             truth = _Truth(frame, source.rig) if frame.truth is not None else None
-            for run in early_first:
+            for run in runs:
                 run.attempt(run.judge, frame, truth)
-            for _ in range(number, timed_frames, len(clip.frames)):  # a short clip's frames are timed more than once
-                for run in early_first:
-                    run.attempt(run.time, frame)
     return [({}, run.failure) if run.failure else (run.figures(), "") for run in runs]
 
 
@@ -82,10 +80,6 @@ class _Run:
         self._base, self._values = base, values
         self._clips: list[dict[str, list[float]]] = []
         self._ms: list[float] = []
-
-    def order(self) -> list[tuple[int, str, str]]:
-        """Return a key that puts trials with equal fields of early steps beside each other."""
-        return sorted((STAGE_OF.get(path, 0), path, repr(value)) for path, value in self._values.items())
 
     def attempt(self, step: Callable[..., None], *arguments: object) -> None:
         """Take a step unless one has failed; parameters that cannot be used are a failure of this trial alone."""
@@ -108,10 +102,14 @@ class _Run:
 
     def judge(self, frame: SensorFrame, truth: _Truth | None) -> None:
         """Add the figures of the next frame."""
-        patch, ms = self._process(frame)
-        if self._averages:
-            self._ms.append(ms)
-        figures = {"points": float(len(patch.points)), "area": patch.area_mm2}
+        self._pipeline.update(self._preset)
+        asked = frame if self._averages else replace(frame)  # of a copy no step is known; an average must not see two
+        if not self._ms and not self._averages:
+            self._pipeline.process(replace(frame))  # the first is slow
+        started = _clock_ns()
+        patch = self._pipeline.process(asked)
+        self._ms.append(1e-6 * (_clock_ns() - started))
+        figures = {"points": float(len(patch.points))}
         if truth is not None:
             figures |= truth.compare(patch)
         if self._mask is not None:
@@ -120,24 +118,12 @@ class _Run:
         for name, figure in figures.items():
             self._clips[-1].setdefault(name, []).append(figure)
 
-    def time(self, frame: SensorFrame) -> None:
-        """Add the time of a frame without shared steps; an average must not see a frame twice."""
-        if not self._averages:
-            self._ms.append(min(self._process(replace(frame))[1] for _ in range(_REPEATS)))  # a copy is unknown
-
     def figures(self) -> dict[str, float]:
         """Return the figures: means over frames, then over clips."""
-        figures = {"ms": median(self._ms)} if self._ms else {}
+        figures = {"ms": median(self._ms)}
         for name in dict.fromkeys(name for clip in self._clips for name in clip):
             figures[name] = _mean([_mean(clip[name], math.nan) for clip in self._clips if name in clip], 0.0)
         return figures
-
-    def _process(self, frame: SensorFrame) -> tuple[ContactPatch, float]:
-        """Return the patch and the processor time that it took, ms."""
-        self._pipeline.update(self._preset)
-        started = _clock_ns()
-        patch = self._pipeline.process(frame)
-        return patch, 1e-6 * (_clock_ns() - started)
 
 
 class _Truth:
@@ -146,19 +132,14 @@ class _Truth:
     def __init__(self, frame: SensorFrame, rig: Rig) -> None:
         assert frame.truth is not None
         self._contact = frame.truth.contact
-        self._points, self._area_mm2 = true_contact(frame, rig)
+        self._points, _ = true_contact(frame, rig)
         self._tree = TruthTree(self._points, samples=max(1, len(self._points)))
-        self._last: tuple[Float32Array, dict[str, float]] | None = None
 
     def compare(self, patch: ContactPatch) -> dict[str, float]:
         """Return the figures of a patch that need truth; without true depth only the IoU."""
-        if self._last is not None and np.array_equal(self._last[0], patch.points):
-            return self._last[1]
         figures = {"iou": pixel_scores(patch.mask, self._contact).iou}
         if len(self._points) or not self._contact.any():
             figures["rmse"] = self._rmse_mm(patch.points)
-            figures["area_error"] = abs(patch.area_mm2 - self._area_mm2)
-        self._last = patch.points, figures
         return figures
 
     def _rmse_mm(self, points: Float32Array) -> float:
@@ -177,3 +158,83 @@ def _mean(numbers: Sequence[float], default: float) -> float:
     """Return the mean of the finite numbers, or else the default."""
     known = [number for number in numbers if math.isfinite(number)]
     return fmean(known) if known else default
+
+
+@dataclass(frozen=True)
+class Workers:
+    """An executor, and the number of batches that it measures at once."""
+
+    executor: Executor
+    count: int
+
+    def submit(self, work: Callable[..., Any], *arguments: object) -> Future[Any]:
+        """Submit a batch.
+
+        The executor may start a process for it, which inherits that Ctrl+C is held back. Otherwise a Ctrl+C would end
+        it with a traceback while it still imports.
+        """
+        if not hasattr(signal, "pthread_sigmask"):  # Windows
+            return self.executor.submit(work, *arguments)
+        usual = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+        try:
+            return self.executor.submit(work, *arguments)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, usual)
+
+
+@contextmanager
+def local_workers(jobs: int) -> Iterator[Workers]:
+    """Yield workers on this computer: processes of one thread each, or with one job a thread of this process."""
+    # Processes inherit it. PYTHONSAFEPATH: they import nothing from the working folder.
+    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "PYTHONSAFEPATH"), "1"))
+    context = multiprocessing.get_context("spawn")
+    reader, writer = context.Pipe(duplex=False)
+    executor: Executor = (
+        ProcessPoolExecutor(jobs, context, _begin_worker, (reader,)) if jobs > 1 else ThreadPoolExecutor(1)
+    )
+    try:
+        yield Workers(executor, jobs)
+    finally:
+        writer.close()
+        executor.shutdown(cancel_futures=True)
+
+
+def _begin_worker(parent: Connection) -> None:
+    """Ignore Ctrl+C, which a terminal sends to all processes, and end when the parent closes the pipe or dies."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def watch() -> None:
+        with suppress(EOFError, OSError):
+            parent.recv()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+#: Longest wait for a Dask scheduler, seconds.
+_CONNECT_S: Final = 10.0
+
+
+@contextmanager
+def cluster_workers(address: str) -> Iterator[Workers]:
+    """Yield the workers of a Dask scheduler, one thread each. A batch whose worker dies is measured by another one.
+
+    Raises a `MissingExtraError` without distributed, a `TuneError` if no scheduler with a worker answers.
+    """
+    try:
+        import distributed
+    except ImportError as error:
+        raise MissingExtraError("--scheduler needs dask: install it with pip install 'tactune[cluster]'") from error
+    try:
+        client: Any = distributed.Client(  # type: ignore[no-untyped-call]
+            address, timeout=_CONNECT_S, set_as_default=False
+        )
+        client.wait_for_workers(1, timeout=_CONNECT_S)
+    except (OSError, ValueError, TypeError) as error:
+        raise TuneError(
+            f"no Dask scheduler with a worker answers at {address} ({str(error).partition(chr(10))[0][:200]}); give "
+            "the address that dask scheduler prints, such as tcp://192.168.0.5:8786, and start dask worker ADDRESS "
+            "--nthreads 1"
+        ) from error
+    with client:
+        yield Workers(client.get_executor(pure=False), sum(client.nthreads().values()))

@@ -10,32 +10,21 @@ import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Final, Literal
-
-import numpy as np
+from typing import Any, Final
 
 from ..contact.checks import check_rig
 from ..errors import TactuneError
-from ..model.files import path_exists, recording_files, user_path
-from ..preset import CONTACT_TESTS, Preset
-from ..preset.preset import json_or_word, preset_paths, set_path
+from ..preset import Preset
+from ..preset.preset import json_or_word, set_path
 from ..sources.base import FrameSource, SeekableSource
-from ..sources.registry import is_recording, open_source, opens_by_name
+from ..sources.registry import open_source
 
-Sampler = Literal["grid", "qmc", "tpe", "nsga2"]
-#: Trials of a search without a number of trials, and upper limit of the points of a grid.
+#: Trials of a search that is no grid, by default, and upper limit of the points of a grid.
 TRIALS: Final = 60
 MAX_GRID: Final = 10_000
 #: Begins of the paths of fields that cannot vary.
 _FIXED: Final = ("name", "notes", "created", "modified", "rig", "alignment.calibration", "cameras.", "untouched")
-#: Index of the step of the contact test in which each field is first used.
-STAGE_OF: Final = {
-    path: number
-    for test in CONTACT_TESTS.values()
-    for number, fields in enumerate(test.steps.values())
-    for path in fields
-}
-_RANGE: Final = re.compile(r"([^:]+):([^:]+?)(?::([0-9]{0,9})(log)?)?")
+_RANGE: Final = re.compile(r"([^:]+):([^:]+?)(:log)?")
 
 
 class TuneError(TactuneError):
@@ -49,17 +38,15 @@ class Objective:
     unit: str
     larger: bool
     needs_truth: bool
-    meaning: str
 
 
-#: What a search can optimise. Means over frames, then over sources; the time is the median of all frames.
+#: What a search can optimise. Means over frames, then over sources: symmetric distance between patch and truth, overlap
+#: of both; median processor time of a frame on one thread; overlap of consecutive frames.
 OBJECTIVES: Final = {
-    "rmse": Objective("mm", False, True, "mean symmetric distance between patch and truth"),
-    "iou": Objective("", True, True, "intersection over union with the true pixels"),
-    "area_error": Objective("mm2", False, True, "mean absolute difference to the true area"),
-    "ms": Objective("ms", False, False, "median processor time of a frame on one thread"),
-    "area": Objective("mm2", True, False, "mean area of the patch"),
-    "stability": Objective("", True, False, "mean IoU of the masks of consecutive frames"),
+    "rmse": Objective("mm", False, True),
+    "iou": Objective("", True, True),
+    "ms": Objective("ms", False, False),
+    "stability": Objective("", True, False),
 }
 
 
@@ -67,14 +54,13 @@ OBJECTIVES: Final = {
 class Axis:
     """One preset field that varies over listed values, as plain data, or from ``low`` to ``high`` in the field's unit.
 
-    For a grid a range has a ``count`` of steps, in equal ratios if it is ``log``. ``whole``: whole numbers only.
+    ``log``: equal ratios are equally far. ``whole``: whole numbers only.
     """
 
     path: str
     values: tuple[Any, ...] = ()
     low: float = 0.0
     high: float = 0.0
-    count: int | None = None
     log: bool = False
     whole: bool = False
 
@@ -87,30 +73,19 @@ class Axis:
         """Return whether a plain value belongs to this axis."""
         return value in self.values if self.values else self.low <= value <= self.high
 
-    def steps(self) -> list[Any]:
-        """Return the values of a grid. Raises a `TuneError` for a range without a number of steps."""
-        if self.values:
-            return list(self.values)
-        if self.count is None:
-            ends = f"{self.low:g}:{self.high:g}"
-            raise TuneError(f"{self.path}: {ends} has no number of steps; write {ends}:5, or leave out --sampler grid")
-        space = np.geomspace if self.log else np.linspace
-        return list(dict.fromkeys(map(self.fitting, space(self.low, self.high, self.count).tolist())))
-
 
 def parse_axis(text: str) -> Axis:
-    """Read ``FIELD=VALUES`` such as ``outliers.k=10,20`` or ``tolerance.t=0.005:0.03:6log``."""
+    """Read ``FIELD=VALUES`` such as ``outliers.k=10,20`` or ``tolerance.t=0.005:0.03`` or ``0.005:0.03:log``."""
     path, _, given = (part.strip() for part in text.partition("="))
     if (found := _RANGE.fullmatch(given)) is not None and not given.startswith(("[", "{", '"')):
-        low, high, count, log = found.groups()
+        low, high, log = found.groups()
         with suppress(ValueError):
-            axis = Axis(path, (), float(low), float(high), int(count) if count else None, bool(log))
-            fits = 2 <= (axis.count or 2) <= MAX_GRID and (axis.low > 0 or not log)
-            if fits and 0 < axis.high - axis.low < math.inf:
+            axis = Axis(path, (), float(low), float(high), bool(log))
+            if 0 < axis.high - axis.low < math.inf and (axis.low > 0 or not log):
                 return axis
         raise TuneError(
-            f"{path}: {given} is no range; write LOW:HIGH, LOW:HIGH:STEPS, or LOW:HIGH:STEPSlog for equal ratios, with "
-            f"a high end above the low end, 2 to {MAX_GRID} steps, and for equal ratios a low end above 0"
+            f"{path}: {given} is no range; write LOW:HIGH, or LOW:HIGH:log for equal ratios, with a high end above the "
+            "low end, and for equal ratios a low end above 0"
         )
     try:
         values = json.loads(f"[{given.strip(',')}]")
@@ -126,17 +101,6 @@ def check_axes(axes: Sequence[Axis], base: Preset) -> tuple[Axis, ...]:
     checked = {axis.path: _checked(axis, base) for axis in axes}
     if len(checked) < len(axes):
         raise TuneError("a field is given twice with --set; give all its values at once, separated by commas")
-    for path in checked:
-        section, _, field = path.partition(".")
-        needs: list[tuple[str, Any]] = [
-            ("contact_test", test.name) for test in CONTACT_TESTS.values() if section in test.sections
-        ]
-        if f"{section}.enabled" in preset_paths() and field not in ("enabled", "min_cluster_area_mm2"):  # 0: off
-            needs.append((f"{section}.enabled", True))
-        for needed, value in needs:
-            if value not in (checked[needed].values if needed in checked else (base.value(needed),)):
-                word = json.dumps(value).strip('"')
-                raise TuneError(f"{path} changes nothing unless {needed} is {word}; add --set {needed}={word}")
     return tuple(checked.values())
 
 
@@ -162,37 +126,37 @@ def plain_value(preset: Preset, path: str) -> Any:
 def default_axes(preset: Preset) -> tuple[Axis, ...]:
     """Return the numbers of the preset's contact test over their sliders' ranges, the present values included.
 
-    The number of averaged frames is left out: it trades time resolution, which no objective sees. So are fields of a
-    section that is turned off.
+    The number of averaged frames is left out: it trades time resolution, which no objective sees. So are sections that
+    are turned off.
     """
     axes: list[Axis] = []
     for section, model in preset.test.sections.items():
+        if not getattr(getattr(preset, section), "enabled", True):
+            continue
         for name, field in model.model_fields.items():
             path, extra = f"{section}.{name}", field.json_schema_extra
             if isinstance(extra, dict) and "slider" in extra and path != preset.test.frames_field:
                 slider: Any = extra["slider"]
                 low, high = min(slider[0], preset.value(path)), max(slider[1], preset.value(path))
-                with suppress(TuneError):  # it changes nothing
-                    axes += check_axes([Axis(path, (), low, high, log=extra.get("scale") == "log" and low > 0)], preset)
-    return tuple(axes)
+                axes.append(Axis(path, (), low, high, log=extra.get("scale") == "log" and low > 0))
+    return check_axes(axes, preset)
 
 
 def grid_of(axes: Sequence[Axis]) -> list[dict[str, Any]]:
-    """Return all combinations of the axes' values; fields of early steps vary slowest, so that steps are shared."""
-    columns = {axis.path: axis.steps() for axis in sorted(axes, key=lambda axis: STAGE_OF.get(axis.path, 0))}
-    if (count := math.prod(map(len, columns.values()))) > MAX_GRID:
+    """Return all combinations of listed values."""
+    if (count := math.prod(len(axis.values) for axis in axes)) > MAX_GRID:
         raise TuneError(
             f"the grid has {count} points, but the limit is {MAX_GRID}; give fewer values, or search with --trials N"
         )
-    return [dict(zip(columns, row, strict=True)) for row in itertools.product(*columns.values())]
+    rows = itertools.product(*(axis.values for axis in axes))
+    return [dict(zip((axis.path for axis in axes), row, strict=True)) for row in rows]
 
 
 @dataclass(frozen=True)
 class Clip:
-    """Frames of one source: as the user wrote it, as every process can open it, and whether they have truth."""
+    """Frames of one source, and whether they have truth."""
 
     source: str
-    name: str
     frames: range
     has_truth: bool
 
@@ -214,16 +178,15 @@ class Plan:
     axes: tuple[Axis, ...]
     clips: tuple[Clip, ...]
     objectives: tuple[str, ...]
-    sampler: Sampler
+    grid: bool
     trials: int
-    seed: int
 
     @property
     def identity(self) -> str:
         """Hash of the request: the same command continues its search."""
         base = self.base.model_dump_json(exclude={"name", "notes", "created", "modified"})
-        clips = [(clip.name, list(clip.frames)) for clip in self.clips]
-        decisive = [base, list(map(asdict, self.axes)), clips, self.objectives, self.sampler, self.seed]
+        clips = [(clip.source, list(clip.frames)) for clip in self.clips]
+        decisive = [base, list(map(asdict, self.axes)), clips, self.objectives, self.grid]
         return hashlib.sha256(json.dumps(decisive).encode()).hexdigest()[:12]
 
 
@@ -234,15 +197,13 @@ def make_plan(
     *,
     frames: slice = slice(None),
     objectives: Sequence[str] = (),
-    sampler: Sampler | None = None,
     trials: int | None = None,
-    seed: int = 0,
     opener: Callable[[str], FrameSource] = open_source,
 ) -> Plan:
     """Check a request and return the plan. Sources are opened; no trial is run.
 
     Defaults: `default_axes`; all frames; the RMSE and the time, or without truth the stability and the time; the grid
-    with all its points if each axis has steps and no number of trials is given, else TPE with `TRIALS`.
+    with all its points if each axis has listed values and no number of trials is given, else TPE with `TRIALS`.
     """
     if not sources:
         raise TuneError("there is nothing to search on; give --source, such as --source 'sim:cup?press=medium'")
@@ -250,9 +211,8 @@ def make_plan(
         if name not in OBJECTIVES:
             raise TuneError(f"there is no objective {name!r}; choose from {', '.join(OBJECTIVES)}")
     axes = check_axes(axes, base) if axes else default_axes(base)
-    gridded = all(axis.values or axis.count for axis in axes)
-    chosen: Sampler = sampler or ("grid" if gridded and trials is None else "tpe")
-    count = len(grid_of(axes)) if chosen == "grid" else trials or TRIALS
+    grid = trials is None and all(axis.values for axis in axes)
+    count = len(grid_of(axes)) if grid else trials or TRIALS
     clips = tuple(_inspect(source, frames, base, opener) for source in dict.fromkeys(sources))
     blind = next((clip.source for clip in clips if not clip.has_truth), None)
     wanted = tuple(dict.fromkeys(objectives)) or (("rmse", "ms") if blind is None else ("stability", "ms"))
@@ -262,17 +222,12 @@ def make_plan(
             raise TuneError(f"{blind} has no ground truth, so {name} is undefined; choose from {without}")
         if name == "stability" and all(len(clip.frames) == 1 for clip in clips):
             raise TuneError("stability compares consecutive frames, but there is only one; choose another --objective")
-    return Plan(base, axes, clips, wanted, chosen, count, seed)
+    return Plan(base, axes, clips, wanted, grid, count)
 
 
 def _inspect(source: str, frames: slice, preset: Preset, opener: Callable[[str], FrameSource]) -> Clip:
-    name = source
-    if is_recording(source):  # workers may run in another folder
-        scheme, colon, rest = source.partition(":") if opens_by_name(source) else ("", "", source)
-        files = recording_files(rest) or ((user_path(rest),) if path_exists(rest) else ())
-        name = f"{scheme}{colon}{','.join(str(file.absolute()) for file in files) or rest}"
-    with open_recording(name, opener) as opened:
+    with open_recording(source, opener) as opened:
         check_rig(preset, opened.rig)
         if not (chosen := range(opened.length)[frames]):
             raise TuneError(f"{source} has {opened.length} frames, none of them chosen; choose others with --frames")
-        return Clip(source, name, chosen, opened.read(chosen[0]).truth is not None)
+        return Clip(source, chosen, opened.read(chosen[0]).truth is not None)

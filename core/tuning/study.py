@@ -9,15 +9,15 @@ import json
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from ..errors import ExportError, MissingExtraError, TactuneError
 from ..preset import Preset, now
-from .measure import Measured, measure
+from .measure import Measured, Workers, measure
 from .plan import OBJECTIVES, Axis, Plan, TuneError, grid_of, plain_value
-from .workers import Workers
 
 try:
     import optuna
@@ -26,13 +26,8 @@ try:
 except ImportError as missing:
     raise MissingExtraError("a search needs optuna: install it with pip install 'tactune[tune]'") from missing
 
-#: Upper limits of a batch: frames summed over its trials, about ten seconds of work; and its trials. Samplers that
-#: learn from earlier trials get small batches.
-_FRAMES_A_BATCH: Final = 500
-_TRIALS_A_BATCH: Final = {"grid": 50, "qmc": 50, "tpe": 4, "nsga2": 10}
-_POPULATION: Final = 20
-#: Minimum number of batches per worker, so that no worker is idle towards the end.
-_BATCHES_A_WORKER: Final = 4
+#: Upper limits of a batch: frames summed over its trials, about ten seconds of work; and its trials.
+_FRAMES_A_BATCH, _TRIALS_A_BATCH = 500, 4
 #: Interval of looks at workers, seconds.
 _LOOK_S: Final = 0.5
 #: In the notes of each preset that a search has written.
@@ -41,6 +36,7 @@ FOUND_BY: Final = "found by tactune tune"
 _JOURNAL: Final = b'{"op_code":'
 
 optuna.logging.set_verbosity(optuna.logging.ERROR)
+warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)
 
 
 @dataclass(frozen=True)
@@ -68,16 +64,26 @@ class Study:
         self._present = {axis.path: plain_value(plan.base, axis.path) for axis in plan.axes}
         if path.exists() and not path.is_file():
             raise TuneError(f"{path} is no ordinary file; choose another --study")
-        try:
+        with self._told():
             path.parent.mkdir(parents=True, exist_ok=True)
             self._study = self._open()
-            self.results()
+        self.results()
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """Say in a sentence what is wrong with the file."""
+        try:
+            yield
         except TactuneError:
             raise
         except OSError as error:
-            raise ExportError(f"cannot write {path}: {error.strerror or error}; choose another --study") from error
+            raise ExportError(
+                f"cannot write {self.path}: {error.strerror or error}; trials in it are kept, or choose another --study"
+            ) from error
         except Exception as error:  # what Optuna raises for a damaged journal depends on where it is damaged
-            raise TuneError(f"{path} is damaged or not the file of a search; choose another --study") from error
+            raise TuneError(
+                f"{self.path} is damaged, not the file of a search, or in use by another search; choose another --study"
+            ) from error
 
     def results(self) -> tuple[list[Trial], list[Trial]]:
         """Return the measured trials by number, and the front: those that no other beats in all objectives.
@@ -87,11 +93,12 @@ class Study:
         first = self.plan.objectives[0]
         sign = -1.0 if OBJECTIVES[first].larger else 1.0
         trials = {}
-        for trial in self._study.get_trials(deepcopy=False):
-            if trial.state.is_finished() and "measured" in trial.user_attrs:
-                values, (figures, failure) = self._values(trial.params), trial.user_attrs["measured"]
-                trials[trial.number] = Trial(trial.number, values, figures, failure, values == self._present)
-        front = [trials[trial.number] for trial in self._study.best_trials]
+        with self._told():
+            for trial in self._study.get_trials(deepcopy=False):
+                if trial.state.is_finished() and "measured" in trial.user_attrs:
+                    values, (figures, failure) = self._values(trial.params), trial.user_attrs["measured"]
+                    trials[trial.number] = Trial(trial.number, values, figures, failure, values == self._present)
+            front = [trials[trial.number] for trial in self._study.best_trials]
         front.sort(key=lambda it: (float(f"{sign * it.figures[first]:.9g}"), it.figures.get("ms", 0.0)))
         return list(trials.values()), front
 
@@ -101,42 +108,30 @@ class Study:
         Close the iterator or let ``stopped`` return True to cancel. Trials that have been counted are in the file.
         Raises a `TactuneError` if a batch cannot be measured, the workers are gone, or the disk is full.
         """
-        try:
+        with self._told():
             yield from self._measure(workers, stopped)
-        except OSError as error:
-            raise ExportError(f"cannot write {self.path}: {error.strerror or error}; trials so far are kept") from error
-        except optuna.exceptions.UpdateFinishedTrialError as error:
-            raise TuneError(f"another search continues in {self.path}; give each its own --study") from error
 
     def _measure(self, workers: Workers, stopped: Callable[[], bool]) -> Iterator[int]:
         self._prepare()
         running: dict[Future[list[Measured]], list[optuna.Trial]] = {}
         done = begun = len(self.results()[0])
+        frames = sum(len(clip.frames) for clip in self.plan.clips)
         yield done
         while done < self.plan.trials and not stopped():
             while begun < self.plan.trials and len(running) < workers.count + 1:
-                size = min(self._batch_size(self.plan.trials - begun, workers.count), self.plan.trials - begun)
+                size = max(1, min(_TRIALS_A_BATCH, _FRAMES_A_BATCH // frames, self.plan.trials - begun))
                 trials = [_suggest(self.plan.axes, self._study.ask()) for _ in range(size)]
                 values = [self._values(trial.params) for trial in trials]
-                running[self._submit(workers, values)] = trials
+                with _worker():
+                    running[workers.submit(measure, self.plan, values)] = trials
                 begun += size
             for future in wait(running, _LOOK_S, FIRST_COMPLETED).done:
-                try:
+                with _worker():
                     measured = future.result()
-                except TactuneError:
-                    raise
-                except Exception as error:
-                    raise _worker_failed(error) from error
                 for trial, found in zip(running.pop(future), measured, strict=True):
                     self._tell(trial, found)
                     done += 1
                 yield done
-
-    def _submit(self, workers: Workers, values: list[dict[str, Any]]) -> Future[list[Measured]]:
-        try:
-            return workers.submit(measure, self.plan, values)
-        except Exception as error:
-            raise _worker_failed(error) from error
 
     def _open(self) -> optuna.Study:
         lock = JournalFileOpenLock(str(self.path))
@@ -153,27 +148,18 @@ class Study:
             load_if_exists=True,
         )
         if not study.user_attrs:
-            with _experimental():
-                study.set_metric_names(list(self.plan.objectives))
+            study.set_metric_names(list(self.plan.objectives))
             study.set_user_attr("sources", [clip.source for clip in self.plan.clips])
         return study
 
     def _prepare(self) -> None:
-        """Choose the sampler, and the first trials that are not measured yet: the grid, or the present preset."""
-        samplers = optuna.samplers
-        seed = self.plan.seed + len(self._study.get_trials(deepcopy=False))  # a search that goes on draws others
-        chosen: dict[str, Callable[[], optuna.samplers.BaseSampler]] = {
-            "grid": lambda: samplers.RandomSampler(seed),  # all its trials are queued
-            "qmc": lambda: samplers.QMCSampler(scramble=True, seed=self.plan.seed, warn_independent_sampling=False),
-            "tpe": lambda: samplers.TPESampler(seed=seed, constant_liar=True),
-            "nsga2": lambda: samplers.NSGAIISampler(population_size=_POPULATION, seed=seed),
-        }
-        with _experimental():
-            self._study.sampler = chosen[self.plan.sampler]()
+        """Queue the first trials that are not measured yet: the whole grid, or the present preset."""
+        seed = len(self._study.get_trials(deepcopy=False))  # a search that goes on draws others
+        self._study.sampler = optuna.samplers.TPESampler(seed=seed, constant_liar=True)
         for trial in self._study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):  # of a search that was ended
             self._study.tell(trial.number, state=TrialState.FAIL)
         points = [self._present] if all(axis.holds(self._present[axis.path]) for axis in self.plan.axes) else []
-        if self.plan.sampler == "grid":
+        if self.plan.grid:
             points = grid_of(self.plan.axes)
         known = [trial.values for trial in self.results()[0]]
         queued = self._study.get_trials(deepcopy=False, states=(TrialState.WAITING,))
@@ -181,12 +167,6 @@ class Study:
         for point in points:
             if point not in known:
                 self._study.enqueue_trial({axis.path: _label(axis, point[axis.path]) for axis in self.plan.axes})
-
-    def _batch_size(self, trials: int, workers: int) -> int:
-        """Return how many trials a worker measures at once: few enough that none is idle towards the end."""
-        share = -(-trials // (_BATCHES_A_WORKER * max(1, workers)))
-        frames = sum(len(clip.frames) for clip in self.plan.clips)
-        return max(1, min(_FRAMES_A_BATCH // frames, _TRIALS_A_BATCH[self.plan.sampler], share))
 
     def _tell(self, trial: optuna.Trial, measured: Measured) -> None:
         """Write a result to the file."""
@@ -213,17 +193,19 @@ class Study:
         return values
 
 
-def _experimental() -> warnings.catch_warnings[None]:
-    """Return a context in which Optuna does not warn of what it calls experimental."""
-    return warnings.catch_warnings(action="ignore", category=optuna.exceptions.ExperimentalWarning)
-
-
-def _worker_failed(error: Exception) -> TuneError:
-    said = str(error).partition("\n")[0][:200]
-    return TuneError(
-        f"a worker failed or was killed ({type(error).__name__}: {said}); try fewer --jobs if memory ran out, check "
-        "that each worker has this version of Tactune, and give the same command again"
-    )
+@contextmanager
+def _worker() -> Iterator[None]:
+    """Say in a sentence that a worker failed."""
+    try:
+        yield
+    except TactuneError:
+        raise
+    except Exception as error:
+        said = str(error).partition("\n")[0][:200]
+        raise TuneError(
+            f"a worker failed or was killed ({type(error).__name__}: {said}); try fewer --jobs if memory ran out, "
+            "check that each worker has this version of Tactune, and give the same command again"
+        ) from error
 
 
 def _suggest(axes: Sequence[Axis], trial: optuna.Trial) -> optuna.Trial:

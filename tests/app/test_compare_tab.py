@@ -14,7 +14,6 @@ from PyQt6.QtWidgets import QApplication
 from fakes import FakeSource, tiny_frame
 from hands import show_source
 from tactune.app.analysis import compare_work
-from tactune.app.analysis.compare_tab import best_columns
 from tactune.app.analysis.compare_work import CONTACT_ROW, FALSE_ROW, MISSED_ROW, TRUTH
 from tactune.core.lab.methods import make_method
 from tactune.core.model.frames import GroundTruth
@@ -113,16 +112,6 @@ def test_methods_are_ticked_by_keys_remembered_and_share_one_camera(qtbot, windo
     assert "fusion-rigid" in QApplication.clipboard().text()
 
 
-def test_it_follows_frames_and_presets(qtbot, window):
-    tab = open_on(qtbot, window, source())
-    few = outcomes(tab)["fusion-rigid"].points
-    window.worker.seek(5)
-    qtbot.waitUntil(lambda: tab.found.result.frame.sequence == 5)
-    assert "Frame 6" in tab.status.text() and outcomes(tab)["fusion-rigid"].points > few
-    window.document.edit("tolerance.t", 0.2)
-    qtbot.waitUntil(lambda: outcomes(tab)["fusion-rigid"].points == 64 * 48)
-
-
 def test_colours_show_agreement_with_the_truth(qtbot, window):
     tab = open_on(qtbot, window, source())
     tab.color_by.setFocus()
@@ -160,8 +149,3 @@ def test_the_comparison_is_exported_with_a_picture(qtbot, window, tmp_path):
     rows = list(csv.DictReader((tmp_path / "a.csv").read_text().splitlines()))
     assert [row["method"] for row in rows] == [TRUTH, "fusion-rigid", "tactile-only"]
     assert float(rows[1]["rmse_mm"]) == pytest.approx(outcomes(tab)["fusion-rigid"].rmse_mm, rel=1e-4)
-
-
-@pytest.mark.parametrize(("count", "size", "columns"), [(1, (500, 500), 1), (4, (1000, 800), 2), (6, (1600, 600), 3)])
-def test_views_are_as_large_as_possible(count, size, columns):
-    assert best_columns(count, *size) == columns

@@ -17,7 +17,6 @@ from tactune.app.rig.check_window import CheckWindow
 from tactune.app.window.findings import FindingsWindow
 from tactune.app.worker.results import CloudName
 from tactune.core.preset import Preset
-from tactune.core.tuning.advice.proposal import Finding
 
 WIDTH, HEIGHT = 160, 120
 
@@ -67,14 +66,6 @@ def findings_window():
 def button(widget, text):
     [found] = [each for each in widget.findChildren(QPushButton) if each.text() == text and each.isVisible()]
     return found
-
-
-def test_without_a_frame_the_list_does_not_say_that_nothing_is_wrong(make_window, qtbot):
-    made = make_window()
-    made.actions_.findings.trigger()
-    assert "No frame was examined yet" in text_of(findings_window())
-    show_source(qtbot, made, FakeSource(), 3)
-    qtbot.waitUntil(lambda: "No frame was examined" not in text_of(findings_window()))
 
 
 def test_the_finding_beside_its_control_is_mended_by_one_click(window, qtbot):
@@ -175,13 +166,3 @@ def test_a_finding_stays_until_it_has_been_gone_for_a_while(window, qtbot):
 
     qtbot.waitUntil(gone)
     assert not window.status.findings.isVisible()
-
-
-def test_a_finding_of_an_older_preset_is_not_shown(window, qtbot):
-    QTest.mouseClick(offset_row(window).finding.button, LEFT)
-    qtbot.waitUntil(lambda: not window.status.findings.isVisible())
-    stale = Finding("peak", "alignment.depth_offset_m", "The cameras disagree.")
-    window.worker.examined.emit((stale,), Preset())
-    assert not window.status.findings.isVisible()
-    window.worker.examined.emit((stale,), window.document.preset)
-    assert window.status.findings.isVisible()

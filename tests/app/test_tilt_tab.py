@@ -32,17 +32,13 @@ def go_to(qtbot, window, tab, index):
     qtbot.waitUntil(lambda: tab.tilt is not None and tab.tilt.sequence == index)
 
 
-def test_shows_the_angles_with_both_methods_filters_and_remembers_the_choice(qtbot, window):
+def test_shows_the_angles_filters_and_remembers_the_choice(qtbot, window):
     tab = opened(qtbot, window)
-    by_noise = tab.tilt
-    assert f"{math.degrees(by_noise.roll_sigma_rad):.2f}" in tab.roll.text()
-    assert abs(by_noise.roll_rad) < 0.2 and 0 < by_noise.roll_sigma_rad < 0.05
+    alone = tab.tilt
+    assert f"{math.degrees(alone.roll_sigma_rad):.2f}" in tab.roll.text()
+    assert abs(alone.roll_rad) < 0.2 and 0 < alone.roll_sigma_rad < 0.05
     assert [name for name, _ in tab.cloud.legend()] == ["patch", "fitted plane"]
     assert "noise" in tab.status.text()  # that of the rig was not measured
-    tab.method.setFocus()
-    QTest.keyClick(tab.method, Qt.Key.Key_Down)
-    qtbot.waitUntil(lambda: tab.tilt.method == "pca")
-    assert tab.tilt.roll_rad != by_noise.roll_rad
     for index in (4, 5, 6):
         go_to(qtbot, window, tab, index)
     raw = tab.tilt
@@ -51,7 +47,7 @@ def test_shows_the_angles_with_both_methods_filters_and_remembers_the_choice(qtb
     qtbot.waitUntil(lambda: tab.tilt.roll_rate_rad_s is not None)
     assert tab.tilt.sequence == 6 and tab.tilt.roll_sigma_rad < raw.roll_sigma_rad
     other = type(tab)(window.context)
-    assert (other.method.currentText(), other.filtered.isChecked()) == ("Principal components", True)
+    assert other.filtered.isChecked()
     other.shut_down()
 
 
@@ -72,7 +68,7 @@ def test_a_preset_that_does_not_fit_leaves_no_angles_of_another_frame(qtbot, win
     assert tab.cloud.message() == tab.status.text() == window.result.problem != ""
 
 
-def test_rows_are_exported_removed_brought_back_and_offered_when_the_source_changes(qtbot, window, tmp_path):
+def test_rows_are_exported_removed_and_brought_back(qtbot, window, tmp_path):
     tab = opened(qtbot, window)
     first = tab.tilt
     go_to(qtbot, window, tab, 4)
@@ -88,6 +84,3 @@ def test_rows_are_exported_removed_brought_back_and_offered_when_the_source_chan
     assert [row["frame"] for row in rows] == ["3", "4"]
     assert float(rows[0]["roll_deg"]) == pytest.approx(math.degrees(first.roll_rad), abs=1e-3)
     assert float(rows[1]["filtered_roll_sigma_deg"]) > 0
-    show_source(qtbot, window, open_source("sim:cube?press=low"), 0)
-    qtbot.waitUntil(lambda: tab.messages.message("former") is not None)
-    press(tab.messages.message("former"), "Save it…")

@@ -57,10 +57,9 @@ from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scene import CleanState, PressFacts, simulator_rig
 from tactune.core.sources.simulator.source import SolvedScene, load_scene, save_scene
 from tactune.core.tuning.advice.proposal import Example
-from tactune.core.tuning.measure import Measured
+from tactune.core.tuning.measure import Measured, Workers
 from tactune.core.tuning.plan import Axis, Clip, Plan
 from tactune.core.tuning.study import Study
-from tactune.core.tuning.workers import Workers
 
 Kept = TypeVar("Kept", bound=KeptState[Any])
 DATA = Path(__file__).parent.parent / "data"
@@ -176,10 +175,9 @@ class _NoWork:
         return future
 
 
-CLIP = Clip("folder:rec", "folder:/rec", range(3), True)
+CLIP = Clip("folder:rec", range(3), True)
 PLANS = [
-    Plan(Preset(), (Axis("tolerance.t", low=0.004, high=0.02 + n, count=3),), (CLIP,), ("iou",), "grid", 3, 0)
-    for n in range(2)
+    Plan(Preset(), (Axis("tolerance.t", (0.004, 0.012, 0.02 + n / 100)),), (CLIP,), ("iou",), True, 3) for n in range(2)
 ]
 
 
@@ -188,7 +186,7 @@ def search(folder: Path, n: int) -> bool:
     list(study.run(Workers(_NoWork(), 1)))  # type: ignore[arg-type]
     trials, _ = study.results()
     values = {str(trial.values["tolerance.t"]) for trial in trials}
-    return len(trials) == 3 and values == set(map(str, PLANS[n].axes[0].steps()))
+    return len(trials) == 3 and values == set(map(str, PLANS[n].axes[0].values))
 
 
 # What the window keeps

@@ -12,6 +12,7 @@ from typing import Any
 
 LIMIT_S = 240
 POINTS = 48
+TOLERANCES = "tolerance.t=0.004,0.006,0.008,0.010,0.012,0.014,0.017,0.020"
 
 
 def lines_of(text: str) -> list[dict[str, Any]]:
@@ -39,7 +40,7 @@ class LongSearch:
 
     def __init__(self, recording: str, folder: Path, preset: Path) -> None:
         self.file = folder / "long.log"
-        grid = ("--set", "tolerance.t=0.004:0.02:8", "--set", "outliers.k=5:24:6", "--objective", "iou,area_error")
+        grid = ("--set", TOLERANCES, "--set", "outliers.k=5,9,13,17,21,24", "--objective", "iou,rmse")
         self.command = [sys.executable, "-m", "tactune.app", "tune", "-s", recording, *grid]
         self.command += ["-p", str(preset), "--study", str(self.file), "--json"]
 

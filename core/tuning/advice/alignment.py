@@ -1,4 +1,4 @@
-"""Depth offset and scale of the alignment, from the surfaces that both cameras see."""
+"""Depth offset of the alignment, from the surfaces that both cameras see."""
 
 from __future__ import annotations
 
@@ -11,19 +11,16 @@ from ...contact.membrane.section import LARGEST_BIAS_M
 from ...contact.membrane.steps import firm_contact_bias
 from ...errors import AdviceError, PresetError, minus
 from ...model.clouds import valid_depth
-from ...rig.bias import MeasuredBias, depth_differences, marked_bias, pressed_bias, print_bias, scene_bias
+from ...rig.bias import MeasuredBias, depth_differences, pressed_bias, print_bias, scene_bias
 from ...sources.base import Progress
 from .proposal import Evidence, Proposal
 
 #: A bias is mended beyond this number of standard deviations, and from this size on, metres.
 _CERTAIN, _SMALLEST_M = 3.0, 0.0005
-#: A slope is mended beyond this number of standard deviations, and if it changes the bias by as much between the depths
-#: of the rig's working range, metres.
-_CERTAIN_SLOPE, _WORKING_RANGE_M, _SMALLEST_CHANGE_M = 5.0, 0.1, 0.002
 
 
 def suggest_alignment(evidence: Evidence, progress: Progress) -> Proposal:
-    """Propose the depth offset, and where depth varies enough the scale, with which both cameras agree.
+    """Propose the depth offset with which both cameras agree.
 
     The membrane test takes the tactile depth for true and subtracts a bias from the proximity depth, in each frame. For
     this test an offset that was not calibrated is proposed to be 0, unless the bias is larger than the test corrects.
@@ -37,21 +34,18 @@ def suggest_alignment(evidence: Evidence, progress: Progress) -> Proposal:
         progress(0.3, "Measuring the bias on prints")
         found.append(print_bias(free, rig, preset, density_m4))
         progress(0.6, "Measuring the bias in contact")
-        found.append(
-            marked_bias(evidence.marked, preset, rig, density_m4)
-            or pressed_bias(evidence.frames, firm_contact_bias(preset, rig), density_m4)
-        )
-    known = sorted((bias for bias in found if bias is not None), key=lambda bias: bias.sigma_m)
-    if not known:
+        found.append(pressed_bias(evidence.frames, firm_contact_bias(preset, rig), density_m4))
+    best = min((bias for bias in found if bias is not None), key=lambda bias: bias.sigma_m, default=None)
+    if best is None:
         raise AdviceError(
             "alignment: a bias between the cameras can't be told from a gap here; set the mask to the colour of prints "
-            "that reflect infrared, press an object firmly (10 cm² or more), or mark the contact in a frame"
+            "that reflect infrared, or press an object firmly (10 cm² or more)"
         )
-    return propose_alignment(evidence, known[0], tuple(bias for bias in known[1:] if known[0].contradicts(bias)))
+    return propose_alignment(evidence, best)
 
 
-def propose_alignment(evidence: Evidence, bias: MeasuredBias, contradicting: tuple[MeasuredBias, ...] = ()) -> Proposal:
-    """Return the proposal that follows from a measured bias, and mention those that contradict it."""
+def propose_alignment(evidence: Evidence, bias: MeasuredBias) -> Proposal:
+    """Return the proposal that follows from a measured bias."""
     preset, section = evidence.preset, evidence.preset.alignment
     counts = evidence.frame.tactile_depth[valid_depth(evidence.frame.tactile_depth)]
     raw_m = float(np.median(counts)) * evidence.rig.tactile.depth_unit_m if len(counts) else 0.0
@@ -60,8 +54,6 @@ def propose_alignment(evidence: Evidence, bias: MeasuredBias, contradicting: tup
         f"The proximity camera reads {_mm(bias.bias_m)} ± {1e3 * bias.sigma_m:.1f} mm against the tactile camera, "
         f"measured {bias.place}."
     )
-    for other in contradicting:
-        sentence += f" It contradicts {_mm(other.bias_m)} ± {1e3 * other.sigma_m:.1f} mm {other.place}."
     if abs(bias.bias_m) <= max(_CERTAIN * bias.sigma_m, _SMALLEST_M):
         return _keep(sentence, "The cameras agree within the uncertainty; nothing changes.")
     corrects = preset.contact_test == "membrane" and preset.membrane.bias and abs(without_m) < LARGEST_BIAS_M
@@ -72,18 +64,10 @@ def propose_alignment(evidence: Evidence, bias: MeasuredBias, contradicting: tup
         neutral = {"alignment.depth_offset_m": 0.0, "alignment.depth_scale": 1.0}
         return _proposal(evidence, neutral, raw_m, sentence, f"Tactile depth is used as measured; {words}")
     changes = {"alignment.depth_offset_m": section.depth_offset_m + bias.bias_m}
-    large = abs(bias.per_m) * _WORKING_RANGE_M > _SMALLEST_CHANGE_M
-    if large and abs(bias.per_m) > _CERTAIN_SLOPE * bias.per_m_sigma:
-        factor = 1 / (1 - bias.per_m)
-        sentence += f" The difference grows by {100 * bias.per_m:.1f} ± {100 * bias.per_m_sigma:.1f} % of the depth."
-        changes["alignment.depth_scale"] = section.depth_scale * factor
-        changes["alignment.depth_offset_m"] = factor * (
-            section.depth_offset_m + bias.bias_m - bias.per_m * bias.depth_m
-        )
     try:
         preset.with_values(changes)
     except PresetError:
-        return _keep(sentence, "No depth offset and scale that a preset allows corrects it; check both depth units.")
+        return _keep(sentence, "No depth offset that a preset allows corrects it; check both depth units.")
     expected = f"Both depths agree within {1e3 * bias.sigma_m:.1f} mm on the same surface."
     return _proposal(evidence, changes, raw_m, sentence, expected)
 

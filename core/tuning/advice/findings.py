@@ -22,13 +22,14 @@ from ...model.patch import ContactPatch
 from ...preset import Preset
 from ...rig.bias import UNKNOWN_BIAS_M, MeasuredBias, pressed_bias, print_bias, scene_bias
 from .alignment import propose_alignment
-from .fields import tolerance_for
-from .mask import suggest_mask
-from .no_depth import depth_missing
-from .proposal import Evidence, Finding, MaskLabel, Proposal
+from .fields import suggest_fields
+from .mask import find_prints
+from .proposal import Evidence, Finding, Proposal
 
 #: Step between the rows and columns that are read where every pixel is not needed.
 _STRIDE: Final = 4
+#: A camera measures no depth if less than this share of its image has one. Distances of a membrane, metres.
+_MIN_SEEN, _PLAUSIBLE_M = 0.05, (0.02, 2.0)
 #: Largest share of the colour image that prints cover.
 _MAX_MASKED: Final = 0.5
 #: A bias of less than this number of standard deviations is not certain. For small contact the membrane test assumes a
@@ -42,9 +43,6 @@ _MIN_PASSING: Final = 0.8
 #: False contact below this area is not reported; a smallest contact above the second would drop what people press; the
 #: proposed one exceeds the largest false contact by the third, mm2.
 _MIN_FALSE_MM2, _MAX_SMALLEST_MM2, _MARGIN = 10.0, 100.0, 1.2
-#: An object in contact dents the membrane. Curvature of a slightly bulged membrane, 1/m, and the smallest dent that can
-#: be told from noise, metres.
-_BULGE_PER_M, _MIN_DENT_M = 10.0, 0.001
 _SMALLEST: Final = {"membrane": "membrane.min_area_mm2", "tolerance": "outliers.min_cluster_area_mm2"}
 
 
@@ -73,6 +71,40 @@ class Situation:
 def no_depth(it: Situation) -> Finding | None:
     """A camera measures hardly any depth, or the tactile depth is implausible."""
     return depth_missing(it.frame, it.rig)
+
+
+def depth_missing(frame: SensorFrame, rig: Rig) -> Finding | None:
+    """Return the finding of `no_depth`; it needs no patch."""
+    remedies = {
+        "proximity": "raise its laser power or gain, and check that nothing covers its window",
+        "tactile": "light the membrane evenly, and check that it has texture and that the lens is clean",
+    }
+    if rig.tactile.model == "none":
+        return None
+    for role, remedy in remedies.items():
+        counts = frame.proximity_depth if role == "proximity" else frame.tactile_depth
+        share = float(np.mean(valid_depth(counts[::_STRIDE, ::_STRIDE])))
+        if share < _MIN_SEEN:
+            sentence = f"The {role} camera measures no depth in {100 * (1 - share):.0f} % of its image: {remedy}."
+            return Finding("no_depth", "cameras", sentence, action="check_cameras", explains_empty=True)
+    return wrong_unit(frame, rig)
+
+
+def wrong_unit(frame: SensorFrame, rig: Rig) -> Finding | None:
+    """The tactile camera sees the membrane at a distance that no sensor has."""
+    counts = frame.tactile_depth[::_STRIDE, ::_STRIDE]
+    counts = counts[valid_depth(counts)]
+    if rig.tactile.model == "none" or not len(counts):
+        return None
+    unit_m = rig.tactile.depth_unit_m
+    distance_m = float(np.median(counts)) * unit_m
+    if _PLAUSIBLE_M[0] <= distance_m <= _PLAUSIBLE_M[1]:
+        return None
+    sentence = (
+        f"The tactile camera sees the membrane at {distance_m:.2g} m in the median: check its depth_unit_m "
+        f"{unit_m:g} in rig.json."
+    )
+    return Finding("depth_unit", "cameras", sentence, action="check_cameras", explains_empty=True)
 
 
 def covering_mask(it: Situation) -> Finding | None:
@@ -139,12 +171,11 @@ def prints(it: Situation) -> Finding | None:
     if len(large) < _MIN_PRINTS:
         return None
     try:
-        proposal = suggest_mask(Evidence(it.preset, it.rig, (it.frame,)), lambda share, words: None)
+        proposal, covered = find_prints(Evidence(it.preset, it.rig, (it.frame,)))
     except (AdviceError, FrameError, RigMismatchError):
         return None
-    if not proposal.changes or proposal.picture is None:
+    if not proposal.changes:
         return None
-    covered = proposal.picture == MaskLabel.COVERED
     found = sum(covered[labels == label].mean() >= _MIN_COLORED for label in large)
     if found < 2:
         return None
@@ -161,29 +192,12 @@ def small_tolerance(it: Situation) -> Finding | None:
     sigma_m = math.hypot(noise.proximity.total_m, noise.tactile.total_m)
     if sigma_m == 0 or (passing := math.erf(t * distance_m / (sigma_m * math.sqrt(2)))) >= _MIN_PASSING:
         return None
-    better = tolerance_for(sigma_m, distance_m)
-    measured = f"the noise of both cameras is {1e3 * sigma_m:.1f} mm"
-    proposal = Proposal(
-        "tolerance",
-        {"tolerance.t": better},
-        f"t = {better:g}",
-        f"Measured with the rig: {measured}, one standard deviation.",
-        "95 % of the pixels in contact pass.",
-        weak=True,
+    sentence = (
+        f"t is {1e3 * t * distance_m:.1f} mm here, but the noise of both cameras is {1e3 * sigma_m:.1f} mm: only "
+        f"{100 * passing:.0f} % of contact passes."
     )
-    sentence = f"t is {1e3 * t * distance_m:.1f} mm here, but {measured}: only {100 * passing:.0f} % of contact passes."
+    proposal = suggest_fields("tolerance", Evidence(it.preset, it.rig, (it.frame,)), lambda share, words: None)
     return Finding("small_tolerance", "tolerance.t", sentence, proposal)
-
-
-def unknown_bias(it: Situation) -> Finding | None:
-    """Contact is too small to tell the bias from a gap, on a rig whose bias was not measured."""
-    facts = it.patch.membrane
-    if facts is None or not it.preset.membrane.bias or facts.bias_known or not len(it.patch.points):
-        return None
-    sentence = "This contact is too small to tell a bias from a gap, and the bias of this rig is not measured."
-    if not it.preset.mask.enabled:
-        sentence += " The mask is off, so the contact may be prints; switch the mask on first."
-    return Finding("unknown_bias", "membrane.bias", sentence, action="measure_noise")
 
 
 def bulge(it: Situation) -> Finding | None:
@@ -201,29 +215,20 @@ def bulge(it: Situation) -> Finding | None:
         "Use the tolerance test",
         "The membrane test needs the curvature of the free membrane, its pressure over its tension.",
         "Contact no longer depends on the curvature of the membrane.",
-        weak=True,
     )
     return Finding("bulge", "contact_test", sentence, proposal)
 
 
 def false_contact(it: Situation) -> Finding | None:
-    """The preset finds contact on the untouched membrane, or on one that is where it was in the untouched frame."""
-    patch, where = it.untouched_patch, "The untouched frame has"
+    """The preset finds contact on the untouched membrane."""
+    patch = it.untouched_patch
     if patch is None or patch.area_mm2 < _MIN_FALSE_MM2:
-        patch, where = it.patch, "The membrane is where it was in the untouched frame, but there is"
-        # A flat object that touches a membrane of twice the mean curvature c over the area A dents it by at least
-        # A c / (4 pi), the height of a sphere's cap.
-        dent_m = 1e-6 * patch.area_mm2 * _BULGE_PER_M / (4 * math.pi)
-        if it.untouched_patch is None or patch.area_mm2 < _MIN_FALSE_MM2 or dent_m < _MIN_DENT_M:
-            return None
-        change_m = (patch.aligned.measured_m - it.untouched_patch.aligned.measured_m)[patch.mask]
-        if not abs(float(np.nanmedian(change_m))) < dent_m / 2:
-            return None
+        return None
     _, _, stats, _ = cv2.connectedComponentsWithStats(patch.mask.view(np.uint8))
     lens, depth_m = it.rig.proximity.intrinsics, float(np.median(patch.points[:, 2]))
     largest_mm2 = 1e6 * float(stats[1:, cv2.CC_STAT_AREA].max()) * depth_m**2 / (lens.fx * lens.fy)
     places = counted(len(stats) - 1, "place")
-    sentence = f"{where} {patch.area_mm2:.0f} mm² of contact in {places} with this preset."
+    sentence = f"The untouched frame has {patch.area_mm2:.0f} mm² of contact in {places} with this preset."
     field = _SMALLEST[it.preset.contact_test]
     smallest_mm2 = float(math.ceil(_MARGIN * largest_mm2))
     if smallest_mm2 > _MAX_SMALLEST_MM2:
@@ -240,7 +245,7 @@ def false_contact(it: Situation) -> Finding | None:
 
 #: The checks in the order in which their findings are shown: causes before consequences.
 CHECKS: Final[tuple[Callable[[Situation], Finding | None], ...]] = (
-    no_depth, covering_mask, peak, prints, small_tolerance, unknown_bias, bulge, false_contact,
+    no_depth, covering_mask, peak, prints, small_tolerance, bulge, false_contact,
 )  # fmt: skip
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -18,7 +17,7 @@ from ...model.frames import Rig, SensorFrame
 from ...preset import MaskSection, Preset
 from ...rig.bias import depth_differences
 from ...sources.base import Progress
-from .proposal import Evidence, MaskLabel, Proposal
+from .proposal import Evidence, Proposal
 
 #: Largest bias between the cameras at which prints are recognised, metres.
 _MAX_BIAS_M: Final = 0.04
@@ -49,65 +48,75 @@ _THREE: Final = np.ones((3, 3), np.uint8)
 
 @dataclass(frozen=True, eq=False)
 class _Colours:
-    """Where prints and bare membrane are in one frame, and their colours in OpenCV's HSV.
+    """Where prints and bare membrane are in one frame, bool (H, W), and the colour of the membrane there, RGB."""
 
-    Attributes
-    ----------
-    labels : uint8, shape (H, W)
-        `MaskLabel`: MISSED on prints, BARE on bare membrane, before there is a mask.
-    rgb : uint8, shape (H, W, 3)
-        The colour of the membrane at each labelled pixel.
-    core : bool, shape (H, W)
-        Prints without their rim, on which colours mix.
-    """
-
-    labels: Uint8Array
+    prints: BoolArray
+    bare: BoolArray
     rgb: Uint8Array
-    core: BoolArray
 
     @property
-    def prints(self) -> Uint8Array:
-        """The colours of the prints, RGB, shape (N, 3)."""
-        return self.rgb[self.core]
+    def core(self) -> Uint8Array:
+        """The colours of the prints without their rim, on which colours mix: RGB, shape (N, 3)."""
+        return self.rgb[cv2.erode(self.prints.view(np.uint8), _THREE) > 0]
+
+    def shares(self, section: MaskSection) -> tuple[float, float]:
+        """Return which share of the prints a mask covers, and which share of the bare membrane it loses."""
+        inside = in_hsv_range(self.rgb, section)
+        covered, lost = (np.count_nonzero(inside & part) / max(part.sum(), 1) for part in (self.prints, self.bare))
+        return float(covered), float(lost)
 
 
 def suggest_mask(evidence: Evidence, progress: Progress) -> Proposal:
-    """Propose the mask that covers the prints.
+    """Propose the mask that covers the prints."""
+    progress(0.0, "Looking for prints")
+    return find_prints(evidence)[0]
 
-    They are found in the untouched frame and in examples of the untouched membrane; without any, apart from marked
-    contact; without that, among small groups of the present frame that are near the membrane, if they have one colour.
+
+def find_prints(evidence: Evidence) -> tuple[Proposal, BoolArray]:
+    """Propose the mask that covers the prints, and return the pixels that it covers.
+
+    They are found in the untouched frame or an example of the untouched membrane; without any, among small groups of
+    the present frame that are near the membrane, if they have one colour.
     """
-    known: list[tuple[SensorFrame, BoolArray | None]] = []
-    if evidence.untouched is not None:
-        known.append((evidence.untouched, None))
-    known += [(example.frame, None) for example in evidence.examples if example.contact is None]
-    if not known:
-        known = [(example.frame, example.contact) for example in evidence.examples]
-    if weak := not known:
-        known = [(evidence.frame, _large_groups(evidence))]
-    found = []
-    for number, (frame, contact) in enumerate(known):
-        progress(number / len(known), "Looking for prints")
-        found.append(_colours(frame, contact, evidence.preset, evidence.rig))
-    if weak and not _one_colour(found[0].prints):
+    preset, rig = evidence.preset, evidence.rig
+    free = evidence.untouched or next((each.frame for each in evidence.examples if each.contact is None), None)
+    colours = _colours(free or evidence.frame, preset, rig, pressed=free is None)
+    if free is None and not _one_colour(colours.core):
+        raise AdviceError("mask: in this frame prints can't be told from contact; capture an untouched frame")
+    if len(colours.core) < _MIN_PRINT_PIXELS:
         raise AdviceError(
-            "mask: in this frame prints can't be told from contact; capture an untouched frame, or mark the contact "
-            "in a frame"
-        )
-    prints = np.concatenate([colours.prints for colours in found])
-    if len(prints) < _MIN_PRINT_PIXELS:
-        raise AdviceError(
-            f"mask: only {len(prints)} pixels outside contact have a proximity depth on the membrane, so no "
+            f"mask: only {len(colours.core)} pixels outside contact have a proximity depth on the membrane, so no "
             "print reflects infrared; leave the mask off, or check the alignment if you see false contact on prints"
         )
-    section = _narrowest_within(prints, found)
-    covered, lost = _shares(section, found)
+    section = _widest(colours)
+    covered, lost = colours.shares(section)
     if covered - lost < _MIN_GAIN:
         raise AdviceError(
             f"mask: the prints have the colour of the rest of the membrane: a mask that covers {100 * covered:.0f} % "
             f"of them drops {100 * lost:.0f} % of the rest; no mask tells them apart"
         )
-    return _proposal(evidence.preset, section, _labelled(found[0], section), covered, lost, found, weak)
+    changes = {
+        f"mask.{name}": value for name, value in section.model_dump().items() if value != getattr(preset.mask, name)
+    }
+    label = f"Mask hue {section.hue[0]} to {section.hue[1]}, saturation from {section.saturation[0]}"
+    present = "The present mask is off: prints pass as contact."
+    if preset.mask.enabled:
+        now_covered, now_lost = colours.shares(preset.mask)
+        present = (
+            f"The present mask covers {100 * now_covered:.0f} % of the prints and drops {100 * now_lost:.1f} % of the "
+            "bare membrane."
+        )
+        if now_covered >= covered - _AS_GOOD and now_lost <= lost + _MAX_LOST:
+            changes, label = {}, "Keep the mask"
+    sentence = (
+        f"On {len(colours.core):,} pixels {'outside contact' if free else 'in small groups of one colour'} the "
+        "proximity camera measures the membrane itself; a mask of their colours covers "
+        f"{100 * covered:.0f} % of the prints and drops {100 * lost:.1f} % of the bare membrane."
+    )
+    if free is None:
+        sentence += " An untouched frame would tell prints from contact for certain."
+    covering = colours.prints & in_hsv_range(colours.rgb, section)
+    return Proposal("mask", changes, label, sentence, present), covering
 
 
 def _behind(frame: SensorFrame, preset: Preset, rig: Rig) -> tuple[Float32Array, Float32Array]:
@@ -126,9 +135,8 @@ def _near(behind_m: Float32Array) -> Uint8Array:
     return np.asarray(cv2.morphologyEx(near, cv2.MORPH_OPEN, _THREE))
 
 
-def _large_groups(evidence: Evidence) -> BoolArray:
-    """Return what may be contact in the present frame: groups near the membrane that are much larger than most."""
-    near = _near(_behind(evidence.frame, evidence.preset, evidence.rig)[1])
+def _large_groups(near: Uint8Array) -> BoolArray:
+    """Return what may be contact: groups near the membrane that are much larger than most."""
     _, groups, stats, _ = cv2.connectedComponentsWithStats(near, connectivity=8)
     areas = stats[:, cv2.CC_STAT_AREA]
     prints = np.flatnonzero(areas[1:] >= _MIN_GROUP_PIXELS) + 1
@@ -149,31 +157,19 @@ def _one_colour(rgb: Uint8Array) -> bool:
     return bool(hues <= _ONE_HUE and saturations <= _ONE_SATURATION)
 
 
-def _colours(frame: SensorFrame, contact: BoolArray | None, preset: Preset, rig: Rig) -> _Colours:
-    """Tell prints from bare membrane by the depths, and read their colours.
-
-    Parameters
-    ----------
-    contact : bool, shape (H, W), or None
-        Where something touches. What is near the membrane and connected with contact is no print.
-    """
+def _colours(frame: SensorFrame, preset: Preset, rig: Rig, *, pressed: bool) -> _Colours:
+    """Tell prints from bare membrane by the depths, and read their colours."""
     membrane_m, behind_m = _behind(frame, preset, rig)
-    on_print = _near(behind_m)
-    if contact is not None:
-        _, groups = cv2.connectedComponents(on_print | contact.view(np.uint8), connectivity=8)
-        on_print[np.isin(groups, np.unique(groups[contact]))] = 0
-    labels = np.full(behind_m.shape, MaskLabel.UNKNOWN, np.uint8)
+    near = _near(behind_m)
     with np.errstate(invalid="ignore"):
-        labels[behind_m > _THROUGH_M] = MaskLabel.BARE
-    labels[on_print > 0] = MaskLabel.MISSED
-    if contact is not None:
-        labels[contact & np.isfinite(behind_m)] = MaskLabel.LOST  # for now, to get the colours there
-    rgb = _membrane_colours(frame, labels, membrane_m, rig)
-    if contact is not None:
-        touched = labels == MaskLabel.LOST
-        labels[touched] = MaskLabel.UNKNOWN
-        labels[(labels == MaskLabel.MISSED) & _of_object(rgb, labels == MaskLabel.MISSED, touched)] = MaskLabel.UNKNOWN
-    return _Colours(labels, rgb, cv2.erode((labels == MaskLabel.MISSED).view(np.uint8), _THREE) > 0)
+        bare = behind_m > _THROUGH_M
+    rgb, seen = _membrane_colours(frame, bare | (near > 0), membrane_m, rig)
+    prints, bare = (near > 0) & seen, bare & (near == 0) & seen
+    if pressed:
+        large = _large_groups(near)
+        prints &= ~large
+        prints &= ~_of_object(rgb, prints, large & seen)
+    return _Colours(prints, bare, rgb)
 
 
 def _of_object(rgb: Uint8Array, prints: BoolArray, touched: BoolArray) -> BoolArray:
@@ -184,16 +180,18 @@ def _of_object(rgb: Uint8Array, prints: BoolArray, touched: BoolArray) -> BoolAr
     return np.asarray((there * _TYPICAL > here)[colour])
 
 
-def _membrane_colours(frame: SensorFrame, labels: Uint8Array, membrane_m: Float32Array, rig: Rig) -> Uint8Array:
-    """Return the colour of the membrane at each labelled pixel; unlabel pixels that the colour camera misses."""
-    pixels = np.flatnonzero(labels)
+def _membrane_colours(
+    frame: SensorFrame, wanted: BoolArray, membrane_m: Float32Array, rig: Rig
+) -> tuple[Uint8Array, BoolArray]:
+    """Return the colour of the membrane at each wanted pixel, and which of them the colour camera sees."""
+    pixels = np.flatnonzero(wanted)
     depth = membrane_m.reshape(-1)[pixels, None]
     points = np.concatenate([ray_table(rig.proximity.intrinsics).reshape(-1, 2)[pixels] * depth, depth], axis=1)
     colors, seen = colors_at(np.ascontiguousarray(points, np.float32), pixels, frame.proximity_color, rig)
-    labels.reshape(-1)[pixels[~seen]] = MaskLabel.UNKNOWN
-    image = np.zeros((*labels.shape, 3), np.uint8)
+    image, known = np.zeros((*wanted.shape, 3), np.uint8), np.zeros(wanted.shape, bool)
     image.reshape(-1, 3)[pixels] = colors
-    return image
+    known.reshape(-1)[pixels[seen]] = True
+    return image, known
 
 
 def _hues_around_mean(hue: Float64Array) -> tuple[float, Float64Array]:
@@ -202,9 +200,9 @@ def _hues_around_mean(hue: Float64Array) -> tuple[float, Float64Array]:
     return centre, (hue - centre + _HUES / 2) % _HUES - _HUES / 2
 
 
-def _narrowest_within(prints: Uint8Array, found: Sequence[_Colours]) -> MaskSection:
+def _widest(colours: _Colours) -> MaskSection:
     """Return the mask of the prints' colours, with margins as wide as the bare membrane allows."""
-    hue, saturation, value = cv2.cvtColor(prints[None], cv2.COLOR_RGB2HSV)[0].T.astype(np.float64)
+    hue, saturation, value = cv2.cvtColor(colours.core[None], cv2.COLOR_RGB2HSV)[0].T.astype(np.float64)
     centre, around = _hues_around_mean(hue)
     hue_low, hue_high = np.quantile(around, (_TAIL, 1 - _TAIL))
     saturation_low, value_low = np.quantile(saturation, _TAIL), np.quantile(value, _TAIL)
@@ -220,68 +218,5 @@ def _narrowest_within(prints: Uint8Array, found: Sequence[_Colours]) -> MaskSect
         )
         for share in _NARROWER
     ]
-    allowed = _shares(sections[-1], found)[1] + _MAX_LOST
-    return next(section for section in sections if _shares(section, found)[1] <= allowed)
-
-
-def _shares(section: MaskSection, found: Sequence[_Colours]) -> tuple[float, float]:
-    """Return which share of the prints a mask covers, and which share of the bare membrane it loses."""
-    counts = np.zeros(5)
-    for colours in found:
-        counts += np.bincount(_labelled(colours, section).reshape(-1), minlength=5)
-    prints = counts[MaskLabel.COVERED] + counts[MaskLabel.MISSED]
-    bare = counts[MaskLabel.LOST] + counts[MaskLabel.BARE]
-    return counts[MaskLabel.COVERED] / max(prints, 1), counts[MaskLabel.LOST] / max(bare, 1)
-
-
-def _labelled(colours: _Colours, section: MaskSection) -> Uint8Array:
-    """Return the labels of a frame's pixels under a mask."""
-    labels = colours.labels.copy()
-    inside = in_hsv_range(colours.rgb, section)
-    labels[inside & (labels == MaskLabel.MISSED)] = MaskLabel.COVERED
-    labels[inside & (labels == MaskLabel.BARE)] = MaskLabel.LOST
-    return labels
-
-
-def _proposal(
-    preset: Preset,
-    section: MaskSection,
-    picture: Uint8Array,
-    covered: float,
-    lost: float,
-    found: Sequence[_Colours],
-    weak: bool,
-) -> Proposal:
-    """Return the proposal of a mask, or that of no change if the present mask does as well."""
-    changes = {
-        f"mask.{name}": value for name, value in section.model_dump().items() if value != getattr(preset.mask, name)
-    }
-    label = f"Mask hue {section.hue[0]} to {section.hue[1]}, saturation from {section.saturation[0]}"
-    present = "The present mask is off: prints pass as contact."
-    if preset.mask.enabled:
-        now_covered, now_lost = _shares(preset.mask, found)
-        present = (
-            f"The present mask covers {100 * now_covered:.0f} % of the prints and drops {100 * now_lost:.1f} % of the "
-            "bare membrane."
-        )
-        if now_covered >= covered - _AS_GOOD and now_lost <= lost + _MAX_LOST:
-            changes, label, picture = {}, "Keep the mask", _labelled(found[0], preset.mask)
-    where, doubt = "outside contact", ""
-    if weak:
-        where, doubt = (
-            "in small groups of one colour",
-            " An untouched frame would tell prints from contact for certain.",
-        )
-    pixels = sum(int(np.count_nonzero(colours.core)) for colours in found)
-    return Proposal(
-        section="mask",
-        changes=changes,
-        label=label,
-        evidence=(
-            f"On {pixels:,} pixels {where} the proximity camera measures the membrane itself; a mask of their colours "
-            f"covers {100 * covered:.0f} % of the prints and drops {100 * lost:.1f} % of the bare membrane.{doubt}"
-        ),
-        expected=present,
-        weak=weak,
-        picture=picture,
-    )
+    allowed = colours.shares(sections[-1])[1] + _MAX_LOST
+    return next(section for section in sections if colours.shares(section)[1] <= allowed)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -16,7 +17,7 @@ from ...preset import CONTACT_TESTS, Preset
 from ...rig.bias import depth_differences, scene_bias
 from ...sources.base import Progress, part_of
 from .alignment import suggest_alignment
-from .fields import suggest_membrane, suggest_outliers, suggest_tolerance
+from .fields import suggest_fields
 from .mask import suggest_mask
 from .proposal import Evidence, Proposal
 
@@ -66,9 +67,9 @@ _SUGGEST: Final[dict[str, Callable[[Evidence, Progress], Proposal]]] = {
     "mask": suggest_mask,
     "contact_test": suggest_contact_test,
     "alignment": suggest_alignment,
-    "tolerance": suggest_tolerance,
-    "outliers": suggest_outliers,
-    "membrane": suggest_membrane,
+    "tolerance": partial(suggest_fields, "tolerance"),
+    "outliers": partial(suggest_fields, "outliers"),
+    "membrane": partial(suggest_fields, "membrane"),
 }
 #: Sections of the preset that can be suggested, in the order in which they depend on each other.
 SECTIONS: Final = tuple(_SUGGEST)
@@ -76,32 +77,14 @@ SECTIONS: Final = tuple(_SUGGEST)
 
 @dataclass(frozen=True)
 class AllProposals:
-    """Proposals for every section that the contact test reads.
+    """Proposals for several sections, each computed with the earlier ones applied.
 
-    Attributes
-    ----------
-    parts : tuple of Proposal
-        In order; each is computed with the earlier ones applied. Parts without changes keep the present values.
-    refusals : dict of str to str
-        Why there is no proposal, by section.
-    merged : Proposal
-        All changes as one proposal; without changes if no part has any.
+    ``refusals`` says by section why there is none; ``merged`` has all changes as one proposal.
     """
 
     parts: tuple[Proposal, ...]
     refusals: dict[str, str]
     merged: Proposal
-
-
-def suggest(section: str, evidence: Evidence, progress: Progress = lambda share, words: None) -> Proposal:
-    """Propose new values for one section of the preset; parameters and errors as for `suggest_all`.
-
-    Raises an `AdviceError` if the evidence does not support a proposal; the message says why and what to do.
-    """
-    _check(evidence, (section,))
-    proposal = _suggest(section, evidence, progress)
-    progress(1.0, "The suggestion is ready")
-    return proposal
 
 
 def suggest_all(
@@ -114,8 +97,8 @@ def suggest_all(
     Parameters
     ----------
     evidence : Evidence
-        The preset, its rig, one or more frames (uint16 depth images of the rig's size in raw counts; four of a scene at
-        rest tell the noise), and if there are any, the untouched frame and examples of contact.
+        The preset, its rig, one or more frames (uint16 depth images of the rig's size in raw counts), and if there are
+        any, the untouched frame and examples of contact.
     progress : callable, optional
         Called with the finished share, 0 to 1, and a description. What it raises ends the computation.
     sections : collection of str, optional
@@ -135,7 +118,11 @@ def suggest_all(
     FrameError
         The present frame has another size than the rig's.
     """
-    _check(evidence, sections or ())
+    evidence.frame.check_against(evidence.rig)
+    if unknown := set(sections or ()) - set(SECTIONS):
+        raise AdviceError(
+            f"there are no suggestions for {', '.join(sorted(unknown))}; choose from {', '.join(SECTIONS)}"
+        )
     present, parts, refusals = evidence.preset, [], {}
     for number, section in enumerate(SECTIONS):
         if section not in (_read_sections(evidence.preset) if sections is None else sections):
@@ -155,18 +142,9 @@ def suggest_all(
         label=changed[0].label if len(changed) == 1 else f"All {len(changed)} suggestions" if changed else "No change",
         evidence=" ".join(part.evidence for part in changed),
         expected=" ".join(part.expected for part in changed),
-        weak=any(part.weak for part in changed),
     )
     progress(1.0, "The suggestions are ready")
     return AllProposals(tuple(parts), refusals, merged)
-
-
-def _check(evidence: Evidence, sections: Collection[str]) -> None:
-    evidence.frame.check_against(evidence.rig)
-    if unknown := set(sections) - set(SECTIONS):
-        raise AdviceError(
-            f"there are no suggestions for {', '.join(sorted(unknown))}; choose from {', '.join(SECTIONS)}"
-        )
 
 
 def _suggest(section: str, evidence: Evidence, progress: Progress) -> Proposal:

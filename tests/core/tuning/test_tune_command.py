@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -22,10 +20,10 @@ GRID = ("--set", "tolerance.t=0.002,0.007,0.03", "--set", "outliers.k=5,20")
 
 def test_a_grid_tries_each_combination_and_writes_the_best_preset(tune, make_recording, tmp_path):
     one, other = make_recording("one"), make_recording("other", seed=5)
-    done = tune("-s", one, "-s", other, *GRID, "--objective", "iou,area_error", "--out", "best.json")
+    done = tune("-s", one, "-s", other, *GRID, "--objective", "iou,rmse", "--out", "best.json")
     assert done.status == 0, done.err
     assert "Not beaten by any of 6 trials" in done.out
-    again = tune("-s", one, "-s", other, *GRID, "--objective", "iou,area_error", "--study", "best.study.log", "--json")
+    again = tune("-s", one, "-s", other, *GRID, "--objective", "iou,rmse", "--study", "best.study.log", "--json")
     trials = trials_of(again.out)
     assert sorted(trials) == list(range(6)), "the trials of the first run are told again, and none is added"
     best = load_preset(tmp_path / "work" / "best.json")
@@ -42,9 +40,8 @@ def test_a_grid_tries_each_combination_and_writes_the_best_preset(tune, make_rec
     assert top["figures"]["iou"] == pytest.approx(sum(means) / 2)
 
 
-@pytest.mark.parametrize("sampler", ["tpe", "qmc", "nsga2"])
-def test_a_search_begins_with_the_present_preset_and_is_never_worse(tune, recording, sampler):
-    words = ("-s", recording, "--sampler", sampler, "--objective", "iou,ms", "--trials", 24, "--json")
+def test_a_search_begins_with_the_present_preset_and_is_never_worse(tune, recording):
+    words = ("-s", recording, "--objective", "iou,ms", "--trials", 24, "--json")
     done = tune(*words)
     assert done.status == 0, done.err
     trials = trials_of(done.out)
@@ -74,27 +71,12 @@ def test_without_truth_the_most_stable_is_best_and_what_finds_nothing_is_not(tun
     assert "no trial found any contact" in tune("-s", blind, *nothing, "--study", "n.log").sentence
 
 
-def test_both_contact_tests_in_one_grid(tune, recording):
-    sets = ("--set", "contact_test=tolerance,membrane", "--set", "membrane.gap_m=0.0001,0.001")
-    done = tune("-s", recording, *sets, "--objective", "iou", "--json")
-    assert len(trials_of(done.out)) == 4
-
-
-def test_parameters_that_cannot_be_used_are_failed_trials(tune, recording):
-    homography = ("--set", "alignment.model=rigid,homography", "--set", "range.limits_m=[0.1,0.5]")
-    done = tune("-s", recording, *homography, "--set", "range.enabled=true", "--json", "--objective", "iou")
-    assert done.status == 0, done.err
-    assert len(trials_of(done.out)) == 2
-
-
 def test_a_best_value_at_the_end_of_its_range_is_said(tune, recording):
     done = tune("-s", recording, "--set", "tolerance.t=0.002,0.003,0.004", "--objective", "iou")
     assert "The best tolerance.t, 0.004, is the largest one that was allowed." in done.out
 
 
-@pytest.mark.parametrize(
-    ("text", "expected"), [("2", [0, 1]), ("1:4", [1, 2]), ("::2", [0, 2]), ("2:", [2]), (":9", [0, 1, 2])]
-)
+@pytest.mark.parametrize(("text", "expected"), [("2", [0, 1]), ("1:4", [1, 2]), ("::2", [0, 2])])
 def test_frames_as_people_write_them(tune, recording, tmp_path, text, expected):
     words = ("--set", "tolerance.t=0.007", "--objective", "iou", "--json")
     (trial,) = trials_of(tune("-s", recording, "--frames", text, *words).out).values()
@@ -119,12 +101,6 @@ def test_the_best_preset_keeps_the_untouched_frame(tune, recording, tmp_path):
     assert load_untouched(best.untouched, out).proximity_depth.shape == source.read(0).proximity_depth.shape
 
 
-def test_neither_the_core_nor_the_command_line_import_optuna():
-    program = "import sys, tactune.core, tactune.app.cli.main; print('optuna' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True, text=True)
-    assert done.stdout == "False\n", done.stderr
-
-
 def test_a_file_of_something_else_is_left_alone(tune, recording, tmp_path):
     notes = tmp_path / "notes"
     for content in ("mine\n", '{"name": "mine"}'):
@@ -138,15 +114,20 @@ def test_a_file_of_something_else_is_left_alone(tune, recording, tmp_path):
 def test_a_damaged_file_is_told_in_one_sentence(tune, recording, tmp_path, line):
     study = tmp_path / "s.log"
     study.write_text(f"{line}\n")
-    assert "is damaged or not the file of a search" in tune("-s", recording, *GRID, "--study", study).sentence
+    assert "is damaged, not the file of a search" in tune("-s", recording, *GRID, "--study", study).sentence
     assert study.read_text() == f"{line}\n"
 
 
-def test_an_out_that_cannot_be_written_is_refused_before_the_search(tune, recording, tmp_path):
-    (tmp_path / "file").write_text("mine")
-    out, study = tmp_path / "file" / "best.json", tmp_path / "s.log"
-    assert "cannot write" in tune("-s", recording, *GRID, "--out", out, "--study", study).sentence
-    assert not study.exists()
+def test_a_file_that_is_damaged_during_the_search_is_told_in_one_sentence(tune, recording, tmp_path, monkeypatch):
+    study, told = tmp_path / "s.log", ContactPipeline.process
+
+    def damaging(self, frame):
+        with study.open("a") as file:
+            file.write('{"op_code":"x"}\n')
+        return told(self, frame)
+
+    monkeypatch.setattr(ContactPipeline, "process", damaging)
+    assert "is damaged, not the file of a search" in tune("-s", recording, *GRID, "--study", study).sentence
 
 
 @pytest.mark.parametrize(
@@ -154,18 +135,17 @@ def test_an_out_that_cannot_be_written_is_refused_before_the_search(tune, record
     [
         ((), "give --source"),
         (("-s", "REC", "--set", "tolerance.q=1"), "did you mean tolerance.t"),
-        (("-s", "REC", "--set", "tolerance.t=0:1:1000", "--set", "outliers.k=1:1000:1000"), "--trials N"),
         (("-s", "REC", "--set", "tolerance.t=0.1", "--set", "tolerance.t=0.2"), "given twice"),
-        (("-s", "REC", "--set", "tolerance.t=0.1:0.2", "--sampler", "grid"), "no number of steps"),
         (("-s", "REC", "--objective", "beauty"), "there is no objective 'beauty'"),
         *((("-s", "REC", "--frames", text), "has 3 frames") for text in ("9:", "0", "4:2")),
         *((("-s", "REC", "--frames", text), "write a number of frames") for text in ("a", "1:2:0", "-1", "")),
         (("-s", "REC", "--out", "/tmp"), "Is a directory"),
+        (("-s", "REC", "--out", "/dev/null/best.json"), "cannot write"),
         (("-s", "REC", "--study", "/dev/zero"), "no ordinary file"),
         (("-s", "REC", "--frames", "1", "--objective", "stability"), "there is only one"),
         (("-s", "live:sim:cup"), "record it first"),
         (("-s", "folder:/nowhere"), "there is no folder"),
-        (("-s", "REC", "--scheduler", "nonsense"), "no Dask scheduler answers at nonsense"),
+        (("-s", "REC", "--scheduler", "nonsense"), "no Dask scheduler with a worker answers at nonsense"),
         (("-s", "REC", "--scheduler", "tcp://127.0.0.1:1", "--jobs", "2"), "remove it or --scheduler"),
     ],
 )

@@ -7,10 +7,12 @@ from functools import lru_cache
 
 import pytest
 
+from tactune.core.errors import AdviceError
 from tactune.core.preset import Preset
 from tactune.core.rig.untouched import untouched_frame
 from tactune.core.sources.registry import open_source
-from tactune.core.tuning.advice.proposal import Evidence, Example
+from tactune.core.tuning.advice.proposal import Evidence, Example, Proposal
+from tactune.core.tuning.advice.suggest import suggest_all
 
 
 @lru_cache(maxsize=8)
@@ -31,5 +33,18 @@ def evidence() -> Callable[..., Evidence]:
         rig, frames, free = scene(name)
         examples = (Example(frames[-1], frames[-1].truth.contact),) if painted else ()
         return Evidence(preset, rig, frames, free if untouched else None, examples)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def suggest() -> Callable[[str, Evidence], Proposal]:
+    """Make the proposal of one section; its refusal is raised."""
+
+    def make(section: str, shown: Evidence) -> Proposal:
+        found = suggest_all(shown, sections=(section,))
+        if found.refusals:
+            raise AdviceError(found.refusals[section])
+        return found.parts[0]
 
     return make

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import cv2
@@ -11,27 +12,23 @@ import pytest
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import AdviceError
 from tactune.core.sources.presets import load_preset
-from tactune.core.tuning.advice.proposal import Example, MaskLabel
-from tactune.core.tuning.advice.suggest import suggest
+from tactune.core.tuning.advice.proposal import Example
 
 SHIPPED = load_preset("simulator")
 NO_MASK = SHIPPED.with_values({"mask.enabled": False})
 
 
-def counted(picture):
-    return np.bincount(picture.reshape(-1), minlength=len(MaskLabel))
-
-
 @pytest.mark.parametrize("offset_m", [0.0, 0.012, -0.02])
-def test_prints_are_covered_whatever_the_bias(evidence, offset_m):
+def test_prints_are_covered_whatever_the_bias(evidence, offset_m, suggest):
     proposal = suggest("mask", evidence(NO_MASK.with_value("alignment.depth_offset_m", offset_m)))
-    labels = counted(proposal.picture)
-    assert labels[MaskLabel.COVERED] > 0.95 * (labels[MaskLabel.COVERED] + labels[MaskLabel.MISSED]) > 1000
-    assert labels[MaskLabel.LOST] < 0.01 * (labels[MaskLabel.LOST] + labels[MaskLabel.BARE])
-    assert not proposal.weak
+    learned, shipped = proposal.apply(NO_MASK).mask, SHIPPED.mask
+    assert np.abs(np.subtract(learned.hue, shipped.hue)).max() <= 5
+    assert abs(learned.saturation[0] - shipped.saturation[0]) <= 15
+    covered, lost = (float(share) for share in re.findall(r"([0-9.]+) %", proposal.evidence))
+    assert covered > 95 and lost < 1
 
 
-def test_a_hue_around_red_wraps(evidence):
+def test_a_hue_around_red_wraps(evidence, suggest):
     shown = evidence(NO_MASK)
 
     def redder(frame):
@@ -49,47 +46,31 @@ def test_a_hue_around_red_wraps(evidence):
     assert areas[0] == pytest.approx(areas[1], rel=0.02)
 
 
-@pytest.mark.parametrize("name", ["sim:cup?press=medium", "sim:octopus?press=medium&sensor=heavy"])
-def test_painted_contact_serves_as_well(evidence, name):
-    proposal = suggest("mask", evidence(NO_MASK, name, untouched=False, painted=True))
-    learned, shipped = proposal.apply(NO_MASK).mask, SHIPPED.mask
-    assert np.abs(np.subtract(learned.hue, shipped.hue)).max() <= 5
-    assert abs(learned.saturation[0] - shipped.saturation[0]) <= 15
-    assert not proposal.weak
-
-
-def test_a_pressed_frame_alone_gives_a_weak_mask(evidence):
+def test_a_pressed_frame_alone_gives_a_mask(evidence, suggest):
     proposal = suggest("mask", evidence(NO_MASK, untouched=False))
-    assert proposal.weak
+    assert "An untouched frame would tell" in proposal.evidence
     assert np.abs(np.subtract(proposal.changes["mask.hue"], SHIPPED.mask.hue)).max() <= 5
 
 
-def test_small_contacts_that_look_like_prints_are_refused(evidence):
+def test_small_contacts_that_look_like_prints_are_refused(evidence, suggest):
     with pytest.raises(AdviceError, match="capture an untouched frame"):
         suggest("mask", evidence(NO_MASK, "sim:octopus?press=low", untouched=False))
 
 
-def test_a_mask_that_does_as_well_is_kept(evidence):
+def test_a_mask_that_does_as_well_is_kept(evidence, suggest):
     proposal = suggest("mask", evidence(SHIPPED))
     assert not proposal.changes
-    assert counted(proposal.picture)[MaskLabel.COVERED] > 1000
+    assert "covers" in proposal.expected
 
 
-def test_a_membrane_without_prints_is_told(evidence):
+def test_a_membrane_without_prints_is_told(evidence, suggest):
     shown = evidence(NO_MASK)
     far = np.where(shown.untouched.proximity_depth > 0, 2400, 0).astype(np.uint16)
     with pytest.raises(AdviceError, match="no print reflects infrared"):
         suggest("mask", replace(shown, untouched=replace(shown.untouched, proximity_depth=far)))
 
 
-def test_prints_of_the_membranes_colour_are_told(evidence):
-    shown = evidence(NO_MASK)
-    grey = replace(shown.untouched, proximity_color=np.full_like(shown.untouched.proximity_color, 128))
-    with pytest.raises(AdviceError, match="no mask tells them apart"):
-        suggest("mask", replace(shown, untouched=grey))
-
-
-def test_an_untouched_example_is_an_untouched_frame(evidence):
+def test_an_untouched_example_is_an_untouched_frame(evidence, suggest):
     shown = evidence(NO_MASK)
     example = replace(shown, untouched=None, examples=(Example(shown.untouched),))
     assert suggest("mask", example).changes == suggest("mask", shown).changes
