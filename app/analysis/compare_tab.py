@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from PyQt6.QtCore import Qt
-from PyQt6.QtGui import QColor, QResizeEvent
+from PyQt6.QtGui import QResizeEvent
 from PyQt6.QtWidgets import QGridLayout, QLabel, QWidget
 
 from ...core.lab.methods import method_names, method_problems, method_tip
-from ...widgets.basics.controls import ChoiceBox, caption
 from ...widgets.basics.layouts import splitter
 from ...widgets.basics.messages import Severity
 from ...widgets.basics.record_table import Column, RecordTable
@@ -20,13 +19,12 @@ from ...widgets.clouds.cloud_view import CloudView, link_cameras
 from ..context import Context
 from ..worker.jobs import Progress, Work
 from ..worker.results import Result
-from .compare_work import FALSE_RGB, MISSED_RGB, RIGHT_RGB, TRUTH, Comparer, Comparison, Outcome, method_color
+from .compare_work import TRUTH, Comparer, Comparison, Outcome, method_color
 from .live_tab import LiveTab, Row
 
 _CHOSEN: Final = "compare/methods"
 _AT_FIRST: Final = "fusion-rigid,fusion-membrane,proximity-only,tactile-only,mechanics"
 _TRUTH_TIP: Final = "The true contact: from the simulator's contact solver, or stored in the recording"
-_AGREEMENT: Final = [("right", QColor(*RIGHT_RGB)), ("false", QColor(*FALSE_RGB)), ("missed", QColor(*MISSED_RGB))]
 #: Preferred width over height of a view; points grow by a pixel for each of these pixels of its width.
 _ASPECT, _POINT_EVERY = 1.25, 320
 
@@ -43,7 +41,7 @@ class CompareTab(LiveTab):
         remembered = self.settings.text(_CHOSEN, _AT_FIRST).split(",")
         self.chosen = tuple(name for name in self.methods if name in remembered)
         self._comparer = Comparer()
-        self.grid, self.color_by = ViewGrid(), ChoiceBox()
+        self.grid = ViewGrid()
         self.table = RecordTable(
             self._table_columns(),
             "Methods and their numbers",
@@ -52,17 +50,8 @@ class CompareTab(LiveTab):
         )
         for name, problem in method_problems().items():
             context.messages.show_message(f"method {name}", Severity.WARNING, f"A method is missing: {problem}.")
-        self.color_by.addItems(["Method", "Agreement with the truth"])
-        self.color_by.setToolTip(
-            "Each method in its own colour, or correct, false and missed parts if the truth is known"
-        )
-        self.color_by.setAccessibleName("Colour by")
-        self.color_by.setEnabled(False)
         self.reset.hide()
         self.export.setToolTip("Save this comparison as a picture, and its numbers as CSV beside it (Ctrl+E)")
-        for part in (caption("Colour &by", self.color_by), self.color_by):
-            self.top.addWidget(part)
-        self.top.addStretch(1)
         self._show_table(())
         sizes = (520, self.table.full_height() + 40)
         self.sheet = splitter(Qt.Orientation.Vertical, (self.grid, 1), self.table, sizes=sizes)
@@ -71,7 +60,6 @@ class CompareTab(LiveTab):
         self.table.copied.connect(
             lambda rows: self.messages.show_message("done", Severity.INFO, f"{rows} rows copied as text.")
         )
-        self.color_by.currentIndexChanged.connect(self.again)
         self._show_views()
 
     def _table_columns(self) -> tuple[Column, ...]:
@@ -105,18 +93,16 @@ class CompareTab(LiveTab):
     def work(self, result: Result) -> Work:
         """Return the comparison of the chosen methods."""
         chosen, home, theme = self.chosen, self.context.document.untouched_home, theme_name()
-        by_truth = self.color_by.currentIndex() == 1
 
         def compare(progress: Progress) -> Comparison:
             untouched = self.untouched(result, home, progress)
             progress(0.0, "Comparing")
-            return self._comparer.compare(result, chosen, untouched, theme, by_truth)
+            return self._comparer.compare(result, chosen, untouched, theme)
 
         return compare
 
     def show_found(self, result: Result, found: Comparison) -> Row | None:
         """Show views and table."""
-        self.color_by.setEnabled(result.frame.truth is not None)
         self._show_views()
         self._show_table(found.outcomes)
         for outcome in found.outcomes:
@@ -124,8 +110,7 @@ class CompareTab(LiveTab):
                 view = self.grid.views[outcome.name]
                 view.set_cloud(outcome.cloud)
                 view.set_message(outcome.note)
-                own = [("contact", method_color(outcome.name, theme_name()))]
-                view.set_legend(_AGREEMENT if found.by_truth else own)
+                view.set_legend([("contact", method_color(outcome.name, theme_name()))])
         rate = self.rate.rate()
         playing = f" · {rate:.1f} compared per second" if result.playback.playing and rate else ""
         unknown = " · no truth known, so no RMSE and IoU" if result.frame.truth is None else ""

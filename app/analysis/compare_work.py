@@ -50,10 +50,8 @@ _RGB: Final = {
 }
 _DARK_RGB: Final = {TRUTH: (250, 250, 250), "mechanics": (210, 180, 110)}
 _OTHER_RGB: Final = (204, 121, 167)
-#: Pixels that a method and the truth share, that only the method has, and that only the truth has.
-RIGHT_RGB, FALSE_RGB, MISSED_RGB = (0, 158, 115), (213, 94, 0), (0, 114, 178)
 #: Rows of the clouds' colours after those of the context; the farthest shade is hidden.
-CONTACT_ROW, FALSE_ROW, MISSED_ROW, HIDDEN_ROW = 255, 254, 253, 252
+CONTACT_ROW, HIDDEN_ROW = 255, 252
 
 
 def method_color(name: str, theme: Theme) -> QColor:
@@ -66,8 +64,7 @@ def method_color(name: str, theme: Theme) -> QColor:
 def _lut(contact: tuple[int, int, int], theme: Theme) -> Uint8Array:
     """Return the colours of a patch over the relief of the scene: uint8 (256, 4)."""
     lut = patch_lut(theme).copy()
-    for row, rgb in ((CONTACT_ROW, contact), (FALSE_ROW, FALSE_RGB), (MISSED_ROW, MISSED_RGB)):
-        lut[row] = (*rgb, 255)
+    lut[CONTACT_ROW] = (*contact, 255)
     lut[HIDDEN_ROW] = 0
     lut.flags.writeable = False
     return lut
@@ -98,7 +95,6 @@ class Comparison:
 
     result: Result
     methods: tuple[str, ...]
-    by_truth: bool
     outcomes: tuple[Outcome, ...]
 
 
@@ -125,36 +121,30 @@ class Comparer:
         self._entrants: dict[str, _Entrant] = {}
         self._rest_s = 0.0
 
-    def compare(
-        self, result: Result, methods: Sequence[str], untouched: FoundUntouched, theme: Theme, by_truth: bool
-    ) -> Comparison:
-        """Run the methods on a frame, except those that have already run on it.
-
-        ``by_truth`` colours points by their agreement with the truth.
-        """
+    def compare(self, result: Result, methods: Sequence[str], untouched: FoundUntouched, theme: Theme) -> Comparison:
+        """Run the methods on a frame, except those that have already run on it."""
         leave_room_for_the_window()
         if result.playback.playing:  # window and worker share the processor
             time.sleep(min(self._rest_s, _MAX_REST_S))
         started = time.perf_counter()
         truth = result.frame.truth
-        by_truth = by_truth and truth is not None
         outcomes = []
         if truth is not None:
             points = truth_cloud(truth, result.source.rig).points
             lens = result.source.rig.proximity.intrinsics
             area_mm2 = 1e6 * float(np.square(points[:, 2], dtype=np.float64).sum()) / (lens.fx * lens.fy)
             note = "" if truth.contact.any() else "Nothing touches the membrane in this frame"
-            cloud = _cloud(TRUTH, truth.contact, result, theme, by_truth)
+            cloud = _cloud(TRUTH, truth.contact, result, theme)
             count = int(np.count_nonzero(truth.contact))
             outcomes.append(Outcome(TRUTH, cloud, count, area_mm2 if len(points) else math.nan, note=note))
         for name in methods:
             entrant = self._entrant(name, result, untouched)
             self._run(name, entrant, result)
-            cloud = _cloud(name, entrant.mask, result, theme, by_truth)
+            cloud = _cloud(name, entrant.mask, result, theme)
             ms = median(entrant.times_ms) if entrant.times_ms else math.nan
             outcomes.append(Outcome(name, cloud, ms=ms, **entrant.found))
         self._rest_s = time.perf_counter() - started
-        return Comparison(result, tuple(methods), by_truth, tuple(outcomes))
+        return Comparison(result, tuple(methods), tuple(outcomes))
 
     def _entrant(self, name: str, result: Result, untouched: FoundUntouched) -> _Entrant:
         """Return a method that fits the frame; a changed preset updates a pipeline in place."""
@@ -224,7 +214,7 @@ def _numbers(patch: ContactPatch, result: Result) -> dict[str, Any]:
     return numbers
 
 
-def _cloud(name: str, mask: BoolArray | None, result: Result, theme: Theme, by_truth: bool) -> DepthCloud:
+def _cloud(name: str, mask: BoolArray | None, result: Result, theme: Theme) -> DepthCloud:
     """Return a patch over the scene within the range of the depth colours."""
     frame, camera = result.frame, result.source.rig.proximity
     near, far = (limit / camera.depth_unit_m for limit in result.rendered.depth_range_m)
@@ -232,10 +222,7 @@ def _cloud(name: str, mask: BoolArray | None, result: Result, theme: Theme, by_t
     rows = np.minimum(rows, np.uint8(HIDDEN_ROW))
     contact = np.zeros(rows.shape, bool) if mask is None else mask
     rows[contact] = CONTACT_ROW
-    if by_truth and frame.truth is not None:
-        rows[contact & ~frame.truth.contact] = FALSE_ROW
-        rows[frame.truth.contact & ~contact] = MISSED_ROW
-    rgb = RIGHT_RGB if by_truth else method_color(name, theme).getRgb()[:3]
+    rgb = method_color(name, theme).getRgb()[:3]
     return DepthCloud(
         depth=frame.proximity_depth,
         depth_unit_m=camera.depth_unit_m,

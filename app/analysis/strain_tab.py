@@ -12,7 +12,7 @@ import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QColor
-from PyQt6.QtWidgets import QComboBox, QDoubleSpinBox, QWidget
+from PyQt6.QtWidgets import QDoubleSpinBox, QWidget
 
 from ...core.lab.strain import (
     SPACING_M,
@@ -38,7 +38,6 @@ from ..worker.results import Result
 from .live_tab import LiveTab, Row
 
 _SPACING: Final = "strain/spacing_mm"
-_MAPS: Final = ("Largest", "Along length", "Along width")
 _MAX_AVERAGED: Final = 30
 #: Smallest range of both axes of the curve, in mm and percent.
 _MIN_RANGE: Final = 10.0
@@ -64,7 +63,7 @@ class StrainTab(LiveTab):
         super().__init__(context)
         self._frames: deque[SensorFrame] = deque(maxlen=_MAX_AVERAGED)
         self.map, self.numbers = StrainMap(), wrapped_label(verdict=True)
-        self.spacing, self.map_of = QDoubleSpinBox(), QComboBox()
+        self.spacing = QDoubleSpinBox()
         self.average = frame_count(
             _MAX_AVERAGED,
             "Number of recent frames to average while the membrane does not move. "
@@ -83,10 +82,9 @@ class StrainTab(LiveTab):
         ]
         self.plot.follow_theme()
         self._lay_out()
-        self.map.show_view(None, _MAPS[0], self.status.text())
+        self.map.show_view(None, self.status.text())
         self.spacing.valueChanged.connect(self._entries_changed)
         self.average.valueChanged.connect(self._entries_changed)
-        self.map_of.currentTextChanged.connect(self._map_changed)
 
     def _lay_out(self) -> None:
         low, high = (1e3 * end for end in SPACING_RANGE_M)
@@ -96,12 +94,8 @@ class StrainTab(LiveTab):
         self.spacing.setKeyboardTracking(False)
         self.spacing.setToolTip("Distance of neighbouring dots on the flat sheet, as printed")
         self.spacing.setValue(self.settings.number(_SPACING, 1e3 * SPACING_M))
-        self.map_of.addItems(_MAPS)
-        self.map_of.setToolTip("Strain that colours each square of the grid")
         self.reset.setText("&Reset curve")
-        for words, entry in (
-            ("Dots every", self.spacing), ("A&verage", self.average), ("&Map", self.map_of),
-        ):  # fmt: skip
+        for words, entry in (("Dots every", self.spacing), ("A&verage", self.average)):
             entry.setAccessibleName(words.replace("&", ""))
             self.top.addWidget(caption(words, entry))
             self.top.addWidget(entry)
@@ -116,7 +110,7 @@ class StrainTab(LiveTab):
     def begin(self, result: Result) -> None:
         """Forget the frames of the former source."""
         self._frames.clear()
-        self.map.show_view(None, self.map_of.currentText(), "Measuring the first frame…")
+        self.map.show_view(None, "Measuring the first frame…")
         self.numbers.setText("")
 
     def work(self, result: Result) -> Work:
@@ -144,7 +138,7 @@ class StrainTab(LiveTab):
 
     def show_found(self, result: Result, found: StrainView) -> Row | None:
         """Show the map and the numbers."""
-        self.map.show_view(found, self.map_of.currentText(), found.problem)
+        self.map.show_view(found, found.problem)
         measured = found.measured
         if measured is None:
             self.numbers.setText(f"{found.problem[:1].upper()}{found.problem[1:]}.")
@@ -184,10 +178,6 @@ class StrainTab(LiveTab):
         self.settings.set(_SPACING, self.spacing.value())
         self.again()
 
-    def _map_changed(self, shown: str) -> None:
-        if self.found is not None:
-            self.map.show_view(self.found, shown, self.found.problem)
-
 
 def _axis_words(name: str, axis: AxisStrain, found: StrainView) -> str:
     assert found.measured is not None
@@ -210,12 +200,6 @@ class StrainView:
     truth: TrueStrain | None
     measured: StrainMeasurement | None = None
     problem: str = ""
-
-    def values(self, shown: str) -> Float64Array:
-        """Return the strain that colours each grid cell."""
-        assert self.measured is not None
-        length, width = self.measured.cell_strain.T
-        return np.asarray({"Largest": np.maximum(length, width), "Along length": length}.get(shown, width))
 
 
 def largest_pair(axis: AxisStrain, pixels: Float64Array) -> Float64Array:
@@ -253,13 +237,13 @@ class StrainMap(ImagePane):
         self.view.setToolTip("Wheel: zoom; drag: move")
         self.resized.connect(self._show_all)
 
-    def show_view(self, view: StrainView | None, shown: str, message: str) -> None:
+    def show_view(self, view: StrainView | None, message: str) -> None:
         """Show a measurement; without one, the image and the reason."""
         image = None if view is None or view.color is None else view.color.copy()
         measured = view.measured if view is not None else None
         self.set_legend([])
         if view is not None and view.color is not None and measured is not None and image is not None:
-            values = view.values(shown)
+            values = measured.cell_strain.max(axis=1)
             low, high = _color_range(values)
             rows = np.clip((values - low) / (high - low) * 255.0, 0, 255).astype(np.intp)
             corners = np.rint(measured.pixels[measured.cells] * (1 << _SHIFT)).astype(np.int32)

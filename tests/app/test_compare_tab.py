@@ -14,7 +14,7 @@ from PyQt6.QtWidgets import QApplication
 from fakes import FakeSource, tiny_frame
 from hands import show_source
 from tactune.app.analysis import compare_work
-from tactune.app.analysis.compare_work import CONTACT_ROW, FALSE_ROW, MISSED_ROW, TRUTH
+from tactune.app.analysis.compare_work import TRUTH
 from tactune.core.lab.methods import make_method
 from tactune.core.model.frames import GroundTruth
 from tactune.core.model.metrics import compare_with_truth
@@ -112,24 +112,11 @@ def test_methods_are_ticked_by_keys_remembered_and_share_one_camera(qtbot, windo
     assert "fusion-rigid" in QApplication.clipboard().text()
 
 
-def test_colours_show_agreement_with_the_truth(qtbot, window):
-    tab = open_on(qtbot, window, source())
-    tab.color_by.setFocus()
-    QTest.keyClick(tab.color_by, Qt.Key.Key_Down)
-    qtbot.waitUntil(lambda: tab.found.by_truth)
-    truth, index = window.result.frame.truth.contact, outcomes(tab)["fusion-rigid"].cloud.index
-    found = window.result.frame.proximity_color[..., 0] == 200
-    np.testing.assert_array_equal(index == CONTACT_ROW, found & truth)
-    np.testing.assert_array_equal(index == FALSE_ROW, found & ~truth)
-    np.testing.assert_array_equal(index == MISSED_ROW, truth & ~found)
-
-
 def test_without_untouched_frame_or_truth_the_rest_is_compared(qtbot, window):
     tab = open_on(qtbot, window, source(untouched=False, truth=False))
     assert tab.grid.shown() == ["fusion-rigid", "tactile-only"]
     assert "untouched" in tab.grid.views["tactile-only"].message()
     assert outcomes(tab)["fusion-rigid"].points > 0
-    assert not tab.color_by.isEnabled()
 
 
 def test_a_method_that_breaks_leaves_the_others_alone(qtbot, window, monkeypatch):

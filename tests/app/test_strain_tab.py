@@ -75,10 +75,6 @@ def test_map_numbers_and_curve_of_a_press(qtbot, window, tmp_path):
     assert tab.found.displacement_mm == pytest.approx(9.0, abs=0.2)
     assert len(measured.cells) == 12 * 8
     assert all(word in tab.numbers.text() for word in ("9.0 mm", "solver 15.0 %", "solver 6.0 %"))
-    before = tab.map.grab().toImage()
-    tab.map_of.setFocus()
-    QTest.keyClick(tab.map_of, Qt.Key.Key_End)
-    assert tab.map.grab().toImage() != before
     for index in (4, 5):
         window.worker.seek(index)
         settled(qtbot, tab, index)
