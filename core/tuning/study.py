@@ -36,7 +36,6 @@ FOUND_BY: Final = "found by tactune tune"
 _JOURNAL: Final = b'{"op_code":'
 
 optuna.logging.set_verbosity(optuna.logging.ERROR)
-warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)
 
 
 @dataclass(frozen=True)
@@ -148,14 +147,16 @@ class Study:
             load_if_exists=True,
         )
         if not study.user_attrs:
-            study.set_metric_names(list(self.plan.objectives))
+            with _experimental():
+                study.set_metric_names(list(self.plan.objectives))
             study.set_user_attr("sources", [clip.source for clip in self.plan.clips])
         return study
 
     def _prepare(self) -> None:
         """Queue the first trials that are not measured yet: the whole grid, or the present preset."""
         seed = len(self._study.get_trials(deepcopy=False))  # a search that goes on draws others
-        self._study.sampler = optuna.samplers.TPESampler(seed=seed, constant_liar=True)
+        with _experimental():
+            self._study.sampler = optuna.samplers.TPESampler(seed=seed, constant_liar=True)
         for trial in self._study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):  # of a search that was ended
             self._study.tell(trial.number, state=TrialState.FAIL)
         points = [self._present] if all(axis.holds(self._present[axis.path]) for axis in self.plan.axes) else []
@@ -191,6 +192,11 @@ class Study:
                 json.loads(param) if axis.values else present if param == present else axis.fitting(param)
             )
         return values
+
+
+def _experimental() -> warnings.catch_warnings[None]:
+    """Return a context in which Optuna does not warn of what it calls experimental."""
+    return warnings.catch_warnings(action="ignore", category=optuna.exceptions.ExperimentalWarning)
 
 
 @contextmanager
