@@ -21,10 +21,9 @@ from ...model.frames import Rig, SensorFrame
 from ...model.patch import ContactPatch
 from ...preset import Preset
 from ...rig.bias import UNKNOWN_BIAS_M, MeasuredBias, pressed_bias, print_bias, scene_bias
-from .alignment import propose_alignment
-from .fields import suggest_fields
 from .mask import find_prints
 from .proposal import Evidence, Finding, Proposal
+from .suggest import propose_alignment
 
 #: Step between the rows and columns that are read where every pixel is not needed.
 _STRIDE: Final = 4
@@ -38,8 +37,6 @@ _MAX_MASKED: Final = 0.5
 _CERTAIN, _MAX_ASSUMED_M, _MAX_OWN_M, _MIN_RELIEF = 3.0, 2 * UNKNOWN_BIAS_M, 0.003, 1.5
 #: Prints: fewest groups of contact, fewest pixels of one, and share of a group's pixels with the prints' colour.
 _MIN_PRINTS, _MIN_GROUP_PX, _MIN_COLORED = 3, 25, 0.8
-#: Least share of the pixels in contact that should pass the tolerance.
-_MIN_PASSING: Final = 0.8
 #: False contact below this area is not reported; a smallest contact above the second would drop what people press; the
 #: proposed one exceeds the largest false contact by the third, mm2.
 _MIN_FALSE_MM2, _MAX_SMALLEST_MM2, _MARGIN = 10.0, 100.0, 1.2
@@ -184,22 +181,6 @@ def prints(it: Situation) -> Finding | None:
     return Finding("prints", "mask.enabled", sentence, proposal)
 
 
-def small_tolerance(it: Situation) -> Finding | None:
-    """Noise alone makes many pixels in contact fail the tolerance test."""
-    noise, t, distance_m = it.preset.noise, it.preset.tolerance.t, it.distance_m
-    if it.preset.contact_test != "tolerance" or noise is None or not distance_m > 0:
-        return None
-    sigma_m = math.hypot(noise.proximity.total_m, noise.tactile.total_m)
-    if sigma_m == 0 or (passing := math.erf(t * distance_m / (sigma_m * math.sqrt(2)))) >= _MIN_PASSING:
-        return None
-    sentence = (
-        f"t is {1e3 * t * distance_m:.1f} mm here, but the noise of both cameras is {1e3 * sigma_m:.1f} mm: only "
-        f"{100 * passing:.0f} % of contact passes."
-    )
-    proposal = suggest_fields("tolerance", Evidence(it.preset, it.rig, (it.frame,)), lambda share, words: None)
-    return Finding("small_tolerance", "tolerance.t", sentence, proposal)
-
-
 def bulge(it: Situation) -> Finding | None:
     """The membrane test uses another curvature of the free membrane than the measured one."""
     facts = it.patch.membrane
@@ -245,7 +226,7 @@ def false_contact(it: Situation) -> Finding | None:
 
 #: The checks in the order in which their findings are shown: causes before consequences.
 CHECKS: Final[tuple[Callable[[Situation], Finding | None], ...]] = (
-    no_depth, covering_mask, peak, prints, small_tolerance, bulge, false_contact,
+    no_depth, covering_mask, peak, prints, bulge, false_contact,
 )  # fmt: skip
 
 

@@ -173,17 +173,6 @@ def test_other_scenes_give_no_finding(name, sensor):
     assert findings(TOLERANCE, rig, frame) == {}
 
 
-def test_a_tolerance_below_the_noise():
-    rig, frame = scene(PRESSED)
-    measured = TOLERANCE.model_copy(update={"noise": noise(0.0012)})
-    assert "small_tolerance" not in findings(measured, rig, frame)
-    small = measured.with_values({"tolerance.t": 0.003})
-    found = findings(small, rig, frame)["small_tolerance"]
-    assert 0.008 < found.proposal.changes["tolerance.t"] < 0.015  # twice 1.7 mm at 0.3 m
-    assert mended(found, small, rig, frame)
-    assert "small_tolerance" not in findings(small.with_values({"contact_test": "membrane"}), rig, frame)
-
-
 def test_a_membrane_without_a_visible_bulge():
     rig, frame = scene(PRESSED)
     counts = round(0.3 / rig.tactile.depth_unit_m)
