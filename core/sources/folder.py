@@ -10,6 +10,7 @@ membrane. A frame is::
     tactile_color.png     8 bit, colour, aligned to the tactile depth image        (optional)
     truth_contact.png     8 bit, 0 or 255, proximity pixels                        (optional)
     truth_depth.npy       float32 metres, proximity pixels, nan where unknown      (optional)
+    truth_depth.png       the same in 16 bit and counts, 0 where unknown           (only read)
     frame.json            sequence, proximity_time_s, tactile_time_s               (optional)
 """
 
@@ -29,6 +30,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..errors import ExportError, SourceError
 from ..model.arrays import AnyArray, Float32Array, Uint8Array
+from ..model.clouds import valid_depth
 from ..model.files import atomic_path, remove_leftovers, user_path
 from ..model.frames import MAX_TIME_S, GroundTruth, Rig, SensorFrame, note_number
 from ..model.loading import decode_image, parse_npy, read_file
@@ -181,11 +183,16 @@ def _read_frame(folder: Path, stamp: _Stamp, rig: Rig) -> SensorFrame:
 
 def _read_truth(folder: Path, rig: Rig) -> GroundTruth | None:
     shape = rig.proximity.intrinsics.shape
-    contact, metres = folder / "truth_contact.png", folder / "truth_depth.npy"
+    contact, metres, counts = (folder / f"truth_{name}" for name in ("contact.png", "depth.npy", "depth.png"))
     if not contact.exists():
         return None
     mask = _read_image(contact, 8, 1, shape)
-    return GroundTruth(mask != 0, _read_metres(metres, shape) if metres.exists() else None)
+    depth = _read_metres(metres, shape) if metres.exists() else None
+    if depth is None and counts.exists():
+        found = _read_image(counts, 16, 1, shape)
+        known = found.astype(np.float32) * np.float32(rig.proximity.depth_unit_m)
+        depth = np.where(valid_depth(found), known, np.float32(np.nan))
+    return GroundTruth(mask != 0, depth)
 
 
 def _read_color(path: Path, shape: tuple[int, int]) -> Uint8Array:

@@ -152,8 +152,8 @@ class RecordingFile(ABC):
             raise DamagedFileError("the depth unit is missing (topic …/option/Depth_Units/value)")
         names = self._names(f"/device_{number}/info")
         info = DepthCamera(
-            model=" ".join(names.get("Name", "unknown").split())[:80],
-            serial=names.get("Serial Number", "")[:80],
+            model=_plain(names.get("Name", "unknown")),
+            serial=_plain(names.get("Serial Number", "")),
             intrinsics=depth.intrinsics,
             depth_unit_m=unit_m,
         )
@@ -165,3 +165,8 @@ class RecordingFile(ABC):
         reference = min(common)
         pose = camera_pose(color.poses[reference] @ np.linalg.inv(depth.poses[reference]))
         return Camera(self.path, Calibration(info, color.intrinsics, pose), depth, color)
+
+
+def _plain(text: str) -> str:
+    """Return a name from a file as one short printable line."""
+    return " ".join("".join(letter if letter.isprintable() else " " for letter in text).split())[:80]

@@ -59,6 +59,15 @@ class _SharedNoise(NamedTuple):
     moving: Float32Array  # is displaced in each frame
 
 
+class _TofImages(NamedTuple):
+    """Clean images of a time-of-flight camera, as in `CleanState`."""
+
+    behind: Uint16Array
+    membrane: Uint16Array
+    cosine: Uint8Array
+    flags: Uint8Array
+
+
 class _TofErrors(NamedTuple):
     """Errors of a time-of-flight camera. The tables are indexed by 255 * cosine of incidence and contain ``level``."""
 
@@ -79,7 +88,7 @@ class _StereoErrors(NamedTuple):
     level: float  # factor on all errors
     unit_m: float
     focal_baseline: float  # disparity * depth, pixels * metres
-    subpixel_steps: float  # disparities that the matcher tells apart, per pixel
+    subpixel_steps: float  # disparities that the matcher tells apart, per pixel; 0: all
     white_sigma_px: float
     shared: _SharedNoise
     holes: Float32Array  # as of `_smooth_field`
@@ -134,21 +143,12 @@ def _across_edge(depth: Uint16Array, v: int, u: int, z: float) -> float:
 
 
 @compiled
-def _measure_tof(
-    random: _Random,
-    behind: Uint16Array,
-    membrane: Uint16Array,
-    cosines: Uint8Array,
-    flags: Uint8Array,
-    errors: _TofErrors,
-    drift_m: float,
-    out: Uint16Array,
-) -> None:
+def _measure_tof(random: _Random, images: _TofImages, errors: _TofErrors, drift_m: float, out: Uint16Array) -> None:
     """Fill in the counts of a time-of-flight camera.
 
     It measures ``scale z + level (bias + drift) + growth(z) (white_sigma white + shared_sigma shared)``.
     """
-    level = errors.level
+    behind, level = images.behind, errors.level
     height, width = behind.shape
     moved = _displacement(errors.shared.moving, random, _TOF_MOVING)
     for v in range(height):
@@ -157,17 +157,17 @@ def _measure_tof(
         uniform = random.uniform[_row_start(random, _TOF_UNIFORM, v, 2 * width) :]
         fixed, moving = _shared_rows(errors.shared, v, moved)
         for u in range(width):
-            cosine = cosines[v, u]
+            cosine = images.cosine[v, u]
             if behind[v, u] == 0 or uniform[u] < errors.dropout[cosine]:
                 out[v, u] = 0
                 continue
             z = behind[v, u] * CLEAN_UNIT_M
             growth = 1.0 - TOF_DISTANCE_SHARE + TOF_DISTANCE_SHARE * z / _NAMED_AT_M
-            if level > 0.0 and flags[v, u] & REFLECTIVE_FLAG:
+            if level > 0.0 and images.flags[v, u] & REFLECTIVE_FLAG:
                 # The membrane's prints hide what is behind them.
-                z = membrane[v, u] * CLEAN_UNIT_M
+                z = images.membrane[v, u] * CLEAN_UNIT_M
                 cosine, growth = np.uint8(255), 1.0
-            elif flags[v, u] & EDGE_FLAG and uniform[u] > 1.0 - errors.flying_share:
+            elif images.flags[v, u] & EDGE_FLAG and uniform[u] > 1.0 - errors.flying_share:
                 z += uniform[u + width] * (_across_edge(behind, v, u, z) - z)
             shared = errors.shared.fixed_sigma * fixed[u] + errors.shared.moving_sigma * moving[u]
             noise = errors.white_sigma_m[cosine] * growth * white[u] + errors.shared_sigma_m[cosine] * growth * shared
@@ -194,7 +194,8 @@ def _measure_stereo(random: _Random, clean: Uint16Array, errors: _StereoErrors, 
             shared = noise.fixed_sigma * fixed[u] + noise.moving_sigma * moving[u]
             if noisy:
                 disparity += errors.level * (shared + errors.white_sigma_px * white[u])
-                disparity = np.int32(disparity * errors.subpixel_steps + 0.5) / errors.subpixel_steps
+                if errors.subpixel_steps > 0.0:
+                    disparity = np.int32(disparity * errors.subpixel_steps + 0.5) / errors.subpixel_steps
             counts = min(np.int32(errors.focal_baseline / (disparity * errors.unit_m) + 0.5), np.int32(65534))
             lost = 65535 if (not hidden) & (holes[u] > errors.saturated_from) else 0
             unmatched = noisy & (hidden | (holes[u] > errors.hole_from))
@@ -232,8 +233,8 @@ class NoiseModel:
         """Return the time-of-flight measurement behind the membrane in raw counts."""
         out = np.empty_like(state.behind)
         drift_m = self.sensor.tof_drift_m * np.sin(2 * np.pi * frame / _DRIFT_FRAMES + self._drift_phase)
-        images = state.behind, state.membrane, state.cosine, state.flags
-        _measure_tof(self._random(frame), *images, self._tof, drift_m, out)
+        images = _TofImages(state.behind, state.membrane, state.cosine, state.flags)
+        _measure_tof(self._random(frame), images, self._tof, drift_m, out)
         return out
 
     def tactile_depth(self, frame: int, clean: Uint16Array) -> Uint16Array:
@@ -282,8 +283,10 @@ def _tof_errors(
     rng: np.random.Generator, camera: DepthCamera, level: float, sensor: SensorModel, bias_m: Float32Array
 ) -> _TofErrors:
     width = camera.intrinsics.width
-    length_px = sensor.tof_correlated_px * width / _NAMED_WIDTH_PX
-    fixed, moving = _smooth_field(rng, length_px, width), _smooth_field(rng, length_px, width)
+    fixed = moving = np.zeros((1, width), dtype=np.float32)
+    if sensor.tof_correlated_m > 0.0:
+        length_px = sensor.tof_correlated_px * width / _NAMED_WIDTH_PX
+        fixed, moving = _smooth_field(rng, length_px, width), _smooth_field(rng, length_px, width)
     cosine = np.linspace(0.0, 1.0, 256)
     growth = np.minimum(1.0 / np.maximum(cosine, 0.05), 6.0)
     growth = 1.0 - _TOF_INCIDENCE_SHARE + _TOF_INCIDENCE_SHARE * growth
@@ -325,8 +328,9 @@ def _bias(rng: np.random.Generator, sensor: SensorModel, shape: tuple[int, int])
     bias = sensor.tof_offset_m + sensor.tof_slow_bias_m * cv2.resize(
         coarse, (width, height), interpolation=cv2.INTER_CUBIC
     )
-    v, u = np.mgrid[:height, :width]
-    turn = np.radians(sensor.tof_slope_deg)
-    right, down = (u - (width - 1) / 2) / width, (v - (height - 1) / 2) / width
-    bias = bias + sensor.tof_slope_m * (np.cos(turn) * right + np.sin(turn) * down)
+    if sensor.tof_slope_m:
+        v, u = np.mgrid[:height, :width]
+        turn = np.radians(sensor.tof_slope_deg)
+        right, down = (u - (width - 1) / 2) / width, (v - (height - 1) / 2) / width
+        bias = bias + sensor.tof_slope_m * (np.cos(turn) * right + np.sin(turn) * down)
     return np.ascontiguousarray(bias, dtype=np.float32)

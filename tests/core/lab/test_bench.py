@@ -16,6 +16,7 @@ from tactune.core.lab import bench
 from tactune.core.lab.bench import (
     ENGINES,
     BenchScene,
+    Check,
     compare_engines,
     make_scene,
     rows_text,
@@ -57,12 +58,16 @@ def test_rows_and_names() -> None:
     assert "empty" in scene_names()
 
 
-def test_the_gate_finds_a_slow_pipeline(monkeypatch) -> None:
+def test_a_check_that_falls_short_says_so_and_the_gate_finds_a_slow_pipeline(monkeypatch) -> None:
+    assert str(Check("speed", 5.9, 6)).startswith("SHORT speed: 5.90 (must be >= 6)")
+    assert Check("speed", 6.0, 6).holds
+    assert not Check("pixels", 1, 0, at_least=False).holds
+
     def slowed(*args, **options):
         return [replace(row, ratio=1.0) for row in compare_engines(*args, **options)]
 
     monkeypatch.setattr(bench, "compare_engines", slowed)
-    assert [check.holds for check in bench.run_gate(3, scenes=["empty"])] == [False, True]
+    assert [check.holds for check in bench.whole_pipeline(3, ["empty"])] == [False, True]
 
 
 def test_the_pipeline_imports_no_large_library_before_it_needs_one() -> None:

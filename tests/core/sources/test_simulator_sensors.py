@@ -12,6 +12,7 @@ from tactune.core.sources.simulator.render import CLEAN_UNIT_M, EDGE_FLAG
 from tactune.core.sources.simulator.scene import CleanState, simulator_rig
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.sensors import SENSORS
+from tactune.core.sources.simulator.source import SimulatorSource
 
 RIG = simulator_rig()
 MEDIUM = Variant(press="medium")
@@ -27,8 +28,8 @@ TACTILE = [
     3708, 3835, 3350, 3470, 3629, 3790, 3903,
 ]  # fmt: skip
 #: One sensor of each kind, and the others in the long run.
-ORDINARY = ("datasheet", "l515-d405", "worn")
-EACH = [name if name in ORDINARY else pytest.param(name, marks=pytest.mark.long) for name in SENSORS if name != "clean"]
+ORDINARY = ("clean", "datasheet", "l515-d405", "worn")
+EACH = [name if name in ORDINARY else pytest.param(name, marks=pytest.mark.long) for name in SENSORS]
 FACING, PLAIN = np.full(WALL.shape, 255, dtype=np.uint8), np.zeros(WALL.shape, dtype=np.uint8)
 
 
@@ -96,7 +97,7 @@ def test_stereo_noise_has_the_amplitude_and_the_length_of_the_model(name):
     sensor = SENSORS[name]
     models = [NoiseModel(RIG, seed, 1.0, sensor) for seed in range(3)]
     errors = [[tactile_error(model, frame) for frame in (0, 9)] for model in models]
-    step = 1.0 / sensor.stereo_subpixel_steps
+    step = 1.0 / sensor.stereo_subpixel_steps if sensor.stereo_subpixel_steps else 0.008
     check_noise(
         errors, sensor.stereo_white_px, sensor.stereo_correlated_px, sensor.stereo_length_px,
         sensor.stereo_fixed_share, step,
@@ -105,7 +106,7 @@ def test_stereo_noise_has_the_amplitude_and_the_length_of_the_model(name):
     assert holes == pytest.approx(sensor.stereo_hole_share, rel=0.35, abs=1e-4)
 
 
-@pytest.mark.parametrize("name", [name for name in SENSORS if name != "clean"])
+@pytest.mark.parametrize("name", SENSORS)
 def test_systematic_errors_are_as_the_model_says(name):
     sensor = SENSORS[name]
     shared = replace(sensor, tof_correlated_m=0.0, tof_slow_bias_m=0.0, tof_drift_m=0.0, stereo_hole_share=0.01)
@@ -142,12 +143,24 @@ def test_the_data_sheet_sensor_measures_what_it_always_did():
     assert np.abs(tactile[places].ravel().astype(int) - TACTILE).max() <= 1
 
 
+def test_a_source_has_its_sensor_in_its_name_and_keeps_it_without_the_object():
+    with SimulatorSource("cube", variant=MEDIUM, sensor="heavy", seed=3) as source, source.with_object_away() as away:
+        assert source.name == "sim:cube?press=medium&sensor=heavy&seed=3"
+        assert "sensor=heavy" in away.name
+        assert not source.held_out
+        plain = SimulatorSource("cube", variant=MEDIUM, seed=3)
+        assert "sensor" not in plain.name
+        assert not np.array_equal(source.read(3).tactile_depth, plain.read(3).tactile_depth)
+        assert np.array_equal(source.read(3).truth.contact, plain.read(3).truth.contact)
+    assert SimulatorSource("cube", variant=MEDIUM, sensor="held-tof").held_out
+
+
 def test_flying_pixels_are_as_frequent_as_the_model_says():
     wall = WALL.copy()
     wall[:, 320:] *= 2
     flags = PLAIN.copy()
     flags[:, 319:321] = EDGE_FLAG
-    for name in ("datasheet", "worn"):
+    for name in ("half", "datasheet", "worn"):
         sensor = replace(SENSORS[name], tof_dropout_share=0.0)
         depth = measured(NoiseModel(RIG, 0, 1.0, sensor), 0, wall, flags=flags)[:, 319:321] * 0.00025
         between = (depth > 0.32) & (depth < 0.58)
