@@ -12,7 +12,6 @@ from tactune.core.sources.simulator.render import CLEAN_UNIT_M, EDGE_FLAG
 from tactune.core.sources.simulator.scene import CleanState, simulator_rig
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.sensors import SENSORS
-from tactune.core.sources.simulator.source import SimulatorSource
 
 RIG = simulator_rig()
 MEDIUM = Variant(press="medium")
@@ -141,18 +140,6 @@ def test_the_data_sheet_sensor_measures_what_it_always_did():
     places = (slice(60, None, 100), slice(70, None, 140))
     assert np.abs(proximity[places].ravel().astype(int) - PROXIMITY).max() <= 1
     assert np.abs(tactile[places].ravel().astype(int) - TACTILE).max() <= 1
-
-
-def test_a_source_has_its_sensor_in_its_name_and_keeps_it_without_the_object():
-    with SimulatorSource("cube", variant=MEDIUM, sensor="heavy", seed=3) as source, source.with_object_away() as away:
-        assert source.name == "sim:cube?press=medium&sensor=heavy&seed=3"
-        assert "sensor=heavy" in away.name
-        assert not source.held_out
-        plain = SimulatorSource("cube", variant=MEDIUM, seed=3)
-        assert "sensor" not in plain.name
-        assert not np.array_equal(source.read(3).tactile_depth, plain.read(3).tactile_depth)
-        assert np.array_equal(source.read(3).truth.contact, plain.read(3).truth.contact)
-    assert SimulatorSource("cube", variant=MEDIUM, sensor="held-tof").held_out
 
 
 def test_flying_pixels_are_as_frequent_as_the_model_says():
