@@ -263,7 +263,6 @@ class RefinedPose:
     T_proximity_scan: Matrix4
     rmse_m: float
     pairs: int
-    iterations: int
     converged: bool
 
 
@@ -289,7 +288,7 @@ def refine_pose(contact_points: npt.ArrayLike, patch_points: npt.ArrayLike, star
         if shift < _CONVERGED_M or iteration == _ICP_ROUNDS:
             apart = np.linalg.norm(transformed(pose, from_scan) - to_patch, axis=1)
             rmse_m = math.sqrt(float(np.mean(apart**2)))
-            return RefinedPose(pose, rmse_m, len(from_scan), iteration, shift < _CONVERGED_M)
+            return RefinedPose(pose, rmse_m, len(from_scan), shift < _CONVERGED_M)
         better = _fit_pose(from_scan, to_patch)
         shift = float(np.abs(transformed(better, contact) - transformed(pose, contact)).max())
         pose, iteration = better, iteration + 1
