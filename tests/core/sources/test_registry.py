@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -17,6 +14,7 @@ from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.sources import SeekableSource
 from tactune.core.sources.folder import FolderSource, export_folder
 from tactune.core.sources.registry import open_source
+from tactune.core.sources.simulator.names import read_name, source_options
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.sensors import DEFAULT_SENSOR
 
@@ -36,55 +34,16 @@ def recording(tmp_path: Path) -> Path:
     return tmp_path / "scene"
 
 
-@pytest.fixture
-def opened(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
-    """Record what the simulator and the bag reader are asked for, without doing it."""
-    asked: list[dict[str, Any]] = []
-
-    def pretend(module: str, name: str, keys: tuple[str, ...]) -> None:
-        fake = ModuleType(module)
-
-        def make(*values: object, **named: object) -> SeekableSource:
-            asked.append(dict(zip(keys, values, strict=False)) | named)
-            return OneFrame("fake", RIG, 1)
-
-        setattr(fake, name, make)
-        monkeypatch.setitem(sys.modules, module, fake)
-
-    pretend("tactune.core.sources.simulator.source", "SimulatorSource", ())
-    pretend("tactune.core.sources.realsense_files.source", "BagSource", ("path", "progress"))
-    return asked
-
-
 @pytest.mark.parametrize(
-    ("name", "expected"),
+    ("rest", "expected"),
     [
-        ("sim", {"scene": "cup", "seed": 0, "noise": 1.0}),
-        ("sim:octopus?seed=3&noise=0.5", {"scene": "octopus", "seed": 3, "noise": 0.5}),
+        ("", {"scene": "cup", "seed": 0, "noise": 1.0}),
+        ("octopus?seed=3&noise=0.5&sensor=worn", {"scene": "octopus", "seed": 3, "noise": 0.5, "sensor": "worn"}),
     ],
 )
-def test_simulator_names(opened: list[dict[str, Any]], name: str, expected: dict[str, Any]) -> None:
-    progress: Callable[[float, str], None] = lambda *_: None
-    open_source(name, progress)
+def test_simulator_names(rest: str, expected: dict[str, Any]) -> None:
     plain = {"sensor": DEFAULT_SENSOR, "variant": Variant()}
-    assert opened == [plain | expected | {"progress": progress}]
-
-
-def test_a_bag_is_opened_by_scheme_or_suffix(opened: list[dict[str, Any]], tmp_path: Path) -> None:
-    path = tmp_path / "a?b:c.bag"
-    path.write_bytes(b"")
-    for name in (f"bag:{path}", str(path)):
-        open_source(name)
-    assert opened == [{"path": str(path), "progress": None}] * 2
-
-
-def test_two_recordings_with_a_comma_between_are_one_source(opened: list[dict[str, Any]], tmp_path: Path) -> None:
-    first, second = tmp_path / "a,b.bag", tmp_path / "c.db3"
-    first.write_bytes(b"")
-    second.write_bytes(b"")
-    for name in (f"bag:{first},{second}", f"{first},{second}", str(second)):
-        open_source(name)
-    assert [call["path"] for call in opened] == [f"{first},{second}"] * 2 + [str(second)]
+    assert source_options(read_name(rest)) == plain | expected
 
 
 def test_a_folder_is_opened_by_scheme_or_by_its_rig(recording: Path) -> None:
