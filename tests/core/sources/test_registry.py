@@ -5,33 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from tactune.core.errors import SourceError
-from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
-from tactune.core.model.intrinsics import Intrinsics
-from tactune.core.sources import SeekableSource
-from tactune.core.sources.folder import FolderSource, export_folder
+from tactune.core.sources.folder import FolderSource
 from tactune.core.sources.registry import open_source
 from tactune.core.sources.simulator.names import read_name, source_options
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.sensors import DEFAULT_SENSOR
-
-CAMERA = DepthCamera(intrinsics=Intrinsics(width=4, height=3, fx=1, fy=1, cx=0, cy=0), depth_unit_m=0.001)
-RIG = Rig(proximity=CAMERA, tactile=CAMERA)
-
-
-class OneFrame(SeekableSource):
-    def read(self, index: int) -> SensorFrame:
-        depth = np.full((3, 4), 9, np.uint16)
-        return SensorFrame(index, depth, depth, np.zeros((3, 4, 3), np.uint8))
-
-
-@pytest.fixture
-def recording(tmp_path: Path) -> Path:
-    export_folder(OneFrame("one", RIG, 1), tmp_path / "scene")
-    return tmp_path / "scene"
 
 
 @pytest.mark.parametrize(
@@ -51,7 +32,7 @@ def test_a_folder_is_opened_by_scheme_or_by_its_rig(recording: Path) -> None:
         with open_source(name) as source:
             assert isinstance(source, FolderSource)
             assert source.name == f"folder:{recording}"
-            assert source.length == 1
+            assert source.length == 2
 
 
 @pytest.mark.parametrize(
