@@ -140,12 +140,6 @@ def missing_path(name: str) -> Path | None:
     return next((user_path(part) for part in rest.split(",") if not path_exists(part)), user_path(rest))
 
 
-def is_recording(name: str) -> bool:
-    """Return whether a source's name means files, which are read at once, not cameras or what is computed."""
-    kind = _kind(name.partition(":")[0])
-    return path_exists(name) if kind is None else kind.needs != "nothing"
-
-
 def _kind(scheme: str) -> SourceKind | None:
     return next((kind for kind in source_kinds() if kind.scheme == scheme), None)
 

@@ -134,17 +134,6 @@ def hovering_frame(index, rig):
     )
 
 
-def test_the_membrane_test_offers_to_measure_the_bias(make_window, qtbot):
-    window = make_window(Preset(name="tiny").with_value("membrane.bias", False))
-    show_source(qtbot, window, OtherSource(hovering_frame, "hovering"), 0)
-    view = window.views.views[CloudName.PATCH]
-    qtbot.waitUntil(lambda: "measure the rig's bias" in view.message())
-    QTest.mouseClick(button(view, "Measure noise and bias"), LEFT)
-    checks = window.checks.window
-    assert checks.isVisible()
-    assert checks.tabs.currentWidget() is checks.noise
-
-
 def test_hovering_tells_the_gap_of_the_membrane(make_window, qtbot):
     window = make_window(Preset(name="tiny").with_value("membrane.bias", False))
     show_source(qtbot, window, OtherSource(hovering_frame, "hovering"), 0)
