@@ -40,6 +40,9 @@ _MIN_PRINTS, _MIN_GROUP_PX, _MIN_COLORED = 3, 25, 0.8
 #: False contact below this area is not reported; a smallest contact above the second would drop what people press; the
 #: proposed one exceeds the largest false contact by the third, mm2.
 _MIN_FALSE_MM2, _MAX_SMALLEST_MM2, _MARGIN = 10.0, 100.0, 1.2
+#: An object in contact dents the membrane. Curvature of a slightly bulged membrane, 1/m, and the smallest dent that can
+#: be told from noise, metres.
+_BULGE_PER_M, _MIN_DENT_M = 10.0, 0.001
 _SMALLEST: Final = {"membrane": "membrane.min_area_mm2", "tolerance": "outliers.min_cluster_area_mm2"}
 
 
@@ -181,6 +184,17 @@ def prints(it: Situation) -> Finding | None:
     return Finding("prints", "mask.enabled", sentence, proposal)
 
 
+def unknown_bias(it: Situation) -> Finding | None:
+    """Contact is too small to tell the bias from a gap, on a rig whose bias was not measured."""
+    facts = it.patch.membrane
+    if facts is None or not it.preset.membrane.bias or facts.bias_known or not len(it.patch.points):
+        return None
+    sentence = "This contact is too small to tell a bias from a gap, and the bias of this rig is not measured."
+    if not it.preset.mask.enabled:
+        sentence += " The mask is off, so the contact may be prints; switch the mask on first."
+    return Finding("unknown_bias", "membrane.bias", sentence, action="measure_noise")
+
+
 def bulge(it: Situation) -> Finding | None:
     """The membrane test uses another curvature of the free membrane than the measured one."""
     facts = it.patch.membrane
@@ -201,15 +215,23 @@ def bulge(it: Situation) -> Finding | None:
 
 
 def false_contact(it: Situation) -> Finding | None:
-    """The preset finds contact on the untouched membrane."""
-    patch = it.untouched_patch
+    """The preset finds contact on the untouched membrane, or on one that is where it was in the untouched frame."""
+    patch, where = it.untouched_patch, "The untouched frame has"
     if patch is None or patch.area_mm2 < _MIN_FALSE_MM2:
-        return None
+        patch, where = it.patch, "The membrane is where it was in the untouched frame, but there is"
+        # A flat object that touches a membrane of twice the mean curvature c over the area A dents it by at least
+        # A c / (4 pi), the height of a sphere's cap.
+        dent_m = 1e-6 * patch.area_mm2 * _BULGE_PER_M / (4 * math.pi)
+        if it.untouched_patch is None or patch.area_mm2 < _MIN_FALSE_MM2 or dent_m < _MIN_DENT_M:
+            return None
+        change_m = (patch.aligned.measured_m - it.untouched_patch.aligned.measured_m)[patch.mask]
+        if not abs(float(np.nanmedian(change_m))) < dent_m / 2:
+            return None
     _, _, stats, _ = cv2.connectedComponentsWithStats(patch.mask.view(np.uint8))
     lens, depth_m = it.rig.proximity.intrinsics, float(np.median(patch.points[:, 2]))
     largest_mm2 = 1e6 * float(stats[1:, cv2.CC_STAT_AREA].max()) * depth_m**2 / (lens.fx * lens.fy)
     places = counted(len(stats) - 1, "place")
-    sentence = f"The untouched frame has {patch.area_mm2:.0f} mm² of contact in {places} with this preset."
+    sentence = f"{where} {patch.area_mm2:.0f} mm² of contact in {places} with this preset."
     field = _SMALLEST[it.preset.contact_test]
     smallest_mm2 = float(math.ceil(_MARGIN * largest_mm2))
     if smallest_mm2 > _MAX_SMALLEST_MM2:
@@ -226,7 +248,7 @@ def false_contact(it: Situation) -> Finding | None:
 
 #: The checks in the order in which their findings are shown: causes before consequences.
 CHECKS: Final[tuple[Callable[[Situation], Finding | None], ...]] = (
-    no_depth, covering_mask, peak, prints, bulge, false_contact,
+    no_depth, covering_mask, peak, prints, unknown_bias, bulge, false_contact,
 )  # fmt: skip
 
 

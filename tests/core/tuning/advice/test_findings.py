@@ -96,6 +96,20 @@ class TestPeak:
         total_m = changed.noise.bias_m + changed.alignment.depth_offset_m
         assert total_m == pytest.approx(0.020)  # the measured bias holds after the offset
 
+    @pytest.mark.parametrize("test", ["membrane", "tolerance"])
+    def test_finds_that_of_a_real_pair(self, shared_data, test):
+        rig, frame = scene(f"folder:{shared_data / 'real_pair'}")
+        preset = load_preset("default").with_values(
+            {"contact_test": test, "tolerance.t": 0.02, "outliers.enabled": False}
+        )
+        found = findings(preset, rig, frame)["peak"]
+        assert found.proposal.changes["alignment.depth_offset_m"] == pytest.approx(0.0169, abs=0.0015)
+        assert found.field == "alignment.depth_offset_m"
+        after = found.proposal.apply(preset).with_values({"contact_test": "tolerance"})
+        patch = ContactPipeline(after, rig).process(frame)
+        assert patch.mask.sum() / np.isfinite(patch.relative_difference).sum() > 0.8
+        assert mended(found, preset, rig, frame)
+
 
 @pytest.mark.parametrize("camera", ["proximity", "tactile"])
 @pytest.mark.parametrize("preset", [SHIPPED, TOLERANCE])
@@ -173,6 +187,19 @@ def test_other_scenes_give_no_finding(name, sensor):
     assert findings(TOLERANCE, rig, frame) == {}
 
 
+def test_small_contact_while_the_bias_is_not_known():
+    rig, frame = scene("sim:cup?press=low")
+    v, u = np.nonzero(frame.truth.contact)
+    box = int(u.min()), int(v.min()), int(np.ptp(u)), int(np.ptp(v))
+    no_prints = NO_MASK.with_values({"region.enabled": True, "region.rectangle": box})
+    found = findings(no_prints, rig, frame)["unknown_bias"]
+    assert found.action == "measure_noise"
+    assert found.sentence.endswith("switch the mask on first.")
+    measured = no_prints.model_copy(update={"noise": noise(0.001)})
+    assert "unknown_bias" not in findings(measured, rig, frame)
+    assert "unknown_bias" not in findings(SHIPPED, rig, frame)  # prints tell the bias
+
+
 def test_a_membrane_without_a_visible_bulge():
     rig, frame = scene(PRESSED)
     counts = round(0.3 / rig.tactile.depth_unit_m)
@@ -205,3 +232,13 @@ class TestFalseContact:
         found = findings(loose, rig, untouched, untouched)["false_contact"]
         assert found.field == "membrane.min_area_mm2"
         assert mended(found, loose, rig, untouched, untouched)
+
+    def test_contact_on_a_membrane_at_rest(self):
+        """The membrane is where it was, so an object that hovers is taken for contact."""
+        rig, untouched = scene(UNTOUCHED)
+        loose = TOLERANCE.with_values({"tolerance.t": 0.03})
+        _, hovering = scene("sim:cup?gap=5")
+        found = findings(loose, rig, hovering, untouched)
+        assert "where it was" in found["false_contact"].sentence
+        _, pressed = scene(PRESSED)
+        assert "false_contact" not in findings(TOLERANCE, rig, pressed, untouched)
