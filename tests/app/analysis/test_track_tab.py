@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import csv
+import socket
 from itertools import chain, repeat
 from threading import Event
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
 from fakes import at_rest
-from hands import LEFT, show_source, type_path
+from foxglove_client import FoxgloveClient
+from hands import CONTROL_SHIFT, LEFT, show_source, type_into, type_path
 from tactune.core import PoseTracker
 from tactune.core.estimation.object_mesh import simulated_mesh
 from tactune.core.sources.presets import load_preset
@@ -121,19 +121,25 @@ def test_a_search_can_be_given_up(qtbot, tab, monkeypatch):
     assert tab.tracked is None
 
 
-def test_poses_are_recorded_also_behind_another_tab(qtbot, tab, tmp_path):
-    tab.main.settings.set("folder/recordings", str(tmp_path))
+def test_poses_are_published_also_behind_another_tab(qtbot, tab):
+    publishing = tab.main.publishing.window
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    QTest.keyClick(tab.main, Qt.Key.Key_P, CONTROL_SHIFT)
+    type_into(publishing.port, str(port), Qt.Key.Key_Tab)
+    QTest.mouseClick(publishing.start, LEFT)
+    qtbot.waitUntil(lambda: str(port) in publishing.state.text())
     find(qtbot, tab)
     tab.main.analysis.window.open_on("tilt")
-    tab.main.actions_.record.trigger()
-    qtbot.waitUntil(lambda: tab.main.recording.running)
-    tab.main.worker.play()
-    qtbot.waitUntil(lambda: tab.tracked.estimate.sequence > PRESSED)
-    estimate = tab.tracked.estimate
-    tab.main.actions_.record.trigger()
-    qtbot.waitUntil(lambda: not tab.main.recording.running and any(tmp_path.glob("*.mcap")))
-    [path] = tmp_path.glob("*.mcap")
-    with path.open("rb") as file:
-        messages = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages(["/object/pose"])
-        recorded = {message.sequence: decoded.pose for _, _, message, decoded in messages}
-    assert recorded[estimate.sequence].pose.position.x == estimate.T_proximity_object[0, 3]
+    topics = ["/contact/patch", "/object/pose", "/tf"]
+    with FoxgloveClient(port) as client:
+        client.subscribe(topics)
+        qtbot.waitUntil(lambda: "1 client," in publishing.state.text())
+        tab.main.worker.seek(PRESSED + 1)
+        qtbot.waitUntil(lambda: tab.tracked.estimate.sequence == PRESSED + 1)
+        seen = next(client.frames(topics))
+    estimate, pose = tab.tracked.estimate, seen["/object/pose"].pose
+    assert pose.pose.position.x == seen["/tf"].transforms[0].transform.translation.x
+    assert pose.pose.position.x == estimate.T_proximity_object[0, 3]
+    np.testing.assert_array_equal(pose.covariance, estimate.covariance.ravel())
