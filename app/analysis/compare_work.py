@@ -16,7 +16,8 @@ from PyQt6.QtGui import QColor
 
 from ...core.contact.pipeline import ContactPipeline
 from ...core.errors import TactuneError
-from ...core.lab.methods import PIPELINES, Find, make_method, patch_area_mm2
+from ...core.lab.methods import PIPELINES, make_method, patch_area_mm2
+from ...core.lab.single_camera import Find
 from ...core.model.arrays import BoolArray, Uint8Array
 from ...core.model.clouds import ray_table
 from ...core.model.frames import SensorFrame

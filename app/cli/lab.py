@@ -27,8 +27,8 @@ from .common import (
 )
 
 if TYPE_CHECKING:
-    from ...core.lab.methods import Find
     from ...core.lab.scan import PaintSettings
+    from ...core.lab.single_camera import Find
     from ...core.lab.strain import StrainMeasurement
     from ...core.lab.table import Cell
     from ...core.model.frames import Matrix4, SensorFrame

@@ -22,7 +22,7 @@ from ..model.frames import Rig, SensorFrame
 from ..model.intrinsics import Intrinsics
 from ..model.patch import ContactPatch
 from ..preset import Preset
-from .methods import MembraneView, rival_patch
+from .single_camera import MembraneView, rival_patch
 
 ATMOSPHERE_PA = 101_325.0
 #: Gauge pressure of the untouched membrane, and volume of air below the plane of its rim.
