@@ -8,7 +8,7 @@ Lucas-Kanade.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final, Literal
 
 import cv2
@@ -19,7 +19,7 @@ from ..contact.alignment import make_alignment
 from ..contact.checks import rig_in_use
 from ..contact.kernels.chain import Region
 from ..contact.pipeline import ContactPipeline
-from ..errors import CalibrationError, FrameError, RigMismatchError, minus
+from ..errors import CalibrationError
 from ..model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array, Uint16Array
 from ..model.clouds import ray_table, valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
@@ -55,15 +55,9 @@ _PRESSURE_SHIFT: Final = 0.06
 
 @dataclass(frozen=True)
 class DepthChange:
-    """Change of the membrane's depth in one camera, present minus untouched frame; positive is farther away.
+    """Change of the membrane's depth in one camera, present minus untouched frame, metres; positive is farther away.
 
-    Attributes
-    ----------
-    median_m, spread_m : float
-        Median and robust spread (1.4826 median absolute deviations) over the membrane's pixels, metres.
-    moved_m : float
-        Root mean square of the planar part of the change, metres.
-    pixels : int
+    Median and robust spread over the pixels, root mean square of the planar part, and the number of pixels.
     """
 
     median_m: float
@@ -74,21 +68,11 @@ class DepthChange:
 
 @dataclass(frozen=True)
 class MembraneDrift:
-    """Drift of the membrane since the untouched frame was captured.
+    """Drift of the membrane since the untouched frame was captured, and what to do in words.
 
-    Attributes
-    ----------
-    tactile : DepthChange
-    proximity : DepthChange or None
-        None if the proximity camera sees too little of the membrane itself.
-    inflation_m : float
-        Change of the apex's height above the rim, metres; positive is farther from the cameras.
-    verdict : {"fine", "inflation", "camera", "touched"}
-    sentence : str
-        The result in words, with what to do.
-    shift_m : dict of str to float
-        Sideways shift of the texture in the colour image of ``"tactile"`` and ``"proximity"``, metres at the membrane's
-        distance; a camera without enough texture is missing.
+    The inflation is the change of the apex's height above the rim, positive is farther from the cameras. The shift is
+    that of the texture sideways in the colour image of ``"tactile"`` and ``"proximity"``, metres at the membrane's
+    distance. ``proximity`` is None and a shift is missing where a camera sees too little.
     """
 
     tactile: DepthChange
@@ -96,7 +80,7 @@ class MembraneDrift:
     inflation_m: float
     verdict: Verdict
     sentence: str
-    shift_m: dict[str, float] = field(default_factory=dict)
+    shift_m: dict[str, float]
 
     @property
     def moved_m(self) -> dict[str, float]:
@@ -108,14 +92,8 @@ class MembraneDrift:
 def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouched: SensorFrame) -> MembraneDrift:
     """Compare the present untouched membrane with the untouched frame.
 
-    Raises
-    ------
-    CalibrationError
-        The frames have too few pixels with tactile depth in common.
-    FrameError
-        A frame is of another rig.
-    RigMismatchError
-        Neither preset nor rig has the pose between the cameras.
+    Raises a `CalibrationError` if they have too few pixels with tactile depth in common, a `FrameError` if one is of
+    another rig, and a `RigMismatchError` if neither preset nor rig has the pose between the cameras.
     """
     rig = rig_in_use(preset, rig)
     for one in (frame, untouched):
@@ -135,7 +113,7 @@ def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouch
     dented = float(np.mean(np.abs(change - plane - inflation_m * bulge) > _DENT_M))
 
     proximity = _proximity_change(preset, rig, frame, untouched, inflation_m)
-    shifts = {"proximity": _shift_px(untouched.proximity_color, frame.proximity_color), "tactile": None}
+    shifts = {"proximity": _shift_px(untouched.proximity_color, frame.proximity_color)}
     distance_m = float(np.median(before))
     metres_a_px = {"proximity": distance_m / color_lens(rig).fx, "tactile": distance_m / rig.tactile.intrinsics.fx}
     if untouched.tactile_color is not None and frame.tactile_color is not None:
@@ -247,10 +225,9 @@ def _judge(
             f"Something touches the membrane: {100 * dented:.0f} % of it differs from the untouched frame by more than "
             f"{1e3 * _DENT_M:.0f} mm; remove it and check again."
         )
-    known = {"tactile": tactile} | ({} if proximity is None else {"proximity": proximity})
     moved: dict[str, float] = {}
-    for name in ("tactile", "proximity"):
-        depth_m, texture_m = (known[name].moved_m if name in known else 0.0), shift_m.get(name, 0.0)
+    for name, change in (("tactile", tactile), ("proximity", proximity)):
+        depth_m, texture_m = (0.0 if change is None else change.moved_m), shift_m.get(name, 0.0)
         if depth_m > LIMIT_M or texture_m > SHIFT_LIMIT_M:
             moved[name] = max(depth_m, texture_m)
     if moved:
@@ -266,23 +243,13 @@ def _judge(
             f"{'farther out' if inflation_m > 0 else 'farther in'} than in the untouched frame; inflate it as before, "
             "or capture the untouched frame again."
         )
-    numbers = ", ".join(f"{name} {minus(f'{1e3 * change.median_m:+.2f}')} mm" for name, change in known.items())
     unseen = "" if proximity else "; not checked: the proximity camera, which sees too little of the membrane itself"
-    return "fine", f"The membrane is as in the untouched frame (median change: {numbers}){unseen}."
+    return "fine", f"The membrane is as in the untouched frame{unseen}."
 
 
 @dataclass(frozen=True)
 class WatchReport:
-    """Something that changed, or that is as before again.
-
-    Attributes
-    ----------
-    verdict : {"inflation", "camera"}
-    state : {"told", "withdrawn"}
-    time_s : float
-        When it was decided, by the time given to `Watch.look`.
-    sentence : str
-    """
+    """Something that changed, or that is as before again, and when that was decided, by the time of `Watch.look`."""
 
     verdict: Verdict
     state: Literal["told", "withdrawn"]
@@ -294,13 +261,6 @@ class Watch:
     """Compares a rig with the untouched frame while it is used, whenever nothing touches the membrane.
 
     No single frame decides: a change is told once `LOOKS` successive looks agree, and withdrawn in the same way.
-
-    Parameters
-    ----------
-    preset : Preset
-    rig : Rig
-    untouched : SensorFrame or None
-        The preset's untouched frame.
     """
 
     def __init__(self, preset: Preset, rig: Rig, untouched: SensorFrame | None) -> None:
@@ -342,42 +302,3 @@ class Watch:
         if drift.verdict == "fine":
             return WatchReport(before, "withdrawn", time_s, drift.sentence)
         return WatchReport(drift.verdict, "told", time_s, drift.sentence)
-
-
-def touch_doubts(
-    preset: Preset, rig: Rig, membrane: SensorFrame, earlier: SensorFrame | None
-) -> list[tuple[str, bool]]:
-    """Return signs that a membrane said to be untouched is touched: a sentence each, and whether it is certain.
-
-    Parameters
-    ----------
-    preset : Preset
-        Its pipeline should find no contact.
-    rig : Rig
-    membrane : SensorFrame
-        One frame, or the median of several.
-    earlier : SensorFrame or None
-        The preset's current untouched frame.
-    """
-    try:
-        patch = ContactPipeline(preset, rig).process(membrane)
-    except RigMismatchError:  # the preset is for another sensor
-        return []
-    doubts = []
-    if len(patch.points):
-        found = f"the preset finds contact of {patch.area_mm2 / 100:.1f} cm2 on a membrane that should be untouched"
-        if preset.mask.enabled:
-            doubts.append((f"{found}; remove what touches the membrane or is close to it, and capture again", True))
-        else:
-            doubts.append((f"{found}; the mask is off, so these may be its prints, or a touch", False))
-    if earlier is not None:
-        try:
-            touched = compare_with_untouched(preset, rig, membrane, earlier).verdict == "touched"
-        except (CalibrationError, FrameError):  # of another sensor, or without depth
-            touched = False
-        if touched:
-            doubts.append(
-                ("the membrane differs from the preset's current untouched frame by more than 3 mm in places; "
-                 "something touches it now, or did then", False)
-            )  # fmt: skip
-    return doubts
