@@ -156,7 +156,7 @@ def measure_rig(
 
     The scene must be at rest. The bias is measured on prints of the mask's colour, which both cameras see,
     and where an object is pressed firmly. Without --out and without a preset file nothing is written. The simulator
-    removes a moving object for this.
+    removes its object for this.
     """
     from ...core.rig.noise import describe
     from ...core.sources.presets import load_preset
@@ -228,14 +228,12 @@ def save_changed(preset: Preset, origin: str, target: Path) -> None:
 
 def _measure_noise(source: FrameSource, preset: Preset, origin: str) -> RigNoise:
     """Measure the next frames of a source, with the preset's or the source's untouched frame."""
-    from ...core.rig.noise import frames_at_rest, measure_noise, object_moves
-    from ...core.rig.untouched import find_untouched
+    from ...core.rig.noise import measure_noise
+    from ...core.rig.untouched import find_untouched, frames_to_average
 
-    if object_moves(source):
-        warn(f"the object of {source.name} moves: it is removed for this")
     with CliProgress() as progress:
         found = find_untouched(preset, origin, source, progress.preparing)
-        with frames_at_rest(source, _MEASURED, progress.preparing) as shown:
+        with frames_to_average(source, _MEASURED, progress.preparing) as shown:
             frames = list(counted_out(shown, _MEASURED, progress))
         warn(*found.warnings)
         noise = measure_noise(frames, source.rig, preset, found.frame, progress.preparing, warn=warn)

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, Final
 
 from PyQt6.QtCore import Qt, QTimer, pyqtSignal
-from PyQt6.QtWidgets import QHBoxLayout, QPushButton, QWidget
+from PyQt6.QtWidgets import QDoubleSpinBox, QHBoxLayout, QPushButton, QSpinBox, QWidget
 
 from ...core.errors import TactuneError, as_sentence, counted
 from ...core.model.frames import SensorFrame
+from ...core.rig.untouched import frames_to_average
+from ...core.sources.registry import open_source
 from ...widgets.basics.controls import ProgressBar, push_button, wrapped_label
 from ...widgets.basics.layouts import STRETCH, hbox
 from ..context import Context
-from ..worker.jobs import Job, Work
+from ..worker.jobs import Job, Progress, Work
 from ..worker.results import SourceInfo
 
 #: Seconds without a frame after which a source counts as stopped.
@@ -37,6 +40,8 @@ class Gather(QWidget):
 
     #: Smallest number of different frames.
     min_frames = 1
+    #: Whether the simulator makes frames for it without its object; else those that the main window plays are taken.
+    at_rest = True
     #: What to do while frames are taken.
     prompt = "Hold everything still"
     #: Whether the result goes into the preset by itself, without a press of `apply`.
@@ -44,7 +49,9 @@ class Gather(QWidget):
 
     _takingFailed = pyqtSignal(str)
 
-    def __init__(self, context: Context, start: QPushButton, entry: QWidget, apply: QPushButton) -> None:
+    def __init__(
+        self, context: Context, start: QPushButton, entry: QSpinBox | QDoubleSpinBox, apply: QPushButton
+    ) -> None:
         super().__init__()
         self._context, self._document = context, context.document
         self.start, self.entry, self.apply = start, entry, apply
@@ -84,20 +91,16 @@ class Gather(QWidget):
 
     # What a panel says of itself
 
-    def takes_frames(self, info: SourceInfo) -> bool:
-        """Return whether frames of this source are taken; else the work makes its own, as with the simulator."""
-        return True
-
     def keep(self, frame: SensorFrame) -> Any:
         """Return what is kept of a frame; called on the thread that reads it."""
         return frame
 
     def share(self, kept: Sequence[Any]) -> float:
         """Return which share of what is wanted has been kept; 1 or more: enough."""
-        raise NotImplementedError
+        return len(kept) / self.entry.value()
 
     def work(self, kept: list[Any], info: SourceInfo) -> Work:
-        """Return the work on what was kept; it runs on another thread and its result is passed to `show_found`."""
+        """Return the work on what will be in the list by then; it runs on another thread."""
         raise NotImplementedError
 
     def show_found(self, found: Any) -> None:
@@ -130,12 +133,13 @@ class Gather(QWidget):
             return
         self.sentence.clear()
         self.progress.show_share(0.0, "")
-        self._taking = self.takes_frames(info)
-        self._show_busy()
+        self._taking = not (self.at_rest and info.name.startswith("sim:"))
         if not self._taking:
-            self._job.start(self.work([], info))
+            frames: list[SensorFrame] = []
+            self._job.start(partial(_simulated, info.name, int(self.entry.value()), frames, self.work(frames, info)))
             self._show_busy()
             return
+        self._show_busy()
         kept: dict[int, Any] = {}
 
         def take(frame: SensorFrame) -> None:
@@ -274,3 +278,16 @@ class Gather(QWidget):
     def applying_row(self, *before: QWidget) -> QHBoxLayout:
         """Return the row of the buttons that change the preset."""
         return hbox(*before, self.apply, self.undo, STRETCH)
+
+
+def _simulated(name: str, count: int, frames: list[SensorFrame], work: Work, progress: Progress) -> Any:
+    """Make frames of the simulator without its object, then work on them."""
+
+    def third(number: int) -> Progress:
+        return lambda share, words: progress((number + share) / 3, words)
+
+    with open_source(name, third(0)) as source, frames_to_average(source, count, third(0)) as shown:
+        for frame in shown:
+            frames.append(frame)
+            third(1)(len(frames) / count, f"Frame {len(frames)} of {count}")
+    return work(third(2))

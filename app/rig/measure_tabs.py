@@ -13,17 +13,8 @@ from PyQt6.QtWidgets import QDoubleSpinBox, QLabel
 
 from ...core.model.frames import SensorFrame
 from ...core.preset import Preset, RigNoise
-from ...core.rig.noise import (
-    MAX_FRAMES,
-    MIN_FRAMES,
-    NOISE_FRAMES,
-    describe,
-    frames_at_rest,
-    measure_noise,
-    object_moves,
-)
+from ...core.rig.noise import MAX_FRAMES, MIN_FRAMES, NOISE_FRAMES, describe, measure_noise
 from ...core.rig.skew import MAX_GAP_S, MIN_TIME_S, Sample, Skew, measure_skew
-from ...core.sources.registry import open_source
 from ...widgets.basics.controls import frame_count, make_verdict, push_button, wrapped_label
 from ...widgets.basics.layouts import STRETCH, vbox
 from ..context import Context
@@ -34,7 +25,8 @@ from .gather import Gather
 _NOISE_INTRO: Final = (
     "Hold the sensor and what it sees still. The noise is measured from the differences of successive frames and from "
     "the mean frame on smooth surfaces. The bias is measured on prints of the mask's colour, which both cameras see, "
-    "and where an object is pressed firmly into the membrane (10 cm² or more)."
+    "and where an object is pressed firmly into the membrane (10 cm² or more). The "
+    "simulator removes its object for this."
 )
 _SKEW_INTRO: Final = (
     "Press an object into the membrane and pull it out, several times, a few centimetres deep and irregularly. "
@@ -48,7 +40,7 @@ class Measured:
     """A measurement of the noise, and further sentences to show below it."""
 
     noise: RigNoise
-    remarks: tuple[str, ...]
+    remarks: list[str]
 
 
 class NoiseTab(Gather):
@@ -77,20 +69,10 @@ class NoiseTab(Gather):
         self._show_stored()
         self._show_busy()
 
-    def takes_frames(self, info: SourceInfo) -> bool:
-        """Return whether this is no simulator, whose object may have to be removed."""
-        return not info.name.startswith("sim:")
-
-    def share(self, kept: Sequence[Any]) -> float:
-        """Return which share of the frames has arrived."""
-        return len(kept) / self.frames.value()
-
     def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
-        """Measure the frames; those of the simulator are made here."""
+        """Measure the frames."""
         count, preset, home = self.frames.value(), self._document.preset, self._document.untouched_home
-        if kept:
-            return partial(_measure, kept[:count], info, preset, home, ())
-        return partial(_measure_simulator, info, count, preset, home)
+        return lambda progress: _measure(kept[:count], info, preset, home, progress)
 
     def show_found(self, found: Measured | None) -> None:
         """Show a measurement."""
@@ -111,39 +93,22 @@ class NoiseTab(Gather):
 
 
 def _measure(
-    frames: Sequence[SensorFrame],
-    info: SourceInfo,
-    preset: Preset,
-    home: Path | None,
-    remarks: Sequence[str],
-    progress: Progress,
+    frames: Sequence[SensorFrame], info: SourceInfo, preset: Preset, home: Path | None, progress: Progress
 ) -> Measured:
     found = info.find_untouched(preset, home, lambda share, words: progress(0.3 * share, words))
-    said = [*remarks, *found.warnings]
+    said = list(found.warnings)
 
     def report(share: float, words: str) -> None:
         progress(0.3 + 0.7 * share, words)
 
-    return Measured(measure_noise(frames, info.rig, preset, found.frame, report, warn=said.append), tuple(said))
-
-
-def _measure_simulator(info: SourceInfo, count: int, preset: Preset, home: Path | None, progress: Progress) -> Measured:
-    """Measure frames of the simulator, without an object that moves."""
-    with open_source(info.name, lambda share, words: progress(0.1 * share, words)) as source:
-        removed = "The simulator's object moves, so it was removed for the measurement."
-        remarks = [removed] if object_moves(source) else []
-        with frames_at_rest(source, count, lambda share, words: progress(0.2 * share, words)) as shown:
-            frames: list[SensorFrame] = []
-            for frame in shown:
-                progress(0.2, f"Frame {len(frames) + 1} of {count}")
-                frames.append(frame)
-    return _measure(frames, info, preset, home, remarks, progress)
+    return Measured(measure_noise(frames, info.rig, preset, found.frame, report, warn=said.append), said)
 
 
 class SkewTab(Gather):
     """The delay between both cameras, measured from motion that both see, and its compensation."""
 
     min_frames = 2
+    at_rest = False
     prompt = "Press in and pull out now"
 
     def __init__(self, context: Context) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -22,10 +21,8 @@ from ...core.rig.untouched import (
     UNTOUCHED_FRAMES,
     UntouchedAverage,
     average_untouched,
-    frames_to_average,
     load_untouched,
 )
-from ...core.sources.registry import open_source
 from ...widgets.basics.controls import caption, frame_count, make_verdict, push_button, wrapped_label
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
@@ -86,31 +83,10 @@ class UntouchedPanel(Gather):
         vbox(self.taking_row(caption("A&verage", self.frames)), self.sentence, row, within=self, margins=0)
         self._show_busy()
 
-    def takes_frames(self, info: SourceInfo) -> bool:
-        """Return whether this is no simulator, whose object has to be removed."""
-        return not info.name.startswith("sim:")
-
-    def share(self, kept: Sequence[Any]) -> float:
-        """Return which share of the frames has arrived."""
-        return len(kept) / self.frames.value()
-
     def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
-        """Average the frames; those of the simulator are made here."""
+        """Average the frames."""
         asked = self.frames.value()
-        if kept:
-            return lambda progress: self._average(kept[:asked], asked)
-        return partial(self._simulated, info.name, asked)
-
-    def _simulated(self, name: str, asked: int, progress: Progress) -> Captured:
-        def third(number: int) -> Progress:
-            return lambda share, words: progress((number + share) / 3, words)
-
-        frames: list[SensorFrame] = []
-        with open_source(name, third(0)) as source, frames_to_average(source, asked, third(1)) as shown:
-            for frame in shown:
-                frames.append(frame)
-                third(2)(len(frames) / asked, f"Frame {len(frames)} of {asked}")
-        return self._average(frames, asked)
+        return lambda progress: self._average(kept[:asked], asked)
 
     def _average(self, frames: list[SensorFrame], asked: int) -> Captured:
         average = average_untouched(frames)

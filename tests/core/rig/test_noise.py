@@ -141,23 +141,6 @@ def test_a_frame_without_depth_hides_no_movement_and_is_left_out(rig, preset, st
     assert noise.proximity.correlated_m == pytest.approx(0.0005, rel=0.2)
 
 
-def test_images_that_are_no_depth_images_are_refused(rig, preset, still):
-    noise = np.random.default_rng(0).integers(1, 65535, (HEIGHT, WIDTH)).astype(np.uint16)
-    frames = [replace(frame, proximity_depth=noise, tactile_depth=noise) for frame in still]
-    coarse = rig.model_copy(update={"tactile": rig.tactile.model_copy(update={"depth_unit_m": 0.001})})
-    with pytest.raises(FrameError, match="check that these are depth images"):
-        measure_noise(frames, coarse, preset, contact_bias=nothing_pressed)
-
-
-def test_frames_that_repeat_one_image_are_warned_of(rig, preset, still):
-    said = []
-    measure_noise(still, rig, preset, contact_bias=nothing_pressed, warn=said.append)
-    assert not any("same depths" in sentence for sentence in said)
-    repeated = [replace(still[0], sequence=frame.sequence) for frame in still]
-    measure_noise(repeated, rig, preset, contact_bias=nothing_pressed, warn=said.append)
-    assert any(f"all {len(still)} frames have the same depths" in sentence for sentence in said)
-
-
 def test_a_scene_without_smooth_surfaces_is_refused(rig, preset):
     holes = np.ones((HEIGHT, WIDTH), bool)
     holes[::3] = False
