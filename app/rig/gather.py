@@ -275,9 +275,9 @@ class Gather(QWidget):
         """Return the row of entry, buttons and progress."""
         return hbox(*before, self.entry, self.start, self.cancel, (self.progress, 1))
 
-    def applying_row(self, *before: QWidget) -> QHBoxLayout:
+    def applying_row(self) -> QHBoxLayout:
         """Return the row of the buttons that change the preset."""
-        return hbox(*before, self.apply, self.undo, STRETCH)
+        return hbox(self.apply, self.undo, STRETCH)
 
 
 def _simulated(name: str, count: int, frames: list[SensorFrame], work: Work, progress: Progress) -> Any:

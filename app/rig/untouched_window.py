@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -73,13 +72,8 @@ class UntouchedPanel(Gather):
         start.setDefault(True)
         super().__init__(context, start, self.frames, push_button("Use", "Put it into the preset"))
         self.progress.setAccessibleName("Progress of capturing")
-        self.save = push_button("&Save preset", "Save the preset; the untouched frame is written beside it (Ctrl+S)")
-        self.save.setShortcut("Ctrl+S")
-        self.save.clicked.connect(context.saveRequested)
-        self._clean = self._document.undo_stack.isClean()
-        self._document.undo_stack.cleanChanged.connect(self._note_clean)
         self.sentence.setMinimumHeight(2 * self.sentence.fontMetrics().lineSpacing())
-        row = self.applying_row(self.save)
+        row = self.applying_row()
         vbox(self.taking_row(caption("A&verage", self.frames)), self.sentence, row, within=self, margins=0)
         self._show_busy()
 
@@ -94,28 +88,18 @@ class UntouchedPanel(Gather):
 
     def show_found(self, found: Captured | None) -> None:
         """Say what was captured, and the next step."""
-        if found is None or self.info is None:
+        if found is None:
             return
         average = found.average
         fewer = f" of {found.asked}, because the source has no more" if average.frames < found.asked else ""
-        before, after = (1e3 * self.info.rig.tactile.depth_unit_m * counts for counts in average.noise_counts)
-        noise = f" Noise of the tactile depth: {before:.2f} mm before, {after:.2f} mm after."
         self.sentence.setText(
-            f"Captured {counted(average.frames, 'frame')}{fewer}.{'' if math.isnan(before) else noise} "
+            f"Captured {counted(average.frames, 'frame')}{fewer}. "
             "Save the preset to write the untouched frame beside it."
         )
 
     def change(self) -> tuple[str, Any]:
         """Return the field and its value."""
         return "untouched", self.found.record.model_dump()
-
-    def _note_clean(self, clean: bool) -> None:
-        self._clean = clean
-        self._show_undo()
-
-    def _show_undo(self) -> None:
-        super()._show_undo()
-        self.save.setEnabled(not self._clean and not self.busy)
 
 
 class CaptureWindow(QDialog):

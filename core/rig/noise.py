@@ -27,7 +27,7 @@ from ..model.frames import DepthCamera, Rig, SensorFrame
 from ..model.robust import spread
 from ..preset import CameraNoise, Preset, RigNoise, now
 from ..sources.base import CameraRole, Progress
-from .bias import ContactBias, MeasuredBias, choose_bias, describe_bias, pressed_bias, print_bias
+from .bias import UNKNOWN_BIAS_M, ContactBias, MeasuredBias, describe_bias, pressed_bias, print_bias
 from .untouched import TILE_PX, tile_medians
 
 #: Default number of live frames, and upper limit: more take too much memory. Fewest different frames.
@@ -127,7 +127,8 @@ def measure_noise(
         pressed_bias(some, contact_bias or firm_contact_bias(preset, rig), density_m4),
     ]
     report(1.0, "The noise is measured")
-    bias = choose_bias([bias for bias in found if bias is not None], warn or (lambda sentence: None))
+    known = [bias for bias in found if bias is not None] or [MeasuredBias(0.0, UNKNOWN_BIAS_M, "unknown")]
+    bias = min(known, key=lambda bias: bias.sigma_m)
     return RigNoise(
         proximity=proximity,
         tactile=tactile,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from ..calibration.snapshots import content_hash, take_snapshot
-from ..errors import CalibrationError, ExportError, FrameError, PresetError, SourceError
+from ..errors import CalibrationError, FrameError, PresetError, SourceError
 from ..model.arrays import Float64Array, Uint16Array
 from ..model.clouds import valid_depth
 from ..model.files import atomic_path
@@ -40,22 +39,10 @@ _REMEDY: Final = "capture the untouched frame again"
 
 @dataclass(frozen=True, eq=False)
 class UntouchedAverage:
-    """An averaged untouched frame and its noise.
-
-    Attributes
-    ----------
-    frame : SensorFrame
-        The median of each pixel over all frames.
-    frames : int
-        Number of averaged frames.
-    noise_counts : (float, float)
-        Standard deviation of the tactile depth over time, raw counts: of one frame, and of ``frame``. nan for a
-        single frame or without depth.
-    """
+    """The median of each pixel over a number of frames."""
 
     frame: SensorFrame
     frames: int
-    noise_counts: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +64,6 @@ def average_untouched(frames: Iterable[SensorFrame]) -> UntouchedAverage:
     first: SensorFrame | None = None
     count = 0
     for count, frame in enumerate(frames, start=1):
-        if count > MAX_FRAMES:
-            raise CalibrationError(f"an untouched frame is averaged from at most {MAX_FRAMES} frames; ask for fewer")
         first = first or frame
         _refuse_movement(first, frame, count)
         held.append(frame)
@@ -88,7 +73,7 @@ def average_untouched(frames: Iterable[SensorFrame]) -> UntouchedAverage:
     if first is None:
         raise CalibrationError("an untouched frame needs at least one frame; the source gave none")
     parts = [*blocks, take_snapshot(held).frame] if blocks else held
-    return UntouchedAverage(take_snapshot(parts).frame, count, _noise(held, parts))
+    return UntouchedAverage(take_snapshot(parts).frame, count)
 
 
 def save_untouched(frame: SensorFrame, frames: int, preset_path: Path) -> UntouchedRecord:
@@ -124,12 +109,6 @@ def copy_untouched(record: UntouchedRecord, preset_path: Path, to: Path) -> None
     """Copy a preset's untouched frame beside another preset file, unless it is already there."""
     target = to.parent / record.file
     if target.is_file():
-        try:
-            load_untouched(record, to)
-        except PresetError as error:
-            raise ExportError(
-                f"the untouched frame cannot be written beside {to}, {target} is in the way; remove it"
-            ) from error
         return
     frame = load_untouched(record, preset_path)
     with atomic_path(target) as temporary:
@@ -242,24 +221,3 @@ def _refuse_movement(first: SensorFrame, frame: SensorFrame, number: int) -> Non
             f"the first by up to {100 * farthest:.1f} % of the depth; remove what touches it, wait until its pressure "
             "is constant, and capture again"
         )
-
-
-def _noise(single: list[SensorFrame], parts: list[SensorFrame]) -> tuple[float, float]:
-    """Return the noise of one frame and of the median of all parts, counts; nan for a single part.
-
-    The difference of two frames with noise s has noise sqrt(2) s. The medians of two halves each have sqrt(2) times
-    the noise of the whole, so their difference has twice the noise of the whole.
-    """
-    if len(parts) < 2:
-        return math.nan, math.nan
-    halves = [take_snapshot(parts[start::2]).frame for start in (0, 1)]
-    return _difference(single[0], single[1]) / math.sqrt(2.0), _difference(*halves) / 2.0
-
-
-def _difference(a: SensorFrame, b: SensorFrame) -> float:
-    """Return the RMS difference in tactile depth, counts, without the largest 1 % of differences."""
-    valid = valid_depth(a.tactile_depth) & valid_depth(b.tactile_depth)
-    if not valid.any():
-        return math.nan
-    change = np.abs(a.tactile_depth[valid].astype(np.float64) - b.tactile_depth[valid])
-    return float(np.sqrt(np.mean(change[change <= np.quantile(change, 0.99)] ** 2)))

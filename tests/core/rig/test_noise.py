@@ -14,7 +14,6 @@ from side_by_side import HEIGHT, WIDTH, counts
 from tactune.core.errors import FrameError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import CameraNoise, Preset
-from tactune.core.rig.bias import MeasuredBias, choose_bias
 from tactune.core.rig.noise import describe, measure_noise
 from tactune.core.rig.untouched import untouched_frame
 from tactune.core.sources.presets import load_preset
@@ -164,18 +163,6 @@ def test_without_prints_the_bias_is_unknown_and_contact_tells_it(rig, preset):
     assert pressed.bias_m == pytest.approx(0.0031)
     assert "3.1 ± " in describe(pressed)[2]
     assert "measured on contact" in describe(pressed)[2]
-
-
-def test_two_biases_that_disagree_are_both_said(rig, preset, still):
-    said = []
-    noise = measure_noise(still, rig, preset, contact_bias=lambda frame: (-0.004, 0.004), warn=said.append)
-    assert noise.bias_from == "contact" or noise.bias_m == pytest.approx(BIAS_M, abs=0.001)
-    assert len(said) == 1
-    assert "prints" in said[0]
-    assert "contact" in said[0]
-    one, other = MeasuredBias(0.0031, 0.0004, "prints"), MeasuredBias(0.0028, 0.0003, "contact")
-    assert choose_bias([one, other], said.append) == other
-    assert len(said) == 1
 
 
 def test_the_bias_slope_is_measured_over_a_range_of_depths(rig, preset):
