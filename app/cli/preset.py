@@ -236,7 +236,7 @@ def _measure_noise(source: FrameSource, preset: Preset, origin: str) -> RigNoise
         with frames_to_average(source, _MEASURED, progress.preparing) as shown:
             frames = list(counted_out(shown, _MEASURED, progress))
         warn(*found.warnings)
-        noise = measure_noise(frames, source.rig, preset, found.frame, progress.preparing, warn=warn)
+        noise = measure_noise(frames, source.rig, preset, found.frame, progress.preparing)
     if len(frames) < _MEASURED:
         warn(f"{source.name} has only {len(frames)} of the {_MEASURED} frames to measure")
     return noise

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any, Final
 
 from PyQt6.QtCore import Qt, QTimer, pyqtSignal
-from PyQt6.QtWidgets import QDoubleSpinBox, QHBoxLayout, QPushButton, QSpinBox, QWidget
+from PyQt6.QtWidgets import QHBoxLayout, QPushButton, QWidget
 
 from ...core.errors import TactuneError, as_sentence, counted
 from ...core.model.frames import SensorFrame
@@ -38,8 +38,8 @@ class Gather(QWidget):
     has or gives fewer frames than wanted, `min_frames` are enough.
     """
 
-    #: Smallest number of different frames.
-    min_frames = 1
+    #: Number of different frames that are wanted, and the fewest that are enough.
+    wanted, min_frames = 1, 1
     #: Whether the simulator makes frames for it without its object; else those that the main window plays are taken.
     at_rest = True
     #: What to do while frames are taken.
@@ -49,12 +49,10 @@ class Gather(QWidget):
 
     _takingFailed = pyqtSignal(str)
 
-    def __init__(
-        self, context: Context, start: QPushButton, entry: QSpinBox | QDoubleSpinBox, apply: QPushButton
-    ) -> None:
+    def __init__(self, context: Context, start: QPushButton, apply: QPushButton) -> None:
         super().__init__()
         self._context, self._document = context, context.document
-        self.start, self.entry, self.apply = start, entry, apply
+        self.start, self.apply = start, apply
         self.cancel = push_button("Cance&l", "Cancel; the preset is unchanged")
         self.undo = push_button("&Undo", "Undo the last change of the preset (Ctrl+Z)", "Ctrl+Z")
         self.sentence = wrapped_label(selectable=True)
@@ -66,7 +64,7 @@ class Gather(QWidget):
         self.found: Any = None
         self.info: SourceInfo | None = None
         self._kept: dict[int, Any] = {}
-        self._taking = self._played = False
+        self._taking = False
         self._return_to: int | None = None
         self._counted, self._last_s = 0, 0.0
         self._timer = QTimer(self)
@@ -84,9 +82,8 @@ class Gather(QWidget):
         apply.clicked.connect(self.use)
         apply.setVisible(not self.at_once)
         self.undo.clicked.connect(self._document.undo_stack.undo)
-        self._can_undo = self._document.undo_stack.canUndo()
-        self._document.undo_stack.canUndoChanged.connect(self._note_undo)
-        context.worker.playbackChanged.connect(self._playback_changed)
+        self.undo.setEnabled(self._document.undo_stack.canUndo())
+        self._document.undo_stack.canUndoChanged.connect(self.undo.setEnabled)
         context.worker.opened.connect(self._source_opened)
 
     # What a panel says of itself
@@ -97,7 +94,7 @@ class Gather(QWidget):
 
     def share(self, kept: Sequence[Any]) -> float:
         """Return which share of what is wanted has been kept; 1 or more: enough."""
-        return len(kept) / self.entry.value()
+        return len(kept) / self.wanted
 
     def work(self, kept: list[Any], info: SourceInfo) -> Work:
         """Return the work on what will be in the list by then; it runs on another thread."""
@@ -136,7 +133,7 @@ class Gather(QWidget):
         self._taking = not (self.at_rest and info.name.startswith("sim:"))
         if not self._taking:
             frames: list[SensorFrame] = []
-            self._job.start(partial(_simulated, info.name, int(self.entry.value()), frames, self.work(frames, info)))
+            self._job.start(partial(_simulated, info.name, self.wanted, frames, self.work(frames, info)))
             self._show_busy()
             return
         self._show_busy()
@@ -148,7 +145,6 @@ class Gather(QWidget):
 
         self._kept, self._counted, self._last_s = kept, 0, time.monotonic()
         playback = result.playback
-        self._played = playback.playing
         self._return_to = playback.index if playback.seekable and not playback.playing else None
         try:
             take(result.frame)
@@ -189,15 +185,14 @@ class Gather(QWidget):
     def _look(self) -> None:
         """Work on the frames once there are enough, or once no more come."""
         assert self.info is not None
-        now, count, playback = time.monotonic(), len(self._kept), self._context.playback
+        now, count = time.monotonic(), len(self._kept)
         if count > self._counted:
             self._counted, self._last_s = count, now
         share = self.share(list(self._kept.values()))
         self.progress.show_share(_GATHERED * min(share, 1.0), f"{self.prompt}: {counted(count, 'frame')}")
-        ended = self._played and playback is not None and not playback.playing and playback.at_end
         if share >= 1.0 or count == self.info.length:
             self._end_taking()
-        elif ended or now - self._last_s > PATIENCE_S:
+        elif now - self._last_s > PATIENCE_S:
             if count >= self.min_frames:
                 self._end_taking()
             else:
@@ -214,10 +209,6 @@ class Gather(QWidget):
         if self._taking:
             self._stop_taking()
             self._fail(sentence)
-
-    def _playback_changed(self) -> None:
-        playback = self._context.playback
-        self._played = self._played or (playback is not None and playback.playing)
 
     def _source_opened(self, info: SourceInfo) -> None:
         waits = self.found is not None and not self.at_once  # for `apply`; else it is in the preset already
@@ -241,7 +232,6 @@ class Gather(QWidget):
         self._show_busy()
         if self.at_once:
             self.use()
-        # a focused number entry would handle Ctrl+Z itself
         (self.undo if self.at_once else self.apply).setFocus(Qt.FocusReason.OtherFocusReason)
 
     def _fail(self, sentence: str) -> None:
@@ -256,24 +246,15 @@ class Gather(QWidget):
 
     def _show_busy(self) -> None:
         self.start.setEnabled(not self.busy)
-        self.entry.setEnabled(not self.busy)
         self.cancel.setEnabled(self.busy)
         self.progress.setVisible(self.busy)
         self.apply.setEnabled(self.found is not None and not self.busy)
-        self._show_undo()
-
-    def _note_undo(self, can_undo: bool) -> None:
-        self._can_undo = can_undo  # the stack, which is being deleted, may be the one that says it
-        self._show_undo()
-
-    def _show_undo(self) -> None:
-        self.undo.setEnabled(self._can_undo and not self.busy)
 
     # Rows for the layout
 
-    def taking_row(self, *before: QWidget) -> QHBoxLayout:
-        """Return the row of entry, buttons and progress."""
-        return hbox(*before, self.entry, self.start, self.cancel, (self.progress, 1))
+    def taking_row(self) -> QHBoxLayout:
+        """Return the row of buttons and progress."""
+        return hbox(self.start, self.cancel, (self.progress, 1))
 
     def applying_row(self) -> QHBoxLayout:
         """Return the row of the buttons that change the preset."""

@@ -30,9 +30,8 @@ from ..sources.base import CameraRole, Progress
 from .bias import UNKNOWN_BIAS_M, ContactBias, MeasuredBias, describe_bias, pressed_bias, print_bias
 from .untouched import TILE_PX, tile_medians
 
-#: Default number of live frames, and upper limit: more take too much memory. Fewest different frames.
+#: Usual number of frames, and fewest different ones.
 NOISE_FRAMES: Final = 60
-MAX_FRAMES: Final = 300
 MIN_FRAMES: Final = 10
 #: Lags of the autocovariances, and candidates for the correlation length, pixels.
 _LAGS: Final = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
@@ -70,14 +69,13 @@ def measure_noise(
     untouched: SensorFrame | None = None,
     progress: Progress | None = None,
     contact_bias: ContactBias | None = None,
-    warn: Callable[[str], None] | None = None,
 ) -> RigNoise:
     """Measure the noise of both cameras and the bias between them.
 
     Parameters
     ----------
     frames : sequence of SensorFrame
-        10 to 300 different frames of a scene at rest, 60 for an accurate result. Depth images are uint16, (H, W), raw
+        At least 10 different frames of a scene at rest, 60 for an accurate result. Depth images are uint16, (H, W), raw
         counts, at least 64 x 64 pixels.
     rig : Rig
     preset : Preset
@@ -89,8 +87,6 @@ def measure_noise(
     contact_bias : callable, optional
         See `ContactBias`; measures the bias where an object is pressed firmly into the membrane. The membrane test's
         own by default.
-    warn : callable, optional
-        Called with sentences on a result that is doubtful.
 
     Returns
     -------

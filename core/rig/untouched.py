@@ -23,11 +23,8 @@ from ..model.untouched_archive import frame_from_bytes, untouched_bytes
 from ..preset import Preset, UntouchedRecord
 from ..sources.base import FrameSource, Progress
 
-#: Default and largest number of averaged frames. More take minutes and reduce the noise no further.
+#: Number of averaged frames; more reduce the noise little further.
 UNTOUCHED_FRAMES: Final = 15
-MAX_FRAMES: Final = 1000
-#: Frames per block. When 2 blocks are held, the older one is replaced by its median.
-_BLOCK: Final = 30
 #: Movement: the median depth of image tiles of this side length, pixels, changes by more than a share of the depth
 #: (2 mm at 300 mm) and by more than a number of robust standard deviations of all tiles, in more than a share of them.
 TILE_PX: Final = 16
@@ -54,26 +51,14 @@ class FoundUntouched:
 
 
 def average_untouched(frames: Iterable[SensorFrame]) -> UntouchedAverage:
-    """Average frames of the untouched membrane: the median of each pixel.
-
-    The median is exact up to 59 frames. Beyond, it is the median of the medians of blocks of 30 frames (Rousseeuw &
-    Bassett 1990, "The remedian"), so at most 60 frames and 33 medians are in memory.
-    """
-    blocks: list[SensorFrame] = []
+    """Average a few frames of the untouched membrane: the median of each pixel."""
     held: list[SensorFrame] = []
-    first: SensorFrame | None = None
-    count = 0
-    for count, frame in enumerate(frames, start=1):
-        first = first or frame
-        _refuse_movement(first, frame, count)
+    for frame in frames:
         held.append(frame)
-        if len(held) == 2 * _BLOCK:
-            blocks.append(take_snapshot(held[:_BLOCK]).frame)
-            held = held[_BLOCK:]
-    if first is None:
+        _refuse_movement(held[0], frame, len(held))
+    if not held:
         raise CalibrationError("an untouched frame needs at least one frame; the source gave none")
-    parts = [*blocks, take_snapshot(held).frame] if blocks else held
-    return UntouchedAverage(take_snapshot(parts).frame, count)
+    return UntouchedAverage(take_snapshot(held).frame, len(held))
 
 
 def save_untouched(frame: SensorFrame, frames: int, preset_path: Path) -> UntouchedRecord:

@@ -11,7 +11,7 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
 from fakes import FakeCameras, FakeSource, at_rest, tiny_frame
-from hands import CONTROL, CONTROL_SHIFT, LEFT, show_source, type_into
+from hands import CONTROL, CONTROL_SHIFT, LEFT, show_source
 from tactune.app.rig import gather, untouched_window
 from tactune.app.worker.threads import wait_for_abandoned
 from tactune.core.calibration.snapshots import content_hash
@@ -26,9 +26,9 @@ def open_capture(qtbot, window):
 
 
 def capture(qtbot, window, frames=5):
-    """Open the window, type a number of frames, click on Capture and wait."""
+    """Open the window, click on Capture and wait."""
     opened = open_capture(qtbot, window)
-    type_into(opened.panel.frames, str(frames), Qt.Key.Key_Tab)
+    opened.panel.wanted = frames
     QTest.mouseClick(opened.panel.start, LEFT)
     qtbot.waitUntil(lambda: not opened.panel.busy, timeout=60_000)
     return opened
@@ -83,7 +83,7 @@ def test_escape_stops_capturing_and_then_closes(qtbot, window):
     show_source(qtbot, window, cameras)
     cameras.run()
     opened = open_capture(qtbot, window)
-    opened.panel.frames.setValue(1000)
+    opened.panel.wanted = 1000
     QTest.keyClick(opened, Qt.Key.Key_Return)
     qtbot.waitUntil(lambda: opened.panel.busy)
     QTest.keyClick(opened, Qt.Key.Key_Escape)
@@ -138,7 +138,7 @@ def test_closing_does_not_wait_for_what_is_still_being_computed(qtbot, window, m
 
     monkeypatch.setattr(untouched_window, "average_untouched", stuck)
     opened = open_capture(qtbot, window)
-    opened.panel.frames.setValue(2)
+    opened.panel.wanted = 2
     QTest.mouseClick(opened.panel.start, LEFT)
     qtbot.waitUntil(begun.is_set)
     QTest.mouseClick(opened.leave, LEFT)

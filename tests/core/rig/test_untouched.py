@@ -87,12 +87,6 @@ def test_averaging_takes_the_noise_away() -> None:
     assert np.std(captured.frame.tactile_depth - float(MEMBRANE)) < 4.0 / 2.5
 
 
-def test_many_frames_are_averaged_in_blocks() -> None:
-    captured = average_untouched(untouched_image(number % 37) for number in range(70))
-    assert captured.frames == 70
-    assert np.abs(captured.frame.tactile_depth - float(MEMBRANE)).mean() < 0.9
-
-
 @pytest.mark.parametrize(("counts", "size", "refused"), [(60, 32, True), (6, 96, False)])
 def test_something_that_touches_meanwhile_is_refused(counts: int, size: int, refused: bool) -> None:
     frames = [*map(untouched_image, range(4)), dented(untouched_image(4), counts, size)]
