@@ -40,24 +40,18 @@ DELAY_PATH: Final = "cameras.tactile_delay_s"
 
 
 class NoiseTab(Gather):
-    """The noise of both cameras and the bias between them: what the preset holds, and a new measurement."""
+    """The noise of both cameras and the bias between them: what the preset holds, and a new measurement for it."""
 
     wanted, min_frames = NOISE_FRAMES, MIN_FRAMES
 
     def __init__(self, context: Context) -> None:
-        start = push_button("Measure", "Measure noise and bias on the current source (Ctrl+M)", "Ctrl+M")
-        use = push_button("Use in preset", "Store this measurement in the preset (Ctrl+U)", "Ctrl+U")
-        super().__init__(context, start, use)
+        super().__init__(context, push_button("Measure", "Measure noise and bias into the preset (Ctrl+M)", "Ctrl+M"))
         self.stored = wrapped_label(selectable=True)
         self.stored.setAccessibleName("Noise and bias in the preset")
-        self.sentence.setAccessibleName("Measured noise and bias")
-        titles = QLabel("In the preset"), QLabel("New measurement")
-        for title in titles:
-            make_verdict(title)
-        vbox(
-            wrapped_label(_NOISE_INTRO), 8, titles[0], self.stored, 8, titles[1], self.taking_row(), self.sentence,
-            self.applying_row(), STRETCH, within=self,
-        )  # fmt: skip
+        title = QLabel("In the preset")
+        make_verdict(title)
+        intro = wrapped_label(_NOISE_INTRO)
+        vbox(intro, 8, self.row(), self.sentence, 8, title, self.stored, STRETCH, within=self)
         self._document.presetChanged.connect(self._show_stored)
         self._show_stored()
         self._show_busy()
@@ -67,10 +61,9 @@ class NoiseTab(Gather):
         count, preset, home = self.wanted, self._document.preset, self._document.untouched_home
         return lambda progress: _measure(kept[:count], info, preset, home, progress)
 
-    def show_found(self, found: RigNoise | None) -> None:
-        """Show a measurement."""
-        if found is not None:
-            self.sentence.setText("\n".join(describe(found)))
+    def show_found(self, found: RigNoise) -> None:
+        """Say what happened; the preset's noise is always shown."""
+        self.sentence.setText("The measurement is in the preset now; Undo (Ctrl+Z) takes it out again.")
 
     def change(self) -> tuple[str, Any]:
         """Return the field and its value."""
@@ -100,12 +93,11 @@ class SkewTab(Gather):
     prompt = "Press in and pull out now"
 
     def __init__(self, context: Context) -> None:
-        start = push_button("Measure skew", "Observe the motion and measure the delay (Ctrl+M)", "Ctrl+M")
-        use = push_button("Compensate", "Set the preset's tactile delay; it takes effect when cameras are opened again")
-        super().__init__(context, start, use)
+        super().__init__(
+            context, push_button("Measure skew", "Observe the motion and measure the delay (Ctrl+M)", "Ctrl+M")
+        )
         make_verdict(self.sentence)
-        intro = wrapped_label(_SKEW_INTRO)
-        vbox(intro, self.taking_row(), self.sentence, self.applying_row(), STRETCH, within=self)
+        vbox(wrapped_label(_SKEW_INTRO), self.row(), self.sentence, STRETCH, within=self)
         self._show_busy()
 
     def keep(self, frame: SensorFrame) -> Sample:
@@ -122,17 +114,16 @@ class SkewTab(Gather):
         ordered = sorted(kept, key=lambda sample: sample.proximity_time_s)
         return partial(measure_skew, ordered, info.rig, self._document.preset.alignment)
 
-    def show_found(self, found: Skew | None) -> None:
+    def show_found(self, found: Skew) -> None:
         """Show a measurement."""
-        if found is not None:
-            self.sentence.setText(found.sentence)
-            self.apply.setText(f"Set the tactile delay to {1e3 * self.change()[1]:.1f} ms")
+        now = " The preset compensates it when cameras are opened again." if found.significant else ""
+        self.sentence.setText(found.sentence + now)
 
-    def change(self) -> tuple[str, Any]:
+    def change(self) -> tuple[str, Any] | None:
         """Return the field and its value. Live time stamps are already corrected by the present one."""
         live = self.info is not None and self.info.length is None
         present = self._document.preset.cameras.tactile_delay_s if live else 0.0
-        return DELAY_PATH, round(self.found.delay_s + present, 4)
+        return (DELAY_PATH, round(self.found.delay_s + present, 4)) if self.found.significant else None
 
 
 class CheckWindow(QDialog):

@@ -15,7 +15,7 @@ from ...core.model.frames import SensorFrame
 from ...core.rig.untouched import frames_to_average
 from ...core.sources.registry import open_source
 from ...widgets.basics.controls import ProgressBar, push_button, wrapped_label
-from ...widgets.basics.layouts import STRETCH, hbox
+from ...widgets.basics.layouts import hbox
 from ..context import Context
 from ..worker.jobs import Job, Progress, Work
 from ..worker.results import SourceInfo
@@ -32,7 +32,7 @@ OTHER_TASK: Final = "Another window takes frames at present: cancel that first, 
 
 
 class Gather(QWidget):
-    """Base of panels that take frames, work on them, tell the result, and put it into the preset as one undo step.
+    """Base of panels that take frames, work on them, and put the result into the preset as one undo step.
 
     A paused recording plays meanwhile and then stands at its frame again. A loop gives each frame once. Where a source
     has or gives fewer frames than wanted, `min_frames` are enough.
@@ -44,15 +44,13 @@ class Gather(QWidget):
     at_rest = True
     #: What to do while frames are taken.
     prompt = "Hold everything still"
-    #: Whether the result goes into the preset by itself, without a press of `apply`.
-    at_once = False
 
     _takingFailed = pyqtSignal(str)
 
-    def __init__(self, context: Context, start: QPushButton, apply: QPushButton) -> None:
+    def __init__(self, context: Context, start: QPushButton) -> None:
         super().__init__()
         self._context, self._document = context, context.document
-        self.start, self.apply = start, apply
+        self.start = start
         self.cancel = push_button("Cance&l", "Cancel; the preset is unchanged")
         self.undo = push_button("&Undo", "Undo the last change of the preset (Ctrl+Z)", "Ctrl+Z")
         self.sentence = wrapped_label(selectable=True)
@@ -60,7 +58,7 @@ class Gather(QWidget):
         policy = self.progress.sizePolicy()
         policy.setRetainSizeWhenHidden(True)  # so that the layout does not jump
         self.progress.setSizePolicy(policy)
-        #: The newest result; None before the first, and once it is void.
+        #: The newest result; None before the first, and while another one is found.
         self.found: Any = None
         self.info: SourceInfo | None = None
         self._kept: dict[int, Any] = {}
@@ -79,8 +77,6 @@ class Gather(QWidget):
         self._takingFailed.connect(self._give_up)
         start.clicked.connect(self.begin)
         self.cancel.clicked.connect(self.stop)
-        apply.clicked.connect(self.use)
-        apply.setVisible(not self.at_once)
         self.undo.clicked.connect(self._document.undo_stack.undo)
         self.undo.setEnabled(self._document.undo_stack.canUndo())
         self._document.undo_stack.canUndoChanged.connect(self.undo.setEnabled)
@@ -101,11 +97,11 @@ class Gather(QWidget):
         raise NotImplementedError
 
     def show_found(self, found: Any) -> None:
-        """Show a result; None: none any more."""
+        """Show a result."""
         raise NotImplementedError
 
-    def change(self) -> tuple[str, Any]:
-        """Return the preset field that the result changes, and its new value."""
+    def change(self) -> tuple[str, Any] | None:
+        """Return the preset field that the result changes, and its new value; None if it changes nothing."""
         raise NotImplementedError
 
     # Taking frames
@@ -120,7 +116,7 @@ class Gather(QWidget):
         result, recorder = self._context.result, self._context.worker.recorder
         if self.busy:
             return
-        self._set_found(None)
+        self.found = None
         if result is None or recorder.watched:
             self._fail(NO_FRAME if result is None else OTHER_TASK)
             return
@@ -211,54 +207,35 @@ class Gather(QWidget):
             self._fail(sentence)
 
     def _source_opened(self, info: SourceInfo) -> None:
-        waits = self.found is not None and not self.at_once  # for `apply`; else it is in the preset already
-        if self.info is not None and info is not self.info and (self.busy or waits):
+        if self.info is not None and info is not self.info and self.busy:
             self._return_to = None  # a place in the other source
             self._stop_taking()
             self._job.cancel()
-            self._set_found(None)
             self._fail(OTHER_SOURCE)
 
     # The result
 
-    def use(self) -> None:
-        """Put the result into the preset."""
-        if self.found is not None and self._document.edit(*self.change()) and not self.at_once:
-            self._set_found(None)
-            self.sentence.setText("The result is in the preset now; Undo (Ctrl+Z) takes it out again.")
-
     def _done(self, found: Any) -> None:
-        self._set_found(found)
+        self.found = found
         self._show_busy()
-        if self.at_once:
-            self.use()
-        (self.undo if self.at_once else self.apply).setFocus(Qt.FocusReason.OtherFocusReason)
+        self.show_found(found)
+        if (change := self.change()) is not None:
+            self._document.edit(*change)
+        self.undo.setFocus(Qt.FocusReason.OtherFocusReason)
 
     def _fail(self, sentence: str) -> None:
         self._show_busy()
         if sentence:  # empty: it was cancelled
             self.sentence.setText(as_sentence(sentence))
 
-    def _set_found(self, found: Any) -> None:
-        self.found = found
-        self.apply.setEnabled(found is not None)
-        self.show_found(found)
-
     def _show_busy(self) -> None:
         self.start.setEnabled(not self.busy)
         self.cancel.setEnabled(self.busy)
         self.progress.setVisible(self.busy)
-        self.apply.setEnabled(self.found is not None and not self.busy)
 
-    # Rows for the layout
-
-    def taking_row(self) -> QHBoxLayout:
+    def row(self) -> QHBoxLayout:
         """Return the row of buttons and progress."""
-        return hbox(self.start, self.cancel, (self.progress, 1))
-
-    def applying_row(self) -> QHBoxLayout:
-        """Return the row of the buttons that change the preset."""
-        return hbox(self.apply, self.undo, STRETCH)
+        return hbox(self.start, self.cancel, self.undo, (self.progress, 1))
 
 
 def _simulated(name: str, count: int, frames: list[SensorFrame], work: Work, progress: Progress) -> Any:

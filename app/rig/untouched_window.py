@@ -46,16 +46,15 @@ class UntouchedPanel(Gather):
 
     wanted = UNTOUCHED_FRAMES
     prompt = "Do not touch the membrane"
-    at_once = True
 
     def __init__(self, context: Context, store: UntouchedStore) -> None:
         self._store = store
         start = push_button("&Capture", "Average the next frames into the untouched frame (Enter)")
         start.setDefault(True)
-        super().__init__(context, start, push_button("Use", "Put it into the preset"))
+        super().__init__(context, start)
         self.progress.setAccessibleName("Progress of capturing")
         self.sentence.setMinimumHeight(2 * self.sentence.fontMetrics().lineSpacing())
-        vbox(self.taking_row(), self.sentence, self.applying_row(), within=self, margins=0)
+        vbox(self.row(), self.sentence, within=self, margins=0)
         self._show_busy()
 
     def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
@@ -67,14 +66,13 @@ class UntouchedPanel(Gather):
 
         return average
 
-    def show_found(self, found: UntouchedRecord | None) -> None:
+    def show_found(self, found: UntouchedRecord) -> None:
         """Say what was captured, and the next step."""
-        if found is not None:
-            fewer = " because the source has no more" if found.frames < self.wanted else ""
-            self.sentence.setText(
-                f"Captured {counted(found.frames, 'frame')}{fewer}. "
-                "Save the preset (Ctrl+S in the main window) to write the untouched frame beside it."
-            )
+        fewer = " because the source has no more" if found.frames < self.wanted else ""
+        self.sentence.setText(
+            f"Captured {counted(found.frames, 'frame')}{fewer}. "
+            "Save the preset (Ctrl+S in the main window) to write the untouched frame beside it."
+        )
 
     def change(self) -> tuple[str, Any]:
         """Return the field and its value."""

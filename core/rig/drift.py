@@ -54,39 +54,19 @@ _PRESSURE_SHIFT: Final = 0.06
 
 
 @dataclass(frozen=True)
-class DepthChange:
-    """Change of the membrane's depth in one camera, present minus untouched frame, metres; positive is farther away.
-
-    Median and robust spread over the pixels, root mean square of the planar part, and the number of pixels.
-    """
-
-    median_m: float
-    spread_m: float
-    moved_m: float
-    pixels: int
-
-
-@dataclass(frozen=True)
 class MembraneDrift:
     """Drift of the membrane since the untouched frame was captured, and what to do in words.
 
-    The inflation is the change of the apex's height above the rim, positive is farther from the cameras. The shift is
-    that of the texture sideways in the colour image of ``"tactile"`` and ``"proximity"``, metres at the membrane's
-    distance. ``proximity`` is None and a shift is missing where a camera sees too little.
+    By how much each camera, ``"tactile"`` and ``"proximity"``, has moved or drifted: the larger of what depth and
+    texture tell; and the shift of the texture alone, metres at the membrane's distance. A camera that sees too little
+    is missing. The inflation is the change of the apex's height above the rim, positive is farther from the cameras.
     """
 
-    tactile: DepthChange
-    proximity: DepthChange | None
+    moved_m: dict[str, float]
+    shift_m: dict[str, float]
     inflation_m: float
     verdict: Verdict
     sentence: str
-    shift_m: dict[str, float]
-
-    @property
-    def moved_m(self) -> dict[str, float]:
-        """By how much each camera has moved or drifted, metres: the larger of what depth and texture tell."""
-        depths = {"tactile": self.tactile.moved_m} | ({"proximity": self.proximity.moved_m} if self.proximity else {})
-        return {name: max(depths.get(name, 0.0), self.shift_m.get(name, 0.0)) for name in {**depths, **self.shift_m}}
 
 
 def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouched: SensorFrame) -> MembraneDrift:
@@ -112,7 +92,9 @@ def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouch
     plane = fitted[0] + fitted[1] * x + fitted[2] * y
     dented = float(np.mean(np.abs(change - plane - inflation_m * bulge) > _DENT_M))
 
-    proximity = _proximity_change(preset, rig, frame, untouched, inflation_m)
+    planes_m = {"tactile": _rms(plane)}
+    if (proximity_m := _proximity_moved(preset, rig, frame, untouched, inflation_m)) is not None:
+        planes_m["proximity"] = proximity_m
     shifts = {"proximity": _shift_px(untouched.proximity_color, frame.proximity_color)}
     distance_m = float(np.median(before))
     metres_a_px = {"proximity": distance_m / color_lens(rig).fx, "tactile": distance_m / rig.tactile.intrinsics.fx}
@@ -123,15 +105,15 @@ def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouch
         for name, shift in shifts.items()
         if shift is not None
     }
-    tactile = _sum_up(change, plane)
-    verdict, sentence = _judge(tactile, proximity, shift_m, inflation_m, dented)
-    return MembraneDrift(tactile, proximity, inflation_m, verdict, sentence, shift_m)
+    verdict, sentence = _judge(planes_m, shift_m, inflation_m, dented)
+    moved_m = {name: max(planes_m.get(name, 0.0), shift_m.get(name, 0.0)) for name in {**planes_m, **shift_m}}
+    return MembraneDrift(moved_m, shift_m, inflation_m, verdict, sentence)
 
 
-def _proximity_change(
+def _proximity_moved(
     preset: Preset, rig: Rig, frame: SensorFrame, untouched: SensorFrame, inflation_m: float
-) -> DepthChange | None:
-    """Return the change where the proximity camera sees the membrane, less inflation that shows; None if too few."""
+) -> float | None:
+    """Return the RMS of the planar change where the proximity camera sees the membrane, less inflation that shows."""
     height, width = rig.proximity.intrinsics.shape
     aligned = make_alignment(preset.alignment, rig).align(
         untouched.proximity_depth, untouched.tactile_depth, Region(0, 0, width, height)
@@ -149,8 +131,7 @@ def _proximity_change(
     bulge = (before - rim) / (apex - rim) if inflation_m else np.zeros_like(before)
     # A tactile camera that moved along its axis looks like inflation, too: the smaller of both motions counts.
     columns = np.column_stack([np.ones_like(x), x, y])
-    planes = [columns @ _fit(of_camera, columns) for of_camera in (change - inflation_m * bulge, change)]
-    return min((_sum_up(change, plane) for plane in planes), key=lambda summed: summed.moved_m)
+    return min(_rms(columns @ _fit(of_camera, columns)) for of_camera in (change - inflation_m * bulge, change))
 
 
 def _changes(
@@ -175,9 +156,8 @@ def _fit(change: Float64Array, columns: Float64Array) -> Float64Array:
     return fitted
 
 
-def _sum_up(change: Float64Array, plane: Float64Array) -> DepthChange:
-    median_m = float(np.median(change))
-    return DepthChange(median_m, spread(change, median_m), float(np.sqrt(np.mean(plane**2))), len(change))
+def _rms(plane: Float64Array) -> float:
+    return float(np.sqrt(np.mean(plane**2)))
 
 
 def _shift_px(before: Uint8Array, now: Uint8Array) -> float | None:
@@ -214,11 +194,7 @@ def _local_contrast(color: Uint8Array) -> Uint8Array:
 
 
 def _judge(
-    tactile: DepthChange,
-    proximity: DepthChange | None,
-    shift_m: dict[str, float],
-    inflation_m: float,
-    dented: float,
+    planes_m: dict[str, float], shift_m: dict[str, float], inflation_m: float, dented: float
 ) -> tuple[Verdict, str]:
     if dented > _DENT_SHARE and shift_m.get("tactile", 0.0) < _FAR_M:
         return "touched", (
@@ -226,10 +202,10 @@ def _judge(
             f"{1e3 * _DENT_M:.0f} mm; remove it and check again."
         )
     moved: dict[str, float] = {}
-    for name, change in (("tactile", tactile), ("proximity", proximity)):
-        depth_m, texture_m = (0.0 if change is None else change.moved_m), shift_m.get(name, 0.0)
-        if depth_m > LIMIT_M or texture_m > SHIFT_LIMIT_M:
-            moved[name] = max(depth_m, texture_m)
+    for name in ("tactile", "proximity"):
+        plane_m, texture_m = planes_m.get(name, 0.0), shift_m.get(name, 0.0)
+        if plane_m > LIMIT_M or texture_m > SHIFT_LIMIT_M:
+            moved[name] = max(plane_m, texture_m)
     if moved:
         by = " and ".join(f"{1e3 * metres:.1f} mm" for metres in moved.values())
         cameras = f"The {next(iter(moved))} camera has" if len(moved) == 1 else "Both cameras have"
@@ -243,8 +219,8 @@ def _judge(
             f"{'farther out' if inflation_m > 0 else 'farther in'} than in the untouched frame; inflate it as before, "
             "or capture the untouched frame again."
         )
-    unseen = "" if proximity else "; not checked: the proximity camera, which sees too little of the membrane itself"
-    return "fine", f"The membrane is as in the untouched frame{unseen}."
+    unseen = "" if "proximity" in planes_m else " The proximity camera sees too little of it to be checked."
+    return "fine", f"The membrane is as in the untouched frame.{unseen}"
 
 
 @dataclass(frozen=True)

@@ -409,19 +409,20 @@ def _quadratics(tile_px: int) -> Float64Array:
 def _refuse_movement(role: CameraRole, images: Sequence[Uint16Array], camera: DepthCamera) -> None:
     """Raise if the depth differs between the images by more than noise."""
     some = images[:: max(len(images) // (_PARTS * _PART_FRAMES), 1)]
-    medians = np.ma.masked_invalid([tile_medians(image) for image in some])
-    parts = np.ma.stack([np.ma.median(part, axis=0) for part in np.array_split(medians, _PARTS)])
-    known = parts.count(axis=0) > _PARTS // 2
-    if not known.any():
+    medians = np.array([tile_medians(image) for image in some])
+    parts, steps = np.array_split(medians, _PARTS), np.diff(medians, axis=0)
+    seen = np.all([np.isfinite(part).any(axis=0) for part in (*parts, steps)], axis=0)
+    if not seen.any():
         return  # the lack of depth is reported later
-    depth, change = parts.mean(axis=0), np.ma.ptp(parts, axis=0)
-    deviation = np.ma.sqrt(np.ma.mean(np.ma.diff(medians, axis=0) ** 2, axis=0) / 2)  # which slow movement leaves out
+    resting = np.array([np.nanmedian(part[:, seen], axis=0) for part in parts])
+    depth, change = resting.mean(axis=0), np.ptp(resting, axis=0)
+    deviation = np.sqrt(np.nanmean(steps[:, seen] ** 2, axis=0) / 2)  # from frame to frame, without slow movement
     error = 1.25 * deviation / np.sqrt(len(some) / _PARTS)  # of a median
-    moved = (change > np.ma.maximum(_MOVED_SHARE * depth, _MOVED_SIGMAS * error))[known]
-    share = max(moved.mean(), (deviation > _RESTLESS_SHARE * depth)[known].mean())
+    moved = change > np.maximum(_MOVED_SHARE * depth, _MOVED_SIGMAS * error)
+    share = max(moved.mean(), (deviation > _RESTLESS_SHARE * depth).mean())
     if share > _MOVED_TILES:
-        most = np.ma.maximum(change, deviation)
-        row, column = divmod(int(most.argmax()), camera.intrinsics.width // TILE_PX)
+        most = np.maximum(change, deviation)
+        row, column = divmod(int(np.flatnonzero(seen)[most.argmax()]), camera.intrinsics.width // TILE_PX)
         raise FrameError(
             f"the scene moves: the {role} depth changes in {100 * share:.0f} % of the image, most "
             f"by {1e3 * camera.depth_unit_m * most.max():.0f} mm near pixel "

@@ -65,9 +65,7 @@ def test_a_touch_meanwhile_is_refused_in_words(qtbot, window):
     qtbot.waitUntil(lambda: at_rest(window, 2))
 
 
-@pytest.mark.parametrize(
-    ("length", "loop", "ends_at"), [(1, True, None), (3, True, None), (8, False, None), (8, True, 5)]
-)
+@pytest.mark.parametrize(("length", "loop", "ends_at"), [(3, True, None), (8, True, 5)])
 def test_where_a_recording_has_no_more_frames_what_came_is_taken(qtbot, window, monkeypatch, length, loop, ends_at):
     monkeypatch.setattr(gather, "PATIENCE_S", 1.0)
     show_source(qtbot, window, FakeSource(length, name="short", ends_at=ends_at), 0)
