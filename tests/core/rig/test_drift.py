@@ -95,13 +95,6 @@ def test_a_look_is_due_every_ten_seconds_and_after_the_clock_was_set_back(watch:
     assert watch.due(0.0)
 
 
-def test_a_touch_is_told_from_drift() -> None:
-    assert (
-        compare_with_untouched(PRESET, drifted().rig, drifted(press="medium").read(20), untouched()).verdict
-        == "touched"
-    )
-
-
 def test_what_cannot_be_compared_is_refused(watch: Watch) -> None:
     with pytest.raises(CalibrationError, match="untouched frame"):
         Watch(Preset(), drifted().rig, None)

@@ -62,19 +62,6 @@ def still(rig):
     return [wall(rig, index) for index in range(40)]
 
 
-def camera(**values):
-    return CameraNoise(
-        **{
-            "white_m": 0.001,
-            "correlated_m": 0.0,
-            "length_px": 0.0,
-            "changing_share": 1.0,
-            "distance_m": 0.3,
-            **values,
-        }
-    )
-
-
 def nothing_pressed(frame):
     """Answer as a contact test that finds no firm contact."""
     return
@@ -100,7 +87,7 @@ def test_a_wall_gives_back_its_noise_and_bias(rig, preset, still):
 
 
 def test_the_density_is_what_an_average_over_an_area_leaves():
-    noise = camera(white_m=0.0004, correlated_m=0.0008, length_px=3.0)
+    noise = CameraNoise(white_m=0.0004, correlated_m=0.0008, length_px=3.0, changing_share=1.0, distance_m=0.3)
     focal, side_px = 400.0, 100
     pixel_m = noise.distance_m / focal
     rng = np.random.default_rng(3)
@@ -119,10 +106,7 @@ def test_too_few_frames_motion_and_no_depth_are_refused(rig, preset, still):
     shaken = [wall(rig, index, proximity_m=0.3 + 0.02 * (-1) ** index) for index in range(20)]
     with pytest.raises(FrameError, match=r"the proximity depth changes in 100 % .* by \d+ mm near pixel"):
         measure_noise(shaken, rig, preset)
-    blind = [wall(rig, index, tactile_m=-1.0) for index in range(20)]
-    blind = [
-        SensorFrame(f.sequence, f.proximity_depth, np.zeros_like(f.tactile_depth), f.proximity_color) for f in blind
-    ]
+    blind = [replace(frame, tactile_depth=np.zeros_like(frame.tactile_depth)) for frame in still[:20]]
     with pytest.raises(FrameError, match=r"the tactile camera sees depth in only 0\.0 %"):
         measure_noise(blind, rig, preset)
 
@@ -140,11 +124,10 @@ def test_a_frame_without_depth_hides_no_movement_and_is_left_out(rig, preset, st
     assert noise.proximity.correlated_m == pytest.approx(0.0005, rel=0.2)
 
 
-def test_a_scene_without_smooth_surfaces_is_refused(rig, preset):
+def test_a_scene_without_smooth_surfaces_is_refused(rig, preset, still):
     holes = np.ones((HEIGHT, WIDTH), bool)
     holes[::3] = False
-    frames = [wall(rig, index) for index in range(12)]
-    frames = [SensorFrame(f.sequence, f.proximity_depth * holes, f.tactile_depth, f.proximity_color) for f in frames]
+    frames = [replace(frame, proximity_depth=frame.proximity_depth * holes) for frame in still[:12]]
     with pytest.raises(FrameError, match=r"the proximity camera sees no smooth surface"):
         measure_noise(frames, rig, preset)
 
@@ -154,8 +137,6 @@ def test_without_prints_the_bias_is_unknown_and_contact_tells_it(rig, preset):
     unknown = measure_noise(frames, rig, preset, contact_bias=nothing_pressed)
     assert (unknown.bias_from, unknown.bias_m, unknown.bias_sigma_m) == ("unknown", 0.0, 0.005)
     assert "press an object firmly (10 cm2 or more)" in describe(unknown)[2]
-    little = measure_noise(frames, rig, preset, contact_bias=lambda frame: (0.003, 0.0009))
-    assert little.bias_from == "unknown"
     pressed = measure_noise(
         frames, rig, preset, contact_bias=lambda frame: (0.003 + 0.0001 * (frame.sequence % 3), 0.002)
     )
