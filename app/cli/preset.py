@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -131,7 +130,8 @@ def capture_untouched(
     chosen = load_preset(preset)
     with open_with_progress(source, chosen) as opened:
         captured = average_frames(opened)
-        _check_untouched(chosen, preset, opened.rig, captured.frame, force=force)
+        if not force:
+            _refuse_contact(chosen, opened.rig, captured.frame)
     record = save_untouched(captured.frame, captured.frames, preset)
     save_preset(chosen.model_copy(update={"untouched": record, "modified": now()}), preset)
     if captured.frames < AVERAGED:
@@ -156,7 +156,7 @@ def measure_rig(
 
     The scene must be at rest. The bias is measured on prints of the mask's colour, which both cameras see,
     and where an object is pressed firmly. Without --out and without a preset file nothing is written. The simulator
-    removes a moving object for this.
+    removes its object for this.
     """
     from ...core.rig.noise import describe
     from ...core.sources.presets import load_preset
@@ -184,21 +184,21 @@ def schema() -> None:
     typer.echo(json.dumps(json_schema(), indent=2))
 
 
-def _check_untouched(preset: Preset, path: Path, rig: Rig, membrane: SensorFrame, *, force: bool) -> None:
-    """Warn of signs that the membrane is touched; refuse it if contact is certain."""
-    from ...core.rig.drift import touch_doubts
-    from ...core.rig.untouched import load_untouched
+def _refuse_contact(preset: Preset, rig: Rig, membrane: SensorFrame) -> None:
+    """Raise if the preset finds contact; without a mask prints would count as contact, so nothing is known."""
+    from ...core.contact.pipeline import ContactPipeline
     from ...core.warmup import warm_up_if_needed
 
-    earlier = None
-    with suppress(PresetError):  # lost or damaged: the new one replaces it
-        earlier = None if preset.untouched is None else load_untouched(preset.untouched, path)
+    if not preset.mask.enabled:
+        return
     with CliProgress() as progress:
         warm_up_if_needed(progress.preparing)
-    for sentence, certain in touch_doubts(preset, rig, membrane, earlier):
-        if certain and not force:
-            raise CalibrationError(f"{sentence}, or keep it with --force")
-        warn(sentence)
+    patch = ContactPipeline(preset, rig).process(membrane)
+    if len(patch.points):
+        raise CalibrationError(
+            f"the preset finds contact of {patch.area_mm2 / 100:.1f} cm2 on a membrane that should be untouched; "
+            "remove what touches the membrane or is close to it, and capture again, or keep it with --force"
+        )
 
 
 def check_target(target: Path, preset: str | None) -> None:
@@ -228,17 +228,15 @@ def save_changed(preset: Preset, origin: str, target: Path) -> None:
 
 def _measure_noise(source: FrameSource, preset: Preset, origin: str) -> RigNoise:
     """Measure the next frames of a source, with the preset's or the source's untouched frame."""
-    from ...core.rig.noise import frames_at_rest, measure_noise, object_moves
-    from ...core.rig.untouched import find_untouched
+    from ...core.rig.noise import measure_noise
+    from ...core.rig.untouched import find_untouched, frames_to_average
 
-    if object_moves(source):
-        warn(f"the object of {source.name} moves: it is removed for this")
     with CliProgress() as progress:
         found = find_untouched(preset, origin, source, progress.preparing)
-        with frames_at_rest(source, _MEASURED, progress.preparing) as shown:
+        with frames_to_average(source, _MEASURED, progress.preparing) as shown:
             frames = list(counted_out(shown, _MEASURED, progress))
         warn(*found.warnings)
-        noise = measure_noise(frames, source.rig, preset, found.frame, progress.preparing, warn=warn)
+        noise = measure_noise(frames, source.rig, preset, found.frame, progress.preparing)
     if len(frames) < _MEASURED:
         warn(f"{source.name} has only {len(frames)} of the {_MEASURED} frames to measure")
     return noise

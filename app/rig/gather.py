@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, Final
 
 from PyQt6.QtCore import Qt, QTimer, pyqtSignal
@@ -11,10 +12,12 @@ from PyQt6.QtWidgets import QHBoxLayout, QPushButton, QWidget
 
 from ...core.errors import TactuneError, as_sentence, counted
 from ...core.model.frames import SensorFrame
+from ...core.rig.untouched import frames_to_average
+from ...core.sources.registry import open_source
 from ...widgets.basics.controls import ProgressBar, push_button, wrapped_label
-from ...widgets.basics.layouts import STRETCH, hbox
+from ...widgets.basics.layouts import hbox
 from ..context import Context
-from ..worker.jobs import Job, Work
+from ..worker.jobs import Job, Progress, Work
 from ..worker.results import SourceInfo
 
 #: Seconds without a frame after which a source counts as stopped.
@@ -29,25 +32,25 @@ OTHER_TASK: Final = "Another window takes frames at present: cancel that first, 
 
 
 class Gather(QWidget):
-    """Base of panels that take frames, work on them, tell the result, and put it into the preset as one undo step.
+    """Base of panels that take frames, work on them, and put the result into the preset as one undo step.
 
     A paused recording plays meanwhile and then stands at its frame again. A loop gives each frame once. Where a source
     has or gives fewer frames than wanted, `min_frames` are enough.
     """
 
-    #: Smallest number of different frames.
-    min_frames = 1
+    #: Number of different frames that are wanted, and the fewest that are enough.
+    wanted, min_frames = 1, 1
+    #: Whether the simulator makes frames for it without its object; else those that the main window plays are taken.
+    at_rest = True
     #: What to do while frames are taken.
     prompt = "Hold everything still"
-    #: Whether the result goes into the preset by itself, without a press of `apply`.
-    at_once = False
 
     _takingFailed = pyqtSignal(str)
 
-    def __init__(self, context: Context, start: QPushButton, entry: QWidget, apply: QPushButton) -> None:
+    def __init__(self, context: Context, start: QPushButton) -> None:
         super().__init__()
         self._context, self._document = context, context.document
-        self.start, self.entry, self.apply = start, entry, apply
+        self.start = start
         self.cancel = push_button("Cance&l", "Cancel; the preset is unchanged")
         self.undo = push_button("&Undo", "Undo the last change of the preset (Ctrl+Z)", "Ctrl+Z")
         self.sentence = wrapped_label(selectable=True)
@@ -55,11 +58,11 @@ class Gather(QWidget):
         policy = self.progress.sizePolicy()
         policy.setRetainSizeWhenHidden(True)  # so that the layout does not jump
         self.progress.setSizePolicy(policy)
-        #: The newest result; None before the first, and once it is void.
+        #: The newest result; None before the first, and while another one is found.
         self.found: Any = None
         self.info: SourceInfo | None = None
         self._kept: dict[int, Any] = {}
-        self._taking = self._played = False
+        self._taking = False
         self._return_to: int | None = None
         self._counted, self._last_s = 0, 0.0
         self._timer = QTimer(self)
@@ -74,19 +77,12 @@ class Gather(QWidget):
         self._takingFailed.connect(self._give_up)
         start.clicked.connect(self.begin)
         self.cancel.clicked.connect(self.stop)
-        apply.clicked.connect(self.use)
-        apply.setVisible(not self.at_once)
         self.undo.clicked.connect(self._document.undo_stack.undo)
-        self._can_undo = self._document.undo_stack.canUndo()
-        self._document.undo_stack.canUndoChanged.connect(self._note_undo)
-        context.worker.playbackChanged.connect(self._playback_changed)
+        self.undo.setEnabled(self._document.undo_stack.canUndo())
+        self._document.undo_stack.canUndoChanged.connect(self.undo.setEnabled)
         context.worker.opened.connect(self._source_opened)
 
     # What a panel says of itself
-
-    def takes_frames(self, info: SourceInfo) -> bool:
-        """Return whether frames of this source are taken; else the work makes its own, as with the simulator."""
-        return True
 
     def keep(self, frame: SensorFrame) -> Any:
         """Return what is kept of a frame; called on the thread that reads it."""
@@ -94,18 +90,18 @@ class Gather(QWidget):
 
     def share(self, kept: Sequence[Any]) -> float:
         """Return which share of what is wanted has been kept; 1 or more: enough."""
-        raise NotImplementedError
+        return len(kept) / self.wanted
 
     def work(self, kept: list[Any], info: SourceInfo) -> Work:
-        """Return the work on what was kept; it runs on another thread and its result is passed to `show_found`."""
+        """Return the work on what will be in the list by then; it runs on another thread."""
         raise NotImplementedError
 
     def show_found(self, found: Any) -> None:
-        """Show a result; None: none any more."""
+        """Show a result."""
         raise NotImplementedError
 
-    def change(self) -> tuple[str, Any]:
-        """Return the preset field that the result changes, and its new value."""
+    def change(self) -> tuple[str, Any] | None:
+        """Return the preset field that the result changes, and its new value; None if it changes nothing."""
         raise NotImplementedError
 
     # Taking frames
@@ -120,7 +116,7 @@ class Gather(QWidget):
         result, recorder = self._context.result, self._context.worker.recorder
         if self.busy:
             return
-        self._set_found(None)
+        self.found = None
         if result is None or recorder.watched:
             self._fail(NO_FRAME if result is None else OTHER_TASK)
             return
@@ -130,12 +126,13 @@ class Gather(QWidget):
             return
         self.sentence.clear()
         self.progress.show_share(0.0, "")
-        self._taking = self.takes_frames(info)
-        self._show_busy()
+        self._taking = not (self.at_rest and info.name.startswith("sim:"))
         if not self._taking:
-            self._job.start(self.work([], info))
+            frames: list[SensorFrame] = []
+            self._job.start(partial(_simulated, info.name, self.wanted, frames, self.work(frames, info)))
             self._show_busy()
             return
+        self._show_busy()
         kept: dict[int, Any] = {}
 
         def take(frame: SensorFrame) -> None:
@@ -144,7 +141,6 @@ class Gather(QWidget):
 
         self._kept, self._counted, self._last_s = kept, 0, time.monotonic()
         playback = result.playback
-        self._played = playback.playing
         self._return_to = playback.index if playback.seekable and not playback.playing else None
         try:
             take(result.frame)
@@ -185,15 +181,14 @@ class Gather(QWidget):
     def _look(self) -> None:
         """Work on the frames once there are enough, or once no more come."""
         assert self.info is not None
-        now, count, playback = time.monotonic(), len(self._kept), self._context.playback
+        now, count = time.monotonic(), len(self._kept)
         if count > self._counted:
             self._counted, self._last_s = count, now
         share = self.share(list(self._kept.values()))
         self.progress.show_share(_GATHERED * min(share, 1.0), f"{self.prompt}: {counted(count, 'frame')}")
-        ended = self._played and playback is not None and not playback.playing and playback.at_end
         if share >= 1.0 or count == self.info.length:
             self._end_taking()
-        elif ended or now - self._last_s > PATIENCE_S:
+        elif now - self._last_s > PATIENCE_S:
             if count >= self.min_frames:
                 self._end_taking()
             else:
@@ -211,66 +206,46 @@ class Gather(QWidget):
             self._stop_taking()
             self._fail(sentence)
 
-    def _playback_changed(self) -> None:
-        playback = self._context.playback
-        self._played = self._played or (playback is not None and playback.playing)
-
     def _source_opened(self, info: SourceInfo) -> None:
-        waits = self.found is not None and not self.at_once  # for `apply`; else it is in the preset already
-        if self.info is not None and info is not self.info and (self.busy or waits):
+        if self.info is not None and info is not self.info and self.busy:
             self._return_to = None  # a place in the other source
             self._stop_taking()
             self._job.cancel()
-            self._set_found(None)
             self._fail(OTHER_SOURCE)
 
     # The result
 
-    def use(self) -> None:
-        """Put the result into the preset."""
-        if self.found is not None and self._document.edit(*self.change()) and not self.at_once:
-            self._set_found(None)
-            self.sentence.setText("The result is in the preset now; Undo (Ctrl+Z) takes it out again.")
-
     def _done(self, found: Any) -> None:
-        self._set_found(found)
+        self.found = found
         self._show_busy()
-        if self.at_once:
-            self.use()
-        # a focused number entry would handle Ctrl+Z itself
-        (self.undo if self.at_once else self.apply).setFocus(Qt.FocusReason.OtherFocusReason)
+        self.show_found(found)
+        if (change := self.change()) is not None:
+            self._document.edit(*change)
+        self.undo.setFocus(Qt.FocusReason.OtherFocusReason)
 
     def _fail(self, sentence: str) -> None:
         self._show_busy()
         if sentence:  # empty: it was cancelled
             self.sentence.setText(as_sentence(sentence))
 
-    def _set_found(self, found: Any) -> None:
-        self.found = found
-        self.apply.setEnabled(found is not None)
-        self.show_found(found)
-
     def _show_busy(self) -> None:
         self.start.setEnabled(not self.busy)
-        self.entry.setEnabled(not self.busy)
         self.cancel.setEnabled(self.busy)
         self.progress.setVisible(self.busy)
-        self.apply.setEnabled(self.found is not None and not self.busy)
-        self._show_undo()
 
-    def _note_undo(self, can_undo: bool) -> None:
-        self._can_undo = can_undo  # the stack, which is being deleted, may be the one that says it
-        self._show_undo()
+    def row(self) -> QHBoxLayout:
+        """Return the row of buttons and progress."""
+        return hbox(self.start, self.cancel, self.undo, (self.progress, 1))
 
-    def _show_undo(self) -> None:
-        self.undo.setEnabled(self._can_undo and not self.busy)
 
-    # Rows for the layout
+def _simulated(name: str, count: int, frames: list[SensorFrame], work: Work, progress: Progress) -> Any:
+    """Make frames of the simulator without its object, then work on them."""
 
-    def taking_row(self, *before: QWidget) -> QHBoxLayout:
-        """Return the row of entry, buttons and progress."""
-        return hbox(*before, self.entry, self.start, self.cancel, (self.progress, 1))
+    def third(number: int) -> Progress:
+        return lambda share, words: progress((number + share) / 3, words)
 
-    def applying_row(self, *before: QWidget) -> QHBoxLayout:
-        """Return the row of the buttons that change the preset."""
-        return hbox(*before, self.apply, self.undo, STRETCH)
+    with open_source(name, third(0)) as source, frames_to_average(source, count, third(0)) as shown:
+        for frame in shown:
+            frames.append(frame)
+            third(1)(len(frames) / count, f"Frame {len(frames)} of {count}")
+    return work(third(2))

@@ -8,7 +8,7 @@ from html import escape
 
 import pyqtgraph as pg
 from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QGridLayout, QWidget
+from PyQt6.QtWidgets import QGraphicsRectItem, QGridLayout, QWidget
 
 from ...core.errors import as_sentence
 from ...core.model.arrays import Uint8Array
@@ -23,23 +23,6 @@ from ..calibration.pictures import picture
 from ..document.document import Document
 from ..worker.jobs import Job, Progress
 from ..worker.results import Result
-
-
-class Outline:
-    """A rectangle over an image that cannot be dragged."""
-
-    def __init__(self, pane: ImagePane) -> None:
-        self._curve = pg.PlotCurveItem(pen=pg.mkPen(ACCENT, width=2))
-        self._curve.setZValue(10)
-        pane.box.addItem(self._curve, ignoreBounds=True)
-
-    def set_rectangle(self, rectangle: Rectangle) -> None:
-        """Show (left, top, width, height) in whole pixels."""
-        left, top, width, height = rectangle
-        near, far = left - 0.5, left + width - 0.5
-        upper, lower = top - 0.5, top + height - 0.5
-        self._curve.setData([near, far, far, near, near], [upper, upper, lower, lower, upper])
-
 
 #: Interval between measurements, seconds: short enough to follow, long enough to read.
 _INTERVAL_S = 0.4
@@ -72,7 +55,10 @@ class QualityTab(QWidget):
             "tactile": ImagePane("Tactile depth"),
         }
         self.region_item = RegionItem(self.panes["proximity"])
-        self._tactile_outline = Outline(self.panes["tactile"])
+        self._tactile_region = QGraphicsRectItem()
+        self._tactile_region.setPen(pg.mkPen(ACCENT, width=2))
+        self._tactile_region.setZValue(10)
+        self.panes["tactile"].box.addItem(self._tactile_region, ignoreBounds=True)
         self.lines = {name: wrapped_label(selectable=True) for name in self.panes}
         self.region: Rectangle = (0, 0, 2, 2)
         self.status = wrapped_label(_WAITING)
@@ -149,7 +135,8 @@ class QualityTab(QWidget):
             self._fit()
         for camera in self.quality:
             self.lines[camera.role].setText(_table(camera.readings()))
-        self._tactile_outline.set_rectangle(self.quality[1].region)
+        left, top, width, height = self.quality[1].region
+        self._tactile_region.setRect(left - 0.5, top - 0.5, width, height)
         self.status.clear()
         if self._newer:
             self._measure_soon()

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from PyQt6.QtCore import QObject, Qt, QTimer, pyqtSignal
+from PyQt6.QtCore import QObject, Qt, pyqtSignal
 from PyQt6.QtGui import QKeyEvent
 from PyQt6.QtWidgets import QDialog, QLabel
 
@@ -18,15 +15,11 @@ from ...core.errors import FrameError, PresetError, counted
 from ...core.model.frames import SensorFrame
 from ...core.preset import Preset, UntouchedRecord
 from ...core.rig.untouched import (
-    MAX_FRAMES,
     UNTOUCHED_FRAMES,
-    UntouchedAverage,
     average_untouched,
-    frames_to_average,
     load_untouched,
 )
-from ...core.sources.registry import open_source
-from ...widgets.basics.controls import caption, frame_count, make_verdict, push_button, wrapped_label
+from ...widgets.basics.controls import make_verdict, push_button, wrapped_label
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.messages import Severity
@@ -40,7 +33,6 @@ from ..worker.recorder import Recorder
 from ..worker.results import SourceInfo
 from .gather import Gather
 
-_PREVIEW_MS: Final = 80
 _ADVICE: Final = (
     "The next frames are averaged into the preset's untouched frame. The check for drift and methods such as "
     "tactile-only compare with it. The simulator removes its object for these frames."
@@ -49,101 +41,46 @@ _NONE: Final = "This preset has no untouched frame yet"
 _UNREAD: Final = "The preset's untouched frame cannot be found: capture it again"
 
 
-@dataclass(frozen=True, eq=False)
-class Captured:
-    """A captured untouched frame that is already saved on disk."""
-
-    average: UntouchedAverage
-    record: UntouchedRecord
-    asked: int
-
-
 class UntouchedPanel(Gather):
     """Averages the next frames while nothing touches the membrane, as one undoable step."""
 
+    wanted = UNTOUCHED_FRAMES
     prompt = "Do not touch the membrane"
-    at_once = True
 
     def __init__(self, context: Context, store: UntouchedStore) -> None:
         self._store = store
-        self.frames = frame_count(
-            MAX_FRAMES,
-            f"Number of frames to average, 1 to {MAX_FRAMES}: the median of each pixel. More frames, less noise; "
-            "the membrane must not move meanwhile",
-            UNTOUCHED_FRAMES,
-        )
         start = push_button("&Capture", "Average the next frames into the untouched frame (Enter)")
         start.setDefault(True)
-        super().__init__(context, start, self.frames, push_button("Use", "Put it into the preset"))
+        super().__init__(context, start)
         self.progress.setAccessibleName("Progress of capturing")
-        self.save = push_button("&Save preset", "Save the preset; the untouched frame is written beside it (Ctrl+S)")
-        self.save.setShortcut("Ctrl+S")
-        self.save.clicked.connect(context.saveRequested)
-        self._clean = self._document.undo_stack.isClean()
-        self._document.undo_stack.cleanChanged.connect(self._note_clean)
         self.sentence.setMinimumHeight(2 * self.sentence.fontMetrics().lineSpacing())
-        row = self.applying_row(self.save)
-        vbox(self.taking_row(caption("A&verage", self.frames)), self.sentence, row, within=self, margins=0)
+        vbox(self.row(), self.sentence, within=self, margins=0)
         self._show_busy()
 
-    def takes_frames(self, info: SourceInfo) -> bool:
-        """Return whether this is no simulator, whose object has to be removed."""
-        return not info.name.startswith("sim:")
-
-    def share(self, kept: Sequence[Any]) -> float:
-        """Return which share of the frames has arrived."""
-        return len(kept) / self.frames.value()
-
     def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
-        """Average the frames; those of the simulator are made here."""
-        asked = self.frames.value()
-        if kept:
-            return lambda progress: self._average(kept[:asked], asked)
-        return partial(self._simulated, info.name, asked)
+        """Average the frames, and keep the average on disk."""
 
-    def _simulated(self, name: str, asked: int, progress: Progress) -> Captured:
-        def third(number: int) -> Progress:
-            return lambda share, words: progress((number + share) / 3, words)
+        def average(_: Progress) -> UntouchedRecord:
+            averaged = average_untouched(kept[: self.wanted])
+            return self._store.keep(averaged.frame, averaged.frames)
 
-        frames: list[SensorFrame] = []
-        with open_source(name, third(0)) as source, frames_to_average(source, asked, third(1)) as shown:
-            for frame in shown:
-                frames.append(frame)
-                third(2)(len(frames) / asked, f"Frame {len(frames)} of {asked}")
-        return self._average(frames, asked)
+        return average
 
-    def _average(self, frames: list[SensorFrame], asked: int) -> Captured:
-        average = average_untouched(frames)
-        return Captured(average, self._store.keep(average.frame, average.frames), asked)
-
-    def show_found(self, found: Captured | None) -> None:
+    def show_found(self, found: UntouchedRecord) -> None:
         """Say what was captured, and the next step."""
-        if found is None or self.info is None:
-            return
-        average = found.average
-        fewer = f" of {found.asked}, because the source has no more" if average.frames < found.asked else ""
-        before, after = (1e3 * self.info.rig.tactile.depth_unit_m * counts for counts in average.noise_counts)
-        noise = f" Noise of the tactile depth: {before:.2f} mm before, {after:.2f} mm after."
+        fewer = " because the source has no more" if found.frames < self.wanted else ""
         self.sentence.setText(
-            f"Captured {counted(average.frames, 'frame')}{fewer}.{'' if math.isnan(before) else noise} "
-            "Save the preset to write the untouched frame beside it."
+            f"Captured {counted(found.frames, 'frame')}{fewer}. "
+            "Save the preset (Ctrl+S in the main window) to write the untouched frame beside it."
         )
 
     def change(self) -> tuple[str, Any]:
         """Return the field and its value."""
-        return "untouched", self.found.record.model_dump()
-
-    def _note_clean(self, clean: bool) -> None:
-        self._clean = clean
-        self._show_undo()
-
-    def _show_undo(self) -> None:
-        super()._show_undo()
-        self.save.setEnabled(not self._clean and not self.busy)
+        return "untouched", self.found.model_dump()
 
 
 class CaptureWindow(QDialog):
-    """Shows the membrane now and in the untouched frame, and captures a new one."""
+    """Shows the untouched frame, and captures a new one; the main window shows the membrane now."""
 
     def __init__(self, context: Context, store: UntouchedStore, keeper: UntouchedKeeper) -> None:
         super().__init__(context.window)
@@ -152,25 +89,17 @@ class CaptureWindow(QDialog):
         self.panel = UntouchedPanel(context, store)
         headline = QLabel("Nothing may touch the membrane")
         make_verdict(headline)
-        self.now = ImagePane("Now, tactile depth")
         self.untouched = ImagePane("Untouched frame, tactile depth")
-        for pane in (self.now, self.untouched):
-            pane.view.setMinimumSize(220, 165)
-            pane.resized.connect(partial(_fit, pane))
+        self.untouched.view.setMinimumSize(220, 165)
+        self.untouched.resized.connect(self._fit)
         self.leave = push_button(
             "Close", "Close this window (Esc); an unsaved untouched frame is kept with the unsaved preset"
         )
         self.leave.clicked.connect(self.reject)
-        images, row = hbox(self.now, self.untouched), hbox(STRETCH, self.leave)
-        vbox(headline, wrapped_label(_ADVICE), (images, 1), self.panel, row, within=self)
-        self.resize(760, 560)
-        self._redraw = QTimer(self)
-        self._redraw.setSingleShot(True)
-        self._redraw.setInterval(_PREVIEW_MS)
-        self._redraw.timeout.connect(self._show_frame)
-        context.frameShown.connect(self._redraw_soon)
+        row = hbox(STRETCH, self.leave)
+        vbox(headline, wrapped_label(_ADVICE), (self.untouched, 1), self.panel, row, within=self)
+        self.resize(560, 560)
         keeper.changed.connect(self._show_untouched)
-        self._show_frame()
         self._show_untouched()
         self.panel.start.setFocus()
 
@@ -186,33 +115,19 @@ class CaptureWindow(QDialog):
         self.panel.close_down()
         super().done(result)
 
-    def _redraw_soon(self) -> None:
-        if not self._redraw.isActive():
-            self._redraw.start()
-
-    def _show_frame(self) -> None:
-        if self._context.result is not None:
-            self._draw(self.now, self._context.result.frame)
-
     def _show_untouched(self) -> None:
-        record, frame = self._context.document.preset.untouched, self._keeper.frame
-        if frame is not None:
-            self._draw(self.untouched, frame)
-        else:
+        record, frame, result = self._context.document.preset.untouched, self._keeper.frame, self._context.result
+        if frame is None or result is None or frame.tactile_depth.shape != result.source.rig.tactile.intrinsics.shape:
             self.untouched.set_pixels(None, (1, 1), 1)
+        else:
+            shown = picture(frame, result.source.rig, "tactile", "depth").pixels
+            self.untouched.set_pixels(shown, (shown.shape[1], shown.shape[0]), 1)
+            self._fit()
         found = frame is not None or self._keeper.busy
         self.untouched.set_message("" if found else _NONE if record is None else _UNREAD)
 
-    def _draw(self, pane: ImagePane, frame: SensorFrame) -> None:
-        result = self._context.result
-        if result is not None and frame.tactile_depth.shape == result.source.rig.tactile.intrinsics.shape:
-            shown = picture(frame, result.source.rig, "tactile", "depth").pixels
-            pane.set_pixels(shown, (shown.shape[1], shown.shape[0]), 1)
-            _fit(pane)
-
-
-def _fit(pane: ImagePane) -> None:
-    pane.show_rect(pane.image_rect())
+    def _fit(self) -> None:
+        self.untouched.show_rect(self.untouched.image_rect())
 
 
 class UntouchedControls(QObject):

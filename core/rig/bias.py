@@ -19,14 +19,13 @@ from ..contact.checks import rig_in_use
 from ..contact.masking import colors_at, in_hsv_range
 from ..contact.membrane.bias import most_frequent_m
 from ..contact.pixels import region_bounds
-from ..errors import minus
 from ..model.arrays import Float32Array
 from ..model.clouds import deproject, pixel_areas_m2, valid_depth
 from ..model.frames import Rig, SensorFrame
 from ..model.robust import spread
 from ..preset import MaskSection, Preset
 
-#: Area of firm contact below which a frame tells nothing about the bias, m^2; .
+#: Area of firm contact below which a frame tells nothing about the bias, m^2.
 MIN_CONTACT_M2: Final = 1e-3
 #: Standard deviation of a bias that was not measured, metres.
 UNKNOWN_BIAS_M: Final = 0.005
@@ -55,17 +54,10 @@ ContactBias = Callable[[SensorFrame], tuple[float, float] | None]
 
 @dataclass(frozen=True)
 class MeasuredBias:
-    """The bias between both cameras.
+    """The bias between both cameras and its standard deviation, metres.
 
-    Attributes
-    ----------
-    bias_m, sigma_m : float
-        Value and standard deviation, metres.
-    origin : {"prints", "contact", "scene", "unknown"}
-    per_m : float
-        Slope per metre of depth, 0 if the range of depth is too small to tell.
-    share : float
-        Of a scene: share of the pixels with both depths that have this bias.
+    ``per_m`` is its slope per metre of depth, 0 if the range of depth is too small to tell; ``share`` is that of a
+    scene's pixels with both depths that have this bias.
     """
 
     bias_m: float
@@ -145,8 +137,7 @@ def print_bias(
     """Return the bias on prints of the mask's colour, where the proximity camera sees the membrane itself, or None.
 
     ``density_m4`` is the noise power per area of the difference of both depths; ``difference_m`` is that of a single
-    frame, where it is known. Raises a `RigMismatchError` if neither
-    preset nor rig has the pose between the cameras.
+    frame, where it is known.
     """
     if not preset.mask.enabled or not frames:
         return None
@@ -213,20 +204,6 @@ def pressed_bias(
     return MeasuredBias(float(np.median(firm[:, 0])), float(np.hypot(noise, floor_m)), "contact")
 
 
-def choose_bias(found: Sequence[MeasuredBias], warn: Callable[[str], None]) -> MeasuredBias:
-    """Return the most certain bias; warn if two disagree."""
-    if not found:
-        return MeasuredBias(0.0, UNKNOWN_BIAS_M, "unknown")
-    best, *others = sorted(found, key=lambda bias: bias.sigma_m)
-    for other in others:
-        if best.contradicts(other):
-            warn(
-                f"Two measurements of the bias disagree: {_numbers(best)} on {best.origin} and {_numbers(other)} on "
-                f"{other.origin}; the first is used. Check the mask and the alignment."
-            )
-    return best
-
-
 def describe_bias(bias: MeasuredBias) -> str:
     """Return the bias in a sentence."""
     if bias.origin == "unknown":
@@ -240,7 +217,3 @@ def describe_bias(bias: MeasuredBias) -> str:
         f"{'farther' if bias.bias_m >= 0 else 'nearer'} than the tactile camera{slope if bias.per_m else ''} "
         f"(measured on {bias.origin})."
     )
-
-
-def _numbers(bias: MeasuredBias) -> str:
-    return minus(f"{1e3 * bias.bias_m:+.1f}") + f" ± {1e3 * bias.sigma_m:.1f} mm"

@@ -8,7 +8,7 @@ Lucas-Kanade.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final, Literal
 
 import cv2
@@ -19,7 +19,7 @@ from ..contact.alignment import make_alignment
 from ..contact.checks import rig_in_use
 from ..contact.kernels.chain import Region
 from ..contact.pipeline import ContactPipeline
-from ..errors import CalibrationError, FrameError, RigMismatchError, minus
+from ..errors import CalibrationError
 from ..model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array, Uint16Array
 from ..model.clouds import ray_table, valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
@@ -54,68 +54,26 @@ _PRESSURE_SHIFT: Final = 0.06
 
 
 @dataclass(frozen=True)
-class DepthChange:
-    """Change of the membrane's depth in one camera, present minus untouched frame; positive is farther away.
-
-    Attributes
-    ----------
-    median_m, spread_m : float
-        Median and robust spread (1.4826 median absolute deviations) over the membrane's pixels, metres.
-    moved_m : float
-        Root mean square of the planar part of the change, metres.
-    pixels : int
-    """
-
-    median_m: float
-    spread_m: float
-    moved_m: float
-    pixels: int
-
-
-@dataclass(frozen=True)
 class MembraneDrift:
-    """Drift of the membrane since the untouched frame was captured.
+    """Drift of the membrane since the untouched frame was captured, and what to do in words.
 
-    Attributes
-    ----------
-    tactile : DepthChange
-    proximity : DepthChange or None
-        None if the proximity camera sees too little of the membrane itself.
-    inflation_m : float
-        Change of the apex's height above the rim, metres; positive is farther from the cameras.
-    verdict : {"fine", "inflation", "camera", "touched"}
-    sentence : str
-        The result in words, with what to do.
-    shift_m : dict of str to float
-        Sideways shift of the texture in the colour image of ``"tactile"`` and ``"proximity"``, metres at the membrane's
-        distance; a camera without enough texture is missing.
+    By how much each camera, ``"tactile"`` and ``"proximity"``, has moved or drifted: the larger of what depth and
+    texture tell; and the shift of the texture alone, metres at the membrane's distance. A camera that sees too little
+    is missing. The inflation is the change of the apex's height above the rim, positive is farther from the cameras.
     """
 
-    tactile: DepthChange
-    proximity: DepthChange | None
+    moved_m: dict[str, float]
+    shift_m: dict[str, float]
     inflation_m: float
     verdict: Verdict
     sentence: str
-    shift_m: dict[str, float] = field(default_factory=dict)
-
-    @property
-    def moved_m(self) -> dict[str, float]:
-        """By how much each camera has moved or drifted, metres: the larger of what depth and texture tell."""
-        depths = {"tactile": self.tactile.moved_m} | ({"proximity": self.proximity.moved_m} if self.proximity else {})
-        return {name: max(depths.get(name, 0.0), self.shift_m.get(name, 0.0)) for name in {**depths, **self.shift_m}}
 
 
 def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouched: SensorFrame) -> MembraneDrift:
     """Compare the present untouched membrane with the untouched frame.
 
-    Raises
-    ------
-    CalibrationError
-        The frames have too few pixels with tactile depth in common.
-    FrameError
-        A frame is of another rig.
-    RigMismatchError
-        Neither preset nor rig has the pose between the cameras.
+    Raises a `CalibrationError` if they have too few pixels with tactile depth in common, a `FrameError` if one is of
+    another rig, and a `RigMismatchError` if neither preset nor rig has the pose between the cameras.
     """
     rig = rig_in_use(preset, rig)
     for one in (frame, untouched):
@@ -134,8 +92,10 @@ def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouch
     plane = fitted[0] + fitted[1] * x + fitted[2] * y
     dented = float(np.mean(np.abs(change - plane - inflation_m * bulge) > _DENT_M))
 
-    proximity = _proximity_change(preset, rig, frame, untouched, inflation_m)
-    shifts = {"proximity": _shift_px(untouched.proximity_color, frame.proximity_color), "tactile": None}
+    planes_m = {"tactile": _rms(plane)}
+    if (proximity_m := _proximity_moved(preset, rig, frame, untouched, inflation_m)) is not None:
+        planes_m["proximity"] = proximity_m
+    shifts = {"proximity": _shift_px(untouched.proximity_color, frame.proximity_color)}
     distance_m = float(np.median(before))
     metres_a_px = {"proximity": distance_m / color_lens(rig).fx, "tactile": distance_m / rig.tactile.intrinsics.fx}
     if untouched.tactile_color is not None and frame.tactile_color is not None:
@@ -145,15 +105,15 @@ def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouch
         for name, shift in shifts.items()
         if shift is not None
     }
-    tactile = _sum_up(change, plane)
-    verdict, sentence = _judge(tactile, proximity, shift_m, inflation_m, dented)
-    return MembraneDrift(tactile, proximity, inflation_m, verdict, sentence, shift_m)
+    verdict, sentence = _judge(planes_m, shift_m, inflation_m, dented)
+    moved_m = {name: max(planes_m.get(name, 0.0), shift_m.get(name, 0.0)) for name in {**planes_m, **shift_m}}
+    return MembraneDrift(moved_m, shift_m, inflation_m, verdict, sentence)
 
 
-def _proximity_change(
+def _proximity_moved(
     preset: Preset, rig: Rig, frame: SensorFrame, untouched: SensorFrame, inflation_m: float
-) -> DepthChange | None:
-    """Return the change where the proximity camera sees the membrane, less inflation that shows; None if too few."""
+) -> float | None:
+    """Return the RMS of the planar change where the proximity camera sees the membrane, less inflation that shows."""
     height, width = rig.proximity.intrinsics.shape
     aligned = make_alignment(preset.alignment, rig).align(
         untouched.proximity_depth, untouched.tactile_depth, Region(0, 0, width, height)
@@ -171,8 +131,7 @@ def _proximity_change(
     bulge = (before - rim) / (apex - rim) if inflation_m else np.zeros_like(before)
     # A tactile camera that moved along its axis looks like inflation, too: the smaller of both motions counts.
     columns = np.column_stack([np.ones_like(x), x, y])
-    planes = [columns @ _fit(of_camera, columns) for of_camera in (change - inflation_m * bulge, change)]
-    return min((_sum_up(change, plane) for plane in planes), key=lambda summed: summed.moved_m)
+    return min(_rms(columns @ _fit(of_camera, columns)) for of_camera in (change - inflation_m * bulge, change))
 
 
 def _changes(
@@ -197,9 +156,8 @@ def _fit(change: Float64Array, columns: Float64Array) -> Float64Array:
     return fitted
 
 
-def _sum_up(change: Float64Array, plane: Float64Array) -> DepthChange:
-    median_m = float(np.median(change))
-    return DepthChange(median_m, spread(change, median_m), float(np.sqrt(np.mean(plane**2))), len(change))
+def _rms(plane: Float64Array) -> float:
+    return float(np.sqrt(np.mean(plane**2)))
 
 
 def _shift_px(before: Uint8Array, now: Uint8Array) -> float | None:
@@ -236,23 +194,18 @@ def _local_contrast(color: Uint8Array) -> Uint8Array:
 
 
 def _judge(
-    tactile: DepthChange,
-    proximity: DepthChange | None,
-    shift_m: dict[str, float],
-    inflation_m: float,
-    dented: float,
+    planes_m: dict[str, float], shift_m: dict[str, float], inflation_m: float, dented: float
 ) -> tuple[Verdict, str]:
     if dented > _DENT_SHARE and shift_m.get("tactile", 0.0) < _FAR_M:
         return "touched", (
             f"Something touches the membrane: {100 * dented:.0f} % of it differs from the untouched frame by more than "
             f"{1e3 * _DENT_M:.0f} mm; remove it and check again."
         )
-    known = {"tactile": tactile} | ({} if proximity is None else {"proximity": proximity})
     moved: dict[str, float] = {}
     for name in ("tactile", "proximity"):
-        depth_m, texture_m = (known[name].moved_m if name in known else 0.0), shift_m.get(name, 0.0)
-        if depth_m > LIMIT_M or texture_m > SHIFT_LIMIT_M:
-            moved[name] = max(depth_m, texture_m)
+        plane_m, texture_m = planes_m.get(name, 0.0), shift_m.get(name, 0.0)
+        if plane_m > LIMIT_M or texture_m > SHIFT_LIMIT_M:
+            moved[name] = max(plane_m, texture_m)
     if moved:
         by = " and ".join(f"{1e3 * metres:.1f} mm" for metres in moved.values())
         cameras = f"The {next(iter(moved))} camera has" if len(moved) == 1 else "Both cameras have"
@@ -266,23 +219,13 @@ def _judge(
             f"{'farther out' if inflation_m > 0 else 'farther in'} than in the untouched frame; inflate it as before, "
             "or capture the untouched frame again."
         )
-    numbers = ", ".join(f"{name} {minus(f'{1e3 * change.median_m:+.2f}')} mm" for name, change in known.items())
-    unseen = "" if proximity else "; not checked: the proximity camera, which sees too little of the membrane itself"
-    return "fine", f"The membrane is as in the untouched frame (median change: {numbers}){unseen}."
+    unseen = "" if "proximity" in planes_m else " The proximity camera sees too little of it to be checked."
+    return "fine", f"The membrane is as in the untouched frame.{unseen}"
 
 
 @dataclass(frozen=True)
 class WatchReport:
-    """Something that changed, or that is as before again.
-
-    Attributes
-    ----------
-    verdict : {"inflation", "camera"}
-    state : {"told", "withdrawn"}
-    time_s : float
-        When it was decided, by the time given to `Watch.look`.
-    sentence : str
-    """
+    """Something that changed, or that is as before again, and when that was decided, by the time of `Watch.look`."""
 
     verdict: Verdict
     state: Literal["told", "withdrawn"]
@@ -294,13 +237,6 @@ class Watch:
     """Compares a rig with the untouched frame while it is used, whenever nothing touches the membrane.
 
     No single frame decides: a change is told once `LOOKS` successive looks agree, and withdrawn in the same way.
-
-    Parameters
-    ----------
-    preset : Preset
-    rig : Rig
-    untouched : SensorFrame or None
-        The preset's untouched frame.
     """
 
     def __init__(self, preset: Preset, rig: Rig, untouched: SensorFrame | None) -> None:
@@ -342,42 +278,3 @@ class Watch:
         if drift.verdict == "fine":
             return WatchReport(before, "withdrawn", time_s, drift.sentence)
         return WatchReport(drift.verdict, "told", time_s, drift.sentence)
-
-
-def touch_doubts(
-    preset: Preset, rig: Rig, membrane: SensorFrame, earlier: SensorFrame | None
-) -> list[tuple[str, bool]]:
-    """Return signs that a membrane said to be untouched is touched: a sentence each, and whether it is certain.
-
-    Parameters
-    ----------
-    preset : Preset
-        Its pipeline should find no contact.
-    rig : Rig
-    membrane : SensorFrame
-        One frame, or the median of several.
-    earlier : SensorFrame or None
-        The preset's current untouched frame.
-    """
-    try:
-        patch = ContactPipeline(preset, rig).process(membrane)
-    except RigMismatchError:  # the preset is for another sensor
-        return []
-    doubts = []
-    if len(patch.points):
-        found = f"the preset finds contact of {patch.area_mm2 / 100:.1f} cm2 on a membrane that should be untouched"
-        if preset.mask.enabled:
-            doubts.append((f"{found}; remove what touches the membrane or is close to it, and capture again", True))
-        else:
-            doubts.append((f"{found}; the mask is off, so these may be its prints, or a touch", False))
-    if earlier is not None:
-        try:
-            touched = compare_with_untouched(preset, rig, membrane, earlier).verdict == "touched"
-        except (CalibrationError, FrameError):  # of another sensor, or without depth
-            touched = False
-        if touched:
-            doubts.append(
-                ("the membrane differs from the preset's current untouched frame by more than 3 mm in places; "
-                 "something touches it now, or did then", False)
-            )  # fmt: skip
-    return doubts

@@ -10,10 +10,9 @@ line for time of flight.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import lru_cache
-from itertools import islice, pairwise
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -27,13 +26,12 @@ from ..model.clouds import valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
 from ..model.robust import spread
 from ..preset import CameraNoise, Preset, RigNoise, now
-from ..sources.base import CameraRole, FrameSource, Progress
-from .bias import ContactBias, MeasuredBias, choose_bias, describe_bias, pressed_bias, print_bias
-from .untouched import TILE_PX, frames_to_average, tile_medians
+from ..sources.base import CameraRole, Progress
+from .bias import UNKNOWN_BIAS_M, ContactBias, MeasuredBias, describe_bias, pressed_bias, print_bias
+from .untouched import TILE_PX, tile_medians
 
-#: Default number of live frames, and upper limit: more take too much memory. Fewest different frames.
+#: Usual number of frames, and fewest different ones.
 NOISE_FRAMES: Final = 60
-MAX_FRAMES: Final = 300
 MIN_FRAMES: Final = 10
 #: Lags of the autocovariances, and candidates for the correlation length, pixels.
 _LAGS: Final = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
@@ -45,8 +43,8 @@ _TILE_PX, _TILE_LENGTHS, _MAX_TILE_PX = 48, 6.0, 144
 _MIN_FILLED, _MIN_SEEN = 0.85, 0.8
 #: What changes and what stays have correlation lengths within this factor.
 _LENGTH_RANGE: Final = 1.3
-#: Smallest side of an image, pixels, largest noise, metres, and smallest share of the image with depth.
-_MIN_SIDE_PX, _MAX_NOISE_M, _MIN_USABLE = 64, 1.0, 0.01
+#: Smallest share of the image with depth.
+_MIN_USABLE: Final = 0.01
 #: Pixels whose noise is larger than the median by this factor are flying pixels at edges.
 _FLYING: Final = 2.5
 #: Residuals beyond this number of robust standard deviations are outliers.
@@ -55,7 +53,7 @@ _TRIM: Final = 5.0
 #: share of the variance has no measurable length.
 _MIN_ERROR, _MIN_CORRELATED = 0.005, 0.01
 #: Movement: the median depth of an image tile differs by more than this share, and by more than a number of standard
-#: errors, in more than this share of the tiles, between these parts of the time; frames that are read of each part.
+#: errors, in more than this share of the tiles, between these parts of the time; frames of each part.
 _MOVED_SHARE, _MOVED_SIGMAS, _MOVED_TILES, _PARTS, _PART_FRAMES = 0.0067, 5.0, 0.03, 4, 8
 #: Fast movement looks like noise. No sensor of the simulator makes the median depth of a tile vary from frame to frame
 #: by half of this share of the depth (standard deviation), except at edges.
@@ -71,14 +69,13 @@ def measure_noise(
     untouched: SensorFrame | None = None,
     progress: Progress | None = None,
     contact_bias: ContactBias | None = None,
-    warn: Callable[[str], None] | None = None,
 ) -> RigNoise:
     """Measure the noise of both cameras and the bias between them.
 
     Parameters
     ----------
     frames : sequence of SensorFrame
-        10 to 300 different frames of a scene at rest, 60 for an accurate result. Depth images are uint16, (H, W), raw
+        At least 10 different frames of a scene at rest, 60 for an accurate result. Depth images are uint16, (H, W), raw
         counts, at least 64 x 64 pixels.
     rig : Rig
     preset : Preset
@@ -90,8 +87,6 @@ def measure_noise(
     contact_bias : callable, optional
         See `ContactBias`; measures the bias where an object is pressed firmly into the membrane. The membrane test's
         own by default.
-    warn : callable, optional
-        Called with sentences on a result that is doubtful.
 
     Returns
     -------
@@ -116,17 +111,9 @@ def measure_noise(
         )
     for frame in (*different, *([untouched] if untouched is not None else [])):
         frame.check_against(rig)
-    for role, camera in (("tactile", rig.tactile), ("proximity", rig.proximity)):
-        if min(camera.intrinsics.shape) < _MIN_SIDE_PX:
-            width, height = camera.intrinsics.shape[::-1]
-            raise FrameError(f"the {role} images have {width} x {height} pixels, too few to measure their noise")
     report(0.0, "Looking for movement")
-    _refuse_movement(different, rig)
-    if warn is not None and all(_same_depth(different[0], frame) for frame in different[1:]):
-        warn(
-            f"all {len(different)} frames have the same depths, so the noise that changes from frame to frame is "
-            "unknown; measure more than one image"
-        )
+    _refuse_movement("tactile", [frame.tactile_depth for frame in different], rig.tactile)
+    _refuse_movement("proximity", [frame.proximity_depth for frame in different], rig.proximity)
     proximity, tactile = depth_noises(different, rig, lambda share, words: report(0.1 + 0.7 * share, words))
     report(0.8, "Measuring the bias")
     density_m4 = proximity.density_m4(rig.proximity.intrinsics.fx) + tactile.density_m4(rig.tactile.intrinsics.fx)
@@ -136,9 +123,8 @@ def measure_noise(
         pressed_bias(some, contact_bias or firm_contact_bias(preset, rig), density_m4),
     ]
     report(1.0, "The noise is measured")
-    bias = choose_bias([bias for bias in found if bias is not None], warn or (lambda sentence: None))
-    if warn is not None and bias.origin == "unknown" and not preset.mask.enabled:
-        warn("the mask is off, so prints on the membrane can't tell the bias; switch it on if there are any")
+    known = [bias for bias in found if bias is not None] or [MeasuredBias(0.0, UNKNOWN_BIAS_M, "unknown")]
+    bias = min(known, key=lambda bias: bias.sigma_m)
     return RigNoise(
         proximity=proximity,
         tactile=tactile,
@@ -149,25 +135,6 @@ def measure_noise(
         measured=now(),
         frames=len(different),
     )
-
-
-def object_moves(source: FrameSource) -> bool:
-    """Whether the source is the simulator with an object that moves; `frames_at_rest` removes it."""
-    from ..sources.simulator.source import SimulatorSource  # on demand: other sources need not wait for it
-
-    return isinstance(source, SimulatorSource) and len(source.scene.drawn) > 1
-
-
-@contextmanager
-def frames_at_rest(
-    source: FrameSource, count: int, progress: Progress | None = None
-) -> Iterator[Iterable[SensorFrame]]:
-    """Yield the next ``count`` frames of a source, fewer if it ends; the simulator's without an object that moves."""
-    if not object_moves(source):
-        yield islice(source, count)
-        return
-    with frames_to_average(source, count, progress) as frames:
-        yield frames
 
 
 def describe(noise: RigNoise) -> list[str]:
@@ -242,8 +209,6 @@ def _camera_noise(
     parts, length_px = _fit_noise(changing, fixed, tile_px, len(depths), lengths)
     white_changing, shared_changing, white_fixed, shared_fixed = parts
     total, shared = sum(parts), shared_changing + shared_fixed
-    if total > _MAX_NOISE_M**2:
-        raise FrameError(f"the noise of the {role} camera is {np.sqrt(total):.3g} m; check that these are depth images")
     if shared <= _MIN_CORRELATED * total:
         length_px = 0.0
     return CameraNoise(
@@ -441,53 +406,29 @@ def _quadratics(tile_px: int) -> Float64Array:
     return np.linalg.qr(columns)[0].reshape(tile_px, tile_px, 6)
 
 
-def _refuse_movement(frames: Sequence[SensorFrame], rig: Rig) -> None:
-    """Raise if the depth of either camera differs between the frames by more than noise."""
-    for role, camera, images in (
-        ("tactile", rig.tactile, [frame.tactile_depth for frame in frames]),
-        ("proximity", rig.proximity, [frame.proximity_depth for frame in frames]),
-    ):
-        bounds = np.linspace(0, len(images), _PARTS + 1).astype(int)
-        found = np.ma.masked_invalid([_resting_depth(images[first:last]) for first, last in pairwise(bounds)])
-        parts, errors, deviations = found.swapaxes(0, 1)
-        known = parts.count(axis=0) > _PARTS // 2
-        if not known.any():
-            continue  # the lack of depth is reported later
-        depth, change = parts.mean(axis=0), np.ma.ptp(parts, axis=0)
-        deviation = np.sqrt(np.mean(deviations**2, axis=0))
-        noise = _MOVED_SIGMAS * np.sqrt(np.mean(errors**2, axis=0))
-        moved = (change > np.maximum(_MOVED_SHARE * depth, noise))[known]
-        share = max(moved.mean(), (deviation > _RESTLESS_SHARE * depth)[known].mean())
-        if share > _MOVED_TILES:
-            most = np.ma.maximum(change, deviation)
-            row, column = divmod(int(most.argmax()), camera.intrinsics.width // TILE_PX)
-            raise FrameError(
-                f"the scene moves: the {role} depth changes in {100 * share:.0f} % of the image, most "
-                f"by {1e3 * camera.depth_unit_m * most.max():.0f} mm near pixel "
-                f"({TILE_PX * column + TILE_PX // 2}, {TILE_PX * row + TILE_PX // 2}); "
-                "hold everything still and measure again"
-            )
-
-
-def _resting_depth(images: Sequence[Uint16Array]) -> Float64Array:
-    """Return the median depth of each image tile over some of the images, its standard error and deviation, counts.
-
-    Shape (3, M); nan where most of the images have no depth.
-    """
-    some = np.array([tile_medians(image) for image in images[:: -(-len(images) // _PART_FRAMES)]])
-    count = np.isfinite(some).sum(axis=0)
-    seen = 2 * count >= len(some)
-    found = np.full((3, some.shape[1]), np.nan)
-    found[0, seen] = np.nanmedian(some[:, seen], axis=0)
-    found[2, seen] = np.nanstd(some[:, seen], axis=0)
-    found[1] = 1.25 * found[2] / np.sqrt(np.maximum(count - 1, 1))  # of a median
-    return found
-
-
-def _same_depth(first: SensorFrame, second: SensorFrame) -> bool:
-    return np.array_equal(first.proximity_depth, second.proximity_depth) and np.array_equal(
-        first.tactile_depth, second.tactile_depth
-    )
+def _refuse_movement(role: CameraRole, images: Sequence[Uint16Array], camera: DepthCamera) -> None:
+    """Raise if the depth differs between the images by more than noise."""
+    some = images[:: max(len(images) // (_PARTS * _PART_FRAMES), 1)]
+    medians = np.array([tile_medians(image) for image in some])
+    parts, steps = np.array_split(medians, _PARTS), np.diff(medians, axis=0)
+    seen = np.all([np.isfinite(part).any(axis=0) for part in (*parts, steps)], axis=0)
+    if not seen.any():
+        return  # the lack of depth is reported later
+    resting = np.array([np.nanmedian(part[:, seen], axis=0) for part in parts])
+    depth, change = resting.mean(axis=0), np.ptp(resting, axis=0)
+    deviation = np.sqrt(np.nanmean(steps[:, seen] ** 2, axis=0) / 2)  # from frame to frame, without slow movement
+    error = 1.25 * deviation / np.sqrt(len(some) / _PARTS)  # of a median
+    moved = change > np.maximum(_MOVED_SHARE * depth, _MOVED_SIGMAS * error)
+    share = max(moved.mean(), (deviation > _RESTLESS_SHARE * depth).mean())
+    if share > _MOVED_TILES:
+        most = np.maximum(change, deviation)
+        row, column = divmod(int(np.flatnonzero(seen)[most.argmax()]), camera.intrinsics.width // TILE_PX)
+        raise FrameError(
+            f"the scene moves: the {role} depth changes in {100 * share:.0f} % of the image, most "
+            f"by {1e3 * camera.depth_unit_m * most.max():.0f} mm near pixel "
+            f"({TILE_PX * column + TILE_PX // 2}, {TILE_PX * row + TILE_PX // 2}); "
+            "hold everything still and measure again"
+        )
 
 
 def _describe_camera(name: str, noise: CameraNoise) -> str:

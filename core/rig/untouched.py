@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from ..calibration.snapshots import content_hash, take_snapshot
-from ..errors import CalibrationError, ExportError, FrameError, PresetError, SourceError
+from ..errors import CalibrationError, FrameError, PresetError, SourceError
 from ..model.arrays import Float64Array, Uint16Array
 from ..model.clouds import valid_depth
 from ..model.files import atomic_path
@@ -24,11 +23,8 @@ from ..model.untouched_archive import frame_from_bytes, untouched_bytes
 from ..preset import Preset, UntouchedRecord
 from ..sources.base import FrameSource, Progress
 
-#: Default and largest number of averaged frames. More take minutes and reduce the noise no further.
+#: Number of averaged frames; more reduce the noise little further.
 UNTOUCHED_FRAMES: Final = 15
-MAX_FRAMES: Final = 1000
-#: Frames per block. When 2 blocks are held, the older one is replaced by its median.
-_BLOCK: Final = 30
 #: Movement: the median depth of image tiles of this side length, pixels, changes by more than a share of the depth
 #: (2 mm at 300 mm) and by more than a number of robust standard deviations of all tiles, in more than a share of them.
 TILE_PX: Final = 16
@@ -40,22 +36,10 @@ _REMEDY: Final = "capture the untouched frame again"
 
 @dataclass(frozen=True, eq=False)
 class UntouchedAverage:
-    """An averaged untouched frame and its noise.
-
-    Attributes
-    ----------
-    frame : SensorFrame
-        The median of each pixel over all frames.
-    frames : int
-        Number of averaged frames.
-    noise_counts : (float, float)
-        Standard deviation of the tactile depth over time, raw counts: of one frame, and of ``frame``. nan for a
-        single frame or without depth.
-    """
+    """The median of each pixel over a number of frames."""
 
     frame: SensorFrame
     frames: int
-    noise_counts: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,28 +51,14 @@ class FoundUntouched:
 
 
 def average_untouched(frames: Iterable[SensorFrame]) -> UntouchedAverage:
-    """Average frames of the untouched membrane: the median of each pixel.
-
-    The median is exact up to 59 frames. Beyond, it is the median of the medians of blocks of 30 frames (Rousseeuw &
-    Bassett 1990, "The remedian"), so at most 60 frames and 33 medians are in memory.
-    """
-    blocks: list[SensorFrame] = []
+    """Average a few frames of the untouched membrane: the median of each pixel."""
     held: list[SensorFrame] = []
-    first: SensorFrame | None = None
-    count = 0
-    for count, frame in enumerate(frames, start=1):
-        if count > MAX_FRAMES:
-            raise CalibrationError(f"an untouched frame is averaged from at most {MAX_FRAMES} frames; ask for fewer")
-        first = first or frame
-        _refuse_movement(first, frame, count)
+    for frame in frames:
         held.append(frame)
-        if len(held) == 2 * _BLOCK:
-            blocks.append(take_snapshot(held[:_BLOCK]).frame)
-            held = held[_BLOCK:]
-    if first is None:
+        _refuse_movement(held[0], frame, len(held))
+    if not held:
         raise CalibrationError("an untouched frame needs at least one frame; the source gave none")
-    parts = [*blocks, take_snapshot(held).frame] if blocks else held
-    return UntouchedAverage(take_snapshot(parts).frame, count, _noise(held, parts))
+    return UntouchedAverage(take_snapshot(held).frame, len(held))
 
 
 def save_untouched(frame: SensorFrame, frames: int, preset_path: Path) -> UntouchedRecord:
@@ -124,12 +94,6 @@ def copy_untouched(record: UntouchedRecord, preset_path: Path, to: Path) -> None
     """Copy a preset's untouched frame beside another preset file, unless it is already there."""
     target = to.parent / record.file
     if target.is_file():
-        try:
-            load_untouched(record, to)
-        except PresetError as error:
-            raise ExportError(
-                f"the untouched frame cannot be written beside {to}, {target} is in the way; remove it"
-            ) from error
         return
     frame = load_untouched(record, preset_path)
     with atomic_path(target) as temporary:
@@ -242,24 +206,3 @@ def _refuse_movement(first: SensorFrame, frame: SensorFrame, number: int) -> Non
             f"the first by up to {100 * farthest:.1f} % of the depth; remove what touches it, wait until its pressure "
             "is constant, and capture again"
         )
-
-
-def _noise(single: list[SensorFrame], parts: list[SensorFrame]) -> tuple[float, float]:
-    """Return the noise of one frame and of the median of all parts, counts; nan for a single part.
-
-    The difference of two frames with noise s has noise sqrt(2) s. The medians of two halves each have sqrt(2) times
-    the noise of the whole, so their difference has twice the noise of the whole.
-    """
-    if len(parts) < 2:
-        return math.nan, math.nan
-    halves = [take_snapshot(parts[start::2]).frame for start in (0, 1)]
-    return _difference(single[0], single[1]) / math.sqrt(2.0), _difference(*halves) / 2.0
-
-
-def _difference(a: SensorFrame, b: SensorFrame) -> float:
-    """Return the RMS difference in tactile depth, counts, without the largest 1 % of differences."""
-    valid = valid_depth(a.tactile_depth) & valid_depth(b.tactile_depth)
-    if not valid.any():
-        return math.nan
-    change = np.abs(a.tactile_depth[valid].astype(np.float64) - b.tactile_depth[valid])
-    return float(np.sqrt(np.mean(change[change <= np.quantile(change, 0.99)] ** 2)))

@@ -5,9 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from PyQt6.QtCore import Qt
-from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QToolButton
 
 from drifted import Drift
 from drifting import AVERAGED, drifted, untouched
@@ -92,32 +89,13 @@ def test_a_moved_camera_is_told_and_the_button_opens_the_re_check(window, moving
     window.calibration.recheck.close()
 
 
-def test_a_dismissed_message_does_not_come_back(window, moving, qtbot):
-    moving.move()
-    look(qtbot, window, moving, LOOKS)
-    [dismiss] = window.messages.message(KEY).findChildren(QToolButton)
-    QTest.mouseClick(dismiss, Qt.MouseButton.LeftButton)
-    look(qtbot, window, moving, 3)
-    assert window.messages.message(KEY) is None
-
-
-def test_it_is_switched_off_in_the_calibration_menu_and_stays_off(window, moving, make_window, qtbot):
+def test_it_is_switched_off_and_stays_off(window, moving, make_window, qtbot):
     action = window.actions_.watch_drift
     assert action.isChecked()
-    menu_click(qtbot, window, action)
+    action.trigger()
     assert not action.isChecked()
     moving.move()
     look(qtbot, window, moving, LOOKS)
     assert window.messages.message(KEY) is None
     window.close_without_asking()
     assert not make_window().actions_.watch_drift.isChecked()
-
-
-def menu_click(qtbot, window, action):
-    """Open the Calibration menu with the mouse and click an entry."""
-    bar = window.menuBar()
-    [top] = [entry for entry in bar.actions() if entry.text() == "&Calibration"]
-    QTest.mouseClick(bar, Qt.MouseButton.LeftButton, pos=bar.actionGeometry(top).center())
-    menu = top.menu()
-    qtbot.waitUntil(menu.isVisible)
-    QTest.mouseClick(menu, Qt.MouseButton.LeftButton, pos=menu.actionGeometry(action).center())

@@ -59,7 +59,6 @@ def test_a_shipped_preset_is_measured_into_another_file(tactune: Tactune, rig: R
     finished = tactune("preset", "measure-rig", "--source", wall, "--out", out)
     assert finished.status == 0
     assert "press an object firmly (10 cm2 or more)" in finished.out
-    assert "the mask is off" in finished.err
     preset = load_preset(out)
     assert (preset.name, preset.noise.bias_from, preset.noise.frames) == ("measured", "unknown", 14)
 

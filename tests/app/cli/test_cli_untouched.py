@@ -55,9 +55,7 @@ def test_a_touched_membrane_is_no_untouched_frame_where_the_mask_hides_the_print
     tactune: Tactune, recording: Path, mine: Path
 ) -> None:
     words = ("preset", "capture-untouched", "--source", recording, "--preset", mine)
-    told = tactune(*words)
-    assert told.status == 0
-    assert "the mask is off, so these may be its prints" in told.err
+    assert tactune(*words).status == 0
     save_preset(Preset(name="mine").with_values({"mask.enabled": True, "mask.hue": (140, 170)}), mine)
     before = mine.read_bytes()
     sentence = tactune(*words).sentence
@@ -65,7 +63,6 @@ def test_a_touched_membrane_is_no_untouched_frame_where_the_mask_hides_the_print
     assert mine.read_bytes() == before
     forced = tactune(*words, "--force")
     assert forced.status == 0
-    assert "finds contact of" in forced.err
     assert load_preset(mine).untouched is not None
 
 

@@ -89,7 +89,7 @@ def test_tidying_keeps_what_unsaved_work_names(store: UntouchedStore, tmp_path: 
 def capture(qtbot, window) -> None:
     window.actions_.capture_untouched.trigger()
     opened = window.untouched.window
-    opened.panel.frames.setValue(3)
+    opened.panel.wanted = 3
     QTest.mouseClick(opened.panel.start, Qt.MouseButton.LeftButton)
     qtbot.waitUntil(lambda: window.document.preset.untouched is not None)
     opened.close()

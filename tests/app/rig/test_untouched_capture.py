@@ -11,7 +11,7 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
 from fakes import FakeCameras, FakeSource, at_rest, tiny_frame
-from hands import CONTROL, CONTROL_SHIFT, LEFT, show_source, type_into
+from hands import CONTROL, CONTROL_SHIFT, LEFT, show_source
 from tactune.app.rig import gather, untouched_window
 from tactune.app.worker.threads import wait_for_abandoned
 from tactune.core.calibration.snapshots import content_hash
@@ -26,9 +26,9 @@ def open_capture(qtbot, window):
 
 
 def capture(qtbot, window, frames=5):
-    """Open the window, type a number of frames, click on Capture and wait."""
+    """Open the window, click on Capture and wait."""
     opened = open_capture(qtbot, window)
-    type_into(opened.panel.frames, str(frames), Qt.Key.Key_Tab)
+    opened.panel.wanted = frames
     QTest.mouseClick(opened.panel.start, LEFT)
     qtbot.waitUntil(lambda: not opened.panel.busy, timeout=60_000)
     return opened
@@ -39,7 +39,6 @@ def test_the_next_frames_become_the_untouched_frame_as_one_step(qtbot, window):
     record = window.document.preset.untouched
     assert record.frames == 5
     assert "Captured 5 frames" in opened.panel.sentence.text()
-    assert opened.panel.save.isEnabled()
     qtbot.waitUntil(lambda: at_rest(window, 3))  # where it stood before
     kept = load_untouched(record, window.document.untouched_home)
     assert np.array_equal(kept.tactile_depth, tiny_frame(3, window.result.source.rig).tactile_depth)
@@ -66,9 +65,7 @@ def test_a_touch_meanwhile_is_refused_in_words(qtbot, window):
     qtbot.waitUntil(lambda: at_rest(window, 2))
 
 
-@pytest.mark.parametrize(
-    ("length", "loop", "ends_at"), [(1, True, None), (3, True, None), (8, False, None), (8, True, 5)]
-)
+@pytest.mark.parametrize(("length", "loop", "ends_at"), [(3, True, None), (8, True, 5)])
 def test_where_a_recording_has_no_more_frames_what_came_is_taken(qtbot, window, monkeypatch, length, loop, ends_at):
     monkeypatch.setattr(gather, "PATIENCE_S", 1.0)
     show_source(qtbot, window, FakeSource(length, name="short", ends_at=ends_at), 0)
@@ -84,7 +81,7 @@ def test_escape_stops_capturing_and_then_closes(qtbot, window):
     show_source(qtbot, window, cameras)
     cameras.run()
     opened = open_capture(qtbot, window)
-    opened.panel.frames.setValue(1000)
+    opened.panel.wanted = 1000
     QTest.keyClick(opened, Qt.Key.Key_Return)
     qtbot.waitUntil(lambda: opened.panel.busy)
     QTest.keyClick(opened, Qt.Key.Key_Escape)
@@ -139,7 +136,7 @@ def test_closing_does_not_wait_for_what_is_still_being_computed(qtbot, window, m
 
     monkeypatch.setattr(untouched_window, "average_untouched", stuck)
     opened = open_capture(qtbot, window)
-    opened.panel.frames.setValue(2)
+    opened.panel.wanted = 2
     QTest.mouseClick(opened.panel.start, LEFT)
     qtbot.waitUntil(begun.is_set)
     QTest.mouseClick(opened.leave, LEFT)

@@ -15,7 +15,7 @@ from tactune.core.calibration.snapshots import take_snapshot
 from tactune.core.errors import CalibrationError, FrameError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
-from tactune.core.rig.drift import INTERVAL_S, Watch, WatchReport, compare_with_untouched, touch_doubts
+from tactune.core.rig.drift import INTERVAL_S, Watch, WatchReport, compare_with_untouched
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 
@@ -93,14 +93,6 @@ def test_a_look_is_due_every_ten_seconds_and_after_the_clock_was_set_back(watch:
     assert not watch.due(109.9)
     assert watch.due(110.0)
     assert watch.due(0.0)
-
-
-def test_a_touch_is_doubted() -> None:
-    rig, pressed = drifted().rig, drifted(press="medium").read(20)
-    assert touch_doubts(PRESET, rig, untouched(), untouched()) == []
-    [(sentence, certain), *_] = touch_doubts(PRESET, rig, pressed, None)
-    assert certain and "cm2" in sentence
-    assert compare_with_untouched(PRESET, rig, pressed, untouched()).verdict == "touched"
 
 
 def test_what_cannot_be_compared_is_refused(watch: Watch) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -61,16 +59,6 @@ def test_what_is_unknown_is_not_claimed(rig, make_frame):
     blind, _ = measure_quality(make_frame(0.0, 0.3), rig, Preset(), REGION)
     verdicts = {reading.title: reading.verdict for reading in blind.readings()}
     assert verdicts == {"Fill rate": Verdict.POOR, "Plane fit": Verdict.UNKNOWN}
-
-
-def test_without_a_pose_the_region_is_cut_to_the_tactile_image(rig, make_frame):
-    lens = rig.tactile.intrinsics.model_copy(update={"width": 60, "height": 40})
-    small = rig.tactile.model_copy(update={"intrinsics": lens})
-    smaller = rig.model_copy(update={"tactile": small, "T_proximity_tactile": None})
-    frame = replace(make_frame(0.3, 0.3), tactile_depth=np.full((40, 60), 3000, np.uint16), tactile_color=None)
-    _, far = measure_quality(frame, smaller, Preset().with_value("alignment.model", "rigid"), (50, 50, 80, 60))
-    assert far.region == (50, 39, 10, 1)
-    assert far.fill_rate == 1.0
 
 
 def test_words_say_the_number_what_is_good_and_the_next_step(rig, make_frame):
