@@ -23,7 +23,7 @@ Record = dict[str, Any]
 AXES: Final = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
 _FILE_BYTES: Final = 10_000_000
 _QUATERNION: Final = ("qx", "qy", "qz", "qw")
-_ERRORS: Final = ("position_error_mm", "angle_error_deg", "full_position_error_mm", "full_angle_error_deg")
+_ERRORS: Final = ("position_error_mm", "angle_error_deg")
 
 
 def pose_record(pose: PoseEstimate, error: PoseError | None = None) -> Record:
@@ -34,14 +34,13 @@ def pose_record(pose: PoseEstimate, error: PoseError | None = None) -> Record:
     record |= dict(zip((*AXES[:3], *_QUATERNION), [*matrix[:3, 3].tolist(), *quaternion.tolist()], strict=True))
     sigmas = np.sqrt(np.diag(pose.covariance)).tolist()
     record |= {f"sigma_{key}": value for key, value in zip(AXES, sigmas, strict=True)}
-    record["free"] = "; ".join(direction.kind for direction in pose.free)
+    record["free"] = pose.free
     record["residual_mm"] = round(1e3 * pose.residual_m, 4) if math.isfinite(pose.residual_m) else ""
     record["overlap"] = round(pose.overlap, 4)
     if error is None:
         return record | dict.fromkeys(_ERRORS, "")
     errors = (1e3 * error.position_m, math.degrees(error.angle_rad))
-    full = (1e3 * error.full_position_m, math.degrees(error.full_angle_rad))
-    return record | {key: round(value, 4) for key, value in zip(_ERRORS, (*errors, *full), strict=True)}
+    return record | {key: round(value, 4) for key, value in zip(_ERRORS, errors, strict=True)}
 
 
 @contextmanager

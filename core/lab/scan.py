@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from ..contact.masking import in_hsv_range
 from ..errors import CalibrationError, MissingExtraError, SourceError, TactuneError
-from ..estimation.mesh_files import load_meshes, merge, triangle_areas
+from ..estimation.object_mesh import load_meshes, merge, triangle_areas
 from ..estimation.pose_files import read_text
 from ..model.arrays import AnyArray, BoolArray, Float64Array, Int32Array, Uint8Array
 from ..model.frames import Matrix4, rigid_transform

@@ -120,10 +120,10 @@ def test_the_loupe_stays_inside_and_off_the_cursor(qtbot):
 
 
 ROWS = [
-    PointRow(pair_at(1, (1, 2), (3, 4), tactile_depth_m=0.3), PairQuality("1", True, 0.1, 0.2, 0.14, 0.3)),
+    PointRow(pair_at(1, (1, 2), (3, 4), tactile_depth_m=0.3), PairQuality("1", True, 0.1, 0.2, 0.14)),
     PointRow(pair_at(2, (5, 6), (7, 8), enabled=False), PairQuality("2")),
     PointRow(
-        pair_at(3, (9, 2), (3, 4), tactile_depth_m=0.29), PairQuality("3", True, 3.0, 4.0, 3.1, 6.0), "look again", True
+        pair_at(3, (9, 2), (3, 4), tactile_depth_m=0.29), PairQuality("3", True, 3.0, 4.0, 3.1), "look again", True
     ),
 ]
 
