@@ -23,6 +23,8 @@ from .detect import detect_chessboard
 PICTURE_ENDINGS: Final = (".png", ".jpg", ".jpeg", ".bmp")
 
 _MIN_PICTURES: Final = 4
+#: The largest angle between two boards must be more than this: parallel boards do not tell focal length from distance.
+_MIN_TILT_DEG: Final = 5.0
 #: Largest RMS distance of corners from where the fitted lens expects them, pixels.
 _MAX_RMS_PX: Final = 1.5
 #: Largest standard deviation of a focal length, as a share of it.
@@ -129,9 +131,12 @@ def fit_lens(folder: Path, columns: int, rows: int, size: tuple[int, int] | None
     board = np.zeros((columns * rows, 3), np.float32)
     board[:, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)
     guess = np.array([[size[0], 0, (size[0] - 1) / 2], [0, size[0], (size[1] - 1) / 2], [0, 0, 1]], np.float64)
-    rms, K, distortion, _, _, deviations, _, _ = cv2.calibrateCameraExtended(
+    rms, K, distortion, turns, _, deviations, _, _ = cv2.calibrateCameraExtended(
         [board] * len(found), found, size, guess, np.zeros(5), flags=cv2.CALIB_FIX_K3 | cv2.CALIB_USE_INTRINSIC_GUESS
     )
+    normals = np.array([cv2.Rodrigues(turn)[0][:, 2] for turn in turns])
+    if (normals @ normals.T).min() > math.cos(math.radians(_MIN_TILT_DEG)):
+        raise CalibrationError(f"{folder}: all boards have the same tilt, so the lens is too uncertain; tilt the board")
     (fx, _, cx), (_, fy, cy), _ = K.tolist()
     focal_sd_px = float(np.ravel(deviations)[0])
     if not (rms <= _MAX_RMS_PX and focal_sd_px <= _MAX_FOCAL_SHARE * fx and fy > 0):
