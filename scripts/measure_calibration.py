@@ -137,7 +137,7 @@ def plane_trial(kind, count, rng):
     tactile = tactile + rng.normal(0, 0.7, tactile.shape)
     unknown = np.full(count, np.nan)
     proximity = proximity + error(proximity) + rng.normal(0, 0.7, tactile.shape)
-    points = PointArrays(tactile, unknown, proximity, np.zeros(count, bool), unknown)
+    points = PointArrays(tactile, unknown, proximity, np.zeros(count, bool))
     return fit_homography(points, RIG), points.places, np.column_stack([places, np.full(len(places), 0.3)]), true
 
 

@@ -111,7 +111,7 @@ def in_sigmas(estimate: PoseEstimate, true: Array, mesh: ObjectMesh) -> list[flo
     error = np.concatenate([estimate.T_proximity_object[:3, 3] - true[:3, 3], mesh.radius_m * angle])
     lengths = np.diag([1.0] * 3 + [mesh.radius_m] * 3)
     values, vectors = np.linalg.eigh(lengths @ estimate.covariance @ lengths)
-    sizes: list[float] = np.abs(vectors.T @ error / np.sqrt(values))[: 6 - len(estimate.free)].tolist()
+    sizes: list[float] = np.abs(vectors.T @ error / np.sqrt(values))[: 6 - estimate.free].tolist()
     return sizes
 
 

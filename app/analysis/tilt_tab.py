@@ -12,8 +12,7 @@ from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QCheckBox, QLabel, QWidget
 
 from ...core.errors import minus
-from ...core.estimation.tilt import MAX_SIGMA_RAD, Tilt, TiltEstimator
-from ...core.estimation.tilt_filter import TiltFilter
+from ...core.estimation.tilt import MAX_SIGMA_RAD, Tilt, TiltEstimator, TiltFilter
 from ...core.model.arrays import Float32Array, Float64Array
 from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_ROW, palette_theme, patch_lut
 from ...widgets.basics.layouts import STRETCH, hbox, splitter, vbox

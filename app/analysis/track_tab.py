@@ -38,7 +38,7 @@ _FILTER: Final = f"Meshes ({' '.join(f'*{suffix}' for suffix in SUFFIXES)})"
 _MODEL_RGB: Final = (24, 120, 230)
 #: A component with a larger standard deviation is not determined, metres and radians.
 _FREE_M, _FREE_RAD = 0.02, 0.3
-_NOBODY: Final = PoseEstimate(0, 0.0, np.eye(4), np.eye(6), (), math.nan, 0.0, lost=True)
+_NOBODY: Final = PoseEstimate(0, 0.0, np.eye(4), np.eye(6), 6, math.nan, 0.0, lost=True)
 #: Points that a model is drawn with, and the number of blues that shade it by its normals.
 _MODEL_POINTS: Final = 9000
 _SHADES: Final = 5

@@ -15,7 +15,6 @@ from ...core.calibration.report import PairQuality
 from ...core.errors import CalibrationError, counted
 from ...core.model.alignment import PointPair, Side
 from ...core.model.arrays import Float64Array
-from ...core.model.clouds import valid_depth
 from ...core.model.frames import Rig
 from ...widgets.images.marks import Mark, MarkKind
 from ..worker.jobs import Job
@@ -28,9 +27,6 @@ MIN_PAIRS = 4
 #: Number of membrane points over which the uncertainty is averaged: enough for a map, fast enough to be instant.
 _MIN_PLACES, _MAX_PLACES = 20, 120
 _GRID_PX = 32
-_WINDOW, _SMOOTH_M = 2, 0.004
-#: A proximity depth counts as measured at contact if it differs from the tactile depth by less than this share.
-_CONTACT_SHARE = 0.06
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +94,7 @@ def fit(state: SessionState, rig: Rig) -> Outcome:
     places = np.concatenate([np.empty((0, 3)), *grids])
     membrane: Float64Array | None = places[:: -(-len(places) // _MAX_PLACES)] if len(places) >= _MIN_PLACES else None
     try:
-        return Outcome(pairs, calibrate(with_contact(state, rig), rig, model=state.choices.model, membrane=membrane))
+        return Outcome(pairs, calibrate(pairs, rig, state.choices.model, membrane=membrane))
     except CalibrationError as error:
         return Outcome(pairs, problem=str(error))
 
@@ -149,12 +145,6 @@ def same_pixels(pair: PointPair, choice: ImageChoice, rig: Rig) -> bool:
     return rig.proximity_color is None or pair.proximity_image == choice
 
 
-def with_contact(state: SessionState, rig: Rig) -> list[PointPair]:
-    """Return the complete pairs with the proximity depth of those that were clicked at contact."""
-    pairs = state.complete_pairs
-    return [pair.model_copy(update={"proximity_depth_m": _contact_m(pair, state, rig)}) for pair in pairs]
-
-
 def with_depth(points: Sequence[PointPair], state: SessionState, rig: Rig, origin: str) -> list[PointPair]:
     """Return imported pairs; a missing tactile depth is read from their snapshot or the current one."""
     pairs = []
@@ -166,21 +156,3 @@ def with_depth(points: Sequence[PointPair], state: SessionState, rig: Rig, origi
             values["tactile_depth_m"] = tactile_depth(at.frame, rig, *point.tactile)
         pairs.append(point.model_copy(update=values))
     return pairs
-
-
-def _contact_m(pair: PointPair, state: SessionState, rig: Rig) -> float | None:
-    """Return the proximity depth under a click in the depth image if it was measured at contact, else None.
-
-    It is the median of a small window without edges and holes.
-    """
-    snapshot = state.snapshot_of(pair)
-    if pair.proximity_image != "depth" or snapshot is None or pair.proximity is None or pair.tactile_depth_m is None:
-        return None
-    counts = snapshot.frame.proximity_depth
-    column, row = (max(round(value) - _WINDOW, 0) for value in pair.proximity)
-    window = counts[row : row + 2 * _WINDOW + 1, column : column + 2 * _WINDOW + 1]
-    depths = window[valid_depth(window)] * rig.proximity.depth_unit_m
-    if len(depths) < (2 * _WINDOW + 1) ** 2 // 2 or np.ptp(depths) > _SMOOTH_M:
-        return None
-    depth = float(np.median(depths))
-    return depth if abs(depth - pair.tactile_depth_m) <= _CONTACT_SHARE * depth else None

@@ -66,11 +66,6 @@ class PointTable(RecordTable):
             ),
             number("Res. px", "Distance in the left image between the click and its fitted place", "residual_px"),
             number("Res. mm", "The residual at the point's depth, millimetres", "residual_mm"),
-            number(
-                "Left out px",
-                "Residual in a fit without this pair, pixels. If much larger than the residual, the fit depends on it",
-                "left_out_px",
-            ),
             Column("Depth mm", depth_mm, "Tactile depth at the right point, millimetres", 1, sample="-0000.00"),
             Column("Note", lambda row: row.note, hint=lambda row: row.note),
         )

@@ -94,15 +94,14 @@ class QualityPage(QWidget):
         )
         for title, value in _MODELS.items():
             self.model.addItem(title, value)
-        self.reason, self.offset, self.warnings = wrapped_label(), wrapped_label(), wrapped_label()
+        self.reason, self.offset, self.residual, self.warnings = (wrapped_label() for _ in range(4))
         self.warnings.setTextFormat(Qt.TextFormat.PlainText)
-        self.numbers = QFormLayout()
         self.coverage = CoverageGrid()
         choice = QFormLayout()
         choice.addRow("&Model", self.model)
         side = QWidget()
         verdict = (self.grade, self.why, self.step, 8, choice, self.reason, self.offset)
-        rest = (8, self.numbers, self.warnings, 8, QLabel("Points over the proximity image"), (self.coverage, 1))
+        rest = (8, self.residual, self.warnings, 8, QLabel("Points over the proximity image"), (self.coverage, 1))
         vbox(*verdict, *rest, within=side)
         hbox((self.map, 3), (scrolling(side), 2), within=self, margins=(8, 8, 8, 4))
         self.model.activated.connect(
@@ -121,17 +120,15 @@ class QualityPage(QWidget):
         """Show a new fit."""
         self._outcome = outcome
         report = outcome.report
-        while self.numbers.rowCount():
-            self.numbers.removeRow(0)
         if report is None:
             self.grade.setText("No calibration yet")
             self.step.setText(outcome.problem or "Click at least four pairs, preferably eight, on the page Points.")
-            for label in (self.why, self.reason, self.offset, self.warnings):
+            for label in (self.why, self.reason, self.offset, self.residual, self.warnings):
                 label.setText("")
             self.coverage.set_coverage([], [])
         else:
             self._show_report(report)
-        for label in (self.why, self.reason, self.offset, self.warnings):
+        for label in (self.why, self.reason, self.offset, self.residual, self.warnings):
             label.setVisible(bool(label.text()))
         self._draw()
 
@@ -153,14 +150,8 @@ class QualityPage(QWidget):
         self.step.setText(f"Next: {report.verdict.removeprefix(judged).strip()}")
         self.reason.setText(report.reason)
         self.offset.setText("" if report.depth_offset is None else report.depth_offset.words())
-        numbers = {"Depth difference at contact": f"{quality.effect.depth_mm:.2f} mm"}
-        if quality.rms_px is None:
-            numbers["Residual, RMS"] = "exact fit, not informative"
-        else:
-            numbers["Residual, RMS"] = f"{quality.rms_px:.2f} px"
-            numbers["Worst residual"] = f"{quality.worst.residual_px:.2f} px (pair {quality.worst.id})"
-        for title, value in numbers.items():
-            self.numbers.addRow(title, QLabel(f"<b>{value}</b>"))
+        exact = "exact fit, not informative"
+        self.residual.setText(f"Residual, RMS: {exact if quality.rms_px is None else f'{quality.rms_px:.2f} px'}")
         self.warnings.setText("\n".join(f"Note: {words}" for words in report.warnings))
         depths = [
             1e3 * pair.tactile_depth_m

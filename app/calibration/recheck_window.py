@@ -15,13 +15,12 @@ from ...core.rig.drift import MembraneDrift, compare_with_untouched
 from ...core.rig.untouched import load_untouched
 from ...widgets.basics.controls import push_button, wrapped_label
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
-from ...widgets.images.marks import ARROW_FACTOR, Mark, MarkKind
+from ...widgets.images.marks import ARROW_FACTOR, Mark
 from ...widgets.images.point_image import PointImage
 from ..worker.jobs import Job
 from .pictures import picture
 
 _CHECKING = "Searching the points in the current frame…"
-_WORST_SHARE = 0.95
 _NO_UNTOUCHED = (
     "The inflation was not checked: this preset has no untouched frame. Capture one while nothing touches the "
     "membrane, with Analysis > Capture untouched frame…"
@@ -59,7 +58,6 @@ class RecheckWindow(QDialog):
         self.drift: Drift | None = None
         self._job = Job(self)
         self.sentence, self.membrane = wrapped_label(_CHECKING, verdict=True), wrapped_label(verdict=True)
-        self.numbers = wrapped_label(selectable=True)
         self.image = PointImage(
             f"Tactile camera: offset of each point from where the calibration expects it, ×{ARROW_FACTOR:.0f}"
         )
@@ -68,7 +66,7 @@ class RecheckWindow(QDialog):
         self.calibrate = push_button("Calibrate…", "Open the calibration wizard")
         leave = push_button("Close", "Close this window")
         row = hbox(STRETCH, self.again, self.calibrate, leave)
-        vbox(self.sentence, self.membrane, self.numbers, (self.image, 1), row, within=self)
+        vbox(self.sentence, self.membrane, (self.image, 1), row, within=self)
         self.resize(760, 720)
         leave.clicked.connect(self.close)
         self._job.done.connect(self._show)
@@ -91,24 +89,11 @@ class RecheckWindow(QDialog):
         self.drift = alignment if isinstance(alignment, Drift) else None
         self.sentence.setText(alignment if isinstance(alignment, str) else alignment.sentence)
         self.membrane.setText(membrane if isinstance(membrane, str) else membrane.sentence)
-        self.numbers.setText("")
-        if self.drift is not None:
-            drift = self.drift
-            again = f"; {drift.found} of {drift.stored} clicked points found again" if drift.stored else ""
-            self.numbers.setText(
-                f"95 % of {len(drift.tactile)} points are off by less than {drift.worst_px:.2f} px{again}."
-            )
         self.image.set_marks([] if self.drift is None else _marks(self.drift))
 
 
 def _marks(drift: Drift) -> list[Mark]:
-    lengths = (drift.offsets_px**2).sum(axis=1) ** 0.5
     return [
-        Mark(
-            str(number),
-            *(float(place[0]), float(place[1])),
-            kind=MarkKind.WORST if length > _WORST_SHARE * drift.worst_px else MarkKind.POINT,
-            arrow=(float(offset[0]), float(offset[1])),
-        )
-        for number, (place, offset, length) in enumerate(zip(drift.tactile, drift.offsets_px, lengths, strict=True))
+        Mark(str(number), float(place[0]), float(place[1]), arrow=(float(offset[0]), float(offset[1])))
+        for number, (place, offset) in enumerate(zip(drift.tactile, drift.offsets_px, strict=True))
     ]

@@ -26,7 +26,7 @@ from ..context import SOURCE, TASK, Context
 from ..document.document import Document
 from ..worker.worker import FrameFeed
 from .check_page import CheckPage
-from .fitting import Fitter, Outcome, at_least, missing_pairs, with_contact, with_depth
+from .fitting import Fitter, Outcome, at_least, missing_pairs, with_depth
 from .frames_page import FramesPage
 from .keeping import Keeper
 from .points_page import PointsPage
@@ -316,7 +316,7 @@ class CalibrationWizard(QDialog):
     def export_points(self, path: Path) -> None:
         """Write the complete pairs to a file."""
         try:
-            write_points(path, with_contact(self.session.state, self.session.rig))
+            write_points(path, self.session.state.complete_pairs)
         except TactuneError as error:
             self.messages.show_message("file", Severity.ERROR, str(error))
             return
@@ -402,7 +402,7 @@ class CalibrationWizard(QDialog):
 def _short(report: CalibrationReport) -> str:
     """Return the verdict in one line: grade and errors; the page Quality says why and what to do next."""
     quality = report.chosen
-    if quality.degrees <= 0:
+    if quality.rms_px is None:
         return report.verdict
     word = grade(quality).partition(":")[0]
     errors = f"{at_least(quality.alignment_px, 'px')}, {at_least(quality.alignment_mm, 'mm')}"

@@ -10,7 +10,6 @@ import typer
 
 from ...core.errors import CalibrationError, FrameError
 from .common import (
-    CliProgress,
     JsonOption,
     UntouchedSource,
     average_frames,
@@ -163,8 +162,7 @@ def _camera(text: str, kind: str, size: tuple[int, int], corners: tuple[int, int
             raise typer.BadParameter(f"{text!r}: write four numbers, fx,fy,cx,cy in px") from error
         return {"model": name, "depth_unit_m": unit_m, "width": size[0], "height": size[1], **numbers}
     else:
-        with CliProgress() as progress:
-            fit = fit_lens(Path(how), *corners, size, progress.preparing)
+        fit = fit_lens(Path(how), *corners, size)
         rejected = f"; rejected: {', '.join(fit.refused)}" if fit.refused else ""
         warn(f"{how}: {fit.used} pictures, {fit.rms_px:.2f} px RMS, fx ± {fit.focal_sd_px:.1f} px{rejected}")
         lens = fit.intrinsics

@@ -313,8 +313,7 @@ def _paint(words: list[str]) -> PaintSettings:
 
 
 def _start_pose(transform: Path | None, pairs: Path | None, unit_m: float) -> Matrix4:
-    from ...core.estimation.pose_files import load_transform
-    from ...core.lab.scan import pose_from_pairs, read_pairs
+    from ...core.lab.scan import load_transform, pose_from_pairs, read_pairs
 
     if (transform is None) == (pairs is None):
         raise TactuneError("give the pose of the scan: either --transform FILE or --pairs FILE.csv")

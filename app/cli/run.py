@@ -49,13 +49,13 @@ MCAP_SUFFIX = ".mcap"
 #: Keys that ``--truth`` adds to a record beside ``touched``, with their units.
 TRUTH_KEYS = {"iou": "", "precision": "", "recall": "", "rmse_mm": " mm"}
 
-Estimate = Literal["tilt", "tilt-filtered", "tilt-pca"]
+Estimate = Literal["tilt", "tilt-filtered"]
 EstimateOption = Annotated[
     Estimate | None,
     typer.Option(
         "--estimate",
-        help="Add roll, pitch and long axis of each patch with their standard deviations: from each frame by the "
-        "measured noise, filtered over time, or by principal components.",
+        help="Add roll, pitch and long axis of each patch with their standard deviations, from each frame alone or "
+        "filtered over time.",
     ),
 ]
 
@@ -173,10 +173,9 @@ def make_tilt(estimate: Estimate | None, preset: Preset, rig: Rig) -> Estimator 
     """Return the function that estimates the tilt of each patch, in the order of the frames; None without one."""
     if estimate is None:
         return None
-    from ...core.estimation.tilt import TiltEstimator
-    from ...core.estimation.tilt_filter import TiltFilter
+    from ...core.estimation.tilt import TiltEstimator, TiltFilter
 
-    estimator = TiltEstimator(preset, rig, "pca" if estimate == "tilt-pca" else "noise")
+    estimator = TiltEstimator(preset, rig)
     filtered = TiltFilter() if estimate == "tilt-filtered" else None
 
     def tilt(patch: ContactPatch, frame: SensorFrame) -> Tilt:

@@ -16,7 +16,7 @@ whitened design Q (orthonormal columns) and the whitened residuals r,
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -41,10 +41,8 @@ _ABSORBED = 3e-3
 _NEGLIGIBLE = 1e-3
 #: A smooth error counts as found from this probability.
 _FOUND = 0.98
-#: Cross-validated residuals this many times those of careful clicks show wrong clicks or a wrong model.
-_SLOPPY = 2.0
 _MAX_CONDITION = 1e6
-_DEPTH_SPAN_M, _DEPTH_STEP_M = 0.010, 1e-4
+_DEPTH_STEP_M = 1e-4
 
 #: What to do about each kind of smooth error.
 _STEPS = {
@@ -60,15 +58,13 @@ class Agreement:
     """A fit whose uncertainty contains smooth errors.
 
     ``probability`` is that of a smooth error, ``cause`` its most likely kind. ``cross_validated_px`` is the RMS
-    residual of regions under the fit of the other pairs, None if they determine no model; ``expected_px`` is the same
-    for independent clicks of the stated noise.
+    residual of regions under the fit of the other pairs, None if they determine no model.
     """
 
     fit: Fit
     probability: float = 0.0
     cause: str = ""
     cross_validated_px: float | None = None
-    expected_px: float = 0.0
     noise_ratio: float = 1.0
     shapes: _Shapes | None = None
     errors: tuple[tuple[str, float, Float64Array], ...] = ()
@@ -79,25 +75,9 @@ class Agreement:
         """Whether the errors are not independent."""
         return self.probability > _FOUND
 
-    @property
-    def sloppy(self) -> bool:
-        """Whether regions left out are several times as far off as careful clicks would be."""
-        return self.cross_validated_px is not None and self.cross_validated_px > _SLOPPY * self.expected_px
-
-    def words(self) -> str:
-        """Return what disagrees, one sentence; empty if nothing does."""
-        if self.found:
-            return "Neighbouring pairs are off in the same direction, which independent clicks are not."
-        if self.sloppy:
-            return (
-                f"Regions left out of the fit are off by {self.cross_validated_px:.1f} px, with careful clicks by "
-                f"{self.expected_px:.1f} px."
-            )
-        return ""
-
     def next_step(self) -> str:
-        """Return what to do about smooth errors, one sentence; empty if there are none."""
-        return _STEPS[self.cause] if self.found else ""
+        """Return what to do about the smooth errors that were found."""
+        return f"Neighbouring pairs are off in the same direction. {_STEPS[self.cause]}"
 
     def sensitivity(self, places: npt.ArrayLike) -> Float64Array:
         """Return the derivative (N, 2, P + K) of the error by unit variates of noise and smooth errors."""
@@ -132,26 +112,22 @@ def judge_agreement(fit: Fit, pairs: Float64Array, places: Float64Array, rig: Ri
     kinds = _weigh(shapes(pairs), rows, basis, rest, residuals.shape, fit.degrees)
     observed = float(rest @ rest) / fit.degrees
     noise = (1.0 - sum(kind.weight for kind in kinds)) * observed + sum(kind.weight * kind.noise for kind in kinds)
-    crossed, expected = _left_out(basis.reshape(design.shape), rest.reshape(residuals.shape), _regions(pairs))
-    made = [
-        Agreement(
-            fit=fit,
-            probability=sum(kind.weight for kind in kinds if kind.cause in _STEPS),
-            cause=max(_STEPS, key=lambda cause: sum(kind.weight for kind in kinds if kind.cause == cause)),
-            cross_validated_px=None if crossed is None else crossed * pixel,
-            expected_px=expected * pixel,
-            noise_ratio=float(np.sqrt(noise / observed)) if observed > 0 else 1.0,
-            shapes=shapes,
-            errors=tuple(
-                (kind.name, pixel * kind.scale * kind.size, kind.absorbed * kind.size / fit.noise_factor)
-                for kind in kinds
-                if kind.weight > _NEGLIGIBLE
-            ),
-            field_is_true=true,
-        )
-        for true in (True, False)
-    ]
-    return max(made, key=lambda one: float((one.sensitivity(places) ** 2).sum()))
+    crossed = _left_out(basis.reshape(design.shape), rest.reshape(residuals.shape), _regions(pairs))
+    of_clicks = Agreement(
+        fit=fit,
+        probability=sum(kind.weight for kind in kinds if kind.cause in _STEPS),
+        cause=max(_STEPS, key=lambda cause: sum(kind.weight for kind in kinds if kind.cause == cause)),
+        cross_validated_px=None if crossed is None else crossed * pixel,
+        noise_ratio=float(np.sqrt(noise / observed)) if observed > 0 else 1.0,
+        shapes=shapes,
+        errors=tuple(
+            (kind.name, pixel * kind.scale * kind.size, kind.absorbed * kind.size / fit.noise_factor)
+            for kind in kinds
+            if kind.weight > _NEGLIGIBLE
+        ),
+    )
+    both = (replace(of_clicks, field_is_true=True), of_clicks)
+    return max(both, key=lambda one: float((one.sensitivity(places) ** 2).sum()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,20 +234,18 @@ def _variance_component(visible: Float64Array, rest: Float64Array, degrees: int)
 
 
 def _regions(pairs: Float64Array) -> list[IndexArray]:
-    """Return the number of each pair's region: parts of the image and of depth, larger ones, single pairs."""
-    u, v, depth = pairs.T
-    quarters = 2 * (u > np.median(u)).astype(np.intp) + (v > np.median(v))
-    deep = np.ptp(depth) > _DEPTH_SPAN_M
-    return [*([2 * quarters + (depth > np.median(depth))] if deep else []), quarters, np.arange(len(pairs))]
+    """Return the number of each pair's region: quarters of the image, or single pairs."""
+    u, v = pairs[:, :2].T
+    return [2 * (u > np.median(u)).astype(np.intp) + (v > np.median(v)), np.arange(len(pairs))]
 
 
-def _left_out(basis: Float64Array, residuals: Float64Array, divisions: list[IndexArray]) -> tuple[float | None, float]:
-    """Return the RMS length of residuals of regions under the fit of the others, and that of unit noise, whitened.
+def _left_out(basis: Float64Array, residuals: Float64Array, divisions: list[IndexArray]) -> float | None:
+    """Return the RMS length of whitened residuals of regions under the fit of the others.
 
     The first division is taken whose regions all leave enough pairs for a fit.
     """
     for label in divisions:
-        squares, expected = 0.0, 0.0
+        squares = 0.0
         for region in np.unique(label):
             own = basis[label == region].reshape(-1, basis.shape[2])
             values, vectors = np.linalg.eigh(np.eye(own.shape[1]) - own.T @ own)
@@ -280,10 +254,9 @@ def _left_out(basis: Float64Array, residuals: Float64Array, divisions: list[Inde
             # (I - Q Q^T)^-1 = I + Q (I - Q^T Q)^-1 Q^T
             inverse = np.eye(len(own)) + (own @ vectors / values) @ (own @ vectors).T
             squares += float(((inverse @ residuals[label == region].ravel()) ** 2).sum())
-            expected += float(np.trace(inverse))
         else:
-            return float(np.sqrt(squares / len(residuals))), float(np.sqrt(expected / len(residuals)))
-    return None, 0.0
+            return float(np.sqrt(squares / len(residuals)))
+    return None
 
 
 def _centred(pixels: Float64Array, shape: tuple[int, int]) -> Float64Array:

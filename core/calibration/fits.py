@@ -26,18 +26,15 @@ from scipy.optimize import least_squares
 from scipy.special import gammaln
 
 from ..errors import CalibrationError
-from ..model.arrays import BoolArray, Float64Array, IndexArray
+from ..model.arrays import BoolArray, Float64Array
 from ..model.frames import Rig
-from .geometry import Alignment, color_pose, mapped, moved, proximity_pixels, ray_seen
+from .geometry import Alignment, clicks_in_depth, ray_seen
 from .points import PointArrays, check_points, listed
 
-#: Standard deviations: of a careful click with magnifier, pixels; of either depth under a click, metres.
-CLICK_SIGMA_PX = 0.7
-_TACTILE_DEPTH_SIGMA_M, _PROXIMITY_DEPTH_SIGMA_M = 0.0005, 0.001
+#: Standard deviations: of a careful click with magnifier, pixels; of the tactile depth under it, metres.
+CLICK_SIGMA_PX, _DEPTH_SIGMA_M = 0.7, 0.0005
 #: Standard deviation of the prior on the offset of the tactile depth, metres; it keeps an undetermined offset finite.
 _OFFSET_SIGMA_M = 0.03
-#: Variance of a distance that was not measured; its weight is negligible.
-_UNMEASURED = 1e12
 #: Steps of the numeric derivatives by places: pixels and metres.
 _PLACE_STEPS = (0.5, 0.5, 1e-4)
 _THETA_STEP = 1e-6
@@ -59,40 +56,29 @@ MIN_INLIER_SHARE = 0.55
 _MAX_CONDITION = 3e4
 #: A pair with a larger residual is an outlier of a rigid model, which is exact, pixels.
 _MAX_RIGID_PX = 12.0
-#: Points off one plane have large residuals without being wrong. Above this share of their extent a homography is
-#: useless.
-_MAX_RMS_SHARE = 0.05
 
 
 class Model(ABC):
     """A model of the alignment with parameters theta (P,), and the pairs that it is fitted to.
 
-    ``sample`` pairs determine theta; ``largest_px`` is the largest residual of an inlier; ``measured`` (N, M) are the
-    clicked proximity pixels, and the distance at contact where any was measured (metres).
+    ``sample`` pairs determine theta; ``largest_px`` is the largest residual of an inlier.
     """
 
     name: ClassVar[str]
     sample: ClassVar[int]
-    largest_px: float
-    measured: Float64Array
+    largest_px: ClassVar[float]
 
     def __init__(self, points: PointArrays, rig: Rig, names: Sequence[str], sigma_px: float) -> None:
-        self.points, self.rig, self.names, self.sigma_px = points, rig, names, sigma_px
-        self.measured = points.proximity
-        self.noise = np.full((len(points), 2), sigma_px**2)
+        self.points, self.rig, self.sigma_px = points, rig, sigma_px
+        self.names = names or [str(number) for number in range(1, len(points) + 1)]
         low, high = points.proximity.min(axis=0), points.proximity.max(axis=0)
         sides = 1.1 * np.maximum(high - low, 1e-12)
-        self.extent_px = float(np.hypot(*sides))
         #: Area over which wrong pairs are distributed, pixels squared.
-        self.area = float(max(sides[0] * sides[1], 0.1 * self.extent_px**2))
+        self.area = float(max(sides[0] * sides[1], 0.1 * (sides @ sides)))
 
     @abstractmethod
     def alignment(self, theta: Float64Array) -> Alignment:
         """Return the alignment of theta."""
-
-    @abstractmethod
-    def seen(self, theta: Float64Array, places: Float64Array) -> Float64Array:
-        """Predict what is measured at a place of each pair (N, 3: tactile pixel and depth), shape (N, M)."""
 
     @abstractmethod
     def proposals(self, noise_px: float) -> list[Float64Array]:
@@ -100,19 +86,19 @@ class Model(ABC):
 
     def prior(self, theta: Float64Array) -> Float64Array:
         """Return whitened residuals of what is known beforehand."""
-        return np.zeros(0)
+        return theta[:0]
 
-    def predict(self, theta: Float64Array, places: npt.ArrayLike) -> Float64Array:
-        """Map places (N, 3) to proximity depth pixels (N, 2)."""
-        return self.alignment(theta).pixels(self.rig, places)
+    def seen(self, theta: Float64Array, places: Float64Array) -> Float64Array:
+        """Predict the clicked proximity pixels (N, 2) from a place of each pair (N, 3: tactile pixel and depth)."""
+        return self.alignment(theta).pixels(self.rig, places, self.points.in_color)
 
     def residuals_px(self, theta: Float64Array) -> Float64Array:
         """Return clicked minus predicted pixel of each pair, shape (N, 2)."""
-        return self.points.proximity - self.seen(theta, self.points.places)[:, :2]
+        return self.points.proximity - self.seen(theta, self.points.places)
 
     def covariances(self, theta: Float64Array) -> Float64Array:
-        """Return the covariance of each pair's residual, shape (N, M, M)."""
-        known = np.array([self.sigma_px, self.sigma_px, _TACTILE_DEPTH_SIGMA_M])
+        """Return the covariance of each pair's residual, shape (N, 2, 2)."""
+        known = np.array([self.sigma_px, self.sigma_px, _DEPTH_SIGMA_M])
         by_place = np.stack(
             [
                 (self.seen(theta, self.points.places + step) - self.seen(theta, self.points.places - step))
@@ -122,17 +108,15 @@ class Model(ABC):
             axis=2,
         )
         spread = by_place * known
-        noise = np.zeros((*self.noise.shape, self.noise.shape[1]))
-        noise[:, range(self.noise.shape[1]), range(self.noise.shape[1])] = self.noise
-        return np.asarray(noise + spread @ spread.transpose(0, 2, 1))
+        return np.asarray(self.sigma_px**2 * np.eye(2) + spread @ spread.transpose(0, 2, 1))
 
     def noise_px(self, theta: Float64Array) -> float:
         """Return the stated noise of a residual, one direction, pixels."""
-        return float(np.sqrt(np.median(np.trace(self.covariances(theta)[:, :2, :2], axis1=1, axis2=2)) / 2))
+        return float(np.sqrt(np.median(np.trace(self.covariances(theta), axis1=1, axis2=2)) / 2))
 
 
 class HomographyModel(Model):
-    """The homography of one plane.
+    """The homography of one plane, to clicks in the depth image.
 
     Theta holds the matrix without its lower right entry, 1, between coordinates with centroid 0 and mean distance
     sqrt(2).
@@ -140,22 +124,15 @@ class HomographyModel(Model):
 
     name = "homography"
     sample = 4
+    largest_px = np.inf
 
     def __init__(self, points: PointArrays, rig: Rig, names: Sequence[str], sigma_px: float) -> None:
-        # neither depth counts
-        points = PointArrays(
-            points.tactile, np.zeros(len(points)), points.proximity, np.zeros(len(points), bool), np.zeros(len(points))
-        )
         super().__init__(points, rig, names, sigma_px)
-        self.largest_px = np.inf
         self.to_normal, self.from_normal = _normalising(points.tactile), np.linalg.inv(_normalising(points.proximity))
 
     def alignment(self, theta: Float64Array) -> Alignment:
         H = self.from_normal @ np.append(theta, 1.0).reshape(3, 3) @ self.to_normal
         return Alignment(homography=H / H[2, 2] if abs(H[2, 2]) > 1e-12 * np.abs(H[2]).max() else H)
-
-    def seen(self, theta: Float64Array, places: Float64Array) -> Float64Array:
-        return mapped(self.alignment(theta).homography, places[:, :2])
 
     def proposals(self, noise_px: float) -> list[Float64Array]:
         tactile, proximity = self.points.tactile, self.points.proximity
@@ -182,32 +159,25 @@ class RigidModel(Model):
 
     name = "rigid alignment"
     sample = 3
+    largest_px = _MAX_RIGID_PX
 
     def __init__(self, points: PointArrays, rig: Rig, names: Sequence[str], sigma_px: float, offset: bool) -> None:
         super().__init__(points, rig, names, sigma_px)
-        self.largest_px, self.offset = _MAX_RIGID_PX, offset
+        self.offset = offset
         self.space = Alignment(np.eye(4)).points_m(rig, points.places)
-        contact = np.isfinite(points.proximity_depth_m)
-        if contact.any():
-            self.measured = np.column_stack([points.proximity, np.where(contact, points.proximity_depth_m, 0.0)])
-            variance = np.where(contact, _PROXIMITY_DEPTH_SIGMA_M**2, _UNMEASURED)
-            self.noise = np.column_stack([self.noise, variance])
 
     def alignment(self, theta: Float64Array) -> Alignment:
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(theta[:3])[0], theta[3:6]
         return Alignment(pose, offset_m=float(theta[6]) if self.offset else 0.0)
 
-    def seen(self, theta: Float64Array, places: Float64Array) -> Float64Array:
-        points = self.alignment(theta).points_m(self.rig, places)
-        pixels = proximity_pixels(self.rig, points, self.points.in_color)
-        return pixels if self.noise.shape[1] == 2 else np.column_stack([pixels, points[:, 2]])
-
     def prior(self, theta: Float64Array) -> Float64Array:
         return theta[6:] / _OFFSET_SIGMA_M
 
     def proposals(self, noise_px: float) -> list[Float64Array]:
-        rays, focal = self._rays_of_depth_camera(), self.rig.proximity.intrinsics.fx
+        # clicks in colour are taken to be at the tactile distance, which is exact enough for a proposal
+        clicked = clicks_in_depth(self.rig, self.points.proximity, self.points.in_color, self.space)
+        rays, focal = ray_seen(self.rig.proximity.intrinsics, clicked), self.rig.proximity.intrinsics.fx
         found = []
         try:
             all_pairs, turn, shift = cv2.solvePnP(self.space, rays, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
@@ -223,24 +193,12 @@ class RigidModel(Model):
             pass
         return [np.concatenate([turn.ravel(), shift.ravel(), [0.0] * self.offset]) for turn, shift in found]
 
-    def _rays_of_depth_camera(self) -> Float64Array:
-        """Map clicks to rays of the depth camera; those in colour at the tactile distance, which is exact enough."""
-        depth = self.points.tactile_depth_m[:, None]
-        rays = ray_seen(self.rig.proximity.intrinsics, self.points.proximity)
-        if self.rig.proximity_color is None or not self.points.in_color.any():
-            return rays
-        in_color = np.column_stack(
-            [ray_seen(self.rig.proximity_color.intrinsics, self.points.proximity) * depth, depth]
-        )
-        at = moved(np.linalg.inv(color_pose(self.rig)), in_color)
-        return np.ascontiguousarray(np.where(self.points.in_color[:, None], at[:, :2] / at[:, 2:], rays))
-
 
 @dataclass(frozen=True, eq=False)
 class Fit:
     """A fitted model with its statistics.
 
-    ``used`` (N,) are the inliers, ``whitening`` (N, M, M) makes each pair's residual one of unit noise, ``cost`` is the
+    ``used`` (N,) are the inliers, ``whitening`` (N, 2, 2) makes each pair's residual one of unit noise, ``cost`` is the
     squared length of the inliers' whitened residuals, ``degrees`` the number of measurements minus that of parameters.
     """
 
@@ -279,29 +237,28 @@ class Fit:
 
     @cached_property
     def design(self) -> Float64Array:
-        """Derivative of the whitened predictions of all pairs by theta, shape (N, M, P)."""
+        """Derivative of the whitened predictions of all pairs by theta, shape (N, 2, P)."""
         by_theta = derivative(lambda theta: self.model.seen(theta, self.model.points.places), self.theta)
         return np.asarray(self.whitening @ by_theta)
 
     @cached_property
-    def _information(self) -> Float64Array:
-        rows = self.design[self.used].reshape(-1, len(self.theta))
-        by_prior = derivative(self.model.prior, self.theta)
-        return np.asarray(rows.T @ rows + by_prior.T @ by_prior)
+    def _scaled(self) -> tuple[Float64Array, Float64Array]:
+        """The design of the inliers and the prior with columns of unit length (van der Sluis 1969), and the factors."""
+        rows = [self.design[self.used].reshape(-1, len(self.theta)), derivative(self.model.prior, self.theta)]
+        scale = 1.0 / np.maximum(np.linalg.norm(np.concatenate(rows), axis=0), 1e-150)
+        return np.concatenate(rows) * scale, scale
 
     @property
     def condition(self) -> float:
-        """Condition number of the design, its columns scaled to unit length (van der Sluis 1969)."""
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(self._information), 1e-300))
-        values = np.linalg.eigvalsh(self._information * scale[:, None] * scale)
-        return float(np.sqrt(values[-1] / values[0])) if values[0] > 0 else float("inf")
+        """Condition number of the scaled design."""
+        return float(np.linalg.cond(self._scaled[0]))
 
     @cached_property
     def stated_covariance(self) -> Float64Array:
         """Covariance of theta under the stated noise, shape (P, P)."""
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(self._information), 1e-300))
-        inverse = np.linalg.pinv(self._information * scale[:, None] * scale, rcond=1e-15, hermitian=True)
-        return np.asarray(inverse * scale[:, None] * scale)
+        rows, scale = self._scaled
+        inverse = scale[:, None] * np.linalg.pinv(rows)
+        return np.asarray(inverse @ inverse.T)
 
     @property
     def covariance(self) -> Float64Array:
@@ -315,26 +272,8 @@ class Fit:
         return float(np.sqrt(variances[:3].sum())), float(np.sqrt(variances[3:6].sum()))
 
     def whitened_residuals(self) -> Float64Array:
-        """Return the residuals of all pairs with unit noise, shape (N, M)."""
-        off = self.model.measured - self.model.seen(self.theta, self.model.points.places)
-        return np.asarray((self.whitening @ off[:, :, None])[:, :, 0])
-
-    def left_out_residuals_px(self) -> Float64Array:
-        """Return each pair's residual (N, 2) under the fit of the other pairs; nan if they determine no model.
-
-        Cook and Weisberg, *Residuals and Influence in Regression*, section 2.2.
-        """
-        found = self.residuals_px.copy()
-        whitened = self.whitened_residuals()
-        for i in np.flatnonzero(self.used):
-            leverage = self.design[i] @ self.stated_covariance @ self.design[i].T
-            rest = np.eye(len(leverage)) - leverage
-            known = np.linalg.cond(rest) < 1e9
-            grown = (
-                np.linalg.solve(self.whitening[i], np.linalg.solve(rest, whitened[i])) if known else np.full(2, np.nan)
-            )
-            found[i] = grown[:2]
-        return found
+        """Return the residuals of all pairs with unit noise, shape (N, 2)."""
+        return np.asarray((self.whitening @ self.residuals_px[:, :, None])[:, :, 0])
 
     def predict(self, places: npt.ArrayLike) -> Float64Array:
         """Map places (tactile u, v, and depth where it counts) to proximity depth pixels (N, 2)."""
@@ -345,7 +284,7 @@ class Fit:
 
         Whitened parameters have unit covariance, so ``J J^T`` is the covariance of the prediction.
         """
-        by_theta = derivative(lambda theta: self.model.predict(theta, places), self.theta)
+        by_theta = derivative(lambda theta: self.model.alignment(theta).pixels(self.model.rig, places), self.theta)
         return np.asarray(by_theta @ np.linalg.cholesky(self.covariance))
 
     def distance_sensitivity(self, places: npt.ArrayLike) -> Float64Array:
@@ -367,13 +306,8 @@ def fit_homography(points: PointArrays, rig: Rig, *, use: BoolArray | None = Non
     ``use`` are the inliers, if already known; ``names`` those of the pairs in messages.
     """
     check_points(points, HomographyModel.sample, "homography", tactile=points.tactile, proximity=points.proximity)
-    model = HomographyModel(points, rig, names or _numbers(points), CLICK_SIGMA_PX)
-    fit = _fit_robustly(model, use)
-    if fit.rms_px > _MAX_RMS_SHARE * model.extent_px:
-        raise _no_agreement(model)
-    places = points.places[fit.used]
-    by_pixel = [fit.predict(places + step) - fit.predict(places - step) for step in 0.5 * np.eye(3)[:2]]
-    if not (np.linalg.det(np.stack(by_pixel, axis=2)) > 0).all():
+    fit = _fit_robustly(HomographyModel(points, rig, names, CLICK_SIGMA_PX), use)
+    if np.linalg.det(np.asarray(fit.alignment.homography)) < 0:
         raise CalibrationError(
             "the points run around in opposite senses in both images: one image is mirrored, or partners are swapped; "
             "flip the image or click the pairs again"
@@ -394,25 +328,22 @@ def fit_rigid(
     ``sigma_px`` is the noise of a click, ``offset`` whether an offset of the tactile depth is fitted, too.
     """
     check_points(points, 4 + offset, RigidModel.name, tactile=Alignment(np.eye(4)).points_m(rig, points.places))
-    return _fit_robustly(RigidModel(points, rig, names or _numbers(points), sigma_px, offset), None)
-
-
-def _numbers(points: PointArrays) -> list[str]:
-    return [str(number) for number in range(1, len(points) + 1)]
+    return _fit_robustly(RigidModel(points, rig, names, sigma_px, offset), None)
 
 
 def _fit_robustly(model: Model, use: BoolArray | None) -> Fit:
     """Fit a model to the inliers with the largest evidence, or to given ones."""
     count = len(model.points)
     starts = model.proposals(np.sqrt(2) * model.sigma_px)
+    if not starts:
+        raise CalibrationError(
+            f"the points determine no {model.name}: they lie on one line or on each other; spread them out"
+        )
     if use is None and count == model.sample:
         use = np.ones(count, bool)
-    best: tuple[float, Float64Array, BoolArray] | None = None
-    for start in starts:
+    best: tuple[float, Float64Array, BoolArray] | None = None if use is None else (0.0, starts[0], use)
+    for start in starts if use is None else ():
         theta = start
-        if use is not None:
-            best = (0.0, theta, use)
-            break
         for _ in range(_ROUNDS):
             evidence, used = _likeliest(model, theta)
             if not np.isfinite(evidence) or (best is not None and np.array_equal(used, best[2])):
@@ -426,10 +357,6 @@ def _fit_robustly(model: Model, use: BoolArray | None) -> Fit:
             if np.isfinite(evidence) and (best is None or evidence > best[0]):
                 best = (evidence, theta, again)
     if best is None:
-        if not starts:
-            raise CalibrationError(
-                f"the points determine no {model.name}: they lie on one line or on each other; spread them out"
-            )
         raise _no_agreement(model)
     evidence, theta, used = best
     fit = _solve(model, theta, used)
@@ -458,52 +385,43 @@ def _volume(fit: Fit) -> float:
 
 
 def _likeliest(model: Model, theta: Float64Array) -> tuple[float, BoolArray]:
-    """Return the largest log evidence of the k nearest pairs being right, and which they are."""
-    noise_px, size = model.noise_px(theta), model.sample
-    with np.errstate(all="ignore"):
-        off = np.nan_to_num(np.abs(model.measured - model.seen(theta, model.points.places)), nan=np.inf)
-        squares = (off[:, :2] ** 2).sum(axis=1) / noise_px**2 + (off[:, 2:] ** 2 / model.noise[:, 2:]).sum(axis=1)
-    order = np.argsort(squares, kind="stable")
-    nearest = np.hypot(*off[order, :2].T)
-    k = np.arange(size + 1, len(nearest) + 1)
-    cost = np.cumsum(squares[order])[size:]
-    evidence = _log_evidence(len(nearest), k, size, cost, noise_px)
-    allowed = np.maximum.accumulate(nearest)[size:] <= model.largest_px
-    evidence[~(allowed & np.isfinite(evidence))] = -np.inf
-    best = int(evidence.argmax())
-    used = np.zeros(len(nearest), bool)
-    used[order[: k[best]]] = True
-    return float(evidence[best]), used
+    """Return the largest log evidence of the k nearest pairs being right against all being wrong, and which they are.
 
-
-def _log_evidence(count: int, k: IndexArray, size: int, cost: Float64Array, noise_px: float) -> Float64Array:
-    """Return the log evidence of k of ``count`` pairs being right against all being wrong.
-
-    Every number of wrong pairs is equally likely; ``size`` pairs determine the model.
+    ``model.sample`` pairs determine the model; every number of wrong pairs is equally likely.
     """
+    noise_px, size, count = model.noise_px(theta), model.sample, len(model.points)
+    with np.errstate(all="ignore"):
+        away = np.nan_to_num(np.hypot(*model.residuals_px(theta).T), nan=np.inf)
+        order = np.argsort(away, kind="stable")
+        nearest = away[order]
+        cost = np.cumsum((nearest / noise_px) ** 2)[size:]
+    k = np.arange(size + 1, count + 1)
     half, total = _STATED_DEGREES / 2, _STATED_DEGREES / 2 + (k - size)
     student = gammaln(total) - gammaln(half) - (total - half) * np.log(half)
     student -= total * np.log1p(cost / _STATED_DEGREES)
     choices = gammaln(count + 1) - gammaln(k + 1) - gammaln(count - k + 1)
-    return np.asarray((k - size) * np.log(_WRONG_PX**2 / (2 * noise_px**2)) + student - choices)
+    evidence = (k - size) * np.log(_WRONG_PX**2 / (2 * noise_px**2)) + student - choices
+    evidence[~((nearest[size:] <= model.largest_px) & np.isfinite(evidence))] = -np.inf
+    best = int(evidence.argmax())
+    used = np.zeros(count, bool)
+    used[order[: k[best]]] = True
+    return float(evidence[best]), used
 
 
 def _solve(model: Model, start: Float64Array, used: BoolArray) -> Fit | None:
     """Fit the used pairs by least squares from an initial theta; None if they determine nothing."""
-    places = model.points.places
     with np.errstate(all="ignore"):
         try:
             whitening = np.linalg.inv(np.linalg.cholesky(model.covariances(start)))
 
             def residuals(theta: Float64Array) -> Float64Array:
-                off = (model.measured - model.seen(theta, places))[used]
+                off = model.residuals_px(theta)[used]
                 return np.append((whitening[used] @ off[:, :, None]).ravel(), model.prior(theta))
 
             found = least_squares(residuals, start, jac="3-point", method="lm", x_scale="jac", max_nfev=2000)
         except (ValueError, np.linalg.LinAlgError):  # not finite, or fewer measurements than parameters
             return None
-    measured = int((model.noise[used] < _UNMEASURED).sum())
-    return Fit(model, found.x, used, whitening, float(2 * found.cost), measured - len(start))
+    return Fit(model, found.x, used, whitening, float(2 * found.cost), 2 * int(used.sum()) - len(start))
 
 
 def _no_agreement(model: Model, fit: Fit | None = None) -> CalibrationError:
@@ -511,7 +429,7 @@ def _no_agreement(model: Model, fit: Fit | None = None) -> CalibrationError:
     count = len(model.points)
     found = f"the {count} pairs agree on no {model.name}: none explains them better than chance"
     if fit is not None and not fit.used.all():
-        wrong = listed([name for name, used in zip(model.names, fit.used, strict=True) if not used], 8)
+        wrong = listed([name for name, used in zip(model.names, fit.used, strict=True) if not used])
         far = np.hypot(*fit.residuals_px[~fit.used].T).max()
         found = (
             f"only {int(fit.used.sum())} of the {count} pairs agree on one {model.name}, and {wrong} "

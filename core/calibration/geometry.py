@@ -74,16 +74,10 @@ def clicks_in_depth(rig: Rig, clicked: Float64Array, in_color: BoolArray, points
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """Where the proximity camera sees what the tactile camera sees: by a pose, or by the homography of one plane.
+    """Where the proximity camera sees what the tactile camera sees.
 
-    Attributes
-    ----------
-    pose : float64 (4, 4) or None
-        ``T_p_t``, metres; None for a homography.
-    homography : float64 (3, 3) or None
-        ``H_p_t``, tactile to proximity depth pixels.
-    scale, offset_m : float
-        Corrected tactile depth = scale * raw + offset.
+    Either by a pose ``T_p_t`` (4, 4), metres, or by the homography ``H_p_t`` (3, 3) of one plane, tactile to proximity
+    depth pixels. The corrected tactile depth is scale * raw + offset.
     """
 
     pose: Float64Array | None = None

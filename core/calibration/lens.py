@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -78,10 +78,8 @@ def make_rig(cameras: Mapping[str, dict[str, Any]]) -> Rig:
     if "proximity_color" in data:
         data["proximity_color"] = data["proximity_color"] | {"T_color_depth": np.eye(4).tolist()}
     rig = parse_rig(data, "rig.json")
-    check_lens(rig.proximity.intrinsics, "proximity camera")
-    check_lens(rig.tactile.intrinsics, "tactile camera")
-    if rig.proximity_color is not None:
-        check_lens(rig.proximity_color.intrinsics, "proximity colour camera")
+    for name in data:
+        check_lens(getattr(rig, name).intrinsics, f"{name.replace('_color', ' colour')} camera")
     return rig
 
 
@@ -101,13 +99,7 @@ class LensFit:
     refused: Mapping[str, str]
 
 
-def fit_lens(
-    folder: Path,
-    columns: int,
-    rows: int,
-    size: tuple[int, int] | None = None,
-    progress: Callable[[float, str], None] = lambda share, words: None,
-) -> LensFit:
+def fit_lens(folder: Path, columns: int, rows: int, size: tuple[int, int] | None = None) -> LensFit:
     """Fit a lens to the pictures of a chessboard in a folder (Zhang's method, OpenCV's ``calibrateCamera``).
 
     The board has ``columns`` x ``rows`` inner corners, is whole and at different tilts; the size of its squares does
@@ -120,8 +112,7 @@ def fit_lens(
         raise CalibrationError(f"cannot list {folder}: {error.strerror or error}; choose another folder") from error
     found: list[AnyArray] = []
     refused: dict[str, str] = {}
-    for done, path in enumerate(paths):
-        progress(0.9 * done / len(paths), f"{path.name}: looking for the chessboard")
+    for path in paths:
         try:
             picture = decode_image(read_file(path), gray=True)
             height, width = picture.shape[:2]
@@ -129,33 +120,14 @@ def fit_lens(
             if (width, height) != size:
                 raise CalibrationError(f"it has {width} x {height} pixels, but {size[0]} x {size[1]} are needed")
             found.append(detect_chessboard(picture, columns, rows).astype(np.float32))
-        except (OSError, ValueError) as error:
-            refused[path.name] = f"cannot be read ({error})"
-        except CalibrationError as error:
+        except (OSError, ValueError, CalibrationError) as error:
             refused[path.name] = str(error)
     if len(found) < _MIN_PICTURES or size is None:
-        why = f" ({name}: {sentence})" if (name := next(iter(refused), "")) and (sentence := refused[name]) else ""
+        why = "".join(f" ({name}: {sentence})" for name, sentence in list(refused.items())[:1])
         raise CalibrationError(
             f"{folder}: a whole chessboard of {columns} x {rows} inner corners is in {len(found)} of {len(paths)} "
             f"pictures, but {_MIN_PICTURES} are needed{why}"
         )
-    progress(0.9, "fitting the lens")
-    fit = _fit(found, columns, rows, size, refused)
-    if fit.rms_px > _MAX_RMS_PX:
-        raise CalibrationError(
-            f"{folder}: the corners miss the fitted lens by {fit.rms_px:.1f} px (RMS), more than {_MAX_RMS_PX:g} px; "
-            "check that the board is flat, that its size is right and that one camera took all pictures"
-        )
-    if not fit.focal_sd_px <= _MAX_FOCAL_SHARE * fit.intrinsics.fx:
-        raise CalibrationError(
-            f"{folder}: fx is {fit.intrinsics.fx:.0f} ± {fit.focal_sd_px:.0f} px, too uncertain; add pictures with "
-            "the board tilted in other directions"
-        )
-    check_lens(fit.intrinsics, str(folder))
-    return fit
-
-
-def _fit(found: list[AnyArray], columns: int, rows: int, size: tuple[int, int], refused: dict[str, str]) -> LensFit:
     board = np.zeros((columns * rows, 3), np.float32)
     board[:, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)
     guess = np.array([[size[0], 0, (size[0] - 1) / 2], [0, size[0], (size[1] - 1) / 2], [0, 0, 1]], np.float64)
@@ -164,21 +136,24 @@ def _fit(found: list[AnyArray], columns: int, rows: int, size: tuple[int, int], 
     )
     normals = np.array([cv2.Rodrigues(turn)[0][:, 2] for turn in turns])
     if (normals @ normals.T).min() > math.cos(math.radians(_MIN_TILT_DEG)):
+        raise CalibrationError(f"{folder}: all boards have the same tilt, so the lens is too uncertain; tilt the board")
+    (fx, _, cx), (_, fy, cy), _ = K.tolist()
+    focal_sd_px = float(np.ravel(deviations)[0])
+    if not (rms <= _MAX_RMS_PX and focal_sd_px <= _MAX_FOCAL_SHARE * fx and fy > 0):
         raise CalibrationError(
-            f"all boards have the same tilt to {_MIN_TILT_DEG:g} degrees, so the lens is too uncertain; add pictures "
-            "with the board tilted in other directions"
+            f"{folder}: the corners miss the fitted lens by {rms:.1f} px (RMS), and fx is {fx:.0f} ± {focal_sd_px:.0f} "
+            "px, too uncertain; check that the board is flat and that one camera took all pictures, and tilt the board "
+            "in other directions"
         )
-    try:
-        lens = Intrinsics(
-            width=size[0],
-            height=size[1],
-            fx=float(K[0, 0]),
-            fy=float(K[1, 1]),
-            cx=float(K[0, 2]),
-            cy=float(K[1, 2]),
-            distortion=Distortion.BROWN_CONRADY,
-            coefficients=tuple(float(value) for value in np.ravel(distortion)[:5]),
-        )
-    except ValueError as error:
-        raise CalibrationError(f"the pictures give no possible lens ({error}); tilt the board between them") from error
-    return LensFit(lens, float(rms), float(np.ravel(deviations)[0]), len(found), refused)
+    lens = Intrinsics(
+        width=size[0],
+        height=size[1],
+        fx=fx,
+        fy=fy,
+        cx=cx,
+        cy=cy,
+        distortion=Distortion.BROWN_CONRADY,
+        coefficients=tuple(np.ravel(distortion)[:5].tolist()),
+    )
+    check_lens(lens, str(folder))
+    return LensFit(lens, float(rms), focal_sd_px, len(found), refused)

@@ -18,7 +18,9 @@ from ..model.files import atomic_path
 from ..model.loading import read_file
 
 _REQUIRED = ("id", "enabled", "proximity_u", "proximity_v", "tactile_u", "tactile_v", "tactile_depth_m")
-_OPTIONAL = ("proximity_image", "snapshot", "proximity_depth_m", "origin")
+_OPTIONAL = ("proximity_image", "snapshot", "origin")
+#: A column of older files that no fit uses any more.
+_IGNORED = "proximity_depth_m"
 #: Size limit of a file: 100,000 points.
 _MAX_BYTES = 20_000_000
 #: Points count as collinear if their spread across the best line is below this share of the spread along it.
@@ -35,8 +37,7 @@ def read_points(path: Path | str) -> list[PointPair]:
         proximity_u, proximity_v, tactile_u, tactile_v`` (pixels, column and row, pixel centres at integers) and
         ``tactile_depth_m`` (raw tactile depth, metres; empty if unknown). Optional: ``proximity_image`` (``depth`` or
         ``color``: the image in which the proximity side was clicked), ``snapshot`` (number of the inflation level,
-        from 0), ``proximity_depth_m`` (distance measured by the proximity camera at a point of contact, metres) and
-        ``origin``.
+        from 0) and ``origin``.
 
     Returns
     -------
@@ -53,54 +54,45 @@ def read_points(path: Path | str) -> list[PointPair]:
     except (OSError, UnicodeDecodeError) as error:
         reason = "it is no UTF-8 text" if isinstance(error, UnicodeDecodeError) else error.strerror or error
         raise CalibrationError(f"cannot read the points {path}: {reason}; choose a CSV file") from error
-    reader = csv.reader(io.StringIO(text), strict=True)
-    header: list[str] = []
+    reader = csv.DictReader(io.StringIO(text), strict=True)
     pairs: dict[str, PointPair] = {}
     try:
+        header = _checked_header([name.strip() for name in reader.fieldnames or ()], path)
+        reader.fieldnames = header
         for row in reader:
-            values = [value.strip() for value in row]
-            if not any(values):
-                continue
-            if not header:
-                header = _checked_header(values, path)
-                continue
-            pair = _pair(header, values, f"{path}, line {reader.line_num}")
+            where = f"{path}, line {reader.line_num}"
+            if None in row or None in row.values():
+                raise CalibrationError(f"{where}: there are not {len(header)} values as in the header; correct the row")
+            pair = _pair({name: value.strip() for name, value in row.items()}, where)
             if pair.id in pairs:
-                raise CalibrationError(
-                    f"{path}, line {reader.line_num}: id {pair.id!r} is taken by an earlier row; give each pair its own"
-                )
+                raise CalibrationError(f"{where}: id {pair.id!r} is taken by an earlier row; give each pair its own")
             pairs[pair.id] = pair
     except csv.Error as error:
         raise CalibrationError(f"{path}, line {reader.line_num}: not CSV ({error}); correct the row") from error
-    if not header:
-        raise CalibrationError(f"{path} is empty; its first line should be {','.join(_REQUIRED)}")
     return list(pairs.values())
 
 
 def _checked_header(header: list[str], path: Path | str) -> list[str]:
     missing = [name for name in _REQUIRED if name not in header]
-    unknown = [name for name in header if name not in (*_REQUIRED, *_OPTIONAL)]
-    if missing or unknown or len(set(header)) < len(header):
-        what = f"lacks the column {missing[0]}" if missing else f"has the column {(unknown or header)[0]!r}"
-        what = what if missing or unknown else "names a column twice"
+    unknown = [name for name in header if name not in (*_REQUIRED, *_OPTIONAL, _IGNORED)]
+    if missing or unknown:
+        what = f"lacks the column {missing[0]}" if missing else f"has the column {unknown[0]!r}"
         raise CalibrationError(f"{path}: the header {what}; it should be {','.join(_REQUIRED)}")
     return header
 
 
-def _pair(header: list[str], values: list[str], where: str) -> PointPair:
-    if len(values) != len(header):
-        raise CalibrationError(f"{where}: there are {len(values)} values for {len(header)} columns; correct the row")
-    fields = dict(zip(header, values, strict=True))
-    empty = {name for name, value in fields.items() if not value or value.lower() in {"nan", "none"}}
+def _pair(fields: dict[str, str], where: str) -> PointPair:
+    fields = {name: value for name, value in fields.items() if value.lower() not in ("", "nan", "none")}
     for name in _REQUIRED[:-1]:  # a tactile depth may be missing
-        if name in empty:
-            raise CalibrationError(f"{where}: {name} is {fields[name]!r}; give a value")
+        if name not in fields:
+            raise CalibrationError(f"{where}: {name} has no value; give one")
     try:
-        return PointPair.model_validate({name: value for name, value in fields.items() if name not in empty})
+        return PointPair.model_validate(fields)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        named = f"{first['loc'][0]} is {first['input']!r} ({first['msg']})" if first["loc"] else first["msg"]
-        raise CalibrationError(f"{where}: {named}; correct the row") from error
+        raise CalibrationError(
+            f"{where}: {first['loc'][0]} is {first['input']!r} ({first['msg']}); correct the row"
+        ) from error
 
 
 def write_points(path: Path | str, pairs: Sequence[PointPair]) -> None:
@@ -125,7 +117,6 @@ class PointArrays:
     tactile_depth_m: Float64Array
     proximity: Float64Array
     in_color: BoolArray
-    proximity_depth_m: Float64Array
 
     @staticmethod
     def of(pairs: Sequence[PointPair]) -> PointArrays:
@@ -140,7 +131,6 @@ class PointArrays:
             column("tactile_depth_m").ravel(),
             column("proximity_u", "proximity_v"),
             np.array([pair.proximity_image == "color" for pair in pairs], bool),
-            column("proximity_depth_m").ravel(),
         )
 
     def __len__(self) -> int:
@@ -155,34 +145,21 @@ class PointArrays:
         """Return the points selected by a boolean mask."""
         return PointArrays(**{name: values[which] for name, values in vars(self).items()})
 
-    @staticmethod
-    def joined(parts: Sequence[PointArrays]) -> PointArrays:
-        """Return all points of some parts, at least one."""
-        return PointArrays(**{name: np.concatenate([vars(part)[name] for part in parts]) for name in vars(parts[0])})
 
-
-def listed(names: Sequence[str], most: int = 5) -> str:
-    """Return pairs by name, such as ``"pairs 3, 5 and 6"``; the first ones if they are more than ``most``."""
-    if len(names) > most:
-        return f"{len(names)} pairs ({', '.join(names[:most])}, ...)"
+def listed(names: Sequence[str]) -> str:
+    """Return pairs by name, such as ``"pairs 3, 5 and 6"``; the first ones if they are more than eight."""
+    if len(names) > 8:
+        return f"{len(names)} pairs ({', '.join(names[:8])}, ...)"
     return f"pair {names[0]}" if len(names) == 1 else f"pairs {', '.join(names[:-1])} and {names[-1]}"
 
 
 def check_points(points: PointArrays, least: int, name: str, **sides: Float64Array) -> None:
-    """Raise `CalibrationError` if there are too few different pairs, or if the points of a side are collinear."""
-    count = len(points)
-    different = len(np.unique(np.column_stack([points.tactile, points.proximity]), axis=0))
-    if different < least:
-        there = f"there are {count}" if different == count else f"only {different} of the {count} pairs differ"
-        raise CalibrationError(f"a {name} needs at least {least} pairs, {there}; add points elsewhere")
+    """Raise `CalibrationError` if there are too few pairs, or if the points (N, 2 or 3) of a side are collinear."""
+    if len(points) < least:
+        raise CalibrationError(f"a {name} needs at least {least} pairs, there are {len(points)}; add points elsewhere")
     for side, places in sides.items():
-        if on_a_line(places):
+        along, across = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)[:2]
+        if across <= _LINE_SHARE * along:
             raise CalibrationError(
                 f"the {side} points lie on one line, which determines no {name}; add points to both sides of the line"
             )
-
-
-def on_a_line(points: Float64Array) -> bool:
-    """Tell whether points (N, 2 or 3) are collinear."""
-    values = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(values[1] <= _LINE_SHARE * values[0])

@@ -7,11 +7,10 @@ moves by ``J e`` for a standard normal ``e`` (P,), so its covariance is ``J J^T`
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import chdtri, fdtri
 
 from ..model.arrays import Float64Array
 from ..model.frames import Rig
@@ -28,26 +27,6 @@ _PASSING_SIGMAS = 1.96
 
 _GRID = (13, 10)
 _MEMBRANE_SHARE = np.array([0.8, 0.65])
-_DRAWS = 40_000
-
-
-class Fitted(Protocol):
-    """A fit, or its `Agreement`, which contains smooth errors, too."""
-
-    def sensitivity(self, places: npt.ArrayLike) -> Float64Array:
-        """Return the derivative (N, 2, P) of the alignment by parameters of unit covariance."""
-
-
-@dataclass(frozen=True, eq=False)
-class UncertaintyMap:
-    """Expected root mean square alignment error at places (M, 3) of the membrane.
-
-    In proximity pixels, and in millimetres across the line of sight at that depth, both shape (M,).
-    """
-
-    places: Float64Array
-    sigma_px: Float64Array
-    sigma_mm: Float64Array
 
 
 def membrane_places(tactile: Float64Array, depth_m: Float64Array, rig: Rig) -> Float64Array:
@@ -70,16 +49,13 @@ def membrane_places(tactile: Float64Array, depth_m: Float64Array, rig: Rig) -> F
     return np.column_stack([places, weights @ depth_m[known] / weights.sum(axis=1)])
 
 
-def uncertainty_map(fit: Fit, errors: Fitted, places: Float64Array, rig: Rig) -> UncertaintyMap:
-    """Return the expected errors at places (M, 3) of the membrane that the fit predicts inside the proximity image."""
+def seen_places(fit: Fit, places: Float64Array, rig: Rig) -> Float64Array:
+    """Return those of places (M, 3) that the fit predicts inside the proximity image; all if there are none."""
     height, width = rig.proximity.intrinsics.shape
     with np.errstate(divide="ignore", invalid="ignore"):
         proximity = fit.predict(places)
         inside = ((proximity >= 0) & (proximity <= (width - 1, height - 1))).all(axis=1)
-    inside = inside if inside.any() else np.ones(len(places), bool)
-    places = places[inside]
-    sigma_px = np.sqrt((errors.sensitivity(places) ** 2).sum(axis=(1, 2)))
-    return UncertaintyMap(places, sigma_px, sigma_px * millimetres_per_pixel(places[:, 2], rig))
+    return places[inside] if inside.any() else places
 
 
 def millimetres_per_pixel(depth_m: npt.ArrayLike, rig: Rig) -> Float64Array:
@@ -91,30 +67,30 @@ def millimetres_per_pixel(depth_m: npt.ArrayLike, rig: Rig) -> Float64Array:
 def bound(derivative: Float64Array, degrees: int) -> float:
     """Return the 95 % bound of the root mean square error over places, pixels.
 
-    The squared error ``e^T M e``, ``M = mean J^T J``, is a sum of chi-squares weighted by M's eigenvalues. If the noise
-    was estimated from ``degrees`` surplus measurements, it is divided by their chi-square; with equal weights this is
-    an F ratio. The quantile is computed from seeded random draws.
+    The squared error ``e^T M e``, ``M = mean J^T J``, is a sum of chi-squares weighted by M's eigenvalues, about one
+    chi-square of as many degrees as gives the same mean and variance (Box 1954). If the noise was estimated from
+    ``degrees`` surplus measurements, it is divided by their chi-square. No degrees mean the stated noise.
 
-    ``derivative`` is `Fitted.sensitivity` at the places, shape (M, 2, P); no degrees mean the stated noise.
+    ``derivative`` is `Agreement.sensitivity` at the places, shape (M, 2, P).
     """
     rows = derivative.reshape(-1, derivative.shape[2])
-    weights = np.maximum(np.linalg.eigvalsh(rows.T @ rows)[::-1], 0.0) / len(derivative)
-    squares = _squares()[:, : len(weights)]
-    count = squares.shape[1]
-    errors = squares @ weights[:count] + weights[count:].sum()
-    return float(np.sqrt(np.quantile(errors / _noise(degrees), 0.95)))
+    weights = rows.T @ rows / len(derivative)
+    mean = float(np.trace(weights))
+    if mean <= 0.0:
+        return 0.0
+    of_error = mean**2 / float((weights**2).sum())
+    ratio = fdtri(of_error, degrees, 0.95) if degrees > 0 else chdtri(of_error, 0.05) / of_error
+    return float(np.sqrt(mean * ratio))
 
 
 @dataclass(frozen=True)
 class PatchEffect:
     """Effect of the alignment error on a contact patch.
 
-    Expected error of the patch's boundary, expected difference of both distances at true contact, and the smallest
-    tolerance t with which 95 % of the pixels in contact pass.
+    Expected error of the patch's boundary, and the smallest tolerance t with which 95 % of the pixels in contact pass.
     """
 
     boundary_mm: float
-    depth_mm: float
     supported_tolerance: float
 
 
@@ -137,7 +113,6 @@ def patch_effect(lateral_mm: npt.ArrayLike, along_mm: npt.ArrayLike, distance_m:
     relative = variance / (np.asarray(distance_m, np.float64) * 1e3) ** 2
     return PatchEffect(
         boundary_mm=float(np.sqrt(np.mean(lateral**2 + (along / TAKE_OFF_TANGENT) ** 2))),
-        depth_mm=float(np.sqrt(variance.mean())),
         supported_tolerance=float(_PASSING_SIGMAS * np.sqrt(relative.mean())),
     )
 
@@ -166,17 +141,3 @@ def coverage(proximity: Float64Array, depth_m: Float64Array, rig: Rig) -> Covera
         cells=tuple(tuple(int(count) for count in row) for row in counts),
         depth_range_m=(float(known.min()), float(known.max())) if len(known) else None,
     )
-
-
-@lru_cache(maxsize=1)
-def _squares() -> Float64Array:
-    """Squared normals, shape (draws, 16)."""
-    return np.asarray(np.random.default_rng(20).standard_normal((_DRAWS, 16)) ** 2)
-
-
-@lru_cache(maxsize=64)
-def _noise(degrees: int) -> Float64Array:
-    """Ratios of estimated to true noise variance, shape (draws,)."""
-    if degrees <= 0:
-        return np.ones(_DRAWS)
-    return np.asarray(np.random.default_rng(21).chisquare(degrees, _DRAWS) / degrees)

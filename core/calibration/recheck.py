@@ -1,4 +1,4 @@
-"""Recheck of a calibration: its points are located again in a current frame, or judged against a new calibration."""
+"""Recheck of a calibration: on the texture of a current frame, or against the points of a new calibration."""
 
 from __future__ import annotations
 
@@ -28,16 +28,12 @@ _WORSE_FACTOR, _WORSE_PX = 1.2, 0.1
 class Drift:
     """Alignment error in the current frame.
 
-    ``drift_px`` and ``drift_mm`` are the median distance between predicted and found places, ``worst_px`` the 95th
-    percentile; ``stored`` and ``found`` count the preset's points, and those found again. ``tactile`` (N, 2) are the
+    ``drift_px`` and ``drift_mm`` are the median distance between predicted and found places, ``tactile`` (N, 2) the
     compared places, ``offsets_px`` (N, 2) found minus predicted proximity depth pixel.
     """
 
     drift_px: float
     drift_mm: float
-    worst_px: float
-    stored: int
-    found: int
     recalibrate: bool
     sentence: str
     tactile: Float64Array
@@ -47,8 +43,7 @@ class Drift:
 def recheck(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
     """Compare a preset's alignment with a current frame.
 
-    The preset's points and other textured places of the membrane are located in the proximity colour image by local
-    matching.
+    Textured places of the membrane are located in the proximity colour image by local matching.
     """
     frame.check_against(rig)
     if frame.tactile_color is None:
@@ -59,11 +54,7 @@ def recheck(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
     alignment = Alignment.of_preset(preset.alignment, rig)
     pose = _pose(preset.alignment, rig)
     record = preset.alignment.calibration
-    stored = PointArrays.of([pair for pair in record.points if pair.enabled] if record else []).tactile
-    points, found_again = measure_pairs(frame, rig, pose), 0
-    if len(stored):
-        again = measure_pairs(frame, rig, pose, stored)
-        points, found_again = PointArrays.joined([again, points]), len(again)
+    points = measure_pairs(frame, rig, pose)
     if len(points) < _MIN_FOUND:
         raise CalibrationError(
             f"only {len(points)} places look alike in both colour images; "
@@ -79,9 +70,6 @@ def recheck(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
     return Drift(
         drift_px=drift,
         drift_mm=drift_mm,
-        worst_px=float(np.percentile(lengths, 95)),
-        stored=len(stored),
-        found=found_again,
         recalibrate=drift > limit,
         sentence=f"{measured}: {advice}.",
         tactile=points.tactile,
@@ -104,7 +92,7 @@ def present_error_px(report: CalibrationReport, preset: Preset) -> float | None:
     if not len(points):
         return None
     squared = float((_offsets(points, alignment, pose, rig) ** 2).sum(axis=1).mean())
-    noise = 0.0 if quality.rms_px is None else quality.rms_px**2 * 2 * len(used) / quality.degrees
+    noise = 0.0 if quality.rms_px is None else quality.rms_px**2 * 2 * len(used) / quality.fit.degrees
     record = preset.alignment.calibration
     return max(float(np.sqrt(max(squared - noise, 0.0))), 0.0 if record is None else record.quality.alignment_px)
 

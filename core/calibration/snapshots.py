@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..errors import CalibrationError
-from ..model.arrays import AnyArray, Float64Array, Uint8Array, Uint16Array
+from ..model.arrays import Uint8Array, Uint16Array
 from ..model.clouds import valid_depth
 from ..model.frames import SensorFrame
 
@@ -17,7 +17,6 @@ from ..model.frames import SensorFrame
 _SAME_SURFACE_M = 0.004
 #: Two middle values of a pixel that differ by more than this share belong to two surfaces.
 _SAME_SURFACE = 0.02
-_ROWS_AT_ONCE = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,26 +38,14 @@ def take_snapshot(frames: Iterable[SensorFrame]) -> Snapshot:
         colors = [frame.tactile_color for frame in kept if frame.tactile_color is not None]
         first = SensorFrame(
             sequence=first.sequence,
-            proximity_depth=_by_bands(_median_counts, [frame.proximity_depth for frame in kept]),
-            tactile_depth=_by_bands(_median_counts, [frame.tactile_depth for frame in kept]),
-            proximity_color=_by_bands(_median_color, [frame.proximity_color for frame in kept]),
-            tactile_color=_by_bands(_median_color, colors) if len(colors) == len(kept) else None,
+            proximity_depth=_median_counts(np.stack([frame.proximity_depth for frame in kept])),
+            tactile_depth=_median_counts(np.stack([frame.tactile_depth for frame in kept])),
+            proximity_color=_median_color(np.stack([frame.proximity_color for frame in kept])),
+            tactile_color=_median_color(np.stack(colors)) if len(colors) == len(kept) else None,
             proximity_time_s=first.proximity_time_s,
             tactile_time_s=first.tactile_time_s,
         )
     return Snapshot(first, len(kept), content_hash(first))
-
-
-def _by_bands(median: Callable[[AnyArray], AnyArray], images: Sequence[AnyArray]) -> AnyArray:
-    """Return the median of images, computed for some rows at once."""
-    for image in images:
-        if image.shape != images[0].shape:
-            raise CalibrationError(
-                f"images of {images[0].shape[1]} x {images[0].shape[0]} and {image.shape[1]} x {image.shape[0]} pixels "
-                "cannot be averaged; take all from one rig"
-            )
-    tops = range(0, len(images[0]), _ROWS_AT_ONCE)
-    return np.concatenate([median(np.stack([image[top : top + _ROWS_AT_ONCE] for image in images])) for top in tops])
 
 
 def _median_counts(stack: Uint16Array) -> Uint16Array:
@@ -118,9 +105,7 @@ def depth_under(counts: Uint16Array, unit_m: float, u: float, v: float, radius: 
         return None
     middle = float(np.median(depth[(across**2).sum(axis=1) <= 1.5**2]))
     same = np.abs(depth - middle) <= _SAME_SURFACE_M
-    return _plane_at_origin(across[same], depth[same]) if same.sum() >= 6 else middle
-
-
-def _plane_at_origin(across: Float64Array, depth: Float64Array) -> float:
-    design = np.column_stack([np.ones(len(across)), across])
-    return float(np.linalg.lstsq(design, depth, rcond=None)[0][0])
+    if same.sum() < 6:
+        return middle
+    design = np.column_stack([np.ones(same.sum()), across[same]])
+    return float(np.linalg.lstsq(design, depth[same], rcond=None)[0][0])

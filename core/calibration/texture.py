@@ -9,7 +9,7 @@ fitted to the result, and warping and matching are repeated.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -17,7 +17,7 @@ from scipy.ndimage import map_coordinates
 
 from ..errors import CalibrationError
 from ..model.alignment import PointPair
-from ..model.arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint8Array
+from ..model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array
 from ..model.clouds import valid_depth
 from ..model.frames import Rig, SensorFrame
 from .detect import to_gray
@@ -55,35 +55,46 @@ def match_texture(frames: Sequence[SensorFrame], rig: Rig) -> tuple[list[PointPa
             )
     views = [_View(number, frame, rig) for number, frame in enumerate(frames)]
     stated = Alignment.of_rig(rig)
-    found = _guided(views, rig, stated) if stated is not None else _nothing()
-    if len(found.points) < _MIN_PAIRS:
+    found = _guided(views, rig, stated) if stated is not None else _NOTHING
+    if len(found) < _MIN_PAIRS:
         found = _guided(views, rig, _fit(_described(views), rig).alignment)
     for _ in range(_ROUNDS - 1):
         found = _guided(views, rig, _fit(found, rig).alignment)
     fit = _fit(found, rig)
     if fit.rms_px > _MAX_RMS_PX:
         raise CalibrationError(
-            f"the {len(found.points)} places that look alike in both colour images agree only to "
+            f"the {len(found)} places that look alike in both colour images agree only to "
             f"{fit.rms_px:.1f} px, right ones agree to {_MAX_RMS_PX:g} px; check that both images show the same "
             "scene, or click the points"
         )
-    order = np.flatnonzero(fit.used)[np.argsort(-found.likeness[fit.used], kind="stable")]
-    return [_pair(found, i, f"t{rank}", rig) for rank, i in enumerate(order, 1)], fit.rms_px
+    kept = found[fit.used]
+    best_first = kept[np.argsort(-kept[:, 6], kind="stable")].tolist()
+    image: Literal["depth", "color"] = "depth" if rig.proximity_color is None else "color"
+    pairs = [
+        PointPair(
+            id=f"t{rank}",
+            proximity_u=proximity_u,
+            proximity_v=proximity_v,
+            tactile_u=tactile_u,
+            tactile_v=tactile_v,
+            tactile_depth_m=depth_m,
+            proximity_image=image,
+            snapshot=int(view),
+            origin=f"texture, correlation {likeness:.2f}",
+        )
+        for rank, (tactile_u, tactile_v, depth_m, proximity_u, proximity_v, view, likeness) in enumerate(best_first, 1)
+    ]
+    return pairs, fit.rms_px
 
 
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """Pairs with their view and the correlation of both patches."""
-
-    points: PointArrays
-    view: IndexArray
-    likeness: Float64Array
+#: Pairs in rows: tactile pixel and depth, proximity pixel, number of the view, correlation of both patches.
+_NOTHING = np.zeros((0, 7))
 
 
 class _View:
     """One frame prepared for matching: grey images, features with depth, and dense depth for warping."""
 
-    def __init__(self, number: int, frame: SensorFrame, rig: Rig, places: Float64Array | None = None) -> None:
+    def __init__(self, number: int, frame: SensorFrame, rig: Rig) -> None:
         assert frame.tactile_color is not None
         self.number = number
         self.tactile = _textured(frame.tactile_color)
@@ -91,12 +102,10 @@ class _View:
         valid = valid_depth(frame.tactile_depth)
         self.depth_m = _filled(frame.tactile_depth.astype(np.float64) * rig.tactile.depth_unit_m, valid)
         self._counts, self._unit = frame.tactile_depth, rig.tactile.depth_unit_m
-        if places is None:
-            corners = cv2.goodFeaturesToTrack(
-                self.tactile, _MAX_FEATURES, 0.02, _MIN_DISTANCE_PX, mask=_inner(valid), blockSize=_PATCH_PX
-            )
-            places = np.zeros((0, 2)) if corners is None else corners.reshape(-1, 2).astype(np.float64)
-        self.features = self.with_depth(places)
+        corners = cv2.goodFeaturesToTrack(
+            self.tactile, _MAX_FEATURES, 0.02, _MIN_DISTANCE_PX, mask=_inner(valid), blockSize=_PATCH_PX
+        )
+        self.features = self.with_depth(np.zeros((0, 2)) if corners is None else np.float64(corners).reshape(-1, 2))
 
     def with_depth(self, places: Float64Array) -> Float64Array:
         """Return tactile pixels (N, 2) with their depths (N, 3), nan without depth."""
@@ -104,21 +113,19 @@ class _View:
         return np.column_stack([places, np.array(found, dtype=np.float64)])
 
 
-def measure_pairs(
-    frame: SensorFrame, rig: Rig, alignment: Alignment, places: Float64Array | None = None
-) -> PointArrays:
-    """Locate places (N, 2) of the tactile image, by default all with texture, in the proximity colour image.
+def measure_pairs(frame: SensorFrame, rig: Rig, alignment: Alignment) -> PointArrays:
+    """Locate textured places of the tactile image in the proximity colour image.
 
     The alignment must be correct to about 10 pixels. Returned are the places that were found.
     """
-    return _guided([_View(0, frame, rig, places)], rig, alignment).points
+    return _points(_guided([_View(0, frame, rig)], rig, alignment))
 
 
-def _guided(views: list[_View], rig: Rig, alignment: Alignment) -> _Found:
+def _guided(views: list[_View], rig: Rig, alignment: Alignment) -> Float64Array:
     """Warp each view, measure the remaining offset of each feature, and keep those with high correlation."""
     height, width = rig.tactile.intrinsics.shape
     v, u = np.mgrid[:height, :width].astype(np.float64)
-    parts = [_nothing()]
+    parts = [_NOTHING]
     for view in views:
         features = view.features[np.isfinite(view.features[:, 2])]
         if not len(features):
@@ -141,8 +148,8 @@ def _guided(views: list[_View], rig: Rig, alignment: Alignment) -> _Found:
         kept &= likeness >= _MIN_CORRELATION
         at = moved[kept, ::-1].T
         proximity = np.column_stack([map_coordinates(lookup[..., axis], at, order=1) for axis in range(2)])
-        parts.append(_found(features[kept], proximity.astype(np.float64), view, likeness[kept]))
-    return _joined(parts)
+        parts.append(_rows(features[kept], proximity.astype(np.float64), view, likeness[kept]))
+    return np.concatenate(parts)
 
 
 def _tracked(source: Uint8Array, target: Uint8Array, start: Float32Array) -> tuple[Float32Array, BoolArray]:
@@ -154,10 +161,10 @@ def _tracked(source: Uint8Array, target: Uint8Array, start: Float32Array) -> tup
     return np.asarray(places, np.float32), np.asarray(found).ravel() == 1
 
 
-def _described(views: list[_View]) -> _Found:
+def _described(views: list[_View]) -> Float64Array:
     """Match SIFT descriptors with the ratio test and the mutual nearest neighbour."""
     sift, matcher = cv2.SIFT.create(nfeatures=2000), cv2.BFMatcher()
-    parts = [_nothing()]
+    parts = [_NOTHING]
     for view in views:
         tactile, proximity = (sift.detectAndCompute(image, None) for image in (view.tactile, view.proximity))
         if tactile[1] is None or proximity[1] is None or min(len(tactile[0]), len(proximity[0])) < 2:
@@ -171,50 +178,25 @@ def _described(views: list[_View]) -> _Found:
         here = view.with_depth(np.array([tactile[0][match.queryIdx].pt for match in best]).reshape(-1, 2))
         there = np.array([proximity[0][match.trainIdx].pt for match in best]).reshape(-1, 2)
         known = np.isfinite(here[:, 2])
-        parts.append(_found(here[known], there[known], view, np.ones(int(known.sum()))))
-    return _joined(parts)
+        parts.append(_rows(here[known], there[known], view, np.ones(int(known.sum()))))
+    return np.concatenate(parts)
 
 
-def _fit(found: _Found, rig: Rig) -> Fit:
-    if len(found.points) < _MIN_PAIRS:
+def _fit(found: Float64Array, rig: Rig) -> Fit:
+    if len(found) < _MIN_PAIRS:
         raise CalibrationError(
-            f"only {len(found.points)} places look alike in both colour images, {_MIN_PAIRS} are needed; "
+            f"only {len(found)} places look alike in both colour images, {_MIN_PAIRS} are needed; "
             "light the membrane evenly, average more frames, or click the points"
         )
-    return fit_rigid(found.points, rig, sigma_px=_MATCH_SIGMA_PX)
+    return fit_rigid(_points(found), rig, sigma_px=_MATCH_SIGMA_PX)
 
 
-def _pair(found: _Found, i: int, name: str, rig: Rig) -> PointPair:
-    points = found.points
-    return PointPair(
-        id=name,
-        proximity_u=float(points.proximity[i, 0]),
-        proximity_v=float(points.proximity[i, 1]),
-        tactile_u=float(points.tactile[i, 0]),
-        tactile_v=float(points.tactile[i, 1]),
-        tactile_depth_m=float(points.tactile_depth_m[i]),
-        proximity_image="depth" if rig.proximity_color is None else "color",
-        snapshot=int(found.view[i]),
-        origin=f"texture, correlation {found.likeness[i]:.2f}",
-    )
+def _rows(places: Float64Array, proximity: Float64Array, view: _View, likeness: Float64Array) -> Float64Array:
+    return np.column_stack([places, proximity, np.full(len(places), view.number), likeness])
 
 
-def _found(places: Float64Array, proximity: Float64Array, view: _View, likeness: Float64Array) -> _Found:
-    count = len(places)
-    points = PointArrays(places[:, :2], places[:, 2], proximity, np.ones(count, bool), np.full(count, np.nan))
-    return _Found(points, np.full(count, view.number), likeness)
-
-
-def _nothing() -> _Found:
-    return _Found(PointArrays.of([]), np.zeros(0, np.intp), np.zeros(0))
-
-
-def _joined(parts: list[_Found]) -> _Found:
-    return _Found(
-        PointArrays.joined([part.points for part in parts]),
-        np.concatenate([part.view for part in parts]),
-        np.concatenate([part.likeness for part in parts]),
-    )
+def _points(found: Float64Array) -> PointArrays:
+    return PointArrays(found[:, :2], found[:, 2], found[:, 3:5], np.ones(len(found), bool))
 
 
 def _likeness(first: Uint8Array, second: Uint8Array, here: Float64Array, there: Float64Array) -> float:

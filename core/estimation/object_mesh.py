@@ -1,9 +1,11 @@
-"""The mesh of a known object: read from a file, its unit found, its surface searched by Open3D."""
+"""The mesh of a known object: read from a file by trimesh, its unit found, its surface searched by Open3D."""
 
 from __future__ import annotations
 
+import logging
 import math
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,18 +13,19 @@ from typing import Any, Final
 
 import numpy as np
 
-from ..errors import MissingExtraError, SourceError
-from ..model.arrays import BoolArray, Float64Array, Int32Array
+from ..errors import MissingExtraError, SourceError, TactuneError
+from ..model.arrays import AnyArray, BoolArray, Float64Array, Int32Array
 from ..model.files import user_path
 from ..model.units import UNITS_M
 from ..sources.simulator.scenes import Scene
-from .mesh_files import read_triangles, triangle_areas
 
 #: Suffixes of meshes.
 SUFFIXES: Final = (".obj", ".ply", ".stl")
 #: Diagonals, metres, of objects that a membrane of 0.3 m can feel. The range is less than a factor of 1000 wide, so at
 #: most one of metres and millimetres fits.
 _SMALLEST_M, _LARGEST_M = 0.01, 2.0
+#: Largest coordinate, in the file's unit.
+_FARTHEST: Final = 1e9
 #: Side of the quads of a simulated object's mesh, metres.
 _SIMULATED_SIDE_M: Final = 0.0015
 #: Points of the surface that tell its size, and its half turns if they lie on it within this share of its size.
@@ -31,17 +34,9 @@ _SAMPLE, _SAME_SHARE = 4000, 0.02
 
 @dataclass(frozen=True, eq=False)
 class ObjectMesh:
-    """The surface of an object in its own frame.
+    """The surface of an object in its own frame: vertices (N, 3), metres, and triangles (M, 3) of their numbers.
 
-    Attributes
-    ----------
-    vertices_m : float64, shape (N, 3)
-        Metres.
-    triangles : int32, shape (M, 3)
-        Vertex numbers, counter-clockwise seen from outside.
-    name : str
-    unit : str
-        Unit of the file, ``m`` or ``mm``, for messages.
+    Triangles run counter-clockwise seen from outside. ``unit`` is that of the file, for messages.
     """
 
     vertices_m: Float64Array
@@ -95,10 +90,7 @@ class ObjectMesh:
 
     @cached_property
     def half_turns(self) -> list[Float64Array]:
-        """Motions, 4 x 4, that lay the surface onto itself within 2 % of its size: none, and half turns about an axis.
-
-        Axes of the file and principal axes are tried. Poses that differ by such a motion cannot be told apart.
-        """
+        """Half turns about the file's and the principal axes, 4 x 4, that lay the surface onto itself within 2 %."""
         away = self.vertices_m[self.triangles].mean(axis=1) - self.centre_m
         principal = np.linalg.eigh((away * self.areas_m2[:, None]).T @ away)[1]
         places, found = self.sample(_SAMPLE)[0], [np.eye(4)]
@@ -125,19 +117,18 @@ class ObjectMesh:
 
 
 def load_mesh(path: Path | str, unit: str | None = None) -> ObjectMesh:
-    """Read the mesh of an object.
+    """Read the mesh of an object, ``.obj``, ``.ply`` or ``.stl``.
 
-    Parameters
-    ----------
-    path : path
-        ``.obj``, ``.ply`` or ``.stl``.
-    unit : {"m", "cm", "mm", "in"}, optional
-        By default m if the object then is 10 mm to 2 m large, else mm: a cup of 95 is not 95 m.
+    Its unit is by default m if the object then is 10 mm to 2 m large, else mm: a cup of 95 is not 95 m.
     """
     if unit is not None and unit not in UNITS_M:
         raise SourceError(f"there is no unit {unit!r}; choose one of {', '.join(UNITS_M)}")
     path = user_path(path)
-    vertices, triangles = read_triangles(path, SUFFIXES)
+    parts = [(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)) for mesh in load_meshes(path, SUFFIXES)]
+    vertices, triangles, _ = merge(parts, path)
+    a, b, c = (vertices[triangles[:, k]] - vertices.mean(axis=0) for k in range(3))
+    if (a * np.cross(b, c)).sum() < 0:  # inside out
+        triangles = np.ascontiguousarray(triangles[:, ::-1])
     size = math.dist(vertices.min(axis=0), vertices.max(axis=0))
     for candidate in (unit,) if unit else ("m", "mm"):
         if _SMALLEST_M <= size * UNITS_M[candidate] <= _LARGEST_M:
@@ -147,6 +138,63 @@ def load_mesh(path: Path | str, unit: str | None = None) -> ObjectMesh:
         f"{path} is {size:.4g} across, which {tried} is no object of {1e3 * _SMALLEST_M:g} mm to {_LARGEST_M:g} m; "
         f"check its unit, which is one of {', '.join(UNITS_M)}"
     )
+
+
+def load_meshes(path: Path | str, suffixes: Sequence[str]) -> list[Any]:
+    """Return trimesh's meshes of a file, each with at most one texture."""
+    path = user_path(path)
+    if path.suffix.lower() not in suffixes:
+        raise SourceError(f"{path} has the suffix {path.suffix!r}; a mesh is one of {', '.join(suffixes)}")
+    if not path.is_file():
+        raise SourceError(f"cannot read {path}: there is no such file; check the path")
+    try:
+        import trimesh
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(
+            'a mesh needs trimesh, which is not installed: pip install "tactune[open3d]"'
+        ) from error
+    logging.getLogger("trimesh").addHandler(logging.NullHandler())  # it logs tracebacks for a missing texture
+    try:
+        scene = trimesh.load_scene(path, process=False)
+        meshes = [mesh for mesh in scene.geometry.values() if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
+        for mesh in meshes:
+            if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+                raise SourceError(f"{path} has a triangle with an invalid vertex index; export it again")
+            if not (np.abs(mesh.vertices[np.unique(mesh.faces)]) < _FARTHEST).all():
+                raise SourceError(f"{path} has vertices that are nan or beyond {_FARTHEST:g}; export it again")
+    except TactuneError:
+        raise
+    except Exception as error:  # trimesh does not wrap those of its parsers
+        detail = " ".join(str(error).split())[:200] or type(error).__name__
+        raise SourceError(f"{path} is no readable {path.suffix} mesh ({detail}); export it again") from error
+    if not meshes:
+        raise SourceError(f"{path} has no triangles; export it as a mesh, not as points")
+    return meshes
+
+
+def merge(
+    parts: Sequence[tuple[Float64Array, AnyArray]], path: Path | str
+) -> tuple[Float64Array, Int32Array, AnyArray]:
+    """Join meshes of a file: merge coincident vertices, drop triangles without area and unused vertices.
+
+    Returned are vertices (N, 3), triangles (M, 3), and the number of each vertex among those of all parts (N,).
+    """
+    starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
+    joined = np.concatenate([vertices for vertices, _ in parts])
+    vertices, first, number = np.unique(joined, axis=0, return_index=True, return_inverse=True)
+    triangles = np.concatenate([faces + start for (_, faces), start in zip(parts, starts, strict=False)])
+    triangles = number.reshape(-1)[triangles]
+    triangles = triangles[triangle_areas(vertices, triangles) > 0]
+    if len(triangles) == 0:
+        raise SourceError(f"{path} has only triangles without area; export it again")
+    used, renumbered = np.unique(triangles, return_inverse=True)
+    return vertices[used], renumbered.reshape(-1, 3).astype(np.int32), first[used]
+
+
+def triangle_areas(vertices: Float64Array, triangles: AnyArray) -> Float64Array:
+    """Return the area of each triangle in the square of the vertices' unit."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
 
 
 def simulated_mesh(scene: Scene, name: str) -> ObjectMesh:

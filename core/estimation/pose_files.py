@@ -1,4 +1,4 @@
-"""Poses in files: a pose to start from, and tracked poses as CSV."""
+"""Tracked poses as a table in a CSV file."""
 
 from __future__ import annotations
 
@@ -12,18 +12,15 @@ from typing import Any, Final
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..errors import ExportError, SourceError, TactuneError
-from ..model.files import atomic_path, user_path
-from ..model.frames import Matrix4, rigid_transform
-from ..model.loading import parse_json, read_file
+from ..errors import ExportError, TactuneError
+from ..model.files import atomic_path
 from .pose import PoseError, PoseEstimate
 
 Record = dict[str, Any]
 
 AXES: Final = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad")
-_FILE_BYTES: Final = 10_000_000
 _QUATERNION: Final = ("qx", "qy", "qz", "qw")
-_ERRORS: Final = ("position_error_mm", "angle_error_deg", "full_position_error_mm", "full_angle_error_deg")
+_ERRORS: Final = ("position_error_mm", "angle_error_deg")
 
 
 def pose_record(pose: PoseEstimate, error: PoseError | None = None) -> Record:
@@ -34,14 +31,13 @@ def pose_record(pose: PoseEstimate, error: PoseError | None = None) -> Record:
     record |= dict(zip((*AXES[:3], *_QUATERNION), [*matrix[:3, 3].tolist(), *quaternion.tolist()], strict=True))
     sigmas = np.sqrt(np.diag(pose.covariance)).tolist()
     record |= {f"sigma_{key}": value for key, value in zip(AXES, sigmas, strict=True)}
-    record["free"] = "; ".join(direction.kind for direction in pose.free)
+    record["free"] = pose.free
     record["residual_mm"] = round(1e3 * pose.residual_m, 4) if math.isfinite(pose.residual_m) else ""
     record["overlap"] = round(pose.overlap, 4)
     if error is None:
         return record | dict.fromkeys(_ERRORS, "")
     errors = (1e3 * error.position_m, math.degrees(error.angle_rad))
-    full = (1e3 * error.full_position_m, math.degrees(error.full_angle_rad))
-    return record | {key: round(value, 4) for key, value in zip(_ERRORS, (*errors, *full), strict=True)}
+    return record | {key: round(value, 4) for key, value in zip(_ERRORS, errors, strict=True)}
 
 
 @contextmanager
@@ -70,36 +66,3 @@ def open_poses(path: Path) -> Iterator[Callable[[Mapping[str, Any]], None]]:
             raise ExportError(f"the object was in no frame, so {path} would be empty")
     if failure is not None:
         raise failure
-
-
-def load_transform(path: Path | str) -> Matrix4:
-    """Read a pose: JSON ``{"T_proximity_scan": 4 x 4}``, or four lines of four numbers.
-
-    Raises
-    ------
-    SourceError
-        The file cannot be read or holds no rigid transform in metres.
-    """
-    text = read_text(path)
-    try:
-        if text.lstrip().startswith("{"):
-            return rigid_transform(parse_json(text)["T_proximity_scan"])
-        lines = [line.replace(",", " ").split() for line in text.splitlines() if line.strip()]
-        return rigid_transform([[float(word) for word in line] for line in lines])
-    except (ValueError, TypeError, KeyError) as error:
-        detail = " ".join(str(error).split())
-        raise SourceError(
-            f'{path} holds no pose ({detail}); it is JSON {{"T_proximity_scan": 4 x 4}} or '
-            "four lines of four numbers, metres"
-        ) from error
-
-
-def read_text(path: Path | str) -> str:
-    """Return the text of a small file; raises a `SourceError`."""
-    path = user_path(path)
-    try:
-        return read_file(path, _FILE_BYTES).decode("utf-8-sig")
-    except OSError as error:
-        raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
-    except ValueError as error:
-        raise SourceError(f"{path} is no text file; write it as text") from error

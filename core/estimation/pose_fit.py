@@ -1,4 +1,4 @@
-"""One fit of a mesh to a contact patch: iterated point-to-plane distances, solved in the determined directions only.
+"""Fits of a mesh to a contact patch: from a start by point-to-plane distances, or from many starts.
 
 Motions of the mesh are six lengths: a translation, and a turn about the patch's centre times the mesh's radius. So all
 six can be compared, in metres.
@@ -7,15 +7,20 @@ six can be compared, in metres.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import attrgetter
 from typing import Final
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..contact.alignment import tactile_pose
 from ..model.arrays import BoolArray, Float32Array, Float64Array, Int64Array
+from ..model.clouds import ray_table
 from ..model.frames import Rig
+from ..model.patch import ContactPatch
 from ..model.robust import spread
 from ..preset import Preset
 from .object_mesh import ObjectMesh
@@ -42,6 +47,23 @@ _REACH_M: Final = (0.020, 0.008)
 _HUBER, _SMALLEST_SIGMA_M = 3.0, 0.0003
 #: Depth noise moves points along the ray, and so by less across an oblique surface; cosines below count as this one.
 _LEAST_COSINE: Final = 0.25
+
+#: Orientations from which the whole search starts, the points and iterations of a first fit, and how many are fitted
+#: to the end.
+_ORIENTATIONS, _QUICK_POINTS, _QUICK_ROUNDS, _FINALISTS = 160, 120, 10, 10
+#: Share of the time that the first fits take.
+_QUICK_SHARE: Final = 0.9
+#: Offsets of the search around a pose, as shares of the mesh's radius, and the number of starts at each.
+_NEAR_SHARES, _NEAR_STARTS = (0.15, 0.35), 24
+#: Pixels between two rays that look for mesh in front of the membrane, of an image 640 wide.
+_RAY_PX: Final = 8
+#: Fits whose two-way residuals differ by less than this fit equally well, metres. Of these the nearest is taken: noise
+#: would prefer one of them, and slide an object along its axis.
+_EQUAL_M: Final = 0.0001
+#: A mesh in front of the membrane by less than this may be noise, by more than that counts no more, metres.
+_NOISE_M, _WORST_M = 0.002, 0.010
+
+Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,26 +116,13 @@ def noise_density_m4(preset: Preset, rig: Rig) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A mesh fitted to a patch.
+    """A mesh fitted to a patch: ``pose`` is ``T_proximity_object``, turns are about ``centre_m``.
 
-    Attributes
-    ----------
-    pose : float64, shape (4, 4)
-        ``T_proximity_object``.
-    centre_m : float64, shape (3,)
-        What the turns are about, proximity depth frame.
-    directions : float64, shape (6, 6)
-        Orthonormal motions in columns: the translation, then the turn about ``centre_m`` times the mesh's radius.
-    sigmas_m : float64, shape (6,)
-        Standard deviation along each direction, metres; not finite where nothing determines it.
-    free : bool, shape (6,)
-        Which directions the patch does not determine.
-    residual_m : float
-        RMS distance of the points that lie on the mesh along its normals, metres; nan without any.
-    overlap : float
-        Weighted share of the points that lie on the mesh.
-    cost_m : float
-        RMS distance of all points to the mesh, none counted as more than 10 mm.
+    ``directions`` (6, 6) are orthonormal motions in columns: the translation, then the turn times the mesh's radius.
+    ``sigmas_m`` (6,) are the standard deviations along them, not finite where nothing determines it, ``free`` (6,) what
+    the patch does not determine. ``overlap`` is the weighted share of points that lie on the mesh, ``residual_m``
+    their RMS distance along its normals (nan without any), ``cost_m`` the RMS distance of all points to the mesh, none
+    counted as more than 10 mm.
     """
 
     pose: Float64Array
@@ -218,3 +227,124 @@ def _inflation(pairs: _Pairs, patch: PatchPoints) -> float:
     if independent < 1:
         return 1.0
     return max(1.0, float((pulls[counted] ** 2 / information[counted]).sum()) / independent)
+
+
+@dataclass(frozen=True, eq=False)
+class Membrane:
+    """Where the membrane is, seen along a grid of proximity rays; nothing of the mesh can lie in front of it.
+
+    ``rays``, (N, 3), are ``(x / z, y / z, 1)``; ``depth_m``, (N,), is the membrane's depth in the tactile camera, and
+    ``to_depth``, (4,), the factors of x, y, z and 1 that give a point's depth there. Each ray stands for ``area_px``.
+    """
+
+    rays: Float64Array
+    depth_m: Float64Array
+    to_depth: Float64Array
+    area_px: float
+
+    @classmethod
+    def of(cls, patch: ContactPatch, preset: Preset) -> Membrane:
+        """Return the membrane that a patch was found in."""
+        camera, measured = patch.rig.proximity.intrinsics, patch.aligned.measured_m
+        step = max(round(_RAY_PX * camera.width / 640), 1)
+        grid = np.s_[step // 2 :: step, step // 2 :: step]
+        depth = measured[grid].astype(np.float64).ravel()
+        rays = np.concatenate([ray_table(camera)[grid].reshape(-1, 2), np.ones((depth.size, 1))], axis=1)
+        to_depth = np.array([0.0, 0.0, 1.0, 0.0])
+        if preset.alignment.model == "rigid":
+            to_depth = np.linalg.inv(tactile_pose(preset.alignment, patch.rig))[2]
+        seen = np.isfinite(depth)
+        return cls(rays[seen].astype(np.float64), depth[seen], to_depth, float(step**2))
+
+    def crossed_m(self, mesh: ObjectMesh, pose: Float64Array, patch_px: int) -> float:
+        """Return how far a mesh lies in front of the membrane: RMS over the area of the patch, metres."""
+        lengths, hit = mesh.hits(-pose[:3, 3] @ pose[:3, :3], self.rays @ pose[:3, :3])
+        depth = (self.rays[hit] @ self.to_depth[:3]) * lengths[hit] + self.to_depth[3]
+        beyond = np.clip(self.depth_m[hit] - depth - _NOISE_M, 0.0, _WORST_M)
+        return math.sqrt(float((beyond**2).sum()) * self.area_px / max(patch_px, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """Searches for a mesh in one patch. ``progress`` gets the share done, 0 to 1, and ends a search by raising."""
+
+    mesh: ObjectMesh
+    patch: PatchPoints
+    film: Membrane
+    patch_px: int
+    progress: Progress = lambda share: None
+
+    def fitted(self, start: Float64Array, patch: PatchPoints | None = None, rounds: int = ROUNDS) -> Fit:
+        """Return the fit from one start; its cost is two-way: patch to mesh, and mesh in front of the membrane."""
+        found = fit(self.mesh, patch or self.patch, start, rounds)
+        crossed_m = self.film.crossed_m(self.mesh, found.pose, self.patch_px)
+        return replace(found, cost_m=math.hypot(found.cost_m, crossed_m))
+
+    def everywhere(self, pose: Float64Array | None) -> Fit:
+        """Search all orientations. Of equally good fits take the one nearest to a pose, else that touched centrally."""
+        mesh, centre = self.mesh, self.patch.centre_m
+        toward = centre / np.linalg.norm(centre)
+        corners = mesh.vertices_m[mesh.triangles]
+        places, normals = corners.mean(axis=1), np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        starts = []
+        for rotation in _spread_rotations(_ORIENTATIONS):
+            seen = np.minimum(normals @ rotation.T @ toward, 0.0)  # area that faces the camera
+            if not seen.any():
+                continue  # the back of an open surface
+            start = np.eye(4)
+            start[:3, :3] = rotation
+            start[:3, 3] = centre - rotation @ ((places * seen[:, None]).sum(axis=0) / seen.sum())
+            starts.append(start)
+
+        def off_centre_m(found: Fit) -> float:
+            own = found.pose
+            return float(np.linalg.norm(own[:3, :3] @ mesh.centre_m + own[:3, 3] - centre))
+
+        return self._best(starts, off_centre_m if pose is None else self._away_from(pose))
+
+    def near(self, pose: Float64Array) -> Fit:
+        """Search around a pose."""
+        random, radius_m = np.random.default_rng(0), self.mesh.radius_m
+        starts = [pose]
+        for share in _NEAR_SHARES:
+            motions = share * radius_m / math.sqrt(2) * random.normal(size=(_NEAR_STARTS, 6))
+            starts += [moved(pose, motion, self.patch.centre_m, radius_m) for motion in motions]
+        return self._best(starts, self._away_from(pose))
+
+    def _away_from(self, pose: Float64Array) -> Callable[[Fit], float]:
+        centre, radius_m = self.patch.centre_m, self.mesh.radius_m
+        return lambda found: float(np.linalg.norm(motion_between(pose, found.pose, centre, radius_m)))
+
+    def _best(self, starts: list[Float64Array], distance_m: Callable[[Fit], float]) -> Fit:
+        """Fit from all starts with few points, then from the best ones with all; of equally good fits, the nearest."""
+        few = self.patch.every(max(len(self.patch.points) // _QUICK_POINTS, 1))
+        quick, final = list[Fit](), list[Fit]()
+        for number, start in enumerate(starts):
+            self.progress(_QUICK_SHARE * number / len(starts))
+            quick.append(self.fitted(start, few, _QUICK_ROUNDS))
+        quick.sort(key=attrgetter("cost_m"))
+        nearest = sorted(_equal(quick), key=distance_m)[: _FINALISTS // 2]
+        others = [found for found in quick if found not in nearest]
+        for number, found in enumerate((nearest + others)[:_FINALISTS]):
+            self.progress(_QUICK_SHARE + (1 - _QUICK_SHARE) * number / _FINALISTS)
+            final.append(self.fitted(found.pose))
+        return min(_equal(final), key=distance_m)
+
+
+def _equal(found: list[Fit]) -> list[Fit]:
+    """Return the fits that are about as good as the best one."""
+    least_m = min(each.cost_m for each in found)
+    return [each for each in found if each.cost_m <= least_m + _EQUAL_M]
+
+
+def _spread_rotations(count: int) -> Float64Array:
+    """Return rotations that cover all orientations evenly, (N, 3, 3).
+
+    Alexa, "Super-Fibonacci spirals: fast, low-discrepancy sampling of SO(3)", CVPR 2022.
+    """
+    s = np.arange(count) + 0.5
+    t = s / count
+    alpha, beta = 2 * np.pi * s / math.sqrt(2), 2 * np.pi * s / 1.533751168755204288118041
+    r, big = np.sqrt(t), np.sqrt(1 - t)
+    quaternions = np.stack([r * np.sin(alpha), r * np.cos(alpha), big * np.sin(beta), big * np.cos(beta)], axis=1)
+    return np.asarray(Rotation.from_quat(quaternions).as_matrix())

@@ -1,7 +1,6 @@
-"""The tilt of a contact patch: its plane as two angles, and the direction of its long axis in the image.
+"""The tilt of a contact patch: its plane as two angles, the direction of its long axis, and a filter over time.
 
-Two estimators. `pca` takes the normal from the principal components of the points, as Yin et al. do. `noise` fits the
-plane by weighted least squares and corrects it by the difference of both depths:
+The plane is fitted by weighted least squares and corrected by the difference of both depths:
 
 * On a plane the inverse depth is linear in the rays, 1 / z = a + b x / z + c y / z, and the normal is along (b, c, a).
   An error of the depth moves a point along its ray, so only the left side has errors: least squares of it is unbiased.
@@ -21,7 +20,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 from scipy.special import erf
@@ -32,8 +31,6 @@ from ..model.frames import Rig
 from ..model.intrinsics import Intrinsics
 from ..model.patch import ContactPatch
 from ..preset import CameraNoise, Preset
-
-TiltMethod = Literal["pca", "noise"]
 
 #: Standard deviation of the slow error of the proximity depth, metres, and the length over which it is shared, as a
 #: share of the image's width: typical of time of flight cameras.
@@ -53,11 +50,16 @@ _MAX_CELLS, _MIN_CELL_PX = 24, 4.0
 _ANY_PER_M, _ANY_SLOPE = 100.0, 3.0
 #: Lower limit of the white noise of a camera: none is exact, metres.
 _MIN_WHITE_M: Final = 1e-6
+#: A measurement this many standard deviations from the prediction is a push, not noise: the angle starts again there,
+#: because an object that is hit changes its rate within a frame.
+_PUSHED: Final = 4.0
+#: Standard deviation of the rate at the start, rad/s.
+_START_RATE_RAD_S: Final = 1.0
 
 
 @dataclass(frozen=True)
 class Tilt:
-    r"""The plane of a contact patch at one moment.
+    """The plane of a contact patch at one moment.
 
     All vectors are in the proximity depth frame: x right, y down, z forward, away from the camera. The patch's normal
     points away from the camera. ``roll`` turns about x, ``pitch`` about y, both right-handed, in ROS's order (first
@@ -65,46 +67,17 @@ class Tilt:
 
         normal = R_y(pitch) R_x(roll) (0, 0, 1) = (sin(pitch) cos(roll), -sin(roll), cos(pitch) cos(roll))
 
-        roll > 0: seen from +x           pitch > 0: seen from -y, from above
-
-             z (forward)                      z (forward)
-             |      / patch                   | \ patch
-             |    /                           |   \
-             |  /                             |     \
-             +--------- y (down)              +--------- x (right)
-
     So the lower edge of the image is farther with a positive roll, the right edge is nearer with a positive pitch. Both
     are 0 where the patch faces the camera.
 
-    Attributes
-    ----------
-    sequence : int
-        Number of the frame.
-    time_s : float
-        Time stamp of the proximity image, seconds.
-    method : {"pca", "noise"}
-    points : int
-        Number of points of the patch.
-    centroid_m : (float, float, float) or None
-        Mean of the points, metres; None without contact.
-    roll_rad, pitch_rad : float or None
-        Radians, -pi/2 to pi/2; None if not determined: no contact, or the patch is a line or a dot.
-    roll_sigma_rad, pitch_sigma_rad : float or None
-        Their standard deviations, radians; None where the angle is.
-    axis_rad : float or None
-        Direction of the long axis in the image, radians, -pi/2 to pi/2, from +u (right) towards +v (down); None for a
-        patch that is about as wide as long.
-    axis_sigma_rad : float or None
-    fixed_share : float
-        Share of the variance of roll and pitch that stays from frame to frame, 0 to 1: time does not average it.
-    roll_rate_rad_s, pitch_rate_rad_s : float or None
-        Rates, radians per second; None unless the tilt was filtered over time.
-    roll_rate_sigma_rad_s, pitch_rate_sigma_rad_s : float or None
+    Angles are in radians, -pi/2 to pi/2, and None if not determined: no contact, or a patch that is a line or a dot.
+    ``axis_rad`` is the direction of the long axis in the image, from +u (right) to +v (down), None for a patch that is
+    about as wide as long. ``centroid_m`` is the mean of the points, metres, ``fixed_share`` the part of the variance of
+    roll and pitch that stays from frame to frame. Rates are None unless the tilt was filtered over time.
     """
 
     sequence: int
     time_s: float
-    method: TiltMethod
     points: int
     centroid_m: tuple[float, float, float] | None = None
     roll_rad: float | None = None
@@ -136,8 +109,6 @@ class TiltEstimator:
         Its measured noise, if any; else that of usual cameras is assumed.
     rig : Rig
         The rig that takes the frames, unless the preset has one of its own.
-    method : {"noise", "pca"}
-        Weighted least squares, or principal components. The standard deviations follow from the noise with both.
 
     Examples
     --------
@@ -146,8 +117,7 @@ class TiltEstimator:
     >>> tilt.roll_rad, tilt.roll_sigma_rad
     """
 
-    def __init__(self, preset: Preset, rig: Rig, method: TiltMethod = "noise") -> None:
-        self.method: TiltMethod = method
+    def __init__(self, preset: Preset, rig: Rig) -> None:
         rig = rig_in_use(preset, rig)
         self._lens = rig.proximity.intrinsics
         self._proximity, self._tactile = _USUAL_PROXIMITY, _USUAL_TACTILE
@@ -158,21 +128,7 @@ class TiltEstimator:
         self._slow = _DepthNoise(0.0, _SLOW_M, _SLOW_LENGTH * self._lens.width, 1.0, 1.0, power=0)
 
     def estimate(self, patch: ContactPatch, sequence: int = 0, time_s: float = 0.0) -> Tilt:
-        """Return the tilt of a patch.
-
-        Parameters
-        ----------
-        patch : ContactPatch
-        sequence : int
-            Number of the frame, passed on.
-        time_s : float
-            Time stamp of the frame, seconds, passed on.
-
-        Returns
-        -------
-        Tilt
-            Angles that the patch does not determine are None.
-        """
+        """Return the tilt of a patch; number and time stamp (seconds) of its frame are passed on."""
         difference, weight = None, 0.0  # points of other tests and methods count as proximity points
         if isinstance(patch, ContactPatch) and patch.membrane is not None and len(patch.points):
             difference, weight = patch.membrane.difference_m.get(), patch.membrane.tactile_weight
@@ -187,20 +143,12 @@ class TiltEstimator:
         sequence: int = 0,
         time_s: float = 0.0,
     ) -> Tilt:
-        """Return the tilt of points in any order.
+        """Return the tilt of points (N, 3) in any order, metres in the proximity depth frame.
 
-        Parameters
-        ----------
-        points : float, shape (N, 3)
-            Metres, proximity depth frame.
-        difference_m : float, shape (N,), optional
-            Proximity less tactile depth at the points, without their constant bias, metres; nan where one is missing.
-        tactile_weight : float
-            Weight of the tactile depth in the depth of the points, 0 to 1.
-        averaged_frames, sequence, time_s
-            As in the patch and the frame.
+        ``difference_m`` (N,) is proximity less tactile depth at the points, without their constant bias, nan where one
+        is missing; ``tactile_weight`` the weight of the tactile depth in the depth of the points, 0 to 1.
         """
-        found = Tilt(sequence, time_s, self.method, len(points))
+        found = Tilt(sequence, time_s, len(points))
         if len(points) < _MIN_POINTS:
             return found
         cells = _Cells.of(points, difference_m, self._lens)
@@ -211,14 +159,14 @@ class TiltEstimator:
         power += tactile_weight**2 * self._tactile.power_m2(depth_m)
         variance = power * cells.inverse_m**4  # of the inverse depth of a point
         matrix, unknown = _plane_fit(cells, cells.count / variance, self._lens.fx)
-        plane = matrix @ cells.inverse_m if self.method == "noise" else _principal_plane(points)
+        plane = matrix @ cells.inverse_m
 
         near, near_changing = _covariance(matrix, cells, self._proximity, averaged_frames)
         far, far_changing = _covariance(matrix, cells, self._tactile, averaged_frames)
         slow, weight = _covariance(matrix, cells, self._slow, 1)[0], tactile_weight
         of_slow, apart = 1 - (1 - _SHARED_SLOW) * weight, 1 - _SHARED_SLOW  # shares in the points and the difference
         gain = np.zeros((3, 3))
-        if cells.difference_m is not None and self.method == "noise":
+        if cells.difference_m is not None:
             # The best linear prediction of the plane's error by the slopes of the difference, as in kriging. The
             # difference's mean says nothing: it was taken for a bias.
             together = (1 - weight) * near - weight * far + of_slow * apart * slow
@@ -256,8 +204,7 @@ class _DepthNoise:
     """Errors of a camera's depth in pixels of the proximity image, as standard deviations at a distance.
 
     The white part differs from pixel to pixel. Of the shared part two pixels d pixels apart share
-    exp(-d^2 / (4 length_px^2)), and ``fixed_share`` of its variance stays from frame to frame. Both grow with a power
-    of the depth.
+    exp(-d^2 / (4 length_px^2)); ``fixed_share`` of it stays from frame to frame. Both grow with a power of the depth.
     """
 
     white_m: float
@@ -397,15 +344,6 @@ def _angles(plane: Float64Array) -> tuple[Float64Array, Float64Array]:
     return angles, jacobian
 
 
-def _principal_plane(points: Float32Array) -> Float64Array:
-    """Return (a, b, c) of the plane through the centroid, across the direction of least scatter (Yin et al.)."""
-    centroid = np.full(len(points), 1 / len(points)) @ points
-    away = points - centroid
-    x, y, z = np.linalg.eigh(away.T @ away)[1][:, 0]
-    plane: Float64Array = np.array([z, x, y]) / (np.array([x, y, z]) @ centroid)
-    return plane
-
-
 def _long_axis(cells: _Cells, lens: Intrinsics) -> tuple[float | None, float | None]:
     """Return direction of the long axis in the image and its standard deviation, radians; None where it has none.
 
@@ -422,3 +360,78 @@ def _long_axis(cells: _Cells, lens: Intrinsics) -> tuple[float | None, float | N
     if sigma_px2 > MAX_AXIS_SIGMA_RAD * (large - small):
         return None, None
     return angle, float(sigma_px2 / (large - small))
+
+
+@dataclass
+class _Track:
+    """One angle: (angle, rate), their covariance, the variance that time does not average, and when it was measured."""
+
+    state: Float64Array
+    covariance: Float64Array
+    fixed_rad2: float
+    measured_s: float
+
+
+class TiltFilter:
+    """Filters tilts in the order of their time stamps.
+
+    Each angle is a state (angle, rate) driven by white acceleration (Bar-Shalom, Li and Kirubarajan, "Estimation with
+    Applications to Tracking and Navigation", 2001, section 6.3.2). Only the part of a measurement's variance that
+    changes from frame to frame is averaged; the fixed part stays in the standard deviation of the result. An angle that
+    is not determined is predicted for up to ``max_gap_s`` seconds. A larger standard deviation of the acceleration
+    follows faster and averages less.
+    """
+
+    def __init__(self, acceleration_rad_s2: float = 3.0, max_gap_s: float = 0.5) -> None:
+        self.acceleration_rad_s2, self.max_gap_s = acceleration_rad_s2, max_gap_s
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget all measurements, as after a seek."""
+        self._tracks: dict[str, _Track] = {}
+        self._time_s = -math.inf
+
+    def update(self, tilt: Tilt) -> Tilt:
+        """Return the tilt with filtered angles and with rates; a time stamp that is not later restarts the filter."""
+        if tilt.time_s <= self._time_s:
+            self.restart()
+        dt_s, self._time_s = tilt.time_s - self._time_s, tilt.time_s  # infinite at the start, where nothing moves
+        values: dict[str, Any] = {}
+        for name in ("roll", "pitch"):
+            self._step(name, tilt, dt_s)
+            values |= dict.fromkeys(
+                (f"{name}_rad", f"{name}_sigma_rad", f"{name}_rate_rad_s", f"{name}_rate_sigma_rad_s")
+            )
+            if (track := self._tracks.get(name)) is not None:
+                sigma = math.sqrt(track.covariance[0, 0] + track.fixed_rad2)
+                if sigma <= MAX_SIGMA_RAD:
+                    values[f"{name}_rad"], values[f"{name}_sigma_rad"] = float(track.state[0]), sigma
+                    values[f"{name}_rate_rad_s"] = float(track.state[1])
+                    values[f"{name}_rate_sigma_rad_s"] = math.sqrt(track.covariance[1, 1])
+        return replace(tilt, **values)
+
+    def _step(self, name: str, tilt: Tilt, dt_s: float) -> None:
+        """Predict one angle and correct it by the measurement, if there is one."""
+        track = self._tracks.get(name)
+        if track is not None and tilt.time_s - track.measured_s > self.max_gap_s:
+            del self._tracks[name]
+            track = None
+        if track is not None:
+            move = np.array([[1.0, dt_s], [0.0, 1.0]])
+            push = self.acceleration_rad_s2 * np.array([dt_s**2 / 2, dt_s])
+            track.state = move @ track.state
+            track.covariance = move @ track.covariance @ move.T + np.outer(push, push)
+        angle, sigma = getattr(tilt, f"{name}_rad"), getattr(tilt, f"{name}_sigma_rad")
+        if angle is None or sigma is None:
+            return
+        fixed, noise = tilt.fixed_share * sigma**2, max((1 - tilt.fixed_share) * sigma**2, 1e-12)
+        if track is not None:
+            residual, total = angle - track.state[0], track.covariance[0, 0] + noise
+            if residual**2 <= _PUSHED**2 * total:
+                gain = track.covariance[:, 0] / total
+                track.state = track.state + gain * residual
+                track.covariance = track.covariance - np.outer(gain, track.covariance[0])
+                track.fixed_rad2, track.measured_s = fixed, tilt.time_s
+                return
+        start = np.diag([noise, _START_RATE_RAD_S**2])
+        self._tracks[name] = _Track(np.array([angle, 0.0]), start, fixed, tilt.time_s)

@@ -22,14 +22,17 @@ from scipy.spatial.transform import Rotation
 
 from ..contact.masking import in_hsv_range
 from ..errors import CalibrationError, MissingExtraError, SourceError, TactuneError
-from ..estimation.mesh_files import load_meshes, merge, triangle_areas
-from ..estimation.pose_files import read_text
+from ..estimation.object_mesh import load_meshes, merge, triangle_areas
 from ..model.arrays import AnyArray, BoolArray, Float64Array, Int32Array, Uint8Array
+from ..model.files import user_path
 from ..model.frames import Matrix4, rigid_transform
+from ..model.loading import parse_json, read_file
 from ..model.metrics import nearest_distances
 from ..preset import MaskSection
 
 SUFFIXES: Final = (".ply", ".obj")
+#: Largest file of pairs or of a pose.
+_FILE_BYTES: Final = 10_000_000
 #: Plausible sizes of an object that a hand-sized sensor can touch.
 _MIN_SIZE_M, _MAX_SIZE_M = 0.002, 1.0
 #: Textured triangles are subdivided to this edge length, metres, or a longer one within this number of triangles.
@@ -240,6 +243,39 @@ def transformed(pose: Matrix4, points: npt.ArrayLike) -> Float64Array:
     """Transform points, (N, 3), by a pose."""
     matrix = np.asarray(pose)
     return np.asarray(np.asarray(points, np.float64).reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3])
+
+
+def load_transform(path: Path | str) -> Matrix4:
+    """Read a pose: JSON ``{"T_proximity_scan": 4 x 4}``, or four lines of four numbers.
+
+    Raises
+    ------
+    SourceError
+        The file cannot be read or holds no rigid transform in metres.
+    """
+    text = read_text(path)
+    try:
+        if text.lstrip().startswith("{"):
+            return rigid_transform(parse_json(text)["T_proximity_scan"])
+        lines = [line.replace(",", " ").split() for line in text.splitlines() if line.strip()]
+        return rigid_transform([[float(word) for word in line] for line in lines])
+    except (ValueError, TypeError, KeyError) as error:
+        detail = " ".join(str(error).split())
+        raise SourceError(
+            f'{path} holds no pose ({detail}); it is JSON {{"T_proximity_scan": 4 x 4}} or '
+            "four lines of four numbers, metres"
+        ) from error
+
+
+def read_text(path: Path | str) -> str:
+    """Return the text of a small file; raises a `SourceError`."""
+    path = user_path(path)
+    try:
+        return read_file(path, _FILE_BYTES).decode("utf-8-sig")
+    except OSError as error:
+        raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
+    except ValueError as error:
+        raise SourceError(f"{path} is no text file; write it as text") from error
 
 
 def read_pairs(path: Path | str, unit_m: float = 1.0) -> tuple[Float64Array, Float64Array]:

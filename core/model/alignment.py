@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import datetime
 from math import isnan
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
@@ -36,8 +36,7 @@ class PointPair(_Record):
 
     ``proximity_image`` names the image whose pixels the proximity side is given in; points in colour lie on the
     membrane, which the proximity depth does not see. ``tactile_depth_m`` is the raw tactile depth, None where there is
-    none. ``proximity_depth_m`` is the distance that the proximity camera measures at a point of contact. ``snapshot``
-    counts the snapshots of a calibration from 0. A pair is pending while one side is None.
+    none. ``snapshot`` counts the snapshots of a calibration from 0. A pair is pending while one side is None.
     """
 
     id: Annotated[str, Field(min_length=1, max_length=200)]
@@ -49,17 +48,15 @@ class PointPair(_Record):
     tactile_depth_m: _Depth = None
     proximity_image: Literal["depth", "color"] = "depth"
     snapshot: Annotated[int, Field(ge=0)] | None = None
-    proximity_depth_m: _Depth = None
     origin: Annotated[str, Field(max_length=200)] = ""
 
-    @model_validator(mode="after")
-    def _measures_what_was_clicked(self) -> Self:
-        if self.proximity_depth_m is not None and self.proximity_image == "color":
-            raise ValueError(
-                "proximity_depth_m is set, but the point was clicked in colour, where the proximity depth looks "
-                "through the membrane; leave it empty"
-            )
-        return self
+    @model_validator(mode="before")
+    @classmethod
+    def _without_contact(cls, values: Any) -> Any:
+        # older files hold the proximity depth at contact, which improved no fit by more than 5 %
+        if isinstance(values, dict):
+            return {name: value for name, value in values.items() if name != "proximity_depth_m"}
+        return values
 
     @property
     def proximity(self) -> Place | None:

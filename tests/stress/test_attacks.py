@@ -20,7 +20,7 @@ import pytest
 from attacks import bounded
 from tactune.core.calibration.lens import fit_lens
 from tactune.core.errors import TactuneError
-from tactune.core.estimation.pose_files import load_transform
+from tactune.core.lab.scan import load_transform
 from tactune.core.model.rig_file import load_rig
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source

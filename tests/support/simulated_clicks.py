@@ -119,7 +119,6 @@ def make_clicks(
         tactile_depth_m=true.tactile_depth_m + noise.depth_m * rng.standard_normal(count),
         proximity=proximity,
         in_color=in_color,
-        proximity_depth_m=true.proximity_depth_m,
     )
     return Clicks(noisy, true)
 
@@ -132,7 +131,6 @@ def project_points(points_m: Float64Array, rig: Rig, in_color: BoolArray) -> Poi
         tactile_depth_m=of_tactile[:, 2],
         proximity=proximity_pixels(rig, points_m, in_color),
         in_color=in_color,
-        proximity_depth_m=np.full(len(points_m), np.nan),
     )
 
 

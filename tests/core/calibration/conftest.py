@@ -20,7 +20,7 @@ class Plane:
     def points(tactile, proximity):
         """Points without depth."""
         unknown = np.full(len(tactile), np.nan)
-        return PointArrays(tactile, unknown, proximity, np.zeros(len(tactile), bool), unknown)
+        return PointArrays(tactile, unknown, proximity, np.zeros(len(tactile), bool))
 
     def clicks(self, seed, count, H=mild, sigma=0.7, wrong=0.0):
         rng = np.random.default_rng(seed)

@@ -54,7 +54,7 @@ def test_words_hold_the_verdict(run, files, model):
     [
         (lambda text: text.replace("\n1,1,", "\n1,1,x"), "line 2: proximity_u"),
         (lambda text: "\n".join(text.split("\n")[:4]), "at least 4"),
-        (lambda text: "", "is empty"),
+        (lambda text: "", "lacks the column id"),
     ],
 )
 def test_bad_points_end_with_2_and_one_sentence(run, files, change, words):

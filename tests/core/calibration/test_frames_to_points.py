@@ -80,7 +80,6 @@ def test_a_recheck_tells_a_good_calibration_from_a_moved_camera(frames, rig, pre
     good = recheck(preset, rig, frames[1])
     assert not good.recalibrate
     assert good.drift_px < 0.8
-    assert (good.stored, good.found > 20) == (30, True)
     pose = np.array(preset.alignment.rigid.T_proximity_tactile)
     pose[:3, :3] = Rotation.from_rotvec([0, np.radians(0.6), 0]).as_matrix() @ pose[:3, :3]
     moved = recheck(preset.with_value("alignment.rigid.T_proximity_tactile", pose), rig, frames[1])
@@ -100,9 +99,6 @@ def test_the_median_leaves_out_what_is_no_depth():
         middle = valid[[(len(valid) - 1) // 2, len(valid) // 2]] if len(valid) else np.zeros(1)
         wanted = middle[0] if np.ptp(middle) > 10 else np.rint(middle.mean())  # two surfaces are not averaged
         assert found[row, column] == wanted
-    other = SensorFrame(9, many[0, :4], many[0, :4], color[:4])
-    with pytest.raises(CalibrationError, match="33 x 4 pixels"):
-        take_snapshot([frames[0], other])
 
 
 def test_a_snapshot_is_quieter_than_a_frame_and_named_by_its_content(rig):

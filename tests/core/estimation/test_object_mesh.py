@@ -25,11 +25,7 @@ def test_unit_is_told_by_the_size(tmp_path, suffix, scale, unit):
     assert mesh.size_m == pytest.approx([0.08, 0.08, 0.095], rel=0.01)
     assert len(mesh.vertices_m) == len(cup.vertices), "corners that triangles of an STL repeat are merged"
     assert f"read in {unit}: 80 x 80 x 95 mm" in mesh.assumed
-
-
-def test_given_unit_wins(tmp_path):
-    trimesh.creation.box((4, 4, 4)).export(tmp_path / "box.stl")
-    assert load_mesh(tmp_path / "box.stl", "cm").size_m == pytest.approx([0.04] * 3)
+    assert load_mesh(tmp_path / f"cup{suffix}", unit).size_m == pytest.approx(mesh.size_m)
 
 
 def test_mesh_inside_out_is_turned(tmp_path):

@@ -10,12 +10,12 @@ import pytest
 from painted_scan import PaintFlaws, write_painted_scan
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import CalibrationError
-from tactune.core.estimation.pose_files import load_transform
 from tactune.core.lab.scan import (
     HEADER,
     PaintSettings,
     Scan,
     load_scan,
+    load_transform,
     painted_contact,
     pose_from_pairs,
     refine_pose,

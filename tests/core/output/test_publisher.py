@@ -43,7 +43,7 @@ def points_of(cloud: Any) -> np.ndarray[Any, Any]:
 
 
 TURN = ((0.0, -1.0, 0.0, 0.1), (1.0, 0.0, 0.0, 0.2), (0.0, 0.0, 1.0, 0.3), (0.0, 0.0, 0.0, 1.0))
-TILT = Tilt(0, 0.0, "pca", 9, roll_rad=0.1, roll_sigma_rad=0.01, axis_rad=-0.5, axis_sigma_rad=0.05)
+TILT = Tilt(0, 0.0, 9, roll_rad=0.1, roll_sigma_rad=0.01, axis_rad=-0.5, axis_sigma_rad=0.05)
 
 
 @pytest.fixture(scope="module")
