@@ -14,7 +14,6 @@ from PyQt6.QtWidgets import QApplication
 
 from ..core.errors import ExportError, TactuneError
 from ..core.model.files import atomic_path
-from ..core.preset import Preset
 from ..core.sources.presets import load_preset
 from ..widgets.basics.icons import app_icon
 from ..widgets.basics.style import use_style
@@ -36,25 +35,27 @@ def run_gui(source: str, preset: str, screenshot: Path | None, after: int = 30) 
     With ``screenshot`` save a picture of it there once ``after`` frames have been processed, then end. Raise a
     `TactuneError` where preset or picture fail.
     """
-    start_preset, preset_path = start_with(preset)
+    path = Path(preset)
+    start_preset, own = load_preset(preset), path.is_file() and path.suffix != ".mcap"
     application = make_application()
-    if screenshot is None:
-        window = MainWindow(start_preset, Settings(default_settings_file()), default_data_folder())
-        _prepare(window, preset_path)
-        window.open_source(source)
-        window.file_flows.offer_unsaved_work()
-        _stop_on_interrupt(window, application)
-        return _ended(application.exec())
-    # A screenshot neither depends on remembered settings nor changes them.
     with TemporaryDirectory(prefix="tactune-") as folder:
-        window = MainWindow(start_preset, Settings(Path(folder) / "window.json"), Path(folder))
-        _prepare(window, preset_path)
-        picture = _Screenshot(window, screenshot, after)
+        # A screenshot neither depends on remembered settings nor changes them.
+        settings_file = default_settings_file() if screenshot is None else Path(folder) / "window.json"
+        data_folder = default_data_folder() if screenshot is None else Path(folder)
+        window = MainWindow(start_preset, Settings(settings_file), data_folder)
+        if own:
+            window.document.open(path)
+        window.error_hook.install()
+        window.show()
+        picture = None if screenshot is None else _Screenshot(window, screenshot, after)
         window.open_source(source)
-        application.exec()
-    if picture.problem:
+        if picture is None:
+            window.file_flows.offer_unsaved_work()
+            _stop_on_interrupt(window, application)
+        status = application.exec()
+    if picture is not None and picture.problem:
         raise ExportError(picture.problem)
-    return _ended(0)
+    return _ended(status)
 
 
 def _ended(status: int) -> int:
@@ -89,13 +90,6 @@ def _stop_on_interrupt(window: MainWindow, application: QApplication) -> None:
     wake.start(WAKE_MS)
 
 
-def _prepare(window: MainWindow, preset_path: Path | None) -> None:
-    if preset_path is not None:
-        window.document.open(preset_path)
-    window.error_hook.install()
-    window.show()
-
-
 def make_application() -> QApplication:
     """Return the application with Tactune's name, icon and style."""
     existing = QApplication.instance()
@@ -110,45 +104,31 @@ def make_application() -> QApplication:
     return application
 
 
-def start_with(name: str) -> tuple[Preset, Path | None]:
-    """Return the first preset, and its file unless it is a shipped one."""
-    path = Path(name)
-    return load_preset(name), path if path.is_file() and path.suffix != ".mcap" else None
-
-
 class _Screenshot(QObject):
     """Waits for enough frames, saves a picture of the window, and closes it."""
 
     def __init__(self, window: MainWindow, path: Path, after: int) -> None:
         super().__init__(window)
         self.problem = ""
-        self._window = window
-        self._path = path
-        self._after = after
+        self._window, self._path, self._after = window, path, after
         self._patience = QTimer(self)
         self._patience.setSingleShot(True)
         self._patience.setInterval(MAX_WAIT_MS)
-        self._patience.timeout.connect(
-            lambda: self._give_up(f"no {after} frames arrived within {MAX_WAIT_MS // 1000} s")
-        )
+        self._patience.timeout.connect(lambda: self._give_up(f"no {after} frames within {MAX_WAIT_MS // 1000} s"))
         window.context.frameShown.connect(self._frame_shown)
         window.worker.opened.connect(lambda _: self._patience.start())
         window.worker.openFailed.connect(lambda _, sentence: self._give_up(sentence))
         window.worker.failed.connect(self._give_up)
-        window.error_hook.raised.connect(lambda sentence, details: self._give_up(f"{sentence}\n{details}"))
 
     def _frame_shown(self) -> None:
         result = self._window.result
-        if result is None:
-            return
-        if result.patch is None and not result.problem:  # the contact test is being compiled
+        if result is None or (result.patch is None and not result.problem):  # the contact test is being compiled
             self._patience.start()
-            return
-        still = not result.playback.playing
-        if result.processed >= self._after or still:
+        elif result.processed >= self._after or not result.playback.playing:
             self._window.context.frameShown.disconnect(self._frame_shown)
             self._patience.stop()
             self._window.worker.pause()
+            self.problem = result.problem
             QTimer.singleShot(300, self._take)
 
     def _take(self) -> None:
@@ -158,11 +138,8 @@ class _Screenshot(QObject):
                     raise ExportError(f"cannot write {self._path}: Qt could not save the picture; choose another place")
         except TactuneError as error:
             self.problem = str(error)
-        result = self._window.result
-        if result is not None and result.problem:
-            self.problem = self.problem or f"{self._path} shows a problem: {result.problem}"
         self._window.close()
 
     def _give_up(self, problem: str) -> None:
-        self.problem = self.problem or f"no picture was taken: {problem}"
+        self.problem = f"no picture was taken: {problem}"
         self._window.close()

@@ -41,12 +41,7 @@ class Settings:
     """Typed access to the remembered values; a missing or damaged file gives the defaults.
 
     The file is JSON with plain strings. It is not a `QSettings` file: PyQt unpickles values of those, so that a file of
-    somebody else could run code.
-
-    Parameters
-    ----------
-    path : Path
-        Two windows may share it: each writes only the values that it changed.
+    somebody else could run code. Two windows may share it: each writes only the values that it changed.
     """
 
     def __init__(self, path: Path) -> None:

@@ -21,9 +21,10 @@ import numpy as np
 from PyQt6.QtCore import QObject, Qt, QTimer
 
 from tactune.app.cli.common import default_preset
-from tactune.app.gui import make_application, start_with
+from tactune.app.gui import make_application
 from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
+from tactune.core.sources.presets import load_preset
 from tactune.widgets.basics.theme import ThemeChoice
 
 HEARTBEAT_MS = 5
@@ -111,7 +112,7 @@ def main() -> None:
     parser.add_argument("--size", default="1280x800")
     parser.add_argument("--theme", choices=("light", "dark"), default="light")
     options = parser.parse_args()
-    preset, _ = start_with(options.preset or default_preset(options.source))
+    preset = load_preset(options.preset or default_preset(options.source))
     application = make_application()
     with tempfile.TemporaryDirectory(prefix="tactune-") as folder:
         window = MainWindow(preset, Settings(Path(folder) / "window.json"), Path(folder))

@@ -24,11 +24,12 @@ from pathlib import Path
 import numpy as np
 from PyQt6.QtCore import QCoreApplication, QEvent, QObject, QTimer
 
-from tactune.app.gui import make_application, start_with
+from tactune.app.gui import make_application
 from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.recorder import RecordingEnd
 from tactune.core.errors import TactuneError
+from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 
 LIMIT_MB_PER_MIN = 1.0
@@ -185,7 +186,7 @@ def settle(before: dict[str, Counter[str]]) -> dict[str, Counter[str]]:
 
 def run_window(source: str, seconds: float, cycle_s: float) -> Soak:
     """Open a window, run it, close it, and return its measurements."""
-    preset, _ = start_with("simulator")
+    preset = load_preset("simulator")
     application = make_application()
     with tempfile.TemporaryDirectory(prefix="tactune-soak-") as name:
         folder = Path(name)

@@ -16,7 +16,7 @@ from ...core.model.alignment import PointPair
 from ...core.model.files import atomic_path
 from ...core.model.frames import SensorFrame
 from ...core.model.loading import parse_npz, read_file
-from ..document.keeping import KeptState, check_version, lock_of, remove_unnamed, write_json
+from ..document.keeping import KeptState, lock_of, write_json
 from .session import Choices, Session, SessionState, Snapshot, renumbered, rig_key
 
 _VERSION = 2
@@ -65,16 +65,12 @@ class Keeper(KeptState[SessionState]):
         return kept_at
 
     def close(self) -> None:
-        """Write the last state, remove unused old snapshots, and release the file."""
+        """Write the last state, remove the snapshots that it has no more, and release the file."""
         self.flush()
         self.finish()
+        for digest in self._stored - set(self.present().digests):
+            _images_file(self.folder, digest).unlink(missing_ok=True)
         self._lock.unlock()
-        remove_unnamed(
-            self.folder,
-            "calibration-*.json",
-            lambda content: [_images_file(self.folder, entry["digest"]).name for entry in content["snapshots"]],
-            "snapshot-*.npz",
-        )
 
     def write(self, state: SessionState, file: Path) -> None:
         """Write new snapshots, then the state that refers to them."""
@@ -97,7 +93,8 @@ class Keeper(KeptState[SessionState]):
 
     def _parse(self, content: dict[str, Any]) -> SessionState:
         """Return the saved state without the snapshots whose images are missing."""
-        check_version(content, _VERSION)
+        if content["version"] != _VERSION:
+            raise ValueError(f"version {content['version']} is not supported")
         snapshots = []
         self._missing = []
         for entry in content["snapshots"]:

@@ -13,9 +13,8 @@ from .document import Document
 
 #: Name of the side that is the document's preset and follows its edits.
 PRESENT: Final = "Present"
-#: Names of the side that was last saved, or without a file opened; it follows the next save.
-SAVED: Final = "Saved"
-OPENED: Final = "As opened"
+#: Name of the side that was last saved, or without a file opened; it follows the next save.
+SAVED: Final = "As saved or opened"
 
 
 @dataclass(frozen=True)
@@ -68,8 +67,7 @@ class Comparison(QObject):
 
     @property
     def saved(self) -> Side:
-        """The preset as it is in the document's file; without a file, as it was opened."""
-        return Side(OPENED if self._document.path is None else SAVED, self._document.baseline)
+        return Side(SAVED, self._document.baseline)
 
     @property
     def sides(self) -> Sides | None:
@@ -88,7 +86,7 @@ class Comparison(QObject):
         """Return a side after edits and saves of the document."""
         if side.follows:
             return self.present
-        return self.saved if side.name in (SAVED, OPENED) else side
+        return self.saved if side.name == SAVED else side
 
     def _follow(self, _: Preset) -> None:
         if self._sides is not None:

@@ -4,20 +4,52 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from pydantic import BaseModel
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from ...core.errors import PresetError, TactuneError
-from ...core.preset import Preset, now
+from ...core.model.frames import SensorFrame
+from ...core.preset import Preset, UntouchedRecord, now
 from ...core.preset.file import save_preset
-from ...core.rig.untouched import copy_untouched
+from ...core.rig.untouched import copy_untouched, save_untouched
 from ...core.sources.presets import load_preset, load_preset_and_note
 from ...core.tuning.advice.proposal import Proposal
 from ...widgets.basics.fields import field_spec
 from .history import History
-from .untouched_store import UntouchedStore
+
+#: Number of newest untouched frames that stay: unsaved work names them, and a window may still undo to them.
+_KEPT: Final = 50
+
+
+class UntouchedStore:
+    """A folder of untouched frames, named by their content; its methods may be called from any thread."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        #: Stands for the file of a preset without one; it is never written.
+        self.place = folder / "preset.json"
+
+    def keep(self, frame: SensorFrame, frames: int) -> UntouchedRecord:
+        """Save an untouched frame and return its record for the preset."""
+        return save_untouched(frame, frames, self.place)
+
+    def home(self, record: UntouchedRecord | None, path: Path | None) -> Path | None:
+        """Return the file that an untouched frame lies beside, for `load_untouched`: the preset's own, else `place`.
+
+        If it is not found, return the preset's own file, or None without a file.
+        """
+        if record is None or (path is not None and (path.parent / record.file).is_file()):
+            return path
+        return self.place if (self._folder / record.file).is_file() else path
+
+    def tidy(self) -> None:
+        """Remove all but the newest untouched frames."""
+        with suppress(OSError):
+            files = sorted(self._folder.glob("untouched-*.npz"), key=lambda file: file.stat().st_mtime, reverse=True)
+            for file in files[_KEPT:]:
+                file.unlink()
 
 
 class Document(QObject):
@@ -54,9 +86,6 @@ class Document(QObject):
     def baseline(self) -> Preset:
         """The preset that "reset" returns to: as it was opened or last saved."""
         return self._baseline
-
-    def history(self) -> list[tuple[str, Preset]]:
-        return self._history.states()
 
     @property
     def untouched_home(self) -> Path | None:
@@ -150,14 +179,10 @@ class Document(QObject):
 
 def describe_edit(preset: Preset, paths: tuple[str, ...]) -> str:
     """Describe an edit for the Edit menu, such as ``"Tolerance t 1.2 %"``."""
-    if paths == ("untouched",):
-        return "Capture untouched frame"
-    if paths == ("noise",):
-        return "Measure noise and bias"
     if len(paths) == 1:
-        return f"{field_title(paths[0])} {shown_value(paths[0], preset.value(paths[0]))}"
-    if len(paths) == 2:
-        return " and ".join(field_title(path) for path in paths).capitalize()
+        value = preset.value(paths[0])
+        title = field_title(paths[0])
+        return title if isinstance(value, BaseModel) else f"{title} {shown_value(paths[0], value)}"
     sections = sorted({path.split(".")[0] for path in paths})
     return f"{', '.join(sections)} ({len(paths)} values)"
 
@@ -176,25 +201,12 @@ def field_title(path: str) -> str:
 
 
 def shown_value(path: str, value: Any) -> str:
-    """Format a value as the panel shows it, with its unit."""
+    """Format a value as the panel shows it, with its unit, short enough for a menu."""
     with suppress(TypeError):  # a field of a type that the panel does not show
         spec = field_spec(Preset, path)
         if spec.kind in ("number", "range"):
             return spec.describe(value)
-    return format_value(value)
-
-
-def format_value(value: Any) -> str:
-    """Format a preset value, short enough for a menu."""
     if isinstance(value, bool):
         return "on" if value else "off"
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    if isinstance(value, tuple):
-        if any(isinstance(item, tuple) for item in value):
-            return "matrix"
-        return " - ".join(format_value(item) for item in value)
-    if value is None:
-        return "from the rig"
-    text = ", ".join(f"{name} {item:g}" for name, item in value.items()) if isinstance(value, dict) else str(value)
+    text = "none" if value is None else str(value)
     return text if len(text) <= 24 else text[:23] + "…"

@@ -22,14 +22,6 @@ class StateStep(QUndoCommand):
         super().__init__(text)
         self._show, self._before, self._after, self._merge_key = show, before, after, (gesture, target)
 
-    @property
-    def after(self) -> Any:
-        return self._after
-
-    @property
-    def before(self) -> Any:
-        return self._before
-
     def redo(self) -> None:
         self._show(self._after)
 
@@ -68,16 +60,6 @@ class History(QObject, Generic[T]):
         """Change the state as one undoable step; see `StateStep` for the parameters. An equal state is no step."""
         if after != self._state:
             self.undo_stack.push(StateStep(text, self.show, self._state, after, gesture, target))
-
-    def states(self) -> list[tuple[str, T]]:
-        """Return every state in the order of the edits with the text of the step that led to it, undone ones too.
-
-        The first state has an empty text.
-        """
-        commands = [self.undo_stack.command(index) for index in range(self.undo_stack.count())]
-        steps = [command for command in commands if isinstance(command, StateStep)]
-        first = steps[0].before if steps else self._state
-        return [("", first), *((step.text(), step.after) for step in steps)]
 
     def show(self, state: T) -> None:
         """Change the state without a step: for undo, and to restore saved work."""

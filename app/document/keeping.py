@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import json
-import time
-from abc import ABCMeta, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from datetime import datetime
-from itertools import count
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from PyQt6.QtCore import QLockFile, QObject, QTimer, pyqtSignal
 
 from ...core.errors import TactuneError
-from ...core.model.files import LEFT_S, atomic_path, path_exists, remove_leftovers
+from ...core.model.files import atomic_path, remove_leftovers
 from ...core.model.loading import read_json
 from ...core.preset import now
 
@@ -26,18 +23,7 @@ T = TypeVar("T")
 DAMAGE = (OSError, ValueError, KeyError, TypeError, TactuneError)
 
 
-def free_aside(place: Path) -> Path:
-    """Return a name for a damaged file that is set aside: ``place``, or with a number if that is taken."""
-    if not path_exists(place):
-        return place
-    return next(other for number in count(2) if not path_exists(other := place.with_name(f"{place.name}-{number}")))
-
-
-class _AbstractQObject(type(QObject), ABCMeta):  # type: ignore[misc]
-    """Qt's metaclass and that of abstract classes in one, as Python requires."""
-
-
-class KeptState(QObject, Generic[T], metaclass=_AbstractQObject):
+class KeptState(QObject, Generic[T]):
     """Keeps a file up to date with a state that changes: ``delay_ms`` after a change, in order, on a thread of its own.
 
     A subclass says what the state is (`present`) and how it is written (`write`).
@@ -61,13 +47,13 @@ class KeptState(QObject, Generic[T], metaclass=_AbstractQObject):
         self._timer.setInterval(delay_ms)
         self._timer.timeout.connect(self.flush)
 
-    @abstractmethod
     def present(self) -> T:
         """Return the present state, immutable and comparable."""
+        raise NotImplementedError
 
-    @abstractmethod
     def write(self, state: T, file: Path) -> None:
         """Write a state; called on the disk's thread. Raise `OSError` or `TactuneError` where that fails."""
+        raise NotImplementedError
 
     def schedule(self, *_: object) -> None:
         """Write soon; connect the signals of changes to it."""
@@ -90,11 +76,6 @@ class KeptState(QObject, Generic[T], metaclass=_AbstractQObject):
         """Do something on the disk's thread, after everything that was scheduled before."""
         self._disk.submit(work, *arguments)
 
-    def wait(self) -> None:
-        """Wait until everything that was scheduled is on the disk."""
-        with suppress(RuntimeError):  # finished
-            self._disk.submit(lambda: None).result()
-
     def close(self) -> None:
         """Write the last state and wait for the disk."""
         self.flush()
@@ -114,12 +95,10 @@ class KeptState(QObject, Generic[T], metaclass=_AbstractQObject):
         except (FileNotFoundError, NotADirectoryError):
             return None
         except DAMAGE as error:
-            aside = free_aside(file.with_suffix(".damaged"))
+            aside = file.with_suffix(".damaged")
             with suppress(OSError):
-                file.rename(aside)
-            self.failed.emit(
-                f"The saved {self._noun} {file} cannot be read ({error}); it was set aside as {aside.name}."
-            )
+                file.replace(aside)
+            self.failed.emit(f"The saved {self._noun} {file} cannot be read ({error}); set aside as {aside.name}.")
             return None
 
     def _write(self, state: T, file: Path) -> None:
@@ -139,12 +118,6 @@ def write_json(file: Path, content: dict[str, Any]) -> None:
         temporary.write_text(json.dumps({"kept": now().isoformat(), **content}), encoding="utf-8")
 
 
-def check_version(content: dict[str, Any], version: int) -> None:
-    """Raise `ValueError` where a saved state is of another version."""
-    if content["version"] != version:
-        raise ValueError(f"version {content['version']} is not supported")
-
-
 def lock_of(file: Path) -> QLockFile:
     """Return the lock beside a file, which tells a window that is running from one that has died."""
     lock = QLockFile(str(file.with_suffix(".lock")))
@@ -157,20 +130,3 @@ def clean_up(folder: Path) -> None:
     remove_leftovers(folder)
     for path in folder.rglob("*.lock"):
         lock_of(path).tryLock(0)  # where nobody holds it, trying removes the file
-
-
-def remove_unnamed(
-    folder: Path, states: str, names: Callable[[dict[str, Any]], Iterable[str]], attachments: str
-) -> None:
-    """Remove attached files that no saved state names and that were not written within the last hour.
-
-    Another window may be about to name a new one, and writes what its undo steps need again. None is removed where a
-    state cannot be read or was set aside.
-    """
-    if any(folder.glob("*.damaged*")):
-        return
-    with suppress(*DAMAGE):
-        wanted = {name for file in folder.glob(states) for name in names(read_json(file))}
-        for file in folder.glob(attachments):
-            if file.name not in wanted and file.stat().st_mtime < time.time() - LEFT_S:
-                file.unlink()

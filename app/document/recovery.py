@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import uuid
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -73,22 +74,14 @@ class Autosave(KeptState[tuple[Preset, Path | None] | None]):
 def unsaved_work(folder: Path) -> list[UnsavedWork]:
     """Return the unsaved work of windows that died, newest first. Damaged files are left alone."""
     found = []
-    for file in sorted(folder.glob("unsaved-*.json"), key=_modified, reverse=True):
+    for file in folder.glob("unsaved-*.json"):
         lock = lock_of(file)
         if not lock.tryLock(0):
             continue
         lock.unlock()
-        try:
+        with suppress(*DAMAGE):
             content = read_json(file)
             path = Path(content["path"]) if content["path"] else None
-            found.append(UnsavedWork(file, preset_from_text(json.dumps(content["preset"]), origin=str(file)), path))
-        except DAMAGE:
-            continue
-    return found
-
-
-def _modified(file: Path) -> float:
-    try:
-        return file.stat().st_mtime
-    except OSError:
-        return 0.0
+            preset = preset_from_text(json.dumps(content["preset"]), origin=str(file))
+            found.append((content["kept"], UnsavedWork(file, preset, path)))
+    return [work for _, work in sorted(found, key=lambda kept: kept[0], reverse=True)]

@@ -26,8 +26,7 @@ from ...widgets.basics.messages import Severity
 from ...widgets.images.image_pane import ImagePane
 from ..calibration.pictures import picture
 from ..context import SOURCE, Context
-from ..document.document import Document
-from ..document.untouched_store import UntouchedStore
+from ..document.document import Document, UntouchedStore
 from ..worker.jobs import Job, Progress, Work
 from ..worker.recorder import Recorder
 from ..worker.results import SourceInfo
@@ -138,7 +137,7 @@ class UntouchedControls(QObject):
         self._context = context
         self.window: CaptureWindow | None = None
         self.store = UntouchedStore(context.data_folder / "untouched")
-        self.store.tidy(context.data_folder)
+        self.store.tidy()
         context.document.untouched_store = self.store
         context.document.warned.connect(
             lambda sentence: context.messages.show_message("untouched", Severity.WARNING, sentence)

@@ -58,7 +58,6 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
         Row("open_preset", "Open pre&set…", "Ctrl+Shift+O"),
         Row("save", "&Save preset", "Ctrl+S", icon="content-save-outline"),
         Row("save_as", "Save preset &as…", "Ctrl+Shift+S"),
-        Row("details", "Name and no&tes…", "F2", "Edit the preset's name and notes"),
         Submenu("recent_presets", "&Recent presets"),
         _LINE,
         Row("export_patch", "&Export patch…", "Ctrl+E", "Save this frame's patch as a point cloud", "tray-arrow-down"),
@@ -73,10 +72,7 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
         Row("suggest_all", "&Suggest all…", "Ctrl+J", "Propose values for all sections, each with its evidence"),
         Row("examples", "&Examples of contact…", "Ctrl+L", "Mark untouched frames and contact, for suggestions"),
         _LINE,
-        Row(
-            "changes_since_save", "&What changed since save", "Ctrl+D", "Compare the saved preset with the present one"
-        ),
-        Row("compare", "&Compare presets", "Ctrl+B", "Show two presets side by side, or end that", checked=False),
+        Row("compare", "&Compare presets", "Ctrl+B", "Saved and present preset, or any two; again: end", checked=False),
         _LINE,
         Row("next_side", "&A, B or wipe", "C", "While presets are compared: only A, only B, or both at the wipe"),
         Row("wipe_left", "Wipe to the &left", "Alt+Left", "Show less of A"),
@@ -88,7 +84,6 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
         Row("top_view", "T&op view", "T", "Look from above"),
         Row("side_view", "&Side view", "S", "Look from the side"),
         Row("zoom_to_patch", "&Zoom to patch", "Z", "Zoom in on the contact patch, keeping the direction"),
-        Row("copy_view", "&Copy view as picture", "Ctrl+Shift+C", "Copy the view or image under the mouse"),
         _LINE,
         Row("show_proximity", "&Proximity view", "Ctrl+1", checked=True),
         Row("show_tactile", "&Tactile view", "Ctrl+2", checked=True),
@@ -138,7 +133,6 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
         Row("shortcuts", "&Shortcuts", "Shift+F1", "All keys and mouse gestures", "keyboard-outline"),
         _LINE,
         Row("messages", "&Messages", "F12", "Go to the message over the views"),
-        Row("check_computer", "&Check this computer…", tip="Check packages, cameras, USB and permissions"),
         Row("about", "&About Tactune", icon="information-outline"),
     ),
 }
@@ -213,7 +207,7 @@ def make_menus(bar: QMenuBar, actions: Actions, tabs: Sequence[QAction]) -> Menu
     preset = QMenu("Preset", bar)
     preset.addAction(actions.new_preset)
     preset.addMenu(submenus["shipped_presets"])
-    preset.addActions([actions.open_preset, actions.save, actions.save_as, actions.details])
+    preset.addActions([actions.open_preset, actions.save, actions.save_as])
     preset.addMenu(submenus["recent_presets"])
     themes = _choices(submenus["themes"], [(theme.capitalize(), theme) for theme in THEMES])
     speeds = _choices(submenus["speeds"], [(f"{speed:g} x", speed) for speed in SPEEDS])

@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from PyQt6.QtCore import QObject, Qt, pyqtSignal
-from PyQt6.QtWidgets import (
-    QButtonGroup,
-    QComboBox,
-    QGridLayout,
-    QLabel,
-    QSizePolicy,
-    QWidget,
-)
+from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtWidgets import QButtonGroup, QComboBox, QGridLayout, QLabel, QSizePolicy, QWidget
 
 from ...core.errors import TactuneError
 from ...core.preset import Preset
@@ -35,15 +28,10 @@ from .actions import Actions
 from .files import PRESET_FILTER
 from .frame_presenter import FramePresenter
 
-#: A side on offer: its name, and what makes it the chosen one.
-Offer = tuple[str, Callable[[], None]]
-
 #: Share of the width by which a key moves the wipe.
 STEP: Final = 0.05
 #: Interval between updates of the numbers while frames play, in seconds.
 INTERVAL_S: Final = 0.2
-#: Number of newest steps of the history that are offered.
-_MAX_STEPS: Final = 40
 
 
 class Shown(StrEnum):
@@ -54,7 +42,7 @@ class Shown(StrEnum):
     B = "B"
 
 
-_NEXT: Final = {Shown.WIPE: Shown.A, Shown.A: Shown.B, Shown.B: Shown.WIPE}
+_NEXT: Final = {Shown.A: Shown.B, Shown.B: Shown.WIPE, Shown.WIPE: Shown.A}
 _MODE_TIPS: Final = {
     Shown.WIPE: "A left and B right of a line that you drag (Alt + Left and Alt + Right move it)",
     Shown.A: "Show only A (C changes between A, B and the wipe)",
@@ -77,47 +65,35 @@ _RECORDS: Final[dict[str, Callable[[Any], str]]] = {
 }
 
 
-class SideBox(QComboBox):
-    """Chooses one side. Its entries are made when it opens: answer the signal ``opening()`` with `offer`."""
+def _value(path: str, preset: Preset) -> str:
+    """Return a value as the panel of parameters shows it."""
+    value = preset.value(path)
+    if path in _RECORDS:
+        return "none" if value is None else _RECORDS[path](value)
+    return shown_value(path, value)
 
-    opening = pyqtSignal()
 
-    def __init__(self, letter: str) -> None:
-        super().__init__()
-        self.setAccessibleName(f"Preset {letter}")
-        self.setToolTip(f"Preset {letter}: the present one, the saved one, a step of the history, or another preset")
-        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        self.setMaxVisibleItems(25)
-        self.activated.connect(lambda index: self.itemData(index)())
-
-    def offer(self, groups: Sequence[Sequence[Offer]], chosen: Side) -> None:
-        """Set the entries, group by group. A chosen side that is not among them comes first."""
-        if chosen.name not in {name for group in groups for name, _ in group}:
-            groups = [[(chosen.name, lambda: None)], *groups]
-        self.clear()
-        for group in groups:
-            if self.count() and group:
-                self.insertSeparator(self.count())
-            for name, choose in group:
-                self.addItem(name, choose)
-        self.setCurrentIndex(self.findText(chosen.name))
-
-    def showPopup(self) -> None:
-        self.opening.emit()
-        super().showPopup()
+#: A row is the path of a field and both presets.
+_COLUMNS: Final = (
+    Column("Field", lambda row: field_title(row[0]), "Field of the preset", hint=lambda row: row[0], stretch=True),
+    Column("A", lambda row: _value(row[0], row[1]), "Its value in A", sample="0 to 0.0000"),
+    Column("B", lambda row: _value(row[0], row[2]), "Its value in B", sample="0 to 0.0000"),
+)
 
 
 class ComparisonPanel(QWidget):
-    """Shows which presets are compared, how they are shown, their numbers, and the fields in which they differ."""
+    """Shows and chooses which presets are compared, how they are shown, their numbers, and the fields that differ."""
 
-    modeChosen = pyqtSignal(object)  # Shown
-    swapRequested = pyqtSignal()
-    useRequested = pyqtSignal(int)  # take over side A (0) or B (1)
-    closeRequested = pyqtSignal()
+    runningChanged = pyqtSignal(bool)
 
-    def __init__(self) -> None:
+    def __init__(self, context: Context, actions: Actions, presenter: FramePresenter) -> None:
         super().__init__()
-        self.boxes = SideBox("A"), SideBox("B")
+        self._context, self._comparison = context, context.comparison
+        self._actions, self._presenter = actions, presenter
+        self._mode = Shown.WIPE
+        self._share = 0.5
+        self._numbers_s = 0.0
+        self.boxes = self._side_box(0), self._side_box(1)
         self.use = push_button("Use A", ""), push_button("Use B", "")
         self.modes = {mode: AccentButton(mode.value.capitalize(), _MODE_TIPS[mode]) for mode in Shown}
         self.numbers: dict[tuple[str, int], QLabel] = {}
@@ -129,17 +105,15 @@ class ComparisonPanel(QWidget):
             _COLUMNS, "Fields in which the presets differ", "The value of each in A and B", key=lambda row: row[0]
         )
         self.table.setMinimumHeight(80)
-        self.swap = push_button("Swap", "Exchange A and B")
         self.close_button = push_button("Close", "End the comparison (Esc)")
-        self.swap.clicked.connect(self.swapRequested)
-        self.close_button.clicked.connect(self.closeRequested)
+        self.close_button.clicked.connect(self._comparison.end)
         group = QButtonGroup(self)
         for mode, button in self.modes.items():
             button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-            button.clicked.connect(lambda _, mode=mode: self.modeChosen.emit(mode))
+            button.clicked.connect(lambda _, mode=mode: self.show_mode(mode))
             group.addButton(button)
         vbox(
-            hbox((QLabel("<b>Compare presets</b>"), 1), self.swap, self.close_button),
+            hbox((QLabel("<b>Compare presets</b>"), 1), self.close_button),
             self._side_rows(),
             hbox(*self.modes.values(), spacing=4),
             self._number_rows(),
@@ -152,15 +126,32 @@ class ComparisonPanel(QWidget):
         )
         self.setAccessibleName("Comparison of two presets")
         self.setMinimumWidth(340)
+        self.hide()
+        self._comparison.changed.connect(self._changed)
+        context.frameShown.connect(self._show_numbers)
+        actions.compare.triggered.connect(lambda wanted: self._start() if wanted else self._comparison.end())
+        actions.next_side.triggered.connect(lambda: self.show_mode(_NEXT[self._mode]))
+        actions.wipe_left.triggered.connect(lambda: self.move_wipe(self.share - STEP))
+        actions.wipe_right.triggered.connect(lambda: self.move_wipe(self.share + STEP))
+        self._enable(False)
+
+    def _side_box(self, index: int) -> QComboBox:
+        box = QComboBox()
+        box.setAccessibleName(f"Preset {'AB'[index]}")
+        box.setToolTip(f"Preset {'AB'[index]}: the present one, the saved one, a shipped one or a file")
+        box.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        box.setMaxVisibleItems(25)
+        box.activated.connect(lambda row: self._choose(index, box.itemData(row)))
+        return box
 
     def _side_rows(self) -> QGridLayout:
         grid = QGridLayout()
         grid.setColumnStretch(1, 1)
-        for index, (box, use, letter) in enumerate(zip(self.boxes, self.use, "AB", strict=True)):
-            grid.addWidget(caption(letter, box), index, 0)
+        for index, (box, use) in enumerate(zip(self.boxes, self.use, strict=True)):
+            grid.addWidget(caption("AB"[index], box), index, 0)
             grid.addWidget(box, index, 1)
             grid.addWidget(use, index, 2)
-            use.clicked.connect(lambda _, index=index: self.useRequested.emit(index))
+            use.clicked.connect(lambda _, index=index: self._use(index))
         return grid
 
     def _number_rows(self) -> QGridLayout:
@@ -179,8 +170,46 @@ class ComparisonPanel(QWidget):
                 grid.addWidget(label, row, 1 + column)
         return grid
 
-    def show_sides(self, sides: Sides) -> None:
-        for button, side, letter in zip(self.use, sides, "AB", strict=True):
+    @property
+    def share(self) -> float:
+        """Share of the width that shows A."""
+        return {Shown.A: 1.0, Shown.B: 0.0}.get(self._mode, self._share)
+
+    def move_wipe(self, share: float) -> None:
+        """Put the wipe at a share of the width, 0 to 1."""
+        self._share = min(max(share, 0.0), 1.0)
+        self.show_mode(Shown.WIPE)
+
+    def show_mode(self, mode: Shown) -> None:
+        self._mode = mode
+        self.modes[mode].setChecked(True)
+        self._presenter.set_wipe_share(self.share)
+
+    def _enable(self, running: bool) -> None:
+        for action in (self._actions.next_side, self._actions.wipe_left, self._actions.wipe_right):
+            action.setEnabled(running)
+        self._actions.compare.setChecked(running)
+
+    def _start(self) -> None:
+        """Compare the saved preset with the present one."""
+        self._comparison.show(self._comparison.saved, self._comparison.present)
+
+    def _changed(self, sides: Sides | None) -> None:
+        self._context.worker.set_compared(sides)
+        if sides is not None:
+            self._show_sides(sides)
+        running = sides is not None
+        if running != self._actions.next_side.isEnabled():
+            self._enable(running)
+            if running:
+                self.move_wipe(0.5)
+            self.setVisible(running)
+            self.runningChanged.emit(running)
+
+    def _show_sides(self, sides: Sides) -> None:
+        for box, button, side, letter in zip(self.boxes, self.use, sides, "AB", strict=True):
+            if box.currentText() != side.name:
+                self._offer(box, side)
             button.setEnabled(not side.follows)
             button.setToolTip(
                 f"Take over the values of {letter} ({side.name}) as one step that can be undone. "
@@ -191,121 +220,6 @@ class ComparisonPanel(QWidget):
         self.heading.setText(f"Fields that differ: {len(paths)}" if paths else "No field differs")
         self.table.set_records([(path, *presets) for path in paths])
 
-    def show_frame(self, compared: ComparedFrame) -> None:
-        """Show the numbers of a frame."""
-        overlap = compared.overlap
-        alone = (None, None) if overlap is None else (overlap.only_a_mm2, overlap.only_b_mm2)
-        agreement = "–" if overlap is None else f"{overlap.iou:.3f}"
-        for column, (side, area_mm2) in enumerate(zip((compared.a, compared.b), alone, strict=True)):
-            texts = {"Not in the other": _square_cm(area_mm2), "IoU of the patches": agreement}
-            if side.patch is not None:
-                texts["Area"] = _square_cm(side.area_mm2)
-                texts["Points"] = f"{len(side.patch.points):,}"
-                texts["Time"] = f"{side.ms:.1f} ms"
-            for name in [*_NUMBERS][1:]:
-                self.numbers[name, column].setText(texts.get(name, "–"))
-        sides = (("A", compared.a), ("B", compared.b))
-        self.problem.setText("\n".join(f"{letter}: {side.problem}" for letter, side in sides if side.problem))
-        self.problem.setVisible(bool(self.problem.text()))
-
-
-def _value(path: str, preset: Preset) -> str:
-    """Return a value as the panel of parameters shows it."""
-    value = preset.value(path)
-    if path in _RECORDS:
-        return "none" if value is None else _RECORDS[path](value)
-    return shown_value(path, value)
-
-
-#: A row is the path of a field and both presets.
-_COLUMNS: Final = (
-    Column("Field", lambda row: field_title(row[0]), "Field of the preset", hint=lambda row: row[0], stretch=True),
-    Column("A", lambda row: _value(row[0], row[1]), "Its value in A", sample="0 to 0.0000"),
-    Column("B", lambda row: _value(row[0], row[2]), "Its value in B", sample="0 to 0.0000"),
-)
-
-
-def _square_cm(area_mm2: float | None) -> str:
-    return "–" if area_mm2 is None else f"{area_mm2 / 100:.2f} cm²"
-
-
-class ComparisonControl(QObject):
-    """Connects `Context.comparison` with the worker, the views, the panel and the actions."""
-
-    runningChanged = pyqtSignal(bool)
-
-    def __init__(self, context: Context, actions: Actions, panel: ComparisonPanel, presenter: FramePresenter) -> None:
-        super().__init__(context)
-        self._context, self._document, self._comparison = context, context.document, context.comparison
-        self._actions, self._panel, self._presenter = actions, panel, presenter
-        self._mode = Shown.WIPE
-        self._share = 0.5
-        self._running = False
-        self._last: Sides | None = None
-        self._numbers_s = 0.0
-        self._comparison.changed.connect(self._changed)
-        context.frameShown.connect(self._show_numbers)
-        panel.modeChosen.connect(self.show_mode)
-        panel.swapRequested.connect(self._swap)
-        panel.useRequested.connect(self._use)
-        panel.closeRequested.connect(self._comparison.end)
-        for index, box in enumerate(panel.boxes):
-            box.opening.connect(partial(self._offer, index))
-        actions.changes_since_save.triggered.connect(self.show_changes)
-        actions.compare.triggered.connect(lambda wanted: self._start() if wanted else self._comparison.end())
-        actions.next_side.triggered.connect(lambda: self.show_mode(_NEXT[self._mode]))
-        actions.wipe_left.triggered.connect(lambda: self.move_wipe(self.share - STEP))
-        actions.wipe_right.triggered.connect(lambda: self.move_wipe(self.share + STEP))
-        self._enable(False)
-
-    @property
-    def share(self) -> float:
-        """Share of the width that shows A."""
-        return {Shown.A: 1.0, Shown.B: 0.0}.get(self._mode, self._share)
-
-    def show_changes(self) -> None:
-        self._comparison.show(self._comparison.saved, self._comparison.present)
-
-    def move_wipe(self, share: float) -> None:
-        """Put the wipe at a share of the width, 0 to 1."""
-        self._share = min(max(share, 0.0), 1.0)
-        self.show_mode(Shown.WIPE)
-
-    def show_mode(self, mode: Shown) -> None:
-        self._mode = mode
-        self._panel.modes[mode].setChecked(True)
-        self._presenter.set_wipe_share(self.share)
-
-    def _enable(self, running: bool) -> None:
-        actions = self._actions
-        for action in (actions.next_side, actions.wipe_left, actions.wipe_right):
-            action.setEnabled(running)
-        actions.compare.setChecked(running)
-
-    def _start(self) -> None:
-        """Compare the same sides as last time; at first the saved preset with the present one."""
-        if self._last is None:
-            self.show_changes()
-        else:
-            self._comparison.show(*map(self._comparison.up_to_date, self._last))
-
-    def _changed(self, sides: Sides | None) -> None:
-        self._context.worker.set_compared(sides)
-        if sides is not None:
-            self._last = sides
-            self._panel.show_sides(sides)
-            for index in (0, 1):
-                if self._panel.boxes[index].currentText() != sides[index].name:
-                    self._offer(index)
-        if (sides is not None) == self._running:
-            return
-        self._running = sides is not None
-        self._enable(self._running)
-        if self._running:
-            self._share = 0.5
-            self.show_mode(Shown.WIPE)
-        self.runningChanged.emit(self._running)
-
     def _show_numbers(self) -> None:
         result = self._context.result
         if result is None or result.compared is None:
@@ -313,53 +227,68 @@ class ComparisonControl(QObject):
         now = time.perf_counter()
         if not result.playback.playing or now - self._numbers_s >= INTERVAL_S:
             self._numbers_s = now
-            self._panel.show_frame(result.compared)
+            self._show_frame(result.compared)
 
-    def _swap(self) -> None:
-        if self._comparison.sides is not None:
-            a, b = self._comparison.sides
-            self._comparison.show(b, a)
+    def _show_frame(self, compared: ComparedFrame) -> None:
+        overlap, sides = compared.overlap, (compared.a, compared.b)
+        alone = (None, None) if overlap is None else (overlap.only_a_mm2, overlap.only_b_mm2)
+        agreement = "–" if overlap is None else f"{overlap.iou:.3f}"
+        for column, (side, area_mm2) in enumerate(zip(sides, alone, strict=True)):
+            texts = {"Not in the other": _square_cm(area_mm2), "IoU of the patches": agreement}
+            if side.patch is not None:
+                texts["Area"] = _square_cm(side.area_mm2)
+                texts["Points"] = f"{len(side.patch.points):,}"
+                texts["Time"] = f"{side.ms:.1f} ms"
+            for name in [*_NUMBERS][1:]:
+                self.numbers[name, column].setText(texts.get(name, "–"))
+        problems = [f"{letter}: {side.problem}" for letter, side in zip("AB", sides, strict=True) if side.problem]
+        self.problem.setText("\n".join(problems))
+        self.problem.setVisible(bool(problems))
 
     def _use(self, index: int) -> None:
         sides = self._comparison.sides
-        if sides is not None and take_over(self._document, sides[index]):
+        if sides is not None and take_over(self._context.document, sides[index]):
             self._comparison.end()
 
-    def _offer(self, index: int) -> None:
-        """Fill the list of one side."""
-        sides, comparison = self._comparison.sides, self._comparison
+    def _offer(self, box: QComboBox, chosen: Side) -> None:
+        """Fill the list of one side; each entry's data makes the side, or is None to ask for a file."""
+        entries: dict[str, Callable[[], Side] | None] = {
+            chosen.name: lambda: chosen,
+            PRESENT: lambda: self._comparison.present,
+            self._comparison.saved.name: lambda: self._comparison.saved,
+        }
+        for name in shipped_presets():
+            entries[f"Shipped: {name}"] = partial(_load, f"Shipped: {name}", name)
+        entries["File…"] = None
+        box.clear()
+        for name, make in entries.items():
+            box.addItem(name, make)
+        box.setCurrentIndex(box.findText(chosen.name))
+
+    def _choose(self, index: int, make: Callable[[], Side] | None) -> None:
+        sides = self._comparison.sides
         if sides is None:
             return
-        own: list[Offer] = [
-            (PRESENT, lambda: self._choose(index, comparison.present)),
-            (comparison.saved.name, lambda: self._choose(index, comparison.saved)),
-        ]
-        history = [
-            Side(f"Step {number}: {text}" if number else "Step 0: as opened", preset)
-            for number, (text, preset) in enumerate(self._document.history())
-        ]
-        steps = [(side.name, partial(self._choose, index, side)) for side in reversed(history[-_MAX_STEPS:])]
-        others = [
-            *((f"Shipped: {name}", partial(self._load, index, f"Shipped: {name}", name)) for name in shipped_presets()),
-            ("File…", partial(self._ask_file, index)),
-        ]
-        self._panel.boxes[index].offer([own, steps if len(history) > 1 else [], others], sides[index])
-
-    def _choose(self, index: int, side: Side) -> None:
-        if self._comparison.sides is not None:
-            a, b = self._comparison.sides
-            self._comparison.show(*((a, side) if index else (side, b)))
-            self._offer(index)
-
-    def _load(self, index: int, name: str, place: Path | str) -> None:
+        self._offer(self.boxes[index], sides[index])  # until the choice has succeeded
+        if make is None:
+            self._context.dialogs.open_file(
+                "preset",
+                "Compare with a preset",
+                PRESET_FILTER,
+                lambda path: self._choose(index, partial(_load, path.name, path)),
+            )
+            return
         try:
-            self._choose(index, Side(name, load_preset(place)))
+            side = make()
         except TactuneError as error:
             self._context.messages.show_message("comparison", Severity.ERROR, str(error), subject=TASK)
-            self._offer(index)
+            return
+        self._comparison.show(*((sides[0], side) if index else (side, sides[1])))
 
-    def _ask_file(self, index: int) -> None:
-        self._offer(index)
-        self._context.dialogs.open_file(
-            "preset", "Compare with a preset", PRESET_FILTER, lambda path: self._load(index, path.name, path)
-        )
+
+def _load(name: str, place: Path | str) -> Side:
+    return Side(name, load_preset(place))
+
+
+def _square_cm(area_mm2: float | None) -> str:
+    return "–" if area_mm2 is None else f"{area_mm2 / 100:.2f} cm²"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +11,11 @@ from PyQt6.QtCore import QObject
 from ...core.errors import SourceError, TactuneError, counted
 from ...core.output.cloud_files import patch_cloud, write_cloud
 from ...core.preset import Preset, now
-from ...core.preset.file import shipped_presets
 from ...core.sources.presets import load_preset
 from ...widgets.basics.messages import Severity
 from ..context import SOURCE, TASK, Context
 from ..document.recovery import Autosave, UnsavedWork, unsaved_work
 from ..sources.paths import recording_name
-from ..worker.jobs import Job
-from ..worker.results import Result
 from .actions import Actions
 
 PRESET_FILTER = "Presets (*.json)"
@@ -41,12 +37,7 @@ class FileFlows(QObject):
         actions.open_preset.triggered.connect(self.open_preset_dialog)
         actions.save.triggered.connect(lambda _: self.save())
         actions.save_as.triggered.connect(lambda _: self.save_as())
-        actions.details.triggered.connect(self.details)
         actions.export_patch.triggered.connect(self.export_dialog)
-
-    def close(self) -> None:
-        for job in self.findChildren(Job):
-            job.stop()
 
     def guarded(self, then: Callable[[], object]) -> None:
         """Call ``then``, which replaces the preset, after asking about unsaved changes."""
@@ -91,14 +82,6 @@ class FileFlows(QObject):
             "preset", "Save preset", suggestion, [PRESET_FILTER], lambda path: self._write_preset(path, then)
         )
 
-    def details(self) -> None:
-        preset = self._document.preset
-        self._dialogs.ask_details(
-            preset.name,
-            preset.notes,
-            lambda name, notes: self._document.edit_many({"name": name, "notes": notes}),
-        )
-
     def open_dropped(self, paths: list[Path]) -> None:
         """Open the preset or recording that was dropped on the window, or say why not."""
         first = paths[0]
@@ -116,17 +99,15 @@ class FileFlows(QObject):
         result = self._context.result
         if result is None or result.patch is None:
             return
+        patch = result.patch
 
         def chosen(path: Path) -> None:
             self._messages.clear_subject(TASK)
-            job = Job(self)  # each export has its own: one job would forget the one before the last
-            report = partial(self._messages.show_message, "export", subject=TASK)
-            for signal, severity in ((job.done, Severity.INFO), (job.failed, Severity.ERROR)):
-                signal.connect(partial(report, severity))
-                signal.connect(job.deleteLater)
-            job.start(lambda _: _export_patch(result, path))
+            if self._told(lambda: write_cloud(path, patch_cloud(patch, result.frame, result.source.rig))):
+                sentence = f"Frame {result.frame_number}: {counted(len(patch.points), 'point')} written to {path}."
+                self._messages.show_message("export", Severity.INFO, sentence, subject=TASK)
 
-        suggestion = f"patch_{result.patch.sequence:06d}.ply"
+        suggestion = f"patch_{patch.sequence:06d}.ply"
         self._dialogs.save_file("export", "Export this patch", suggestion, EXPORT_FILTERS, chosen)
 
     def offer_unsaved_work(self) -> None:
@@ -175,11 +156,10 @@ class FileFlows(QObject):
         self._settings.add_recent("presets", str(path))
 
     def _complete(self, path: Path) -> None:
-        """Set a preset's rig before it is saved, if it is missing, and its name, if it is that of another file."""
+        """Before a preset is saved, set its rig if that is missing, and its name if the file is another one."""
         preset, result = self._document.preset, self._context.result
         missing: dict[str, Any] = {}
-        former = self._document.path.stem if self._document.path is not None else ""
-        if path.stem != preset.name and preset.name in {"untitled", former, *shipped_presets()}:
+        if path != self._document.path:
             missing["name"] = path.stem[:120] or "untitled"
         if preset.rig is None and result is not None:
             missing["rig"] = result.source.rig.model_dump(mode="json")
@@ -198,10 +178,3 @@ class FileFlows(QObject):
 
 def file_name(name: str) -> str:
     return "".join(letter if letter.isalnum() or letter in "-_ ." else "_" for letter in name).strip(" .") or "preset"
-
-
-def _export_patch(result: Result, path: Path) -> str:
-    patch = result.patch
-    assert patch is not None
-    write_cloud(path, patch_cloud(patch, result.frame, result.source.rig))
-    return f"Frame {result.frame_number}: {counted(len(patch.points), 'point')} written to {path}."

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 
 from PyQt6.QtCore import QObject, Qt, QTimer
@@ -22,11 +21,8 @@ from .actions import Actions, plain_text
 from .status import FrameStatus
 from .view_area import ViewArea
 
-#: A finding stays on the screen until it has been gone for this long, milliseconds.
+#: A finding that is gone stays on the screen for this long, milliseconds: it may come back with the next frame.
 LINGER_MS = 1000
-#: Its numbers change no more often than this with the same preset, seconds.
-HOLD_S = 3.0
-
 
 _NOTHING = "Nothing is wrong with this frame."
 _NO_FRAME = "No frame was examined yet: open a source (Ctrl+O)."
@@ -98,13 +94,13 @@ class FindingsControl(QObject):
         self._panel, self._status = panel, status
         self._view = views.views[CloudName.PATCH]
         self._shown: dict[str, Finding] = {}
-        self._gone_s: dict[str, float] = {}
-        self._measured_s: dict[str, float] = {}
+        self._present: dict[str, Finding] = {}
         self._preset: Preset | None = None
         self._offered: Finding | None = None
         self._window: FindingsWindow | None = None
         self._timer = QTimer(self)
-        self._timer.setInterval(LINGER_MS // 4)
+        self._timer.setSingleShot(True)
+        self._timer.setInterval(LINGER_MS)
         self._timer.timeout.connect(self._drop_gone)
         context.worker.examined.connect(self._found)
         context.worker.opened.connect(lambda _: self._forget())
@@ -137,7 +133,7 @@ class FindingsControl(QObject):
                 action.trigger()
         elif self._context.document.apply(finding.proposal):
             self._shown.pop(finding.name, None)  # the next examination shows whether it helped
-            self._gone_s.pop(finding.name, None)
+            self._present.pop(finding.name, None)
             self._show()
 
     def _mend_field(self, path: str) -> None:
@@ -151,37 +147,21 @@ class FindingsControl(QObject):
     def _found(self, findings: tuple[Finding, ...], preset: Preset) -> None:
         if preset is not self._context.document.preset:
             return  # edited meanwhile; the next examination follows
-        before, first, now = self._shown, self._preset is None, time.monotonic()
-        present = {finding.name: self._held(finding, preset is self._preset) for finding in findings}
-        self._preset = preset
-        self._gone_s = {name: self._gone_s.get(name, now) for name in self._shown if name not in present}
-        lingering = {name: self._shown[name] for name in self._gone_s}
-        self._shown = present | lingering
-        if self._gone_s and not self._timer.isActive():
+        before, first = self._shown, self._preset is None
+        self._preset, self._present = preset, {finding.name: finding for finding in findings}
+        gone = {name: finding for name, finding in before.items() if name not in self._present}
+        self._shown = self._present | gone
+        if gone and not self._timer.isActive():
             self._timer.start()
         if first or self._shown != before:
             self._show()
 
-    def _held(self, finding: Finding, same_preset: bool) -> Finding:
-        """Return the finding, or while its numbers are recent the one that is already shown."""
-        now, name = time.monotonic(), finding.name
-        if same_preset and name in self._shown and now - self._measured_s[name] < HOLD_S:
-            return self._shown[name]
-        self._measured_s[name] = now
-        return finding
-
     def _drop_gone(self) -> None:
-        now = time.monotonic()
-        gone = [name for name, since in self._gone_s.items() if now - since >= LINGER_MS / 1000]
-        for name in gone:
-            del self._gone_s[name], self._shown[name]
-        if not self._gone_s:
-            self._timer.stop()
-        if gone:
-            self._show()
+        self._shown = dict(self._present)
+        self._show()
 
     def _forget(self) -> None:
-        self._shown, self._gone_s, self._preset = {}, {}, None
+        self._shown, self._present, self._preset = {}, {}, None
         self._show()
 
     def _show(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 
-from PyQt6.QtCore import QObject, QTimer
+from PyQt6.QtCore import QObject
 
 from ...core.contact.pipeline import ContactPatch
 from ...core.errors import minus
@@ -37,12 +37,7 @@ def camera_sentence(camera: CameraHealth) -> str:
     return f"{name} {_STATES[camera.state]}."
 
 
-def age(state: SourceState, now_s: float) -> str:
-    whole = max(0, int(now_s - state.last_frame_s))
-    return f"{whole} s old" if whole < 60 else f"{whole // 60} min old"
-
-
-def badge(state: SourceState, roles: tuple[CameraRole, ...], now_s: float, shown: bool) -> str:
+def badge(state: SourceState, roles: tuple[CameraRole, ...], shown: bool) -> str:
     """Return the text over a view of one or both cameras; empty while frames come."""
     faulty = {camera.role: said for camera in state.health.cameras if (said := camera_sentence(camera))}
     own = [faulty[role] for role in roles if role in faulty]
@@ -51,15 +46,8 @@ def badge(state: SourceState, roles: tuple[CameraRole, ...], now_s: float, shown
     if not own:
         own = [f"Waiting for the {role} camera." for role in faulty] or [state.problem or "No new frame has arrived."]
     if state.stale and shown:
-        own.append(f"The last frame is shown, {age(state, now_s)}.")
+        own.append("The last frame is shown.")
     return " ".join(own)
-
-
-def source_sentence(state: SourceState) -> str:
-    """Return the source's message, unless a camera's view already shows it."""
-    said = " ".join(map(camera_sentence, state.health.cameras))
-    sentence = state.health.message
-    return "" if sentence and sentence.rstrip(".") in said else sentence
 
 
 def readout(patch: ContactPatch | None, u: int, v: int, color: str = "") -> str:
@@ -91,8 +79,6 @@ def _metres(value: float) -> str:
 
 #: Interval between updates of the readout while frames play, in seconds.
 READING_INTERVAL_S = 0.1
-#: Interval between updates of the age of an old frame, in milliseconds.
-AGE_INTERVAL_MS = 500
 
 #: The cameras that each view needs.
 _CAMERAS: dict[CloudName, tuple[CameraRole, ...]] = {
@@ -123,10 +109,6 @@ class FramePresenter(QObject):
         self._read_s = 0.0
         self._shown_warnings: tuple[str, ...] = ()
         self._share = 0.5
-        self._state = SourceState()
-        self._ages = QTimer(self)
-        self._ages.setInterval(AGE_INTERVAL_MS)
-        self._ages.timeout.connect(self._show_badges)
         strip.hovered.connect(self._hovered)
 
     def forget(self) -> None:
@@ -136,19 +118,11 @@ class FramePresenter(QObject):
 
     def show_state(self, state: SourceState) -> None:
         """Show the state of the source: badges over old images, other problems as a message."""
-        self._state = state
-        self._messages.state("health", Severity.WARNING, source_sentence(state), SOURCE)
+        self._messages.state("health", Severity.WARNING, state.health.message, SOURCE)
         self._status.show_state(state)
-        self._show_badges()
-        if state.stale:
-            self._ages.start()
-        else:
-            self._ages.stop()
-
-    def _show_badges(self) -> None:
-        now_s, shown = time.monotonic(), self._context.result is not None
-        self._views.show_badges({name: badge(self._state, roles, now_s, shown) for name, roles in _CAMERAS.items()})
-        self._strip.set_badge(age(self._state, now_s) if shown and self._state.stale else "")
+        shown = self._context.result is not None
+        self._views.show_badges({name: badge(state, roles, shown) for name, roles in _CAMERAS.items()})
+        self._strip.set_badge("old" if shown and state.stale else "")
 
     def show(self, result: Result) -> None:
         """Show a result; widgets for which nothing was drawn stay unchanged."""

@@ -44,22 +44,20 @@ from ..worker.reading import SourceRequest
 from ..worker.results import Result, SourceInfo, Wanted
 from ..worker.worker import Worker
 from .actions import THEMES, Actions, make_menus
-from .comparison import ComparisonControl, ComparisonPanel
-from .contact_list import ContactList
+from .comparison import ComparisonPanel
 from .files import FileFlows
 from .findings import FindingsControl
 from .frame_presenter import FramePresenter
-from .help import ComputerWindow, open_guide, show_about, show_shortcuts
+from .help import open_guide, show_about, show_shortcuts
 from .pointing import Eyedropper, Pointing
 from .publishing import PublishControl
-from .recording import RecordingBar, RecordingControl
+from .recording import RecordingBar
 from .status import FrameStatus
 from .toolbar import ToolBar, Transport, fill_on_opening
 from .view_area import ViewArea, ViewParts
 
-#: Size of the first window, pixels: at least, and at most on a large screen.
+#: Size of the first window, pixels, at least.
 DEFAULT_SIZE = QSize(1280, 800)
-_LARGEST_FIRST = QSize(2200, 1400)
 
 _OPENING = "Preparing the first frame…"
 _NO_SOURCE = "No source is open: open one (Ctrl+O), or drop a recording here"
@@ -69,7 +67,7 @@ _TOGGLES = ("watch_drift", "show_time", "show_strip", "show_panel", "show_proxim
 _SHARED_ACTIONS = ("capture_untouched", "previous", "next", "first", "loop")
 #: Shares of the height of views and images at first.
 _ROWS = (65, 35)
-_COLLAPSED_AT_FIRST = "range,region,contacts"
+_COLLAPSED_AT_FIRST = "range,region"
 
 
 class MainWindow(QMainWindow):
@@ -84,7 +82,6 @@ class MainWindow(QMainWindow):
         self.error_hook = ErrorHook(self)
         self.actions_ = Actions(self, self.document.undo_stack)
         self.opening = ProgressCard("Progress of opening", "Cancel opening; the present source stays")
-        self.recording_bar = RecordingBar()
         self.export_bar = ProgressCard("Progress of the export", "Cancel the export")
         self.views = ViewArea(self.actions_)
         self.messages = Messages(self.views)
@@ -105,13 +102,12 @@ class MainWindow(QMainWindow):
             transport=self.transport,
             status=self.status,
         )
-        self.comparison_panel = ComparisonPanel()
-        self.comparison = ComparisonControl(self.context, self.actions_, self.comparison_panel, self.presenter)
+        self.comparison = ComparisonPanel(self.context, self.actions_, self.presenter)
         self.findings = FindingsControl(
             self.context, self.actions_, panel=self.panel, views=self.views, status=self.status
         )
         self.eyedropper = Eyedropper(self.context, self.panel, self.strip)
-        self.recording = RecordingControl(self.context, self.actions_.record, self.recording_bar)
+        self.recording = RecordingBar(self.context, self.actions_.record)
         self.timeline = Timeline(self.context, self.time_strip)
         self.export = FrameExport(self.context, self.export_bar)
         self.calibration = CalibrationLauncher(self.context)
@@ -143,22 +139,7 @@ class MainWindow(QMainWindow):
         """The frame on the screen; None before the first one of a source."""
         return self.context.result
 
-    def resize_to(self, width: int, height: int) -> None:
-        """Give the window a size in pixels, also if it was maximised, and keep all of it on the screen."""
-        self.setWindowState(self.windowState() & ~(Qt.WindowState.WindowMaximized | Qt.WindowState.WindowFullScreen))
-        size, screen = QSize(width, height), self.screen()
-        if screen is not None and QApplication.platformName() != "offscreen":  # a picture may have any size
-            room = room_on(screen)
-            size = size.boundedTo(room.size())
-            free = room.adjusted(0, 0, -size.width(), -size.height())  # of the upper left corner
-            self.move(
-                min(max(self.x(), free.left()), free.x() + free.width()),
-                min(max(self.y(), free.top()), free.y() + free.height()),
-            )
-        self.resize(size)
-
     def _lay_out(self) -> None:
-        self.contacts = ContactList(self.context, self.panel, self.strip)
         bar = self.menuBar()
         assert bar is not None
         self.menus = make_menus(bar, self.actions_, list(self.analysis.actions.values()))
@@ -169,18 +150,21 @@ class MainWindow(QMainWindow):
         self.parts = ViewParts(self.views, self.strip, self.actions_)
         for row, share in enumerate(_ROWS):
             self.left.setStretchFactor(row, share)
-        self.beside = _splitter(Qt.Orientation.Vertical, self.comparison_panel, self.panel)
+        self.beside = _splitter(Qt.Orientation.Vertical, self.comparison, self.panel)
         self.beside.setStretchFactor(1, 1)
-        self.comparison_panel.hide()
         self.across = _splitter(Qt.Orientation.Horizontal, self.left, self.beside)
         self.across.setStretchFactor(0, 1)
+        self._splitters = {
+            "window/across": self.across,
+            "window/left": self.left,
+            "window/views": self.views.splitter,
+        }
         centre = QWidget()
         vbox(self.time_strip, (self.across, 1), within=centre, margins=(4, 4, 4, 0), spacing=4)
         self.setCentralWidget(centre)
-        for part in (self.opening, self.recording_bar, self.export_bar, self.status.details):
+        for part in (self.opening, self.recording, self.export_bar, self.status.details):
             self.messages.pin(part)
         self.setStatusBar(self.status)
-        self.computer = ComputerWindow(self)
         self.publishing = PublishControl(self.context, self.actions_.publish, self.status.publishing)
         self.setAcceptDrops(True)
         self.setMinimumSize(900, 600)
@@ -228,17 +212,13 @@ class MainWindow(QMainWindow):
 
     def _connect_views(self) -> None:
         self.views.wantedChanged.connect(self._send_wanted)
-        self.comparison.runningChanged.connect(self._show_comparison)
+        self.comparison.runningChanged.connect(self._show_beside)
         self.views.wipeDragged.connect(self.comparison.move_wipe)
         self.strip.wipeDragged.connect(self.comparison.move_wipe)
-        self.parts.copied.connect(
-            lambda name: self.messages.show_message("copied", Severity.INFO, f"{name}: a picture is on the clipboard.")
-        )
         self.strip.widthHintChanged.connect(self._send_wanted)
         self.strip.regionEdited.connect(partial(self.document.edit, "region.rectangle"))
         self.panel.maskShown.connect(self._send_wanted)
         self.eyedropper.started.connect(self._show_color_image)
-        self.contacts.section.collapsedChanged.connect(self._send_wanted)
         for path in self.panel.histograms:
             self.panel.sections[path.partition(".")[0]].collapsedChanged.connect(self._send_wanted)
 
@@ -276,7 +256,6 @@ class MainWindow(QMainWindow):
             lambda: show_shortcuts(self, [*actions.all(), *self.analysis.actions.values()])
         )
         actions.documentation.triggered.connect(lambda: open_guide(self.messages))
-        actions.check_computer.triggered.connect(self.computer.open)
         actions.about.triggered.connect(lambda: show_about(self))
         menus = self.menus
         menus.themes.triggered.connect(lambda entry: self.set_theme(entry.data()))
@@ -369,7 +348,6 @@ class MainWindow(QMainWindow):
                 shows_mask=self.panel.show_mask.isChecked(),
                 histograms=self.panel.open_histograms() if panel else frozenset(),
                 dark=theme_name() == "dark",
-                contacts=panel and not self.contacts.section.collapsed,
             )
         )
 
@@ -378,13 +356,9 @@ class MainWindow(QMainWindow):
             self.parts.back()
         self.actions_.show_strip.setChecked(True)
 
-    def _show_comparison(self, running: bool) -> None:
-        self.comparison_panel.setVisible(running)
-        self._show_beside()
-
     def _show_beside(self) -> None:
         """Give the views the whole width while nothing stands beside them."""
-        self.beside.setHidden(self.panel.isHidden() and self.comparison_panel.isHidden())
+        self.beside.setHidden(self.panel.isHidden() and self.comparison.isHidden())
 
     def _play_or_pause(self) -> None:
         (self.worker.pause if self.transport.state.playing else self.worker.play)()
@@ -424,14 +398,13 @@ class MainWindow(QMainWindow):
         settings = self.settings
         if not self.restoreGeometry(settings.blob("window/geometry")):
             screen = self.screen()  # on a large one the first window takes five sixths of each side
-            room = screen.availableSize() * 5 / 6 if screen is not None else QSize()
-            size = room.expandedTo(DEFAULT_SIZE).boundedTo(_LARGEST_FIRST)
-            self.resize_to(size.width(), size.height())
-        if not self.across.restoreState(settings.blob("window/across")):
-            self.across.setSizes([self.width() - 380, 380])
-        if not self.left.restoreState(settings.blob("window/left")):
-            self.left.setSizes([self.height() * share for share in _ROWS])
-        self.views.splitter.restoreState(settings.blob("window/views"))
+            room = room_on(screen).size() if screen is not None else QSize()
+            size = (room * 5 / 6).expandedTo(DEFAULT_SIZE)
+            self.resize(size if QApplication.platformName() == "offscreen" else size.boundedTo(room))
+        self.across.setSizes([self.width() - 380, 380])
+        self.left.setSizes([self.height() * share for share in _ROWS])
+        for name, splitter in self._splitters.items():
+            splitter.restoreState(settings.blob(name))
         self.panel.set_collapsed_sections(settings.text("window/collapsed", _COLLAPSED_AT_FIRST).split(","))
         self.panel.set_open_folds(settings.text("window/more").split(","))
         self.views.restore(settings.number("view/point_size", 2.0), settings.text("view/color_by"))
@@ -445,9 +418,8 @@ class MainWindow(QMainWindow):
         self.parts.back()
         settings = self.settings
         settings.set("window/geometry", self.saveGeometry())
-        settings.set("window/across", self.across.saveState())
-        settings.set("window/left", self.left.saveState())
-        settings.set("window/views", self.views.splitter.saveState())
+        for name, splitter in self._splitters.items():
+            settings.set(name, splitter.saveState())
         settings.set("window/collapsed", ",".join(self.panel.collapsed_sections()))
         settings.set("window/more", ",".join(self.panel.open_folds()))
         settings.set("view/point_size", self.views.point_size.value())
@@ -497,11 +469,9 @@ class MainWindow(QMainWindow):
         event.accept()
 
     def shut_down(self) -> None:
-        self.computer.close()
         showing = (self.watch, self.publishing, self.suggest, self.timeline, self.export, self.checks)
         for part in (*showing, self.cameras, self.sources, self.analysis, self.untouched, self.calibration):
             part.close()
-        self.file_flows.close()
         self.worker.shut_down()
 
     def close_without_asking(self) -> None:

@@ -7,8 +7,7 @@ from typing import cast
 
 import cv2
 import numpy as np
-from PyQt6.QtCore import QObject, QPoint, QPointF, pyqtSignal
-from PyQt6.QtGui import QColor
+from PyQt6.QtCore import QObject, pyqtSignal
 
 from ...core.contact.alignment import make_alignment
 from ...core.errors import TactuneError
@@ -19,9 +18,7 @@ from ...widgets.clouds.cloud_data import DepthCloud
 from ...widgets.clouds.cloud_view import Place, as_place
 from ...widgets.images.eyedropper import RADIUS, Mode, new_ranges
 from ...widgets.images.image_strip import ImageStrip
-from ...widgets.images.point_image import SPAN, Loupe
 from ...widgets.parameters.parameter_panel import ParameterPanel
-from ..calibration.pictures import pack_rgb
 from ..context import Context
 from ..worker.rendering import colors_around
 from ..worker.results import CloudName, Result
@@ -122,7 +119,6 @@ def _tactile_pixel(result: Result, flat: int) -> int | None:
     return round(v) * width + round(u) if inside else None
 
 
-_REACH = int(SPAN) // 2
 _WORDS = {
     "off": "",
     "set": "Click the membrane's prints in the colour image. Esc ends.",
@@ -141,11 +137,8 @@ def hsv_words(result: Result, u: int, v: int) -> str:
     height, width = result.frame.proximity_depth.shape
     if not (0 <= u < width and 0 <= v < height):
         return ""
-    return _in_words(color_around(result, u, v, 0))
-
-
-def _in_words(pixel: Uint8Array) -> str:
-    hue, saturation, value = cv2.cvtColor(np.ascontiguousarray(pixel), cv2.COLOR_RGB2HSV)[0, 0]
+    pixel = np.ascontiguousarray(color_around(result, u, v, 0))
+    hue, saturation, value = cv2.cvtColor(pixel, cv2.COLOR_RGB2HSV)[0, 0]
     return f"H {hue}  S {saturation}  V {value}"
 
 
@@ -160,13 +153,9 @@ class Eyedropper(QObject):
         self._panel = panel
         self._strip = strip
         self.mode = "off"
-        self._pixel = (-1, -1)
-        self.loupe = Loupe(context.window)
         panel.eyedropperRequested.connect(self.use)
         strip.clicked.connect(self._clicked)
-        strip.hovered.connect(self._hovered)
         strip.pickingDone.connect(lambda: self.use("off"))
-        context.frameShown.connect(self._show_loupe)
 
     def use(self, mode: str) -> None:
         if mode != "off" and self.mode == "off":
@@ -174,29 +163,6 @@ class Eyedropper(QObject):
         self.mode = mode
         self._panel.set_eyedropper(mode)
         self._strip.set_picking(_WORDS[mode])
-        self._show_loupe()
-
-    def _hovered(self, u: int, v: int) -> None:
-        self._pixel = u, v
-        self._show_loupe()
-
-    def _show_loupe(self) -> None:
-        (u, v), result = self._pixel, self._context.result
-        pane = self._strip.panes["color"]
-        if self.mode == "off" or result is None or not pane.isVisible() or not pane.contains(u, v):
-            self.loupe.hide()
-            return
-        window = self._context.window
-        place = pane.view.mapFromScene(pane.box.mapViewToScene(QPointF(u, v)))
-        cursor = pane.view.viewport().mapTo(window, QPoint(place))
-        top = self._strip.mapTo(window, QPoint(0, 0)).y()
-        if top > self.loupe.height():  # above the strip, where it covers neither the images nor the banner
-            cursor.setY(min(cursor.y(), top))
-        around = color_around(result, u, v, _REACH)
-        self.loupe.set_pixels(pack_rgb(around), (max(0, u - _REACH), max(0, v - _REACH)))
-        self.loupe.show_at(QPointF(cursor), (float(u), float(v)))
-        pixel = color_around(result, u, v, 0)
-        self.loupe.set_color(QColor(*pixel[0, 0].tolist()), _in_words(pixel))
 
     def _clicked(self, pane: str, u: int, v: int, _modifiers: object) -> None:
         result, mask = self._context.result, self._document.preset.mask

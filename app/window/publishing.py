@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
-from threading import Lock
 from typing import TYPE_CHECKING
 
 from pydantic import TypeAdapter
@@ -21,13 +20,12 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from ...core.errors import counted
+from ...core.errors import TactuneError, counted
 from ...core.output.connections import LOOPBACK, Connections
 from ...widgets.basics.controls import AccentButton, NoteLabel, caption, dialog_buttons
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.layouts import STRETCH, vbox
 from ..context import Context
-from ..worker.jobs import Job
 
 if TYPE_CHECKING:
     from ...core.output.publisher import OutputStatus, Publisher
@@ -110,31 +108,6 @@ class PublishWindow(QDialog):
         self.note.say(f"{warning[0].upper()}{warning[1:]}." if warning else "")
 
 
-class _Start:
-    """One press of *Start publishing*: the publisher that its job makes, closed wherever the press is taken back."""
-
-    def __init__(self) -> None:
-        self._lock = Lock()
-        self.cancelled = False
-        self._publisher: Publisher | None = None
-
-    def keep(self, publisher: Publisher) -> bool:
-        """Take the publisher; return False, with the publisher closed, if the start was cancelled before."""
-        with self._lock:
-            if self.cancelled:
-                publisher.close()
-                return False
-            self._publisher = publisher
-            return True
-
-    def cancel(self) -> None:
-        """Close the publisher, now or once it is made."""
-        with self._lock:
-            self.cancelled = True
-            if self._publisher is not None:
-                self._publisher.close()
-
-
 class PublishControl(QObject):
     """Switches publishing on and off. It is off at every start of the window, whatever it was before."""
 
@@ -142,12 +115,8 @@ class PublishControl(QObject):
         super().__init__(context)
         self._context, self._indicator = context, indicator
         self._publisher: Publisher | None = None
-        self._start = _Start()
         self.window = PublishWindow(context.window)
         self.window.show_connections(self._remembered())
-        self._job = Job(self)
-        self._job.done.connect(self._started)
-        self._job.failed.connect(self._refuse)
         self._timer = QTimer(self)
         self._timer.setInterval(_INTERVAL_MS)
         self._timer.timeout.connect(self._show)
@@ -157,43 +126,30 @@ class PublishControl(QObject):
 
     def close(self) -> None:
         self._stop()
-        self._job.stop()
         self.window.close()
 
     def _switch(self, on: bool) -> None:
         if not on:
             self._stop()
             return
-        self.window.show_state(True, "Starting…")
+        from ...core.output.publisher import Publisher
+
         connections = self.window.connections
         self._remember(connections)
-        pressed = self._start = _Start()
-
-        def start(_: object) -> tuple[_Start, Publisher] | None:
-            from ...core.output.publisher import Publisher
-
-            publisher = Publisher(connections.make_sinks())
-            return (pressed, publisher) if pressed.keep(publisher) else None
-
-        self._job.start(start)
-
-    def _started(self, started: tuple[_Start, Publisher] | None) -> None:
-        if started is None or started[0].cancelled:
+        try:
+            self._publisher = Publisher(connections.make_sinks())
+        except TactuneError as error:
+            self.window.show_state(False, str(error), error=True)
             return
-        _, self._publisher = started
         self._context.worker.set_publisher(self._publisher)
         self._timer.start()
         self._show()
 
-    def _refuse(self, sentence: str) -> None:
-        if not self._start.cancelled:
-            self._stop()
-            self.window.show_state(False, sentence, error=True)
-
     def _stop(self) -> None:
         self._timer.stop()
         self._context.worker.set_publisher(None)
-        self._start.cancel()
+        if self._publisher is not None:
+            self._publisher.close()
         self._publisher = None
         self._indicator.hide()
         self.window.show_state(False)

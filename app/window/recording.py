@@ -1,4 +1,4 @@
-"""Recording: start and stop, the line of numbers while it runs, and what to do with the finished file."""
+"""Recording: start and stop, the numbers while it runs, and what to do with the finished file."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from threading import Thread
 
-from PyQt6.QtCore import QLocale, QObject, QTimer, QUrl
+from PyQt6.QtCore import QLocale, QTimer, QUrl
 from PyQt6.QtGui import QAction, QDesktopServices
 from PyQt6.QtWidgets import QFrame, QPushButton
 
@@ -27,15 +27,24 @@ from ..sources.pages import RECENT
 from ..worker.recorder import RecordingEnd
 from ..worker.results import SourceState
 
-#: Rate in bytes per second below which no remaining time is shown: then the file is mostly its header.
-_MIN_RATE = 1e5
+REFRESH_MS = 250
+#: Free space that a recording needs to start and to continue, in bytes.
+MIN_FREE = 500_000_000
+
+_FOLDER = "folder/recordings"
 
 
 class RecordingBar(QFrame):
-    """The numbers of a recording and a Stop button; hidden while nothing is being recorded."""
+    """Starts and stops recordings with one action; shows the numbers of the one that runs, and is hidden otherwise."""
 
-    def __init__(self) -> None:
+    def __init__(self, context: Context, action: QAction) -> None:
         super().__init__()
+        self._context, self._action = context, action
+        self._worker, self._settings, self._messages = context.worker, context.settings, context.messages
+        self._path: Path | None = None
+        self._started_s = 0.0
+        self._lost = self._lost_before = 0
+        self._then: Callable[[], object] | None = None
         dot = TintedLabel("●", "error")
         dot.setAccessibleName("Recording")
         self._name = ElidedLabel()
@@ -43,70 +52,23 @@ class RecordingBar(QFrame):
         self._dropped = number_label(
             "0000 dropped", "Frames missing in the file: lost by the cameras, this computer or a slow disk"
         )
-        self._room = number_label("000.0 GB free, 00:00:00", "Free disk space, and the recording time that it allows")
-        self.stop = QPushButton("Stop")
-        self.stop.setToolTip("Finish the recording (F9)")
-        numbers = hbox(self._written, self._dropped)
-        vbox(hbox(dot, (self._name, 1), self.stop), numbers, self._room, within=self, margins=(8, 4, 4, 4), spacing=4)
+        self._room = number_label("000.0 GB free", "Free disk space")
+        self.stop_button = QPushButton("Stop")
+        self.stop_button.setToolTip("Finish the recording (F9)")
+        self.stop_button.clicked.connect(self.stop)
+        vbox(
+            hbox(dot, (self._name, 1), self.stop_button),
+            hbox(self._written, self._dropped, self._room),
+            within=self,
+            margins=(8, 4, 4, 4),
+            spacing=4,
+        )
         self.hide()
-
-    def show_start(self, name: str) -> None:
-        self.stop.setEnabled(True)
-        self._name.setText(f"Recording {name}")
-        for label in (self._written, self._dropped, self._room):
-            label.setText("")
-        self.show()
-
-    def show_progress(self, status: RecordingStatus, elapsed_s: float, free_bytes: int) -> None:
-        self._written.setText(f"{clock(elapsed_s)}   {counted(status.frames, 'frame')}   {size(status.bytes)}")
-        self._dropped.setText(f"{status.dropped} dropped")
-        self._dropped.tint("error" if status.dropped else "")
-        rate = status.bytes / elapsed_s if elapsed_s > 1.0 else 0.0
-        lasts = f", {clock(free_bytes / rate)}" if rate > _MIN_RATE else ""
-        self._room.setText(f"{size(free_bytes)} free{lasts}")
-
-    def show_finishing(self, name: str) -> None:
-        self._name.setText(f"Finishing {name}…")
-        self.stop.setEnabled(False)
-
-
-def clock(seconds: float) -> str:
-    """Return a time as 0:07, 12:30 or 1:02:03."""
-    minutes, rest = divmod(int(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
-
-
-def size(count: float) -> str:
-    """Return a number of bytes such as 850.0 kB or 12.3 MB."""
-    return QLocale.c().formattedDataSize(int(count), 1, QLocale.DataSizeFormat.DataSizeSIFormat)
-
-
-REFRESH_MS = 250
-#: Free space that a recording needs to start, and to continue, in bytes.
-MIN_FREE_TO_START = 1_000_000_000
-MIN_FREE_TO_CONTINUE = 200_000_000
-
-_FOLDER = "folder/recordings"
-
-
-class RecordingControl(QObject):
-    """Starts and stops recordings with one action, and shows their state in the bar."""
-
-    def __init__(self, context: Context, action: QAction, bar: RecordingBar) -> None:
-        super().__init__(context)
-        self._context, self._action, self._bar = context, action, bar
-        self._worker, self._settings, self._messages = context.worker, context.settings, context.messages
-        self._path: Path | None = None
-        self._started_s = 0.0
-        self._lost = self._lost_before = 0
-        self._then: Callable[[], object] | None = None
         self._refresh = QTimer(self)
         self._refresh.setInterval(REFRESH_MS)
         self._refresh.timeout.connect(self._show_progress)
         worker = self._worker
         action.triggered.connect(self._toggle)
-        bar.stop.clicked.connect(self.stop)
         worker.recordingStarted.connect(self._started)
         worker.recordingFailed.connect(self._failed)
         worker.recordingEnded.connect(self._ended)
@@ -131,25 +93,20 @@ class RecordingControl(QObject):
         except OSError as error:
             self._failed(f"Cannot record in {folder}: {error.strerror or error}; choose another folder.")
             return
-        if free < MIN_FREE_TO_START:
-            self._failed(
-                f"Only {size(free)} are free on the disk of {folder}, and a recording needs "
-                f"{size(MIN_FREE_TO_START)} to start: free some space, or choose another folder."
-            )
+        if free < MIN_FREE:
+            self._failed(f"Only {size(free)} are free on the disk of {folder}: free some, or choose another folder.")
             return
         self._messages.clear_subject(TASK)
         self._worker.start_recording(new_name(folder, datetime.now()))
 
     def stop(self) -> None:
-        if self._path is not None:
-            self._bar.show_finishing(self._path.name)
+        self._show_finishing()
         self._worker.stop_recording()
 
     def finish(self, then: Callable[[], object]) -> None:
         """Finish the recording and call ``then`` when the file is complete."""
         self._then = then
-        if self._path is not None:
-            self._bar.show_finishing(self._path.name)
+        self._show_finishing()
         # On its own thread: the worker may hang in its source, and this thread must not wait for the disk.
         Thread(target=self._worker.recorder.stop, name="recording stopper").start()
 
@@ -162,13 +119,22 @@ class RecordingControl(QObject):
 
     def _started(self, path: Path) -> None:
         self._path, self._started_s, self._lost_before = path, time.monotonic(), self._lost
-        self._bar.show_start(path.name)
+        self._name.setText(f"Recording {path.name}")
+        self.stop_button.setEnabled(True)
+        for label in (self._written, self._dropped, self._room):
+            label.setText("")
+        self.show()
         self._show_action()
         self._refresh.start()
 
     def _failed(self, sentence: str) -> None:
         self._show_action()
         self._messages.show_message("recording", Severity.ERROR, sentence, subject=TASK)
+
+    def _show_finishing(self) -> None:
+        if self._path is not None:
+            self._name.setText(f"Finishing {self._path.name}…")
+            self.stop_button.setEnabled(False)
 
     def _show_progress(self) -> None:
         status = self._worker.recorder.status()
@@ -178,16 +144,20 @@ class RecordingControl(QObject):
             free = free_bytes(self._path.parent)
         except OSError:
             free = 0  # the disk is gone
-        self._bar.show_progress(self._with_lost(status), time.monotonic() - self._started_s, free)
+        status, elapsed_s = self._with_lost(status), time.monotonic() - self._started_s
+        self._written.setText(f"{clock(elapsed_s)}   {counted(status.frames, 'frame')}   {size(status.bytes)}")
+        self._dropped.setText(f"{status.dropped} dropped")
+        self._dropped.tint("error" if status.dropped else "")
+        self._room.setText(f"{size(free)} free")
         if status.error:
             self._worker.stop_recording()
-        elif free < MIN_FREE_TO_CONTINUE:
+        elif free < MIN_FREE:
             self._worker.stop_recording(f"only {size(free)} are free: free some space, or choose another folder")
 
     def _ended(self, end: RecordingEnd) -> None:
         self._path = None
         self._refresh.stop()
-        self._bar.hide()
+        self.hide()
         self._show_action()
         self._tell(end)
         then, self._then = self._then, None
@@ -203,6 +173,8 @@ class RecordingControl(QObject):
             self._settings.add_recent(RECENT, name)
             frames = counted(status.frames, "frame")
             sentence = f"Recorded {status.path.name}: {clock(status.seconds)}, {frames}, {size(status.bytes)}."
+            if status.error:
+                sentence += f" {status.error[0].upper()}{status.error[1:]}."
             offers = [
                 ("Open recording", lambda: self._context.sourceRequested.emit(name)),
                 ("Show in folder", partial(QDesktopServices.openUrl, QUrl.fromLocalFile(str(status.path.parent)))),
@@ -210,11 +182,7 @@ class RecordingControl(QObject):
         else:
             sentence = f"Nothing was recorded: {status.error.rstrip('.') or 'no frame came'}."
         if status.dropped:
-            sentence += (
-                f" Not recorded: {counted(status.dropped, 'frame')}, lost by the cameras, this computer or a slow disk."
-            )
-        if status.error and status.frames:
-            sentence += f" {status.error[0].upper()}{status.error[1:]}."
+            sentence += f" Not recorded: {counted(status.dropped, 'frame')}, lost by cameras, computer or a slow disk."
         if end.reason:
             sentence += f" It ended because {end.reason.rstrip('.')}."
         well = not (status.dropped or status.error or end.reason)
@@ -234,6 +202,16 @@ class RecordingControl(QObject):
         self._action.setChecked(self.running)
         self._action.setText("Stop &recording" if self.running else "&Record")
         self._action.setIconText("Stop" if self.running else "Record")
+
+
+def clock(seconds: float) -> str:
+    """Return a time as 0:07, 12:30 or 75:03."""
+    return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"
+
+
+def size(count: float) -> str:
+    """Return a number of bytes such as 850.0 kB or 12.3 MB."""
+    return QLocale.c().formattedDataSize(int(count), 1, QLocale.DataSizeFormat.DataSizeSIFormat)
 
 
 def free_bytes(folder: Path) -> int:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 
 from PyQt6.QtCore import Qt
-from PyQt6.QtGui import QShowEvent
 from PyQt6.QtWidgets import QLabel, QPushButton, QStatusBar
 
 from ...core.errors import counted, minus
@@ -29,8 +28,6 @@ class FrameDetails(Card):
         super().__init__()
         self.setAccessibleName("Details of the frame")
         self.setToolTip("A stage that is cached or skipped is left out. Unmatched: images without a partner in time")
-        self._result: Result | None = None
-        self._shown_fps = 0.0
         self.label = QLabel()
         self.label.setWordWrap(True)
         self.label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
@@ -39,19 +36,6 @@ class FrameDetails(Card):
         self.hide()
 
     def show_result(self, result: Result, shown_fps: float) -> None:
-        """Show the numbers of a result; while the panel is closed they are only kept."""
-        self._result, self._shown_fps = result, shown_fps
-        if self.isVisible():
-            self._fill()
-
-    def showEvent(self, event: QShowEvent | None) -> None:
-        super().showEvent(event)
-        self._fill()
-
-    def _fill(self) -> None:
-        result = self._result
-        if result is None:
-            return
         patch, runs = result.patch, result.playback.playing
         stages = {} if patch is None else patch.stage_ms
         computed = [f"{stage} {ms:.1f}" for stage, ms in stages.items() if ms >= _MIN_SHOWN_MS]
@@ -60,7 +44,7 @@ class FrameDetails(Card):
         if patch is not None and patch.averaged_frames > 1:
             points += f", mean of {patch.averaged_frames} frames"
         lines = (
-            f"Drawn: {self._shown_fps:.0f} frames/s" if runs else "Drawn: paused",
+            f"Drawn: {shown_fps:.0f} frames/s" if runs else "Drawn: paused",
             f"Computed: {result.processed_fps:.0f} frames/s" if runs else "Computed: paused",
             f"Dropped: {result.dropped}",
             f"Unmatched: {result.unmatched}",
@@ -101,10 +85,6 @@ class FrameStatus(QStatusBar):
         self._rate = self._number("000 fps", "Frames per second drawn")
         self._area = self._number("patch 0000.0 cm²", "Area of the patch, projected along the optical axis")
 
-    @property
-    def shown_fps(self) -> float:
-        return self._shown_rate.rate()
-
     def show_source(self, info: SourceInfo) -> None:
         rig = info.rig
         cameras = " + ".join(f"{camera.model} {camera.serial}".strip() for camera in (rig.proximity, rig.tactile))
@@ -138,8 +118,9 @@ class FrameStatus(QStatusBar):
         if running and now - self._last_s < INTERVAL_S:
             return
         self._last_s = now
-        self._rate.setText(f"{self.shown_fps:.0f} fps" if running else "")
-        self.details.show_result(result, self.shown_fps)
+        shown_fps = self._shown_rate.rate()
+        self._rate.setText(f"{shown_fps:.0f} fps" if running else "")
+        self.details.show_result(result, shown_fps)
 
     def _show_words(self) -> None:
         playback = self._playback

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtGui import QFocusEvent, QKeyEvent
+from PyQt6.QtGui import QKeyEvent
 from PyQt6.QtWidgets import (
     QAbstractSpinBox,
     QMenu,
@@ -30,44 +30,31 @@ from .actions import Actions
 class FrameNumber(QSpinBox):
     """The frame on the screen, from 1. Enter goes to the typed number; Esc brings back the one on the screen."""
 
-    sought = pyqtSignal(int)  # index, from 0
-
     def __init__(self) -> None:
         super().__init__()
-        self._index, self._length = 0, 1  # type: int, int | None
         self.setAccessibleName("Frame number")
         self.setToolTip("Frame, from 1 (files and commands count from 0). Type a number to go to it")
         self.setPrefix("frame ")
         self.setButtonSymbols(QAbstractSpinBox.ButtonSymbols.NoButtons)  # Previous and Next stand beside it
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)  # not by the wheel: while it has the focus it stands still
-        self._show()
+        self.setKeyboardTracking(False)
+        self.setRange(1, 99_999_999)
+        self.editingFinished.connect(self.clearFocus)
 
     def show_frame(self, index: int, length: int | None) -> None:
         """Show a frame; what a person types stays until it is finished."""
-        known = length == self._length
-        self._index, self._length = index, length
-        if not (known and self.hasFocus()):
-            self._show()
+        if not self.hasFocus():
+            with QSignalBlocker(self):
+                self.setMaximum(length or 99_999_999)
+                self.setSuffix(f" of {length}" if length is not None else "")
+                self.setValue(index + 1)
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        super().keyPressEvent(event)
-        key = event.key() if event is not None else 0
-        if key in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
-            self.interpretText()
-            self.sought.emit(self.value() - 1)
-        if key in (Qt.Key.Key_Return, Qt.Key.Key_Enter, Qt.Key.Key_Escape):
+        if event is not None and event.key() == Qt.Key.Key_Escape:
+            self.setValue(self.value())  # replaces the typed text
             self.clearFocus()
-
-    def focusOutEvent(self, event: QFocusEvent | None) -> None:
-        """Follow the frames again."""
-        super().focusOutEvent(event)
-        self._show()
-
-    def _show(self) -> None:
-        with QSignalBlocker(self):
-            self.setRange(1, self._length or 99_999_999)
-            self.setSuffix(f" of {self._length}" if self._length is not None else "")
-            self.setValue(self._index + 1)
+        else:
+            super().keyPressEvent(event)
 
 
 class Transport(QWidget):
@@ -88,7 +75,7 @@ class Transport(QWidget):
         self.slider.sliderPressed.connect(lambda: self.held.emit(True))
         self.slider.sliderReleased.connect(lambda: self.held.emit(False))
         self.position = FrameNumber()
-        self.position.sought.connect(self.seekRequested)
+        self.position.valueChanged.connect(lambda number: self.seekRequested.emit(number - 1))
         actions.go_to.triggered.connect(self._go_to)
         buttons = map(action_button, (actions.previous, actions.play, actions.next, actions.loop))
         hbox(*buttons, 4, (self.slider, 1), 4, self.position, within=self, margins=0, spacing=4)
@@ -119,10 +106,8 @@ class Transport(QWidget):
         actions.play.setText(f"&{word}\tSpace")
         actions.play.setToolTip(f"{word} (Space)")
         actions.play.setEnabled(several)
-        for control in (
-            *(actions.previous, actions.next, actions.first, actions.loop, actions.go_to),
-            *(self.slider, self.position),
-        ):
+        seeking = (actions.previous, actions.next, actions.first, actions.loop, actions.go_to)
+        for control in (*seeking, self.slider, self.position):
             control.setEnabled(state.seekable and several)
         actions.loop.setChecked(state.loop)
 

@@ -1,4 +1,4 @@
-"""The three linked 3D views with their row of choices above the strip of images; enlarging and copying one."""
+"""The three linked 3D views with their row of choices above the strip of images; enlarging one."""
 
 from __future__ import annotations
 
@@ -8,14 +8,11 @@ from functools import lru_cache
 
 import numpy as np
 from PyQt6.QtCore import QObject, QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QResizeEvent
-from PyQt6.QtWidgets import QApplication, QHBoxLayout, QLabel, QSlider, QSplitter, QToolButton, QWidget
+from PyQt6.QtGui import QResizeEvent
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSlider, QSplitter, QToolButton, QWidget
 
-from ...core.contact.alignment import tactile_pose
 from ...core.contact.pipeline import ContactPatch
-from ...core.errors import TactuneError
 from ...core.model.arrays import Float64Array
-from ...core.model.clouds import ray_table, valid_depth
 from ...core.model.frames import Rig
 from ...core.model.provenance import Provenance
 from ...widgets.basics.colormaps import (
@@ -24,7 +21,6 @@ from ...widgets.basics.colormaps import (
     Theme,
     behind_legend,
     depth_legend,
-    difference_legend,
     patch_legend,
     provenance_legend,
 )
@@ -34,8 +30,7 @@ from ...widgets.basics.wipe import Wipe
 from ...widgets.clouds.cloud_data import DepthCloud
 from ...widgets.clouds.cloud_view import link_cameras
 from ...widgets.clouds.inspect_view import InspectView
-from ...widgets.images.image_strip import PANES, ImageStrip
-from ..worker.rendering import VALUE_ROWS, patch_difference_limit, values_lut
+from ...widgets.images.image_strip import ImageStrip
 from ..worker.results import CloudName, ColorBy, ComparedFrame, ComparedSide, Rendered, Result, SourceInfo
 from .actions import Actions
 
@@ -53,8 +48,6 @@ _NO_DEPTH = "This camera measured no depth in this frame"
 _NO_POSE = "The tactile camera's pose is not known: calibrate (Ctrl+K), or open a preset that has one"
 _COLOR_TIPS = {
     ColorBy.CONTACT: "Depth in the camera views; contact in its own colour in the patch",
-    ColorBy.DEPTH: "Depth in all views, including the patch",
-    ColorBy.DIFFERENCE: "(dp - dt) / dp: how closely both cameras agree",
     ColorBy.PROVENANCE: "Proximity: why each point was kept or dropped. Patch: what the last steps dropped",
 }
 
@@ -79,7 +72,6 @@ class ViewArea(QWidget):
         link_cameras(list(self.views.values()))
         self._legends: dict[CloudName, object] = {}
         self._legend_height = 0
-        self._lined_for: tuple[object, ...] = ()
         self.splitter = QSplitter(Qt.Orientation.Horizontal)
         self.splitter.setChildrenCollapsible(False)
         for view in self.views.values():
@@ -180,7 +172,7 @@ class ViewArea(QWidget):
     def _legend_of(self, name: CloudName, rendered: Rendered, theme: Theme) -> Legend:
         near, far = rendered.tactile_range_m if name is CloudName.TACTILE else rendered.depth_range_m
         range_m = round(near, 3), round(far, 3)
-        return legend_of(name, rendered.color_by, theme, rendered.accepted, range_m, rendered.verdicts)
+        return legend_of(name, rendered.color_by, theme, range_m, rendered.verdicts)
 
     def _show_cloud(self, name: CloudName, cloud: DepthCloud | None, message: str, legend: Legend) -> None:
         view = self.views[name]
@@ -191,16 +183,9 @@ class ViewArea(QWidget):
             view.set_legend(legend)
 
     def _fit_legends(self) -> None:
-        """Give all legends the same height, so that all views have the same height.
-
-        It does not fall while the choice of colours stays, so nothing jumps when a drop reason disappears.
-        """
+        """Give all legends the same height, so that all views have the same height."""
         shown = [view for view in self.views.values() if not view.isHidden()]
-        lined_for = self.chosen_colors(), *(view.width() for view in shown)
         height = max((view.needed_legend_height() for view in shown), default=0)
-        if lined_for == self._lined_for:
-            height = max(height, self._legend_height)
-        self._lined_for = lined_for
         if height != self._legend_height:
             self._legend_height = height
             for view in self.views.values():
@@ -254,30 +239,19 @@ def legend_of(
     name: CloudName,
     color_by: ColorBy,
     theme: Theme,
-    t: float,
     range_m: tuple[float, float],
     verdicts: frozenset[Provenance],
 ) -> Legend:
     near, far = range_m
-    around = patch_legend(theme)[1:]
     if name is CloudName.TACTILE:
         return depth_legend(near, far)
     if color_by is ColorBy.PROVENANCE and verdicts:
         if name is CloudName.PROXIMITY:
             return provenance_legend(theme, verdicts - {Provenance.NO_PROXIMITY_DEPTH})
-        return provenance_legend(theme, verdicts & {*LATE_VERDICTS}) + around
-    if color_by is ColorBy.DIFFERENCE:
-        return difference_legend(t) if name is CloudName.PROXIMITY else _patch_difference_legend(t, theme)
+        return provenance_legend(theme, verdicts & {*LATE_VERDICTS}) + patch_legend(theme)[1:]
     if name is CloudName.PROXIMITY:
         return depth_legend(near, far) + behind_legend()
-    return patch_legend(theme) if color_by is ColorBy.CONTACT else depth_legend(near, far) + around
-
-
-def _patch_difference_legend(t: float, theme: Theme) -> Legend:
-    limit = patch_difference_limit(t)
-    lut = values_lut(ColorBy.DIFFERENCE, theme, limit)
-    places = ((f"−{limit:.1%}", 1), ("below 0", 56), ("above 0", 72), (f"+{limit:.1%}", 127))
-    return [(text, QColor(*(int(channel) for channel in lut[VALUE_ROWS + row, :3]))) for text, row in places]
+    return patch_legend(theme)
 
 
 def _shown(name: CloudName, result: Result | ComparedSide, rig: Rig) -> tuple[DepthCloud | None, str]:
@@ -299,72 +273,38 @@ _ROWS = 60
 #: Depths farther than this many interquartile ranges outside the quartiles are not the membrane (Tukey's fences,
 #: "Exploratory Data Analysis", 1977); the slack in metres keeps a flat membrane whole.
 _FENCE, _SLACK_M = 1.5, 0.01
-_NOTHING = np.empty((0, 3))
 
 
 def membrane_and_patch(result: Result) -> Float64Array:
     """Return points on the membrane and in the patch: float64 (N, 3), metres, proximity frame; (0, 3) if unknown."""
-    return np.concatenate([_membrane(result), patch_points(result.patch)])
+    patch, cloud = patch_points(result.patch), result.rendered.clouds.get(CloudName.TACTILE)
+    membrane = np.empty((0, 3)) if cloud is None else cloud.points(max(1, len(cloud.depth) // _ROWS))
+    if not len(membrane):
+        return patch
+    low, high = np.percentile(membrane[:, 2], (25, 75))
+    reach = (0.5 + _FENCE) * (high - low) + _SLACK_M
+    return np.concatenate([membrane[np.abs(membrane[:, 2] - (low + high) / 2) <= reach], patch])
 
 
 def patch_points(patch: ContactPatch | None) -> Float64Array:
-    return _NOTHING if patch is None else patch.points.astype(np.float64)
-
-
-def _membrane(result: Result) -> Float64Array:
-    preset, rig = result.preset, result.source.rig
-    step = max(1, len(result.frame.tactile_depth) // _ROWS)
-    every = np.s_[::step, ::step]
-    counts = result.frame.tactile_depth[every]
-    seen = valid_depth(counts)
-    try:
-        pose = tactile_pose(preset.alignment, rig)
-    except TactuneError:
-        return _NOTHING
-    if not seen.any():
-        return _NOTHING
-    depth = counts[seen] * (rig.tactile.depth_unit_m * preset.alignment.depth_scale) + preset.alignment.depth_offset_m
-    low, high = np.percentile(depth, (25, 75))
-    reach = _FENCE * (high - low) + _SLACK_M
-    rays = ray_table(rig.tactile.intrinsics)[every][seen]
-    points = np.column_stack([rays * depth[:, None], depth])[
-        np.abs(depth - (low + high) / 2) <= (high - low) / 2 + reach
-    ]
-    placed = points @ pose[:3, :3].T + pose[:3, 3]
-    if preset.region.enabled:
-        left, top, width, height = preset.region.rectangle
-        u, v = rig.proximity.intrinsics.project(placed).T
-        placed = placed[(u >= left) & (u < left + width) & (v >= top) & (v < top + height)]
-    return np.asarray(placed, np.float64)
-
-
-_MARGIN = 8
+    return np.empty((0, 3)) if patch is None else patch.points.astype(np.float64)
 
 
 class ViewParts(QObject):
     """Enlarges the view or image that is double-clicked; the rest is hidden, and what is hidden is not drawn."""
 
-    copied = pyqtSignal(str)  # a picture of the view or image of this name is on the clipboard
-
     def __init__(self, views: ViewArea, strip: ImageStrip, actions: Actions) -> None:
         super().__init__(views)
         self._views, self._strip, self._actions = views, strip, actions
-        self._parts: dict[QWidget, str] = {view: TITLES[name] for name, view in views.views.items()}
-        self._parts |= {pane: PANES[name] for name, pane in strip.panes.items()}
+        self._parts: list[QWidget] = [*views.views.values(), *strip.panes.values()]
         #: The enlarged view or image; None while all are shown.
         self.shown: QWidget | None = None
-        self._back = QToolButton()
-        self._back.setObjectName("back")
-        self._back.setText("Back")
-        self._back.setToolTip("Show all views and images again (Esc, or double click)")
-        self._back.clicked.connect(self.back)
         for view in views.views.values():
             view.enlargeRequested.connect(lambda view=view: self.toggle(view))
         for pane in strip.panes.values():
             pane.doubleClicked.connect(lambda pane=pane: self.toggle(pane))
         for action in (*views.toggles.values(), actions.show_strip):
             action.toggled.connect(self.back)
-        actions.copy_view.triggered.connect(self._copy)
 
     def toggle(self, widget: QWidget) -> None:
         if self.shown is not None:
@@ -376,11 +316,6 @@ class ViewParts(QObject):
         self._strip.setVisible(not of_views)
         for part in self._parts:
             part.setVisible(part is widget)
-        self._back.setParent(widget)
-        self._back.adjustSize()
-        self._back.move(_MARGIN, widget.fontMetrics().height() + 2 * _MARGIN)
-        self._back.show()
-        self._back.raise_()
         self._views.wantedChanged.emit()
 
     def back(self) -> bool:
@@ -388,8 +323,6 @@ class ViewParts(QObject):
         if self.shown is None:
             return False
         self.shown = None
-        self._back.hide()
-        self._back.setParent(None)
         for name, view in self._views.views.items():
             view.setVisible(self._views.toggles[name].isChecked())
         for pane in self._strip.panes.values():
@@ -398,16 +331,3 @@ class ViewParts(QObject):
         self._strip.setVisible(self._actions.show_strip.isChecked())
         self._views.wantedChanged.emit()
         return True
-
-    def _copy(self) -> None:
-        """Copy the view or image that is enlarged, under the mouse or has the focus, else the patch."""
-        visible = [part for part in self._parts if part.isVisible()]
-        meant = [self.shown] if self.shown else [part for part in visible if part.underMouse()]
-        meant += [part for part in visible if part.hasFocus()]
-        part = meant[0] if meant else self._views.views[CloudName.PATCH]
-        clipboard = QApplication.clipboard()
-        assert clipboard is not None
-        self._back.hide()
-        clipboard.setPixmap(part.grab())
-        self._back.setVisible(self.shown is not None)
-        self.copied.emit(self._parts[part])

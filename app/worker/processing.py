@@ -17,7 +17,7 @@ from .playback import PlaybackState
 from .rendering import Renderer
 from .results import ComparedFrame, ComparedSide, RateMeter, Rendered, Result, SourceInfo, Wanted
 
-#: Shortest time between two histograms, lists of contacts, numbers of points, reasons of an empty patch or ranges of
+#: Shortest time between two histograms, numbers of points, reasons of an empty patch or ranges of
 #: the depth colours while frames play, seconds: nobody reads them faster.
 COUNTING_INTERVAL_S = 0.2
 #: Shortest time between two drawings of the images while frames play, seconds. The views show every frame.
@@ -142,7 +142,7 @@ class FrameProcessor:
     def _due(self, wanted: Wanted, now_s: float) -> Wanted:
         """Leave out what was drawn a short time ago."""
         if now_s - self._counted_s < COUNTING_INTERVAL_S:
-            wanted = replace(wanted, histograms=frozenset(), contacts=False, words=False)
+            wanted = replace(wanted, histograms=frozenset(), words=False)
         else:
             self._counted_s = now_s
         if now_s - self._strip_s < STRIP_INTERVAL_S:
@@ -175,7 +175,7 @@ class FrameProcessor:
         self, sides: Sides, finders: list[PatchFinder], frame: SensorFrame, rig: Rig, wanted: Wanted
     ) -> ComparedFrame:
         wanted = replace(wanted, words=True)
-        uncounted = replace(wanted, histograms=frozenset(), contacts=False)
+        uncounted = replace(wanted, histograms=frozenset())
         for finder in finders:
             self._renderer.measure(frame, finder.preset, rig)
         a, b = (

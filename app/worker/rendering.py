@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import cv2
 import numpy as np
@@ -25,8 +25,6 @@ from ...widgets.basics.colormaps import (
     Theme,
     depth_lut,
     depth_lut_faint_behind,
-    difference_index,
-    difference_lut,
     patch_index,
     patch_lut,
     provenance_lut,
@@ -227,7 +225,6 @@ class Renderer:
             accepted=scene.accepted,
             no_contact=no_contact,
             no_contact_action=no_contact_action,
-            contacts=(patch.contacts if patch else ()) if wanted.contacts else None,
         )
 
     def _with_count(self, name: CloudName, cloud: DepthCloud | None, anew: bool) -> DepthCloud | None:
@@ -319,13 +316,11 @@ def membrane_along_proximity_m(frame: SensorFrame, preset: Preset, rig: Rig, sam
 
 
 def proximity_view(scene: Scene) -> DepthCloud:
-    patch, index, lut = scene.patch, None, depth_lut_faint_behind()
-    if patch is not None and scene.color_by is ColorBy.DIFFERENCE:
-        index, lut = difference_index(patch.relative_difference), difference_lut(scene.accepted)
-    elif patch is not None and scene.color_by is ColorBy.PROVENANCE:
+    patch = scene.patch
+    if patch is not None and scene.color_by is ColorBy.PROVENANCE:
         cloud = _proximity_cloud(scene, patch.provenance, provenance_lut(scene.theme))
         return replace(cloud, depth=_depth_with_patch(scene, patch))
-    return _proximity_cloud(scene, index, lut)
+    return _proximity_cloud(scene, None, depth_lut_faint_behind())
 
 
 def tactile_view(scene: Scene) -> DepthCloud | None:
@@ -354,16 +349,9 @@ def patch_view(scene: Scene) -> DepthCloud | None:
         return None
     if scene.color_by is ColorBy.CONTACT:
         index, lut = _relief(scene, patch.mask), patch_lut(scene.theme)
-    elif scene.color_by is ColorBy.PROVENANCE:
-        late = np.isin(patch.provenance, LATE_VERDICTS)
-        index, lut = _over_relief(scene, patch.provenance, late), values_lut(scene.color_by, scene.theme)
-    elif scene.color_by is ColorBy.DIFFERENCE:
-        limit = patch_difference_limit(scene.accepted)
-        index = _over_relief(scene, difference_index(patch.relative_difference, limit) >> np.uint8(1), patch.mask)
-        lut = values_lut(scene.color_by, scene.theme, limit)
     else:
-        index = _over_relief(scene, _depth_rows(scene) >> np.uint8(1), patch.mask)
-        lut = values_lut(scene.color_by, scene.theme)
+        late = np.isin(patch.provenance, LATE_VERDICTS)
+        index, lut = _over_relief(scene, patch.provenance, late), patch_provenance_lut(scene.theme)
     return replace(_proximity_cloud(scene, index, lut, count=len(patch.points)), depth=_depth_with_patch(scene, patch))
 
 
@@ -397,11 +385,6 @@ def _depth_with_patch(scene: Scene, patch: ContactPatch) -> Uint16Array:
     return counts
 
 
-def patch_difference_limit(t: float) -> float:
-    """Return the end of the colour scale inside the patch: there all differences are within ±t."""
-    return max(t, 1e-4)
-
-
 def histogram_of(patch: ContactPatch, preset: Preset, wanted: frozenset[str]) -> Histogram | None:
     """Count what the limit of the preset's contact test applies to, if the histogram of this field is wanted.
 
@@ -426,14 +409,6 @@ def _counted(field: str, image: Float32Array, low: float, high: float, bins: int
     return Histogram(field, counts.ravel().astype(np.int64), edges, len(values))
 
 
-def _depth_rows(scene: Scene) -> Uint8Array:
-    near, far = scene.depth_range_m
-    step = np.float32(scene.rig.proximity.depth_unit_m * 255 / (far - near))
-    rows = scene.frame.proximity_depth * step - np.float32(near * 255 / (far - near))
-    clipped: Uint8Array = np.clip(rows, 0, 255).astype(np.uint8)
-    return clipped
-
-
 def _relief(scene: Scene, contact: BoolArray) -> Uint8Array:
     """Return rows of `patch_lut`: contact, and shades of the context over the range of the depth colours."""
     near, far = (limit / scene.rig.proximity.depth_unit_m for limit in scene.depth_range_m)
@@ -449,16 +424,9 @@ def _over_relief(scene: Scene, rows: Uint8Array, within: BoolArray) -> Uint8Arra
     return np.asarray(np.where(within, rows + np.uint8(VALUE_ROWS), np.minimum(shades, VALUE_ROWS - 1)), np.uint8)
 
 
-@lru_cache(maxsize=16)
-def values_lut(color_by: ColorBy, theme: Theme, limit: float = 0.0) -> Uint8Array:
-    """Return every other shade of a patch's context (the lower half), then the colours of values within the patch.
-
-    These are those of `LATE_VERDICTS`, of depths, or of relative differences up to ``limit``.
-    """
-    if color_by is ColorBy.DIFFERENCE:
-        values = difference_lut(0.0, limit)[::2]
-    else:
-        values = depth_lut()[::2] if color_by is ColorBy.DEPTH else provenance_lut(theme)[:VALUE_ROWS]
-    mixed = np.concatenate([patch_lut(theme)[::2], values])
+@cache
+def patch_provenance_lut(theme: Theme) -> Uint8Array:
+    """Return every other row of the context's shades, then the colours of `LATE_VERDICTS`: uint8 (256, 4)."""
+    mixed = np.concatenate([patch_lut(theme)[::2], provenance_lut(theme)[:VALUE_ROWS]])
     mixed.flags.writeable = False
     return mixed

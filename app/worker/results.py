@@ -14,7 +14,6 @@ from ...core.errors import PresetError, SourceError
 from ...core.model.arrays import Float64Array, Int64Array
 from ...core.model.frames import Rig, SensorFrame
 from ...core.model.metrics import PatchOverlap
-from ...core.model.patch import Contact
 from ...core.model.provenance import Provenance
 from ...core.preset import Preset
 from ...core.rig.untouched import FoundUntouched, find_untouched
@@ -69,8 +68,6 @@ class ColorBy(StrEnum):
     """What the colour of a point means."""
 
     CONTACT = "contact"
-    DEPTH = "depth"
-    DIFFERENCE = "relative difference"
     PROVENANCE = "provenance"
 
 
@@ -80,7 +77,6 @@ class Wanted:
 
     ``strip_width`` is the width of one image of the strip on the screen in pixels; 0 draws all pixels.
     ``histograms`` are the fields whose histograms are open; that of the contact test's own field is counted.
-    ``contacts`` lists the patch's connected parts.
     ``words`` counts the points of both cameras, says why a patch is empty and measures the range of the depth colours;
     else those of an earlier frame stay.
     """
@@ -92,7 +88,6 @@ class Wanted:
     shows_mask: bool = True
     histograms: frozenset[str] = frozenset({"tolerance.t", "membrane.gap_m"})
     dark: bool = False
-    contacts: bool = False
     words: bool = True
 
     def while_running(self) -> Wanted:
@@ -121,7 +116,7 @@ class Rendered:
     proximity camera's axis, ``tactile_range_m`` those along the tactile camera's axis. ``verdicts`` are the
     `Provenance` values that occur, if points are coloured by them. ``accepted`` is the relative difference up to which
     the contact test treats depths as equal. ``no_contact`` says why a visible patch is empty or what it waits for,
-    ``no_contact_action`` names the window's action that may help. ``contacts`` are the patch's connected parts.
+    ``no_contact_action`` names the window's action that may help.
     """
 
     clouds: dict[CloudName, DepthCloud | None] = field(default_factory=dict)
@@ -135,7 +130,6 @@ class Rendered:
     accepted: float = 0.0
     no_contact: str = ""
     no_contact_action: str = ""
-    contacts: tuple[Contact, ...] | None = None
 
 
 @dataclass(frozen=True)

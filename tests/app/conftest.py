@@ -63,7 +63,7 @@ def open_window(qtbot, folder: Path, settings_file: Path, start: Preset, size: t
     window.settings.set("folder/preset", str(folder))
     window.settings.set("folder/export", str(folder))
     if size is not None:
-        window.resize_to(*size)
+        window.resize(*size)
     window.show()
     qtbot.waitExposed(window)
     activate(qtbot, window)

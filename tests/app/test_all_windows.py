@@ -46,8 +46,6 @@ ACTIONS = (
     "suggest_all",
     "examples",
     "shortcuts",
-    "details",
-    "check_computer",
     "publish",
 )
 NAMES = ("main", *ACTIONS, "compare", "strain", "tilt", "tune")

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import csv
 import json
-from pathlib import Path
 
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QFileDialog
 
 from fakes import FakeSource, at_rest, tiny_rig
 from hands import (
     CONTROL,
     CONTROL_SHIFT,
-    LEFT,
     answer_question,
     drag_slider,
     drop,
@@ -24,11 +21,7 @@ from hands import (
     tolerance_slider,
     type_path,
 )
-from tactune.app.cli.common import default_preset
 from tactune.app.document.recovery import Autosave
-from tactune.core.errors import PresetError
-from tactune.core.lab.bench import synthetic_scene
-from tactune.core.output import SessionWriter
 from tactune.core.sources.presets import load_preset
 from tactune.widgets.basics.messages import Message
 
@@ -115,7 +108,7 @@ def test_closing_and_saving(window, qtbot, tmp_path):
     type_path(qtbot, path)
     qtbot.waitUntil(lambda: not window.isVisible())
     assert load_preset(path).tolerance.t == 0.02
-    assert load_preset(path).name == "tiny"
+    assert load_preset(path).name == "mine"
 
 
 def test_a_new_preset_asks_too_and_takes_no_name_of_a_shipped_one(window, qtbot):
@@ -157,13 +150,6 @@ def test_after_a_crash_unsaved_work_is_offered_and_restored(crashed, own_window,
     qtbot.waitUntil(own_window.autosave.file.exists)
 
 
-def test_after_a_crash_unsaved_work_can_be_discarded(crashed, own_window, preset):
-    own_window.file_flows.offer_unsaved_work()
-    press(offer(own_window), "Discard")
-    assert own_window.document.preset == preset
-    assert not crashed.exists()
-
-
 def test_a_saved_preset_knows_the_rig_it_was_tuned_on(window, qtbot, tmp_path):
     assert window.document.preset.rig is None
     QTest.keyClick(window, Qt.Key.Key_S, CONTROL_SHIFT)
@@ -172,78 +158,3 @@ def test_a_saved_preset_knows_the_rig_it_was_tuned_on(window, qtbot, tmp_path):
     assert load_preset(tmp_path / "mine.json").rig == tiny_rig()
     qtbot.waitUntil(lambda: shows_preset_of_document(window))
     assert window.result.warnings == ()
-
-
-@pytest.mark.parametrize(("start", "name"), [("simulator", "mug"), ("my cup", "my cup")])
-def test_a_shipped_preset_is_named_after_its_file_and_one_that_a_person_named_keeps_its_name(
-    window, qtbot, tmp_path, start, name
-):
-    window.document.edit("name", start)
-    path = tmp_path / "mug.json"
-    QTest.keyClick(window, Qt.Key.Key_S, CONTROL_SHIFT)
-    type_path(qtbot, path)
-    qtbot.waitUntil(lambda: window.document.path == path)
-    assert load_preset(path).name == name == window.document.preset.name
-    assert window.messages.message("saved").sentence == f"The preset was saved in {path}."
-
-
-@pytest.fixture
-def session(tmp_path):
-    path = tmp_path / "session.mcap"
-    with FakeSource(length=5) as source:
-        writer = SessionWriter(path, source.rig)
-        for frame in source:
-            writer.put(frame, wait=True)
-        writer.close()
-    return path
-
-
-def shows(window, name):
-    return window.result is not None and window.result.source.name == name
-
-
-def test_a_session_is_opened_by_key_and_dialog(make_window, qtbot, session):
-    window = make_window()
-    QTest.keyClick(window, Qt.Key.Key_O, CONTROL)
-    qtbot.waitUntil(lambda: window.sources.dialog is not None)
-    window.sources.dialog.tabs.setCurrentIndex(1)
-    QTest.mouseClick(window.sources.dialog.page.file, LEFT)
-    qtbot.waitUntil(lambda: isinstance(QApplication.activeModalWidget(), QFileDialog))
-    assert "*.mcap" in QApplication.activeModalWidget().nameFilters()[0]
-    type_path(qtbot, session)
-    dialog = window.sources.dialog
-    qtbot.waitUntil(lambda: dialog.name.text() == f"mcap:{session}")
-    QTest.keyClick(dialog.name, Qt.Key.Key_Return)
-    qtbot.waitUntil(lambda: shows(window, f"mcap:{session}"))
-    assert window.sources.dialog is None
-
-
-def test_what_cannot_be_opened_together_is_said(make_window, tmp_path):
-    window = make_window()
-    for names, words in (
-        (("a.bag", "b.bag", "c.bag"), "one recording at a time, or the two"),
-        (("a.mcap", "b.mcap"), "one recording at a time"),
-        (("a.mcap", "b.bag"), "a.mcap, b.bag are recordings of different kinds"),
-        (("a.txt",), "a.txt is neither a preset"),
-    ):
-        drop(window, *(tmp_path / name for name in names))
-        assert words in window.messages.sentences()[-1]
-
-
-def record(path: Path, preset: bool = True) -> Path:
-    scene = synthetic_scene(400, 64, 48)
-    own = scene.preset.with_values({"name": "press seven", "tolerance.t": 0.021})
-    writer = SessionWriter(path, scene.rig, preset=own if preset else None)
-    assert writer.put(scene.frame, wait=True)
-    writer.close()
-    return path
-
-
-def test_it_is_the_default_for_its_recording(tmp_path: Path) -> None:
-    path = record(tmp_path / "session.mcap")
-    for name in (str(path), f"mcap:{path}", f"live:mcap:{path}"):
-        chosen = load_preset(default_preset(name))
-        assert (chosen.name, chosen.tolerance.t) == ("press seven", 0.021)
-    assert default_preset(str(record(tmp_path / "bare.mcap", preset=False))) == "default"
-    with pytest.raises(PresetError, match="recorded without"):
-        load_preset(tmp_path / "bare.mcap")

@@ -13,7 +13,6 @@ from PyQt6.QtWidgets import QApplication, QPushButton, QToolButton
 
 from fakes import FakeSource, tiny_frame, tiny_rig
 from hands import CONTROL, LEFT, image_position, show_source, text_of
-from tactune.app.rig.check_window import CheckWindow
 from tactune.app.window.findings import FindingsWindow
 from tactune.app.worker.results import CloudName
 from tactune.core.preset import Preset
@@ -105,19 +104,6 @@ def test_the_empty_patch_view_says_why_and_has_the_button(window, qtbot):
     qtbot.waitUntil(lambda: view.point_count() > 0)
     assert view.message() == ""
     assert not [each for each in view.findChildren(QPushButton) if each.isVisible()]
-
-
-def test_a_camera_without_depth_is_said_instead_of_pressing_the_object(window, qtbot):
-    def blind(index, rig):
-        frame = disagreeing_frame(index, rig)
-        return replace(frame, tactile_depth=np.zeros_like(frame.tactile_depth))
-
-    show_source(qtbot, window, OtherSource(blind, "blind"), 0)
-    view = window.views.views[CloudName.PATCH]
-    qtbot.waitUntil(lambda: view.message() != "")
-    assert view.message().startswith("The tactile camera measures no depth in 100 % of its image")
-    QTest.mouseClick(button(view, "Check cameras"), LEFT)
-    assert any(isinstance(widget, CheckWindow) for widget in QApplication.topLevelWidgets() if widget.isVisible())
 
 
 def hovering_frame(index, rig):

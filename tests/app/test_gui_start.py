@@ -10,14 +10,11 @@ from threading import Event
 
 import pytest
 from PyQt6.QtGui import QImage
-from typer.testing import CliRunner
 
 from fakes import FakeSource
-from tactune.app.cli.main import commands
 from tactune.app.gui import run_gui
 from tactune.app.worker import beside
 from tactune.app.worker.results import CloudName
-from tactune.core import warmup
 from tactune.core.errors import ExportError
 from tactune.core.sources.folder import export_folder
 
@@ -111,12 +108,3 @@ def test_a_window_can_be_closed_while_a_contact_test_is_compiled(monkeypatch, wa
     qtbot.waitUntil(told.is_set)
     watched.worker.shut_down()
     assert watched.worker.isFinished()
-
-
-@pytest.mark.parametrize("compiled", [False, True])
-def test_running_without_a_window_tells_of_compiling(monkeypatch, compiled):
-    monkeypatch.setattr(warmup, "is_compiled", lambda preset: compiled)
-    done = CliRunner().invoke(commands, ["run", "--source", "sim:cup", "--frames", "1", "--json"])
-    assert done.exit_code == 0, done.stderr
-    assert ("Compiling the membrane test" in done.stderr) is not compiled
-    assert "Compiling" not in done.stdout

@@ -29,10 +29,10 @@ def test_the_view_of_a_missing_camera_says_what_to_do_and_the_others_wait(window
     qtbot.waitUntil(lambda: badges(window)["tactile"] != "")
     said = badges(window)
     assert said["tactile"].startswith("Tactile camera D405 (serial d002) is not connected: plug it in.")
-    assert "The last frame is shown," in said["tactile"]
-    assert said["proximity"].startswith("Waiting for the tactile camera. The last frame is shown,")
+    assert "The last frame is shown." in said["tactile"]
+    assert said["proximity"].startswith("Waiting for the tactile camera. The last frame is shown.")
     assert "plug it in" in said["patch"]
-    assert all(pane.badge.text().endswith(" old") for pane in window.strip.panes.values())
+    assert all(pane.badge.text() == "old" for pane in window.strip.panes.values())
     assert window.views.views[CloudName.TACTILE].point_count() > 0
     assert window.views.views[CloudName.TACTILE].accessibleDescription() == said["tactile"]
     assert window.status.state.text() == "No frames"
@@ -46,13 +46,6 @@ def test_all_marks_go_when_the_camera_is_back(window, cameras, qtbot):
     qtbot.waitUntil(lambda: set(badges(window).values()) == {""})
     assert {pane.badge.text() for pane in window.strip.panes.values()} == {""}
     qtbot.waitUntil(lambda: window.result.frame.sequence == 1)
-
-
-def test_what_concerns_the_whole_source_is_said_above_the_views(window, cameras, qtbot):
-    cameras.message = "the capture process ended with status 1 and was started again"
-    qtbot.waitUntil(lambda: cameras.message in window.messages.sentences())
-    cameras.message = ""
-    qtbot.waitUntil(lambda: window.messages.sentences() == [])
 
 
 def test_a_frame_that_cannot_be_processed_is_said_once_and_the_next_ones_are_shown(window, cameras, qtbot, monkeypatch):
@@ -69,19 +62,6 @@ def test_a_frame_that_cannot_be_processed_is_said_once_and_the_next_ones_are_sho
     cameras.release()
     qtbot.waitUntil(lambda: window.result.frame.sequence == len(cameras.given) - 1)
     qtbot.waitUntil(lambda: window.messages.message("worker") is None)
-
-
-def test_losses_are_told_in_the_panel_of_the_status_bar(window, cameras, qtbot):
-    cameras.dropped, cameras.unmatched = 3, 5
-    QTest.mouseClick(window.status.state, Qt.MouseButton.LeftButton)
-    label = window.status.details.label
-
-    def told() -> bool:
-        if window.result.frame.sequence == len(cameras.given) - 1:  # else the window itself might drop a frame
-            cameras.release()
-        return {"Dropped: 3", "Unmatched: 5"} <= set(label.text().splitlines())
-
-    qtbot.waitUntil(told)
 
 
 def test_pausing_by_key_holds_the_frame_and_says_nothing_of_old(window, cameras, qtbot):
@@ -112,18 +92,12 @@ def state(tactile="missing", *, stale=True, message="", problem="", own=""):
             ("tactile",),
             "Tactile camera D405 (serial d002) is not connected: plug it in. The last frame is shown",
         ),
-        (
-            state(own="the D405 is used by another program"),
-            ("tactile",),
-            "the D405 is used by another program. The last",
-        ),
         (state("stalled", stale=False), ("tactile",), "Tactile camera D405 (serial d002) sends no images"),
         (state("streaming", stale=False), ("tactile",), ""),
-        (state("streaming"), ("tactile",), "No new frame has arrived. The last frame is shown, 3 s old."),
-        (state("streaming", problem="sim has ended."), ("proximity",), "sim has ended. The last frame is shown"),
+        (state("streaming"), ("tactile",), "No new frame has arrived. The last frame is shown."),
     ],
 )
 def test_words_of_a_badge(given, roles, words):
-    said = badge(given, roles, now_s=103.5, shown=True)
+    said = badge(given, roles, shown=True)
     assert said.startswith(words)
     assert bool(said) == bool(words)

@@ -23,22 +23,6 @@ def choose(window, qtbot, color_by):
     qtbot.waitUntil(lambda: window.result.rendered.color_by is color_by)
 
 
-def test_a_letter_in_the_box_chooses_and_is_no_shortcut(window):
-    box = window.views.color_by
-    box.setFocus()
-    looped, preset = window.actions_.loop.isChecked(), window.document.preset
-    with_letter = [number for number in range(box.count()) if box.itemText(number).startswith("R")]
-    camera = window.views.views[TACTILE].camera
-    for letter in (Qt.Key.Key_R, Qt.Key.Key_L, Qt.Key.Key_F, Qt.Key.Key_T):
-        QTest.keyClick(box, letter)
-    assert window.actions_.loop.isChecked() == looped
-    assert window.views.views[TACTILE].camera == camera
-    assert box.currentIndex() in with_letter
-    assert window.document.preset is preset
-    QTest.keyClick(window, Qt.Key.Key_L)
-    assert window.actions_.loop.isChecked() != looped
-
-
 def colors_of(window, name):
     """The colour of every pixel of a cloud, RGBA: int (H, W, 4)."""
     cloud = window.views.views[name].cloud()

@@ -10,7 +10,6 @@ from PyQt6.QtTest import QTest
 from fakes import FakeSource
 from hands import press, show_source
 from tactune.app.window import recording
-from tactune.app.worker.worker import SourceRequest
 from tactune.core.sources.registry import open_source
 
 LEFT = Qt.MouseButton.LeftButton
@@ -69,10 +68,10 @@ def assert_same(read, given):
 def test_the_key_records_every_frame_and_the_file_plays_them(window, cameras, qtbot, folder):
     begin(window, qtbot)
     assert window.actions_.record.isChecked()
-    assert window.recording_bar.isVisible()
+    assert window.recording.isVisible()
     cameras.give(qtbot, 40)
     end(window, qtbot)
-    assert not window.recording_bar.isVisible()
+    assert not window.recording.isVisible()
     assert not window.actions_.record.isChecked()
     [path] = folder.iterdir()
     assert_same(frames_of(path), cameras.given[1:])
@@ -83,18 +82,10 @@ def test_the_key_records_every_frame_and_the_file_plays_them(window, cameras, qt
     qtbot.waitUntil(lambda: window.result is not None and window.result.source.length == 40)
 
 
-def test_another_source_ends_the_recording_and_that_is_said(window, cameras, qtbot, folder):
-    begin(window, qtbot)
-    cameras.give(qtbot, 2)
-    window.open_request(SourceRequest("tiny", lambda progress: FakeSource()))
-    qtbot.waitUntil(lambda: not window.recording.running)
-    assert "It ended because tiny was opened." in told(window)
-    assert len(recorded(folder)) == 2
-
-
 def test_closing_the_window_finishes_the_file(window, cameras, qtbot, folder):
     begin(window, qtbot)
     cameras.give(qtbot, 30)
+    qtbot.waitUntil(lambda: window.worker.recorder.status().frames == 30)
     window.close()
     qtbot.waitUntil(lambda: not window.isVisible())
     assert window.worker.isFinished()

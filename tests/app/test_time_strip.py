@@ -130,15 +130,6 @@ def test_an_export_has_exactly_the_marked_frames(marked_window, qtbot, tmp_path)
     assert window.context.trim is None
 
 
-def test_letters_typed_into_a_field_set_no_marks(plain_window):
-    window = plain_window
-    for entry in (window.panel.rows["tolerance.t"].widget.entry, window.transport.position):
-        entry.setFocus()
-        QTest.keyClicks(entry, "io")
-        QTest.keyClick(entry, Qt.Key.Key_Escape)
-    assert window.context.trim is None
-
-
 def test_a_single_frame_has_no_strip_and_a_live_source_scrolls(make_window, qtbot):
     window = make_window()
     show_source(qtbot, window, FakeSource(1))

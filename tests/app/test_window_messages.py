@@ -7,7 +7,7 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
 from fakes import FakeSource
-from hands import press, show_source
+from hands import show_source
 from tactune.app.worker.reading import SourceRequest
 from tactune.core.errors import SourceError
 from tactune.widgets.basics.messages import Severity
@@ -38,12 +38,6 @@ def test_a_refused_source_is_told_until_the_next_task_such_as_a_recording_or_a_c
     fail_to_open(window, qtbot)
     QTest.keyClick(window, Qt.Key.Key_K, Qt.KeyboardModifier.ControlModifier)
     assert window.calibration.wizard.isVisible() and window.messages.message("source") is None
-
-
-def test_a_refused_source_offers_to_open_another(window, qtbot):
-    fail_to_open(window, qtbot)
-    press(window.messages.message("source"), "Open…")
-    qtbot.waitUntil(lambda: window.sources.dialog is not None and window.sources.dialog.isVisible())
 
 
 def test_messages_about_a_source_and_ended_tasks_go_with_another_source(window, qtbot):

@@ -15,18 +15,11 @@ from PyQt6.QtGui import QScreen
 from PyQt6.QtWidgets import (
     QAbstractButton,
     QApplication,
-    QDialog,
-    QDialogButtonBox,
     QFileDialog,
-    QFormLayout,
     QLabel,
-    QLineEdit,
     QMessageBox,
-    QPlainTextEdit,
     QWidget,
 )
-
-from .controls import dialog_buttons
 
 #: What a window manager may draw around a window.
 _FRAME = QSize(16, 40)
@@ -68,33 +61,6 @@ class Dialogs:
         agree = box.addButton(yes, QMessageBox.ButtonRole.AcceptRole)
         box.setDefaultButton(QMessageBox.StandardButton.Cancel)
         _open(box, lambda clicked: use if clicked is agree else None)
-
-    def ask_details(self, name: str, notes: str, use: Callable[[str, str], object]) -> None:
-        dialog = QDialog(self._parent)
-        dialog.setWindowTitle("Name and notes")
-        name_entry, notes_entry = QLineEdit(name), QPlainTextEdit(notes)
-        name_entry.setMaxLength(120)
-        name_entry.setToolTip("Name of the preset, at most 120 characters")
-        notes_entry.setTabChangesFocus(True)
-        buttons = dialog_buttons(QDialogButtonBox.StandardButton.Ok | QDialogButtonBox.StandardButton.Cancel)
-        buttons.accepted.connect(dialog.accept)
-        buttons.rejected.connect(dialog.reject)
-        accept = buttons.button(QDialogButtonBox.StandardButton.Ok)
-        assert accept is not None
-        name_entry.textChanged.connect(lambda text: accept.setEnabled(bool(text.strip())))
-        form = QFormLayout(dialog)
-        form.addRow("&Name", name_entry)
-        form.addRow("N&otes", notes_entry)
-        form.addRow(buttons)
-
-        def answered(result: int) -> None:
-            dialog.deleteLater()
-            if result:
-                use(name_entry.text().strip(), notes_entry.toPlainText())
-
-        dialog.finished.connect(answered)
-        dialog.resize(420, 260)
-        dialog.open()
 
     def folder(self, kind: str) -> Path:
         remembered = Path(self._memory.text(f"folder/{kind}", str(Path.home())))

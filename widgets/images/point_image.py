@@ -17,7 +17,6 @@ from .marks import COLORS, Mark, MarkKind, MarkLayer
 #: Edge of the magnified square in screen pixels, and the image pixels that it spans.
 EDGE: Final = 168
 SPAN: Final = 21.0
-_LINE = 20
 _DISTANCE = 26
 
 
@@ -28,8 +27,6 @@ class Loupe(QWidget):
         super().__init__(parent)
         self._pixels: Uint8Array | None = None
         self._image = QImage()  # borrows the memory of the pixels
-        self._corner = (0, 0)
-        self.swatch: QColor | None = None
         self._place = (0.0, 0.0)
         self._snapped: tuple[float, float] | None = None
         self._words = ""
@@ -40,15 +37,15 @@ class Loupe(QWidget):
     def sizeHint(self) -> QSize:
         return QSize(EDGE, EDGE + 2 * self.fontMetrics().lineSpacing() + 2)
 
-    def set_pixels(self, pixels: Uint8Array | None, corner: tuple[int, int] = (0, 0)) -> None:
-        """Take the image, or the part that begins at ``corner``: uint8 (h, w, 4), ``QImage.Format_RGB32``."""
-        self._pixels, self._corner = pixels, corner
+    def set_pixels(self, pixels: Uint8Array | None) -> None:
+        """Take the image: uint8 (h, w, 4), ``QImage.Format_RGB32``."""
+        self._pixels = pixels
         self._image = image_of(pixels)
         self.update()
 
     def show_at(self, cursor: QPointF, place: tuple[float, float]) -> None:
         """Magnify an image place and move beside the cursor (parent coordinates), inside the parent."""
-        self._place, self._snapped, self.swatch, self._words = place, None, None, ""
+        self._place, self._snapped, self._words = place, None, ""
         parent = self.parentWidget()
         assert parent is not None
         x, y = cursor.x() + _DISTANCE, cursor.y() - self.height() - _DISTANCE / 2
@@ -66,10 +63,6 @@ class Loupe(QWidget):
         self._snapped, self._words = place, words
         self.update()
 
-    def set_color(self, color: QColor, words: str) -> None:
-        self.swatch, self._words = color, words
-        self.update()
-
     def text(self) -> str:
         return self._words or f"{self._place[0]:.1f}  {self._place[1]:.1f}"
 
@@ -78,7 +71,7 @@ class Loupe(QWidget):
         colors = theme_colors()
         painter.fillRect(self.rect(), QColor(colors.base))
         if not self._image.isNull():  # the centre of a pixel lies at its integer coordinates
-            left, top = (at - begin - SPAN / 2 + 0.5 for at, begin in zip(self._place, self._corner, strict=True))
+            left, top = (at - SPAN / 2 + 0.5 for at in self._place)
             painter.drawImage(QRectF(0, 0, EDGE, EDGE), self._image, QRectF(left, top, SPAN, SPAN))
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         middle = EDGE / 2
@@ -94,9 +87,6 @@ class Loupe(QWidget):
             painter.drawEllipse(QPointF(middle + u * scale, middle + v * scale), 5, 5)
         painter.setPen(QColor(colors.text))
         line = QRectF(2, EDGE, EDGE - 4, self.height() - EDGE)
-        if self.swatch is not None:
-            painter.fillRect(QRectF(5, EDGE + 4, 2 * _LINE, _LINE - 8), self.swatch)
-            line.setLeft(2 * _LINE + 8)
         painter.drawText(line, Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap, self.text())
         painter.setPen(QPen(QColor(colors.border), 1))
         painter.setBrush(Qt.BrushStyle.NoBrush)

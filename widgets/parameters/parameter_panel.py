@@ -175,11 +175,6 @@ class ParameterPanel(QScrollArea):
             swatch = QColor(*MASKED_RGB).name()
             self.masked_share.setText(f'<font color="{swatch}">■</font> {100 * share:.1f} % of the colour image masked')
 
-    def add_section(self, name: str, section: CollapsibleSection) -> None:
-        """Append a section that edits no preset field; its fold is remembered with the others."""
-        self.sections[name] = section
-        self._column.insertWidget(self._column.count() - 1, section)
-
     def collapsed_sections(self) -> list[str]:
         return [name for name, section in self.sections.items() if section.collapsed]
 

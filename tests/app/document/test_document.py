@@ -39,13 +39,6 @@ def test_one_drag_is_one_step_and_two_drags_are_two(document):
     assert document.preset.tolerance.t == 0.03
 
 
-def test_a_drag_back_to_where_it_began_leaves_no_step_and_no_mark(document):
-    document.edit("tolerance.t", 0.05, gesture=1)
-    document.edit("tolerance.t", 0.03, gesture=1)
-    assert document.undo_stack.count() == 0
-    assert not document.dirty
-
-
 @pytest.mark.parametrize(
     ("path", "value", "words"),
     [

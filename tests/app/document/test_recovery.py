@@ -1,6 +1,4 @@
 import itertools
-import os
-import socket
 
 import pytest
 from PyQt6.QtCore import QTimer
@@ -63,16 +61,6 @@ def test_nothing_is_left_after_saving_undoing_or_a_normal_end(document, folder, 
     assert unsaved_work(folder) == []
 
 
-def test_a_damaged_file_is_passed_over_and_left_alone(document, folder):
-    autosave = Autosave(document, folder)
-    document.edit("tolerance.t", 0.01)
-    crash(autosave)
-    damaged = folder / "unsaved-damaged.json"
-    damaged.write_text('{"path": nul')
-    assert [work.preset.tolerance.t for work in unsaved_work(folder)] == [0.01]
-    assert damaged.exists()
-
-
 def test_restored_work_is_kept_anew_before_the_old_file_goes(document, folder, preset):
     autosave = Autosave(document, folder)
     document.edit("tolerance.t", 0.01)
@@ -85,24 +73,3 @@ def test_restored_work_is_kept_anew_before_the_old_file_goes(document, folder, p
     crash(again)
     assert not work.file.exists()
     assert [kept.preset.tolerance.t for kept in unsaved_work(folder)] == [0.01]
-
-
-def test_what_killed_windows_left_is_removed_at_the_next_start(document, folder, qtbot):
-    (folder / "calibration").mkdir(parents=True)
-    old = [folder / ".unsaved-1-0123abcd.json", folder / "calibration" / ".snapshot-a-89abcdef.npz"]
-    new = folder / ".unsaved-2-0123abcd.json"
-    for file in (*old, new):
-        file.touch()
-    for file in old:
-        os.utime(file, (1e9, 1e9))
-    dead = folder / "unsaved-dead.lock"
-    dead.write_text(f"{2**22}\ntactune\n{socket.gethostname()}\n")
-    other = Autosave(Document(), folder)
-    autosave = Autosave(document, folder)
-    autosave.finish()
-    assert not any(file.exists() for file in old)
-    assert new.exists(), "it may be being written"
-    qtbot.waitUntil(lambda: not dead.exists())  # the other window may be trying this lock
-    assert other.file.with_suffix(".lock").exists()
-    other.close()
-    autosave.close(keep=True)

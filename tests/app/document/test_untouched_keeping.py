@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from pathlib import Path
 
@@ -12,9 +11,8 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
 from fakes import tiny_frame, tiny_rig
-from hands import CONTROL, press, type_path
-from tactune.app.document.document import Document
-from tactune.app.document.untouched_store import UntouchedStore
+from hands import press
+from tactune.app.document.document import Document, UntouchedStore
 from tactune.core.errors import PresetError
 from tactune.core.output import SessionWriter
 from tactune.core.preset import Preset
@@ -72,17 +70,6 @@ def test_a_lost_untouched_frame_is_a_warning_when_saving(document: Document, tmp
         kept_beside(tmp_path / "mine.json")
 
 
-def test_tidying_keeps_what_unsaved_work_names(store: UntouchedStore, tmp_path: Path) -> None:
-    records = [store.keep(tiny_frame(index, RIG), 1) for index in range(24)]
-    for age, record in enumerate(records):
-        os.utime(tmp_path / "store" / record.file, (age, age))
-    (tmp_path / "unsaved-1.json").write_text(f'{{"file": "{records[0].file}"}}')
-    store.tidy(tmp_path)
-    left = {file.name for file in (tmp_path / "store").iterdir()}
-    assert left == {record.file for record in [records[0], *records[4:]]}
-    UntouchedStore(tmp_path / "none").tidy(tmp_path)
-
-
 # The window
 
 
@@ -93,16 +80,6 @@ def capture(qtbot, window) -> None:
     QTest.mouseClick(opened.panel.start, Qt.MouseButton.LeftButton)
     qtbot.waitUntil(lambda: window.document.preset.untouched is not None)
     opened.close()
-
-
-def test_saved_from_the_window_the_untouched_frame_lies_beside_the_preset(qtbot, window, tmp_path):
-    capture(qtbot, window)
-    window.activateWindow()
-    qtbot.waitUntil(window.isActiveWindow)
-    QTest.keyClick(window, Qt.Key.Key_S, CONTROL)
-    type_path(qtbot, tmp_path / "saved" / "cup.json")
-    qtbot.waitUntil(lambda: not window.document.dirty)
-    assert kept_beside(tmp_path / "saved" / "cup.json").any()
 
 
 def test_a_captured_untouched_frame_outlives_a_crash(qtbot, window, make_window, tmp_path):
