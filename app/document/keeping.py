@@ -76,6 +76,11 @@ class KeptState(QObject, Generic[T]):
         """Do something on the disk's thread, after everything that was scheduled before."""
         self._disk.submit(work, *arguments)
 
+    def wait(self) -> None:
+        """Wait until everything that was scheduled is on the disk."""
+        with suppress(RuntimeError):  # finished
+            self._disk.submit(lambda: None).result()
+
     def close(self) -> None:
         """Write the last state and wait for the disk."""
         self.flush()
