@@ -11,10 +11,8 @@ import typer
 from ...core.errors import CalibrationError, FrameError
 from .common import (
     CliProgress,
-    JsonOption,
     UntouchedSource,
     average_frames,
-    emit,
     find_rig,
     open_with_progress,
     warn,
@@ -42,7 +40,6 @@ def calibrate(
     model: Annotated[
         Literal["auto", "homography", "rigid"], typer.Option(help="auto: fit both and take the better one.")
     ] = "auto",
-    as_json: JsonOption = False,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", metavar="PRESET", help="Write the alignment into this preset, new or existing."),
@@ -63,7 +60,7 @@ def calibrate(
     report = fit(pairs, cameras, model)
     if out is not None and base is not None:
         save_preset(report.apply_to(base), out)
-    emit(report.to_json(), report.words() + ("" if out is None else f"\nwrote {out}"), as_json)
+    typer.echo(report.words() + ("" if out is None else f"\nwrote {out}"))
 
 
 def recheck(

@@ -5,7 +5,6 @@ Everything heavy is imported inside the functions, since ``tactune --help`` impo
 
 from __future__ import annotations
 
-import json
 import signal
 import sys
 import threading
@@ -59,7 +58,6 @@ PresetOption = Annotated[
         help="A preset file or shipped name; default: the recording's own, simulator for sim, else default.",
     ),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 SetOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -88,11 +86,6 @@ def default_preset(source: str) -> str:
             load_preset(path)
             return str(path)
     return "simulator" if plain.partition(":")[0] == "sim" else "default"
-
-
-def emit(record: object, text: str, as_json: bool) -> None:
-    """Print the result of a command on standard output: as JSON, or as text for people."""
-    typer.echo(json.dumps(record, indent=2, allow_nan=False) if as_json else text)
 
 
 def table_text(records: Sequence[Mapping[str, object]]) -> str:
