@@ -252,12 +252,14 @@ def tell_of_stop(source: FrameSource, done: int, asked: int | None) -> None:
 def live_frames(source: FrameSource, total: int | None, stopped: threading.Event) -> Iterator[SensorFrame]:
     """Yield frames until there are ``total``, the source ends or ``stopped`` is set; `SourceError` if none comes.
 
-    A rig whose depth unit puts the membrane where it cannot be gives a warning.
+    Warns of what happens to the source, and of a depth unit that puts the membrane where it cannot be.
     """
     from ...core.tuning.advice.no_depth import wrong_unit
 
-    count = 0
+    said, count = "", 0
     while count != total and not stopped.is_set():
+        if source.health().message != said and (said := source.health().message):
+            warn(said)
         if not source.wait(WAIT_S):
             continue
         frame = source.next_frame()
