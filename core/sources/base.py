@@ -197,8 +197,8 @@ class SourceKind:
     ----------
     scheme : str
         Text before the colon of a name.
-    title, description : str
-        Name in menus, and a sentence for tooltips.
+    title : str
+        Name in file dialogs.
     form : str
         How a name is written, such as ``"folder:PATH"``.
     open : callable
@@ -209,8 +209,6 @@ class SourceKind:
     pattern : str
         File names that it opens, such as ``"*.bag *.db3"``, or the file that makes a folder one, such as
         ``"rig.json"``; empty if it opens none.
-    examples : tuple of str
-        Example names for menus.
     files : int
         How many files, with commas between them, may make one source.
     """
@@ -218,11 +216,9 @@ class SourceKind:
     scheme: str
     title: str
     form: str
-    description: str
     open: Callable[[str, Progress | None, CamerasSection | None], FrameSource]
     needs: Literal["nothing", "folder", "file"] = "nothing"
     pattern: str = ""
-    examples: tuple[str, ...] = ()
     files: int = 1
 
     def claim(self, name: str) -> str | None:

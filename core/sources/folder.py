@@ -282,7 +282,6 @@ KIND = SourceKind(
     scheme="folder",
     title="Folder of images",
     form="folder:PATH",
-    description="PNG images with rig.json beside them: one frame, or numbered subfolders.",
     needs="folder",
     pattern="rig.json",
     open=lambda rest, progress, cameras: FolderSource(rest),

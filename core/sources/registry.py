@@ -56,7 +56,6 @@ _REALSENSE = SourceKind(
     scheme="bag",
     title="RealSense recording",
     form="bag:PATH[,PATH]",
-    description="A RealSense .bag or .db3 of two depth cameras, two files of one camera each, or one to view only.",
     needs="file",
     pattern="*.bag *.db3",
     files=2,
@@ -66,7 +65,6 @@ _MCAP = SourceKind(
     scheme="mcap",
     title="Tactune recording",
     form="mcap:PATH",
-    description="A recording in MCAP, as tactune record writes it: a ROS 2 bag with both cameras.",
     needs="file",
     pattern="*.mcap",
     open=_open_mcap,
@@ -75,8 +73,6 @@ _LIVE = SourceKind(
     scheme="live",
     title="Any source, played live",
     form="live:SOURCE",
-    description="Plays a recording or the simulator repeatedly in real time, like a live camera.",
-    examples=("live:sim:cup",),
     open=_open_live,
 )
 

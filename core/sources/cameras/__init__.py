@@ -40,9 +40,7 @@ KIND = SourceKind(
     scheme="cameras",
     title="Cameras",
     form="cameras:[PROXIMITY,TACTILE]",
-    description="Two live cameras of any installed drivers; serial numbers select the devices.",
-    examples=("cameras:",),
     open=open_in_process,
 )
 #: Another name of it, which older files have.
-REALSENSE = replace(KIND, scheme="realsense", form="realsense:[PROXIMITY,TACTILE]", examples=())
+REALSENSE = replace(KIND, scheme="realsense", form="realsense:[PROXIMITY,TACTILE]")
