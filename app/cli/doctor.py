@@ -34,7 +34,7 @@ def devices() -> None:
 
 
 def doctor() -> None:
-    """Check Python, packages, camera driver, USB, permissions, Qt and display, and name a remedy for each problem.
+    """Check packages, memory, camera driver, USB, permissions and Qt, and name a remedy for each problem.
 
     Exit status 0 if no check fails (warnings concern only some uses), 1 if one does.
     """
