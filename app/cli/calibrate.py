@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -110,7 +109,7 @@ def create_rig(
     *,
     proximity: Annotated[str, typer.Option(metavar="LENS", help=_LENS_HELP.format("proximity"))] = "L515",
     tactile: Annotated[str, typer.Option(metavar="LENS", help=_LENS_HELP.format("tactile"))] = "D405",
-    corners: Annotated[str, typer.Option(metavar="CxR", help="Inner corners of the chessboard.")] = "9x6",
+    corners: Annotated[tuple[int, int], typer.Option(help="Inner corners of the chessboard.")] = (9, 6),
 ) -> None:
     """Write the rig.json of a folder of images. The pose of the cameras is a matter of tactune calibrate.
 
@@ -121,17 +120,13 @@ def create_rig(
     from ...core.sources.folder import first_image_sizes, write_rig
 
     sizes = {name: (width, height) for name, (height, width) in first_image_sizes(folder).items()}
-    board = re.fullmatch(r"(\d+)x(\d+)", corners)
-    if board is None:
-        raise typer.BadParameter(f"--corners is {corners!r}; write the inner corners as 9x6")
-    size = int(board[1]), int(board[2])
     cameras = {
-        role: _camera(text, "depth", sizes[f"{role}_depth.png"], size)
+        role: _camera(text, "depth", sizes[f"{role}_depth.png"], corners)
         for role, text in (("proximity", proximity), ("tactile", tactile))
     }
     if sizes["proximity_color.png"] != sizes["proximity_depth.png"]:
         model, _, how = proximity.partition("=")
-        lens = _camera(proximity if how == "camera" else model, "colour", sizes["proximity_color.png"], size)
+        lens = _camera(proximity if how == "camera" else model, "colour", sizes["proximity_color.png"], corners)
         cameras["proximity_color"] = {key: lens[key] for key in lens if key not in ("model", "depth_unit_m")}
     write_rig(folder, make_rig(cameras))
     typer.echo(f"wrote {folder / 'rig.json'}")
