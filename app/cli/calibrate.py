@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -10,10 +11,8 @@ import typer
 
 from ...core.errors import CalibrationError, FrameError
 from .common import (
-    JsonOption,
     UntouchedSource,
     average_frames,
-    emit,
     find_rig,
     open_with_progress,
     warn,
@@ -41,7 +40,7 @@ def calibrate(
     model: Annotated[
         Literal["auto", "homography", "rigid"], typer.Option(help="auto: fit both and take the better one.")
     ] = "auto",
-    as_json: JsonOption = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", metavar="PRESET", help="Write the alignment into this preset, new or existing."),
@@ -62,7 +61,10 @@ def calibrate(
     report = fit(pairs, cameras, model)
     if out is not None and base is not None:
         save_preset(report.apply_to(base), out)
-    emit(report.to_json(), report.words() + ("" if out is None else f"\nwrote {out}"), as_json)
+    if as_json:
+        typer.echo(json.dumps(report.to_json(), indent=2, allow_nan=False))
+    else:
+        typer.echo(report.words() + ("" if out is None else f"\nwrote {out}"))
 
 
 def recheck(

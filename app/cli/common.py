@@ -5,7 +5,6 @@ Everything heavy is imported inside the functions, since ``tactune --help`` impo
 
 from __future__ import annotations
 
-import json
 import signal
 import sys
 import threading
@@ -59,7 +58,6 @@ PresetOption = Annotated[
         help="A preset file or shipped name; default: the recording's own, simulator for sim, else default.",
     ),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 SetOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -88,11 +86,6 @@ def default_preset(source: str) -> str:
             load_preset(path)
             return str(path)
     return "simulator" if plain.partition(":")[0] == "sim" else "default"
-
-
-def emit(record: object, text: str, as_json: bool) -> None:
-    """Print the result of a command on standard output: as JSON, or as text for people."""
-    typer.echo(json.dumps(record, indent=2, allow_nan=False) if as_json else text)
 
 
 def table_text(records: Sequence[Mapping[str, object]]) -> str:
@@ -259,12 +252,14 @@ def tell_of_stop(source: FrameSource, done: int, asked: int | None) -> None:
 def live_frames(source: FrameSource, total: int | None, stopped: threading.Event) -> Iterator[SensorFrame]:
     """Yield frames until there are ``total``, the source ends or ``stopped`` is set; `SourceError` if none comes.
 
-    A rig whose depth unit puts the membrane where it cannot be gives a warning.
+    Warns of what happens to the source, and of a depth unit that puts the membrane where it cannot be.
     """
     from ...core.tuning.advice.findings import wrong_unit
 
-    count = 0
+    said, count = "", 0
     while count != total and not stopped.is_set():
+        if source.health().message != said and (said := source.health().message):
+            warn(said)
         if not source.wait(WAIT_S):
             continue
         frame = source.next_frame()

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
-
 import typer
 
 from ...core.errors import as_sentence, counted
@@ -24,46 +21,20 @@ def devices() -> None:
     Exit status 0 if a camera is connected, 1 if none is, 2 if the camera driver is missing or fails.
     """
     answer = ask_driver()
-    found: list[dict[str, Any]] = answer["devices"]
-    notes = [*_notes(found), *map(as_sentence, answer.get("problems", []))]
-    typer.echo("\n".join([*(line for device in found for line in _words(device)), *notes]))
-    if not found:
+    for device in answer["devices"]:
+        about = [("serial", "serial"), ("firmware", "firmware"), ("USB", "usb")]
+        typer.echo(", ".join([device["model"], *(f"{word} {device.get(key) or 'unknown'}" for word, key in about)]))
+        if device.get("problem"):
+            typer.echo(f"  {as_sentence(device['problem'])}")
+    for note in filter(None, [answer.get("hint"), *answer.get("problems", [])]):
+        typer.echo(as_sentence(note))
+    if not answer["devices"]:
+        typer.echo("No camera is connected: plug both into USB 3 ports; tactune doctor finds other causes.")
         raise typer.Exit(NONE_STATUS)
 
 
-def _notes(found: Sequence[dict[str, Any]]) -> list[str]:
-    """Return sentences on missing cameras and their causes."""
-    from ...core.sources.cameras.realsense import driver_version, no_l515_sentence
-    from ..doctor.computer import usb_cameras
-
-    notes = []
-    plugged = usb_cameras()
-    if len(plugged) > len(found):
-        names = ", ".join(camera.product for camera in plugged)
-        notes.append(f"On USB there are {names}; the driver does not list all of them: run tactune doctor.")
-    if not found and not plugged:
-        notes.append(
-            "No RealSense camera is connected: plug both into USB 3 ports with the cables that came with them; "
-            "tactune doctor finds other causes."
-        )
-    no_l515 = no_l515_sentence(driver_version())
-    if no_l515 and not any(device["model"].startswith("L5") for device in found):
-        notes.append(as_sentence(no_l515))
-    return notes
-
-
-def _words(device: dict[str, Any]) -> list[str]:
-    """Describe one camera."""
-    usb = f"USB {device['usb']}" if device.get("usb") else "USB version unknown"
-    firmware = f"firmware {device['firmware']}" if device.get("firmware") else "firmware unknown"
-    lines = [f"{device['model']}, serial {device['serial'] or 'unknown'}", f"  {firmware}, {usb}"]
-    if device.get("problem"):
-        lines.append(f"  {as_sentence(device['problem'])}")
-    return lines
-
-
 def doctor() -> None:
-    """Check Python, packages, camera driver, USB, permissions, Qt and display, and name a remedy for each problem.
+    """Check packages, memory, camera driver, USB, permissions and Qt, and name a remedy for each problem.
 
     Exit status 0 if no check fails (warnings concern only some uses), 1 if one does.
     """

@@ -10,7 +10,6 @@ import typer
 
 from ...core.errors import CalibrationError, PresetError, counted
 from .common import (
-    AVERAGED,
     CliProgress,
     PresetOption,
     SetOption,
@@ -28,8 +27,7 @@ from .common import (
 
 if TYPE_CHECKING:
     from ...core.model.frames import Rig, SensorFrame
-    from ...core.preset import Preset, RigNoise
-    from ...core.sources import FrameSource
+    from ...core.preset import Preset
 
 #: Number of frames of which the rig's noise is measured.
 _MEASURED = 60
@@ -122,11 +120,7 @@ def capture_untouched(
     from ...core.rig.untouched import save_untouched
     from ...core.sources.presets import load_preset
 
-    if not preset.is_file() or preset.suffix == ".mcap":
-        raise PresetError(
-            f"{preset} is no preset file, so no untouched frame can be stored with it; make one with tactune preset "
-            "new, or copy a shipped one with tactune preset show NAME > FILE"
-        )
+    check_target(preset, str(preset))
     chosen = load_preset(preset)
     with open_with_progress(source, chosen) as opened:
         captured = average_frames(opened)
@@ -134,8 +128,6 @@ def capture_untouched(
             _refuse_contact(chosen, opened.rig, captured.frame)
     record = save_untouched(captured.frame, captured.frames, preset)
     save_preset(chosen.model_copy(update={"untouched": record, "modified": now()}), preset)
-    if captured.frames < AVERAGED:
-        warn(f"{opened.name} has only {captured.frames} of the {AVERAGED} frames to average")
     typer.echo(f"averaged {counted(captured.frames, 'frame')} of {opened.name}")
     typer.echo(f"wrote {preset.parent / record.file}, named in {preset}")
 
@@ -158,7 +150,8 @@ def measure_rig(
     and where an object is pressed firmly. Without --out and without a preset file nothing is written. The simulator
     removes its object for this.
     """
-    from ...core.rig.noise import describe
+    from ...core.rig.noise import describe, measure_noise
+    from ...core.rig.untouched import find_untouched, frames_to_average
     from ...core.sources.presets import load_preset
 
     origin = preset or default_preset(source)
@@ -166,8 +159,14 @@ def measure_rig(
     if target is not None:
         check_target(target, preset)
     chosen = load_preset(origin)
-    with open_with_progress(source, chosen) as opened:
-        noise = _measure_noise(opened, chosen, origin)
+    with open_with_progress(source, chosen) as opened, CliProgress() as progress:
+        found = find_untouched(chosen, origin, opened, progress.preparing)
+        with frames_to_average(opened, _MEASURED, progress.preparing) as shown:
+            frames = list(counted_out(shown, _MEASURED, progress))
+        warn(*found.warnings)
+        noise = measure_noise(frames, opened.rig, chosen, found.frame, progress.preparing)
+    if len(frames) < _MEASURED:
+        warn(f"the source has only {len(frames)} of the {_MEASURED} frames to measure")
     typer.echo("\n".join(describe(noise)))
     if target is None:
         warn("nothing was written; add --out FILE, or --preset with a preset file, to keep the measurement")
@@ -202,16 +201,14 @@ def _refuse_contact(preset: Preset, rig: Rig, membrane: SensorFrame) -> None:
 
 
 def check_target(target: Path, preset: str | None) -> None:
-    """Raise unless a changed preset can be written there: into a new file, or the preset's own unless it is shipped."""
-    import importlib.resources
-
-    shipped = Path(str(importlib.resources.files("tactune.presets"))).resolve()
-    if target.suffix == ".mcap" or target.resolve().parent == shipped:
-        raise PresetError(f"{target} is a recording or a shipped preset and stays as it is; add --out FILE")
-    if preset is None or target != Path(preset):
+    """Raise unless a changed preset can be written there: into a new file, or the preset's own."""
+    own = preset is not None and target == Path(preset)
+    if target.suffix == ".mcap" or (own and not target.is_file()):
+        raise PresetError(
+            f"{target} is no preset file, so nothing can be stored in it; make one with tactune preset new --from"
+        )
+    if not own:
         refuse_existing(target)
-    elif not target.is_file():
-        raise PresetError(f"{target} is no preset file, so nothing can be stored in it; add --out FILE")
 
 
 def save_changed(preset: Preset, origin: str, target: Path) -> None:
@@ -224,19 +221,3 @@ def save_changed(preset: Preset, origin: str, target: Path) -> None:
         copy_untouched(preset.untouched, Path(origin), target)
     name = target.stem if origin in shipped_presets() else preset.name
     save_preset(preset.model_copy(update={"name": name, "modified": now()}), target)
-
-
-def _measure_noise(source: FrameSource, preset: Preset, origin: str) -> RigNoise:
-    """Measure the next frames of a source, with the preset's or the source's untouched frame."""
-    from ...core.rig.noise import measure_noise
-    from ...core.rig.untouched import find_untouched, frames_to_average
-
-    with CliProgress() as progress:
-        found = find_untouched(preset, origin, source, progress.preparing)
-        with frames_to_average(source, _MEASURED, progress.preparing) as shown:
-            frames = list(counted_out(shown, _MEASURED, progress))
-        warn(*found.warnings)
-        noise = measure_noise(frames, source.rig, preset, found.frame, progress.preparing)
-    if len(frames) < _MEASURED:
-        warn(f"{source.name} has only {len(frames)} of the {_MEASURED} frames to measure")
-    return noise

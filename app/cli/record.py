@@ -9,9 +9,9 @@ import typer
 
 from ...core.errors import ExportError, counted
 from .common import (
-    WAIT_S,
     CliProgress,
     FrameCount,
+    live_frames,
     number_of_frames,
     open_with_progress,
     refuse_existing,
@@ -122,19 +122,10 @@ def _untouched(preset: Preset | None, origin: str | None, source: FrameSource) -
 
 def _record_frames(source: FrameSource, writer: SessionWriter, frames: int | None) -> None:
     """Write frames until the source ends, the limit is reached, writing fails or Ctrl+C is pressed."""
-    live = source.length is None
-    total = number_of_frames(source, frames)
-    said, done = "", 0
+    live, total = source.length is None, number_of_frames(source, frames)
     with CliProgress() as progress, stop_on_signals() as stopped:
-        while done != total and not stopped.is_set():
-            if source.health().message != said and (said := source.health().message):
-                warn(said)
-            if not source.wait(WAIT_S):
-                continue
-            frame = source.next_frame()
-            if frame is None:
-                break
-            done += writer.put(frame, wait=not live)
+        for done, frame in enumerate(live_frames(source, total, stopped), start=1):
+            writer.put(frame, wait=not live)
             status = writer.status()
             if status.error:
                 break

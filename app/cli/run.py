@@ -98,8 +98,6 @@ def run(
         tilt = make_tilt(estimate, chosen, opened.rig)
         with stop_on_signals() as stopped, _patch_output(out, opened, chosen) as save:
             done, records = _process(opened, pipeline, frames, save, stopped, truth, look, json_lines, tilt)
-        if opened.health().message:
-            warn(opened.health().message)
         if records:
             typer.echo("\n".join(_summary(records, opened.name, chosen.name)))
             if out is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from pathlib import Path
 from threading import Event
@@ -37,8 +36,6 @@ if TYPE_CHECKING:
     from ...core.preset import Preset
     from ...core.sources import FrameSource
 
-#: Time without a fit to the contact after which clients are warned of a wrong mesh, seconds.
-_LOST_S = 1.0
 _LAYOUT_HELP = "Write the layout for the Foxglove app (Import from file) and end, unless --foxglove or --ros2 is given."
 
 
@@ -142,7 +139,6 @@ class _Poses:
         self._tracker, self._publisher = tracker, publisher
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="track")
         self._newest: Future[None] | None = None
-        self._lost_since_s = math.nan
         self._closed = Event()
 
     def close(self) -> None:
@@ -163,12 +159,4 @@ class _Poses:
     def _track(self, patch: ContactPatch, time_s: float) -> None:
         pose = self._tracker.track(patch, time_s, self._go_on)
         if not pose.lost:
-            self._lost_since_s = math.nan
-            self._publisher.tell("object", "")
             self._publisher.put_pose(pose.T_proximity_object, pose.covariance, time_s)
-        elif self._tracker.is_enough(patch):
-            if math.isnan(self._lost_since_s):
-                self._lost_since_s = time_s
-            elif time_s > self._lost_since_s + _LOST_S:
-                name = self._tracker.mesh.name
-                self._publisher.tell("object", f"{name} does not fit the contact; check the mesh and its unit.")

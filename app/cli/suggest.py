@@ -124,14 +124,11 @@ def check(
 
 def _recent_frames(source: FrameSource, last: int | None) -> tuple[SensorFrame, ...]:
     """Return the frames up to the present one, which is the last."""
-    if last is not None and source.length is not None and last >= source.length:
-        raise AdviceError(f"{source.name}: there is no frame {last}; frames run from 0 to {source.length - 1}")
     first = 0 if last is None else max(last - _RECENT + 1, 0)
-    end = _RECENT if last is None else last + 1
-    if first > 0:
+    if first:
         source.seek(first)
-    frames = tuple(islice(source, end - first))
-    if not frames or (last is not None and len(frames) < end - first):
+    frames = tuple(islice(source, _RECENT if last is None else last + 1 - first))
+    if not frames or (last is not None and len(frames) < last + 1 - first):
         raise AdviceError(f"{source.name}: there is no frame {last or 0}; choose another --frame or source")
     return frames
 

@@ -1,4 +1,4 @@
-"""The checks of ``tactune doctor``: packages, folders, memory, camera driver, cameras, Qt and display."""
+"""The checks of ``tactune doctor``: packages, memory, camera driver, cameras and Qt."""
 
 from __future__ import annotations
 
@@ -6,21 +6,16 @@ import os
 import platform
 import re
 import shutil
-import sys
-import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, requires, version
+from importlib.metadata import requires, version
 from importlib.util import find_spec
 from pathlib import Path
 
-import platformdirs
-
 from .checks import Check, RunChild, State, python_child, run_child
 
-_FREE_BYTES, _FRAMES_BYTES = 2e9, 37e6
-_HEADLESS = "tactune run works without it."
+_FRAMES_BYTES = 37e6
 #: Distribution names whose import name differs.
 _IMPORT_NAMES = {"opencv-contrib-python-headless": "cv2"}
 
@@ -56,11 +51,9 @@ def check_computer() -> list[Check]:
 def all_checks() -> Sequence[Callable[[], Sequence[Check]]]:
     return (
         check_packages,
-        check_cache_folder,
         check_shared_memory,
         check_drivers,
         check_cameras,
-        check_window,
         check_qt_libraries,
     )
 
@@ -81,7 +74,7 @@ def report(lines: Sequence[Check]) -> str:
     return f"{checks}\n\n{len(lines)} checks: {failed} failed, {warned} with a warning"
 
 
-# Packages, folders, memory
+# Packages and memory
 
 
 def check_packages(run: RunChild = run_child) -> list[Check]:
@@ -94,23 +87,6 @@ def check_packages(run: RunChild = run_child) -> list[Check]:
     shown = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "numba"))
     found = f"Python {platform.python_version()}; all {len(names)} packages can be imported: {shown}, …"
     return [Check("Packages", State.OK, found)]
-
-
-def check_cache_folder(folder: Path | None = None) -> list[Check]:
-    """Check that the cache folder is writable and has space."""
-    name = "Cache folder"
-    folder = folder or Path(platformdirs.user_cache_dir("tactune"))
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
-        free = shutil.disk_usage(folder).free
-    except OSError as error:
-        remedy = f"Make {folder} writable, or set XDG_CACHE_HOME; otherwise every start computes its scenes again."
-        return [Check(name, State.FAIL, f"{folder}: {error.strerror or error}", remedy)]
-    words = f"{folder}, {free / 1e9:.1f} GB free"
-    if free < _FREE_BYTES:
-        return [Check(name, State.WARN, words, "Free some space: a minute of recording takes up to 1 GB.")]
-    return [Check(name, State.OK, words)]
 
 
 def check_shared_memory(folder: Path = Path("/dev/shm")) -> list[Check]:  # noqa: S108  # where Linux has it
@@ -201,22 +177,7 @@ def usb_cameras(usb: Path = _USB, nodes: Path = _NODES) -> list[UsbCamera]:
     return cameras
 
 
-# The window
-
-
-def check_window(environment: Mapping[str, str] = os.environ) -> list[Check]:
-    """Check that the packages of the window are installed, and that there is a display."""
-    try:
-        versions = [f"{name} {version(name)}" for name in ("PyQt6", "pyqtgraph")]
-    except PackageNotFoundError as error:
-        remedy = f"For the window: pip install 'tactune[gui]'; {_HEADLESS}"
-        return [Check("Window", State.WARN, f"not installed: {error.name}", remedy)]
-    lines = [Check("Window", State.OK, ", ".join(versions))]
-    named = [f"{name}={environment[name]}" for name in ("DISPLAY", "WAYLAND_DISPLAY") if environment.get(name)]
-    if named or not sys.platform.startswith("linux"):
-        return [*lines, Check("Display", State.OK, ", ".join(named) or sys.platform)]
-    remedy = f"The window needs a display: log in at the machine, or use ssh -X; {_HEADLESS}"
-    return [*lines, Check("Display", State.WARN, "DISPLAY and WAYLAND_DISPLAY are empty", remedy)]
+# Qt
 
 
 def check_qt_libraries(run: RunChild = run_child, files: tuple[Path, ...] | None = None) -> list[Check]:

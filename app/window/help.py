@@ -41,7 +41,6 @@ MOUSE = (
     ("Shift + drag, middle button", "pan"),
     ("Wheel", "zoom, in views and images"),
     ("Double click in a view or image", "enlarge it, or go back"),
-    ("Shift + click two points in a view", "measure their distance; Esc clears it"),
     ("Drag the line between A and B", "move the wipe while presets are compared"),
     ("Click or drag in the time strip", "seek"),
     ("Eyedropper, then click in the colour image", "set the mask to the prints' colour"),

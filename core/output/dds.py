@@ -124,9 +124,6 @@ class DdsSink:
         for message in messages:
             _write(self._writers[message.topic], message.data)
 
-    def tell(self, subject: str, sentence: str) -> None:
-        """Do nothing: ROS 2 has ``/diagnostics``."""
-
     def close(self) -> None:
         self._writers.clear()
         while self._entities:

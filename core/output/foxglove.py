@@ -78,17 +78,6 @@ class FoxgloveSink:
         for message in messages:
             self._channels[message.topic].log(message.data, log_time=message.stamp_ns)
 
-    def tell(self, subject: str, sentence: str) -> None:
-        """Show a warning in the Foxglove app's list of problems, or take it back."""
-        from foxglove import StatusLevel
-
-        if self._server is None:
-            return
-        if sentence:
-            self._server.publish_status(sentence, StatusLevel.Warning, subject)
-        else:
-            self._server.remove_status([subject])
-
     def close(self) -> None:
         if self._server is not None:
             self._server.stop()

@@ -195,11 +195,10 @@ def number(value: float) -> bytes:
     return _serialise(_type(NUMBER)(float(value)), NUMBER)
 
 
-def diagnostics(name: str, values: Mapping[str, str], stamp_ns: int, warning: str = "") -> bytes:
+def diagnostics(name: str, values: Mapping[str, str], stamp_ns: int) -> bytes:
     status, pair = _type("diagnostic_msgs/msg/DiagnosticStatus"), _type("diagnostic_msgs/msg/KeyValue")
     pairs = [pair(key, value) for key, value in values.items()]
-    level = status.WARN if warning else status.OK
-    entry = status(level=level, name=name, message=warning, hardware_id="", values=pairs)
+    entry = status(level=status.OK, name=name, message="", hardware_id="", values=pairs)
     return _serialise(_type(DIAGNOSTICS)(_header("", stamp_ns), [entry]), DIAGNOSTICS)
 
 

@@ -111,9 +111,6 @@ class Sink(Protocol):
     def send(self, messages: Sequence[LiveMessage]) -> None:
         """Send the messages of one frame, each of a wanted topic; may block."""
 
-    def tell(self, subject: str, sentence: str) -> None:
-        """Show clients a sentence, where the protocol can; called from any thread, and empty takes it back."""
-
     def close(self) -> None:
         """Disconnect clients and free the port; twice is harmless."""
 
@@ -168,9 +165,8 @@ def frame_messages(
     preset: Preset,
     shift_ns: int,
     tilt: Lazy[dict[str, Any]] | None = None,
-    warning: str = "",
 ) -> Messages:
-    """Return the messages of a frame; ``shift_ns`` is added to its stamps, ``warning`` is for ``/diagnostics``."""
+    """Return the messages of a frame; ``shift_ns`` is added to its stamps."""
     rig = patch.rig
     stamp_ns, tactile_ns = (
         messages.nanoseconds(time_s) + shift_ns for time_s in (frame.proximity_time_s, frame.tactile_time_s)
@@ -196,7 +192,7 @@ def frame_messages(
             "points": str(len(patch.points)),
             "skew ms": f"{1e3 * frame.skew_s:.3f}",
         }
-        return messages.diagnostics("tactune", values, stamp_ns, warning)
+        return messages.diagnostics("tactune", values, stamp_ns)
 
     def cloud(counts: Uint16Array, camera: DepthCamera, time_ns: int, frame_id: str) -> bytes:
         return messages.point_cloud(deproject_image(counts, camera), time_ns, frame_id)
@@ -235,7 +231,6 @@ class Publisher:
     def __init__(self, sinks: Sequence[Sink]) -> None:
         self._shift_ns = 0
         self._stamps_ns: dict[float, int] = {}
-        self._told: dict[str, str] = {}
         self._outputs: list[_Output] = []
         try:
             for sink in sinks:
@@ -270,8 +265,7 @@ class Publisher:
             self._shift_ns = 0 if is_live else now_ns - stamp_ns
         elif self._shift_ns:  # a frame that took less time than those before: no stamp lies in the future
             self._shift_ns = min(self._shift_ns, now_ns - stamp_ns)
-        warning = " ".join(tuple(self._told.values()))
-        built = frame_messages(frame, patch, preset, self._shift_ns, tilt, warning)
+        built = frame_messages(frame, patch, preset, self._shift_ns, tilt)
         self._stamps_ns.pop(frame.proximity_time_s, None)  # of a recording that begins again
         self._stamps_ns[frame.proximity_time_s] = built.stamp_ns
         if len(self._stamps_ns) > _KEPT_STAMPS:
@@ -296,17 +290,6 @@ class Publisher:
             built = pose_messages(pose, covariance, stamp_ns)
             for output in self._outputs:
                 output.put("pose", built)
-
-    def tell(self, subject: str, sentence: str) -> None:
-        """Warn clients of a subject until an empty sentence takes it back; for any thread."""
-        if sentence == self._told.get(subject, ""):
-            return
-        if sentence:
-            self._told[subject] = sentence
-        else:
-            del self._told[subject]
-        for output in self._outputs:
-            output.sink.tell(subject, sentence)
 
     def status(self) -> tuple[OutputStatus, ...]:
         """Return the state of every sink."""

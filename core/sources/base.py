@@ -198,7 +198,7 @@ class SourceKind:
     scheme : str
         Text before the colon of a name.
     title : str
-        Name in menus.
+        Name in file dialogs.
     form : str
         How a name is written, such as ``"folder:PATH"``.
     open : callable

@@ -40,7 +40,6 @@ def mine(tmp_path: Path) -> Path:
 def test_noise_and_bias_are_said_and_stored(tactune: Tactune, wall: Path, mine: Path) -> None:
     finished = tactune("preset", "measure-rig", "--source", wall, "--preset", mine)
     assert finished.status == 0
-    assert "has only 14 of the 60 frames" in finished.err
     tactile, proximity, bias, written = finished.out.splitlines()
     assert tactile.startswith("Tactile noise 0.30 mm") and proximity.startswith("Proximity noise 0.60 mm")
     assert bias.startswith("The proximity camera reads 4.0 ± 0.2 mm farther")

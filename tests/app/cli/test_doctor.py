@@ -10,7 +10,6 @@ import pytest
 from tactune.app.doctor import computer
 from tactune.app.doctor.checks import Check, Child, State, python_child, run_child
 from tactune.app.doctor.computer import (
-    check_cache_folder,
     check_cameras,
     check_drivers,
     check_packages,
@@ -45,7 +44,6 @@ def test_a_child_imports_nothing_from_the_working_folder(tmp_path, monkeypatch):
     assert run_child(python_child("import numpy; print('done')")).out.split() == ["done"]
     assert run_child(python_child("print('chatter'); print('{\"a\": 1}')")).answer() == {"a": 1}
     assert Child("no json").answer() == {}
-    assert Child("[1]").answer() == {}
 
 
 def test_a_check_that_fails_itself_is_a_line_and_the_others_go_on(monkeypatch):
@@ -81,14 +79,6 @@ def test_what_child_processes_answer(check, answer, state, words):
 def test_a_broken_driver_of_another_package_is_a_line():
     lines = check_drivers(answering({"version": "2.54", "others": ["a is no driver; update it"]}))
     assert [(line.state, line.remedy) for line in lines] == [(State.OK, ""), (State.FAIL, "Update it.")]
-
-
-def test_the_cache_folder(tmp_path, monkeypatch):
-    assert only(check_cache_folder(tmp_path / "new")).state is State.OK
-    (tmp_path / "file").write_text("")
-    assert only(check_cache_folder(tmp_path / "file")).state is State.FAIL
-    monkeypatch.setattr(computer.shutil, "disk_usage", lambda _: type("Usage", (), {"free": 1e9}))
-    assert only(check_cache_folder(tmp_path)).state is State.WARN
 
 
 @pytest.fixture

@@ -112,7 +112,6 @@ class Collecting:
         self.fault: Exception | None = None
         self.arrived = threading.Condition()
         self.is_open = False
-        self.told: list[tuple[str, str]] = []
 
     def start(self, topics: Mapping[str, str]) -> None:
         assert topics == LIVE_TOPICS
@@ -129,9 +128,6 @@ class Collecting:
         with self.arrived:
             self.messages += messages
             self.arrived.notify_all()
-
-    def tell(self, subject: str, sentence: str) -> None:
-        self.told.append((subject, sentence))
 
     def close(self) -> None:
         self.is_open = False
@@ -180,21 +176,6 @@ def test_a_pose_that_comes_later_has_the_stamp_of_its_frame(
     [pose] = [message for message in sink.messages if message.topic == "/object/pose"]
     assert pose.stamp_ns == sink.messages[0].stamp_ns
     assert decoded(pose).pose.pose.position.y == 0.2
-
-
-def test_a_warning_is_told_once_and_until_it_is_taken_back(
-    processed: tuple[SensorFrame, ContactPatch, Preset],
-) -> None:
-    sink = Collecting(["/diagnostics"])
-    with Publisher([sink]) as publisher:
-        for count, sentence in enumerate(("The mesh fits nothing.", "The mesh fits nothing.", ""), start=1):
-            publisher.tell("object", sentence)
-            publisher.put(*processed)
-            sink.wait_for(lambda messages, count=count: len(messages) == count)
-    states = [decoded(message).status[0] for message in sink.messages]
-    assert [state.message for state in states] == ["The mesh fits nothing.", "The mesh fits nothing.", ""]
-    assert [state.level for state in states] in ([1, 1, 0], [b"\1", b"\1", b"\0"])
-    assert sink.told == [("object", "The mesh fits nothing."), ("object", "")]
 
 
 def test_nothing_is_built_for_nobody(processed: tuple[SensorFrame, ContactPatch, Preset]) -> None:
