@@ -91,7 +91,6 @@ class CalibrationWizard(QDialog):
         self._connect()
         self.resize(1240, 760)
         self._offer(self.keeper.restore())
-        self._offer_stored()
         self.go_to(1 if self.session.state.snapshots and not self._elsewhere() else 0)
 
     # Building
@@ -224,20 +223,6 @@ class CalibrationWizard(QDialog):
             words += f" {self._feed.info.name} is open now: take new snapshots, or start over."
         severity = Severity.WARNING if elsewhere else Severity.INFO
         self.messages.show_message("kept", severity, words, offers=[("Start over", self.start_over)])
-
-    def _offer_stored(self) -> None:
-        """Offer the points stored in the preset, if there are no newer ones."""
-        record = self._document.preset.alignment.calibration
-        if record is None or not record.points or not self.session.state.empty:
-            return
-        pairs = with_depth(record.points, self.session.state, self.session.rig, origin="preset")
-        self.messages.show_message(
-            "stored",
-            Severity.INFO,
-            f"The preset contains {len(pairs)} pairs of {record.date.astimezone():%d %B %Y}. They are valid if "
-            "nothing has moved since.",
-            offers=[("Use them", lambda: self.session.add_pairs(pairs, "Take the preset's pairs"))],
-        )
 
     def _show_outcome(self, outcome: Outcome) -> None:
         self.outcome, self._saved = outcome, False
