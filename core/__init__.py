@@ -10,22 +10,24 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .calibration import calibrate, read_points
-    from .contact.pipeline import ContactPipeline
-    from .errors import TactuneError
-    from .estimation.pose import PoseTracker
-    from .estimation.tilt import TiltEstimator
-    from .model.frames import Rig, SensorFrame
-    from .model.patch import ContactPatch
-    from .output.publisher import Publisher
-    from .output.writer import SessionWriter
-    from .preset import Preset
-    from .preset.file import save_preset
-    from .rig.noise import measure_noise
-    from .sources.presets import load_preset
-    from .sources.registry import open_source
-    from .tuning.advice.proposal import Evidence
-    from .tuning.advice.suggest import suggest_all
+    from .calibration import calibrate as calibrate
+    from .calibration import read_points as read_points
+    from .contact.pipeline import ContactPipeline as ContactPipeline
+    from .errors import TactuneError as TactuneError
+    from .estimation.pose import PoseTracker as PoseTracker
+    from .estimation.tilt import TiltEstimator as TiltEstimator
+    from .model.frames import Rig as Rig
+    from .model.frames import SensorFrame as SensorFrame
+    from .model.patch import ContactPatch as ContactPatch
+    from .output.publisher import Publisher as Publisher
+    from .output.writer import SessionWriter as SessionWriter
+    from .preset import Preset as Preset
+    from .preset.file import save_preset as save_preset
+    from .rig.noise import measure_noise as measure_noise
+    from .sources.presets import load_preset as load_preset
+    from .sources.registry import open_source as open_source
+    from .tuning.advice.proposal import Evidence as Evidence
+    from .tuning.advice.suggest import suggest_all as suggest_all
 
 _HOME = {
     "ContactPatch": ".model.patch",
@@ -48,26 +50,7 @@ _HOME = {
     "suggest_all": ".tuning.advice.suggest",
 }
 
-__all__ = [
-    "ContactPatch",
-    "ContactPipeline",
-    "Evidence",
-    "PoseTracker",
-    "Preset",
-    "Publisher",
-    "Rig",
-    "SensorFrame",
-    "SessionWriter",
-    "TactuneError",
-    "TiltEstimator",
-    "calibrate",
-    "load_preset",
-    "measure_noise",
-    "open_source",
-    "read_points",
-    "save_preset",
-    "suggest_all",
-]
+__all__ = list(_HOME)  # the type checker sees the imports above
 
 
 def __getattr__(name: str) -> Any:

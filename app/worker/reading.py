@@ -207,7 +207,7 @@ class LiveReader:
         except Exception as error:
             health = Health(ok=False, message=explain(error, f"{self.source.name} does not report its state"))
         stale = health.stale or self._ended or now - self._last_frame_s > STALE_AFTER_S
-        state = SourceState(health, stale, self._problem, self._last_frame_s if stale else 0.0)
+        state = SourceState(health, stale, self._problem)
         if state != self._told:
             self._told = state
             self._listener.state_changed(self, state)

@@ -167,14 +167,12 @@ class SourceInfo:
 class SourceState:
     """State of the source, sent separately from its frames because it matters most while none come.
 
-    ``stale``: the last frame is too old to show the present; it came at ``last_frame_s`` by ``time.monotonic``.
-    ``problem`` says why no frame can be read.
+    ``stale``: the last frame is too old to show the present. ``problem`` says why no frame can be read.
     """
 
     health: Health = field(default_factory=Health)
     stale: bool = False
     problem: str = ""
-    last_frame_s: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -242,7 +242,7 @@ class Worker(QThread):
         if request.exclusive and self._live is not None:
             closed = f"{self._live.source.name} was closed for {request.name}."
             self._close_source(f"{request.name} is being opened")
-            self._tell_state(SourceState(stale=True, problem=closed, last_frame_s=time.monotonic()))
+            self._tell_state(SourceState(stale=True, problem=closed))
         try:
             source = open_requested(
                 request,

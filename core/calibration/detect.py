@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 
 from ..errors import CalibrationError
-from ..model.arrays import BoolArray, Float64Array, Uint8Array
-from ..model.robust import spread
+from ..model.arrays import BoolArray, Float64Array, Uint8Array, spread
 
 #: Half side of the window for corner refinement, pixels.
 _CORNER_WINDOW = 5

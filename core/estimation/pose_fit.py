@@ -17,11 +17,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..contact.alignment import tactile_pose
-from ..model.arrays import BoolArray, Float32Array, Float64Array, Int64Array
+from ..model.arrays import BoolArray, Float32Array, Float64Array, Int64Array, spread
 from ..model.clouds import ray_table
 from ..model.frames import Rig
 from ..model.patch import ContactPatch
-from ..model.robust import spread
 from ..preset import Preset
 from .object_mesh import ObjectMesh
 

@@ -19,10 +19,9 @@ from scipy.spatial import cKDTree
 
 from ..calibration.snapshots import take_snapshot
 from ..errors import TactuneError
-from ..model.arrays import AnyArray, BoolArray, Float64Array, IndexArray, Int64Array
+from ..model.arrays import AnyArray, BoolArray, Float64Array, IndexArray, Int64Array, spread
 from ..model.clouds import valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
-from ..model.robust import spread
 
 #: Default distance of neighbouring dots on the flat sheet, metres, and the range of possible ones.
 SPACING_M: Final = 0.010

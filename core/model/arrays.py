@@ -1,4 +1,4 @@
-"""Type aliases of NumPy arrays by element type, for annotations."""
+"""Types of NumPy arrays by element type, and a standard deviation that outliers hardly change."""
 
 from __future__ import annotations
 
@@ -18,3 +18,11 @@ Int64Array = npt.NDArray[np.int64]
 Uint8Array = npt.NDArray[np.uint8]
 Uint16Array = npt.NDArray[np.uint16]
 Uint64Array = npt.NDArray[np.uint64]
+
+
+def spread(values: AnyArray, middle: float = 0.0) -> float:
+    """Return 1.4826 times the median distance of the values from a middle: their standard deviation if they are normal.
+
+    Values that are nan do not count.
+    """
+    return 1.4826 * float(np.nanmedian(np.abs(values - middle)))

@@ -155,8 +155,8 @@ class GroundTruth:
     T_proximity_object: Matrix4 | None = None
 
 
-#: Largest time stamp, seconds: 64 bits of nanoseconds.
-MAX_TIME_S = 9e9
+#: Largest time stamp, seconds: what ROS can hold, until 2038.
+MAX_TIME_S = 2**31 - 1
 
 
 def note_number(seen: set[int], frame: SensorFrame) -> None:
@@ -205,7 +205,7 @@ class SensorFrame:
         for name in ("proximity_time_s", "tactile_time_s"):
             if not abs(getattr(self, name)) <= MAX_TIME_S:  # also nan
                 found = getattr(self, name)
-                raise FrameError(f"frame {self.sequence}: {name} is {found}, not a number up to {MAX_TIME_S:g} s")
+                raise FrameError(f"frame {self.sequence}: {name} is {found}, not a number up to {MAX_TIME_S} s")
         for name, dtype, dimensions in _FRAME_ARRAYS:
             array = getattr(self, name)
             if array is None and name == "tactile_color":

@@ -58,7 +58,6 @@ POSE_TOPICS: Final[dict[str, str]] = {Topic.OBJECT_POSE: POSE, Topic.TRANSFORMS:
 #: Topics that ROS 2 keeps out of namespaces.
 _GLOBAL_TOPICS: Final = (Topic.TRANSFORMS, Topic.STATIC_TRANSFORMS)
 
-_LAST_STAMP_NS = (2**31) * 10**9 - 1
 #: Type and number of channels of each encoding.
 _PIXELS: Final[dict[str, tuple[np.dtype[Any], int]]] = {
     "16UC1": (np.dtype("<u2"), 1),
@@ -76,8 +75,7 @@ def ros_topic(topic: str, namespace: str) -> str:
 
 
 def nanoseconds(time_s: float) -> int:
-    """Return a time in whole nanoseconds, within what a ROS time stamp can hold."""
-    return min(max(round(time_s * 1e9), -(2**31) * 10**9), _LAST_STAMP_NS)
+    return round(time_s * 1e9)
 
 
 class LogClock:

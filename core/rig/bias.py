@@ -6,7 +6,6 @@ pressed firmly into the membrane; or all over the image, if there is no membrane
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -19,10 +18,9 @@ from ..contact.checks import rig_in_use
 from ..contact.masking import colors_at, in_hsv_range
 from ..contact.membrane.bias import most_frequent_m
 from ..contact.pixels import region_bounds
-from ..model.arrays import Float32Array
+from ..model.arrays import Float32Array, spread
 from ..model.clouds import deproject, pixel_areas_m2, valid_depth
 from ..model.frames import Rig, SensorFrame
-from ..model.robust import spread
 from ..preset import MaskSection, Preset
 
 #: Area of firm contact below which a frame tells nothing about the bias, m^2.
@@ -38,8 +36,6 @@ _PRINT_RIM_PX, _PRINT_PIXELS, _MAX_BIAS_M, _MAX_SCATTER_M = 5, 60, 0.04, 0.006
 _MIN_RANGE_M: Final = 0.040
 #: Prints whose bias is off by more than this number of robust standard deviations do not count.
 _TRIM: Final = 5.0
-#: Two biases disagree beyond this number of standard deviations.
-_DISAGREE: Final = 3.0
 #: Both cameras see the same scene if this share of the pixels with both depths differs by one bias, within a share of
 #: the distance. Behind an inflated membrane no object is everywhere at one distance from it.
 SAME_SCENE, _PEAK_SHARE = 0.5, 0.02
@@ -75,10 +71,6 @@ class MeasuredBias:
             "scene": f"in {100 * self.share:.0f} % of the pixels that both cameras measure",
             "unknown": "nowhere",
         }[self.origin]
-
-    def contradicts(self, other: MeasuredBias) -> bool:
-        """Return whether two biases differ by more than their uncertainty explains."""
-        return abs(self.bias_m - other.bias_m) > _DISAGREE * math.hypot(self.sigma_m, other.sigma_m)
 
 
 def depth_differences(frame: SensorFrame, preset: Preset, rig: Rig) -> tuple[Float32Array, Float32Array]:

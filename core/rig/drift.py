@@ -20,10 +20,9 @@ from ..contact.checks import rig_in_use
 from ..contact.kernels.chain import Region
 from ..contact.pipeline import ContactPipeline
 from ..errors import CalibrationError
-from ..model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array, Uint16Array
+from ..model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array, Uint16Array, spread
 from ..model.clouds import ray_table, valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
-from ..model.robust import spread
 from ..preset import Preset
 
 #: Largest harmless change of depth: half the margin of the method proximity-only, which compares with the untouched

@@ -21,10 +21,9 @@ from scipy.optimize import nnls
 from ..contact.checks import rig_in_use
 from ..contact.membrane.steps import firm_contact_bias
 from ..errors import FrameError
-from ..model.arrays import BoolArray, Float32Array, Float64Array, Uint16Array
+from ..model.arrays import BoolArray, Float32Array, Float64Array, Uint16Array, spread
 from ..model.clouds import valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
-from ..model.robust import spread
 from ..preset import CameraNoise, Preset, RigNoise, now
 from ..sources.base import CameraRole, Progress
 from .bias import UNKNOWN_BIAS_M, ContactBias, MeasuredBias, describe_bias, pressed_bias, print_bias

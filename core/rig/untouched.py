@@ -13,12 +13,11 @@ import numpy as np
 
 from ..calibration.snapshots import content_hash, take_snapshot
 from ..errors import CalibrationError, FrameError, PresetError, SourceError
-from ..model.arrays import Float64Array, Uint16Array
+from ..model.arrays import Float64Array, Uint16Array, spread
 from ..model.clouds import valid_depth
 from ..model.files import atomic_path
 from ..model.frames import SensorFrame
 from ..model.loading import read_file
-from ..model.robust import spread
 from ..model.untouched_archive import frame_from_bytes, untouched_bytes
 from ..preset import Preset, UntouchedRecord
 from ..sources.base import FrameSource, Progress

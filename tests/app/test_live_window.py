@@ -81,7 +81,7 @@ def state(tactile="missing", *, stale=True, message="", problem="", own=""):
         CameraHealth("proximity", "streaming", "L515", "f001"),
         CameraHealth("tactile", tactile, "D405", "d002", own),
     )
-    return SourceState(Health(message=message, cameras=cameras), stale, problem, last_frame_s=100.0)
+    return SourceState(Health(message=message, cameras=cameras), stale, problem)
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from ...errors import SourceError
-
 
 @dataclass(frozen=True)
 class SensorModel:
@@ -168,10 +166,3 @@ _ALL: Final = (
 #: All sensors by name: from clean to worn, then those held out.
 SENSORS: Final[dict[str, SensorModel]] = {sensor.name: sensor for sensor in _ALL}
 DEFAULT_SENSOR: Final = "l515-d405"
-
-
-def find_sensor(name: str) -> SensorModel:
-    """Return a sensor by its name; `SourceError` if there is none."""
-    if name not in SENSORS:
-        raise SourceError(f"sim: there is no sensor {name!r}; choose one of {', '.join(SENSORS)}")
-    return SENSORS[name]
