@@ -57,7 +57,7 @@ class CamerasPage(SourcePage):
         form = QFormLayout()
         form.addRow(caption("&Proximity camera", self.proximity), self.proximity)
         form.addRow(caption("&Tactile camera", self.tactile), self.tactile)
-        layout = vbox((self.list, 1), within=self, margins=0)
+        layout = vbox((self.list, 1), within=self, margins=8)
         layout.addWidget(self.refresh, 0, Qt.AlignmentFlag.AlignLeft)
         layout.addLayout(form)
         self.refresh.clicked.connect(self._look)
