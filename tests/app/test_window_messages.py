@@ -28,6 +28,7 @@ def other_source(window, qtbot, name):
 
 
 def test_a_refused_source_is_told_until_the_next_task_such_as_a_recording_or_a_calibration(window, qtbot, tmp_path):
+    show_source(qtbot, window, FakeSource(live=True, name="live"))
     fail_to_open(window, qtbot)
     window.settings.set("folder/recordings", str(tmp_path / "recordings"))
     QTest.keyClick(window, Qt.Key.Key_F9)
