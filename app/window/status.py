@@ -31,7 +31,7 @@ class FrameDetails(Card):
         self.label = QLabel()
         self.label.setWordWrap(True)
         self.label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.label.setMinimumHeight(10 * self.label.fontMetrics().lineSpacing())  # so that nothing moves
+        self.label.setMinimumHeight(9 * self.label.fontMetrics().lineSpacing())  # so that nothing moves
         vbox(self.label, within=self, margins=(8, 4, 8, 4))
         self.hide()
 
@@ -45,7 +45,6 @@ class FrameDetails(Card):
             points += f", mean of {patch.averaged_frames} frames"
         lines = (
             f"Drawn: {shown_fps:.0f} frames/s" if runs else "Drawn: paused",
-            f"Computed: {result.processed_fps:.0f} frames/s" if runs else "Computed: paused",
             f"Dropped: {result.dropped}",
             f"Unmatched: {result.unmatched}",
             f"Skew, tactile minus proximity: {minus(f'{1e3 * result.frame.skew_s:z.1f} ms')}",

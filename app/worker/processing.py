@@ -15,7 +15,7 @@ from ...core.preset import Preset
 from ..document.comparison import Sides
 from .playback import PlaybackState
 from .rendering import Renderer
-from .results import ComparedFrame, ComparedSide, RateMeter, Rendered, Result, SourceInfo, Wanted
+from .results import ComparedFrame, ComparedSide, Rendered, Result, SourceInfo, Wanted
 
 #: Shortest time between two histograms, numbers of points, reasons of an empty patch or ranges of
 #: the depth colours while frames play, seconds: nobody reads them faster.
@@ -78,7 +78,6 @@ class FrameProcessor:
         self._others: list[PatchFinder] = []
         self._processed = 0
         self._counted_s, self._strip_s = -COUNTING_INTERVAL_S, -STRIP_INTERVAL_S
-        self._rate = RateMeter()
 
     def forget(self) -> None:
         self._present, self._others = PatchFinder(self._missing), []
@@ -118,7 +117,6 @@ class FrameProcessor:
             rendered = shown[0] if shown else self._render(self._present, frame, info.rig, hidden)
         render_ms = 1e3 * (time.perf_counter() - started)
         self._processed += 1
-        self._rate.tick()
         patch = self._present.patch
         return Result(
             source=info,
@@ -133,7 +131,6 @@ class FrameProcessor:
             processed=self._processed,
             dropped=dropped,
             unmatched=unmatched,
-            processed_fps=self._rate.rate(),
             read_ms=read_ms,
             render_ms=render_ms,
             compared=both,

@@ -221,7 +221,6 @@ class Result:
     processed: int = 0
     dropped: int = 0
     unmatched: int = 0
-    processed_fps: float = 0.0
     read_ms: float = 0.0
     render_ms: float = 0.0
     compared: ComparedFrame | None = None

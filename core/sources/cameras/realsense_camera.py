@@ -18,8 +18,9 @@ from .camera import Calibration, Camera, DeviceInfo, Images
 WIDTH, HEIGHT, RATE_HZ = 640, 480, 30
 _FORMATS = {"depth": "z16", "color": "rgb8"}
 
-#: Framesets that wait in the driver; they count against its pool of 16, and a full pool silently stops the stream.
-_QUEUE: Final = 8
+#: Images of a stream that the driver holds at most, and framesets of them that wait for a busy computer. A pool that is
+#: full silently stops the stream, so the queue is shorter.
+_POOL, _QUEUE = 32, 24
 _BUSY = ("busy", "in use", "is streaming", "already opened", "errno=16", "power state")
 _FORBIDDEN = ("permission", "errno=13", "access")
 
@@ -65,12 +66,13 @@ class RealSenseCamera(Camera):
             super().__init__(info, role, _read_calibration(streams, info), float(RATE_HZ))
             self._depth_sensor = streams["depth"].sensor
             self._sensors = _by_sensor(streams)
-            option = driver.option.global_time_enabled
+            needed = {driver.option.global_time_enabled: 1.0, driver.option.frames_queue_size: float(_POOL)}
             for sensor, _ in self._sensors:
-                if sensor.supports(option) and not sensor.get_option(option):
-                    sensor.set_option(option, 1.0)
+                for option, value in needed.items():
+                    if sensor.supports(option) and sensor.get_option(option) != value:
+                        sensor.set_option(option, value)
             if self._is_l515:
-                self.set_option("visual_preset", _SHORT_RANGE)
+                self._depth_sensor.set_option(driver.option.visual_preset, _SHORT_RANGE)
         except RuntimeError as error:
             raise SourceError(_explain(info, error)) from error
         self._syncer = driver.syncer(_QUEUE)
