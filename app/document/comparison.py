@@ -14,7 +14,7 @@ from .document import Document
 #: Name of the side that is the document's preset and follows its edits.
 PRESENT: Final = "Present"
 #: Name of the side that was last saved, or without a file opened; it follows the next save.
-SAVED: Final = "As saved or opened"
+SAVED: Final = "Saved"
 
 
 @dataclass(frozen=True)

@@ -98,7 +98,7 @@ def test_what_changed_since_save_from_the_menu(edited, qtbot):
     choose_in_menu(edited, "&Edit", edited.actions_.compare)
     qtbot.waitUntil(lambda: edited.result.compared is not None)
     shown, panel = edited.result.compared, edited.comparison
-    assert (shown.a.side.name, shown.b.side.name) == ("As saved or opened", "Present")
+    assert (shown.a.side.name, shown.b.side.name) == ("Saved", "Present")
     for side in (shown.a, shown.b):
         assert_same(side.patch, ContactPipeline(side.side.preset, RIG).process(edited.result.frame))
     assert len(shown.b.patch.points) > len(shown.a.patch.points)
@@ -164,7 +164,7 @@ def test_use_a_is_one_step_and_ends_the_comparison(compared, qtbot):
     assert not compared.comparison.use[1].isEnabled(), "B is the present preset already"
     QTest.mouseClick(compared.comparison.use[0], LEFT)
     assert compared.document.preset.tolerance.t == 0.03
-    assert compared.document.undo_stack.undoText() == "Use As saved or opened"
+    assert compared.document.undo_stack.undoText() == "Use Saved"
     qtbot.waitUntil(lambda: shows_preset_of_document(compared) and compared.result.compared is None)
     assert not compared.comparison.isVisible()
     assert compared.views.views["patch"].wipe() is None
