@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import socket
+from concurrent.futures import ThreadPoolExecutor
 from itertools import chain, repeat
 from threading import Event
 
@@ -121,7 +122,7 @@ def test_a_search_can_be_given_up(qtbot, tab, monkeypatch):
     assert tab.tracked is None
 
 
-def test_poses_are_published_also_behind_another_tab(qtbot, tab):
+def test_poses_are_published_also_behind_another_tab(qtbot, tab, source):
     publishing = tab.main.publishing.window
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -135,11 +136,13 @@ def test_poses_are_published_also_behind_another_tab(qtbot, tab):
     topics = ["/contact/patch", "/object/pose", "/tf"]
     with FoxgloveClient(port) as client:
         client.subscribe(topics)
-        qtbot.waitUntil(lambda: "1 client," in publishing.state.text())
-        tab.main.worker.seek(PRESSED + 1)
-        qtbot.waitUntil(lambda: tab.tracked.estimate.sequence == PRESSED + 1)
-        seen = next(client.frames(topics))
-    estimate, pose = tab.tracked.estimate, seen["/object/pose"].pose
+        with ThreadPoolExecutor(1) as thread:  # the window goes on meanwhile: it orders the tracking of each frame
+            received = thread.submit(next, client.frames(topics))
+            tab.main.worker.play()
+            qtbot.waitUntil(received.done)
+        seen = received.result()
+    pose = seen["/object/pose"].pose
     assert pose.pose.position.x == seen["/tf"].transforms[0].transform.translation.x
-    assert pose.pose.position.x == estimate.T_proximity_object[0, 3]
-    np.testing.assert_array_equal(pose.covariance, estimate.covariance.ravel())
+    true = source.read(PRESSED).truth.T_proximity_object
+    assert np.hypot(pose.pose.position.x - true[0][3], pose.pose.position.y - true[1][3]) < 0.003
+    assert np.linalg.eigvalsh(np.reshape(pose.covariance, (6, 6))).min() > 0

@@ -7,14 +7,8 @@ import pytest
 
 from tactune.core.errors import FrameError, TactuneError
 from tactune.core.lab.bench import synthetic_scene
-from tactune.core.lab.methods import (
-    MembraneView,
-    make_method,
-    method_names,
-    method_tip,
-    proximity_only,
-    tactile_only,
-)
+from tactune.core.lab.methods import make_method, method_names, method_tip
+from tactune.core.lab.single_camera import MembraneView, proximity_only, tactile_only
 from tactune.core.model.clouds import deproject
 from tactune.core.model.metrics import pixel_scores
 from tactune.core.preset import Preset
