@@ -204,7 +204,8 @@ def measure_patch():
                 with open_source(f"sim:{scene}?{press}&sensor=datasheet&seed={seed}") as source:
                     frame, rig = source.read(seed), source.rig
                 pairs = make_clicks(rig, 12, seed).pairs()
-                rigid = calibrate(pairs, rig, "rigid").apply_to(base, set_tolerance=True)
+                report = calibrate(pairs, rig, "rigid")
+                rigid = report.apply_to(base).with_value("tolerance.t", report.chosen.effect.supported_tolerance)
                 plane = calibrate(pairs, rig, "homography").apply_to(base).with_value("tolerance.t", 0.03)
                 for name, preset in (("rigid", rigid), ("homography", plane)):
                     found = compare_with_truth(ContactPipeline(preset, rig).process(frame), frame.truth, rig)

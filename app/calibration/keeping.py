@@ -65,11 +65,13 @@ class Keeper(KeptState[SessionState]):
         return kept_at
 
     def close(self) -> None:
-        """Write the last state, remove the snapshots that it has no more, and release the file."""
+        """Write the last state, remove the snapshots that no state on the disk names, and release the file."""
         self.flush()
         self.finish()
-        for digest in self._stored - set(self.present().digests):
-            _images_file(self.folder, digest).unlink(missing_ok=True)
+        named = "".join(file.read_text("utf-8", "replace") for file in self.folder.glob("calibration-*"))
+        for digest in self._stored:
+            if digest not in named:
+                _images_file(self.folder, digest).unlink(missing_ok=True)
         self._lock.unlock()
 
     def write(self, state: SessionState, file: Path) -> None:

@@ -102,6 +102,8 @@ def main() -> int:
         return USAGE_STATUS
     except SystemExit as end:
         return int(end.code or 0)
+    except KeyboardInterrupt:
+        return 130
     return 0
 
 

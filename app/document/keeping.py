@@ -100,7 +100,7 @@ class KeptState(QObject, Generic[T]):
         except (FileNotFoundError, NotADirectoryError):
             return None
         except DAMAGE as error:
-            aside = file.with_suffix(".damaged")
+            aside = file.with_name(f"{file.stem}-{now():%Y%m%d-%H%M%S}.damaged")
             with suppress(OSError):
                 file.replace(aside)
             self.failed.emit(f"The saved {self._noun} {file} cannot be read ({error}); set aside as {aside.name}.")

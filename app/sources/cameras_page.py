@@ -22,7 +22,7 @@ CAMERA_SCHEMES = (CAMERAS, "realsense:")
 _SEARCHING = "Searching for cameras…"
 _NONE = (
     "No RealSense camera was found. Plug both cameras into USB 3 ports and press Refresh. If they are plugged in, "
-    "see Help > Check this computer: it reports what is missing and the remedy."
+    "run tactune doctor: it reports what is missing and the remedy."
 )
 _ONE = "Only one camera was found, but two are needed. Plug in the other one and press Refresh."
 _SAME = "The same camera is chosen twice: choose another one for one role."

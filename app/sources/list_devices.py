@@ -25,7 +25,7 @@ def ask_driver() -> dict[str, Any]:
     if child.problem or "devices" not in answer:
         raise SourceError(
             f"the camera driver does not list its cameras ({child.problem or 'no answer'}); unplug the cameras and "
-            "plug them in again, or run tactune doctor (Help > Check this computer), which finds other causes"
+            "plug them in again, or run tactune doctor, which finds other causes"
         )
     return answer
 

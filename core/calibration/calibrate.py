@@ -105,7 +105,7 @@ def calibrate(
         refused={name: text for name, text in refused.items() if text},
         coverage=covered,
         depth_offset=offset,
-        warnings=_warnings(rigid, rig),
+        warnings=_warnings(used, rigid, rig),
         pairs=tuple(pair for pair in pairs if pair.complete),
         rig=rig,
         date=now(),
@@ -113,6 +113,8 @@ def calibrate(
 
 
 def _refuse_repeated(pairs: list[PointPair]) -> None:
+    if len({pair.id for pair in pairs}) < len(pairs):
+        raise CalibrationError("two pairs have the same id; give each pair its own")
     seen: dict[object, str] = {}
     for pair in pairs:
         place = (pair.proximity, pair.proximity_image, pair.tactile)
@@ -226,7 +228,10 @@ def _recommend(quality: dict[ModelName, ModelQuality], refused: dict[ModelName, 
     return "rigid", f"Recommended: rigid, because it holds at every depth; {compared}."
 
 
-def _warnings(rigid: Fit | None, rig: Rig) -> tuple[str, ...]:
+def _warnings(pairs: list[PointPair], rigid: Fit | None, rig: Rig) -> tuple[str, ...]:
+    if outside := [pair.id for pair in pairs if not _inside(pair, rig)]:
+        named = ", ".join(outside[:5])
+        return (f"pair {named} lies outside the images that the rig states; check that it is the right rig",)
     if rigid is None or rig.T_proximity_tactile is None:
         return ()
     pose, stated = np.asarray(rigid.alignment.pose), np.asarray(rig.T_proximity_tactile)
@@ -238,4 +243,13 @@ def _warnings(rigid: Fit | None, rig: Rig) -> tuple[str, ...]:
     return (
         f"the fitted pose lies {1e3 * apart:.0f} mm and {turned:.1f} degrees from the one that the rig states; "
         "check the pairs and the rig",
+    )
+
+
+def _inside(pair: PointPair, rig: Rig) -> bool:
+    seen = rig.proximity_color_shape if pair.proximity_image == "color" else rig.proximity.intrinsics.shape
+    sides = ((pair.proximity, seen), (pair.tactile, rig.tactile.intrinsics.shape))
+    return all(
+        place is not None and -0.5 <= place[0] <= width - 0.5 and -0.5 <= place[1] <= height - 0.5
+        for place, (height, width) in sides
     )

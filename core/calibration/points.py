@@ -61,6 +61,8 @@ def read_points(path: Path | str) -> list[PointPair]:
         reader.fieldnames = header
         for row in reader:
             where = f"{path}, line {reader.line_num}"
+            if not any(map(str.strip, filter(None, row.values()))):
+                continue  # spreadsheets append rows of commas
             if None in row or None in row.values():
                 raise CalibrationError(f"{where}: there are not {len(header)} values as in the header; correct the row")
             pair = _pair({name: value.strip() for name, value in row.items()}, where)
@@ -75,6 +77,9 @@ def read_points(path: Path | str) -> list[PointPair]:
 def _checked_header(header: list[str], path: Path | str) -> list[str]:
     missing = [name for name in _REQUIRED if name not in header]
     unknown = [name for name in header if name not in (*_REQUIRED, *_OPTIONAL, _IGNORED)]
+    twice = [name for name in header if header.count(name) > 1]
+    if twice:
+        raise CalibrationError(f"{path}: the header has the column {twice[0]!r} twice; remove one")
     if missing or unknown:
         what = f"lacks the column {missing[0]}" if missing else f"has the column {unknown[0]!r}"
         raise CalibrationError(f"{path}: the header {what}; it should be {','.join(_REQUIRED)}")

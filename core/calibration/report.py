@@ -176,9 +176,7 @@ class CalibrationReport:
             "date": self.date.isoformat(),
         }
 
-    def apply_to(
-        self, preset: Preset, *, snapshots: tuple[SnapshotRecord, ...] = (), set_tolerance: bool = False
-    ) -> Preset:
+    def apply_to(self, preset: Preset, *, snapshots: tuple[SnapshotRecord, ...] = ()) -> Preset:
         """Return the preset with this alignment, its record and its rig."""
         record = CalibrationRecord(
             date=self.date,
@@ -200,12 +198,7 @@ class CalibrationReport:
             values["rigid"] = RigidAlignment(T_proximity_tactile=pose)
             values |= {"depth_scale": 1.0, "depth_offset_m": self.rigid.alignment.offset_m}
         section = preset.alignment.model_copy(update=values)
-        tolerance = preset.tolerance
-        if set_tolerance:
-            tolerance = tolerance.model_copy(update={"t": round(min(self.chosen.effect.supported_tolerance, 1.0), 4)})
-        return preset.model_copy(
-            update={"alignment": section, "tolerance": tolerance, "rig": self.rig, "modified": now()}
-        )
+        return preset.model_copy(update={"alignment": section, "rig": self.rig, "modified": now()})
 
     def words(self) -> str:
         """Return the whole report as text."""

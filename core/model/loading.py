@@ -105,8 +105,9 @@ def _load(data: bytes) -> Any:
         with _parsing:
             loaded = np.load(io.BytesIO(data), allow_pickle=False)
             return loaded if isinstance(loaded, np.ndarray) else dict(loaded)
-    except Exception as error:  # NumPy and zipfile raise a dozen kinds for damaged archives
-        raise ValueError(" ".join(str(error).split()) or "it is damaged") from error
+    except Exception as error:  # NumPy and zipfile raise a dozen kinds, NumPy with advice to load pickles
+        words = " ".join(str(error).split())
+        raise ValueError("it is damaged" if "pickle" in words else words or "it is damaged") from error
 
 
 def decode_image(data: bytes, *, gray: bool = False) -> AnyArray:

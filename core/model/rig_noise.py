@@ -56,12 +56,7 @@ class CameraNoise(Section):
         """Return the noise power per area at low spatial frequency, m^4.
 
         The variance of the mean over an area is the density divided by the area, where the area is large compared with
-        the correlation length.
-
-        Parameters
-        ----------
-        focal_px : float
-            The camera's focal length, pixels.
+        the correlation length. ``focal_px`` is the camera's focal length.
         """
         pixel_m = self.distance_m / focal_px
         shared_m2 = 4.0 * math.pi * (self.length_px * pixel_m) ** 2

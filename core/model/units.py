@@ -8,8 +8,6 @@ from typing import Final
 
 
 class MeshUnit(StrEnum):
-    """Length units of mesh files."""
-
     M = "m"
     CM = "cm"
     MM = "mm"
@@ -17,9 +15,4 @@ class MeshUnit(StrEnum):
 
 
 #: Metres of each unit.
-UNITS_M: Final[Mapping[str, float]] = {
-    MeshUnit.M: 1.0,
-    MeshUnit.CM: 0.01,
-    MeshUnit.MM: 0.001,
-    MeshUnit.INCH: 0.0254,
-}
+UNITS_M: Final[Mapping[str, float]] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}

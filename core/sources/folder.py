@@ -146,7 +146,10 @@ def _frame_folders(path: Path) -> list[Path]:
     """Return the frames of a recording by their numbers, or the folder itself if it is one frame."""
     numbered = [entry for entry in path.iterdir() if re.fullmatch("[0-9]+", entry.name) and entry.is_dir()]
     numbered.sort(key=lambda folder: int(folder.name))
-    if not numbered and not any((path / name).exists() for name in _REQUIRED):
+    single = any((path / name).exists() for name in _REQUIRED)
+    if single and numbered:
+        raise SourceError(f"{path} has images and numbered subfolders ({numbered[0].name}); keep one of the two")
+    if not numbered and not single:
         raise SourceError(
             f"{path} has no frames: neither {_REQUIRED[0]} nor numbered subfolders such as 000000; "
             "export or copy the recording again"
@@ -192,7 +195,9 @@ def _read_truth(folder: Path, rig: Rig) -> GroundTruth | None:
         found = _read_image(counts, 16, 1, shape)
         known = found.astype(np.float32) * np.float32(rig.proximity.depth_unit_m)
         depth = np.where(valid_depth(found), known, np.float32(np.nan))
-    return GroundTruth(mask != 0, depth)
+    if not np.isin(mask, (0, 255)).all():
+        raise SourceError(f"{contact} contains other values than 0 and 255; write it again")
+    return GroundTruth(mask == 255, depth)
 
 
 def _read_color(path: Path, shape: tuple[int, int]) -> Uint8Array:
@@ -203,7 +208,9 @@ def _read_image(path: Path, bits: int, channels: int, shape: tuple[int, int] | N
     """Read one image of unsigned integers and check its bit depth, its channels and its size, if one is given."""
     try:
         image = decode_image(read_file(path))
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        raise SourceError(f"cannot read {path}: {error.strerror or error}; export or copy it again") from error
+    except ValueError as error:
         raise SourceError(f"{path} is no readable PNG image ({error}); export or copy it again") from error
     found = image.shape[2] if image.ndim == 3 else 1
     if image.dtype != f"uint{bits}" or found != channels:

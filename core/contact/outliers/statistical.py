@@ -54,20 +54,10 @@ def statistical_inliers(points: Float32Array, pixels: IndexArray, grid: Grid, k:
 
     The mean distance of an inlier to its k nearest points, itself included, is positive and below the mean of all
     these distances plus ``ratio`` times their standard deviation (with Bessel's correction). As in Open3D, a single
-    point, coinciding points and k = 1 have no inliers.
+    point, coinciding points and k = 1 have no inliers. PCL's k is one less.
 
-    Parameters
-    ----------
-    points : float32, shape (N, 3)
-        Metres, camera frame, z > 0, in row-major pixel order.
-    pixels : int, shape (N,)
-        Flat pixel of each point.
-    grid : Grid
-        Of the camera that sees the points in these pixels.
-    k : int
-        Neighbours averaged, the point itself included (PCL's k is one less).
-    ratio : float
-        Number of standard deviations.
+    ``points``, float32 (N, 3), are metres in the frame of the grid's camera, with z > 0, in the order of their flat
+    ``pixels``, (N,).
     """
     if len(points) == 0:
         return np.zeros(0, np.bool_)

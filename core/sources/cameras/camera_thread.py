@@ -24,12 +24,8 @@ _READ_S: Final = 0.05
 class CameraThread:
     """One camera of the rig on a thread of its own; the device is found again by its serial number.
 
-    Parameters
-    ----------
-    stored : mapping
-        Camera options of the preset.
-    take : callable
-        Called with the role, the images and their arrival by ``time.monotonic``, on this camera's thread.
+    ``stored`` are the preset's camera options; ``take`` is called with the role, the images and their arrival by
+    ``time.monotonic``, on this thread.
     """
 
     def __init__(

@@ -129,6 +129,8 @@ class McapFile:
                     self.metadata[found.name] = found.metadata
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self._declare(opcode, self._read(start, length))
+                elif opcode == Opcode.MESSAGE and not chunks and not chunk:
+                    raise SourceError(f"{self.path} has messages outside chunks; write it again with mcap compress")
         except (TactuneError, OSError):  # cancelled, or the disk fails
             raise
         except Exception:  # the library and its decompressors raise a dozen kinds; what comes before plays

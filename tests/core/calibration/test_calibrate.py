@@ -182,11 +182,10 @@ def test_an_offset_of_the_depth_is_corrected_only_if_it_is_certain(rig, offset_m
 
 
 def test_a_preset_keeps_the_calibration_and_aligns_by_it(rig, usual):
-    preset = usual.apply_to(Preset(), set_tolerance=True)
+    preset = usual.apply_to(Preset())
     assert preset_from_text(preset_json(preset), "memory") == preset
     assert np.array(preset.alignment.rigid.T_proximity_tactile) == pytest.approx(usual.rigid.alignment.pose)
     assert preset.alignment.calibration.proximity_serial == "SIM-L515"
-    assert preset.tolerance.t == pytest.approx(usual.chosen.effect.supported_tolerance, abs=1e-4)
     assert preset.rig == rig
 
 
