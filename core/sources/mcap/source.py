@@ -173,7 +173,8 @@ class McapSource(SeekableSource):
         if data is None and len(places := self._file.places(Topic.RIG)):
             data = self._parse(places[0], TEXT).data.encode()
         if data is None:
-            raise SourceError(f"{self._path} has no rig: neither {RIG_NAME} nor {Topic.RIG}; record it with Tactune")
+            told = "write its images to a folder and describe the cameras with tactune preset create-rig"
+            raise SourceError(f"{self._path} has no {RIG_NAME} and no {Topic.RIG}: {told}")
         return parse_rig(self._json_object(data, RIG_NAME), f"{RIG_NAME} in {self._path}")
 
     def _frame_record(self, place: Uint64Array) -> tuple[int, float, float]:
