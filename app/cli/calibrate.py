@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -177,9 +178,8 @@ def _connected(model: str, kind: str, size: tuple[int, int]) -> tuple[Intrinsics
 
     for driver, device in connected_devices(camera_drivers()[0])[0]:
         if model in device.model:
-            camera = driver.open(device.serial, device.role or "proximity")
-            lens = camera.calibration.depth.intrinsics if kind == "depth" else camera.calibration.color
-            camera.close()
+            with closing(driver.open(device.serial, device.role or "proximity")) as camera:
+                lens = camera.calibration.depth.intrinsics if kind == "depth" else camera.calibration.color
             if lens is not None and (lens.width, lens.height) == size:
                 return lens, camera.calibration.depth.depth_unit_m
     raise CalibrationError(
