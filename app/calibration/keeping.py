@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -68,10 +69,11 @@ class Keeper(KeptState[SessionState]):
         """Write the last state, remove the snapshots that no state on the disk names, and release the file."""
         self.flush()
         self.finish()
-        named = "".join(file.read_text("utf-8", "replace") for file in self.folder.glob("calibration-*"))
-        for digest in self._stored:
-            if digest not in named:
-                _images_file(self.folder, digest).unlink(missing_ok=True)
+        with suppress(OSError):  # a state that cannot be read may name any of them
+            named = b"".join(map(read_file, self.folder.glob("calibration-*")))
+            for digest in self._stored:
+                if digest.encode() not in named:
+                    _images_file(self.folder, digest).unlink(missing_ok=True)
         self._lock.unlock()
 
     def write(self, state: SessionState, file: Path) -> None:
