@@ -18,7 +18,7 @@ from tactune.app.calibration.fitting import fit
 from tactune.app.calibration.keeping import Keeper
 from tactune.app.calibration.pictures import picture
 from tactune.app.calibration.recheck_window import RecheckWindow
-from tactune.app.calibration.session import Session
+from tactune.app.calibration.session import Session, SessionState
 from tactune.app.worker.playback import PlaybackState
 from tactune.core.calibration.geometry import Alignment
 from tactune.core.model.frames import SensorFrame
@@ -329,12 +329,19 @@ def test_recheck_tells_drift_in_words(scene, frames, qtbot):
 # Kept state
 
 
-def test_two_windows_on_one_rig_keep_apart(scene, tmp_path, qapp):
+def test_two_windows_on_one_rig_keep_apart_and_share_images(scene, frames, feed, tmp_path, qapp):
     sessions = [Session(scene.rig) for _ in range(2)]
     keepers = [Keeper(session, tmp_path) for session in sessions]
     assert keepers[0].file != keepers[1].file
+    for session in sessions:
+        session.edit("all", with_pairs(scene, frames, feed))
     for keeper in keepers:
+        keeper.flush()
+        keeper.wait()
+    sessions[1].edit("Start over", SessionState())
+    for keeper in reversed(keepers):
         keeper.close()
+    assert len(list(tmp_path.glob("snapshot-*.npz"))) == len(sessions[0].state.snapshots) > 0
 
 
 def test_a_damaged_file_is_set_aside_and_said(scene, frames, feed, tmp_path, qapp):
