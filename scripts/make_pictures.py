@@ -183,9 +183,7 @@ def compare() -> None:
         analysis.resize(1280, 860)
         tab = analysis.findChild(CompareTab)
         assert tab is not None
-        compared: list[object] = []
-        tab.shown.connect(compared.append)
-        wait(lambda: compared and not tab.untouched.searching, "comparison")
+        wait(lambda: tab.rows, "comparison")
         settle(2.0)
         save(analysis, "compare")
 
