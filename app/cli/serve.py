@@ -143,8 +143,9 @@ class _Poses:
 
     def close(self) -> None:
         """End a search that runs, and the thread."""
+        self._thread.shutdown(wait=False, cancel_futures=True)  # first: the waiting search must not begin
         self._closed.set()
-        self._thread.shutdown(cancel_futures=True)
+        self._thread.shutdown()
 
     def _go_on(self, _: float) -> None:
         if self._closed.is_set():
