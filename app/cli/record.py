@@ -122,12 +122,12 @@ def _untouched(preset: Preset | None, origin: str | None, source: FrameSource) -
 
 def _record_frames(source: FrameSource, writer: SessionWriter, frames: int | None) -> None:
     """Write frames until the source ends, the limit is reached, writing fails or Ctrl+C is pressed."""
-    live, total = source.length is None, number_of_frames(source, frames)
+    live, total, done = source.length is None, number_of_frames(source, frames), 0
     with CliProgress() as progress, stop_on_signals() as stopped:
-        for done, frame in enumerate(live_frames(source, total, stopped), start=1):
-            writer.put(frame, wait=not live)
+        for frame in live_frames(source, None, stopped):
+            done += writer.put(frame, wait=not live)  # a frame that the disk was too slow for does not count
             status = writer.status()
-            if status.error:
-                break
             dropped = f", {status.dropped} dropped" if status.dropped else ""
             progress.frames(done, total, f"{status.bytes / 1e6:.0f} MB{dropped}, frames")
+            if status.error or done == total:
+                break

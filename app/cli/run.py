@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from shlex import quote
 from statistics import median
 from threading import Event
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -37,10 +39,12 @@ if TYPE_CHECKING:
     from ...core.estimation.tilt import Tilt
     from ...core.model.frames import GroundTruth, Rig, SensorFrame
     from ...core.preset import Preset
+    from ...core.rig.drift import WatchReport
     from ...core.sources import FrameSource
 
     SavePatch = Callable[[ContactPatch, SensorFrame], None]
     Estimator = Callable[[ContactPatch, SensorFrame], Tilt]
+    Look = Callable[[SensorFrame], None]
 
 Record = dict[str, Any]
 
@@ -94,14 +98,19 @@ def run(
     if out is not None and out.suffix != MCAP_SUFFIX:
         out.mkdir(parents=True, exist_ok=True)  # before anything is computed
     with open_pipeline(source, chosen) as (opened, pipeline):
-        look = _drift_watch(chosen, origin, opened) if watch else None
         tilt = make_tilt(estimate, chosen, opened.rig)
-        with stop_on_signals() as stopped, _patch_output(out, opened, chosen) as save:
+        with (
+            _drift_watch(watch, chosen, origin, opened) as look,
+            stop_on_signals() as stopped,
+            _patch_output(out, opened, chosen) as save,
+        ):
             done, records = _process(opened, pipeline, frames, save, stopped, truth, look, json_lines, tilt)
         if records:
             typer.echo("\n".join(_summary(records, opened.name, chosen.name)))
             if out is not None:
                 typer.echo(f"wrote {out}")
+            if frames is not None and done < frames and not stopped.is_set():
+                typer.echo(f"{opened.name} ended after {done} of the {frames} frames asked for")
         if stopped.is_set():
             tell_of_stop(opened, done, frames)
 
@@ -136,7 +145,7 @@ def _process(
     save: SavePatch,
     stopped: Event,
     truth: bool,
-    look: Callable[[SensorFrame], None] | None,
+    look: Look,
     json_lines: bool,
     tilt: Estimator | None,
 ) -> tuple[int, list[Record]]:
@@ -153,8 +162,7 @@ def _process(
                 scored |= record["iou"] is not None
             if tilt is not None:
                 record["tilt"] = tilt(patch, frame).record()
-            if look is not None:
-                look(frame)
+            look(frame)
             save(patch, frame)
             if json_lines:
                 typer.echo(json.dumps(record, allow_nan=False))
@@ -230,20 +238,35 @@ def _summary(records: list[Record], source: str, preset: str) -> list[str]:
     return lines
 
 
-def _drift_watch(preset: Preset, origin: str, source: FrameSource) -> Callable[[SensorFrame], None]:
-    """Return a function that looks once in ten seconds of the source's time whether something has moved, and warns."""
+@contextmanager
+def _drift_watch(watching: bool, preset: Preset, origin: str, source: FrameSource) -> Iterator[Look]:
+    """Yield a function that looks once in ten seconds of the source's time whether something has moved, and warns.
+
+    A look takes longer than a frame. A live source does not wait for it; a recording does, so its result is the same
+    each time.
+    """
+    if not watching:
+        yield lambda frame: None
+        return
     from ...core.rig.drift import Watch
     from ...core.rig.untouched import find_untouched
 
     found = find_untouched(preset, origin, source)
     warn(*found.warnings)
     watch = Watch(preset, source.rig, found.frame)
+    remedy = f" Check with: tactune recheck --preset {quote(origin)} --source {quote(source.name)}"
+    running: Future[WatchReport | None] | None = None
 
     def look(frame: SensorFrame) -> None:
+        nonlocal running
         time_s = frame.proximity_time_s
-        report = watch.look(frame, time_s) if watch.due(time_s) else None
+        if running is None and watch.due(time_s):
+            running = thread.submit(watch.look, frame, time_s)
+        if running is None or (source.length is None and not running.done()):
+            return
+        report, running = running.result(), None
         if report is not None:
-            remedy = " Check with tactune recheck." if report.state == "told" else ""
-            warn(f"{report.time_s:.1f} s: {report.sentence}{remedy}")
+            warn(f"{report.time_s:.1f} s: {report.sentence}{remedy if report.state == 'told' else ''}")
 
-    return look
+    with ThreadPoolExecutor(max_workers=1, thread_name_prefix="drift") as thread:
+        yield look

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
+from threading import Event
 from typing import TYPE_CHECKING
 
 from pydantic import TypeAdapter
@@ -20,12 +21,13 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from ...core.errors import TactuneError, counted
+from ...core.errors import counted
 from ...core.output.connections import LOOPBACK, Connections
 from ...widgets.basics.controls import AccentButton, NoteLabel, caption, dialog_buttons
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.layouts import STRETCH, vbox
 from ..context import Context
+from ..worker.jobs import Job
 
 if TYPE_CHECKING:
     from ...core.output.publisher import OutputStatus, Publisher
@@ -115,6 +117,7 @@ class PublishControl(QObject):
         super().__init__(context)
         self._context, self._indicator = context, indicator
         self._publisher: Publisher | None = None
+        self._closed = Event()
         self.window = PublishWindow(context.window)
         self.window.show_connections(self._remembered())
         self._timer = QTimer(self)
@@ -123,8 +126,13 @@ class PublishControl(QObject):
         for opener in (action.triggered, indicator.clicked):
             opener.connect(lambda: bring_up(self.window))
         self.window.start.clicked.connect(self._switch)
+        self._starting = Job(self)  # ROS 2 takes most of a second
+        self._starting.done.connect(self._started)
+        self._starting.failed.connect(lambda sentence: self.window.show_state(False, sentence, error=True))
 
     def close(self) -> None:
+        self._closed.set()
+        self._starting.stop()
         self._stop()
         self.window.close()
 
@@ -132,15 +140,22 @@ class PublishControl(QObject):
         if not on:
             self._stop()
             return
-        from ...core.output.publisher import Publisher
-
         connections = self.window.connections
         self._remember(connections)
-        try:
-            self._publisher = Publisher(connections.make_sinks())
-        except TactuneError as error:
-            self.window.show_state(False, str(error), error=True)
-            return
+        self.window.show_state(True, "Starting…")
+        self.window.start.setEnabled(False)
+
+        def start(_: object) -> Publisher:
+            from ...core.output.publisher import Publisher
+
+            publisher = self._publisher = Publisher(connections.make_sinks())
+            if self._closed.is_set():  # the window has closed meanwhile, perhaps before it saw this publisher
+                publisher.close()
+            return publisher
+
+        self._starting.start(start)
+
+    def _started(self, publisher: Publisher) -> None:
         self._context.worker.set_publisher(self._publisher)
         self._timer.start()
         self._show()

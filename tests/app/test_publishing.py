@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import time
 
 import numpy as np
 import pytest
@@ -89,6 +90,16 @@ def test_a_new_window_remembers_the_settings_but_is_off(publishing, window, make
     assert not again.publishing.window.start.isChecked()
     assert again.publishing.window.port.value() == port
     assert again.publishing.window.host.text() == "127.0.0.1"
+
+
+def test_a_window_that_closes_while_publishing_starts_stops_listening(publishing, window, qtbot):
+    QTest.mouseClick(publishing.start, LEFT)
+    end = time.monotonic() + 60
+    while not listening() and time.monotonic() < end:
+        time.sleep(0.01)  # handles no events, so the window does not know yet that it listens
+    assert listening()
+    window.close_without_asking()
+    qtbot.waitUntil(lambda: not listening())
 
 
 def test_a_taken_port_is_told(publishing, window, qtbot, port):

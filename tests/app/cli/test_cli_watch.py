@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -27,4 +28,6 @@ def test_a_moved_camera_is_logged_once_with_its_number_and_the_re_check(tactune:
     assert finished.status == 0
     [line] = [line for line in finished.err.splitlines() if "moved" in line and "has moved" in line]
     assert "The tactile camera has moved by 2.0 mm" in line
-    assert line.endswith("Check with tactune recheck.")
+    advised = tactune(*shlex.split(line.partition("Check with: tactune ")[2]))
+    assert advised.status == 1  # it has moved
+    assert "calibrate again" in advised.out
