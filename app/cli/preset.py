@@ -73,7 +73,7 @@ def new(
     preset = base.model_copy(update={"rig": made_for, "created": now(), "modified": now()}).with_values(values)
     if start is not None and preset.untouched is not None:
         copy_untouched(preset.untouched, Path(start), out)
-    save_preset(preset, out)
+    save_preset(preset, out, exclusive=True)
     typer.echo(f"wrote {out}")
     if base.rig is not None and base.rig != made_for:
         warn(f"cameras and alignment are those of {start}, made for another rig; calibrate again")
@@ -220,4 +220,5 @@ def save_changed(preset: Preset, origin: str, target: Path) -> None:
     if preset.untouched is not None:
         copy_untouched(preset.untouched, Path(origin), target)
     name = target.stem if origin in shipped_presets() else preset.name
-    save_preset(preset.model_copy(update={"name": name, "modified": now()}), target)
+    own = Path(origin).exists() and target.exists() and target.samefile(origin)
+    save_preset(preset.model_copy(update={"name": name, "modified": now()}), target, exclusive=not own)

@@ -23,27 +23,47 @@ LEFT_S: Final = 3600
 
 
 @contextmanager
-def atomic_path(target: Path | str, *, follow_link: bool = False) -> Iterator[Path]:
+def atomic_path(target: Path | str, *, follow_link: bool = False, exclusive: bool = False) -> Iterator[Path]:
     """Yield a temporary path beside ``target``; on success it replaces ``target`` in one step.
 
     The temporary file has the suffix of the target, for writers that choose a format by it. Its folder is created if
-    missing. On any error the temporary file is removed and ``target`` is unchanged.
+    missing. On any error the temporary file is removed and ``target`` is unchanged. An ``exclusive`` one is refused
+    where there is a file, also one that another program has made meanwhile.
     """
     final = Path(os.path.realpath(target)) if follow_link else Path(target)
     temporary = final.parent / f".{final.stem}-{secrets.token_hex(4)}{final.suffix}"
     try:
+        if exclusive and os.path.lexists(final):
+            raise _taken(target)
         if final.exists() and not final.is_file():
             raise ExportError(f"cannot write {target}: it is no ordinary file; choose another place")
         final.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
         with temporary.open("rb+") as file:
             os.fsync(file.fileno())
+        if exclusive:
+            _take_name(temporary, final)
         temporary.replace(final)
     except OSError as error:
         raise ExportError(f"cannot write {target}: {error.strerror or error}; choose another place") from error
     finally:
         with suppress(OSError):  # gone already, or its folder could not be made
             temporary.unlink()
+
+
+def _take_name(temporary: Path, final: Path) -> None:
+    """Give a complete file its name, unless another program has taken it meanwhile."""
+    try:
+        try:
+            os.link(temporary, final)
+        except PermissionError:  # a memory card's file system has no links
+            final.open("xb").close()
+    except FileExistsError:
+        raise _taken(final) from None
+
+
+def _taken(path: Path | str) -> ExportError:
+    return ExportError(f"{path} is already there; choose another name or remove it")
 
 
 def remove_leftovers(folder: Path, name: str = "*") -> None:

@@ -268,18 +268,19 @@ def export_mcap(
     preset: Preset | None = None,
     untouched: SensorFrame | None = None,
     progress: Progress | None = None,
+    exclusive: bool = False,
 ) -> int:
     """Write at most ``frames`` of a source, from its present position, as a recording; return how many.
 
-    The file gets its name when it is complete; one that was there is replaced. ``untouched`` is by default the
-    source's.
+    The file gets its name when it is complete; one that was there is replaced, or refused if ``exclusive``.
+    ``untouched`` is by default the source's.
     """
     if frames is None and source.length is None:
         raise ExportError(f"{source.name} is live and has no end; record it, or say how many frames to convert")
     left = None if source.length is None else source.length - source.position
     total = min(count for count in (left, frames) if count is not None)
     remove_leftovers(Path(path).parent, Path(path).name)
-    with atomic_path(path) as temporary:
+    with atomic_path(path, exclusive=exclusive) as temporary:
         try:
             with SessionWriter(
                 temporary,

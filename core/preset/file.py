@@ -94,9 +94,12 @@ def preset_json(preset: Preset) -> str:
     return json.dumps(document, indent=2, ensure_ascii=False) + "\n"
 
 
-def save_preset(preset: Preset, path: Path | str) -> None:
-    """Save a preset atomically; `ExportError` if that fails, and whatever was there before is unchanged."""
+def save_preset(preset: Preset, path: Path | str, *, exclusive: bool = False) -> None:
+    """Save a preset atomically; `ExportError` if that fails, and whatever was there before is unchanged.
+
+    An ``exclusive`` one is refused where there is a file.
+    """
     path = Path(path)
     remove_leftovers(path.parent, path.name)
-    with atomic_path(path, follow_link=True) as temporary:
+    with atomic_path(path, follow_link=True, exclusive=exclusive) as temporary:
         temporary.write_text(preset_json(preset), "utf-8")

@@ -135,10 +135,7 @@ def first_image_sizes(path: Path) -> dict[str, tuple[int, int]]:
 
 def write_rig(path: Path, rig: Rig) -> None:
     """Write ``rig.json`` into a folder, whole or not at all; one that is there is never replaced."""
-    file = path / "rig.json"
-    if file.exists():
-        raise ExportError(f"{file} is already there; remove it first")
-    with atomic_path(file) as temporary:
+    with atomic_path(path / "rig.json", exclusive=True) as temporary:
         temporary.write_text(json_text(rig_to_json(rig)), encoding="utf-8")
 
 
