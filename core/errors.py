@@ -5,7 +5,10 @@ Every message names the field or file, the value found there and what to do.
 
 
 class TactuneError(Exception):
-    """Root of every error that a person or a program can act on."""
+    """Root of every error that a person or a program can act on. Its text holds no control character of a terminal."""
+
+    def __str__(self) -> str:
+        return printable(super().__str__())
 
 
 class PresetError(TactuneError):
@@ -46,6 +49,17 @@ class CalibrationError(TactuneError):
 
 class AdviceError(TactuneError):
     """A proposal that the evidence does not support; the message says why and what evidence is missing."""
+
+
+def printable(text: str) -> str:
+    """Return a text whose control characters, with which a name could act on a terminal, are question marks."""
+    return "".join(letter if letter.isprintable() or letter == "\n" else "?" for letter in text)
+
+
+def foreign(text: object, limit: int = 200) -> str:
+    """Return what a file or a library says as one short printable line."""
+    line = " ".join(printable(str(text).replace("\n", " ")).split())
+    return line if len(line) <= limit else line[: limit - 1] + "…"
 
 
 def as_sentence(clause: str) -> str:

@@ -17,7 +17,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from ...core.errors import ExportError, PresetError, SourceError, TactuneError, counted
+from ...core.errors import ExportError, PresetError, SourceError, TactuneError, counted, printable
 from ...core.model.files import user_path
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ def refuse_existing(path: Path) -> None:
 def warn(*sentences: str) -> None:
     """Print sentences on standard error."""
     for sentence in sentences:
-        typer.echo(f"tactune: {sentence}", err=True)
+        typer.echo(f"tactune: {printable(sentence)}", err=True)
 
 
 def tell_notes(preset: Preset) -> None:

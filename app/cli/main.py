@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from ...core.errors import MissingExtraError, TactuneError
+from ...core.errors import MissingExtraError, TactuneError, foreign
 from .calibrate import calibrate, create_rig, recheck
 from .common import SOURCE, PresetOption, SourceOption, default_preset
 from .doctor import devices, doctor, warmup
@@ -97,7 +97,7 @@ def main() -> int:
         typer.echo(f"tactune: {error}", err=True)
         return USAGE_STATUS
     except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
+        where = f"{foreign(error.filename)}: " if error.filename else ""
         typer.echo(f"tactune: {where}{error.strerror or error}; check the path, its permissions and the disk", err=True)
         return USAGE_STATUS
     except SystemExit as end:

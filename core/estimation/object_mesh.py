@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ..errors import MissingExtraError, SourceError, TactuneError
+from ..errors import MissingExtraError, SourceError, TactuneError, foreign
 from ..model.arrays import AnyArray, BoolArray, Float64Array, Int32Array
 from ..model.files import user_path
 from ..model.units import UNITS_M
@@ -165,7 +165,7 @@ def load_meshes(path: Path | str, suffixes: Sequence[str]) -> list[Any]:
     except TactuneError:
         raise
     except Exception as error:  # trimesh does not wrap those of its parsers
-        detail = " ".join(str(error).split())[:200] or type(error).__name__
+        detail = foreign(error) or type(error).__name__
         raise SourceError(f"{path} is no readable {path.suffix} mesh ({detail}); export it again") from error
     if not meshes:
         raise SourceError(f"{path} has no triangles; export it as a mesh, not as points")

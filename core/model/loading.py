@@ -19,6 +19,7 @@ from typing import Any, BinaryIO, Final
 
 import numpy as np
 
+from ..errors import foreign
 from .arrays import AnyArray
 
 #: Size limit of a JSON file. Decoded, JSON takes up to 25 times its size in memory.
@@ -75,7 +76,7 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for key, value in pairs:
         if key in found:
-            raise ValueError(f"the key {key[:80]!r} stands twice in one object; remove one")
+            raise ValueError(f"the key {foreign(key, 80)!r} stands twice in one object; remove one")
         found[key] = value
     return found
 

@@ -16,7 +16,7 @@ from ..contact import CONTACT_TESTS
 from ..contact.contact_test import ContactTest
 from ..contact.membrane.section import MembraneSection
 from ..contact.tolerance import OutlierSection, ToleranceSection
-from ..errors import PresetError
+from ..errors import PresetError, foreign
 from ..model.alignment import AlignmentSection
 from ..model.frames import Rig
 from ..model.rig_noise import RigNoise
@@ -222,9 +222,8 @@ def _plain(value: Any) -> Any:
 def _explain(error: Any) -> str:
     """Return a pydantic error as one sentence: path, value, and allowed values."""
     location: Sequence[str | int] = error["loc"]
-    path = (
-        "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".") or "the preset"
-    )
+    parts = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location)
+    path = foreign(parts.lstrip("."), 120) or "the preset"
     if error["type"] == "extra_forbidden":
         hint = difflib.get_close_matches(path, preset_paths(), n=1)
         return f"{path} is not a field of a preset" + (f" (did you mean {hint[0]}?)" if hint else "; remove it")
@@ -232,8 +231,7 @@ def _explain(error: Any) -> str:
         return f"{path} is missing"
     if error["type"] == "json_invalid":  # valid to Python's parser, so only texts and depth can be wrong
         return f"a text is no valid Unicode or something is nested too deep ({error['msg']}); write it again"
-    shown = repr(error["input"])
-    shown = shown if len(shown) <= 80 else shown[:77] + "..."
+    shown = foreign(repr(error["input"]), 80)
     message = error["msg"].removeprefix("Value error, ").removesuffix(" after validation")
     if error["type"] in {"bool_type", "bool_parsing"}:
         message = "it should be true or false"

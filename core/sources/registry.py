@@ -9,7 +9,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import SourceError
+from ..errors import SourceError, foreign
 from ..model.files import path_exists, recording_files, user_path
 from ..model.plugins import added_by_others
 from .base import FrameSource, Progress, SourceKind
@@ -119,7 +119,7 @@ def open_source(name: str, progress: Progress | None = None, cameras: CamerasSec
             raise SourceError(f"{kind.scheme}: needs a path, as in {kind.form}")
         return kind.open(rest, progress, cameras)
     except OSError as error:
-        raise SourceError(f"cannot open {name}: {error.strerror or error}; check the path") from error
+        raise SourceError(f"cannot open {foreign(name)}: {error.strerror or error}; check the path") from error
 
 
 def opens_by_name(name: str) -> bool:

@@ -26,7 +26,7 @@ import numpy as np
 
 from ..contact.kernels.threads import set_threads
 from ..contact.pipeline import ContactPipeline
-from ..errors import MissingExtraError, TactuneError
+from ..errors import MissingExtraError, TactuneError, foreign
 from ..model.arrays import BoolArray, Float32Array
 from ..model.frames import Rig, SensorFrame
 from ..model.metrics import TruthTree, pixel_scores, true_contact
@@ -232,7 +232,7 @@ def cluster_workers(address: str) -> Iterator[Workers]:
         client.wait_for_workers(1, timeout=_CONNECT_S)
     except (OSError, ValueError, TypeError) as error:
         raise TuneError(
-            f"no Dask scheduler with a worker answers at {address} ({str(error).partition(chr(10))[0][:200]}); give "
+            f"no Dask scheduler with a worker answers at {address} ({foreign(error)}); give "
             "the address that dask scheduler prints, such as tcp://192.168.0.5:8786, and start dask worker ADDRESS "
             "--nthreads 1"
         ) from error

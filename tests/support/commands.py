@@ -24,6 +24,8 @@ class Finished(NamedTuple):
         assert self.out == ""
         assert self.err.startswith("tactune: ")
         assert self.err.count("\n") == 1
+        assert self.err.rstrip("\n").isprintable()
+        assert len(self.err) < 1500
         return self.err
 
 

@@ -33,6 +33,8 @@ REFUSED = [
     ("run --source IN --out IN/rig.json", "rig.json"),
     (f"run --source {'x' * 5000} --json", "too long"),
     ("run --source ~nosuchuser/x --json", "nosuchuser"),
+    ("run --source \x1b[2Jx --json", "[2Jx"),
+    ("run --source IN --preset \x1b[2Jx --json", "[2Jx"),
     ("run --source IN --json --set tolerance.tt=1", "did you mean tolerance.t"),
     ("run --source IN --watch", "no untouched frame"),
     ("convert IN IN", "recording"),
