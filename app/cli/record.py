@@ -99,9 +99,7 @@ def convert(
 
         if to_mcap:
             untouched = _untouched(kept, preset, opened)
-            count = export_mcap(
-                opened, target, frames, preset=kept, untouched=untouched, progress=show, exclusive=True
-            )
+            count = export_mcap(opened, target, frames, preset=kept, untouched=untouched, progress=show, exclusive=True)
         else:
             count = export_folder(opened, target, frames, show)
             if kept is not None:
