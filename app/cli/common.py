@@ -46,6 +46,15 @@ SourceOption = Annotated[
         "live:SOURCE, folder:PATH, bag:PATH, mcap:PATH, or a path.",
     ),
 ]
+TopicsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--topics",
+        metavar="SLOT=TOPIC,...",
+        help="Topics of a ROS recording: proximity.depth, proximity.color, proximity.info, and the same of tactile. "
+        "They are kept beside the recording.",
+    ),
+]
 UntouchedSource = Annotated[
     str, typer.Option("--source", "-s", metavar="SOURCE", help="Frames while nothing touches the membrane.")
 ]
@@ -100,6 +109,16 @@ def _cell_text(value: object) -> str:
     if value is None:
         return "-"
     return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def with_topics(source: str, topics: str | None) -> str:
+    """Return the name of a source with the topics that its images are on."""
+    if topics is None:
+        return source
+    from ...core.sources.ros.topics import parse_topics
+
+    named = ",".join(f"{slot}={topic}" for slot, topic in parse_topics(topics).items())
+    return f"{source}?{named}"
 
 
 def refuse_existing(path: Path) -> None:

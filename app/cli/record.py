@@ -11,12 +11,14 @@ from ...core.errors import ExportError, counted
 from .common import (
     CliProgress,
     FrameCount,
+    TopicsOption,
     live_frames,
     number_of_frames,
     open_with_progress,
     refuse_existing,
     stop_on_signals,
     warn,
+    with_topics,
 )
 
 if TYPE_CHECKING:
@@ -37,6 +39,7 @@ def record(
         typer.Option("--source", "-s", metavar="SOURCE", help="cameras:, live:SOURCE, or any recording."),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.mcap", help="The new recording.")],
+    topics: TopicsOption = None,
     preset: _Preset = None,
     frames: FrameCount = None,
 ) -> None:
@@ -52,7 +55,7 @@ def record(
         raise ExportError(f"--out is {out}, but a recording is a .mcap file; name it so")
     refuse_existing(out)
     kept = None if preset is None else load_preset(preset)
-    with open_with_progress(source, kept) as opened:
+    with open_with_progress(with_topics(source, topics), kept) as opened:
         untouched, rate_hz = _untouched(kept, preset, opened), opened.frame_rate_hz
         with SessionWriter(out, opened.rig, preset=kept, frame_rate_hz=rate_hz, untouched=untouched) as writer:
             _record_frames(opened, writer, frames)
@@ -73,6 +76,7 @@ def convert(
     target: Annotated[
         Path, typer.Argument(metavar="FILE.mcap|DIR", help="A .mcap, or a new folder for PNG images with rig.json.")
     ],
+    topics: TopicsOption = None,
     preset: _Preset = None,
     frames: FrameCount = None,
 ) -> None:
@@ -88,7 +92,11 @@ def convert(
     if to_mcap:
         refuse_existing(target)
     kept = None if preset is None else load_preset(preset)
-    with open_with_progress(source) as opened, CliProgress() as progress, stop_on_signals() as stopped:
+    with (
+        open_with_progress(with_topics(source, topics)) as opened,
+        CliProgress() as progress,
+        stop_on_signals() as stopped,
+    ):
         if kept is None and isinstance(opened, McapSource):
             kept = opened.preset()
 

@@ -23,6 +23,7 @@ from .common import (
     PresetOption,
     SetOption,
     SourceOption,
+    TopicsOption,
     TruthOption,
     default_preset,
     live_frames,
@@ -32,6 +33,7 @@ from .common import (
     stop_on_signals,
     tell_of_stop,
     warn,
+    with_topics,
 )
 
 if TYPE_CHECKING:
@@ -67,6 +69,7 @@ EstimateOption = Annotated[
 def run(
     *,
     source: SourceOption = SOURCE,
+    topics: TopicsOption = None,
     preset: PresetOption = None,
     frames: FrameCount = None,
     out: Annotated[
@@ -93,6 +96,7 @@ def run(
         raise typer.BadParameter("--estimate is printed with --json; add it")
     from ...core.sources.presets import load_preset
 
+    source = with_topics(source, topics)
     origin = preset or default_preset(source)
     chosen = load_preset(origin).with_values(parse_settings(settings))
     if out is not None and out.suffix != MCAP_SUFFIX:

@@ -16,11 +16,13 @@ from .common import (
     FrameCount,
     PresetOption,
     SourceOption,
+    TopicsOption,
     default_preset,
     live_frames,
     open_with_progress,
     stop_on_signals,
     warn,
+    with_topics,
 )
 from .run import EstimateOption, make_tilt
 from .track import UnitOption, read_mesh
@@ -42,6 +44,7 @@ _LAYOUT_HELP = "Write the layout for the Foxglove app (Import from file) and end
 def serve(
     *,
     source: SourceOption = SOURCE,
+    topics: TopicsOption = None,
     preset: PresetOption = None,
     frames: FrameCount = None,
     foxglove: Annotated[bool, typer.Option("--foxglove", help="Listen for the Foxglove app and its clients.")] = False,
@@ -80,6 +83,7 @@ def serve(
             return
     if not (foxglove or ros2):
         raise typer.BadParameter("give --foxglove or --ros2; nothing is published unless it is asked for")
+    source = with_topics(source, topics)
     chosen = load_preset(preset or default_preset(source))
     connections = Connections(foxglove, ros2, host, port, domain, namespace)
     with (

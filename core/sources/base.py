@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -21,6 +22,12 @@ Progress = Callable[[float, str], None]
 def part_of(progress: Progress, number: int, count: int) -> Progress:
     """Return the progress of one of several equal parts of a task, counted from 0."""
     return lambda share, words: progress((number + share) / count, words)
+
+
+def split_topics(name: str) -> tuple[str, str]:
+    """Return the name of a recording and what follows it from ``?`` on, such as ``?proximity.depth=/a,...``, or ""."""
+    match = re.search(r"\?(proximity|tactile)\.(depth|color|info)=", name)
+    return (name, "") if match is None else (name[: match.start()], name[match.start() :])
 
 
 #: Which of the two depth cameras of a rig.

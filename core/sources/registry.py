@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from ..errors import SourceError, foreign
 from ..model.files import path_exists, recording_files, user_path
 from ..model.plugins import added_by_others
-from .base import FrameSource, Progress, SourceKind
+from .base import FrameSource, Progress, SourceKind, split_topics
 
 if TYPE_CHECKING:
     from ..preset import CamerasSection
@@ -40,30 +40,46 @@ def _play_live(name: str, progress: Progress) -> FrameSource:
         raise
 
 
-def _open_realsense(rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:
-    from .realsense_files.source import BagSource
+def _open_bag(rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:
+    from .realsense_files.source import BagSource, is_realsense
+    from .ros.source import RosSource
 
-    return BagSource(rest, progress)
+    return BagSource(rest, progress) if is_realsense(rest) else RosSource("bag", rest, progress)
 
 
 def _open_mcap(rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:
-    from .mcap.source import McapSource
+    from .mcap.source import McapSource, is_ours
+    from .ros.source import RosSource
 
-    return McapSource(rest, progress)
+    return McapSource(rest, progress) if is_ours(rest) else RosSource("mcap", rest, progress)
 
 
-_REALSENSE = SourceKind(
+def _open_ros_folder(rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:
+    from .ros.source import RosSource
+
+    return RosSource("rosbag", rest, progress)
+
+
+_BAG = SourceKind(
     scheme="bag",
-    title="RealSense recording",
+    title="RealSense or ROS recording",
     form="bag:PATH[,PATH]",
     needs="file",
     pattern="*.bag *.db3",
     files=2,
-    open=_open_realsense,
+    open=_open_bag,
+)
+_ROS_FOLDER = SourceKind(
+    scheme="rosbag",
+    title="Folder of ros2 bag record",
+    form="rosbag:PATH",
+    needs="folder",
+    pattern="metadata.yaml",
+    open=_open_ros_folder,
 )
 _MCAP = SourceKind(
     scheme="mcap",
-    title="Tactune recording",
+    title="Tactune or ROS recording",
     form="mcap:PATH",
     needs="file",
     pattern="*.mcap",
@@ -81,7 +97,7 @@ _LIVE = SourceKind(
 def _own_kinds() -> dict[str, SourceKind]:
     from . import cameras, folder, simulator
 
-    kinds = (simulator.KIND, folder.KIND, _REALSENSE, _MCAP, cameras.KIND, cameras.REALSENSE, _LIVE)
+    kinds = (simulator.KIND, folder.KIND, _BAG, _MCAP, _ROS_FOLDER, cameras.KIND, cameras.REALSENSE, _LIVE)
     return {kind.scheme: kind for kind in kinds}
 
 
@@ -133,6 +149,7 @@ def missing_path(name: str) -> Path | None:
     if scheme == "live" and colon:
         return missing_path(rest)
     kind = _kind(scheme)
+    name, rest = split_topics(name)[0], split_topics(rest)[0]
     if kind is None:
         return None if path_exists(name) or recording_files(name) else user_path(name)
     if kind.needs == "nothing" or path_exists(rest) or recording_files(rest):
@@ -146,13 +163,14 @@ def _kind(scheme: str) -> SourceKind | None:
 
 def _guess(name: str) -> tuple[SourceKind, str]:
     kinds, problems = source_kinds(), added_by_others(GROUP, SourceKind)[1]
+    name, topics = split_topics(name)
     for kind in kinds:
         if name and (rest := kind.claim(name)) is not None:
-            return kind, rest
+            return kind, rest + topics
     forms = "; ".join([", ".join(kind.form for kind in kinds), *problems.values()])
     if name and user_path(name).exists():
         raise SourceError(
-            f"{name!r} is neither a folder with rig.json nor an .mcap, nor a RealSense .bag or .db3; "
+            f"{name!r} is neither a folder with rig.json or metadata.yaml nor an .mcap, .bag or .db3; "
             f"tactune preset create-rig writes rig.json for a folder of images; known sources are {forms}"
         )
     scheme = name.partition(":")[0]

@@ -2,30 +2,54 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import cv2
 import numpy as np
 
-from ..errors import SourceError, TactuneError
-from ..model.arrays import AnyArray, IndexArray, Uint8Array, Uint16Array
+from ..errors import SourceError, TactuneError, foreign
+from ..model.arrays import AnyArray, Float64Array, IndexArray, Uint8Array, Uint16Array
+from ..model.loading import decode_image
 
-#: Bytes per pixel of each colour encoding and OpenCV's conversion to RGB.
-_TO_RGB = {
+#: Bytes per pixel of each colour encoding and OpenCV's conversion to RGB; it names Bayer patterns by their second row.
+_TO_RGB: Final[dict[str, tuple[int, int | None]]] = {
     "rgb8": (3, None),
     "bgr8": (3, cv2.COLOR_BGR2RGB),
     "rgba8": (4, cv2.COLOR_RGBA2RGB),
     "bgra8": (4, cv2.COLOR_BGRA2RGB),
     "8UC1": (1, cv2.COLOR_GRAY2RGB),
     "mono8": (1, cv2.COLOR_GRAY2RGB),
-    "YUYV": (2, cv2.COLOR_YUV2RGB_YUYV),
-    "yuv422": (2, cv2.COLOR_YUV2RGB_UYVY),
-    "UYVY": (2, cv2.COLOR_YUV2RGB_UYVY),
+    **dict.fromkeys(("YUYV", "yuyv", "yuv422_yuy2", "yuy2"), (2, cv2.COLOR_YUV2RGB_YUYV)),
+    **dict.fromkeys(("UYVY", "uyvy", "yuv422"), (2, cv2.COLOR_YUV2RGB_UYVY)),
+    "bayer_rggb8": (1, cv2.COLOR_BayerBG2RGB),
+    "bayer_bggr8": (1, cv2.COLOR_BayerRG2RGB),
+    "bayer_gbrg8": (1, cv2.COLOR_BayerGR2RGB),
+    "bayer_grbg8": (1, cv2.COLOR_BayerGB2RGB),
 }
+#: The same with 16 bits, of which the upper 8 are shown.
+_WIDE: Final = {"rgb16": "rgb8", "bgr16": "bgr8", "rgba16": "rgba8", "bgra16": "bgra8", "16UC1": "mono8"} | {
+    name[:-1] + "16": name for name in _TO_RGB if name.startswith(("bayer", "mono"))
+}
+#: Brightness in full size, then colour of each 2 x 2 pixels.
+_PLANES: Final = {"nv12": cv2.COLOR_YUV2RGB_NV12, "nv21": cv2.COLOR_YUV2RGB_NV21}
+_DEPTH: Final = ("16UC1", "mono16", "32FC1")
+#: The encoding of what OpenCV decodes, by type and number of channels.
+_DECODED: Final = {
+    ("uint16", 1): "16UC1",
+    ("uint8", 1): "mono8",
+    ("uint8", 3): "bgr8",
+    ("uint8", 4): "bgra8",
+    ("uint16", 3): "bgr16",
+}
+#: compressed_depth_image_transport puts its settings in front of a PNG: an enumeration and two float32.
+_DEPTH_HEADER_BYTES: Final = 12
+#: Unit of the counts to which depth in metres is brought.
+FLOAT_UNIT_M: Final = 1e-4
 
 
 class DamagedFileError(Exception):
@@ -42,7 +66,7 @@ def damage_told(path: Path, what: str) -> Iterator[None]:
     except OSError as error:
         raise SourceError(f"cannot read {path}: {error.strerror or error}; check the disk") from error
     except Exception as error:
-        detail = " ".join(str(error).split())[:300] or type(error).__name__
+        detail = foreign(error) or type(error).__name__
         raise SourceError(f"{path}: {what} ({detail}); copy or record it again") from error
 
 
@@ -59,40 +83,117 @@ class RawImage:
 
     @classmethod
     def of(cls, message: Any) -> RawImage:
+        """Return the image of a ``sensor_msgs/Image`` or ``CompressedImage``; `DamagedFileError` if it is none."""
+        if hasattr(message, "format"):
+            return _unpacked(message.format, message.data)
         return cls(
             message.height, message.width, message.encoding, bool(message.is_bigendian), message.step, message.data
         )
 
-    def depth(self, shape: tuple[int, int]) -> Uint16Array:
+    @classmethod
+    def of_pixels(cls, image: AnyArray, encoding: str) -> RawImage:
+        rows = np.ascontiguousarray(image).reshape(len(image), -1).view(np.uint8)
+        return cls(image.shape[0], image.shape[1], encoding, sys.byteorder == "big", rows.shape[1], rows.reshape(-1))
+
+    @property
+    def is_depth(self) -> bool:
+        """Whether the encoding can be that of depth; mono16 may also be an infrared image."""
+        return self.encoding in _DEPTH
+
+    def counts(self, shape: tuple[int, int]) -> Uint16Array:
         """Return raw counts: uint16, shape (H, W)."""
         return self.channel(shape, ("mono16", "16UC1"), np.dtype(np.uint16))
+
+    def depth(self, shape: tuple[int, int]) -> Uint16Array:
+        """Return counts: uint16, shape (H, W). Those of an image in metres have `FLOAT_UNIT_M`; 0 is no depth."""
+        if self.encoding != "32FC1":
+            return self.counts(shape)
+        counts = self.channel(shape, ("32FC1",), np.dtype(np.float32)) / FLOAT_UNIT_M
+        counts[~((counts > 0) & (counts < np.iinfo(np.uint16).max))] = 0  # also nan and infinity
+        return np.rint(counts).astype(np.uint16)
 
     def channel(self, shape: tuple[int, int], encodings: Sequence[str], dtype: np.dtype[Any]) -> AnyArray:
         """Return an image of one channel, shape (H, W), in one of some encodings, all of this type."""
         if self.encoding not in encodings:
-            raise DamagedFileError(f"it is encoded as {self.encoding[:40]!r}; known are {', '.join(encodings)}")
+            raise DamagedFileError(f"it is encoded as {foreign(self.encoding, 40)!r}; known are {', '.join(encodings)}")
         rows = self._rows(shape, dtype.itemsize)
         return rows.view(dtype.newbyteorder(">" if self.big_endian else "<")).astype(dtype)
 
     def color(self, shape: tuple[int, int]) -> Uint8Array:
         """Return a colour image: RGB uint8, shape (H, W, 3); errors as of `channel`."""
+        if self.encoding in _WIDE:
+            return self._narrow().color(shape)
+        if self.encoding in _PLANES:
+            return np.asarray(cv2.cvtColor(self._planes(shape, 1.5), _PLANES[self.encoding]), np.uint8)
+        if self.encoding == "nv24":
+            luma, chroma = np.split(self._planes(shape, 3), [shape[0]])
+            pixels = np.dstack([luma, chroma.reshape(*shape, 2)])
+            return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_YUV2RGB), np.uint8)
         if self.encoding not in _TO_RGB:
-            raise DamagedFileError(f"it is encoded as {self.encoding[:40]!r}; known are {', '.join(_TO_RGB)}")
+            known = ", ".join((*_TO_RGB, *_WIDE, *_PLANES, "nv24"))
+            raise DamagedFileError(f"it is encoded as {foreign(self.encoding, 40)!r}; known are {known}")
         bytes_per_pixel, conversion = _TO_RGB[self.encoding]
         pixels = self._rows(shape, bytes_per_pixel).reshape(*shape, bytes_per_pixel)
         return pixels.copy() if conversion is None else np.asarray(cv2.cvtColor(pixels, conversion), np.uint8)
 
-    def _rows(self, shape: tuple[int, int], bytes_per_pixel: int) -> Uint8Array:
-        """Return the image's bytes, shape (H, W * bytes per pixel), padding cut off."""
+    def _narrow(self) -> RawImage:
+        """Return the image with the upper 8 of each 16 bits."""
+        upper = self.data[: len(self.data) // 2 * 2].reshape(-1, 2)[:, 0 if self.big_endian else 1]
+        return replace(self, encoding=_WIDE[self.encoding], step=self.step // 2, data=np.ascontiguousarray(upper))
+
+    def _planes(self, shape: tuple[int, int], planes: float) -> Uint8Array:
+        """Return an image whose brightness and colour lie below each other: uint8, shape (planes * H, W)."""
+        height, width = round(shape[0] * planes), shape[1]
+        self._check_size(shape)
+        if self.step != width or len(self.data) < height * width:  # a driver may pad the rows of neither plane
+            raise DamagedFileError(f"it has {len(self.data)} bytes in rows of {self.step}, not {height} x {width}")
+        return np.ascontiguousarray(self.data[: height * width].reshape(height, width))
+
+    def _check_size(self, shape: tuple[int, int]) -> None:
         height, width = shape
         if (self.height, self.width) != shape:
             raise DamagedFileError(
                 f"it has {self.width} x {self.height} pixels, but its lens is said to have {width} x {height}"
             )
+
+    def _rows(self, shape: tuple[int, int], bytes_per_pixel: int) -> Uint8Array:
+        """Return the image's bytes, shape (H, W * bytes per pixel), padding cut off."""
+        height, width = shape
+        self._check_size(shape)
         if self.step < width * bytes_per_pixel or len(self.data) != height * self.step:
             raise DamagedFileError(f"it has {len(self.data)} bytes, too few for its size")
         rows = self.data.reshape(height, self.step)[:, : width * bytes_per_pixel]
         return np.ascontiguousarray(rows)
+
+
+def _unpacked(words: str, data: Uint8Array) -> RawImage:
+    """Return a compressed image; ``words`` is its format, such as ``"16UC1; compressedDepth png"``."""
+    encoding, _, how = (part.strip() for part in words.partition(";"))
+    if "compressedDepth" not in words:
+        image = _decoded(data)
+        kind = _DECODED.get((image.dtype.name, 1 if image.ndim == 2 else image.shape[2]))
+        if kind is None:
+            raise DamagedFileError(f"it is compressed with {image.dtype} and the shape {image.shape}")
+        return RawImage.of_pixels(image, kind)
+    if "rvl" in how:
+        raise DamagedFileError("its depth is compressed as RVL; record it as png, or uncompressed")
+    image = _decoded(data[_DEPTH_HEADER_BYTES:])
+    if image.dtype != np.uint16 or image.ndim != 2:
+        raise DamagedFileError(f"its depth is compressed with {image.dtype} and the shape {image.shape}")
+    if encoding != "32FC1":
+        return RawImage.of_pixels(image, "16UC1")
+    # image_transport keeps metres as A / depth + B, rounded, and A and B in front of the PNG.
+    scale, offset = np.frombuffer(data[4:_DEPTH_HEADER_BYTES].tobytes(), "<f4").astype(np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        metres = np.where(image > 0, scale / (image - offset), np.nan)
+    return RawImage.of_pixels(metres.astype(np.float32), "32FC1")
+
+
+def _decoded(data: Uint8Array) -> AnyArray:
+    try:
+        return decode_image(data.tobytes())
+    except ValueError as error:
+        raise DamagedFileError(str(error)) from error
 
 
 def nearest(times: AnyArray, candidates: AnyArray) -> IndexArray:
@@ -104,3 +205,27 @@ def nearest(times: AnyArray, candidates: AnyArray) -> IndexArray:
     after = after.clip(max=len(ordered) - 1)
     later_is_nearer = ordered[after] - times < times - ordered[before]
     return order[np.where(later_is_nearer, after, before)]
+
+
+def period_s(times_s: Float64Array, rate_hz: float = 30.0) -> float:
+    """Return the median time between two images, seconds; with a single image, that of the nominal rate."""
+    usual = float(np.median(np.diff(np.sort(times_s)))) if len(times_s) > 1 else 0.0
+    return usual or 1.0 / (rate_hz if rate_hz > 0 else 30.0)
+
+
+def pairs(first_s: Float64Array, second_s: Float64Array, farthest_s: float) -> tuple[IndexArray, IndexArray]:
+    """Return the indices of images that are each other's nearest and at most ``farthest_s`` apart."""
+    partner = nearest(first_s, second_s)
+    is_mutual = nearest(second_s, first_s)[partner] == np.arange(len(first_s))
+    # Stamps are sums and products of decimal fractions: exactly half a period must still count.
+    is_near = np.abs(second_s[partner] - first_s) <= farthest_s * (1 + 1e-6)
+    chosen = np.flatnonzero(is_mutual & is_near)
+    return chosen, partner[chosen]
+
+
+def nearest_within(times_s: Float64Array, candidates_s: Float64Array, farthest_s: float) -> IndexArray:
+    """Return for each time the index of the nearest candidate, or -1 where that is farther away."""
+    if not len(candidates_s):
+        return np.full(len(times_s), -1)
+    partner = nearest(times_s, candidates_s)
+    return np.where(np.abs(candidates_s[partner] - times_s) <= farthest_s * (1 + 1e-6), partner, -1)

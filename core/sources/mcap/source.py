@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import logging
 import math
+import struct
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ...errors import PresetError, SourceError
-from ...model.arrays import AnyArray, IndexArray, Int64Array, Uint64Array
+from ...model.arrays import AnyArray, Float64Array, IndexArray, Int64Array, Uint64Array
 from ...model.files import user_path
 from ...model.frames import GroundTruth, Rig, SensorFrame
 from ...model.loading import parse_json
@@ -20,7 +22,7 @@ from ...model.untouched_archive import parse_untouched
 from ...preset import Preset
 from ...preset.file import preset_and_note
 from ..base import Health, Progress, SeekableSource
-from ..ros_image import DamagedFileError, RawImage, nearest
+from ..ros_image import DamagedFileError, RawImage, nearest, nearest_within, pairs, period_s
 from .messages import (
     FORMAT_VERSION,
     IMAGE,
@@ -36,9 +38,9 @@ from .reader import McapFile
 
 #: How the images of each topic are read, from a message and the shape (H, W) that the rig states.
 _IMAGES: dict[Topic, Callable[[RawImage, tuple[int, int]], AnyArray]] = {
-    Topic.PROXIMITY_DEPTH: RawImage.depth,
+    Topic.PROXIMITY_DEPTH: RawImage.counts,
     Topic.PROXIMITY_COLOR: RawImage.color,
-    Topic.TACTILE_DEPTH: RawImage.depth,
+    Topic.TACTILE_DEPTH: RawImage.counts,
     Topic.TACTILE_COLOR: RawImage.color,
     Topic.TRUTH_CONTACT: lambda image, shape: image.channel(shape, ("mono8",), np.dtype(np.uint8)),
     Topic.TRUTH_DEPTH: lambda image, shape: image.channel(shape, ("32FC1",), np.dtype(np.float32)),
@@ -49,8 +51,8 @@ class McapSource(SeekableSource):
     """A recording in MCAP, with one frame for each proximity depth image.
 
     Recordings of `SessionWriter` are read bit for bit. One that was cut off plays up to its last complete chunk, and
-    `health` says so. In a bag that was recorded again while it played, a frame consists of the images nearest in log
-    time.
+    `health` says so. In a bag that was recorded again while it played, a frame consists of images whose header stamps
+    are at most half a period apart; the others are counted.
     """
 
     def __init__(self, path: Path | str, progress: Progress | None = None) -> None:
@@ -67,9 +69,13 @@ class McapSource(SeekableSource):
             times_ns = _log_times(places[Topic.PROXIMITY_DEPTH])
             exact = bool(np.isin(times_ns, _log_times(places[Topic.FRAME])).all())
             self._places = places
-            self._partners = {topic: _partners(times_ns, _log_times(table), exact) for topic, table in places.items()}
+            self._unmatched = 0
+            if exact:
+                self._partners = {topic: _partners(times_ns, _log_times(table)) for topic, table in places.items()}
+            else:
+                self._partners = self._pair_by_stamps(places)
             self._gap_s = float(np.median(np.diff(times_ns))) * 1e-9 if len(times_ns) > 1 else 0.0
-            super().__init__(name, self._read_rig(), len(times_ns))
+            super().__init__(name, self._read_rig(), len(self._partners[Topic.PROXIMITY_DEPTH]))
             self.read(0)
         except BaseException:
             self._file.close()
@@ -121,7 +127,9 @@ class McapSource(SeekableSource):
             lacks.append("this recording has one depth camera: for viewing only")
         if not len(self._places[Topic.PROXIMITY_COLOR]):
             lacks.append("this recording has no proximity colour: its image stays black")
-        return Health(ok=not lacks, message="; ".join(lacks))
+        if self._unmatched:
+            lacks.append(f"{self._unmatched} images without one of the other camera are left out")
+        return Health(ok=not lacks, message="; ".join(lacks), unmatched=self._unmatched)
 
     def close(self) -> None:
         self._file.close()
@@ -162,6 +170,29 @@ class McapSource(SeekableSource):
                     f"{self._path}: {topic} has messages of the type {kind} in {encoding}, but {expected} in cdr is "
                     "needed; record it again"
                 )
+
+    def _pair_by_stamps(self, places: dict[Topic, Uint64Array]) -> dict[Topic, IndexArray]:
+        """Return, for each frame, the index of its message of each topic, or -1."""
+        stamps_s = {topic: self._stamps_s(places[topic]) for topic in _IMAGES}
+        first, second = stamps_s[Topic.PROXIMITY_DEPTH], stamps_s[Topic.TACTILE_DEPTH]
+        farthest_s = min(period_s(first), period_s(second)) / 2
+        chosen, partner = pairs(first, second, farthest_s)
+        if not len(chosen):
+            raise SourceError(
+                f"{self._path}: no proximity image has a tactile one within {farthest_s * 1e3:.1f} ms by the stamps in "
+                "their headers; set the clocks of both cameras"
+            )
+        self._unmatched = len(first) + len(second) - 2 * len(chosen)
+        found: dict[Topic, IndexArray] = {}
+        stamps_s[Topic.FRAME] = np.array([self._frame_record(place)[1] for place in places[Topic.FRAME]], np.float64)
+        for topic, candidates in stamps_s.items():
+            found[topic] = nearest_within(first[chosen], candidates, farthest_s)
+        return found | {Topic.PROXIMITY_DEPTH: chosen, Topic.TACTILE_DEPTH: partner}
+
+    def _stamps_s(self, places: Uint64Array) -> Float64Array:
+        """Return the stamps in the headers of messages, which begin with them behind four bytes."""
+        found = [struct.unpack_from("<II", self._file.message(place), 4) for place in places]
+        return np.array([seconds + nanoseconds * 1e-9 for seconds, nanoseconds in found], np.float64)
 
     def _refuse_newer_format(self) -> None:
         version = self._about.get("format_version", str(FORMAT_VERSION))
@@ -226,13 +257,22 @@ class McapSource(SeekableSource):
         return value
 
 
+def is_ours(text: str) -> bool:
+    """Whether a file of this name says its rig, as Tactune's recordings and copies of them do."""
+    path = user_path(text)
+    if not path.is_file():
+        return True  # it is told that there is none
+    with closing(McapFile(path)) as file:
+        return file.attachment(RIG_NAME) is not None or Topic.RIG in file.topics or not file.topics
+
+
 def _log_times(places: Uint64Array) -> Int64Array:
     return places[:, 0].astype(np.int64)
 
 
-def _partners(times_ns: Int64Array, candidates_ns: Int64Array, exact: bool) -> IndexArray:
-    """Return, for each frame, the index of the message with the same or the nearest log time; -1 if there is none."""
+def _partners(times_ns: Int64Array, candidates_ns: Int64Array) -> IndexArray:
+    """Return, for each frame, the index of the message with the same log time; -1 if there is none."""
     if not len(candidates_ns):
         return np.full(len(times_ns), -1)
     partner = nearest(times_ns, candidates_ns)
-    return np.where(candidates_ns[partner] == times_ns, partner, -1) if exact else partner
+    return np.where(candidates_ns[partner] == times_ns, partner, -1)

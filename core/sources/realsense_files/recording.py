@@ -70,7 +70,7 @@ class Camera:
         """Return raw counts, uint16 (H, W), or an RGB image, uint8 (H, W, 3)."""
         with damage_told(self.path, f"image {index} of {stream.topic} cannot be read"):
             raw, shape = stream.read(index), stream.intrinsics.shape
-            return raw.depth(shape) if stream is self.depth else raw.color(shape)
+            return raw.counts(shape) if stream is self.depth else raw.color(shape)
 
 
 class RecordingFile(ABC):

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import numpy as np
 
 from ...errors import SourceError
-from ...model.arrays import Float64Array, IndexArray, Uint8Array, Uint16Array
+from ...model.arrays import Float64Array, Uint8Array, Uint16Array
 from ...model.files import recording_files, user_path
 from ...model.frames import Rig, SensorFrame, rigid_transform
 from ..base import Health, Progress, SeekableSource, part_of
-from ..ros_image import DamagedFileError, damage_told, nearest
+from ..ros.bags import open_bag
+from ..ros_image import DamagedFileError, damage_told, nearest, pairs, period_s
 from .bag import BagFile
 from .db3 import Db3File
 from .recording import Camera, RecordingFile, Stream
@@ -134,7 +135,7 @@ class BagSource(SeekableSource):
                 f"{name}: the cameras' clocks cannot be compared ({first.depth.clock or 'unknown'} and "
                 f"{second.depth.clock or 'unknown'}); record both cameras with global time enabled"
             )
-        farthest_s = min(_period_s(first_s, first.depth.rate_hz), _period_s(second_s, second.depth.rate_hz)) / 2
+        farthest_s = min(period_s(first_s, first.depth.rate_hz), period_s(second_s, second.depth.rate_hz)) / 2
         self._proximity_times_s, self._tactile_times_s = first_s, second_s
         self._proximity_index, self._tactile_index = pairs(first_s, second_s, farthest_s)
         count = len(self._proximity_index)
@@ -144,6 +145,15 @@ class BagSource(SeekableSource):
                 f"{farthest_s * 1e3:.1f} ms; record both cameras at once"
             )
         self._unmatched = len(first_s) + len(second_s) - 2 * count
+
+
+def is_realsense(text: str) -> bool:
+    """Whether a name is that of librealsense's recordings: two files, or topics that begin with a device's number."""
+    paths = recording_files(text)
+    if len(paths) != 1:
+        return True
+    with closing(open_bag(paths[0])) as bag:
+        return any(topic.startswith("/device_") for topic in bag.types)
 
 
 def _open(path: Path, progress: Progress | None) -> RecordingFile:
@@ -184,19 +194,3 @@ def _common_times(first: Stream, second: Stream, *, one_device: bool) -> tuple[F
     if first.clock == second.clock != "" and (one_device or first.clock != "Hardware Clock"):
         return first.stamps_s, second.stamps_s
     return first.recorded_s, second.recorded_s
-
-
-def _period_s(times_s: Float64Array, rate_hz: float) -> float:
-    """Return the median time between two images, seconds; with a single image, that of the nominal rate."""
-    usual = float(np.median(np.diff(np.sort(times_s)))) if len(times_s) > 1 else 0.0
-    return usual or 1.0 / (rate_hz if rate_hz > 0 else 30.0)
-
-
-def pairs(first_s: Float64Array, second_s: Float64Array, farthest_s: float) -> tuple[IndexArray, IndexArray]:
-    """Return the indices of images that are each other's nearest and at most ``farthest_s`` apart."""
-    partner = nearest(first_s, second_s)
-    is_mutual = nearest(second_s, first_s)[partner] == np.arange(len(first_s))
-    # Stamps are sums and products of decimal fractions: exactly half a period must still count.
-    is_near = np.abs(second_s[partner] - first_s) <= farthest_s * (1 + 1e-6)
-    chosen = np.flatnonzero(is_mutual & is_near)
-    return chosen, partner[chosen]

@@ -1,0 +1,1 @@
+"""Recordings of any ROS program: containers, topics, and the source that plays them."""

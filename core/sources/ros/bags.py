@@ -1,0 +1,368 @@
+"""ROS recordings as containers: messages by topic and number, whatever program wrote them.
+
+`open_bag` opens ROS 1 bags, ROS 2 bags in SQLite and MCAP, and the folder that ``ros2 bag record`` writes.
+"""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import struct
+import sys
+import tempfile
+from abc import ABC, abstractmethod
+from collections import defaultdict
+from collections.abc import Sequence
+from contextlib import ExitStack
+from functools import lru_cache
+from io import BytesIO
+from pathlib import Path, PurePath
+from threading import Lock
+from typing import Any, Final
+
+import numpy as np
+from rosbags.rosbag1 import Reader, ReaderError
+from rosbags.rosbag1.reader import Header, IndexData, RecordType, read_uint32
+from rosbags.typesys import Stores, get_typestore
+from ruamel.yaml import YAML
+
+from ...errors import SourceError, foreign
+from ...model.arrays import Int64Array
+from ..base import Progress, part_of
+from ..mcap.messages import TYPES
+from ..mcap.reader import MAGIC, McapFile
+from ..ros_image import DamagedFileError, damage_told
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+METADATA: Final = "metadata.yaml"
+SQLITE_MAGIC: Final = b"SQLite format 3\x00"
+ROS1_MAGIC: Final = b"#ROSBAG V"
+_ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
+_CACHED_CHUNKS: Final = 4
+_ROS1 = get_typestore(Stores.ROS1_NOETIC)
+
+
+class Bag(ABC):
+    """Messages of a recording; ``types`` has the message type of each topic that has messages.
+
+    ``complete`` is False where the recorder was killed, so that the last part is missing.
+    """
+
+    complete = True
+
+    def __init__(self) -> None:
+        self.types: dict[str, str] = {}
+
+    @abstractmethod
+    def count(self, topic: str) -> int:
+        """Return the number of messages of a topic; 0 without the topic."""
+
+    @abstractmethod
+    def raw(self, topic: str, index: int) -> memoryview:
+        """Return the bytes of a message, by its number in the order of the recorder's clock."""
+
+    @abstractmethod
+    def times_ns(self, topic: str) -> Int64Array:
+        """Return when each message of a topic was recorded."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the file; twice is harmless."""
+
+    def is_ros1(self, topic: str) -> bool:
+        """Whether the bytes of a topic's messages are ROS 1's, not CDR."""
+        return False
+
+    def message(self, topic: str, index: int) -> Any:
+        """Return a message."""
+        data, kind = self.raw(topic, index), self.types[topic]
+        return _ROS1.deserialize_ros1(bytes(data), kind) if self.is_ros1(topic) else TYPES.deserialize_cdr(data, kind)
+
+    def stamp_ns(self, topic: str, index: int) -> int:
+        """Return the stamp in the header with which a message begins; no image is unpacked for it."""
+        data = self.raw(topic, index)
+        order = "<" if self.is_ros1(topic) or data[1] & 1 else ">"  # the second byte of CDR
+        seconds, nanoseconds = struct.unpack_from(order + "II", data, 4)  # both put four bytes in front
+        return int(seconds) * 10**9 + int(nanoseconds)
+
+
+class McapBag(Bag):
+    """A ROS bag in MCAP."""
+
+    def __init__(self, path: Path, progress: Progress | None) -> None:
+        super().__init__()
+        self._file = McapFile(path, progress)
+        self.complete = self._file.complete
+        self._encodings = {topic: encoding for topic, (_, encoding) in self._file.topics.items()}
+        self.types = {
+            topic: _long_name(kind)
+            for topic, (kind, encoding) in self._file.topics.items()
+            if encoding in ("cdr", "ros1")
+        }
+        self._places = {topic: self._file.places(topic) for topic in self.types}
+
+    def is_ros1(self, topic: str) -> bool:
+        return self._encodings[topic] == "ros1"
+
+    def count(self, topic: str) -> int:
+        return len(self._places.get(topic, ()))
+
+    def raw(self, topic: str, index: int) -> memoryview:
+        return self._file.message(self._places[topic][index])
+
+    def times_ns(self, topic: str) -> Int64Array:
+        return self._places[topic][:, 0].astype(np.int64)
+
+    def close(self) -> None:
+        self._file.close()
+
+
+class SqliteBag(Bag):
+    """A ROS 2 bag in an SQLite database; each message may be compressed with zstd."""
+
+    def __init__(self, path: Path, _: Progress | None = None) -> None:
+        super().__init__()
+        uri = path.resolve().as_uri() + "?mode=ro&immutable=1"
+        self._lock = Lock()
+        self._database = sqlite3.connect(uri, uri=True, check_same_thread=False)
+        try:
+            topics = self._select("SELECT id, name, type FROM topics WHERE serialization_format = 'cdr' ORDER BY id")
+            self._rows: defaultdict[str, list[tuple[int, int]]] = defaultdict(list)
+            for number, topic, kind in topics:
+                query = "SELECT timestamp, id FROM messages WHERE topic_id = ?"
+                if rows := self._select(query, number):
+                    self.types[topic] = _long_name(kind)
+                    self._rows[topic] += [(int(time_ns), int(row)) for time_ns, row in rows]
+            for found in self._rows.values():
+                found.sort()
+        except BaseException:
+            self.close()
+            raise
+
+    def count(self, topic: str) -> int:
+        return len(self._rows.get(topic, ()))
+
+    def raw(self, topic: str, index: int) -> memoryview:
+        found = self._select("SELECT data FROM messages WHERE id = ?", self._rows[topic][index][1])
+        if not found or not isinstance(found[0][0], bytes):
+            raise DamagedFileError(f"message {index} of {topic} is missing")
+        data = found[0][0]
+        return memoryview(zstd.decompress(data) if data.startswith(_ZSTD_MAGIC) else data)
+
+    def times_ns(self, topic: str) -> Int64Array:
+        return np.array([time_ns for time_ns, _ in self._rows.get(topic, ())], np.int64)
+
+    def close(self) -> None:
+        self._database.close()
+
+    def _select(self, query: str, *values: int) -> list[tuple[Any, ...]]:
+        with self._lock:
+            return self._database.execute(query, values).fetchall()
+
+
+class Ros1Bag(Bag):
+    """A ROS 1 bag; one that was cut off ends with its last complete chunk."""
+
+    def __init__(self, path: Path, _: Progress | None = None) -> None:
+        super().__init__()
+        self._lock = Lock()
+        self._chunk = lru_cache(_CACHED_CHUNKS)(self._unpack)
+        self._reader = Reader(path)
+        try:
+            self._reader.open()
+        except ReaderError:
+            self.complete = False
+            self._reader = _Unfinished(path)
+            try:
+                self._reader.open()
+            except BaseException:
+                self.close()
+                raise
+        self._entries: defaultdict[str, list[IndexData]] = defaultdict(list)
+        for each in self._reader.connections:  # a merged bag has several of one topic
+            if each.msgcount:
+                self.types[each.topic] = each.msgtype
+                self._entries[each.topic] += self._reader.indexes[each.id]
+        for entries in self._entries.values():
+            entries.sort()
+
+    def is_ros1(self, topic: str) -> bool:
+        return True
+
+    def count(self, topic: str) -> int:
+        return len(self._entries.get(topic, ()))
+
+    def raw(self, topic: str, index: int) -> memoryview:
+        """Return a message; the index may point to the connection in front of it."""
+        entry = self._entries[topic][index]
+        chunk, offset = self._chunk(entry.chunk_pos), entry.offset
+        while True:
+            (head,) = struct.unpack_from("<I", chunk, offset)
+            start = offset + 8 + head
+            (size,) = struct.unpack_from("<I", chunk, start - 4)
+            if start + size > len(chunk):
+                raise DamagedFileError("a message reaches beyond its chunk")
+            if b"op=\x02" in chunk[offset:start]:
+                return memoryview(chunk)[start : start + size]
+            offset = start + size
+
+    def times_ns(self, topic: str) -> Int64Array:
+        return np.array([entry.time for entry in self._entries.get(topic, ())], np.int64)
+
+    def in_order_of_file(self, topics: Sequence[str]) -> list[tuple[str, int]]:
+        """Return topic and number of all messages of some topics, so that each chunk is unpacked once."""
+        found = [
+            (entry.chunk_pos, topic, n) for topic in topics for n, entry in enumerate(self._entries.get(topic, ()))
+        ]
+        return [(topic, n) for _, topic, n in sorted(found)]
+
+    def close(self) -> None:
+        if self._reader.bio is not None:
+            self._reader.bio.close()
+
+    def _unpack(self, place: int) -> bytes:
+        packed = self._reader.chunks[place]
+        with self._lock:
+            file: Any = self._reader.bio
+            file.seek(packed.datapos)
+            data = file.read(packed.datasize)
+        return packed.decompressor(data)
+
+
+class _Unfinished(Reader):
+    """A bag that was killed or cut off, so that it has no index: one is made from its complete chunks."""
+
+    def open(self) -> None:
+        size = self.path.stat().st_size
+        self.bio = file = self.path.open("rb")
+        file.readline()
+        Header.read(file)
+        file.seek(read_uint32(file), 1)
+        found: defaultdict[int, list[IndexData]] = defaultdict(list)
+        names: dict[int, Any] = {}
+        while True:
+            place = file.tell()
+            try:
+                kind = Header.read(file).get_uint8("op")
+                length = read_uint32(file)
+            except Exception:  # the end, or damage
+                break
+            start = file.tell()
+            if start + length > size or kind not in (RecordType.CHUNK, RecordType.IDXDATA):
+                break
+            if kind == RecordType.CHUNK:
+                file.seek(place)
+                self.chunks[place] = self.read_chunk()
+                file.seek(start)
+                self._walk(place, self.chunks[place].decompressor(file.read(length)), found, names)
+            file.seek(start + length)
+        self.indexes = {number: sorted(entries) for number, entries in found.items() if number in names}
+        self.connections = [names[number]._replace(msgcount=len(self.indexes[number])) for number in self.indexes]
+
+    def _walk(self, place: int, chunk: bytes, found: dict[int, list[IndexData]], names: dict[int, Any]) -> None:
+        """Add the messages and the connections in a chunk."""
+        inside = Reader(self.path)  # it reads connections from the chunk
+        inside.bio = BytesIO(chunk)
+        while (offset := inside.bio.tell()) < len(chunk):
+            head = Header.read(inside.bio)
+            if head.get_uint8("op") == RecordType.CONNECTION:
+                inside.bio.seek(offset)
+                connection = inside.read_connection()
+                names[connection.id] = connection
+            else:
+                inside.bio.seek(read_uint32(inside.bio), 1)
+                found[head.get_uint32("conn")].append(IndexData(head.get_time("time"), place, offset))
+
+
+class SplitBag(Bag):
+    """The files of one recording, one after another, which ``ros2 bag record`` writes into a folder."""
+
+    def __init__(self, folder: Path, progress: Progress | None) -> None:
+        super().__init__()
+        self._resources = ExitStack()
+        self._parts: list[Bag] = []
+        paths = _parts_of(folder)
+        try:
+            for number, path in enumerate(paths):
+                told = None if progress is None else part_of(progress, number, len(paths))
+                part = open_bag(self._plain(path), told)
+                self._resources.callback(part.close)
+                self._parts.append(part)
+                self.types |= part.types
+        except BaseException:
+            self.close()
+            raise
+        self.complete = all(part.complete for part in self._parts)
+
+    def is_ros1(self, topic: str) -> bool:
+        return any(part.is_ros1(topic) for part in self._parts if topic in part.types)
+
+    def count(self, topic: str) -> int:
+        return sum(part.count(topic) for part in self._parts)
+
+    def raw(self, topic: str, index: int) -> memoryview:
+        for part in self._parts:
+            if index < part.count(topic):
+                return part.raw(topic, index)
+            index -= part.count(topic)
+        raise DamagedFileError(f"there is no message {index} of {topic}")
+
+    def times_ns(self, topic: str) -> Int64Array:
+        found = [part.times_ns(topic) for part in self._parts if topic in part.types]
+        return np.concatenate(found) if found else np.empty(0, np.int64)
+
+    def close(self) -> None:
+        self._resources.close()
+
+    def _plain(self, path: Path) -> Path:
+        """Return a file that was compressed as a whole, unpacked into a folder that goes when the bag is closed."""
+        if path.suffix != ".zstd":
+            return path
+        folder = Path(self._resources.enter_context(tempfile.TemporaryDirectory(prefix="tactune-")))
+        with zstd.open(path, "rb") as packed, (folder / path.stem).open("wb") as plain:
+            shutil.copyfileobj(packed, plain)
+        return folder / path.stem
+
+
+def open_bag(path: Path, progress: Progress | None = None) -> Bag:
+    """Open a file by its content, or the folder of ``ros2 bag record``; `SourceError` says what is wrong."""
+    if path.name == METADATA:
+        path = path.parent
+    with damage_told(path, "this is no readable ROS recording"):
+        if path.is_dir():
+            return SplitBag(path, progress)
+        with path.open("rb") as file:
+            start = file.read(32)
+        if start.startswith(SQLITE_MAGIC):
+            return SqliteBag(path)
+        if start.startswith(ROS1_MAGIC):
+            return Ros1Bag(path)
+        if start.startswith(MAGIC) or MAGIC.startswith(start):
+            return McapBag(path, progress)
+        raise DamagedFileError("it begins neither as a ROS 1 bag nor as MCAP or SQLite" if start else "it is empty")
+
+
+def _parts_of(folder: Path) -> list[Path]:
+    """Return the files of a recording in the order of time."""
+    try:
+        about = YAML(typ="safe").load((folder / METADATA).read_text("utf-8"))["rosbag2_bagfile_information"]
+        paths = [folder / PurePath(name).name for name in about["relative_file_paths"]]
+    except OSError:
+        raise
+    except Exception as error:
+        raise SourceError(f"{folder / METADATA} describes no ROS 2 bag ({foreign(error)}); choose its files") from error
+    if missing := [path for path in paths if not path.is_file()]:
+        raise SourceError(f"{folder} lacks {missing[0].name}, which {METADATA} names; copy all files of the recording")
+    if not paths:
+        raise SourceError(f"{folder / METADATA} names no file; choose the files of the recording")
+    return paths
+
+
+def _long_name(kind: str) -> str:
+    """Return a message type as ROS 2 writes it: ``sensor_msgs/msg/Image``."""
+    package, _, name = kind.partition("/")
+    return kind if name.startswith("msg/") else f"{package}/msg/{name}"

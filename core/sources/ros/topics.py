@@ -1,0 +1,224 @@
+"""Which topic of a ROS recording is which image of the rig: what there is, a guess, and what a person says.
+
+The guess reads types, encodings and names, as realsense-ros, OrbbecSDK_ROS2, depthai-ros and Tactune's own recordings
+write them. Where it does not know, it says so and does not choose.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+from ...errors import ExportError, SourceError, counted, foreign
+from ...model.files import atomic_path
+from ...model.loading import read_json
+from ..base import split_topics
+from ..mcap.messages import CAMERA_INFO, IMAGE
+from ..ros_image import DamagedFileError, RawImage
+from .bags import Bag
+
+COMPRESSED: Final = "sensor_msgs/msg/CompressedImage"
+#: What a person may name, as in ``proximity.depth=/camera/depth/image_rect_raw``.
+SLOTS: Final = tuple(f"{role}.{what}" for role in ("proximity", "tactile") for what in ("depth", "color", "info"))
+
+#: Parts of a name that say which stream of a camera it is. What is left names the camera.
+_STREAM_WORDS: Final = {
+    *("aligned", "align", "to", "depth", "color", "colour", "rgb", "ir", "infra", "infra1", "infra2", "infrared"),
+    *("mono", "stereo", "image", "raw", "rect", "rectified", "registered", "sensor", "data"),
+    *("compressed", "compressedDepth", "theora"),
+}
+_TRANSPORT = re.compile(r"/(compressed|compressedDepth)$")
+_INFRARED: Final = frozenset(["ir", "infra", "infra1", "infra2", "infrared", "mono"])
+_PROXIMITY: Final = ("prox", "l515", "tof", "lidar", "femto", "azure", "kinect")
+_TACTILE: Final = ("tact", "d405", "touch", "membrane", "bubble", "gel")
+
+
+@dataclass(frozen=True)
+class ImageTopic:
+    """One stream of images. ``info`` is the topic of its lens, or empty; ``frame`` the frame in its headers."""
+
+    name: str
+    kind: Literal["depth", "color"]
+    encoding: str
+    width: int
+    height: int
+    count: int
+    frame: str
+    info: str
+
+    @property
+    def words(self) -> frozenset[str]:
+        return frozenset(re.split(r"[/_]", self.name))
+
+    @property
+    def camera(self) -> str:
+        """The part of the name that is the camera's, such as ``camera`` or ``left/d405``."""
+        parts = ("_".join(w for w in part.split("_") if w not in _STREAM_WORDS) for part in self.name.split("/"))
+        return "/".join(filter(None, parts))
+
+    def __str__(self) -> str:
+        return f"{self.name} ({self.width} x {self.height}, {self.encoding}, {counted(self.count, 'image')})"
+
+
+#: A topic for each of `SLOTS` that is used.
+Topics = dict[str, str]
+
+
+def survey(bag: Bag) -> tuple[ImageTopic, ...]:
+    """Return the image streams of a recording, by name; those that are no images are left out."""
+    infos = {topic for topic, kind in bag.types.items() if kind == CAMERA_INFO}
+    frames = {topic: bag.message(topic, 0).header.frame_id for topic in infos}
+    found = []
+    for topic in sorted(bag.types):
+        if bag.types[topic] not in (IMAGE, COMPRESSED):
+            continue
+        try:
+            message = bag.message(topic, 0)
+            image = RawImage.of(message)
+        except (DamagedFileError, SourceError):
+            continue
+        words = frozenset(re.split(r"[/_]", topic))
+        says_depth = "depth" in words or "stereo" in words
+        is_depth = image.is_depth and (says_depth or (image.encoding != "mono16" and not words & _INFRARED))
+        frame = message.header.frame_id
+        found.append(
+            ImageTopic(
+                topic,
+                "depth" if is_depth else "color",
+                image.encoding,
+                image.width,
+                image.height,
+                bag.count(topic),
+                frame,
+                _info_of(topic, frame, infos, frames),
+            )
+        )
+    return tuple(found)
+
+
+def _info_of(topic: str, frame: str, infos: set[str], frames: Mapping[str, str]) -> str:
+    """Return the topic of an image's lens: beside it, or else the only one of its frame."""
+    plain = _TRANSPORT.sub("", topic)
+    for candidate in (f"{plain.rpartition('/')[0]}/camera_info", f"{plain}/camera_info"):
+        if candidate in infos:
+            return candidate
+    same = [info for info in sorted(infos) if frame and frames[info] == frame]
+    return same[0] if len(same) == 1 else ""
+
+
+def guess_topics(images: Sequence[ImageTopic], joined: Callable[[str, str], bool]) -> tuple[Topics, str]:
+    """Return the topics of a rig and, where the names do not tell them, a clause that says what is missing.
+
+    ``joined`` tells whether the recording knows the pose between two frames: only then an image in another frame than
+    the depth can be used as its colour.
+    """
+    cameras: defaultdict[str, list[ImageTopic]] = defaultdict(list)
+    for image in images:
+        cameras[image.camera].append(image)
+    with_depth = {name: group for name, group in cameras.items() if any(each.kind == "depth" for each in group)}
+    if not with_depth:
+        return {}, "no topic has depth images"
+    roles = _roles(list(with_depth))
+    if roles is None:
+        return {}, "its names do not say which camera is proximity and which is tactile"
+    topics: Topics = {}
+    for role, name in roles.items():
+        depth, color = _streams(with_depth[name], joined)
+        topics[f"{role}.depth"] = depth.name
+        if color is not None:
+            topics[f"{role}.color"] = color.name
+    return topics, ""
+
+
+def _roles(cameras: list[str]) -> dict[str, str] | None:
+    """Return the camera of each role, by their names; None if these do not tell it."""
+    if len(cameras) == 1:
+        return {"proximity": cameras[0]}
+    near = [name for name in cameras if any(word in name.lower() for word in _PROXIMITY)]
+    touch = [name for name in cameras if any(word in name.lower() for word in _TACTILE)]
+    if len(cameras) == 2:  # the other one is the other camera
+        near = near or [name for name in cameras if name not in touch]
+        touch = touch or [name for name in cameras if name not in near]
+    if len(near) == len(touch) == 1 and near != touch:
+        return {"proximity": near[0], "tactile": touch[0]}
+    return None
+
+
+def _streams(group: Sequence[ImageTopic], joined: Callable[[str, str], bool]) -> tuple[ImageTopic, ImageTopic | None]:
+    """Return the depth and the colour of one camera: raw before compressed, in the camera's own frame if possible."""
+
+    def depth_rank(image: ImageTopic) -> tuple[bool, ...]:
+        words = image.words
+        return ("aligned" in words or "registered" in words, "compressedDepth" in words, "rect" not in words)
+
+    def color_rank(image: ImageTopic) -> tuple[bool, ...]:
+        words = image.words
+        return (bool(words & _INFRARED), not words & {"color", "colour", "rgb"}, "compressed" in words)
+
+    depths = sorted((image for image in group if image.kind == "depth"), key=depth_rank)
+    colors = sorted((image for image in group if image.kind == "color"), key=color_rank)
+    for color in colors:
+        for depth in depths:
+            if depth.frame == color.frame or joined(depth.frame, color.frame):
+                return depth, color
+    return depths[0], None
+
+
+def split_name(name: str) -> tuple[str, Topics]:
+    """Return a source's name without the topics at its end, ``?proximity.depth=/a,tactile.depth=/b``, and these."""
+    plain, topics = split_topics(name)
+    return plain, parse_topics(topics[1:])
+
+
+def parse_topics(text: str) -> Topics:
+    """Return the topics that a person names, with commas between; `SourceError` names what is wrong."""
+    topics: Topics = {}
+    for part in filter(None, (part.strip() for part in text.split(","))):
+        slot, _, topic = (word.strip() for word in part.partition("="))
+        if slot not in SLOTS or not topic.startswith("/"):
+            raise SourceError(
+                f"the topics say {foreign(part)!r}; write proximity.depth=/a/topic, with commas between; "
+                f"known are {', '.join(SLOTS)}"
+            )
+        topics[slot] = topic
+    return topics
+
+
+def stored_path(recording: Path) -> Path:
+    """Return the file beside a recording that keeps its topics."""
+    return recording / "topics.json" if recording.is_dir() else recording.with_name(f"{recording.name}.topics.json")
+
+
+def load_topics(recording: Path) -> Topics:
+    """Return the topics that were chosen for a recording before; empty if none were."""
+    path = stored_path(recording)
+    if not path.is_file():
+        return {}
+    try:
+        found = read_json(path)
+        return parse_topics(",".join(f"{slot}={topic}" for slot, topic in found.items()))
+    except (OSError, ValueError, AttributeError) as error:
+        raise SourceError(f"{path} names no topics ({foreign(error)}); correct or remove it") from error
+
+
+def store_topics(recording: Path, topics: Topics) -> bool:
+    """Keep the topics beside a recording; return False where nothing can be written there."""
+    try:
+        with atomic_path(stored_path(recording)) as temporary:
+            temporary.write_text(json.dumps(topics, indent=2) + "\n", "utf-8")
+    except ExportError:
+        return False
+    return True
+
+
+def list_topics(images: Sequence[ImageTopic], types: Mapping[str, str]) -> str:
+    """Return what a recording has, for the end of a message."""
+    if images:
+        return "its images: " + "; ".join(map(str, images[:8])) + ("; …" if len(images) > 8 else "")
+    names = ", ".join(f"{foreign(topic, 60)} ({foreign(kind, 60)})" for topic, kind in sorted(types.items())[:8])
+    return f"its topics: {names}" if names else "it has no messages"
