@@ -44,14 +44,18 @@ def _open_bag(rest: str, progress: Progress | None, _: CamerasSection | None) ->
     from .realsense_files.source import BagSource, is_realsense
     from .ros.source import RosSource
 
-    return BagSource(rest, progress) if is_realsense(rest) else RosSource("bag", rest, progress)
+    if split_topics(rest)[1] or not is_realsense(rest):
+        return RosSource("bag", rest, progress)
+    return BagSource(rest, progress)
 
 
 def _open_mcap(rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:
     from .mcap.source import McapSource, is_ours
     from .ros.source import RosSource
 
-    return McapSource(rest, progress) if is_ours(rest) else RosSource("mcap", rest, progress)
+    if split_topics(rest)[1] or not is_ours(rest):
+        return RosSource("mcap", rest, progress)
+    return McapSource(rest, progress)
 
 
 def _open_ros_folder(rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:

@@ -126,9 +126,9 @@ class RawImage:
         if self.encoding in _PLANES:
             return np.asarray(cv2.cvtColor(self._planes(shape, 1.5), _PLANES[self.encoding]), np.uint8)
         if self.encoding == "nv24":
-            luma, chroma = np.split(self._planes(shape, 3), [shape[0]])
-            pixels = np.dstack([luma, chroma.reshape(*shape, 2)])
-            return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_YUV2RGB), np.uint8)
+            luma, chroma = np.split(self._planes(shape, 3), [shape[0]])  # colour of each pixel: a quarter is shown
+            pixels = np.vstack([luma, chroma.reshape(*shape, 2)[::2, ::2].reshape(-1, shape[1])])
+            return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_YUV2RGB_NV12), np.uint8)
         if self.encoding not in _TO_RGB:
             known = ", ".join((*_TO_RGB, *_WIDE, *_PLANES, "nv24"))
             raise DamagedFileError(f"it is encoded as {foreign(self.encoding, 40)!r}; known are {known}")

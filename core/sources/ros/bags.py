@@ -23,13 +23,13 @@ from typing import Any, Final
 import numpy as np
 from rosbags.rosbag1 import Reader, ReaderError
 from rosbags.rosbag1.reader import Header, IndexData, RecordType, read_uint32
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from ruamel.yaml import YAML
 
 from ...errors import SourceError, foreign
 from ...model.arrays import Int64Array
 from ..base import Progress, part_of
-from ..mcap.messages import TYPES
+from ..mcap.messages import TRANSFORMS, TYPES
 from ..mcap.reader import MAGIC, McapFile
 from ..ros_image import DamagedFileError, damage_told
 
@@ -43,7 +43,11 @@ SQLITE_MAGIC: Final = b"SQLite format 3\x00"
 ROS1_MAGIC: Final = b"#ROSBAG V"
 _ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 _CACHED_CHUNKS: Final = 4
+#: Types of poses, of which the library knows ROS 2's only.
+POSES: Final = (TRANSFORMS, "tf/msg/tfMessage")
 _ROS1 = get_typestore(Stores.ROS1_NOETIC)
+for _name in POSES:
+    _ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", _name))
 
 
 class Bag(ABC):

@@ -15,9 +15,9 @@ from ...model.frames import DepthCamera, Rig, SensorFrame, camera_pose
 from ..base import Health, Progress, SeekableSource
 from ..cameras.camera import Calibration
 from ..lens import Lens, camera_info_lens
-from ..mcap.messages import TRANSFORMS, matrix_of
+from ..mcap.messages import matrix_of
 from ..ros_image import FLOAT_UNIT_M, RawImage, damage_told, nearest_within, pairs, period_s
-from .bags import Bag, open_bag
+from .bags import POSES, Bag, open_bag
 from .topics import ImageTopic, Topics, guess_topics, list_topics, load_topics, split_name, store_topics, survey
 
 #: Unit of depth in whole numbers, by ROS's convention for depth images (REP 118).
@@ -39,7 +39,7 @@ class Frames:
         self._edges: dict[str, dict[str, Float64Array]] = {}
         poses: dict[tuple[str, str], list[Float64Array]] = {}
         for topic, kind in bag.types.items():
-            if kind != TRANSFORMS:
+            if kind not in POSES:
                 continue
             for index in range(min(bag.count(topic), _TRIED_INFOS)):
                 for each in bag.message(topic, index).transforms:

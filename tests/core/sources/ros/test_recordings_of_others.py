@@ -1,0 +1,268 @@
+"""Recordings of other programs: containers, topics, encodings, lenses, transforms and pairing, each against NumPy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from ros_maker import CHAIN, H, W, color, depth, make_recording
+from tactune.core import open_source
+from tactune.core.errors import SourceError
+from tactune.core.model.intrinsics import Distortion
+from tactune.core.sources.ros.topics import stored_path
+
+NEAR, TOUCH = "/l515/depth/image_rect_raw", "/d405/depth/image_rect_raw"
+TWO = [depth(NEAR, "a_optical"), depth(TOUCH, "b_optical", 390), color("/l515/color/image_raw", "c_optical")]
+RNG = np.random.default_rng(5)
+
+
+def first_frame(path: Path) -> Any:
+    with open_source(str(path)) as source:
+        return source.rig, source.next_frame(), source.health()
+
+
+def file_in(folder: Path) -> Path:
+    return next(path for path in folder.iterdir() if path.name != "metadata.yaml")
+
+
+@pytest.mark.parametrize(
+    ("kind", "opened"),
+    [
+        ("mcap", lambda path: path),
+        ("mcap", file_in),
+        ("mcap", lambda path: path / "metadata.yaml"),
+        ("sqlite", lambda path: path),
+        ("sqlite", file_in),
+        ("zstd", lambda path: path),
+        ("file", lambda path: path),
+        ("ros1", lambda path: path),
+    ],
+)
+def test_every_container_plays_the_same(tmp_path: Path, kind: str, opened: Any) -> None:
+    path = opened(make_recording(tmp_path / ("take.bag" if kind == "ros1" else "take"), TWO, kind=kind))
+    with open_source(str(path)) as source:
+        assert source.health().ok, source.health()
+        assert source.length == 3
+        assert np.allclose(np.array(source.rig.T_proximity_tactile)[:3, 3], (0.05, 0.0, 0.0))
+        assert np.allclose(np.array(source.rig.proximity_color.T_color_depth)[:3, 3], (0.014, 0.0, 0.0))
+        for n, frame in enumerate(source):
+            assert (frame.proximity_depth == 400 + n).all()
+            assert (frame.tactile_depth == 390 + n).all()
+            assert (frame.proximity_color == 90).all()
+            assert frame.proximity_time_s == frame.tactile_time_s == pytest.approx(1000 + 0.1 * n)
+
+
+@pytest.mark.parametrize(
+    ("near", "touch", "rgb"),
+    [
+        ("/proximity/depth/image", "/tactile/depth/image", "/proximity/color/image"),
+        ("/tof/camera/depth/image_raw", "/camera/camera/depth/image_rect_raw", "/tof/camera/color/image_raw"),
+        ("/femto/depth/image_raw", "/d405/camera/depth/image_rect_raw", "/femto/color/image_raw"),
+        ("/proximity_oak/stereo/image_raw", "/oak/stereo/image_raw", "/proximity_oak/rgb/image_raw"),
+        ("/prox/aligned_depth_to_color/image_raw", "/gel/depth/image_rect_raw", "/prox/color/image_raw"),
+    ],
+)
+def test_names_of_other_drivers_are_guessed(tmp_path: Path, near: str, touch: str, rgb: str) -> None:
+    infrared = color(f"{touch.rpartition('/depth')[0] or '/oak'}/infra1/image_rect_raw", "b_optical")
+    streams = [depth(touch, "b_optical", 390), depth(near, "a_optical"), color(rgb, "c_optical"), infrared]
+    _, frame, health = first_frame(make_recording(tmp_path / "take", streams))
+    assert (frame.proximity_depth[0, 0], frame.tactile_depth[0, 0]) == (400, 390)
+    assert (frame.proximity_color == 90).all(), health
+
+
+def test_names_that_do_not_tell_are_asked_for_and_the_answer_is_kept(tmp_path: Path) -> None:
+    path = make_recording(
+        tmp_path / "take", [depth("/cam1/depth", "a_optical"), depth("/cam2/depth", "b_optical", 390)]
+    )
+    with pytest.raises(SourceError, match=r"--topics .* /cam1/depth \(32 x 24, 16UC1, 3 images\); /cam2/depth"):
+        first_frame(path)
+    named = f"{path}?proximity.depth=/cam2/depth,tactile.depth=/cam1/depth"
+    for name in (named, path):
+        _, frame, _ = first_frame(name)
+        assert (frame.proximity_depth[0, 0], frame.tactile_depth[0, 0]) == (390, 400)
+    stored_path(path).write_text("[1]")
+    with pytest.raises(SourceError, match="correct or remove it"):
+        first_frame(path)
+
+
+def test_only_images_half_a_period_apart_are_a_frame(tmp_path: Path) -> None:
+    late = depth(TOUCH, "b_optical", 390, stamps_s=(0.0, 0.1, 0.26, 0.36), late_s=0.5)
+    near = depth(NEAR, "a_optical", stamps_s=(0.0, 0.1, 0.2, 0.3))
+    with open_source(str(make_recording(tmp_path / "take", [near, late]))) as source:
+        pairs = [(int(f.proximity_depth[0, 0]), int(f.tactile_depth[0, 0])) for f in source]
+        assert pairs == [(400, 390), (401, 391), (403, 392)]
+        assert source.health().unmatched == 2
+
+
+DEPTHS = {
+    "16UC1": np.arange(H * W, dtype=np.uint16).reshape(H, W) + 300,
+    "mono16": np.arange(H * W, dtype=np.uint16).reshape(H, W) + 300,
+    "32FC1": RNG.uniform(0.2, 0.6, (H, W)).astype(np.float32),
+}
+
+
+@pytest.mark.parametrize("big_endian", [False, True])
+@pytest.mark.parametrize("encoding", DEPTHS)
+def test_depth_encodings(tmp_path: Path, encoding: str, big_endian: bool) -> None:
+    image = DEPTHS[encoding].copy()
+    if encoding == "32FC1":
+        image[0, :3] = np.nan, np.inf, -1
+    near = depth(NEAR, "a_optical", images=[image] * 3, encoding=encoding, big_endian=big_endian, padding=8)
+    rig, frame, _ = first_frame(make_recording(tmp_path / "take", [near, TWO[1]]))
+    metres = frame.proximity_depth * rig.proximity.depth_unit_m
+    expected = np.where(np.isfinite(image) & (image > 0), image, 0) * (1.0 if encoding == "32FC1" else 0.001)
+    assert np.abs(metres - expected).max() < 1e-4
+
+
+def packed(image: np.ndarray, metres: bool) -> bytes:
+    """Compress depth as image_transport does; metres as A / depth + B."""
+    scale, offset = 100.0, 1.0
+    counts = np.rint(scale / image + offset).astype(np.uint16) if metres else image
+    return np.array([0, scale, offset], "<f4").tobytes() + cv2.imencode(".png", counts)[1].tobytes()
+
+
+@pytest.mark.parametrize("encoding", ["16UC1", "32FC1"])
+def test_compressed_depth(tmp_path: Path, encoding: str) -> None:
+    data = packed(DEPTHS[encoding], encoding == "32FC1")
+    topic = "/l515/depth/image_rect_raw/compressedDepth"
+    near = depth(
+        topic,
+        "a_optical",
+        images=[data] * 3,
+        encoding=f"{encoding}; compressedDepth png",
+        info="/l515/depth/camera_info",
+    )
+    rig, frame, _ = first_frame(make_recording(tmp_path / "take", [near, TWO[1]]))
+    expected = DEPTHS[encoding] * (1.0 if encoding == "32FC1" else 0.001)
+    assert np.abs(frame.proximity_depth * rig.proximity.depth_unit_m - expected).max() < 2e-3
+
+
+RGB = np.kron(RNG.integers(40, 200, (H // 4, W // 4, 3)), np.ones((4, 4, 1))).astype(np.uint8)
+GREY = cv2.cvtColor(RGB, cv2.COLOR_RGB2GRAY)
+
+
+def luma_and_chroma() -> tuple[np.ndarray, ...]:
+    """Y, U and V as video has them: 16 to 235, by ITU-R BT.601."""
+    weights = np.array([[65.481, 128.553, 24.966], [-37.797, -74.203, 112.0], [112.0, -93.786, -18.214]])
+    return tuple(np.rint(RGB @ weights.T / 255 + (16, 128, 128)).astype(np.uint8).transpose(2, 0, 1))
+
+
+def yuv(order: str) -> np.ndarray:
+    luma, u, v = luma_and_chroma()
+    return np.dstack([luma, np.where(np.arange(W) % 2, v, u)][:: 1 if order == "yuyv" else -1])
+
+
+def planes(name: str) -> np.ndarray:
+    luma, u, v = luma_and_chroma()
+    pair = (v, u) if name == "nv21" else (u, v)
+    step = 1 if name == "nv24" else 2
+    chroma = np.dstack([each[::step, ::step] for each in pair])
+    return np.vstack([luma, chroma.reshape(-1, W)])
+
+
+def bayer(pattern: str) -> np.ndarray:
+    image = np.empty((H, W), np.uint8)
+    for n, letter in enumerate(pattern):
+        image[n // 2 :: 2, n % 2 :: 2] = RGB[n // 2 :: 2, n % 2 :: 2, "rgb".index(letter)]
+    return image
+
+
+COLORS = {
+    "rgb8": RGB, "bgr8": RGB[..., ::-1], "rgba8": np.dstack([RGB, GREY]), "bgra8": np.dstack([RGB[..., ::-1], GREY]),
+    "rgb16": RGB.astype(np.uint16) * 256, "bgr16": RGB[..., ::-1].astype(np.uint16) * 256, "mono8": GREY, "8UC1": GREY,
+    "mono16": GREY.astype(np.uint16) * 256, "YUYV": yuv("yuyv"), "yuv422_yuy2": yuv("yuyv"), "yuyv": yuv("yuyv"),
+    "UYVY": yuv("uyvy"), "uyvy": yuv("uyvy"), "yuv422": yuv("uyvy"), "nv12": planes("nv12"), "nv21": planes("nv21"),
+    "nv24": planes("nv24"), "bayer_rggb8": bayer("rggb"), "bayer_bggr8": bayer("bggr"), "bayer_gbrg8": bayer("gbrg"),
+    "bayer_grbg8": bayer("grbg"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("encoding", COLORS)
+def test_color_encodings(tmp_path: Path, encoding: str) -> None:
+    image = np.ascontiguousarray(COLORS[encoding])
+    seen = color("/l515/color/image_raw", "c_optical", images=[image] * 3, encoding=encoding)
+    _, frame, health = first_frame(make_recording(tmp_path / "take", [*TWO[:2], seen]))
+    assert health.ok, health
+    expected = np.dstack([GREY] * 3) if "mono" in encoding or encoding == "8UC1" else RGB
+    inside = np.s_[1::4, 1::4] if "bayer" in encoding else np.s_[:]
+    assert np.abs(frame.proximity_color[inside].astype(int) - expected[inside]).max() <= (
+        12 if "bayer" in encoding else 4
+    )
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_compressed_color(tmp_path: Path, suffix: str) -> None:
+    data = cv2.imencode(suffix, RGB[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 100])[1].tobytes()
+    seen = color(
+        "/l515/color/image_raw/compressed", "c_optical", images=[data] * 3, encoding="rgb8; jpeg compressed bgr8"
+    )
+    _, frame, _ = first_frame(make_recording(tmp_path / "take", [*TWO[:2], seen]))
+    assert np.abs(frame.proximity_color.astype(int) - RGB).mean() < 12
+
+
+@pytest.mark.parametrize(
+    ("model", "d"),
+    [
+        ("plumb_bob", (0.05, -0.02, 0.001, 0.002, 0.003)),
+        ("plumb_bob", (0.05, -0.02, 0.001, 0.002)),
+        ("rational_polynomial", (0.05, -0.02, 0.001, 0.002, 0.003, 0.01, 0.02, 0.0)),
+        ("rational_polynomial", (0.0,) * 8),
+        ("thin_prism", (0.05, -0.02, 0.001, 0.002, 0.003, 0.0, 0.0, 0.0, 0.01, 0.0, 0.02, 0.0)),
+        ("equidistant", (0.05, -0.02, 0.001, 0.002)),
+        ("equidistant", (0.0,) * 4),
+        ("", ()),
+        ("none", (0.0,) * 5),
+    ],
+)
+def test_lens_models_see_a_place_where_opencv_does(tmp_path: Path, model: str, d: tuple[float, ...]) -> None:
+    """A bright spot is deprojected to the ray that OpenCV finds for its pixel."""
+    image = np.full((H, W), 400, np.uint16)
+    image[6:9, 24:27] = 500
+    near = depth(NEAR, "a_optical", images=[image] * 3, model=model, d=d)
+    rig, frame, _ = first_frame(make_recording(tmp_path / "take", [near, TWO[1]]))
+    k, spot = np.array(near.k).reshape(3, 3), np.array([[[25.0, 7.0]]])
+    undistort = cv2.fisheye.undistortPoints if model == "equidistant" else cv2.undistortPoints
+    ray = undistort(spot, k, np.array(d)).ravel() if d else (spot.ravel() - k[:2, 2]) / 30
+    found = rig.proximity.intrinsics.rays()[frame.proximity_depth == 500].mean(axis=0)
+    assert np.abs(found - ray).max() * 30 < 0.6  # pixels
+    assert rig.proximity.intrinsics.distortion in (Distortion.NONE, Distortion.BROWN_CONRADY)
+
+
+def test_unknown_lenses_are_named(tmp_path: Path) -> None:
+    for name, model, d in (("a", "kittens", (0.1,) * 5), ("b", "none", (0.1,) * 5), ("c", "plumb_bob", (np.nan,) * 5)):
+        near = depth(NEAR, "a_optical", model=model, d=d)
+        with pytest.raises(SourceError, match=rf"{NEAR}: its lens"):
+            first_frame(make_recording(tmp_path / name, [near, TWO[1]]))
+
+
+def test_binning_region_and_the_first_filled_in_lens(tmp_path: Path) -> None:
+    near = depth(NEAR, "a_optical", size=(W * 2 + 8, H * 2 + 4), roi=(8, 4, H * 2, W * 2), binning=2, empty_infos=2)
+    rig, *_ = first_frame(make_recording(tmp_path / "take", [near, TWO[1]]))
+    lens = rig.proximity.intrinsics
+    assert (lens.width, lens.height, lens.fx, lens.fy) == (W, H, 15.0, 15.0)
+    assert (lens.cx, lens.cy) == ((15.5 - 8) / 2, (11.5 - 4) / 2)
+    wrong = depth(NEAR, "a_optical", size=(W * 3, H))
+    with pytest.raises(SourceError, match="32 x 24 pixels, but its camera_info describes 96 x 24"):
+        first_frame(make_recording(tmp_path / "wrong", [wrong, TWO[1]]))
+
+
+@pytest.mark.parametrize("broken", [("rig", "b_link"), ("c_link", "c_optical")])
+def test_a_chain_that_is_broken_is_a_gap_not_a_pose(tmp_path: Path, broken: tuple[str, str]) -> None:
+    transforms = tuple(each for each in CHAIN if each[:2] != broken)
+    rig, frame, health = first_frame(make_recording(tmp_path / "take", TWO, transforms))
+    assert (rig.T_proximity_tactile is None) == (broken == ("rig", "b_link"))
+    assert frame.proximity_color.any() == (broken == ("rig", "b_link"))
+    assert not health.ok
+
+
+@pytest.mark.parametrize("streams", [[], [color("/l515/color/image_raw", "c_optical")]])
+def test_without_depth_it_lists_what_there_is(tmp_path: Path, streams: list[Any]) -> None:
+    with pytest.raises(
+        SourceError, match=r"no topic has depth images.*--topics.*(tf_static|color/image_raw)"
+    ) as caught:
+        first_frame(make_recording(tmp_path / "take", streams))
+    assert "record" not in str(caught.value).partition("take")[2]
