@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from PyQt6.QtCore import QObject, QSignalBlocker, pyqtSignal
 from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QLineEdit, QPushButton, QTabWidget, QWidget
 
+from ...core.sources.base import split_topics
 from ...widgets.basics.controls import NoteLabel, ProgressBar, caption, dialog_buttons
 from ...widgets.basics.layouts import hbox, vbox
 from ..context import Context
@@ -133,7 +134,7 @@ class OpenControl(QObject):
 
     def take_failure(self, name: str, sentence: str) -> bool:
         """Show in the dialog why a source was not opened; return False if the dialog did not ask for it."""
-        if self.dialog is None or name != self._opening:
+        if self.dialog is None or split_topics(name)[0] != self._opening:
             return False
         self._opening = ""
         self.dialog.show_failure(sentence)
@@ -158,11 +159,11 @@ class OpenControl(QObject):
         if self.dialog is not None and self.dialog.page is self._cameras and self._cameras.serials is not None:
             proximity, tactile = self._cameras.serials
             self._context.document.edit_many({"cameras.proximity.serial": proximity, "cameras.tactile.serial": tactile})
-        self._opening = name
+        self._opening = split_topics(name)[0]
         self._context.sourceRequested.emit(name)
 
     def _show_progress(self, name: str, share: float, words: str) -> None:
-        if self.dialog is not None and name == self._opening:
+        if self.dialog is not None and split_topics(name)[0] == self._opening:
             self.dialog.show_progress(share, words)
 
     def _opened(self) -> None:

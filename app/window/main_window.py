@@ -37,6 +37,7 @@ from ..sources.cameras_page import CAMERA_SCHEMES
 from ..sources.control import CameraControl
 from ..sources.opening import OpenControl
 from ..sources.pages import RECENT
+from ..sources.topics import WITHOUT_TOPICS, TopicsControl
 from ..timeline.control import Timeline
 from ..timeline.export import FrameExport
 from ..worker.errors import ErrorHook
@@ -113,6 +114,7 @@ class MainWindow(QMainWindow):
         self.calibration = CalibrationLauncher(self.context)
         self.cameras = CameraControl(self.context)
         self.sources = OpenControl(self.context)
+        self.topics = TopicsControl(self, self._open_named, self._open_failed)
         self.checks = CameraChecks(self.context)
         self.untouched = UntouchedControls(self.context)
         self.watch = WatchControl(
@@ -282,7 +284,14 @@ class MainWindow(QMainWindow):
         actions.show_time.toggled.connect(timeline.set_shown)
 
     def open_source(self, name: str) -> None:
-        """Open a source by its name; the present one stays open until that has succeeded."""
+        """Open a source by its name, after its topics were asked for if it is a recording of another program."""
+        if name.partition(":")[0] in WITHOUT_TOPICS:
+            self._open_named(name)
+        else:
+            self.topics.open(name)
+
+    def _open_named(self, name: str) -> None:
+        """Open a source; the present one stays open until that has succeeded."""
         cameras = self.document.preset.cameras
         exclusive = name.startswith(CAMERA_SCHEMES)
         self.open_request(SourceRequest(name, lambda progress: open_source(name, progress, cameras), exclusive))
@@ -470,7 +479,15 @@ class MainWindow(QMainWindow):
 
     def shut_down(self) -> None:
         showing = (self.watch, self.publishing, self.suggest, self.timeline, self.export, self.checks)
-        for part in (*showing, self.cameras, self.sources, self.analysis, self.untouched, self.calibration):
+        for part in (
+            *showing,
+            self.cameras,
+            self.topics,
+            self.sources,
+            self.analysis,
+            self.untouched,
+            self.calibration,
+        ):
             part.close()
         self.worker.shut_down()
 

@@ -16,6 +16,7 @@ from .base import FrameSource, Progress, SourceKind, split_topics
 
 if TYPE_CHECKING:
     from ..preset import CamerasSection
+    from .ros.source import Inspection
 
 GROUP = "tactune.sources"
 
@@ -140,6 +141,27 @@ def open_source(name: str, progress: Progress | None = None, cameras: CamerasSec
         return kind.open(rest, progress, cameras)
     except OSError as error:
         raise SourceError(f"cannot open {foreign(name)}: {error.strerror or error}; check the path") from error
+
+
+def topics_to_choose(name: str, progress: Progress | None = None) -> Inspection | None:
+    """Return what a person can choose from before a ROS recording of another program is opened first.
+
+    None for every other source, and where the topics are named or were chosen before. Raises a `SourceError` if the
+    recording cannot be read.
+    """
+    from .mcap.source import is_ours
+    from .realsense_files.source import is_realsense
+    from .ros.source import inspect_recording
+
+    scheme, _, rest = name.partition(":")
+    if _kind(scheme) is None:
+        kind, rest = _guess(name)
+        scheme = kind.scheme
+    if split_topics(rest)[1] or not path_exists(rest) or scheme not in ("bag", "mcap", "rosbag"):
+        return None
+    if (scheme == "bag" and is_realsense(rest)) or (scheme == "mcap" and is_ours(rest)):
+        return None
+    return inspect_recording(user_path(rest), progress)
 
 
 def opens_by_name(name: str) -> bool:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
+import cv2
 import numpy as np
 
 from ...errors import SourceError, foreign
@@ -24,6 +27,8 @@ from .topics import ImageTopic, Topics, guess_topics, list_topics, load_topics, 
 _COUNT_UNIT_M: Final = 0.001
 #: Camera infos that are tried until one is filled in.
 _TRIED_INFOS: Final = 100
+#: Size of the pictures of topics, pixels.
+_PICTURE_PX: Final = 160
 #: A pose between two frames that changes by more than this, metres and radians, is none of a rig.
 _FIXED: Final = 1e-6
 
@@ -93,6 +98,49 @@ class _Camera:
         if self.color is None or self.partners[index] < 0:
             return depth, None
         return depth, self.color.read(bag, int(self.partners[index]))
+
+
+@dataclass(frozen=True, eq=False)
+class Inspection:
+    """What a person sees before the topics of a recording are chosen.
+
+    ``guess`` is empty and ``gap`` a clause where the names do not tell the topics; ``pictures`` has a small image of
+    each topic, RGB uint8 (H, W, 3).
+    """
+
+    images: tuple[ImageTopic, ...]
+    guess: Topics
+    gap: str
+    pictures: dict[str, Uint8Array]
+
+
+def inspect_recording(path: Path, progress: Progress | None = None) -> Inspection | None:
+    """Return what there is to choose from; None where the topics have been chosen before.
+
+    Raises a `SourceError` if it cannot be read.
+    """
+    if load_topics(path):
+        return None
+    with closing(open_bag(path, progress)) as bag, damage_told(path, "it is damaged"):
+        images, frames = survey(bag), Frames(bag)
+        guess, gap = guess_topics(images, lambda a, b: frames.pose(a, b) is not None)
+        pictures = {image.name: _picture(bag, image) for image in images}
+    return Inspection(images, guess, gap, pictures)
+
+
+def _picture(bag: Bag, image: ImageTopic) -> Uint8Array:
+    """Return the middle image of a topic, small; of depth, near is bright."""
+    raw, shape = RawImage.of(bag.message(image.name, image.count // 2)), (image.height, image.width)
+    if image.kind == "color":
+        pixels = raw.color(shape)
+    else:
+        depth = raw.depth(shape).astype(np.float32)
+        seen = depth[depth > 0]
+        near, far = np.percentile(seen, (2, 98)) if len(seen) else (0.0, 1.0)
+        shade = np.where(depth > 0, np.clip((far - depth) / max(far - near, 1.0), 0, 1) * 215 + 40, 0)
+        pixels = np.dstack([shade.astype(np.uint8)] * 3)
+    scale = _PICTURE_PX / max(shape)
+    return np.asarray(cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 class RosSource(SeekableSource):

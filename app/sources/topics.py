@@ -1,0 +1,141 @@
+"""Which topics of a ROS recording the rig's images are on: asked once, with a picture of each topic."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from PyQt6.QtCore import QObject, QSize, Qt
+from PyQt6.QtGui import QIcon, QImage, QPixmap
+from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QGridLayout, QLabel, QPushButton, QWidget
+
+from ...core.errors import as_sentence
+from ...core.sources.registry import topics_to_choose
+from ...core.sources.ros.source import Inspection
+from ...widgets.basics.controls import ChoiceBox, NoteLabel, caption, dialog_buttons, wrapped_label
+from ...widgets.basics.layouts import STRETCH, vbox
+from ..worker.jobs import Job
+
+_SLOTS = {
+    "proximity.depth": ("&Proximity depth", "The camera that looks through the membrane at the object"),
+    "proximity.color": (
+        "Proximity &colour",
+        "Colour of the same camera, for the mask of the prints; it may be missing",
+    ),
+    "tactile.depth": ("&Tactile depth", "The camera that sees the membrane itself"),
+    "tactile.color": ("Tactile c&olour", "Colour of the same camera; it may be missing"),
+}
+#: Schemes of sources that have no topics to ask for.
+WITHOUT_TOPICS = ("sim", "live", "folder", "cameras", "realsense")
+_NONE = "none"
+_PICTURE_SIZE, _ICON_SIZE = QSize(160, 120), QSize(48, 36)
+
+
+class TopicsDialog(QDialog):
+    """Asks for the topic of each image; the guess is chosen already."""
+
+    def __init__(self, name: str, found: Inspection, parent: QWidget | None) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Topics of the recording")
+        self._found = found
+        self.choices: dict[str, ChoiceBox] = {}
+        self._pictures: dict[str, QLabel] = {}
+        grid = QGridLayout()
+        for number, slot in enumerate(_SLOTS):
+            self._add(grid, number, slot)
+        self.note = NoteLabel(lines=2)
+        self.buttons = dialog_buttons(QDialogButtonBox.StandardButton.Open | QDialogButtonBox.StandardButton.Cancel)
+        self._open = self.buttons.button(QDialogButtonBox.StandardButton.Open) or QPushButton()
+        guessed = "Guessed from names and types. Check the pictures."
+        if found.gap:
+            guessed = f"{as_sentence(found.gap)} Choose by the pictures."
+        vbox(wrapped_label(f"{name}\n{guessed}"), grid, self.note, STRETCH, self.buttons, within=self)
+        self.buttons.accepted.connect(self.accept)
+        self.buttons.rejected.connect(self.reject)
+        self._show()
+
+    def _add(self, grid: QGridLayout, number: int, slot: str) -> None:
+        """Add a topic to choose, and below it its picture."""
+        title, tip = _SLOTS[slot]
+        choice, picture = ChoiceBox(), QLabel()
+        choice.setAccessibleName(title.replace("&", ""))
+        choice.setToolTip(tip)
+        choice.addItem(_NONE, "")
+        for image in self._found.images:
+            if image.kind == slot.partition(".")[2]:
+                choice.addItem(QIcon(self._pixmap(image.name)), image.name, image.name)
+                choice.setItemData(choice.count() - 1, str(image), Qt.ItemDataRole.ToolTipRole)
+        choice.setCurrentIndex(max(0, choice.findData(self._found.guess.get(slot, ""))))
+        choice.setIconSize(_ICON_SIZE)
+        choice.setMinimumContentsLength(36)
+        picture.setFixedHeight(_PICTURE_SIZE.height())
+        self.choices[slot], self._pictures[slot] = choice, picture
+        row, column = divmod(number, 2)
+        for line, widget in enumerate((caption(title, choice), choice, picture)):
+            grid.addWidget(widget, 3 * row + line, column)
+        choice.currentIndexChanged.connect(self._show)
+
+    def _pixmap(self, topic: str) -> QPixmap:
+        pixels = self._found.pictures[topic]
+        height, width, _ = pixels.shape
+        image = QImage(pixels.tobytes(), width, height, 3 * width, QImage.Format.Format_RGB888)
+        return QPixmap.fromImage(image).scaled(_PICTURE_SIZE, Qt.AspectRatioMode.KeepAspectRatio)
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """The topic of each image that has one."""
+        return {slot: box.currentData() for slot, box in self.choices.items() if box.currentData()}
+
+    def _show(self) -> None:
+        """Show the pictures of the chosen topics, and what is missing."""
+        for slot, picture in self._pictures.items():
+            topic = self.topics.get(slot, "")
+            picture.setPixmap(self._pixmap(topic)) if topic else picture.setText("No image")
+        depths = [self.topics.get(f"{role}.depth", "") for role in ("proximity", "tactile")]
+        problem = ""
+        if not depths[0]:
+            problem = "Choose the depth of the proximity camera."
+        elif depths[0] == depths[1]:
+            problem = "One topic is chosen twice: choose another one for one camera."
+        elif not depths[1]:
+            problem = "Without tactile depth the recording can be viewed only."
+        self.note.say(problem, error=bool(problem) and "viewed" not in problem)
+        self._open.setEnabled(bool(depths[0]) and depths[0] != depths[1])
+
+
+class TopicsControl(QObject):
+    """Looks into a recording before it is opened, and asks for its topics where nobody has chosen them yet."""
+
+    def __init__(self, parent: QWidget, use: Callable[[str], object], give_up: Callable[[str, str], object]) -> None:
+        super().__init__(parent)
+        self._window, self._use, self._give_up = parent, use, give_up
+        self._name = ""
+        self._job = Job(self)
+        self._job.done.connect(self._ask)
+        self._job.failed.connect(lambda _: self._use(self._name))  # opening it tells what is wrong
+        self.dialog: TopicsDialog | None = None
+
+    def open(self, name: str) -> None:
+        """Call ``use`` with the name, topics added; or ``give_up`` with it and a sentence."""
+        self._name = name
+        self._job.start(lambda progress: topics_to_choose(name, progress))
+
+    def close(self) -> None:
+        self._job.stop()
+
+    def _ask(self, found: Inspection | None) -> None:
+        if found is None or not any(image.kind == "depth" for image in found.images):
+            self._use(self._name)
+            return
+        self.dialog = TopicsDialog(self._name, found, self._window)
+        self.dialog.finished.connect(self._answered)
+        self.dialog.open()
+
+    def _answered(self, code: int) -> None:
+        dialog, self.dialog = self.dialog, None
+        if dialog is None:
+            return
+        if code == QDialog.DialogCode.Accepted:
+            self._use(f"{self._name}?{','.join(f'{slot}={topic}' for slot, topic in dialog.topics.items())}")
+        else:
+            self._give_up(self._name, "No topics were chosen; the recording was not opened.")
+        dialog.deleteLater()

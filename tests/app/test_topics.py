@@ -1,0 +1,79 @@
+"""Opening a recording of another program: its topics are shown with pictures, chosen once, and kept."""
+
+from __future__ import annotations
+
+import pytest
+from PyQt6.QtCore import Qt
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QDialogButtonBox
+
+from hands import LEFT
+from ros_maker import color, depth, make_recording
+from tactune.core.sources.ros.topics import load_topics, store_topics
+
+
+def press(dialog, button):
+    QTest.mouseClick(dialog.buttons.button(button), LEFT)
+
+
+@pytest.fixture
+def asked(window, qtbot, tmp_path):
+    """The dialog for a recording whose names say which camera is which, and its path."""
+    streams = [
+        depth("/l515/depth/image_rect_raw", "a_optical"),
+        depth("/d405/depth/image_rect_raw", "b_optical", 390),
+        color("/l515/color/image_raw", "c_optical"),
+    ]
+    path = make_recording(tmp_path / "take", streams)
+    window.open_source(str(path))
+    qtbot.waitUntil(lambda: window.topics.dialog is not None and window.topics.dialog.isVisible())
+    return window.topics.dialog, path
+
+
+def opened(window, path):
+    return window.result is not None and window.result.source.name == f"rosbag:{path}"
+
+
+def test_the_guess_is_opened_with_one_click_and_never_asked_again(window, qtbot, asked):
+    dialog, path = asked
+    assert dialog.topics == {
+        "proximity.depth": "/l515/depth/image_rect_raw",
+        "proximity.color": "/l515/color/image_raw",
+        "tactile.depth": "/d405/depth/image_rect_raw",
+    }
+    chosen = dialog.topics
+    press(dialog, QDialogButtonBox.StandardButton.Open)
+    qtbot.waitUntil(lambda: opened(window, path))
+    assert load_topics(path) == chosen
+    assert window.result.frame.tactile_depth[0, 0] == 390
+    window.open_source("sim:cup")
+    qtbot.waitUntil(lambda: window.result.source.name == "sim:cup")
+    window.open_source(str(path))
+    qtbot.waitUntil(lambda: opened(window, path))
+    assert window.topics.dialog is None
+
+
+def test_cameras_are_exchanged_by_keys_and_one_topic_twice_is_no_choice(window, qtbot, asked):
+    dialog, path = asked
+    open_button = dialog.buttons.button(QDialogButtonBox.StandardButton.Open)
+    for slot, topic in (("proximity.depth", "/d405"), ("tactile.depth", "/l515")):
+        box = dialog.choices[slot]
+        box.setFocus()
+        rows = box.findText(topic, Qt.MatchFlag.MatchStartsWith) - box.currentIndex()
+        for _ in range(abs(rows)):
+            QTest.keyClick(box, Qt.Key.Key_Down if rows > 0 else Qt.Key.Key_Up)
+        assert box.currentText().startswith(topic)
+        assert open_button.isEnabled() == (slot == "tactile.depth")
+    QTest.keyClick(dialog, Qt.Key.Key_Return)
+    qtbot.waitUntil(lambda: opened(window, path))
+    assert window.result.frame.tactile_depth[0, 0] == 400
+
+
+def test_cancel_opens_nothing_and_says_so(window, qtbot, asked):
+    dialog, path = asked
+    press(dialog, QDialogButtonBox.StandardButton.Cancel)
+    qtbot.waitUntil(lambda: any("No topics were chosen" in each for each in window.messages.sentences()))
+    assert not opened(window, path)
+    store_topics(path, {"proximity.depth": "/nowhere"})
+    window.open_source(str(path))
+    qtbot.waitUntil(lambda: any("/nowhere" in each for each in window.messages.sentences()))
