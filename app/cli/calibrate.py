@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -19,14 +18,12 @@ from .common import (
     warn,
 )
 
-if TYPE_CHECKING:
-    from ...core.model.intrinsics import Intrinsics
-
 #: Exit status of ``recheck`` after a drift.
 DRIFTED_STATUS = 1
 _LENS_HELP = (
-    "Model and lens of the {} camera: MODEL (L515, D405 or D435) for the maker's values, MODEL=fx,fy,cx,cy in px, "
-    "MODEL=camera for that of the connected camera, MODEL=DIR for a folder of pictures of a chessboard."
+    "Lens of the {} camera, perhaps with its model: [MODEL=]FILE of ROS, Kalibr (FILE:cam0) or OpenCV, or K.txt, "
+    "[MODEL=]fx,fy,cx,cy in px, [MODEL=]DIR with pictures of a chessboard, MODEL=camera for that of the connected "
+    "camera, MODEL (L515, D405 or D435) for the maker's values."
 )
 
 
@@ -111,77 +108,39 @@ def recheck(
 
 
 def create_rig(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="PNG images: one frame, or numbered subfolders.")],
+    folder: Annotated[
+        Path,
+        typer.Argument(metavar="DIR", help="Images of one frame, numbered subfolders, or rgb and depth (TUM, BOP)."),
+    ],
     *,
-    proximity: Annotated[str, typer.Option(metavar="LENS", help=_LENS_HELP.format("proximity"))] = "L515",
-    tactile: Annotated[str, typer.Option(metavar="LENS", help=_LENS_HELP.format("tactile"))] = "D405",
+    proximity: Annotated[str | None, typer.Option(metavar="LENS", help=_LENS_HELP.format("proximity"))] = None,
+    tactile: Annotated[str | None, typer.Option(metavar="LENS", help=_LENS_HELP.format("tactile"))] = None,
+    color: Annotated[
+        str | None,
+        typer.Option(metavar="LENS", help="The same of the proximity colour, where it is not aligned to the depth."),
+    ] = None,
+    unit: Annotated[
+        str | None,
+        typer.Option(
+            metavar="UNIT",
+            help="Length of a depth count: mm, metres such as 0.00025 or 1/5000, or proximity=UNIT,tactile=UNIT.",
+        ),
+    ] = None,
     corners: Annotated[str, typer.Option(metavar="CxR", help="Inner corners of the chessboard.")] = "9x6",
 ) -> None:
-    """Write the rig.json of a folder of images. The pose of the cameras is a matter of tactune calibrate.
+    """Write the rig.json of a folder of images.
 
-    Colour images of another size than the depth images get the lens that the connected camera states if --proximity
-    says =camera, else the maker's.
+    What files beside the images state is taken from them, such as BOP's scene_camera.json. What is assumed or missing
+    is said. Without a camchain of both cameras their pose is a matter of tactune calibrate.
     """
-    from ...core.calibration.lens import make_rig
-    from ...core.sources.folder import first_image_sizes, write_rig
+    from ...core.calibration.folder_rig import describe_folder
+    from ...core.sources.folder_images import write_rig
 
-    sizes = {name: (width, height) for name, (height, width) in first_image_sizes(folder).items()}
-    board = re.fullmatch(r"(\d+)x(\d+)", corners)
+    board = re.fullmatch(r"([0-9]{1,3})x([0-9]{1,3})", corners)
     if board is None:
         raise typer.BadParameter(f"--corners is {corners!r}; write the inner corners as 9x6")
-    size = int(board[1]), int(board[2])
-    cameras = {
-        role: _camera(text, "depth", sizes[f"{role}_depth.png"], size)
-        for role, text in (("proximity", proximity), ("tactile", tactile))
-    }
-    if sizes["proximity_color.png"] != sizes["proximity_depth.png"]:
-        model, _, how = proximity.partition("=")
-        lens = _camera(proximity if how == "camera" else model, "colour", sizes["proximity_color.png"], size)
-        cameras["proximity_color"] = {key: lens[key] for key in lens if key not in ("model", "depth_unit_m")}
-    write_rig(folder, make_rig(cameras))
-    typer.echo(f"wrote {folder / 'rig.json'}")
-
-
-def _camera(text: str, kind: str, size: tuple[int, int], corners: tuple[int, int]) -> dict[str, Any]:
-    """Return a camera as ``rig.json`` has it, from an option such as ``D405=boards``."""
-    from ...core.calibration.lens import MODELS, fit_lens, nominal_lens
-
-    name, _, how = text.partition("=")
-    if name not in MODELS:
-        raise typer.BadParameter(f"{text!r}: choose one of {', '.join(MODELS)}, or write rig.json by hand")
-    unit_m = MODELS[name].depth_unit_m
-    if not how:
-        lens = nominal_lens(*size, MODELS[name].views_deg[kind])
-        warn(
-            f"the {kind} lens of the {name} is the maker's, not measured: positions to the side are wrong by a few per "
-            f"cent; give {name}=camera, or {name}=DIR with pictures of a chessboard"
-        )
-    elif how == "camera":
-        lens, unit_m = _connected(name, kind, size)
-    elif how.count(",") == 3:
-        try:
-            numbers = dict(zip(("fx", "fy", "cx", "cy"), map(float, how.split(",")), strict=True))
-        except ValueError as error:
-            raise typer.BadParameter(f"{text!r}: write four numbers, fx,fy,cx,cy in px") from error
-        return {"model": name, "depth_unit_m": unit_m, "width": size[0], "height": size[1], **numbers}
-    else:
-        fit = fit_lens(Path(how), *corners, size)
-        rejected = f"; rejected: {', '.join(fit.refused)}" if fit.refused else ""
-        warn(f"{how}: {fit.used} pictures, {fit.rms_px:.2f} px RMS, fx ± {fit.focal_sd_px:.1f} px{rejected}")
-        lens = fit.intrinsics
-    return {"model": name, "depth_unit_m": unit_m, **lens.model_dump(mode="json")}
-
-
-def _connected(model: str, kind: str, size: tuple[int, int]) -> tuple[Intrinsics, float]:
-    """Return the lens that a connected camera states for its images, and its depth unit in metres."""
-    from ...core.sources.cameras.drivers import camera_drivers, connected_devices
-
-    for driver, device in connected_devices(camera_drivers()[0])[0]:
-        if model in device.model:
-            with closing(driver.open(device.serial, device.role or "proximity")) as camera:
-                lens = camera.calibration.depth.intrinsics if kind == "depth" else camera.calibration.color
-            if lens is not None and (lens.width, lens.height) == size:
-                return lens, camera.calibration.depth.depth_unit_m
-    raise CalibrationError(
-        f"no connected {model} states a {kind} lens for {size[0]} x {size[1]} pixels; tactune devices"
-    )
+    options = {"proximity": proximity, "tactile": tactile, "color": color}
+    found = describe_folder(folder, options, unit, (int(board[1]), int(board[2])))
+    warn(*found.warnings)
+    write_rig(folder, found.rig, found.forms)
+    typer.echo("\n".join([*found.notes, f"wrote {folder / 'rig.json'}"]))

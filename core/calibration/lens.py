@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import CalibrationError
 from ..model.arrays import AnyArray
-from ..model.frames import Rig
+from ..model.frames import Matrix4, Rig
 from ..model.intrinsics import Distortion, Intrinsics
 from ..model.loading import decode_image, read_file
 from ..model.rig_file import parse_rig
@@ -35,17 +35,18 @@ _VIEW_DEG: Final = (10.0, 150.0)
 
 @dataclass(frozen=True)
 class CameraModel:
-    """What the maker states: the length of one count, and the fields of view (horizontal, vertical) of the lenses."""
+    """What the maker states: length of a count, nearest depth, and fields of view (horizontal, vertical)."""
 
     depth_unit_m: float
+    near_m: float
     views_deg: Mapping[str, tuple[float, float]]
 
 
 #: Intel's data sheets of the L500 and D400 families.
 MODELS: Final = {
-    "L515": CameraModel(0.00025, {"depth": (70.0, 55.0), "colour": (70.0, 43.0)}),
-    "D405": CameraModel(0.0001, {"depth": (84.0, 58.0), "colour": (84.0, 58.0)}),
-    "D435": CameraModel(0.001, {"depth": (87.0, 58.0), "colour": (69.0, 42.0)}),
+    "L515": CameraModel(0.00025, 0.2, {"depth": (70.0, 55.0), "colour": (70.0, 43.0)}),
+    "D405": CameraModel(0.0001, 0.06, {"depth": (84.0, 58.0), "colour": (84.0, 58.0)}),
+    "D435": CameraModel(0.001, 0.1, {"depth": (87.0, 58.0), "colour": (69.0, 42.0)}),
 }
 
 
@@ -72,13 +73,15 @@ def check_lens(lens: Intrinsics, camera: str) -> None:
             )
 
 
-def make_rig(cameras: Mapping[str, dict[str, Any]]) -> Rig:
+def make_rig(cameras: Mapping[str, dict[str, Any]], pose: Matrix4 | None = None) -> Rig:
     """Return the rig of cameras as ``rig.json`` describes them, by its keys; colour and depth camera stand together."""
     data: dict[str, Any] = dict(cameras)
     if "proximity_color" in data:
         data["proximity_color"] = data["proximity_color"] | {"T_color_depth": np.eye(4).tolist()}
+    if pose is not None:
+        data["T_proximity_tactile"] = pose
     rig = parse_rig(data, "rig.json")
-    for name in data:
+    for name in cameras:
         check_lens(getattr(rig, name).intrinsics, f"{name.replace('_color', ' colour')} camera")
     return rig
 

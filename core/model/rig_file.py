@@ -28,6 +28,8 @@ from .intrinsics import Intrinsics
 from .loading import read_json
 
 _LENS_FIELDS = tuple(Intrinsics.model_fields)
+#: Fields that only the images of a folder need (see `tactune.core.sources.folder_images`).
+_FOLDER_FIELDS = ("rectify", "value_m")
 
 
 def load_rig(path: Path | str) -> Rig:
@@ -96,7 +98,7 @@ def _lens_json(intrinsics: Intrinsics) -> dict[str, Any]:
 def _nest_lens(flat: dict[str, Any]) -> dict[str, Any]:
     """Move the lens fields of a flat camera to ``intrinsics``, where the model has them."""
     lens = {key: value for key, value in flat.items() if key in _LENS_FIELDS}
-    rest = {key: value for key, value in flat.items() if key not in _LENS_FIELDS}
+    rest = {key: value for key, value in flat.items() if key not in (*_LENS_FIELDS, *_FOLDER_FIELDS)}
     return {**rest, "intrinsics": lens} if "intrinsics" not in rest else rest
 
 

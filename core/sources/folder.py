@@ -1,24 +1,25 @@
-"""Recordings as folders of PNG images that any program can read and write.
+"""Recordings as folders of images that any program can read and write.
 
 A recording is a folder with ``rig.json`` (see `tactune.core.model.rig_file`) and either one frame or
 numbered subfolders with one frame each; a subfolder ``untouched`` may hold a frame of the untouched
 membrane. A frame is::
 
     proximity_depth.png   16 bit, counts
-    proximity_color.png   8 bit, colour
-    tactile_depth.png     16 bit, counts
+    proximity_color.png   8 bit, colour                                            (optional)
+    tactile_depth.png     16 bit, counts                                           (optional)
     tactile_color.png     8 bit, colour, aligned to the tactile depth image        (optional)
     truth_contact.png     8 bit, 0 or 255, proximity pixels                        (optional)
     truth_depth.npy       float32 metres, proximity pixels, nan where unknown      (optional)
     truth_depth.png       the same in 16 bit and counts, 0 where unknown           (only read)
     frame.json            sequence, proximity_time_s, tactile_time_s               (optional)
+
+Depth may also be ``.tif``, ``.npy`` or ``.pgm``, colour ``.jpg``; `folder_layout` names the layouts of others.
 """
 
 from __future__ import annotations
 
 import io
 import os
-import re
 import secrets
 import shutil
 from pathlib import Path
@@ -29,25 +30,17 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ..errors import ExportError, SourceError
-from ..model.arrays import AnyArray, Float32Array, Uint8Array
+from ..model.arrays import AnyArray, Float32Array
 from ..model.clouds import valid_depth
-from ..model.files import atomic_path, remove_leftovers, user_path
+from ..model.files import remove_leftovers, user_path
 from ..model.frames import MAX_TIME_S, GroundTruth, Rig, SensorFrame, note_number
-from ..model.loading import decode_image, parse_npy, read_file
-from ..model.rig_file import json_text, load_rig, read_json_object, rig_to_json, validation_sentence
-from .base import FrameSource, Progress, SeekableSource, SourceKind
+from ..model.loading import parse_npy, read_file
+from ..model.rig_file import json_text, read_json_object, rig_to_json, validation_sentence
+from .base import FrameSource, Health, Progress, SeekableSource, SourceKind
+from .folder_images import check_size, load_folder_rig, read_color, read_depth, read_image
+from .folder_layout import FrameFiles, find_frames, own_images
 
 _NOMINAL_RATE_HZ = 30.0
-#: The images of a frame: whether it needs each, its bits and its channels.
-IMAGES = {
-    "proximity_depth.png": (True, 16, 1),
-    "proximity_color.png": (True, 8, 3),
-    "tactile_depth.png": (True, 16, 1),
-    "tactile_color.png": (False, 8, 3),
-}
-_REQUIRED = tuple(name for name, (needed, _, _) in IMAGES.items() if needed)
-
-
 _Seconds = Annotated[float, Field(ge=-MAX_TIME_S, le=MAX_TIME_S, allow_inf_nan=False)]
 
 
@@ -69,12 +62,13 @@ class FolderSource(SeekableSource):
         name = f"folder:{path}"
         if not self._path.is_dir():
             raise SourceError(f"{name}: there is no folder {self._path}; check the path")
-        rig = load_rig(self._path / "rig.json")
-        self._folders = _frame_folders(self._path)
-        self._stamps = [_read_stamp(folder, index) for index, folder in enumerate(self._folders)]
+        rig, self._forms = load_folder_rig(self._path / "rig.json")
+        self._layout = find_frames(self._path)
+        frames = enumerate(self._layout.frames)
+        self._stamps = [_read_stamp(files, index) for index, files in frames]
         if len({stamp.sequence for stamp in self._stamps}) < len(self._stamps):  # result files are named by it
             raise SourceError(f"{self._path} has two frames of the same sequence in frame.json; correct it")
-        super().__init__(name, rig, len(self._folders))
+        super().__init__(name, rig, len(self._stamps))
         self.read(0)
 
     @property
@@ -85,14 +79,52 @@ class FolderSource(SeekableSource):
         return 1.0 / median if median > 0 else _NOMINAL_RATE_HZ
 
     def read(self, index: int) -> SensorFrame:
-        return _read_frame(self._folders[index], self._stamps[index], self._rig)
+        return self._frame(self._layout.frames[index], self._stamps[index])
 
     def untouched(self) -> SensorFrame | None:
         """Return the frame in the subfolder ``untouched``, or None if there is none."""
         folder = self._path / "untouched"
         if not folder.is_dir():
             return None
-        return _read_frame(folder, _read_stamp(folder, 0), self._rig)
+        files = FrameFiles(own_images(folder), folder)
+        return self._frame(files, _read_stamp(files, 0))
+
+    def health(self) -> Health:
+        """Return what the folder lacks."""
+        slots, lacks = self._layout.slots, []
+        if "tactile_depth" not in slots:
+            lacks.append("this folder has one depth camera: for viewing only")
+        if "proximity_color" not in slots:
+            lacks.append("this folder has no proximity colour: its image stays black")
+        if self._layout.unmatched:
+            lacks.append(f"{self._layout.unmatched} images without one of the other camera are left out")
+        return Health(ok=not lacks, message="; ".join(lacks), unmatched=self._layout.unmatched)
+
+    def _frame(self, files: FrameFiles, stamp: _Stamp) -> SensorFrame:
+        rig, images, where = self._rig, files.images, files.folder or self._path
+        slots = self._layout.slots
+        if "proximity_depth" not in images:
+            raise SourceError(f"{where} has no proximity_depth.png, and no .tif, .npy or .pgm of that name; add it")
+        if "tactile_depth" in slots and "tactile_depth" not in images:
+            raise SourceError(f"{where} has no tactile_depth.png, and no .tif, .npy or .pgm of that name; add it")
+        tactile_shape, color_shape = rig.tactile.intrinsics.shape, rig.proximity_color_shape
+        color, tactile = images.get("proximity_color"), images.get("tactile_depth")
+        tactile_color = images.get("tactile_color")
+        form, tactile_form, color_form = (self._forms[name] for name in ("proximity", "tactile", "proximity_color"))
+        return SensorFrame(
+            sequence=stamp.sequence,
+            proximity_depth=read_depth(images["proximity_depth"], rig.proximity, form),
+            tactile_depth=np.zeros(tactile_shape, np.uint16)
+            if tactile is None
+            else read_depth(tactile, rig.tactile, tactile_form),
+            proximity_color=np.zeros((*color_shape, 3), np.uint8)
+            if color is None
+            else read_color(color, color_shape, color_form),
+            tactile_color=None if tactile_color is None else read_color(tactile_color, tactile_shape, tactile_form),
+            proximity_time_s=stamp.proximity_time_s,
+            tactile_time_s=stamp.tactile_time_s,
+            truth=None if files.folder is None else _read_truth(files.folder, rig),
+        )
 
 
 def export_folder(
@@ -123,62 +155,15 @@ def export_folder(
     return count
 
 
-def first_image_sizes(path: Path) -> dict[str, tuple[int, int]]:
-    """Return height and width of the images of a folder's first frame, by file name; it needs no ``rig.json``."""
-    first = _frame_folders(path)[0]
-    return {
-        name: _read_image(first / name, bits, channels, None).shape[:2]
-        for name, (needed, bits, channels) in IMAGES.items()
-        if needed or (first / name).exists()
-    }
-
-
-def write_rig(path: Path, rig: Rig) -> None:
-    """Write ``rig.json`` into a folder, whole or not at all; one that is there is never replaced."""
-    with atomic_path(path / "rig.json", exclusive=True) as temporary:
-        temporary.write_text(json_text(rig_to_json(rig)), encoding="utf-8")
-
-
-def _frame_folders(path: Path) -> list[Path]:
-    """Return the frames of a recording by their numbers, or the folder itself if it is one frame."""
-    numbered = [entry for entry in path.iterdir() if re.fullmatch("[0-9]+", entry.name) and entry.is_dir()]
-    numbered.sort(key=lambda folder: int(folder.name))
-    single = any((path / name).exists() for name in _REQUIRED)
-    if single and numbered:
-        raise SourceError(f"{path} has images and numbered subfolders ({numbered[0].name}); keep one of the two")
-    if not numbered and not single:
-        raise SourceError(
-            f"{path} has no frames: neither {_REQUIRED[0]} nor numbered subfolders such as 000000; "
-            "export or copy the recording again"
-        )
-    return numbered or [path]
-
-
-def _read_stamp(folder: Path, index: int) -> _Stamp:
-    """Read ``frame.json``; without one, frames follow each other at 30 Hz."""
-    path = folder / "frame.json"
-    if not path.exists():
-        time_s = index / _NOMINAL_RATE_HZ
-        return _Stamp(sequence=index, proximity_time_s=time_s, tactile_time_s=time_s)
+def _read_stamp(files: FrameFiles, index: int) -> _Stamp:
+    """Read ``frame.json``; without one, times are those of the layout."""
+    path = None if files.folder is None else files.folder / "frame.json"
+    if path is None or not path.exists():
+        return _Stamp(sequence=index, proximity_time_s=files.proximity_time_s, tactile_time_s=files.tactile_time_s)
     try:
         return _Stamp.model_validate(read_json_object(path))
     except ValidationError as error:
         raise SourceError(validation_sentence(error, str(path), "a frame")) from error
-
-
-def _read_frame(folder: Path, stamp: _Stamp, rig: Rig) -> SensorFrame:
-    proximity, tactile = rig.proximity.intrinsics.shape, rig.tactile.intrinsics.shape
-    tactile_color = folder / "tactile_color.png"
-    return SensorFrame(
-        sequence=stamp.sequence,
-        proximity_depth=_read_image(folder / "proximity_depth.png", 16, 1, proximity),
-        tactile_depth=_read_image(folder / "tactile_depth.png", 16, 1, tactile),
-        proximity_color=_read_color(folder / "proximity_color.png", rig.proximity_color_shape),
-        tactile_color=_read_color(tactile_color, tactile) if tactile_color.exists() else None,
-        proximity_time_s=stamp.proximity_time_s,
-        tactile_time_s=stamp.tactile_time_s,
-        truth=_read_truth(folder, rig),
-    )
 
 
 def _read_truth(folder: Path, rig: Rig) -> GroundTruth | None:
@@ -186,42 +171,17 @@ def _read_truth(folder: Path, rig: Rig) -> GroundTruth | None:
     contact, metres, counts = (folder / f"truth_{name}" for name in ("contact.png", "depth.npy", "depth.png"))
     if not contact.exists():
         return None
-    mask = _read_image(contact, 8, 1, shape)
+    mask = check_size(contact, read_image(contact), shape)
+    if mask.dtype != np.uint8 or mask.ndim != 2:
+        raise SourceError(f"{contact} is no image of 8 bits and one channel; write it again in that form")
     depth = _read_metres(metres, shape) if metres.exists() else None
     if depth is None and counts.exists():
-        found = _read_image(counts, 16, 1, shape)
+        found = read_depth(counts, rig.proximity)
         known = found.astype(np.float32) * np.float32(rig.proximity.depth_unit_m)
         depth = np.where(valid_depth(found), known, np.float32(np.nan))
     if not np.isin(mask, (0, 255)).all():
         raise SourceError(f"{contact} contains other values than 0 and 255; write it again")
     return GroundTruth(mask == 255, depth)
-
-
-def _read_color(path: Path, shape: tuple[int, int]) -> Uint8Array:
-    return np.ascontiguousarray(_read_image(path, 8, 3, shape)[:, :, ::-1])
-
-
-def _read_image(path: Path, bits: int, channels: int, shape: tuple[int, int] | None) -> AnyArray:
-    """Read one image of unsigned integers and check its bit depth, its channels and its size, if one is given."""
-    try:
-        image = decode_image(read_file(path))
-    except OSError as error:
-        raise SourceError(f"cannot read {path}: {error.strerror or error}; export or copy it again") from error
-    except ValueError as error:
-        raise SourceError(f"{path} is no readable PNG image ({error}); export or copy it again") from error
-    found = image.shape[2] if image.ndim == 3 else 1
-    if image.dtype != f"uint{bits}" or found != channels:
-        raise SourceError(
-            f"{path} has {found} channels of {image.dtype.itemsize * 8} bits, "
-            f"but {channels} of {bits} bits are needed; write it again in that form"
-        )
-    if shape is not None and image.shape[:2] != shape:
-        height, width = image.shape[:2]
-        raise SourceError(
-            f"{path} is {width} x {height} pixels, but rig.json says {shape[1]} x {shape[0]}; "
-            "use the rig of the camera that took it"
-        )
-    return image
 
 
 def _read_metres(path: Path, shape: tuple[int, int]) -> Float32Array:

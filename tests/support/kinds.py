@@ -52,7 +52,8 @@ from tactune.core.output.writer import export_mcap
 from tactune.core.preset import Preset
 from tactune.core.preset.file import save_preset
 from tactune.core.rig.untouched import load_untouched, save_untouched
-from tactune.core.sources.folder import export_folder, write_rig
+from tactune.core.sources.folder import export_folder
+from tactune.core.sources.folder_images import write_rig
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scene import CleanState, PressFacts, simulator_rig
 from tactune.core.sources.simulator.source import SolvedScene, load_scene, save_scene

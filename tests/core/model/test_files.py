@@ -14,7 +14,8 @@ from tactune.core.errors import ExportError
 from tactune.core.output.writer import export_mcap
 from tactune.core.preset import Preset
 from tactune.core.preset.file import save_preset
-from tactune.core.sources.folder import export_folder, write_rig
+from tactune.core.sources.folder import export_folder
+from tactune.core.sources.folder_images import write_rig
 
 FRAMES = [make_frame(n) for n in range(3)]
 WRITERS: dict[str, Callable[[Path, int], Any]] = {

@@ -36,7 +36,7 @@ BAD = {
     ),
     "no frames": (
         lambda p: [(p / F).rename(p / "a"), (p / "000001").rename(p / "b")],
-        r"recording has no frames.*000000",
+        r"the same image of one frame; number them",
     ),
     "wrong bit depth": (
         lambda p: write(p / F / "tactile_depth.png", 4, 6, dtype=np.uint8),

@@ -1,0 +1,328 @@
+"""The rig of a folder of images: lenses and units from files, the maker or what a person gives; each gap is named."""
+
+from __future__ import annotations
+
+import re
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from ..errors import CalibrationError, SourceError, foreign
+from ..model.arrays import AnyArray
+from ..model.clouds import valid_depth
+from ..model.frames import MAX_UNIT_M, Matrix4, Rig
+from ..model.intrinsics import Intrinsics
+from ..sources.folder_images import read_image, read_values
+from ..sources.folder_layout import Layout, find_frames
+from ..sources.lens import Lens, make_lens
+from ..sources.lens_files import StatedLens, choose_lens, pose_between, read_lenses
+from ..sources.ros_image import FLOAT_UNIT_M
+from .lens import MODELS, fit_lens, make_rig, nominal_lens
+
+#: Where half of the depths of a rig's cameras should lie, metres; makers' models see nothing nearer than they state.
+_PLAUSIBLE_M: Final = (0.06, 5.0)
+_UNITS: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "um": 1e-6}
+#: Files beside the images that state their lens, the first that exists.
+_LENS_FILES: Final = (
+    "scene_camera.json",
+    "camera_info.yaml",
+    "camera_info.yml",
+    "camera.json",
+    "camera_intrinsic.json",
+    "K.txt",
+    "intrinsics.txt",
+)
+
+
+@dataclass(frozen=True)
+class FolderRig:
+    """A rig, what `write_rig` needs beside it, what was found where, and what is missing or assumed."""
+
+    rig: Rig
+    forms: dict[str, dict[str, Any]]
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+@dataclass
+class _Draft:
+    layout: Layout
+    folder: Path
+    corners: tuple[int, int]
+    notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    #: The lens of each role that a file states, and all lenses of that file.
+    stated: dict[str, tuple[StatedLens, list[StatedLens]]] = field(default_factory=dict)
+
+    def first(self, slot: str) -> Path:
+        return next(frame.images[slot] for frame in self.layout.frames if slot in frame.images)
+
+
+@dataclass(frozen=True)
+class _Camera:
+    model: str
+    lens: Lens
+    form: dict[str, Any]
+    unit_m: float | None = None
+
+
+def describe_folder(
+    folder: Path,
+    options: dict[str, str | None],
+    unit: str | None = None,
+    corners: tuple[int, int] = (9, 6),
+) -> FolderRig:
+    """Return the rig of a folder of images.
+
+    Parameters
+    ----------
+    folder : Path
+        Images in any layout that `find_frames` knows.
+    options : dict
+        ``proximity``, ``tactile`` and ``color``: ``[MODEL=]LENS``, where the lens is a file, a folder with pictures of
+        a chessboard, ``camera``, ``fx,fy,cx,cy``, or left out for the maker's; None where files beside the images
+        state it.
+    unit : str, optional
+        Length of a depth count: ``mm``, metres, ``1/5000``, or ``proximity=…,tactile=…``.
+    corners : tuple of int
+        Inner corners of the chessboard.
+    """
+    draft = _Draft(find_frames(folder), folder, corners)
+    roles = [role for role in ("proximity", "tactile") if f"{role}_depth" in draft.layout.slots]
+    units = _units(unit)
+    cameras: dict[str, dict[str, Any]] = {}
+    forms: dict[str, dict[str, Any]] = {}
+    for role in roles:
+        image = read_values(draft.first(f"{role}_depth"))
+        option = options.get(role)
+        found = _camera(draft, role, option, "depth", (image.shape[1], image.shape[0]))
+        unit_m, value = _unit(draft, role, found, units.get(role), image)
+        cameras[role] = {"model": found.model, "depth_unit_m": unit_m, **found.lens.intrinsics.model_dump(mode="json")}
+        forms[role] = found.form | value
+    color = _color(draft, options, cameras["proximity"])
+    if color is not None:
+        cameras["proximity_color"] = color.lens.intrinsics.model_dump(mode="json")
+        forms["proximity_color"] = color.form
+    if len(roles) == 1:
+        cameras["tactile"] = cameras["proximity"] | {"model": "none"}
+        draft.warnings.append("the folder has one depth camera: for viewing only")
+    pose = _pose(draft, roles)
+    return FolderRig(make_rig(cameras, pose), forms, tuple(draft.notes), tuple(draft.warnings))
+
+
+def _color(draft: _Draft, options: dict[str, str | None], depth: dict[str, Any]) -> _Camera | None:
+    """Return the colour camera beside the proximity depth; None where colour is taken as aligned, or there is none."""
+    if "proximity_color" not in draft.layout.slots:
+        draft.warnings.append("the folder has no proximity colour: its image stays black")
+        return None
+    option = options.get("color")
+    image = read_image(draft.first("proximity_color"))
+    size = image.shape[1], image.shape[0]
+    if option is None and size == (depth["width"], depth["height"]):
+        if draft.layout.name not in ("TUM", "BOP"):
+            draft.warnings.append(
+                "the proximity colour has the size of the depth and is taken as aligned to it; if it is not, give the "
+                "lens of the colour camera with --color"
+            )
+        return None
+    if option is None:
+        proximity = options.get("proximity") or ""
+        model, _, how = proximity.partition("=")
+        option = proximity if how == "camera" else model if model in MODELS else None
+    found = _camera(draft, "color", option, "colour", size)
+    draft.warnings.append(
+        "the pose of the colour camera is unknown: it is written as that of the depth camera, so colours are shifted "
+        "by some pixels; correct T_color_depth in rig.json"
+    )
+    return found
+
+
+def _camera(draft: _Draft, role: str, option: str | None, kind: str, size: tuple[int, int]) -> _Camera:
+    """Return the model and the lens that an option says, or files beside the images."""
+    if option is None:
+        beside = (draft.folder / role / name for name in _LENS_FILES), (draft.folder / name for name in _LENS_FILES)
+        path = None if role == "color" else next((path for each in beside for path in each if path.is_file()), None)
+        if path is None:
+            raise CalibrationError(
+                f"the lens of the {role} camera is unknown; give --{role} [MODEL=]FILE, a camera_info.yaml, Kalibr's "
+                f"or OpenCV's file or K.txt, --{role} [MODEL=]fx,fy,cx,cy in px, or --{role} "
+                f"{'|'.join(MODELS)} for the maker's values"
+            )
+        option = str(path)
+    model, equals, how = option.partition("=")
+    if not equals and option not in MODELS:
+        model, how = "unknown", option
+    said = "colour" if role == "color" else role
+    if not how:
+        draft.warnings.append(
+            f"the {kind} lens of the {model} is the maker's, not measured: positions to the side are wrong by a few "
+            f"per cent; give {model}=camera, {model}=FILE, or {model}=DIR with pictures of a chessboard"
+        )
+        return _Camera(model, Lens(nominal_lens(*size, MODELS[_known(model)].views_deg[kind])), {})
+    if how == "camera":
+        lens, unit_m = _connected(model, kind, size)
+        return _Camera(model, Lens(lens), {}, unit_m)
+    if re.fullmatch(r"[^,]*(,[^,]*){3}", how):
+        return _Camera(model, _typed(option, how, size), {})
+    if Path(how).is_dir():
+        fit = fit_lens(Path(how), *draft.corners, size)
+        rejected = f"; rejected: {', '.join(fit.refused)}" if fit.refused else ""
+        draft.warnings.append(
+            f"{how}: {fit.used} pictures, {fit.rms_px:.2f} px RMS, fx ± {fit.focal_sd_px:.1f} px{rejected}"
+        )
+        return _Camera(model, Lens(fit.intrinsics), {})
+    return _of_file(draft, said, model, how, size)
+
+
+def _of_file(draft: _Draft, role: str, model: str, how: str, size: tuple[int, int]) -> _Camera:
+    path, name = Path(how), ""
+    if not path.exists() and ":" in how:
+        path, name = Path(how.rpartition(":")[0]), how.rpartition(":")[2]
+    lenses = read_lenses(path)
+    if name:
+        matching = [lens for lens in lenses if lens.name.split(" ")[0] == name.lower()]
+        if not matching:
+            names = ", ".join(lens.name.split(" ")[0] for lens in lenses)
+            raise CalibrationError(f"{path} has no camera {foreign(name, 40)!r}; it has {names}")
+        chosen = matching[0]
+    else:
+        chosen = choose_lens(lenses, role, size)
+    draft.stated[role] = chosen, lenses
+    lens = chosen.lens(size)
+    rectify = {"model": chosen.model, "coefficients": list(chosen.coefficients)}
+    draft.notes.append(f"{role}: lens from {path} ({_words(chosen)}, fx {lens.intrinsics.fx:.2f} px)")
+    return _Camera(model, lens, {} if lens.table is None else {"rectify": rectify}, chosen.unit_m)
+
+
+def _words(lens: StatedLens) -> str:
+    if not any(lens.coefficients):
+        return "no distortion"
+    return f"{foreign(lens.model, 40)} with {len(lens.coefficients)} coefficients"
+
+
+def _known(model: str) -> str:
+    if model not in MODELS:
+        raise CalibrationError(
+            f"the maker's values of {foreign(model, 40)!r} are not known; choose one of {', '.join(MODELS)}, or give "
+            "its lens as a file or as fx,fy,cx,cy"
+        )
+    return model
+
+
+def _typed(option: str, how: str, size: tuple[int, int]) -> Lens:
+    try:
+        fx, fy, cx, cy = map(float, how.split(","))
+    except ValueError as error:
+        raise CalibrationError(f"{foreign(option, 80)!r}: write four numbers, fx,fy,cx,cy in px") from error
+    try:
+        return make_lens("none", (), (fx, 0, cx, 0, fy, cy, 0, 0, 1), size)
+    except SourceError as error:
+        raise CalibrationError(f"{foreign(option, 80)!r}: {error}") from error
+
+
+def _connected(model: str, kind: str, size: tuple[int, int]) -> tuple[Intrinsics, float]:
+    """Return the lens that a connected camera states for its images, and its depth unit in metres."""
+    from ..sources.cameras.drivers import camera_drivers, connected_devices
+
+    for driver, device in connected_devices(camera_drivers()[0])[0]:
+        if model in device.model:
+            with closing(driver.open(device.serial, device.role or "proximity")) as camera:
+                lens = camera.calibration.depth.intrinsics if kind == "depth" else camera.calibration.color
+            if lens is not None and (lens.width, lens.height) == size:
+                return lens, camera.calibration.depth.depth_unit_m
+    raise CalibrationError(
+        f"no connected {model} states a {kind} lens for {size[0]} x {size[1]} pixels; tactune devices"
+    )
+
+
+def _units(text: str | None) -> dict[str, float]:
+    """Return metres per count of each camera that ``--unit`` names."""
+    if text is None:
+        return {}
+    parts = (
+        dict(part.partition("=")[::2] for part in text.split(","))
+        if "=" in text
+        else {
+            "proximity": text,
+            "tactile": text,
+        }
+    )
+    units: dict[str, float] = {}
+    for role, value in parts.items():
+        match = re.fullmatch(r"(?:1/)?([0-9.]+(?:[eE][-+]?[0-9]+)?)", value.strip())
+        try:
+            unit_m = _UNITS[value.strip()] if match is None else float(match[1])
+        except (KeyError, ValueError):
+            unit_m = 0.0
+        if value.strip().startswith("1/") and unit_m:
+            unit_m = 1 / unit_m
+        if role.strip() not in ("proximity", "tactile") or not 1e-7 <= unit_m <= 1:
+            raise CalibrationError(
+                f"--unit is {foreign(text, 60)!r}; write mm, metres per count such as 0.00025 or 1/5000, or one for "
+                "each camera, as in proximity=mm,tactile=0.0001"
+            )
+        units[role.strip()] = unit_m
+    return units
+
+
+def _unit(
+    draft: _Draft, role: str, camera: _Camera, given_m: float | None, image: AnyArray
+) -> tuple[float, dict[str, float]]:
+    """Return the length of a count and, for floating-point images, what a value stands for; say why."""
+    is_float = image.dtype.kind == "f"
+    counts_per_m = draft.layout.counts_per_m
+    assumed = False
+    if given_m is not None:
+        unit_m, why = given_m, "given with --unit"
+    elif camera.unit_m is not None:
+        unit_m, why = camera.unit_m, "stated with the lens"
+    elif is_float:
+        unit_m, why = 1.0, "floating-point values count as metres"
+    elif counts_per_m is not None:
+        unit_m, why = 1 / counts_per_m, f"{draft.layout.name}'s {counts_per_m:.0f} counts a metre"
+    elif camera.model in MODELS:
+        unit_m, why, assumed = MODELS[camera.model].depth_unit_m, f"that of the {camera.model}", True
+    else:
+        raise CalibrationError(
+            f"the unit of the {role} depth is unknown: {draft.first(f'{role}_depth').name} holds counts; give "
+            f"--unit mm, or metres per count, such as --unit {role}=0.00025"
+        )
+    if not is_float and unit_m > MAX_UNIT_M:
+        raise CalibrationError(
+            f"--unit says {unit_m:g} m for {role}, whose images hold whole counts; a count is at most "
+            f"{MAX_UNIT_M * 1e3:g} mm, such as --unit mm"
+        )
+    known = (image > 0) if is_float else valid_depth(image)
+    half_m = float(np.median(image[known])) * unit_m if known.any() else float("nan")
+    draft.notes.append(f"{role}: depth unit {unit_m * 1e3:g} mm ({why}); half of the depths are below {half_m:.3f} m")
+    near_m = MODELS[camera.model].near_m if camera.model in MODELS else _PLAUSIBLE_M[0]
+    is_plausible = near_m <= half_m <= _PLAUSIBLE_M[1]
+    doubt = f"half of the {role} depths are below {half_m:.3g} m; {near_m:g} to {_PLAUSIBLE_M[1]:g} m are plausible"
+    if assumed and known.any() and not is_plausible:
+        raise CalibrationError(
+            f"the unit of the {role} depth is unknown: with the {unit_m * 1e3:g} mm that a {camera.model} sends, "
+            f"{doubt}; state the unit with --unit, such as --unit mm"
+        )
+    if assumed:
+        draft.warnings.append(
+            f"the unit of the {role} depth is assumed: a {camera.model} sends {unit_m * 1e3:g} mm, and a program that "
+            "saved the images may have converted it; state it with --unit, such as --unit mm"
+        )
+    elif not is_plausible:
+        draft.warnings.append(f"the unit of the {role} depth is implausible: {doubt}; check --unit")
+    return (FLOAT_UNIT_M, {} if unit_m == 1 else {"value_m": unit_m}) if is_float else (unit_m, {})
+
+
+def _pose(draft: _Draft, roles: list[str]) -> Matrix4 | None:
+    if len(roles) == 1:
+        return tuple(map(tuple, np.eye(4).tolist()))  # type: ignore[return-value]
+    if len(draft.stated) >= 2 and all(role in draft.stated for role in roles):
+        (proximity, lenses), (tactile, others) = (draft.stated[role] for role in roles)
+        if lenses == others and (pose := pose_between(proximity, tactile, lenses)) is not None:
+            draft.notes.append(f"pose of the cameras from {proximity.path}")
+            return pose
+    draft.warnings.append("the pose between the cameras is unknown: calibrate the alignment")
+    return None
