@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -214,9 +215,12 @@ def _known(model: str) -> str:
 
 def _typed(option: str, how: str, size: tuple[int, int]) -> Lens:
     try:
-        fx, fy, cx, cy = map(float, how.split(","))
+        fx, fy, cx, cy = numbers = tuple(map(float, how.split(",")))
     except ValueError as error:
         raise CalibrationError(f"{foreign(option, 80)!r}: write four numbers, fx,fy,cx,cy in px") from error
+    for name, number in zip(("fx", "fy", "cx", "cy"), numbers, strict=True):
+        if not math.isfinite(number):
+            raise CalibrationError(f"{foreign(option, 80)!r}: {name} is {number}; write four numbers in px")
     try:
         return make_lens("none", (), (fx, 0, cx, 0, fy, cy, 0, 0, 1), size)
     except SourceError as error:
