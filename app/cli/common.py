@@ -43,7 +43,7 @@ SourceOption = Annotated[
         "-s",
         metavar="SOURCE",
         help="Where frames come from: sim, sim:cube (options as in 'sim:cup?seed=3'), cameras:, realsense:, "
-        "live:SOURCE, folder:PATH, bag:PATH, mcap:PATH, or a path.",
+        "ros2:, live:SOURCE, folder:PATH, bag:PATH, mcap:PATH, or a path.",
     ),
 ]
 TopicsOption = Annotated[
@@ -51,8 +51,8 @@ TopicsOption = Annotated[
     typer.Option(
         "--topics",
         metavar="SLOT=TOPIC,...",
-        help="Topics of a ROS recording: proximity.depth, proximity.color, proximity.info, and the same of tactile. "
-        "They are kept beside the recording.",
+        help="Topics of a ROS recording, or of live ones (ros2:): proximity.depth, proximity.color, proximity.info, "
+        "and the same of tactile. They are kept beside a recording.",
     ),
 ]
 UntouchedSource = Annotated[

@@ -25,7 +25,7 @@ _SLOTS = {
     "tactile.color": ("Tactile c&olour", "Colour of the same camera; it may be missing"),
 }
 #: Schemes of sources that have no topics to ask for.
-WITHOUT_TOPICS = ("sim", "live", "folder", "cameras", "realsense")
+WITHOUT_TOPICS = ("sim", "live", "folder", "cameras", "realsense", "ros2")
 _NONE = "none"
 _PICTURE_SIZE, _ICON_SIZE = QSize(160, 120), QSize(48, 36)
 

@@ -65,6 +65,12 @@ def _open_ros_folder(rest: str, progress: Progress | None, _: CamerasSection | N
     return RosSource("rosbag", rest, progress)
 
 
+def _open_ros2(rest: str, progress: Progress | None, cameras: CamerasSection | None) -> FrameSource:
+    from .ros.live import open_in_process
+
+    return open_in_process(rest, progress, cameras)
+
+
 _BAG = SourceKind(
     scheme="bag",
     title="RealSense or ROS recording",
@@ -90,6 +96,12 @@ _MCAP = SourceKind(
     pattern="*.mcap",
     open=_open_mcap,
 )
+_ROS2 = SourceKind(
+    scheme="ros2",
+    title="Live ROS 2 topics",
+    form="ros2:[?domain=N]",
+    open=_open_ros2,
+)
 _LIVE = SourceKind(
     scheme="live",
     title="Any source, played live",
@@ -102,7 +114,7 @@ _LIVE = SourceKind(
 def _own_kinds() -> dict[str, SourceKind]:
     from . import cameras, folder, simulator
 
-    kinds = (simulator.KIND, folder.KIND, _BAG, _MCAP, _ROS_FOLDER, cameras.KIND, cameras.REALSENSE, _LIVE)
+    kinds = (simulator.KIND, folder.KIND, _BAG, _MCAP, _ROS_FOLDER, cameras.KIND, cameras.REALSENSE, _ROS2, _LIVE)
     return {kind.scheme: kind for kind in kinds}
 
 

@@ -100,27 +100,32 @@ class RawImage:
         """Whether the encoding can be that of depth; mono16 may also be an infrared image."""
         return self.encoding in _DEPTH
 
-    def counts(self, shape: tuple[int, int]) -> Uint16Array:
+    def counts(self, shape: tuple[int, int], *, copy: bool = True) -> Uint16Array:
         """Return raw counts: uint16, shape (H, W)."""
-        return self.channel(shape, ("mono16", "16UC1"), np.dtype(np.uint16))
+        return self.channel(shape, ("mono16", "16UC1"), np.dtype(np.uint16), copy=copy)
 
-    def depth(self, shape: tuple[int, int]) -> Uint16Array:
-        """Return counts: uint16, shape (H, W). Those of an image in metres have `FLOAT_UNIT_M`; 0 is no depth."""
+    def depth(self, shape: tuple[int, int], *, copy: bool = True) -> Uint16Array:
+        """Return counts: uint16, shape (H, W). Those of an image in metres have `FLOAT_UNIT_M`; 0 is no depth.
+
+        Without ``copy`` the array may be the message's own memory, which cannot be written.
+        """
         if self.encoding != "32FC1":
-            return self.counts(shape)
+            return self.counts(shape, copy=copy)
         counts = self.channel(shape, ("32FC1",), np.dtype(np.float32)) / FLOAT_UNIT_M
         counts[~((counts > 0) & (counts < np.iinfo(np.uint16).max))] = 0  # also nan and infinity
         return np.rint(counts).astype(np.uint16)
 
-    def channel(self, shape: tuple[int, int], encodings: Sequence[str], dtype: np.dtype[Any]) -> AnyArray:
+    def channel(
+        self, shape: tuple[int, int], encodings: Sequence[str], dtype: np.dtype[Any], *, copy: bool = True
+    ) -> AnyArray:
         """Return an image of one channel, shape (H, W), in one of some encodings, all of this type."""
         if self.encoding not in encodings:
             raise DamagedFileError(f"it is encoded as {foreign(self.encoding, 40)!r}; known are {', '.join(encodings)}")
         rows = self._rows(shape, dtype.itemsize)
-        return rows.view(dtype.newbyteorder(">" if self.big_endian else "<")).astype(dtype)
+        return rows.view(dtype.newbyteorder(">" if self.big_endian else "<")).astype(dtype, copy=copy)
 
-    def color(self, shape: tuple[int, int]) -> Uint8Array:
-        """Return a colour image: RGB uint8, shape (H, W, 3); errors as of `channel`."""
+    def color(self, shape: tuple[int, int], *, copy: bool = True) -> Uint8Array:
+        """Return a colour image: RGB uint8, shape (H, W, 3); ``copy`` as of `depth`, errors as of `channel`."""
         if self.encoding in _WIDE:
             return self._narrow().color(shape)
         if self.encoding in _PLANES:
@@ -134,7 +139,9 @@ class RawImage:
             raise DamagedFileError(f"it is encoded as {foreign(self.encoding, 40)!r}; known are {known}")
         bytes_per_pixel, conversion = _TO_RGB[self.encoding]
         pixels = self._rows(shape, bytes_per_pixel).reshape(*shape, bytes_per_pixel)
-        return pixels.copy() if conversion is None else np.asarray(cv2.cvtColor(pixels, conversion), np.uint8)
+        if conversion is None:
+            return pixels.copy() if copy else pixels
+        return np.asarray(cv2.cvtColor(pixels, conversion), np.uint8)
 
     def _narrow(self) -> RawImage:
         """Return the image with the upper 8 of each 16 bits."""

@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import fast_dds
 import folder_scenes
+from sockets import free_domain
 from tactune.core.model.frames import ColorCamera, DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.sources.folder import export_folder
@@ -74,3 +76,15 @@ def recording(tmp_path: Path) -> Path:
     path = tmp_path / "recording"
     export_folder(folder_scenes.ListSource(frames[:2], untouched=frames[2]), path)
     return path
+
+
+@pytest.fixture(scope="session")
+def fast_dds_program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    if not fast_dds.can_build():
+        pytest.skip(f"FAST DDS IS NOT TESTED: {fast_dds.HOW_TO_BUILD}")
+    return fast_dds.build(tmp_path_factory.mktemp("fast-dds"))
+
+
+@pytest.fixture
+def domain() -> int:
+    return free_domain()

@@ -1,4 +1,4 @@
-"""A subscriber of Fast DDS, ROS 2's default middleware, in a process of its own; see fast_dds_subscriber.cpp."""
+"""Nodes of Fast DDS, ROS 2's default middleware, in processes of their own; see fast_dds_node.cpp."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tactune.core.output.publisher import LIVE_TOPICS
 WAIT_S = 60
 HOW_TO_BUILD = "apt-get install libfastrtps-dev g++ (Debian 12, Ubuntu 22.04 and 24.04)"
 
-_SOURCE = Path(__file__).with_name("fast_dds_subscriber.cpp")
+_SOURCE = Path(__file__).with_name("fast_dds_node.cpp")
 
 
 def can_build() -> bool:
@@ -28,8 +28,8 @@ def can_build() -> bool:
 
 
 def build(folder: Path) -> Path:
-    """Compile the subscriber, in about 4 s, and return the program."""
-    program = folder / "fast_dds_subscriber"
+    """Compile the node, in about 4 s, and return the program."""
+    program = folder / "fast_dds_node"
     subprocess.run(["g++", "-std=c++17", "-o", program, _SOURCE, "-lfastrtps"], check=True)
     return program
 
@@ -52,7 +52,7 @@ class FastDds:
             for word in (f"rt{namespace}{topic}", _dds_name(LIVE_TOPICS[topic]), qos)
         ]
         self.process = subprocess.Popen(
-            [program, str(domain), *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=1 << 20
+            [program, "subscribe", str(domain), *words], stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=1 << 20
         )
         self.counts = dict.fromkeys(self.topics, 0)
         self.latest: dict[str, bytes] = {}
@@ -95,6 +95,23 @@ class FastDds:
     def __exit__(self, *_: object) -> None:
         self.process.kill()
         self._thread.join()
+        self.process.communicate()
+
+
+class FastDdsPublisher:
+    """A publisher of Fast DDS; ``topics`` are ROS 2 names with type and kind of offer."""
+
+    def __init__(self, program: Path, domain: int, topics: Mapping[str, tuple[str, str]]) -> None:
+        self._numbers = {topic: number for number, topic in enumerate(topics)}
+        words = [word for topic, (kind, qos) in topics.items() for word in (f"rt{topic}", _dds_name(kind), qos)]
+        self.process = subprocess.Popen([program, "publish", str(domain), *words], stdin=subprocess.PIPE)
+
+    def send(self, topic: str, data: bytes) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.write(struct.pack("<II", self._numbers[topic], len(data)) + data)
+        self.process.stdin.flush()
+
+    def close(self) -> None:
         self.process.communicate()
 
 

@@ -40,7 +40,7 @@ class CameraSource(FrameSource):
     Frames are numbered from 0 and carry the cameras' time stamps on the computer's clock; the tactile camera's
     are reduced by ``cameras.tactile_delay_s``. While a camera stalls or is missing there are no frames and `health`
     says why; frames continue by themselves when it is back. The two cameras may have different drivers; ``problems``
-    are sentences about drivers that cannot be used.
+    are sentences about drivers that cannot be used; ``name`` is that of the source if it is not ``cameras:``.
     """
 
     def __init__(
@@ -49,9 +49,11 @@ class CameraSource(FrameSource):
         cameras: CamerasSection = _ANY_CAMERAS,
         progress: Progress | None = None,
         problems: Sequence[str] = (),
+        *,
+        name: str = "",
     ) -> None:
         serials = (cameras.proximity.serial, cameras.tactile.serial)
-        self.name = f"{SCHEME}:{','.join(serials)}" if all(serials) else f"{SCHEME}:"
+        self.name = name or (f"{SCHEME}:{','.join(serials)}" if all(serials) else f"{SCHEME}:")
         self._feeds: dict[CameraRole, CameraThread] = {}
         self._sequence = self._lost = 0
         self._ready: deque[tuple[Timed[Images], Timed[Images]]] = deque()

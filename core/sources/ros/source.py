@@ -24,7 +24,7 @@ from .bags import POSES, Bag, open_bag
 from .topics import ImageTopic, Topics, guess_topics, list_topics, load_topics, split_name, store_topics, survey
 
 #: Unit of depth in whole numbers, by ROS's convention for depth images (REP 118).
-_COUNT_UNIT_M: Final = 0.001
+COUNT_UNIT_M: Final = 0.001
 #: Camera infos that are tried until one is filled in.
 _TRIED_INFOS: Final = 100
 #: Size of the pictures of topics, pixels.
@@ -69,6 +69,10 @@ class Frames:
                     known[other] = known[name] @ pose
                     waiting.append(other)
         return None
+
+    def joined(self, first: str, second: str) -> bool:
+        """Whether the pose between two frames is known."""
+        return self.pose(first, second) is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +178,7 @@ class RosSource(SeekableSource):
     def _set_up(self, chosen: Topics, progress: Progress | None) -> Rig:
         images = survey(self._bag)
         frames = Frames(self._bag)
-        topics, gap = guess_topics(images, lambda a, b: frames.pose(a, b) is not None)
+        topics, gap = guess_topics(images, frames.joined)
         if chosen:
             topics, gap = chosen, "" if "proximity.depth" in chosen else "--topics names no proximity.depth"
         if gap:
@@ -227,7 +231,7 @@ class RosSource(SeekableSource):
                 f"--topics {role}.info=/topic"
             )
         depth = self._stream(image, lens_topic, progress)
-        unit_m = FLOAT_UNIT_M if depth.topic.encoding == "32FC1" else _COUNT_UNIT_M
+        unit_m = FLOAT_UNIT_M if depth.topic.encoding == "32FC1" else COUNT_UNIT_M
         model = foreign(depth.topic.camera.replace("/", " ") or role, 80)
         info = DepthCamera(model=model, intrinsics=depth.lens.intrinsics, depth_unit_m=unit_m)
         if f"{role}.color" not in topics:

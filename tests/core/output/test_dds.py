@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fast_dds import HOW_TO_BUILD, FastDds, build, can_build
-from sockets import free_domain
+from fast_dds import FastDds
 from tactune.core import ContactPipeline, load_preset, open_source
 from tactune.core.errors import PublishError
 from tactune.core.model.frames import SensorFrame
@@ -43,18 +42,6 @@ def processed() -> Processed:
         frame = source.next_frame()
         assert frame is not None
         return frame, ContactPipeline(preset, source.rig).process(frame), preset
-
-
-@pytest.fixture(scope="session")
-def fast_dds_program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    if not can_build():
-        pytest.skip(f"FAST DDS IS NOT TESTED: {HOW_TO_BUILD}")
-    return build(tmp_path_factory.mktemp("fast-dds"))
-
-
-@pytest.fixture
-def domain() -> int:
-    return free_domain()
 
 
 @contextmanager

@@ -1,13 +1,14 @@
-// A subscriber of Fast DDS, ROS 2's default middleware, that knows nothing of Tactune: it writes every payload as it came.
+// A node of Fast DDS, ROS 2's default middleware, that knows nothing of Tactune: it passes every payload on as it is.
 //
-// fast_dds_subscriber DOMAIN [TOPIC TYPE (reliable|best_effort|transient_local)]...
+// fast_dds_node subscribe|publish DOMAIN [TOPIC TYPE (reliable|best_effort|transient_local)]...
 //
-// Standard output: per sample the number of its topic, from 0, its length (both uint32) and its bytes, the CDR header
-// included. It ends when standard input closes.
+// It writes what it receives to standard output, or publishes what comes by standard input: per sample the number of its
+// topic, from 0, its length (both uint32) and its bytes, the CDR header included. It ends when standard input closes.
 
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
+#include <cstring>
 #include <deque>
 #include <functional>
 #include <mutex>
@@ -16,6 +17,8 @@
 
 #include <fastdds/dds/domain/DomainParticipant.hpp>
 #include <fastdds/dds/domain/DomainParticipantFactory.hpp>
+#include <fastdds/dds/publisher/DataWriter.hpp>
+#include <fastdds/dds/publisher/Publisher.hpp>
 #include <fastdds/dds/subscriber/DataReader.hpp>
 #include <fastdds/dds/subscriber/DataReaderListener.hpp>
 #include <fastdds/dds/subscriber/SampleInfo.hpp>
@@ -41,9 +44,13 @@ public:
         auto_fill_type_information(false);
     }
 
-    bool serialize(void*, SerializedPayload_t*) override
+    bool serialize(void* data, SerializedPayload_t* payload) override
     {
-        return false;  // never publishes
+        const Bytes& bytes = *static_cast<Bytes*>(data);
+        payload->length = static_cast<uint32_t>(bytes.size());
+        payload->encapsulation = CDR_LE;
+        std::memcpy(payload->data, bytes.data(), bytes.size());
+        return true;
     }
 
     bool deserialize(SerializedPayload_t* payload, void* data) override
@@ -104,28 +111,45 @@ private:
     uint32_t topic_;
 };
 
+template <class Qos>
+void set(Qos& qos, const std::string& name)
+{
+    qos.reliability().kind = name == "best_effort" ? BEST_EFFORT_RELIABILITY_QOS : RELIABLE_RELIABILITY_QOS;
+    qos.durability().kind = name == "transient_local" ? TRANSIENT_LOCAL_DURABILITY_QOS : VOLATILE_DURABILITY_QOS;
+    qos.history().kind = KEEP_LAST_HISTORY_QOS;
+    qos.history().depth = 5;
+    qos.endpoint().history_memory_policy = eprosima::fastrtps::rtps::PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
+}
+
 int main(int count, char** words)
 {
-    if (count < 5 || (count - 2) % 3 != 0)
+    if (count < 6 || count % 3 != 0)
     {
-        std::fprintf(stderr, "usage: %s DOMAIN [TOPIC TYPE reliable|best_effort|transient_local]...\n", words[0]);
+        std::fprintf(
+            stderr, "usage: %s subscribe|publish DOMAIN [TOPIC TYPE reliable|best_effort|transient_local]...\n", words[0]);
         return 2;
     }
+    const bool publishes = std::string(words[1]) == "publish";
     DomainParticipantFactory* factory = DomainParticipantFactory::get_instance();
-    DomainParticipant* participant = factory->create_participant(std::atoi(words[1]), PARTICIPANT_QOS_DEFAULT);
+    DomainParticipant* participant = factory->create_participant(std::atoi(words[2]), PARTICIPANT_QOS_DEFAULT);
     Subscriber* subscriber = participant->create_subscriber(SUBSCRIBER_QOS_DEFAULT);
+    Publisher* publisher = participant->create_publisher(PUBLISHER_QOS_DEFAULT);
     std::deque<Listener> listeners;
-    for (int i = 2; i < count; i += 3)
+    std::vector<DataWriter*> writers;
+    for (int i = 3; i < count; i += 3)
     {
         TypeSupport(new RawType(words[i + 1])).register_type(participant);
         Topic* topic = participant->create_topic(words[i], words[i + 1], TOPIC_QOS_DEFAULT);
-        const std::string name = words[i + 2];
+        if (publishes)
+        {
+            DataWriterQos qos = DATAWRITER_QOS_DEFAULT;
+            set(qos, words[i + 2]);
+            qos.publish_mode().kind = ASYNCHRONOUS_PUBLISH_MODE;  // as ROS 2 does; needed for what exceeds a datagram
+            writers.push_back(publisher->create_datawriter(topic, qos));
+            continue;
+        }
         DataReaderQos qos = DATAREADER_QOS_DEFAULT;
-        qos.reliability().kind = name == "best_effort" ? BEST_EFFORT_RELIABILITY_QOS : RELIABLE_RELIABILITY_QOS;
-        qos.durability().kind = name == "transient_local" ? TRANSIENT_LOCAL_DURABILITY_QOS : VOLATILE_DURABILITY_QOS;
-        qos.history().kind = KEEP_LAST_HISTORY_QOS;
-        qos.history().depth = 5;
-        qos.endpoint().history_memory_policy = eprosima::fastrtps::rtps::PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
+        set(qos, words[i + 2]);
         listeners.emplace_back(static_cast<uint32_t>(listeners.size()));
         if (subscriber->create_datareader(topic, qos, &listeners.back()) == nullptr)
         {
@@ -133,8 +157,15 @@ int main(int count, char** words)
             return 1;
         }
     }
-    while (std::getchar() != EOF)
+    uint32_t head[2];
+    Bytes bytes;
+    while (std::fread(head, sizeof head, 1, stdin) == 1)
     {
+        bytes.resize(head[1]);
+        if (std::fread(bytes.data(), 1, bytes.size(), stdin) == bytes.size())
+        {
+            writers.at(head[0])->write(&bytes);
+        }
     }
     participant->delete_contained_entities();
     factory->delete_participant(participant);

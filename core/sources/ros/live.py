@@ -1,0 +1,288 @@
+"""Live ROS 2 topics as cameras: all that have a ROS 2 driver, without a ROS installation.
+
+A camera is what publishes a topic of depth images. Threads, pairing and reopening are those of all live cameras.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import time
+from collections import deque
+from dataclasses import replace
+from functools import partial
+from typing import Any, Final, NamedTuple
+from urllib.parse import parse_qsl
+
+import numpy as np
+
+from ...errors import SourceError, as_sentence, foreign
+from ...model.arrays import Float64Array, Uint8Array
+from ...model.frames import DepthCamera, Matrix4, camera_pose
+from ...preset import CamerasSection
+from ..base import CameraRole, FrameSource, Health, Progress
+from ..cameras.camera import Calibration, Camera, CameraDriver, DeviceInfo, Images
+from ..cameras.source import CameraSource
+from ..capture.source import ProcessSource
+from ..lens import Lens, camera_info_lens
+from ..mcap.messages import CAMERA_INFO, TYPES
+from ..ros_image import FLOAT_UNIT_M, RawImage, period_s
+from .dds import Listener, Reader, Waiter, check_network, keep_freed_memory
+from .search import Found, find_topics
+from .source import COUNT_UNIT_M
+from .topics import Topics, split_name
+
+_ANY_NETWORK: Final = "0.0.0.0"  # noqa: S104  # ROS 2 listens to all
+#: Longest wait for a lens and the first images of a camera, seconds; below that after which a driver counts as hung.
+_OPENING_S: Final = 2.5
+#: Depth images whose stamps tell the rate.
+_TIMED: Final = 8
+#: How long a depth image waits for its colour, seconds.
+_PATIENCE_S: Final = 0.15
+
+
+def open_in_process(rest: str, progress: Progress | None, cameras: CamerasSection | None) -> FrameSource:
+    """Open topics by the text after the scheme, such as ``?domain=3``."""
+    _read_name(rest)
+    return ProcessSource(partial(open_topics, rest, cameras or CamerasSection()), progress)
+
+
+def open_topics(rest: str, cameras: CamerasSection, progress: Progress) -> FrameSource:
+    """Find the topics of the cameras and open them; picklable."""
+    domain, host, chosen = _read_name(rest)
+    name = f"ros2:{rest}"
+    keep_freed_memory()
+    try:
+        listener = Listener(domain, host)
+    except ValueError as error:
+        raise SourceError(f"{name}: {error}") from error
+    try:
+        return Ros2Source(name, listener, find_topics(name, listener, chosen, progress), cameras, progress)
+    except BaseException:
+        listener.close()
+        raise
+
+
+def _read_name(rest: str) -> tuple[int, str, Topics]:
+    """Return domain, address of the network interface, and the topics that a person named."""
+    query, topics = split_name(rest)
+    values = {"domain": os.environ.get("ROS_DOMAIN_ID") or "0", "host": _ANY_NETWORK}
+    try:
+        given = dict(parse_qsl(query.removeprefix("?"), keep_blank_values=True, strict_parsing=bool(query)))
+        if given.keys() - values or (query and not query.startswith("?")):
+            raise ValueError("the only options are domain and host, as in ros2:?domain=3&host=127.0.0.1")
+        values |= given
+        if not values["domain"].isdecimal():
+            raise ValueError(f"the domain is {foreign(values['domain'], 40)!r}, no whole number")
+        check_network(int(values["domain"]), values["host"])
+    except ValueError as error:
+        raise SourceError(f"ros2:{foreign(rest)}: {error}") from error
+    return int(values["domain"]), values["host"], topics
+
+
+class Ros2Source(CameraSource):
+    """The cameras whose topics were found, paired by the stamps in their headers."""
+
+    def __init__(
+        self, name: str, listener: Listener, found: Found, cameras: CamerasSection, progress: Progress | None = None
+    ) -> None:
+        self._listener = listener
+        self._driver = Ros2Driver(listener, found)
+        infos = {info.role: info for info in self._driver.devices()}
+        chosen: dict[str, Any] = {
+            str(role): getattr(cameras, str(role)).model_copy(update={"serial": info.serial, "options": {}})
+            for role, info in infos.items()
+        }
+        first, second = (found.images[found.topics[f"{role}.depth"]].frame for role in ("proximity", "tactile"))
+        pose = found.frames.pose(first, second)
+        if pose is None:
+            self._driver.notes["pose"] = (
+                f"no chain of fixed transforms joins the frames {foreign(first, 60)!r} and {foreign(second, 60)!r} "
+                "of the cameras: calibrate the alignment"
+            )
+        super().__init__([self._driver], cameras.model_copy(update=chosen), progress, name=name)
+        if pose is not None:
+            self._rig = self._rig.model_copy(update={"T_proximity_tactile": camera_pose(pose)})
+
+    def health(self) -> Health:
+        """Return the state of the cameras, and what their topics lack."""
+        health = super().health()
+        notes = map(as_sentence, self._driver.notes.values())
+        return replace(health, message=" ".join(filter(None, [health.message, *notes])))
+
+    def close(self) -> None:
+        """Stop reading and leave the domain."""
+        super().close()
+        self._listener.close()
+
+
+class _TopicInfo(DeviceInfo):
+    @property
+    def title(self) -> str:
+        return f"camera {self.serial}"
+
+
+class Ros2Driver(CameraDriver):
+    """The cameras of a domain; their topics of depth stand for serial numbers.
+
+    ``notes`` are clauses about what the topics of a camera lack.
+    """
+
+    title = "ROS 2"
+
+    def __init__(self, listener: Listener, found: Found) -> None:
+        self.notes: dict[str, str] = {}
+        self._listener, self._found = listener, found
+
+    def devices(self) -> list[DeviceInfo]:
+        """Return the cameras that were found."""
+        return [self._info(role) for role in ("proximity", "tactile") if f"{role}.depth" in self._found.topics]
+
+    def open(self, serial: str, role: CameraRole) -> Camera:
+        """Read the topics of a camera; `SourceError` if a lens is missing or too few images come."""
+        depth = _Stream(self._listener, self._found, f"{role}.depth")
+        color = _Stream(self._listener, self._found, f"{role}.color") if f"{role}.color" in self._found.topics else None
+        pose = np.eye(4)
+        if color is not None and color.frame != depth.frame:
+            joined = self._found.frames.pose(color.frame, depth.frame)
+            if joined is None:
+                self.notes[role] = (
+                    f"the {role} colour is left out: no fixed transform joins its frame {foreign(color.frame, 60)!r} "
+                    f"to the depth's {foreign(depth.frame, 60)!r}"
+                )
+                color = None
+            else:
+                pose = joined
+        return Ros2Camera(self._listener, self._info(role), role, depth, color, camera_pose(pose))
+
+    def _info(self, role: CameraRole) -> _TopicInfo:
+        image = self._found.images[self._found.topics[f"{role}.depth"]]
+        model = foreign(image.camera.replace("/", " ") or role, 80)
+        return _TopicInfo(model, image.name, role)
+
+
+class _Message(NamedTuple):
+    """An image that is still in CDR; ``arrival_s`` is by `time.monotonic`."""
+
+    stamp_s: float
+    arrival_s: float
+    data: bytes
+
+    def image(self, kind: str) -> RawImage:
+        return RawImage.of(TYPES.deserialize_cdr(memoryview(self.data), kind))  # bytes would be copied
+
+
+class _Stream:
+    """A topic of images with that of its lens."""
+
+    def __init__(self, listener: Listener, found: Found, slot: str) -> None:
+        image = found.images[found.topics[slot]]
+        self.topic, self.frame, self.is_metres = image.name, image.frame, image.encoding == "32FC1"
+        self.shape = image.height, image.width
+        self.kind = found.types[image.name]
+        self.reader = listener.read(image.name, self.kind)
+        self.waiting: deque[_Message] = deque()
+        self._infos: Reader | None = listener.read(found.lens_topic(slot), CAMERA_INFO)
+        self._lens: Lens | None = None
+
+    def take(self) -> None:
+        """Add the images that have come to those that wait."""
+        for data in self.reader.take():
+            seconds, nanoseconds = struct.unpack_from("<II" if data[1] & 1 else ">II", data, 4)
+            self.waiting.append(_Message(seconds + 1e-9 * nanoseconds, time.monotonic(), data))
+
+    def find_lens(self) -> Lens | None:
+        """Return the lens; None until a message that is filled in has come."""
+        if self._infos is not None:
+            for data in self._infos.take():
+                self._lens = camera_info_lens(TYPES.deserialize_cdr(data, CAMERA_INFO), self.shape[::-1])
+                if self._lens is not None:
+                    self._infos = None
+                    break
+        return self._lens
+
+
+class Ros2Camera(Camera):
+    """Depth and colour images of one camera, paired by their stamps."""
+
+    def __init__(
+        self,
+        listener: Listener,
+        info: DeviceInfo,
+        role: CameraRole,
+        depth: _Stream,
+        color: _Stream | None,
+        T_color_depth: Matrix4,
+    ) -> None:
+        self._depth, self._color = depth, color
+        self._waiter = Waiter(listener, [stream.reader for stream in (depth, color) if stream is not None])
+        self._number, self._last_s = 0, 0.0
+        lens, color_lens, stamps_s = self._wait_for_calibration(info)
+        calibration = Calibration(
+            DepthCamera(
+                model=info.model,
+                intrinsics=lens.intrinsics,
+                depth_unit_m=FLOAT_UNIT_M if depth.is_metres else COUNT_UNIT_M,
+            ),
+            None if color_lens is None else color_lens.intrinsics,
+            T_color_depth,
+        )
+        self._lens, self._color_lens = lens, color_lens
+        super().__init__(info, role, calibration, round(1 / period_s(stamps_s), 1))
+
+    def _wait_for_calibration(self, info: DeviceInfo) -> tuple[Lens, Lens | None, Float64Array]:
+        """Return the lenses, and the stamps of the first depth images."""
+        depth, color = self._depth, self._color
+        end_s = time.monotonic() + _OPENING_S
+        while True:
+            self._waiter.wait(0.05)
+            depth.take()
+            lens, color_lens = depth.find_lens(), None if color is None else color.find_lens()
+            if lens is not None and len(depth.waiting) >= _TIMED and (color is None or color_lens is not None):
+                break
+            if time.monotonic() > end_s:
+                if not depth.reader.has_publisher:
+                    raise SourceError(f"nobody publishes {depth.topic}; start the camera's ROS 2 driver")
+                without = [s.topic for s in (depth, color) if s is not None and s.find_lens() is None]
+                lacks = f"no lens of {without[0]} has come" if without else f"{len(depth.waiting)} images have come"
+                raise SourceError(f"the {info.title} has not started within {_OPENING_S:g} s: {lacks}")
+        stamps_s = np.array([message.stamp_s for message in depth.waiting])
+        if not stamps_s.any():
+            raise SourceError(f"the images on {depth.topic} have no time stamps in their headers")
+        depth.waiting.clear()
+        return lens, color_lens, stamps_s
+
+    def read(self, timeout_s: float) -> Images | None:
+        """Return the next depth image with its colour; None if none is complete in time."""
+        if not self._is_complete():
+            self._waiter.wait(timeout_s)
+            for stream in filter(None, (self._depth, self._color)):
+                stream.take()
+        if not self._is_complete():
+            return None
+        message = self._depth.waiting.popleft()
+        color = self._partner(message.stamp_s)
+        self._number += max(1, round((message.stamp_s - self._last_s) * self.rate_hz)) if self._number else 1
+        self._last_s = message.stamp_s
+        depth = self._lens.rectify(message.image(self._depth.kind).depth(self._depth.shape, copy=False))
+        return Images(self._number, depth, color, message.stamp_s)
+
+    def _is_complete(self) -> bool:
+        """Whether the oldest depth image waits for nothing, since no colour nearer to it can come."""
+        if not self._depth.waiting:
+            return False
+        oldest = self._depth.waiting[0]
+        if self._color is None or time.monotonic() - oldest.arrival_s > _PATIENCE_S:
+            return True
+        return bool(self._color.waiting) and self._color.waiting[-1].stamp_s >= oldest.stamp_s
+
+    def _partner(self, stamp_s: float) -> Uint8Array | None:
+        """Return the colour image nearest in time, at most half a period apart; forget those before it."""
+        if self._color is None or self._color_lens is None:
+            return None
+        waiting = self._color.waiting
+        while len(waiting) > 1 and abs(waiting[1].stamp_s - stamp_s) <= abs(waiting[0].stamp_s - stamp_s):
+            waiting.popleft()
+        if not waiting or abs(waiting[0].stamp_s - stamp_s) > 0.5 / self.rate_hz * (1 + 1e-6):
+            return None
+        return self._color_lens.rectify(waiting[0].image(self._color.kind).color(self._color.shape, copy=False))

@@ -1,0 +1,146 @@
+"""Live ROS 2 topics: found, read, paired; a publisher that goes and comes back; what is missing is named."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ros2_cameras
+from fast_dds import FastDdsPublisher
+from ros2_cameras import BASELINE_M, cameras, messages, topics_of, transforms
+from tactune.core import open_source
+from tactune.core.errors import SourceError
+from tactune.core.preset import CamerasSection
+from tactune.core.sources.base import FrameSource
+from tactune.core.sources.ros import search
+from tactune.core.sources.ros.live import open_topics
+
+WAIT_S = 60
+
+
+def untold(share: float, words: str) -> None:
+    """Nobody is shown the progress."""
+
+
+def until(source: FrameSource, is_reached: Callable[[], bool]) -> None:
+    """Wait; frames that come meanwhile are taken."""
+    end_s = time.monotonic() + WAIT_S
+    while not is_reached():
+        assert time.monotonic() < end_s, source.health()
+        if source.wait(0.1):
+            source.next_frame()
+
+
+def check_frames(source: FrameSource) -> None:
+    """Frames hold the same moment of both cameras, and the colour of the same moment."""
+    rig = source.rig
+    assert (rig.proximity.model, rig.tactile.model, rig.proximity.depth_unit_m) == ("l515", "d405", 0.001)
+    assert np.allclose(np.array(rig.T_proximity_tactile)[:3, 3], (BASELINE_M, 0, 0))
+    assert rig.proximity_color is None  # the same frame and lens: aligned
+    for _ in range(8):  # images that came while the cameras were opened may have lost their colour
+        source.next_frame()
+    for _ in range(10):
+        frame = source.next_frame()
+        assert frame is not None
+        number = frame.proximity_depth[0, 0]
+        assert frame.tactile_depth[0, 0] == number
+        assert (frame.proximity_color[0, 0] == number % 256).all()
+        assert frame.tactile_color is not None
+        assert (frame.tactile_color[0, 0] == number % 256).all()
+        assert frame.skew_s == 0
+        assert np.array_equal(frame.proximity_depth[1:], ros2_cameras.DEPTH[1:])
+
+
+def test_two_cameras_are_found_and_survive_that_their_publisher_goes(domain: int) -> None:
+    with cameras(domain) as publisher, open_source(f"ros2:?domain={domain}") as source:
+        assert source.frame_rate_hz == 30.0
+        check_frames(source)
+        assert source.health().message == ""
+        publisher.kill()
+        until(source, lambda: "Nobody publishes /l515/depth/image_rect_raw" in source.health().message)
+        assert [camera.state for camera in source.health().cameras] == ["missing", "missing"]
+        with cameras(domain):
+            until(source, lambda: source.health().ok and source.wait(0))
+            check_frames(source)
+            assert source.health().message == ""
+
+
+@pytest.fixture
+def from_fast_dds(fast_dds_program: Path, domain: int) -> Iterator[int]:
+    """Publish by Fast DDS, images without repeats as sensor data are, and return the domain."""
+    names = ros2_cameras.CAMERAS
+    topics = {
+        topic: (kind, "transient_local" if topic == "/tf_static" else "best_effort")
+        for topic, kind in topics_of(names).items()
+    }
+    publisher, ended = FastDdsPublisher(fast_dds_program, domain, topics), threading.Event()
+
+    def run() -> None:
+        number, began_s = 0, time.time()
+        publisher.send("/tf_static", transforms())
+        while not ended.wait(max(0.0, began_s + number / 15 - time.time())):
+            for topic, data in messages(number, round((began_s + number / 15) * 1e9), names):
+                publisher.send(topic, data)
+            number += 1
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    yield domain
+    ended.set()
+    thread.join()
+    publisher.close()
+
+
+def test_cameras_that_fast_dds_publishes(from_fast_dds: int) -> None:
+    with open_source(f"ros2:?domain={from_fast_dds}&host=127.0.0.1") as source:
+        check_frames(source)
+        assert source.frame_rate_hz == 15.0
+
+
+def test_names_that_tell_no_role_are_listed_and_can_be_given(domain: int) -> None:
+    chosen = ",".join(
+        f"{slot}=/{name}" for slot, name in (
+            ("proximity.depth", "a/depth/image_rect_raw"), ("proximity.color", "a/color/image_raw"),
+            ("tactile.depth", "b/depth/image_rect_raw"),
+        )
+    )  # fmt: skip
+    unclear = r"do not say which camera.*--topics.*/a/depth/image_rect_raw \(848 x 480, 16UC1"
+    with cameras(domain, names=("a", "b")):
+        with pytest.raises(SourceError, match=unclear):
+            open_topics(f"?domain={domain}", CamerasSection(), untold)
+        with open_topics(f"?domain={domain}?{chosen}", CamerasSection(), untold) as source:
+            frame = source.next_frame()
+            assert frame is not None
+            assert frame.tactile_color is None
+            assert source.rig.T_proximity_tactile is None
+            assert "No chain of fixed transforms joins the frames 'a_optical'" in source.health().message
+
+
+@pytest.mark.parametrize(
+    ("rest", "sentence"),
+    [
+        ("domain=3", "the only options are domain and host"),
+        ("?port=3", "the only options are domain and host"),
+        ("?domain=", "the domain is ''"),
+        ("?domain=300", "is not from 0 to 232"),
+        ("?host=here", "'here' is no IPv4 address"),
+        ("?proximity.depht=/a", "the only options are domain and host"),
+        ("?domain={domain}", "nobody has published in ROS 2 domain"),
+    ],
+)
+def test_what_cannot_be_opened_is_one_sentence(
+    rest: str, sentence: str, domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(search, "_SEARCH_S", 0.2)
+    with pytest.raises(SourceError, match=sentence):
+        open_topics(rest.format(domain=domain), CamerasSection(), untold)
+
+
+def test_a_lens_that_is_unknown_is_named(domain: int) -> None:
+    with cameras(domain, model="spherical"), pytest.raises(SourceError, match=r"lens model 'spherical'.*known are"):
+        open_topics(f"?domain={domain}", CamerasSection(), untold)
