@@ -16,6 +16,7 @@ from ..model.alignment import PointPair
 from ..model.arrays import BoolArray, Float64Array
 from ..model.files import atomic_path
 from ..model.loading import read_file
+from ..model.tables import parse_table
 
 _REQUIRED = ("id", "enabled", "proximity_u", "proximity_v", "tactile_u", "tactile_v", "tactile_depth_m")
 _OPTIONAL = ("proximity_image", "snapshot", "origin")
@@ -33,7 +34,7 @@ def read_points(path: Path | str) -> list[PointPair]:
     Parameters
     ----------
     path : Path or str
-        A file as the calibration wizard exports it, UTF-8. Its first line names the columns: ``id, enabled,
+        A file as the calibration wizard or any spreadsheet writes it. Its first line names the columns: ``id, enabled,
         proximity_u, proximity_v, tactile_u, tactile_v`` (pixels, column and row, pixel centres at integers) and
         ``tactile_depth_m`` (raw tactile depth, metres; empty if unknown). Optional: ``proximity_image`` (``depth`` or
         ``color``: the image in which the proximity side was clicked), ``snapshot`` (number of the inflation level,
@@ -50,31 +51,28 @@ def read_points(path: Path | str) -> list[PointPair]:
         The file cannot be read, has another header or an invalid row; the message names line, column and value.
     """
     try:
-        text = read_file(Path(path), _MAX_BYTES).decode("utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = "it is no UTF-8 text" if isinstance(error, UnicodeDecodeError) else error.strerror or error
+        header, rows = parse_table(read_file(Path(path), _MAX_BYTES), texts=("id", "origin", "proximity_image"))
+    except UnicodeDecodeError as error:
+        raise CalibrationError(f"cannot read the points {path}: it is no text; choose a CSV file") from error
+    except OSError as error:
+        reason = error.strerror or error
         raise CalibrationError(f"cannot read the points {path}: {reason}; choose a CSV file") from error
-    reader = csv.DictReader(io.StringIO(text), strict=True)
+    except ValueError as error:
+        raise CalibrationError(f"{path}, {error}; correct the row") from error
+    _check_header(header, path)
     pairs: dict[str, PointPair] = {}
-    try:
-        header = _checked_header([name.strip() for name in reader.fieldnames or ()], path)
-        reader.fieldnames = header
-        for row in reader:
-            where = f"{path}, line {reader.line_num}"
-            if not any(map(str.strip, filter(None, row.values()))):
-                continue  # spreadsheets append rows of commas
-            if None in row or None in row.values():
-                raise CalibrationError(f"{where}: there are not {len(header)} values as in the header; correct the row")
-            pair = _pair({name: value.strip() for name, value in row.items()}, where)
-            if pair.id in pairs:
-                raise CalibrationError(f"{where}: id {pair.id!r} is taken by an earlier row; give each pair its own")
-            pairs[pair.id] = pair
-    except csv.Error as error:
-        raise CalibrationError(f"{path}, line {reader.line_num}: not CSV ({error}); correct the row") from error
+    for line, row in rows:
+        where = f"{path}, line {line}"
+        if len(row) != len(header):
+            raise CalibrationError(f"{where}: there are not {len(header)} values as in the header; correct the row")
+        pair = _pair(dict(zip(header, row, strict=True)), where)
+        if pair.id in pairs:
+            raise CalibrationError(f"{where}: id {pair.id!r} is taken by an earlier row; give each pair its own")
+        pairs[pair.id] = pair
     return list(pairs.values())
 
 
-def _checked_header(header: list[str], path: Path | str) -> list[str]:
+def _check_header(header: list[str], path: Path | str) -> None:
     missing = [name for name in _REQUIRED if name not in header]
     unknown = [name for name in header if name not in (*_REQUIRED, *_OPTIONAL, _IGNORED)]
     twice = [name for name in header if header.count(name) > 1]
@@ -83,7 +81,6 @@ def _checked_header(header: list[str], path: Path | str) -> list[str]:
     if missing or unknown:
         what = f"lacks the column {missing[0]}" if missing else f"has the column {unknown[0]!r}"
         raise CalibrationError(f"{path}: the header {what}; it should be {','.join(_REQUIRED)}")
-    return header
 
 
 def _pair(fields: dict[str, str], where: str) -> PointPair:

@@ -28,6 +28,7 @@ from ..model.files import user_path
 from ..model.frames import Matrix4, rigid_transform
 from ..model.loading import parse_json, read_file
 from ..model.metrics import nearest_distances
+from ..model.tables import parse_table
 from ..preset import MaskSection
 
 SUFFIXES: Final = (".ply", ".obj")
@@ -269,22 +270,28 @@ def load_transform(path: Path | str) -> Matrix4:
 
 def read_text(path: Path | str) -> str:
     """Return the text of a small file; raises a `SourceError`."""
-    path = user_path(path)
     try:
-        return read_file(path, _FILE_BYTES).decode("utf-8-sig")
-    except OSError as error:
-        raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
+        return _read_small(path).decode("utf-8-sig")
     except ValueError as error:
         raise SourceError(f"{path} is no text file; write it as text") from error
 
 
+def _read_small(path: Path | str) -> bytes:
+    path = user_path(path)
+    try:
+        return read_file(path, _FILE_BYTES)
+    except OSError as error:
+        raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
+
+
 def read_pairs(path: Path | str, unit_m: float = 1.0) -> tuple[Float64Array, Float64Array]:
     """Read point pairs for `pose_from_pairs` from a CSV file with the columns of `HEADER`; both in metres, (N, 3)."""
-    lines = [line.split(",") for line in read_text(path).splitlines() if line.strip()]
-    if not lines or tuple(word.strip() for word in lines[0]) != HEADER:
-        raise SourceError(f"{path} lacks the header {','.join(HEADER)}; put it into the first line")
     try:
-        table = np.array(lines[1:], np.float64).reshape(-1, len(HEADER))
+        header, rows = parse_table(_read_small(path))
+        if sorted(header) != sorted(HEADER):
+            raise SourceError(f"{path} lacks the header {','.join(HEADER)}; put it into the first line")
+        table = np.array([row for _, row in rows], np.float64).reshape(-1, len(HEADER))
+        table = table[:, [header.index(name) for name in HEADER]]
     except ValueError as error:
         raise SourceError(f"{path} has a line that is no pair; each is six numbers") from error
     if not np.isfinite(table).all():

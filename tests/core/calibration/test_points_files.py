@@ -72,3 +72,41 @@ def test_a_bad_row_is_named_with_line_field_and_value(tmp_path, text, words):
 def test_a_file_that_is_not_there_is_named(tmp_path):
     with pytest.raises(CalibrationError, match=r"nowhere\.csv.*No such file"):
         read_points(tmp_path / "nowhere.csv")
+
+
+TABLE = [HEADER.split(","), ["1", "1", "1.5", "2", "3", "4", "0.25"], ["a b", "0", "-1.5", "2", "3", "5", ""]]
+
+
+def joined(separator: str, rows: list[list[str]] = TABLE, end: str = "\n") -> str:
+    return end.join(separator.join(row) for row in rows) + end
+
+
+SPREADSHEETS = {
+    "semicolon": joined(";").encode(),
+    "decimal comma": joined(";").replace(".", ",").encode(),
+    "tab": joined("\t").replace(".", ",").encode(),
+    "quoted": joined(",", [[f'"{cell}"' for cell in row] for row in TABLE]).encode(),
+    "quoted decimal comma": joined(",", [[f'"{cell}"' for cell in row] for row in TABLE]).replace(".", ",").encode(),
+    "byte order mark, CRLF": b"\xef\xbb\xbf" + joined(";", end="\r\n").encode(),
+    "Unicode text of Excel": joined("\t").encode("utf-16"),
+    "upper case in another order": joined(",", [row[::-1] for row in TABLE]).replace("_u", "_U").encode(),
+    "blank lines and cells": ("\n\n" + joined(";").replace("\n", ";;\n") + ";;;\n\n").encode(),
+    "sep=": b"sep=;\r\n" + joined(";", end="\r\n").encode(),
+    "TRUE and FALSE": joined(";").replace(";1;1.5", ";TRUE;1.5").replace("b;0", "b;FALSE").encode(),
+    "spaces": joined(", ").encode(),
+    "exponents": joined(";").replace("1.5", "1,5E+00").replace("0.25", "2,5E-01").encode(),
+}
+
+
+@pytest.mark.parametrize("kind", SPREADSHEETS)
+def test_a_table_of_any_spreadsheet_has_the_same_pairs(tmp_path, kind):
+    (tmp_path / "a.csv").write_bytes(SPREADSHEETS[kind])
+    first, second = read_points(tmp_path / "a.csv")
+    assert (first.id, first.enabled, first.proximity_u, first.tactile_depth_m) == ("1", True, 1.5, 0.25)
+    assert (second.id, second.enabled, second.proximity_u, second.tactile_depth_m) == ("a b", False, -1.5, None)
+
+
+def test_a_comma_in_a_file_of_points_is_not_guessed(tmp_path):
+    (tmp_path / "a.csv").write_text(joined(";").replace("-1.5", "1,234"))
+    with pytest.raises(CalibrationError, match="line 3: proximity_u is '1,234'"):
+        read_points(tmp_path / "a.csv")
