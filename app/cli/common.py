@@ -243,15 +243,27 @@ def open_with_progress(name: str, preset: Preset | None = None) -> Iterator[Fram
 
 
 @contextmanager
-def open_pipeline(name: str, preset: Preset) -> Iterator[tuple[FrameSource, ContactPipeline]]:
-    """Open a source for a preset, and compile what the first frame would wait for."""
+def open_pipeline(name: str, preset: Preset, origin: str) -> Iterator[tuple[FrameSource, ContactPipeline]]:
+    """Open a source for a preset of this origin, and compile what the first frame would wait for."""
     from ...core.contact.pipeline import ContactPipeline
     from ...core.warmup import warm_up_if_needed
 
     with open_with_progress(name, preset) as source:
         with CliProgress() as progress:
             warm_up_if_needed(progress.preparing, preset)
-        yield source, ContactPipeline(preset, source.rig)
+            untouched = untouched_for(preset, origin, source)
+        yield source, ContactPipeline(preset, source.rig, untouched)
+
+
+def untouched_for(preset: Preset, origin: str, source: FrameSource) -> SensorFrame | None:
+    """Return the untouched frame if the contact test compares with it; warn of one that cannot be used."""
+    from ...core.rig.untouched import find_untouched
+
+    if not preset.test.needs_untouched:
+        return None
+    found = find_untouched(preset, origin, source)
+    warn(*found.warnings)
+    return found.frame
 
 
 def number_of_frames(source: FrameSource, asked: int | None) -> int | None:

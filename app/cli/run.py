@@ -101,7 +101,7 @@ def run(
     chosen = load_preset(origin).with_values(parse_settings(settings))
     if out is not None and out.suffix != MCAP_SUFFIX:
         out.mkdir(parents=True, exist_ok=True)  # before anything is computed
-    with open_pipeline(source, chosen) as (opened, pipeline):
+    with open_pipeline(source, chosen, origin) as (opened, pipeline):
         tilt = make_tilt(estimate, chosen, opened.rig)
         with (
             _drift_watch(watch, chosen, origin, opened) as look,

@@ -21,6 +21,7 @@ from .common import (
     live_frames,
     open_with_progress,
     stop_on_signals,
+    untouched_for,
     warn,
     with_topics,
 )
@@ -30,12 +31,11 @@ from .track import UnitOption, read_mesh
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from ...core.contact.pipeline import ContactPatch
+    from ...core.contact.pipeline import ContactPatch, ContactPipeline
     from ...core.estimation.pose import PoseTracker
     from ...core.estimation.tilt import Tilt
     from ...core.model.frames import SensorFrame
     from ...core.output.publisher import Publisher
-    from ...core.preset import Preset
     from ...core.sources import FrameSource
 
 _LAYOUT_HELP = "Write the layout for the Foxglove app (Import from file) and end, unless --foxglove or --ros2 is given."
@@ -68,6 +68,7 @@ def serve(
     layout: Annotated[Path | None, typer.Option("--layout", metavar="FILE", help=_LAYOUT_HELP)] = None,
 ) -> None:
     """Publish contact patches live for Foxglove and ROS 2, until Ctrl+C; a recording is repeated at its own rate."""
+    from ...core.contact.pipeline import ContactPipeline
     from ...core.output.connections import Connections
     from ...core.output.publisher import Publisher
     from ...core.sources.capture.live import LiveLoop
@@ -84,7 +85,8 @@ def serve(
     if not (foxglove or ros2):
         raise typer.BadParameter("give --foxglove or --ros2; nothing is published unless it is asked for")
     source = with_topics(source, topics)
-    chosen = load_preset(preset or default_preset(source))
+    origin = preset or default_preset(source)
+    chosen = load_preset(origin)
     connections = Connections(foxglove, ros2, host, port, domain, namespace)
     with (
         Publisher(connections.make_sinks()) as publisher,  # a taken port is told before cameras start
@@ -103,13 +105,14 @@ def serve(
                 typer.echo(f"{output.sink.name}: {output.sink.place}")
             if connections.warning:
                 warn(connections.warning)
-            count = _publish(playing, chosen, publisher, tilt, poses, frames, stopped)
+            pipeline = ContactPipeline(chosen, playing.rig, untouched_for(chosen, origin, opened))
+            count = _publish(playing, pipeline, publisher, tilt, poses, frames, stopped)
         typer.echo(f"published {counted(count, 'frame')} of {playing.name}")
 
 
 def _publish(
     source: FrameSource,
-    preset: Preset,
+    pipeline: ContactPipeline,
     publisher: Publisher,
     tilt: Callable[[ContactPatch, SensorFrame], Tilt] | None,
     poses: _Poses | None,
@@ -117,16 +120,14 @@ def _publish(
     stopped: Event,
 ) -> int:
     """Process and publish frames; return their number."""
-    from ...core.contact.pipeline import ContactPipeline
     from ...core.model.patch import Lazy
 
-    pipeline = ContactPipeline(preset, source.rig)
     count = 0
     try:
         for frame in live_frames(source, frames, stopped):
             patch = pipeline.process(frame)
             record = None if tilt is None else Lazy(tilt(patch, frame).record)
-            publisher.put(frame, patch, preset, record)
+            publisher.put(frame, patch, pipeline.preset, record)
             if poses is not None:
                 poses.put(patch, frame.proximity_time_s)
             count += 1

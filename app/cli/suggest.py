@@ -104,7 +104,7 @@ def check(
 
     origin = preset or default_preset(source)
     chosen = load_preset(origin)
-    with open_pipeline(source, chosen) as (opened, pipeline):
+    with open_pipeline(source, chosen, origin) as (opened, pipeline):
         frames = _recent_frames(opened, frame)
         stored = kept_untouched(chosen, origin, opened)
         warn(*stored.warnings)

@@ -74,10 +74,11 @@ def track(
         raise typer.BadParameter("give --out FILE for the poses, or --truth for a comparison")
     if out is not None and out.suffix.lower() not in SUFFIXES:
         raise ExportError(f"{out} has the suffix {out.suffix!r}; choose one of {', '.join(SUFFIXES)}")
-    chosen = load_preset(preset or default_preset(source))
+    origin = preset or default_preset(source)
+    chosen = load_preset(origin)
     errors: list[PoseError] = []
     done = known = 0
-    with open_pipeline(source, chosen) as (opened, pipeline):
+    with open_pipeline(source, chosen, origin) as (opened, pipeline):
         shape = _mesh(mesh, unit, opened)
         tracker, total = PoseTracker(shape, chosen, opened.rig), number_of_frames(opened, frames)
         with stop_on_signals() as stopped, _output(out, opened, chosen) as save, CliProgress() as progress:

@@ -92,14 +92,14 @@ class TopicsDialog(QDialog):
             picture.setPixmap(self._pixmap(topic)) if topic else picture.setText("No image")
         depths = [self.topics.get(f"{role}.depth", "") for role in ("proximity", "tactile")]
         problem = ""
-        if not depths[0]:
-            problem = "Choose the depth of the proximity camera."
+        if not depths[1]:
+            problem = "Choose the depth of the tactile camera, which sees the membrane."
         elif depths[0] == depths[1]:
             problem = "One topic is chosen twice: choose another one for one camera."
-        elif not depths[1]:
-            problem = "Without tactile depth the recording can be viewed only."
-        self.note.say(problem, error=bool(problem) and "viewed" not in problem)
-        self._open.setEnabled(bool(depths[0]) and depths[0] != depths[1])
+        self.note.say(problem, error=True)
+        if not problem and not depths[0]:
+            self.note.say("Without proximity depth this is a rig with a tactile camera only.")
+        self._open.setEnabled(not problem)
 
 
 class TopicsControl(QObject):

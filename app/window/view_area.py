@@ -42,8 +42,6 @@ TITLES = {
 POINT_SIZES = (1, 8)
 #: Share of a view that the patch takes after *Zoom to patch*.
 _PATCH_FILL = 0.6
-_NO_TACTILE_CAMERA = "This recording has no tactile camera"
-_ONE_CAMERA = "One camera only: no contact can be found"
 _NO_DEPTH = "This camera measured no depth in this frame"
 _NO_POSE = "The tactile camera's pose is not known: calibrate (Ctrl+K), or open a preset that has one"
 _COLOR_TIPS = {
@@ -256,15 +254,11 @@ def legend_of(
 
 def _shown(name: CloudName, result: Result | ComparedSide, rig: Rig) -> tuple[DepthCloud | None, str]:
     """Return the cloud of a view, and why it has no points and what to do."""
-    cloud, one_camera = result.rendered.clouds[name], rig.tactile.model == "none"
-    if name is CloudName.TACTILE and one_camera:
-        return cloud, _NO_TACTILE_CAMERA
+    cloud = result.rendered.clouds[name]
     if name is CloudName.TACTILE and cloud is None:
         return cloud, _NO_POSE
     if name is not CloudName.PATCH:
         return cloud, _NO_DEPTH
-    if one_camera:
-        return cloud, _ONE_CAMERA
     return cloud, result.problem or result.rendered.no_contact
 
 

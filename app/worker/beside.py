@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from threading import Thread
 
@@ -99,24 +100,44 @@ def _kernels_of(preset: Preset) -> _Kernels:
 INTERVAL_S = 1.0
 
 
+class StoredUntouched:
+    """The stored untouched frame of a preset, beside the file ``home``; read again only if another one is named."""
+
+    def __init__(self) -> None:
+        self.home: Path | None = None
+        self._key: object = None
+        self._frame: SensorFrame | None = None
+
+    def __call__(self, info: SourceInfo, preset: Preset) -> SensorFrame | None:
+        """Return the frame, or None; who needs it says why it cannot be read."""
+        key = info, preset.untouched, self.home
+        if key != self._key:
+            self._key, self._frame = key, None
+            if info.at_rest is not None:
+                with suppress(TactuneError):
+                    self._frame = kept_untouched(preset, self.home, info.at_rest).frame
+        return self._frame
+
+    def forget(self) -> None:
+        self._key = self._frame = None
+
+
 class Examination:
     """Examines results; for the worker's thread only."""
 
-    def __init__(self) -> None:
+    def __init__(self, untouched: StoredUntouched) -> None:
+        self._stored_untouched = untouched
         self._result: Result | None = None  # not examined yet
         self._examiner: Examiner | None = None
         self._info: SourceInfo | None = None
-        self._home: Path | None = None
-        self._untouched_key: object = None
-        self._untouched: SensorFrame | None = None
         self._ended_s = -INTERVAL_S
 
-    def note(self, result: Result, home: Path | None) -> None:
-        """Examine this result when it is due; ``home`` is the file beside which the preset's untouched frame lies."""
-        self._result, self._home = result, home
+    def note(self, result: Result) -> None:
+        """Examine this result when it is due."""
+        self._result = result
 
     def forget(self) -> None:
-        self._result, self._examiner, self._info, self._untouched_key = None, None, None, None
+        self._result, self._examiner, self._info = None, None, None
 
     def wait_s(self) -> float | None:
         """Seconds until the next examination is due (0: now); None while there is nothing new to examine."""
@@ -136,15 +157,3 @@ class Examination:
         found = self._examiner.findings(result.frame, result.patch, result.preset, untouched)
         self._ended_s = time.perf_counter()
         return found, result.preset
-
-    def _stored_untouched(self, info: SourceInfo, preset: Preset) -> SensorFrame | None:
-        """Return the stored untouched frame, read again only if the preset names another one."""
-        key = info, preset.untouched
-        if key != self._untouched_key:
-            self._untouched_key = key
-            try:
-                at_rest = info.at_rest
-                self._untouched = None if at_rest is None else kept_untouched(preset, self._home, at_rest).frame
-            except TactuneError:
-                self._untouched = None  # who needs it says why it cannot be read
-        return self._untouched

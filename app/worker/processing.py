@@ -37,6 +37,7 @@ class PatchFinder:
         #: What the patch waits for; empty if for nothing.
         self.waiting = ""
         self._pipeline: ContactPipeline | None = None
+        self._untouched: SensorFrame | None = None
         self._frame: SensorFrame | None = None
         self._step_ms: dict[str, float] = {}
 
@@ -45,16 +46,16 @@ class PatchFinder:
         """Milliseconds of all steps on this frame; a cached step counts as when it was last computed."""
         return sum(self._step_ms.values())
 
-    def find(self, frame: SensorFrame, preset: Preset, rig: Rig) -> None:
-        """Find the patch, or say why this preset cannot be used with this rig."""
+    def find(self, frame: SensorFrame, preset: Preset, rig: Rig, untouched: SensorFrame | None = None) -> None:
+        """Find the patch, or say why this preset cannot be used with this rig; ``untouched`` is the preset's frame."""
         self.preset = preset
         self.waiting = self._missing(preset)
         if self.waiting:
             self.patch, self.problem, self.warnings = None, "", ()
             return
         try:
-            if self._pipeline is None:
-                self._pipeline = ContactPipeline(preset, rig)
+            if self._pipeline is None or untouched is not self._untouched:
+                self._pipeline, self._untouched = ContactPipeline(preset, rig, untouched), untouched
             elif self._pipeline.preset is not preset:
                 self._pipeline.update(preset)
             self.warnings = tuple(self._pipeline.warnings)
@@ -71,8 +72,12 @@ class PatchFinder:
 class FrameProcessor:
     """Holds the pipelines of the present source and counts processed frames."""
 
-    def __init__(self, missing: Callable[[Preset], str] = lambda preset: "") -> None:
-        self._missing = missing
+    def __init__(
+        self,
+        missing: Callable[[Preset], str] = lambda preset: "",
+        untouched: Callable[[SourceInfo, Preset], SensorFrame | None] = lambda info, preset: None,
+    ) -> None:
+        self._missing, self._stored_untouched = missing, untouched
         self._renderer = Renderer()
         self._present = PatchFinder(missing)
         self._others: list[PatchFinder] = []
@@ -101,8 +106,8 @@ class FrameProcessor:
 
         A frame that is ``held`` may stay on the screen although the recording plays, so all of it is drawn.
         """
-        self._present.find(frame, preset, info.rig)
-        finders = self._find_compared(frame, info.rig, compared)
+        self._present.find(frame, preset, info.rig, self._untouched(info, preset))
+        finders = self._find_compared(frame, info, compared)
         started = time.perf_counter()
         if self._present.waiting and not self._processed:  # the images' kernels are compiled after the first picture
             wanted = replace(wanted, strip=False)
@@ -147,7 +152,10 @@ class FrameProcessor:
         self._strip_s = now_s
         return wanted
 
-    def _find_compared(self, frame: SensorFrame, rig: Rig, sides: Sides | None) -> list[PatchFinder]:
+    def _untouched(self, info: SourceInfo, preset: Preset) -> SensorFrame | None:
+        return self._stored_untouched(info, preset) if preset.test.needs_untouched else None
+
+    def _find_compared(self, frame: SensorFrame, info: SourceInfo, sides: Sides | None) -> list[PatchFinder]:
         """Find the patches of compared presets; one that does not follow the present preset has its own pipeline.
 
         A pipeline stays with its preset, also when the sides change places, because its cached steps and averaged
@@ -162,7 +170,7 @@ class FrameProcessor:
                 kept[-1].preset = preset
         self._others = kept
         for finder in kept:
-            finder.find(frame, finder.preset, rig)
+            finder.find(frame, finder.preset, info.rig, self._untouched(info, finder.preset))
         return [
             self._present if side.follows else next(finder for finder in kept if finder.preset is side.preset)
             for side in sides or ()

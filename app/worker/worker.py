@@ -23,7 +23,7 @@ from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import Preset
 from ...core.sources.base import CameraOption, CameraRole, FrameSource
 from ..document.comparison import Sides
-from .beside import BackgroundCompiler, Examination
+from .beside import BackgroundCompiler, Examination, StoredUntouched
 from .errors import explain, guarded
 from .playback import Playback, PlaybackState
 from .processing import FrameProcessor
@@ -71,10 +71,10 @@ class Worker(QThread):
         self._preset = preset
         self._wanted = Wanted()
         self._compared: Sides | None = None
-        self._untouched_home: Path | None = None
+        self._untouched = StoredUntouched()
         self._compiler = BackgroundCompiler(lambda: self._orders.put(lambda: setattr(self, "_redo", True)))
-        self._processor = FrameProcessor(self._compiler.missing)
-        self._examination = Examination()
+        self._processor = FrameProcessor(self._compiler.missing, self._untouched)
+        self._examination = Examination(self._untouched)
         self._reader: FrameReader | None = None
         self._live: LiveReader | None = None
         self._state = SourceState()
@@ -107,7 +107,7 @@ class Worker(QThread):
 
         Its untouched frame lies beside the file ``untouched_home``.
         """
-        self._orders.put(lambda: self._change("_untouched_home", untouched_home))
+        self._orders.put(lambda: setattr(self._untouched, "home", untouched_home))
         self._orders.put(lambda: self._change("_preset", preset))
 
     def set_compared(self, sides: Sides | None) -> None:
@@ -260,6 +260,7 @@ class Worker(QThread):
         self._info = SourceInfo.of(source)
         self._processor.forget()
         self._examination.forget()
+        self._untouched.forget()
         self._playback.start_source(source.length, source.frame_rate_hz)
         self.opened.emit(self._info)
         if source.length is None:
@@ -385,7 +386,7 @@ class Worker(QThread):
         if (publisher := self._publisher) is not None:
             _publish(publisher, result)
         self._compiler.start()  # after the first picture, which compiles, too
-        self._examination.note(result, self._untouched_home)
+        self._examination.note(result)
 
     def _fail(self, sentence: str) -> None:
         if self._live is None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Final
 
 from .contact_test import ContactTest
+from .dent import DentTest
 from .membrane.test import MembraneTest
 from .tolerance import ToleranceTest
 
@@ -15,4 +16,5 @@ from .tolerance import ToleranceTest
 CONTACT_TESTS: Final[dict[str, type[ContactTest]]] = {
     "membrane": MembraneTest,
     "tolerance": ToleranceTest,
+    "dent": DentTest,
 }

@@ -60,6 +60,8 @@ class AlignmentModel:
 def make_alignment(section: AlignmentSection, rig: Rig) -> AlignmentModel:
     """Build the model that a preset asks for; `RigMismatchError` if neither the preset nor the rig has a pose."""
     (height, width), (tactile_height, tactile_width) = rig.proximity.intrinsics.shape, rig.tactile.intrinsics.shape
+    if not rig.has_proximity:  # both images are the same
+        section = AlignmentSection(model="rigid")
     rigid = section.model == "rigid"
     planes, table = np.empty(0, np.float32), np.empty(0, np.int32)
     translation: Float64Array = np.zeros(3)
@@ -91,7 +93,8 @@ def make_alignment(section: AlignmentSection, rig: Rig) -> AlignmentModel:
 
 def tactile_pose(section: AlignmentSection, rig: Rig) -> Float64Array:
     """Return ``T_p_t`` (4 x 4): the preset's own, or else the rig's; `RigMismatchError` if neither has one."""
-    pose = section.rigid.T_proximity_tactile or rig.T_proximity_tactile
+    calibrated = section.rigid.T_proximity_tactile if rig.has_proximity else None
+    pose = calibrated or rig.T_proximity_tactile
     if pose is None:
         raise RigMismatchError(
             "the pose of the tactile camera is not known: neither preset (alignment.rigid.T_proximity_tactile) nor rig "

@@ -76,6 +76,11 @@ def check_rig(preset: Preset, rig: Rig) -> list[str]:
     """
     name, made_for, used = f"Preset {preset.name!r}", preset.rig, rig_in_use(preset, rig)
     warnings = []
+    if preset.test.needs_proximity and not rig.has_proximity:
+        raise RigMismatchError(
+            f"the contact test {preset.contact_test} compares two cameras, and this rig has a tactile camera only; "
+            "choose the contact test dent"
+        )
     if used is not rig:
         warnings.append(
             f"{name} contains lens distortion that the source does not state; the preset's is used. "

@@ -115,6 +115,8 @@ class ContactTest(ABC):
         What to say of a preset that uses the test without the mask, or with a homography; empty for nothing.
     moves_points : bool
         Whether points lie elsewhere than the proximity depth says.
+    needs_proximity, needs_untouched : bool
+        Whether the test compares two cameras, and whether it compares with the untouched frame.
     """
 
     name: ClassVar[str]
@@ -129,6 +131,8 @@ class ContactTest(ABC):
     unmasked_note: ClassVar[str] = ""
     homography_note: ClassVar[str] = ""
     moves_points: ClassVar[bool] = False
+    needs_proximity: ClassVar[bool] = True
+    needs_untouched: ClassVar[bool] = False
 
     def __init__(self, pixels: Pixels) -> None:
         self.pixels = pixels

@@ -39,6 +39,8 @@ class ContactPipeline:
     preset : Preset
     rig : Rig
         The rig that records the frames; a lens distortion that the preset's calibration estimated is added to it.
+    untouched : SensorFrame, optional
+        The untouched membrane, for a contact test that compares with it.
 
     Raises
     ------
@@ -55,8 +57,8 @@ class ContactPipeline:
         Sentences on differences between the preset's rig and this one.
     """
 
-    def __init__(self, preset: Preset, rig: Rig) -> None:
-        self._recording_rig = rig
+    def __init__(self, preset: Preset, rig: Rig, untouched: SensorFrame | None = None) -> None:
+        self._recording_rig, self._untouched = rig, untouched
         self._start(preset, rig_in_use(preset, rig))
 
     def _start(self, preset: Preset, rig: Rig) -> None:
@@ -100,7 +102,9 @@ class ContactPipeline:
         self._keys |= {name: (preset.contact_test, *map(preset.value, fields)) for name, fields in steps.items()}
         first_key = self._keys[next(iter(steps))]
         if first_key != self._test_key:
-            self._test: ContactTest = preset.test(Pixels(preset, self.rig, self._alignment, self._workspace))
+            self._test: ContactTest = preset.test(
+                Pixels(preset, self.rig, self._alignment, self._workspace, self._untouched)
+            )
             self._test_key = first_key
             for name in steps:  # the test that was replaced kept their results
                 self._memory.done.pop(name, None)

@@ -51,24 +51,31 @@ class Workspace:
 class Pixels:
     """The proximity pixels as a preset's alignment, region, range and mask let a contact test see them."""
 
-    def __init__(self, preset: Preset, rig: Rig, alignment: AlignmentModel, workspace: Workspace) -> None:
-        self.rig, self.alignment, self.workspace = rig, alignment, workspace
+    def __init__(
+        self,
+        preset: Preset,
+        rig: Rig,
+        alignment: AlignmentModel,
+        workspace: Workspace,
+        untouched: SensorFrame | None = None,
+    ) -> None:
+        self.rig, self.alignment, self.workspace, self.untouched = rig, alignment, workspace, untouched
         self.coarse = CoarseTest(alignment.tables)  # Rules out image tiles in which the depths are far from each other
         near, far = preset.range.limits_m if preset.range.enabled else (0.0, np.inf)
         self.limits = kernels.DepthLimits(np.float32(near), np.float32(far), np.float32(0))  # With the tolerance 0
-        self._region = region_bounds(preset.region, rig.proximity.intrinsics.shape)
+        self.region = region_bounds(preset.region, rig.proximity.intrinsics.shape)
         self._rays = _ray_planes(rig.proximity.intrinsics)
         self._lookup = color_lookup_of(rig)
         self._hsv = hsv_limits(preset.mask) if preset.mask.enabled else _NO_LIMITS
 
     def aligned(self, frame: SensorFrame) -> AlignedDepth:
         """Return both depths for every pixel of the region; nan elsewhere."""
-        return self.alignment.align(frame.proximity_depth, frame.tactile_depth, self._region)
+        return self.alignment.align(frame.proximity_depth, frame.tactile_depth, self.region)
 
     def test(self, tolerance: float = np.inf) -> kernels.PixelTest:
         """Return the test of single pixels, for kernels; with the default any two depths agree."""
         limits = self.limits._replace(tolerance=np.float32(tolerance))
-        return kernels.PixelTest(self.alignment.tables, self._region, limits, self._rays)
+        return kernels.PixelTest(self.alignment.tables, self.region, limits, self._rays)
 
     def color_test(self, frame: SensorFrame) -> kernels.ColorTest:
         """Return the colour mask of a frame, for kernels."""

@@ -8,7 +8,7 @@ metres; raw depth is uint16, with its unit in the camera.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator
@@ -91,8 +91,12 @@ class ColorCamera(_Frozen):
         return camera_pose(value)
 
 
+#: Model of the stand-in for the proximity camera of a rig that has a tactile camera only.
+NO_CAMERA: Final = "none"
+
+
 class Rig(_Frozen):
-    """Both depth cameras of one sensor and their relative pose, if known.
+    """Both depth cameras of one sensor and their relative pose, if known; or a tactile camera only: `of_one_camera`.
 
     Without a colour camera, ``proximity_color`` None, the proximity colour image is aligned to the depth image already.
     ``T_proximity_tactile`` is the factory or nominal pose of the tactile depth camera in the proximity depth frame.
@@ -107,6 +111,21 @@ class Rig(_Frozen):
     @classmethod
     def _is_rigid(cls, value: Any) -> Matrix4 | None:
         return None if value is None else camera_pose(value)
+
+    @classmethod
+    def of_one_camera(cls, tactile: DepthCamera) -> Rig:
+        """Return a rig with a tactile camera only.
+
+        A stand-in with the same lens in the same place is its proximity camera, and the tactile images are that
+        camera's images, too (`SensorFrame.of_one_camera`): so the membrane is what both see, in one frame.
+        """
+        stand_in = tactile.model_copy(update={"model": NO_CAMERA, "serial": ""})
+        return cls(proximity=stand_in, tactile=tactile, T_proximity_tactile=rigid_transform(np.eye(4)))
+
+    @property
+    def has_proximity(self) -> bool:
+        """Whether the rig has two cameras."""
+        return self.proximity.model != NO_CAMERA
 
     @property
     def proximity_color_shape(self) -> tuple[int, int]:
@@ -221,6 +240,19 @@ class SensorFrame:
             view = np.ascontiguousarray(array).view()
             view.flags.writeable = False
             object.__setattr__(self, name, view)
+
+    @classmethod
+    def of_one_camera(
+        cls,
+        sequence: int,
+        depth: Uint16Array,
+        color: Uint8Array | None,
+        time_s: float,
+        truth: GroundTruth | None = None,
+    ) -> SensorFrame:
+        """Return a frame of `Rig.of_one_camera`: counts, uint16 (H, W), and RGB on the same pixels, uint8 (H, W, 3)."""
+        shown = np.zeros((*depth.shape, 3), np.uint8) if color is None else color
+        return cls(sequence, depth, depth, shown, color, time_s, time_s, truth)
 
     @property
     def skew_s(self) -> float:

@@ -11,6 +11,7 @@
     }
 
 ``model``, ``serial``, ``distortion``, ``coefficients``, ``proximity_color`` and ``T_proximity_tactile`` are optional.
+A rig with a tactile camera only has neither ``proximity`` nor a pose.
 """
 
 from __future__ import annotations
@@ -62,6 +63,8 @@ def read_json_object(path: Path) -> dict[str, Any]:
 
 def rig_to_json(rig: Rig) -> dict[str, Any]:
     """Return the rig as the JSON object described at the top of this module."""
+    if not rig.has_proximity:
+        return {"tactile": _depth_json(rig.tactile)}
     data: dict[str, Any] = {"proximity": _depth_json(rig.proximity), "tactile": _depth_json(rig.tactile)}
     if rig.proximity_color is not None:
         pose = [list(row) for row in rig.proximity_color.T_color_depth]
@@ -78,6 +81,9 @@ def parse_rig(data: dict[str, Any], origin: str) -> Rig:
         if isinstance(nested.get(key), dict):
             nested[key] = _nest_lens(nested[key])
     try:
+        if nested.keys() == {"tactile"}:
+            camera = DepthCamera.model_validate_json(json.dumps(nested["tactile"]), strict=True)
+            return Rig.of_one_camera(camera)
         return Rig.model_validate_json(json.dumps(nested), strict=True)
     except ValidationError as error:
         raise SourceError(validation_sentence(error, origin, "a rig")) from error

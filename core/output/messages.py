@@ -274,12 +274,13 @@ def image_streams(rig: Rig) -> Mapping[Topic, ImageStream]:
         _stream(Topic.TRUTH_CONTACT, PROXIMITY_FRAME, "mono8", proximity, with_lens=False),
         _stream(Topic.TRUTH_DEPTH, PROXIMITY_FRAME, "32FC1", proximity, with_lens=False),
     )
-    return {stream.topic: stream for stream in streams}
+    return {stream.topic: stream for stream in streams if rig.has_proximity or "proximity" not in stream.topic}
 
 
-def images_of(frame: SensorFrame) -> Iterator[tuple[Topic, AnyArray]]:
-    yield Topic.PROXIMITY_DEPTH, frame.proximity_depth
-    yield Topic.PROXIMITY_COLOR, frame.proximity_color
+def images_of(frame: SensorFrame, rig: Rig) -> Iterator[tuple[Topic, AnyArray]]:
+    if rig.has_proximity:
+        yield Topic.PROXIMITY_DEPTH, frame.proximity_depth
+        yield Topic.PROXIMITY_COLOR, frame.proximity_color
     yield Topic.TACTILE_DEPTH, frame.tactile_depth
     if frame.tactile_color is not None:
         yield Topic.TACTILE_COLOR, frame.tactile_color

@@ -213,7 +213,7 @@ def frame_messages(
         Topic.RIG: lambda: messages.text(json_text(rig_to_json(rig))),
     }
     streams = messages.image_streams(rig)
-    for topic, pixels in messages.images_of(frame):
+    for topic, pixels in messages.images_of(frame, rig):
         stream = streams[topic]
         time_ns = tactile_ns if stream.of_tactile else stamp_ns
         if stream.lens is not None:  # truth has none, and is no topic of a live connection

@@ -181,7 +181,7 @@ class SessionWriter:
     def _check(self, frame: SensorFrame) -> int:
         """Return the size of a frame in bytes; `FrameError` if it does not fit the rig."""
         size = 0
-        for topic, image in images_of(frame):
+        for topic, image in images_of(frame, self._rig):
             self._streams[topic].check(image, frame.sequence)
             size += image.nbytes
         return size
@@ -241,7 +241,7 @@ class SessionWriter:
             rig = text(json_text(rig_to_json(self._rig)))
             messages.append((Topic.RIG, proximity_ns, (rig,)))
             messages.append((Topic.STATIC_TRANSFORMS, proximity_ns, (static_transforms(self._rig, proximity_ns),)))
-        for topic, image in images_of(frame):
+        for topic, image in images_of(frame, self._rig):
             stream = self._streams[topic]
             stamp_ns = tactile_ns if stream.of_tactile else proximity_ns
             messages.append((topic, stamp_ns, stream.parts(image, frame.sequence, stamp_ns)))

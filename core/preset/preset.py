@@ -14,6 +14,7 @@ from pydantic import Field, ValidationError, create_model
 
 from ..contact import CONTACT_TESTS
 from ..contact.contact_test import ContactTest
+from ..contact.dent import DentSection
 from ..contact.membrane.section import MembraneSection
 from ..contact.tolerance import OutlierSection, ToleranceSection
 from ..errors import PresetError, foreign
@@ -72,6 +73,7 @@ if TYPE_CHECKING:
         tolerance: ToleranceSection = ToleranceSection()
         outliers: OutlierSection = OutlierSection()
         membrane: MembraneSection = MembraneSection()
+        dent: DentSection = DentSection()
 
 else:
     _sections = {name: section for test in CONTACT_TESTS.values() for name, section in test.sections.items()}

@@ -92,9 +92,7 @@ class FolderSource(SeekableSource):
     def health(self) -> Health:
         """Return what the folder lacks."""
         slots, lacks = self._layout.slots, []
-        if "tactile_depth" not in slots:
-            lacks.append("this folder has one depth camera: for viewing only")
-        if "proximity_color" not in slots:
+        if self._rig.has_proximity and "proximity_color" not in slots:
             lacks.append("this folder has no proximity colour: its image stays black")
         if self._layout.unmatched:
             lacks.append(f"{self._layout.unmatched} images without one of the other camera are left out")
@@ -103,6 +101,8 @@ class FolderSource(SeekableSource):
     def _frame(self, files: FrameFiles, stamp: _Stamp) -> SensorFrame:
         rig, images, where = self._rig, files.images, files.folder or self._path
         slots = self._layout.slots
+        if not rig.has_proximity:
+            return self._one_camera(files, stamp)
         if "proximity_depth" not in images:
             raise SourceError(f"{where} has no proximity_depth.png, and no .tif, .npy or .pgm of that name; add it")
         if "tactile_depth" in slots and "tactile_depth" not in images:
@@ -124,6 +124,22 @@ class FolderSource(SeekableSource):
             proximity_time_s=stamp.proximity_time_s,
             tactile_time_s=stamp.tactile_time_s,
             truth=None if files.folder is None else _read_truth(files.folder, rig),
+        )
+
+
+    def _one_camera(self, files: FrameFiles, stamp: _Stamp) -> SensorFrame:
+        """Return a frame of the only camera, whatever its files are called."""
+        camera, form, where = self._rig.tactile, self._forms["tactile"], files.folder or self._path
+        images = {slot.replace("proximity", "tactile"): path for slot, path in files.images.items()}
+        if "tactile_depth" not in images:
+            raise SourceError(f"{where} has no tactile_depth.png, and no .tif, .npy or .pgm of that name; add it")
+        color = images.get("tactile_color")
+        return SensorFrame.of_one_camera(
+            stamp.sequence,
+            read_depth(images["tactile_depth"], camera, form),
+            None if color is None else read_color(color, camera.intrinsics.shape, form),
+            stamp.tactile_time_s,
+            None if files.folder is None else _read_truth(files.folder, self._rig),
         )
 
 
@@ -225,9 +241,10 @@ def _write_frame(folder: Path, frame: SensorFrame, rig: Rig) -> None:
         "tactile_time_s": float(frame.tactile_time_s),
     }
     _write_file(folder / "frame.json", json_text(stamp))
-    _write_image(folder / "proximity_depth.png", frame.proximity_depth)
     _write_image(folder / "tactile_depth.png", frame.tactile_depth)
-    _write_image(folder / "proximity_color.png", frame.proximity_color[:, :, ::-1])
+    if rig.has_proximity:
+        _write_image(folder / "proximity_depth.png", frame.proximity_depth)
+        _write_image(folder / "proximity_color.png", frame.proximity_color[:, :, ::-1])
     if frame.tactile_color is not None:
         _write_image(folder / "tactile_color.png", frame.tactile_color[:, :, ::-1])
     if frame.truth is not None:

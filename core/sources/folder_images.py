@@ -69,6 +69,8 @@ def load_folder_rig(path: Path) -> tuple[Rig, dict[str, CameraForm]]:
             except ValidationError as error:
                 raise SourceError(validation_sentence(error, f"{path}: {name}", "a camera")) from error
     rig = parse_rig(data, str(path))
+    alone = stated.get("tactile", Form())
+    stated.setdefault("proximity", alone)  # of a rig with a tactile camera only
     stated.setdefault("proximity_color", stated["proximity"])  # aligned colour has the lens of the depth
     lenses = {
         "proximity": rig.proximity.intrinsics,

@@ -66,7 +66,8 @@ class McapSource(SeekableSource):
             self._check_topics(places)
             self._about = self._file.metadata.get(METADATA_NAME, {})
             self._refuse_newer_format()
-            times_ns = _log_times(places[Topic.PROXIMITY_DEPTH])
+            self._main = Topic.PROXIMITY_DEPTH if len(places[Topic.PROXIMITY_DEPTH]) else Topic.TACTILE_DEPTH
+            times_ns = _log_times(places[self._main])
             exact = bool(np.isin(times_ns, _log_times(places[Topic.FRAME])).all())
             self._places = places
             self._unmatched = 0
@@ -75,7 +76,7 @@ class McapSource(SeekableSource):
             else:
                 self._partners = self._pair_by_stamps(places)
             self._gap_s = float(np.median(np.diff(times_ns))) * 1e-9 if len(times_ns) > 1 else 0.0
-            super().__init__(name, self._read_rig(), len(self._partners[Topic.PROXIMITY_DEPTH]))
+            super().__init__(name, self._read_rig(), len(self._partners[self._main]))
             self.read(0)
         except BaseException:
             self._file.close()
@@ -123,9 +124,7 @@ class McapSource(SeekableSource):
         lacks = []
         if not self._file.complete:
             lacks.append(f"this recording was cut off; it plays up to its last complete frame, number {self._length}")
-        if self._rig.tactile.model == "none":
-            lacks.append("this recording has one depth camera: for viewing only")
-        if not len(self._places[Topic.PROXIMITY_COLOR]):
+        if self._rig.has_proximity and not len(self._places[Topic.PROXIMITY_COLOR]):
             lacks.append("this recording has no proximity colour: its image stays black")
         if self._unmatched:
             lacks.append(f"{self._unmatched} images without one of the other camera are left out")
@@ -136,6 +135,8 @@ class McapSource(SeekableSource):
 
     def read(self, index: int) -> SensorFrame:
         proximity, tactile = self._rig.proximity.intrinsics.shape, self._rig.tactile.intrinsics.shape
+        if not self._rig.has_proximity:
+            return self._read_one_camera(index, tactile)
         depth, depth_time_s = self._required(Topic.PROXIMITY_DEPTH, index, proximity)
         tactile_depth, tactile_time_s = self._required(Topic.TACTILE_DEPTH, index, tactile)
         sequence = index
@@ -153,15 +154,23 @@ class McapSource(SeekableSource):
             truth=self._truth(index),
         )
 
+    def _read_one_camera(self, index: int, shape: tuple[int, int]) -> SensorFrame:
+        depth, time_s = self._required(Topic.TACTILE_DEPTH, index, shape)
+        sequence = index
+        if (place := self._place(Topic.FRAME, index)) is not None:
+            sequence, _, time_s = self._frame_record(place)
+        color = self._optional(Topic.TACTILE_COLOR, index, shape)
+        return SensorFrame.of_one_camera(sequence, depth, color, time_s, self._truth(index))
+
     def _check_topics(self, places: dict[Topic, Uint64Array]) -> None:
         topics = self._file.topics
-        for topic in (Topic.PROXIMITY_DEPTH, Topic.TACTILE_DEPTH):
-            if not len(places[topic]):
-                known = f"its topics are {', '.join(sorted(topics)[:8])}" if topics else "it has no messages"
-                cut = "" if self._file.complete else "it was cut off before its first frame was complete; "
-                raise SourceError(
-                    f"{self._path} holds no frame: {cut}there is no image on {topic} ({known}); record it again"
-                )
+        if not len(places[Topic.TACTILE_DEPTH]):
+            known = f"its topics are {', '.join(sorted(topics)[:8])}" if topics else "it has no messages"
+            cut = "" if self._file.complete else "it was cut off before its first frame was complete; "
+            raise SourceError(
+                f"{self._path} holds no frame: {cut}there is no image on {Topic.TACTILE_DEPTH} ({known}); "
+                "choose another recording"
+            )
         for topic in places:
             expected = TEXT if topic == Topic.FRAME else IMAGE
             if topic in topics and topics[topic] != (expected, "cdr"):
@@ -174,7 +183,7 @@ class McapSource(SeekableSource):
     def _pair_by_stamps(self, places: dict[Topic, Uint64Array]) -> dict[Topic, IndexArray]:
         """Return, for each frame, the index of its message of each topic, or -1."""
         stamps_s = {topic: self._stamps_s(places[topic]) for topic in _IMAGES}
-        first, second = stamps_s[Topic.PROXIMITY_DEPTH], stamps_s[Topic.TACTILE_DEPTH]
+        first, second = stamps_s[self._main], stamps_s[Topic.TACTILE_DEPTH]
         farthest_s = min(period_s(first), period_s(second)) / 2
         chosen, partner = pairs(first, second, farthest_s)
         if not len(chosen):
@@ -187,7 +196,7 @@ class McapSource(SeekableSource):
         stamps_s[Topic.FRAME] = np.array([self._frame_record(place)[1] for place in places[Topic.FRAME]], np.float64)
         for topic, candidates in stamps_s.items():
             found[topic] = nearest_within(first[chosen], candidates, farthest_s)
-        return found | {Topic.PROXIMITY_DEPTH: chosen, Topic.TACTILE_DEPTH: partner}
+        return found | {self._main: chosen, Topic.TACTILE_DEPTH: partner}
 
     def _stamps_s(self, places: Uint64Array) -> Float64Array:
         """Return the stamps in the headers of messages, which begin with them behind four bytes."""

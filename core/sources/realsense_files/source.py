@@ -11,7 +11,7 @@ import numpy as np
 from ...errors import SourceError
 from ...model.arrays import Float64Array, Uint8Array, Uint16Array
 from ...model.files import recording_files, user_path
-from ...model.frames import Rig, SensorFrame, rigid_transform
+from ...model.frames import Rig, SensorFrame
 from ..base import Health, Progress, SeekableSource, part_of
 from ..ros.bags import open_bag
 from ..ros_image import DamagedFileError, damage_told, nearest, pairs, period_s
@@ -20,7 +20,6 @@ from .db3 import Db3File
 from .recording import Camera, RecordingFile, Stream
 
 _OPENERS: dict[bytes, type[RecordingFile]] = {b"#ROSBAG V2.0\n": BagFile, b"SQLite format 3\x00": Db3File}
-_IDENTITY = rigid_transform(np.eye(4))
 
 
 class BagSource(SeekableSource):
@@ -51,7 +50,7 @@ class BagSource(SeekableSource):
             raise SourceError(f"bag:{text}: there is no file {user_path(text)}; check the path")
         self._recordings: list[RecordingFile] = []
         for number, path in enumerate(paths):
-            recording = _open(path, None if progress is None else part_of(progress, number, len(paths)))
+            recording = open_recording(path, None if progress is None else part_of(progress, number, len(paths)))
             self._resources.callback(recording.close)
             self._recordings.append(recording)
         # PNG and LZ4 take most of a frame's time, and both release the interpreter lock.
@@ -71,13 +70,13 @@ class BagSource(SeekableSource):
             self._proximity_index = self._tactile_index = np.arange(len(self._proximity_times_s))
         else:
             self._pair(name, self._proximity, self._tactile)
-        nobody = self._proximity.info.model_copy(update={"model": "none", "serial": ""})
-        rig = Rig(
-            proximity=self._proximity.info,
-            tactile=nobody if self._tactile is None else self._tactile.info,
-            proximity_color=self._proximity.calibration.color_camera,
-            T_proximity_tactile=_IDENTITY if self._tactile is None else None,
-        )
+        rig = Rig.of_one_camera(self._proximity.info)
+        if self._tactile is not None:
+            rig = Rig(
+                proximity=self._proximity.info,
+                tactile=self._tactile.info,
+                proximity_color=self._proximity.calibration.color_camera,
+            )
         super().__init__(name, rig, len(self._proximity_index))
 
     @property
@@ -87,9 +86,7 @@ class BagSource(SeekableSource):
     def health(self) -> Health:
         """Return what the recording lacks."""
         lacks = []
-        if self._tactile is None:
-            lacks.append("this recording has one depth camera: for viewing only")
-        if self._proximity.color is None:
+        if self._tactile is not None and self._proximity.color is None:
             lacks.append("this recording has no proximity colour: its image stays black")
         lacks += [
             f"{recording.path.name} was not finished when it was recorded: it is shown up to its last whole part"
@@ -107,9 +104,14 @@ class BagSource(SeekableSource):
         if not self._is_open:
             raise SourceError(f"{self.name} is closed; open it again")
         proximity_index, tactile_index = int(self._proximity_index[index]), int(self._tactile_index[index])
-        tactile = None if self._tactile is None else self._helper.submit(self._images, self._tactile, tactile_index)
+        if self._tactile is None:
+            depth, color = self._images(self._proximity, proximity_index)
+            if color is not None:
+                color = self._proximity.calibration.color_on_depth(color, depth)
+            return SensorFrame.of_one_camera(index, depth, color, float(self._proximity_times_s[proximity_index]))
+        tactile = self._helper.submit(self._images, self._tactile, tactile_index)
         depth, color = self._images(self._proximity, proximity_index)
-        tactile_depth, tactile_color = (np.zeros_like(depth), None) if tactile is None else tactile.result()
+        tactile_depth, tactile_color = tactile.result()
         return SensorFrame(
             sequence=index,
             proximity_depth=depth,
@@ -156,7 +158,8 @@ def is_realsense(text: str) -> bool:
         return any(topic.startswith("/device_") for topic in bag.types)
 
 
-def _open(path: Path, progress: Progress | None) -> RecordingFile:
+def open_recording(path: Path, progress: Progress | None = None) -> RecordingFile:
+    """Open one file, by its content."""
     with damage_told(path, "this is no readable RealSense recording"):
         with path.open("rb") as file:
             start = file.read(32)

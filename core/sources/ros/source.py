@@ -180,7 +180,7 @@ class RosSource(SeekableSource):
         frames = Frames(self._bag)
         topics, gap = guess_topics(images, frames.joined)
         if chosen:
-            topics, gap = chosen, "" if "proximity.depth" in chosen else "--topics names no proximity.depth"
+            topics, gap = chosen, "" if "tactile.depth" in chosen else "--topics names no tactile.depth"
         if gap:
             raise SourceError(
                 f"{self._path}: {gap}; name them with --topics proximity.depth=/topic,tactile.depth=/topic; "
@@ -192,23 +192,17 @@ class RosSource(SeekableSource):
             for role in ("proximity", "tactile")
             if f"{role}.depth" in topics
         ]
-        self._proximity = cameras[0]
+        self._main = cameras[0]
         self._tactile = cameras[1] if len(cameras) == 2 else None
         self._pair()
-        proximity = self._proximity.calibration
+        proximity = self._main.calibration
         if self._tactile is None:
-            nobody = proximity.depth.model_copy(update={"model": "none", "serial": ""})
-            return Rig(
-                proximity=proximity.depth,
-                tactile=nobody,
-                proximity_color=proximity.color_camera,
-                T_proximity_tactile=camera_pose(np.eye(4)),
-            )
-        pose = frames.pose(self._proximity.depth.topic.frame, self._tactile.depth.topic.frame)
+            return Rig.of_one_camera(proximity.depth)
+        pose = frames.pose(self._main.depth.topic.frame, self._tactile.depth.topic.frame)
         if pose is None:
             self._notes.append(
                 "the pose between the cameras is not in this recording "
-                f"(no chain of fixed transforms from {self._proximity.depth.topic.frame or 'an unnamed frame'} to "
+                f"(no chain of fixed transforms from {self._main.depth.topic.frame or 'an unnamed frame'} to "
                 f"{self._tactile.depth.topic.frame or 'an unnamed frame'}): calibrate the alignment"
             )
         return Rig(
@@ -303,7 +297,7 @@ class RosSource(SeekableSource):
         return np.asarray(stamps_ns * 1e-9, np.float64)
 
     def _pair(self) -> None:
-        first = self._proximity.depth.stamps_s
+        first = self._main.depth.stamps_s
         self._unmatched = 0
         if self._tactile is None:
             self._first = self._second = np.argsort(first, kind="stable")
@@ -314,21 +308,19 @@ class RosSource(SeekableSource):
         self._unmatched = len(first) + len(second) - 2 * len(self._first)
         if not len(self._first):
             raise SourceError(
-                f"{self._path}: no image on {self._proximity.depth.topic.name} has one on "
+                f"{self._path}: no image on {self._main.depth.topic.name} has one on "
                 f"{self._tactile.depth.topic.name} within {farthest_s * 1e3:.1f} ms by the stamps in their headers; "
                 "set the clocks of both cameras, or choose other topics"
             )
 
     @property
     def frame_rate_hz(self) -> float:
-        return 1.0 / period_s(self._proximity.depth.stamps_s)
+        return 1.0 / period_s(self._main.depth.stamps_s)
 
     def health(self) -> Health:
         """Return what the recording lacks."""
         lacks: Sequence[str] = list(self._notes)
-        if self._tactile is None:
-            lacks = [*lacks, "this recording has one depth camera: for viewing only"]
-        if self._proximity.color is None:
+        if self._tactile is not None and self._main.color is None:
             lacks = [*lacks, "this recording has no proximity colour: its image stays black"]
         if not self._bag.complete:
             lacks = [*lacks, f"{self._path.name} was cut off: it is shown up to its last whole part"]
@@ -342,21 +334,22 @@ class RosSource(SeekableSource):
     def read(self, index: int) -> SensorFrame:
         first, second = int(self._first[index]), int(self._second[index])
         with damage_told(self._path, f"frame {index} cannot be read"):
-            depth, color = self._proximity.images(self._bag, first)
-            tactile_depth, tactile_color = np.zeros_like(depth), None
-            if self._tactile is not None:
-                tactile_depth, tactile_color = self._tactile.images(self._bag, second)
-                if tactile_color is not None:
-                    tactile_color = self._tactile.calibration.color_on_depth(tactile_color, tactile_depth)
+            depth, color = self._main.images(self._bag, first)
+            if self._tactile is None:
+                aligned = None if color is None else self._main.calibration.color_on_depth(color, depth)
+                time_s = float(self._main.depth.stamps_s[first])
+                return SensorFrame.of_one_camera(index, depth, aligned, time_s)
+            tactile_depth, tactile_color = self._tactile.images(self._bag, second)
+            if tactile_color is not None:
+                tactile_color = self._tactile.calibration.color_on_depth(tactile_color, tactile_depth)
         if color is None:
             color = np.zeros((*self._rig.proximity_color_shape, 3), np.uint8)
-        tactile = self._proximity if self._tactile is None else self._tactile
         return SensorFrame(
             sequence=index,
             proximity_depth=depth,
             tactile_depth=tactile_depth,
             proximity_color=color,
             tactile_color=tactile_color,
-            proximity_time_s=float(self._proximity.depth.stamps_s[first]),
-            tactile_time_s=float(tactile.depth.stamps_s[second]),
+            proximity_time_s=float(self._main.depth.stamps_s[first]),
+            tactile_time_s=float(self._tactile.depth.stamps_s[second]),
         )

@@ -138,7 +138,7 @@ def guess_topics(images: Sequence[ImageTopic], joined: Callable[[str, str], bool
 def _roles(cameras: list[str]) -> dict[str, str] | None:
     """Return the camera of each role, by their names; None if these do not tell it."""
     if len(cameras) == 1:
-        return {"proximity": cameras[0]}
+        return {"tactile": cameras[0]}
     near = [name for name in cameras if any(word in name.lower() for word in _PROXIMITY)]
     touch = [name for name in cameras if any(word in name.lower() for word in _TACTILE)]
     if len(cameras) == 2:  # the other one is the other camera

@@ -17,16 +17,19 @@ from .sheet import Print
 _CHOICES: Final[dict[str, Collection[str]]] = {
     "scene": OBJECTS, "press": get_args(Press), "move": get_args(Move), "side": get_args(Side),
     "membrane": MEMBRANES, "grid": get_args(Print), "sensor": SENSORS,
+    "cameras": ("two", "tactile"),
 }  # fmt: skip
 _LARGEST: Final = {"gap": 100.0, "seed": 9_999_999_999, "noise": 100.0}
 
 
-def name_values(scene: str, variant: Variant, sensor: str, seed: int, noise: float) -> dict[str, str]:
+def name_values(
+    scene: str, variant: Variant, sensor: str, seed: int, noise: float, cameras: str = "two"
+) -> dict[str, str]:
     """Return the value of each field as text."""
     return {
         "scene": scene, "press": variant.press, "move": variant.move, "side": variant.side,
         "gap": f"{variant.gap_mm:g}", "membrane": variant.membrane, "grid": variant.grid,
-        "sensor": sensor, "seed": str(seed), "noise": f"{noise:g}",
+        "sensor": sensor, "seed": str(seed), "noise": f"{noise:g}", "cameras": cameras,
     }  # fmt: skip
 
 
@@ -63,7 +66,7 @@ def source_options(values: Mapping[str, str]) -> dict[str, Any]:
     chosen: dict[str, Any] = {key: values[key] for key in ("press", "move", "side", "membrane", "grid")}
     variant = Variant(gap_mm=float(values["gap"]), **chosen)
     resolve_scene(values["scene"], variant)
-    kept = {"scene": values["scene"], "variant": variant, "sensor": values["sensor"]}
+    kept = {"scene": values["scene"], "variant": variant, "sensor": values["sensor"], "cameras": values["cameras"]}
     return {**kept, "seed": int(values["seed"]), "noise": float(values["noise"])}
 
 

@@ -17,13 +17,15 @@ from pathlib import Path
 from typing import Any, Final
 from weakref import WeakValueDictionary
 
+import cv2
 import numpy as np
 from platformdirs import user_cache_dir
 from pydantic import TypeAdapter
 
 from ...errors import ExportError
 from ...model.files import atomic_path
-from ...model.frames import GroundTruth, SensorFrame
+from ...model.frames import GroundTruth, Rig, SensorFrame
+from ...model.metrics import truth_cloud
 from ..base import Progress, SeekableSource
 from .membrane import Membrane
 from .mesh import MembraneDesign
@@ -76,20 +78,23 @@ class SimulatorSource(SeekableSource):
         cells: tuple[int, int] | None = None,
         variant: Variant | None = None,
         sensor: str = DEFAULT_SENSOR,
+        cameras: str = "two",
     ) -> None:
         variant = variant or Variant()
         self.scene = resolve_scene(scene, variant, cells)
-        name = write_name(name_values(scene, variant, sensor, seed, noise))
-        super().__init__(name, simulator_rig(), len(self.scene.frames))
+        name = write_name(name_values(scene, variant, sensor, seed, noise, cameras))
+        self._both = simulator_rig()
+        rig = self._both if cameras == "two" else Rig.of_one_camera(self._both.tactile)
+        super().__init__(name, rig, len(self.scene.frames))
         self._solved = self._solve(self.scene, progress or (lambda share, words: None))
-        self._noise = NoiseModel(self.rig, seed, noise, SENSORS[sensor])
-        self._made_of = (scene, seed, noise, cells, variant, sensor)
+        self._noise = NoiseModel(self._both, seed, noise, SENSORS[sensor])
+        self._made_of = (scene, seed, noise, cells, variant, sensor, cameras)
 
     def with_object_away(self, progress: Progress | None = None) -> SimulatorSource:
         """Return the same membrane with the object far away, and with other noise."""
-        scene, seed, noise, cells, variant, sensor = self._made_of
+        scene, seed, noise, cells, variant, sensor, cameras = self._made_of
         away = replace(variant, press="none", side=Variant.side, gap_mm=0.0)
-        return SimulatorSource(scene, seed + _OTHER_SEEDS, noise, progress, cells, away, sensor)
+        return SimulatorSource(scene, seed + _OTHER_SEEDS, noise, progress, cells, away, sensor, cameras)
 
     def facts(self, index: int) -> PressFacts:
         """Return depth of the press, strain and true object pose of a frame."""
@@ -104,6 +109,15 @@ class SimulatorSource(SeekableSource):
         state, facts, noise = self._solved.states[number], self._solved.facts[number], self._noise
         depth = state.membrane * np.float32(CLEAN_UNIT_M)
         depth[state.membrane == 0] = np.nan
+        truth = GroundTruth((state.flags & CONTACT_FLAG) != 0, depth, facts.strain, facts.T_proximity_object)
+        if not self.rig.has_proximity:
+            return SensorFrame.of_one_camera(
+                index,
+                noise.tactile_depth(index, state.tactile),
+                noise.colour(index, 1, state.tactile_color),
+                index / self.frame_rate_hz,
+                self._seen_by_tactile(truth),
+            )
         return SensorFrame(
             sequence=index,
             proximity_depth=noise.proximity_depth(index, state),
@@ -112,12 +126,24 @@ class SimulatorSource(SeekableSource):
             tactile_color=noise.colour(index, 1, state.tactile_color),
             proximity_time_s=index / self.frame_rate_hz,
             tactile_time_s=index / self.frame_rate_hz + _SKEW_S,
-            truth=GroundTruth((state.flags & CONTACT_FLAG) != 0, depth, facts.strain, facts.T_proximity_object),
+            truth=truth,
         )
+
+    def _seen_by_tactile(self, truth: GroundTruth) -> GroundTruth:
+        """Return the contact on the tactile camera's pixels."""
+        lens, shape = self._both.tactile.intrinsics, self._both.tactile.intrinsics.shape
+        T_tactile_proximity = np.linalg.inv(np.array(self._both.T_proximity_tactile))
+        points = truth_cloud(truth, self._both).points @ T_tactile_proximity[:3, :3].T + T_tactile_proximity[:3, 3]
+        column, row = np.rint(lens.project(points)).astype(int).T
+        inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
+        contact = np.zeros(shape, np.uint8)
+        contact[row[inside], column[inside]] = 1
+        closed = cv2.morphologyEx(contact, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))  # the pixels are not the same
+        return GroundTruth(closed > 0, None, truth.strain)
 
     def _solve(self, scene: Scene, progress: Progress) -> SolvedScene:
         """Return the scene from the package or the cache, or compute and cache it."""
-        path = cache_file(scene.name, f"{scene.key} {self.rig.model_dump_json()}")
+        path = cache_file(scene.name, f"{scene.key} {self._both.model_dump_json()}")
         progress(0.0, f"Looking for the scene {_title(scene)} in the cache")
         solved = _open_scenes.get(path) or find_solved(path, len(scene.drawn))
         if solved is None:
@@ -130,7 +156,7 @@ class SimulatorSource(SeekableSource):
 
     def _press(self, scene: Scene) -> Press:
         """Return the press that is solved and drawn."""
-        return Press(scene, deepcopy(_inflated(scene.design)), self.rig)
+        return Press(scene, deepcopy(_inflated(scene.design)), self._both)
 
     def solve_anew(self, scene: Scene, progress: Progress) -> SolvedScene:
         """Solve the states in turn while a second thread draws the solved ones."""

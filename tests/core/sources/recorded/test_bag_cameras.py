@@ -65,7 +65,8 @@ def test_the_colour_cameras_pose_goes_by_way_of_the_reference(open_bag: Opener, 
     turn_depth, turn_color = Rotation.from_euler("xyz", [0.3, -0.2, 0.1]), Rotation.from_euler("xyz", [-0.1, 0.5, 0.2])
     depth = depth_images(4, [1.0], pose=(turn_depth, (0.01, 0.02, 0.03)))
     color = color_images(5, [1.0], pose=(turn_color, (-0.04, 0.05, 0.06)))
-    source = open_bag(make_bag(tmp_path / "one.bag", Device("L515", depth, color)))
+    two = Device("L515", depth, color), Device("D405", depth_images(5, [1.0]))
+    source = open_bag(make_bag(tmp_path / "two.bag", *two))
     assert source.rig.proximity_color is not None
     T_c_d = np.asarray(source.rig.proximity_color.T_color_depth)
     at_reference = np.array([0.3, -0.2, 0.7])
@@ -91,13 +92,14 @@ def test_tactile_colour_is_brought_to_tactile_depth_pixels(open_bag: Opener, tmp
     np.testing.assert_array_equal(frame.tactile_color, expected)
 
 
-def test_one_camera_is_for_viewing_only(open_bag: Opener, tmp_path: Path) -> None:
+def test_one_camera_is_a_tactile_camera(open_bag: Opener, tmp_path: Path) -> None:
     source = open_bag(make_bag(tmp_path / "one.bag", L515))
-    assert source.health().message == "this recording has one depth camera: for viewing only"
-    assert source.rig.tactile.model == "none"
+    assert source.health().ok
+    assert not source.rig.has_proximity
+    assert source.rig.tactile.model == "Intel RealSense L515"
     assert source.rig.tactile.intrinsics == source.rig.proximity.intrinsics
     frame = source.read(1)
-    assert not frame.tactile_depth.any()
-    assert frame.tactile_color is None
+    assert np.array_equal(frame.tactile_depth, frame.proximity_depth)
+    assert frame.tactile_depth.any()
     assert frame.skew_s == 0.0
     frame.check_against(source.rig)

@@ -43,7 +43,8 @@ def test_colour_orders(open_bag: Opener, tmp_path: Path, encoding: str, order: l
         stored = np.dstack([stored, np.full(rgb.shape[:2], 255, np.uint8)])
         encoding = encoding.replace("8", "a8")
     color = color_images(7, [1.0], images=[stored], encoding=encoding, padding=5)
-    frame = open_bag(make_bag(tmp_path / "one.bag", Device("L515", depth_images(4, [1.0]), color))).read(0)
+    two = Device("L515", depth_images(4, [1.0]), color), Device("D405", depth_images(5, [1.0]))
+    frame = open_bag(make_bag(tmp_path / "two.bag", *two)).read(0)
     np.testing.assert_array_equal(frame.proximity_color, rgb)
 
 

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from librealsense_player import RATE_HZ, START_S, images, played
+from tactune.core.model.arrays import AnyArray
 from tactune.core.model.intrinsics import Intrinsics
-from tactune.core.sources.realsense_files.source import BagSource
+from tactune.core.sources.realsense_files.recording import Camera
+from tactune.core.sources.realsense_files.source import BagSource, open_recording
 
 Opener = Callable[..., BagSource]
 FIXTURES = Path(__file__).parents[3] / "data"
@@ -32,12 +35,19 @@ def real_bag(shared_data: Path) -> Path:
 
 def test_the_real_bag_is_what_is_known_of_it(open_bag: Opener, real_bag: Path) -> None:
     source = open_bag(real_bag)
-    assert (source.rig.proximity.model, source.rig.proximity.serial) == ("Intel RealSense D435", "728612070259")
-    assert source.rig.proximity.depth_unit_m == pytest.approx(0.001, rel=1e-6)
+    assert (source.rig.tactile.model, source.rig.tactile.serial) == ("Intel RealSense D435", "728612070259")
+    assert source.rig.tactile.depth_unit_m == pytest.approx(0.001, rel=1e-6)
     assert source.frame_rate_hz == 6.0
     assert [round(frame.proximity_time_s, 6) for frame in source] == [360.815089, 360.981765]
     source.seek(0)
     assert [int(frame.proximity_depth.sum(dtype=np.int64)) for frame in source] == [357542766, 358061319]
+
+
+def color_at(camera: Camera, index: int) -> AnyArray:
+    """The colour image nearest to a depth image, in the colour camera's own pixels."""
+    assert camera.color is not None
+    nearest = int(np.argmin(np.abs(camera.color.recorded_s - camera.depth.recorded_s[index])))
+    return camera.image(camera.color, nearest)
 
 
 @needs_a_driver
@@ -47,18 +57,20 @@ def test_a_recording_is_as_librealsense_plays_it(open_bag: Opener, real_bag: Pat
     source, theirs = open_bag(path), played(path, tmp_path / "played.npz")
     depth_ms, color_ms = theirs["Depth_times_ms"], theirs["Color_times_ms"]
     assert source.length == len(depth_ms)
-    for frame in source:
-        time_ms = frame.proximity_time_s * 1e3
-        depth, color = int(np.argmin(np.abs(depth_ms - time_ms))), int(np.argmin(np.abs(color_ms - time_ms)))
-        np.testing.assert_array_equal(frame.proximity_depth, theirs["Depth"][depth])
-        np.testing.assert_array_equal(frame.proximity_color, theirs["Color"][color])
-        assert time_ms == pytest.approx(depth_ms[depth], abs=2e-3)
-    rig = source.rig
-    assert rig.proximity.depth_unit_m == theirs["unit_m"]
-    assert rig.proximity_color is not None
-    _assert_lens(rig.proximity.intrinsics, theirs["Depth_lens"], str(theirs["Depth_model"]))
-    _assert_lens(rig.proximity_color.intrinsics, theirs["Color_lens"], str(theirs["Color_model"]))
-    T_c_d = np.asarray(rig.proximity_color.T_color_depth)
+    with closing(open_recording(path)) as file:
+        [camera] = file.cameras
+        for index, frame in enumerate(source):
+            time_ms = frame.tactile_time_s * 1e3
+            depth, color = int(np.argmin(np.abs(depth_ms - time_ms))), int(np.argmin(np.abs(color_ms - time_ms)))
+            np.testing.assert_array_equal(frame.tactile_depth, theirs["Depth"][depth])
+            np.testing.assert_array_equal(color_at(camera, index), theirs["Color"][color])
+            assert time_ms == pytest.approx(depth_ms[depth], abs=2e-3)
+    lenses = camera.calibration.color_camera
+    assert source.rig.tactile.depth_unit_m == theirs["unit_m"]
+    assert lenses is not None
+    _assert_lens(source.rig.tactile.intrinsics, theirs["Depth_lens"], str(theirs["Depth_model"]))
+    _assert_lens(lenses.intrinsics, theirs["Color_lens"], str(theirs["Color_model"]))
+    T_c_d = np.asarray(lenses.T_color_depth)
     np.testing.assert_allclose(T_c_d[:3, :3], theirs["rotation"].reshape(3, 3).T, atol=1e-6)
     np.testing.assert_allclose(T_c_d[:3, 3], theirs["translation"], atol=1e-8)
 
@@ -70,17 +82,19 @@ def test_recordings_of_three_versions_hold_what_was_sent(open_bag: Opener, name:
     source = open_bag(FIXTURES / name)
     assert source.length == 3
     assert source.frame_rate_hz == 30.0
+    with closing(open_recording(FIXTURES / name)) as file:
+        colors = [color_at(file.cameras[0], index) for index in range(3)]
     for index in (2, 0, 1):
         depth, color = images(name, index, (48, 32))
         frame = source.read(index)
-        np.testing.assert_array_equal(frame.proximity_depth, depth)
-        np.testing.assert_array_equal(frame.proximity_color, color)
-        assert frame.proximity_time_s == pytest.approx(START_S + index / RATE_HZ, abs=2e-6)
-    rig = source.rig
-    assert rig.proximity.model.lower().endswith(name[:4])
-    assert rig.proximity.depth_unit_m == float(np.float32(unit_m))
+        np.testing.assert_array_equal(frame.tactile_depth, depth)
+        np.testing.assert_array_equal(colors[index], color)
+        assert frame.tactile_time_s == pytest.approx(START_S + index / RATE_HZ, abs=2e-6)
+    camera = source.rig.tactile
+    assert camera.model.lower().endswith(name[:4])
+    assert camera.depth_unit_m == float(np.float32(unit_m))
     focal = {"l515": 0.7203, "d405": 0.6779}[name[:4]] * 48
-    lens = rig.proximity.intrinsics
+    lens = camera.intrinsics
     assert [lens.fx, lens.fy, lens.cx, lens.cy] == pytest.approx([focal, focal + 0.625, 25.25, 13.5], rel=1e-6)
 
 
