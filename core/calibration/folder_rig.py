@@ -98,18 +98,19 @@ def describe_folder(
     forms: dict[str, dict[str, Any]] = {}
     for role in roles:
         image = read_values(draft.first(f"{role}_depth"))
-        option = options.get(role)
+        option = options.get(role) or (options.get("tactile") if len(roles) == 1 else None)
         found = _camera(draft, role, option, "depth", (image.shape[1], image.shape[0]))
         unit_m, value = _unit(draft, role, found, units.get(role), image)
         cameras[role] = {"model": found.model, "depth_unit_m": unit_m, **found.lens.intrinsics.model_dump(mode="json")}
         forms[role] = found.form | value
-    color = _color(draft, options, cameras["proximity"])
+    color = _color(draft, options, cameras[roles[0]])
+    if len(roles) == 1:
+        if color is not None:
+            draft.warnings.append("the colour has another lens than the only depth camera: it is shown as it is")
+        cameras, forms, color = {"tactile": cameras[roles[0]]}, {"tactile": forms[roles[0]]}, None
     if color is not None:
         cameras["proximity_color"] = color.lens.intrinsics.model_dump(mode="json")
         forms["proximity_color"] = color.form
-    if len(roles) == 1:
-        cameras["tactile"] = cameras["proximity"] | {"model": "none"}
-        draft.warnings.append("the folder has one depth camera: for viewing only")
     pose = _pose(draft, roles)
     return FolderRig(make_rig(cameras, pose), forms, tuple(draft.notes), tuple(draft.warnings))
 
@@ -322,7 +323,7 @@ def _unit(
 
 def _pose(draft: _Draft, roles: list[str]) -> Matrix4 | None:
     if len(roles) == 1:
-        return tuple(map(tuple, np.eye(4).tolist()))  # type: ignore[return-value]
+        return None
     if len(draft.stated) >= 2 and all(role in draft.stated for role in roles):
         (proximity, lenses), (tactile, others) = (draft.stated[role] for role in roles)
         if lenses == others and (pose := pose_between(proximity, tactile, lenses)) is not None:

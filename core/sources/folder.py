@@ -126,7 +126,6 @@ class FolderSource(SeekableSource):
             truth=None if files.folder is None else _read_truth(files.folder, rig),
         )
 
-
     def _one_camera(self, files: FrameFiles, stamp: _Stamp) -> SensorFrame:
         """Return a frame of the only camera, whatever its files are called."""
         camera, form, where = self._rig.tactile, self._forms["tactile"], files.folder or self._path
