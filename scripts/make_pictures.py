@@ -169,7 +169,7 @@ def quality() -> None:
     """The quality of the calibration."""
     with calibrated() as wizard:
         wizard.go_to(wizard.pages.index(wizard.quality))
-        wait(lambda: not wizard.quality.map.empty_label.text(), "map")
+        wait(lambda: not wizard.quality.map.notice.text(), "map")
         settle()
         save(wizard, "quality")
 

@@ -25,7 +25,8 @@ from ...core.model.metrics import compare_with_truth, truth_cloud
 from ...core.model.patch import ContactPatch
 from ...core.preset import Preset
 from ...core.rig.untouched import FoundUntouched
-from ...widgets.basics.colormaps import Theme, patch_index, patch_lut
+from ...widgets.basics.colormaps import patch_index, patch_lut
+from ...widgets.basics.theme import ThemeName
 from ...widgets.clouds.cloud_data import DepthCloud
 from ..worker.errors import explain
 from ..worker.results import Result
@@ -55,14 +56,14 @@ _OTHER_RGB: Final = (204, 121, 167)
 CONTACT_ROW, HIDDEN_ROW = 255, 252
 
 
-def method_color(name: str, theme: Theme) -> QColor:
+def method_color(name: str, theme: ThemeName) -> QColor:
     """Return the colour of a method, or of the truth."""
     rgb = _RGB.get(name, _OTHER_RGB)
     return QColor(*(_DARK_RGB.get(name, rgb) if theme == "dark" else rgb))
 
 
 @cache
-def _lut(contact: tuple[int, int, int], theme: Theme) -> Uint8Array:
+def _lut(contact: tuple[int, int, int], theme: ThemeName) -> Uint8Array:
     """Return the colours of a patch over the relief of the scene: uint8 (256, 4)."""
     lut = patch_lut(theme).copy()
     lut[CONTACT_ROW] = (*contact, 255)
@@ -122,7 +123,9 @@ class Comparer:
         self._entrants: dict[str, _Entrant] = {}
         self._rest_s = 0.0
 
-    def compare(self, result: Result, methods: Sequence[str], untouched: FoundUntouched, theme: Theme) -> Comparison:
+    def compare(
+        self, result: Result, methods: Sequence[str], untouched: FoundUntouched, theme: ThemeName
+    ) -> Comparison:
         """Run the methods on a frame, except those that have already run on it."""
         leave_room_for_the_window()
         if result.playback.playing:  # window and worker share the processor
@@ -215,7 +218,7 @@ def _numbers(patch: ContactPatch, result: Result) -> dict[str, Any]:
     return numbers
 
 
-def _cloud(name: str, mask: BoolArray | None, result: Result, theme: Theme) -> DepthCloud:
+def _cloud(name: str, mask: BoolArray | None, result: Result, theme: ThemeName) -> DepthCloud:
     """Return a patch over the scene within the range of the depth colours."""
     frame, camera = result.frame, result.source.rig.proximity
     near, far = (limit / camera.depth_unit_m for limit in result.rendered.depth_range_m)

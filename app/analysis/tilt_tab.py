@@ -14,8 +14,9 @@ from PyQt6.QtWidgets import QCheckBox, QLabel, QWidget
 from ...core.errors import minus
 from ...core.estimation.tilt import MAX_SIGMA_RAD, Tilt, TiltEstimator, TiltFilter
 from ...core.model.arrays import Float32Array, Float64Array
-from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_ROW, palette_theme, patch_lut
+from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_ROW, patch_lut
 from ...widgets.basics.layouts import STRETCH, hbox, splitter, vbox
+from ...widgets.basics.theme import theme_name
 from ...widgets.clouds.cloud_data import free_cloud
 from ...widgets.clouds.cloud_view import CloudView
 from ...widgets.plots.plot import Plot
@@ -144,7 +145,7 @@ class TiltTab(LiveTab):
         assert result.patch is not None
         points, lines = result.patch.points, plane_lines(result.patch.points, tilt)
         colors = np.concatenate([np.full(len(points), CONTACT_ROW), np.full(len(lines), _PLANE_ROW)]).astype(np.uint8)
-        lut = patch_lut(palette_theme(self.palette())).copy()
+        lut = patch_lut(theme_name()).copy()
         lut[_PLANE_ROW] = (*_PITCH_RGB, 255)
         cloud = free_cloud(np.concatenate([points, lines]), colors, lut, count=len(points))
         self.cloud.set_message("No contact yet: press the object into the membrane, or play to a frame with contact")

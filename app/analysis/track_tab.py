@@ -22,11 +22,11 @@ from ...core.estimation.pose_files import pose_record
 from ...core.model.arrays import Float64Array, Uint8Array
 from ...core.sources.simulator.names import read_name, source_options
 from ...core.sources.simulator.scenes import resolve_scene
-from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_ROW, palette_theme, patch_lut
+from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_ROW, patch_lut
 from ...widgets.basics.controls import AccentButton, push_button, wrapped_label
 from ...widgets.basics.layouts import STRETCH, hbox, splitter, vbox
 from ...widgets.basics.messages import Severity
-from ...widgets.basics.theme import theme_colors
+from ...widgets.basics.theme import theme_colors, theme_name
 from ...widgets.clouds.cloud_data import free_cloud
 from ...widgets.clouds.cloud_view import CloudView
 from ..context import Context
@@ -255,7 +255,7 @@ class TrackTab(LiveTab):
         self.pose.setText("" if tracked is None else pose_text(tracked))
         patch = np.zeros((0, 3)) if result is None or result.patch is None else result.patch.points
         points, colors, legend = patch, np.full(len(patch), CONTACT_ROW, np.uint8), [("patch", CONTACT_COLOR)]
-        lut = patch_lut(palette_theme(self.palette())).copy()
+        lut = patch_lut(theme_name()).copy()
         if tracked is not None and model is not None and not tracked.estimate.lost:
             pose = tracked.estimate.T_proximity_object
             points = np.concatenate([patch, model.points @ pose[:3, :3].T + pose[:3, 3]])

@@ -9,7 +9,7 @@ import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QShowEvent
-from PyQt6.QtWidgets import QComboBox, QFormLayout, QLabel, QWidget
+from PyQt6.QtWidgets import QComboBox, QFormLayout, QWidget
 from scipy.interpolate import LinearNDInterpolator
 
 from ...core.calibration import CalibrationReport
@@ -20,10 +20,9 @@ from ...core.model.arrays import Uint8Array
 from ...core.model.frames import SensorFrame
 from ...widgets.basics.colormaps import ends_legend
 from ...widgets.basics.controls import wrapped_label
-from ...widgets.basics.layouts import hbox, scrolling, vbox
+from ...widgets.basics.layouts import STRETCH, hbox, scrolling, vbox
 from ...widgets.basics.theme import text_font
 from ...widgets.images.point_image import PointImage
-from ...widgets.plots.calibration_plots import CoverageGrid
 from ..worker.jobs import Job
 from .fitting import Outcome, image_marks
 from .pictures import membrane_grid, pack_rgb, picture
@@ -75,7 +74,7 @@ def uncertainty_picture(report: CalibrationReport, frame: SensorFrame) -> tuple[
 
 
 class QualityPage(QWidget):
-    """The uncertainty map, the verdict, the choice of the model, the numbers and the coverage."""
+    """The uncertainty map, the verdict, the choice of the model and the numbers."""
 
     def __init__(self, session: Session) -> None:
         super().__init__()
@@ -96,12 +95,11 @@ class QualityPage(QWidget):
             self.model.addItem(title, value)
         self.reason, self.offset, self.residual, self.warnings = (wrapped_label() for _ in range(4))
         self.warnings.setTextFormat(Qt.TextFormat.PlainText)
-        self.coverage = CoverageGrid()
         choice = QFormLayout()
         choice.addRow("&Model", self.model)
         side = QWidget()
         verdict = (self.grade, self.why, self.step, 8, choice, self.reason, self.offset)
-        rest = (8, self.residual, self.warnings, 8, QLabel("Points over the proximity image"), (self.coverage, 1))
+        rest = (8, self.residual, self.warnings, STRETCH)
         vbox(*verdict, *rest, within=side)
         hbox((self.map, 3), (scrolling(side), 2), within=self, margins=(8, 8, 8, 4))
         self.model.activated.connect(
@@ -125,7 +123,6 @@ class QualityPage(QWidget):
             self.step.setText(outcome.problem or "Click at least four pairs, preferably eight, on the page Points.")
             for label in (self.why, self.reason, self.offset, self.residual, self.warnings):
                 label.setText("")
-            self.coverage.set_coverage([], [])
         else:
             self._show_report(report)
         for label in (self.why, self.reason, self.offset, self.residual, self.warnings):
@@ -153,12 +150,6 @@ class QualityPage(QWidget):
         exact = "exact fit, not informative"
         self.residual.setText(f"Residual, RMS: {exact if quality.rms_px is None else f'{quality.rms_px:.2f} px'}")
         self.warnings.setText("\n".join(f"Note: {words}" for words in report.warnings))
-        depths = [
-            1e3 * pair.tactile_depth_m
-            for pair in self._outcome.pairs
-            if pair.enabled and pair.tactile_depth_m is not None
-        ]
-        self.coverage.set_coverage(report.coverage.cells, depths)
 
     def _draw(self) -> None:
         """Draw the map if it is visible and out of date."""

@@ -189,15 +189,9 @@ def describe_edit(preset: Preset, paths: tuple[str, ...]) -> str:
 
 def field_title(path: str) -> str:
     """Return the displayed title of a preset field, such as ``"Tolerance t"``."""
-    model: Any = Preset
-    title = path
-    for part in path.split("."):
-        field = model.model_fields[part]
-        title = field.title or part.replace("_", " ").capitalize()
-        model = field.annotation
-        if not (isinstance(model, type) and issubclass(model, BaseModel)):
-            break
-    return title
+    with suppress(TypeError):  # a section, or a field of a type that the panel does not show
+        return field_spec(Preset, path).title
+    return path.rpartition(".")[2].replace("_", " ").capitalize()
 
 
 def shown_value(path: str, value: Any) -> str:

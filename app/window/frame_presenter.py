@@ -12,8 +12,8 @@ from ...core.errors import minus
 from ...core.model.provenance import Provenance
 from ...core.sources.base import CameraHealth, CameraRole
 from ...widgets.basics.messages import Severity
+from ...widgets.basics.overlays import Wipe
 from ...widgets.basics.theme import theme_name
-from ...widgets.basics.wipe import Wipe
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..context import SOURCE, Context

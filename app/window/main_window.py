@@ -415,7 +415,6 @@ class MainWindow(QMainWindow):
         for name, splitter in self._splitters.items():
             splitter.restoreState(settings.blob(name))
         self.panel.set_collapsed_sections(settings.text("window/collapsed", _COLLAPSED_AT_FIRST).split(","))
-        self.panel.set_open_folds(settings.text("window/more").split(","))
         self.views.restore(settings.number("view/point_size", 2.0), settings.text("view/color_by"))
         hidden = settings.text("window/hidden").split(",")
         for name in _TOGGLES:
@@ -430,7 +429,6 @@ class MainWindow(QMainWindow):
         for name, splitter in self._splitters.items():
             settings.set(name, splitter.saveState())
         settings.set("window/collapsed", ",".join(self.panel.collapsed_sections()))
-        settings.set("window/more", ",".join(self.panel.open_folds()))
         settings.set("view/point_size", self.views.point_size.value())
         settings.set("view/color_by", self.views.chosen_colors().value)
         hidden = [name for name in _TOGGLES if not getattr(self.actions_, name).isChecked()]

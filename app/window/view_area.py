@@ -18,7 +18,6 @@ from ...core.model.provenance import Provenance
 from ...widgets.basics.colormaps import (
     LATE_VERDICTS,
     Legend,
-    Theme,
     behind_legend,
     depth_legend,
     patch_legend,
@@ -26,10 +25,11 @@ from ...widgets.basics.colormaps import (
 )
 from ...widgets.basics.controls import ChoiceBox, caption
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
-from ...widgets.basics.wipe import Wipe
+from ...widgets.basics.overlays import Wipe
+from ...widgets.basics.theme import ThemeName
 from ...widgets.clouds.cloud_data import DepthCloud
-from ...widgets.clouds.cloud_view import link_cameras
-from ...widgets.clouds.inspect_view import InspectView
+from ...widgets.clouds.cloud_labels import level
+from ...widgets.clouds.cloud_view import CloudView, link_cameras
 from ...widgets.images.image_strip import ImageStrip
 from ..worker.results import CloudName, ColorBy, ComparedFrame, ComparedSide, Rendered, Result, SourceInfo
 from .actions import Actions
@@ -58,7 +58,7 @@ class ViewArea(QWidget):
 
     def __init__(self, actions: Actions) -> None:
         super().__init__()
-        self.views = {name: InspectView(title) for name, title in TITLES.items()}
+        self.views = {name: CloudView(title, inspects=True) for name, title in TITLES.items()}
         self.toggles = {
             CloudName.PROXIMITY: actions.show_proximity,
             CloudName.TACTILE: actions.show_tactile,
@@ -69,7 +69,6 @@ class ViewArea(QWidget):
         self._framed: SourceInfo | None = None
         link_cameras(list(self.views.values()))
         self._legends: dict[CloudName, object] = {}
-        self._legend_height = 0
         self.splitter = QSplitter(Qt.Orientation.Horizontal)
         self.splitter.setChildrenCollapsible(False)
         for view in self.views.values():
@@ -116,7 +115,7 @@ class ViewArea(QWidget):
             return frozenset()
         return frozenset(name for name, view in self.views.items() if not view.isHidden())
 
-    def show_result(self, result: Result, theme: Theme, wipe: Wipe | None = None) -> None:
+    def show_result(self, result: Result, theme: ThemeName, wipe: Wipe | None = None) -> None:
         """Show the clouds of a result with their legends, of two compared presets on both sides of the wipe."""
         self._result = result
         self._actions.zoom_to_patch.setEnabled(result.patch is not None and len(result.patch.points) > 0)
@@ -149,7 +148,7 @@ class ViewArea(QWidget):
         for view in self.views.values():
             view.set_wipe(wipe)
 
-    def _show_compared(self, compared: ComparedFrame, rig: Rig, theme: Theme) -> None:
+    def _show_compared(self, compared: ComparedFrame, rig: Rig, theme: ThemeName) -> None:
         """Show A left and B right of the wipe."""
         for name in compared.a.rendered.clouds:
             (left, why_left), (right, why_right) = (_shown(name, side, rig) for side in (compared.a, compared.b))
@@ -167,7 +166,7 @@ class ViewArea(QWidget):
             view.set_cloud(None)
             view.set_message(message)
 
-    def _legend_of(self, name: CloudName, rendered: Rendered, theme: Theme) -> Legend:
+    def _legend_of(self, name: CloudName, rendered: Rendered, theme: ThemeName) -> Legend:
         near, far = rendered.tactile_range_m if name is CloudName.TACTILE else rendered.depth_range_m
         range_m = round(near, 3), round(far, 3)
         return legend_of(name, rendered.color_by, theme, range_m, rendered.verdicts)
@@ -181,13 +180,7 @@ class ViewArea(QWidget):
             view.set_legend(legend)
 
     def _fit_legends(self) -> None:
-        """Give all legends the same height, so that all views have the same height."""
-        shown = [view for view in self.views.values() if not view.isHidden()]
-        height = max((view.needed_legend_height() for view in shown), default=0)
-        if height != self._legend_height:
-            self._legend_height = height
-            for view in self.views.values():
-                view.set_legend_height(height)
+        level([view.legend_line for view in self.views.values()])
 
     def _choices(self, actions: Actions) -> QHBoxLayout:
         buttons = []
@@ -220,7 +213,7 @@ class ViewArea(QWidget):
         for view in self.views.values():
             view.set_point_size(size)
 
-    def _any_view(self) -> InspectView:
+    def _any_view(self) -> CloudView:
         """Return any visible view; the others' cameras follow it."""
         return next((view for view in self.views.values() if not view.isHidden()), self.views[CloudName.PATCH])
 
@@ -236,7 +229,7 @@ class ViewArea(QWidget):
 def legend_of(
     name: CloudName,
     color_by: ColorBy,
-    theme: Theme,
+    theme: ThemeName,
     range_m: tuple[float, float],
     verdicts: frozenset[Provenance],
 ) -> Legend:

@@ -22,13 +22,13 @@ from ...core.preset import Preset
 from ...core.tuning.advice.findings import depth_missing
 from ...widgets.basics.colormaps import (
     LATE_VERDICTS,
-    Theme,
     depth_lut,
     depth_lut_faint_behind,
     patch_index,
     patch_lut,
     provenance_lut,
 )
+from ...widgets.basics.theme import ThemeName
 from ...widgets.clouds.cloud_data import DepthCloud
 from ...widgets.images.strip_render import RenderedStrip, StripImages, render_strip, stride_for
 from .results import CloudName, ColorBy, Histogram, Rendered, Wanted
@@ -160,7 +160,7 @@ class Scene:
     preset: Preset
     rig: Rig
     color_by: ColorBy
-    theme: Theme
+    theme: ThemeName
     depth_range_m: tuple[float, float]
     tactile_range_m: tuple[float, float] | None = None
 
@@ -269,7 +269,7 @@ class Renderer:
         rig: Rig,
         wanted: Wanted,
     ) -> Scene:
-        theme: Theme = "dark" if wanted.dark else "light"
+        theme: ThemeName = "dark" if wanted.dark else "light"
         along_proximity, along_tactile = (self._ranges_m.get(role, (0.0, 1.0)) for role in ("proximity", "tactile"))
         return Scene(frame, patch, preset, rig, wanted.color_by, theme, along_proximity, along_tactile)
 
@@ -425,7 +425,7 @@ def _over_relief(scene: Scene, rows: Uint8Array, within: BoolArray) -> Uint8Arra
 
 
 @cache
-def patch_provenance_lut(theme: Theme) -> Uint8Array:
+def patch_provenance_lut(theme: ThemeName) -> Uint8Array:
     """Return every other row of the context's shades, then the colours of `LATE_VERDICTS`: uint8 (256, 4)."""
     mixed = np.concatenate([patch_lut(theme)[::2], provenance_lut(theme)[:VALUE_ROWS]])
     mixed.flags.writeable = False

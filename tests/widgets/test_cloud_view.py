@@ -13,11 +13,11 @@ from seen_clouds import BLUE, FRONT, GREEN, RED, canvas_of, cloud_of, colored, p
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.model.provenance import Provenance
 from tactune.widgets.basics.colormaps import provenance_legend
-from tactune.widgets.basics.wipe import Wipe
+from tactune.widgets.basics.overlays import Wipe
+from tactune.widgets.clouds.cloud_canvas import CloudCanvas, SoftwareRenderer
 from tactune.widgets.clouds.cloud_data import DepthCloud
 from tactune.widgets.clouds.cloud_labels import LegendLine
 from tactune.widgets.clouds.cloud_view import CloudView
-from tactune.widgets.clouds.software_backend import CloudCanvas, SoftwareRenderer
 from tactune.widgets.clouds.view_camera import ViewCamera
 
 

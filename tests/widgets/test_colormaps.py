@@ -8,9 +8,9 @@ import pytest
 from colour_vision import EYES, nearest
 from tactune.core.model.provenance import Provenance
 from tactune.widgets.basics import colormaps
-from tactune.widgets.basics.colormaps import Theme
+from tactune.widgets.basics.theme import ThemeName
 
-THEMES: tuple[Theme, Theme] = ("light", "dark")
+THEMES: tuple[ThemeName, ThemeName] = ("light", "dark")
 
 
 def lab(colors: npt.ArrayLike) -> npt.NDArray[np.float32]:
@@ -47,7 +47,7 @@ def test_the_band_and_both_signs_are_told_apart_with_any_colour_vision(eye: str)
 
 @pytest.mark.parametrize("eye", EYES)
 @pytest.mark.parametrize("theme", THEMES)
-def test_drop_reasons_and_contact_are_told_apart_with_any_colour_vision(theme: Theme, eye: str) -> None:
+def test_drop_reasons_and_contact_are_told_apart_with_any_colour_vision(theme: ThemeName, eye: str) -> None:
     lut = colormaps.provenance_lut(theme)
     context = {
         Provenance.NO_PROXIMITY_DEPTH,
@@ -63,7 +63,7 @@ def test_drop_reasons_and_contact_are_told_apart_with_any_colour_vision(theme: T
 
 
 @pytest.mark.parametrize("theme", THEMES)
-def test_contact_has_the_same_colour_everywhere(theme: Theme) -> None:
+def test_contact_has_the_same_colour_everywhere(theme: ThemeName) -> None:
     contact = colormaps.CONTACT_RGB
     assert tuple(colormaps.provenance_lut(theme)[Provenance.CONTACT, :3]) == contact
     assert tuple(colormaps.patch_lut(theme)[colormaps.CONTACT_ROW, :3]) == contact

@@ -9,14 +9,14 @@ from PyQt6.QtTest import QTest
 from pytestqt.qtbot import QtBot
 
 from seen_clouds import FRONT, canvas_of, cloud_of, picture, shown, wall
-from tactune.widgets.clouds.inspect_view import InspectView
+from tactune.widgets.clouds.cloud_view import CloudView
 
 LEFT = Qt.MouseButton.LeftButton
 
 
 @pytest.fixture
-def view(qtbot: QtBot) -> InspectView:
-    made = InspectView("Patch")
+def view(qtbot: QtBot) -> CloudView:
+    made = CloudView("Patch", inspects=True)
     shown(qtbot, made)
     made.set_cloud(cloud_of(wall()))
     made.set_camera(FRONT)
@@ -24,7 +24,7 @@ def view(qtbot: QtBot) -> InspectView:
     return made
 
 
-def on_canvas(view: InspectView, pixel: int) -> QPoint:
+def on_canvas(view: CloudView, pixel: int) -> QPoint:
     """Where a pixel of the cloud is seen."""
     cloud, canvas = view.cloud(), canvas_of(view)
     assert cloud is not None
@@ -33,7 +33,7 @@ def on_canvas(view: InspectView, pixel: int) -> QPoint:
 
 
 @pytest.mark.parametrize("pixel", [20 * 64 + 30, 40 * 64 + 12])
-def test_the_point_under_the_mouse_is_found(view: InspectView, qtbot: QtBot, pixel: int) -> None:
+def test_the_point_under_the_mouse_is_found(view: CloudView, qtbot: QtBot, pixel: int) -> None:
     at, heard = on_canvas(view, pixel), list[tuple[int, object]]()
     view.pointHovered.connect(lambda point: heard.append(point) if point is not None else None)
 
@@ -51,7 +51,7 @@ def test_the_point_under_the_mouse_is_found(view: InspectView, qtbot: QtBot, pix
     np.testing.assert_allclose(place, cloud.places(np.array([pixel]))[0])
 
 
-def test_a_mark_is_painted_and_goes(view: InspectView) -> None:
+def test_a_mark_is_painted_and_goes(view: CloudView) -> None:
     bare = picture(view)
     view.set_mark((0.0, 0.0, 0.3))
     marked = picture(view)

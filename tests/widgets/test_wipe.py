@@ -10,7 +10,7 @@ from PyQt6.QtTest import QTest
 from pytestqt.qtbot import QtBot
 
 from seen_clouds import FRONT, GREEN, RED, cloud_of, colored, picture, red_wall, shown, wall
-from tactune.widgets.basics.wipe import Wipe
+from tactune.widgets.basics.overlays import Wipe
 from tactune.widgets.clouds.cloud_data import DepthCloud
 from tactune.widgets.clouds.cloud_view import CloudView
 from tactune.widgets.images.image_strip import ImageStrip, RenderedStrip

@@ -8,17 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Container
 from functools import cache
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import cv2
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtGui import QColor, QPalette
+from PyQt6.QtGui import QColor
 
 from ...core.model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array, Uint16Array
 from ...core.model.provenance import Provenance
+from .theme import ThemeName
 
-Theme = Literal["light", "dark"]
 Legend = list[tuple[str, QColor]]
 
 #: Contact, in every view and image of both themes.
@@ -54,7 +54,7 @@ _REASON_RGB: dict[Provenance, tuple[int, int, int]] = {
     Provenance.RIM: (147, 53, 32),
     Provenance.CONTACT: CONTACT_RGB,
 }
-_CONTEXT_RGB: dict[Provenance, dict[Theme, tuple[int, int, int]]] = {
+_CONTEXT_RGB: dict[Provenance, dict[ThemeName, tuple[int, int, int]]] = {
     Provenance.NO_PROXIMITY_DEPTH: {"light": (242, 242, 242), "dark": (26, 26, 26)},
     Provenance.OUTSIDE_REGION: {"light": (226, 226, 230), "dark": (50, 50, 54)},
     Provenance.OUTSIDE_RANGE: {"light": (196, 204, 222), "dark": (58, 66, 88)},
@@ -74,10 +74,6 @@ _SHORT_NAMES: dict[Provenance, str] = {
     Provenance.OUTSIDE_REGION: "out of region",
     Provenance.NO_PROXIMITY_DEPTH: "no depth",
 }
-
-
-def palette_theme(palette: QPalette) -> Theme:
-    return "dark" if palette.color(QPalette.ColorRole.Base).lightness() < 128 else "light"
 
 
 @cache
@@ -139,7 +135,7 @@ def difference_legend(t: float, limit: float = DIFFERENCE_LIMIT) -> Legend:
 
 
 @cache
-def provenance_lut(theme: Theme) -> Uint8Array:
+def provenance_lut(theme: ThemeName) -> Uint8Array:
     """Return one colour for every `Provenance`: uint8 (256, 4); rows without a meaning are hidden."""
     lut = np.zeros((256, 4), np.uint8)
     for provenance, rgb in _REASON_RGB.items():
@@ -168,7 +164,7 @@ def _shades(depth: Uint16Array, near: float, far: float) -> Uint8Array:
 
 
 @cache
-def patch_lut(theme: Theme) -> Uint8Array:
+def patch_lut(theme: ThemeName) -> Uint8Array:
     """Return the colours of `patch_index`: uint8 (256, 4); what lies behind the relief's range is fainter still."""
     near, far = _RELIEF_GRAY[theme]
     lut = np.full((256, 4), 255, np.uint8)
@@ -178,13 +174,13 @@ def patch_lut(theme: Theme) -> Uint8Array:
     return _frozen(lut)
 
 
-def provenance_legend(theme: Theme, occurring: Container[Provenance] = frozenset(Provenance)) -> Legend:
+def provenance_legend(theme: ThemeName, occurring: Container[Provenance] = frozenset(Provenance)) -> Legend:
     """Return the name and colour of every `Provenance` that occurs, the most important first."""
     lut = provenance_lut(theme)
     return [(name, _color(lut, verdict)) for verdict, name in _SHORT_NAMES.items() if verdict in occurring]
 
 
-def patch_legend(theme: Theme) -> Legend:
+def patch_legend(theme: ThemeName) -> Legend:
     lut = patch_lut(theme)
     return [("contact", CONTACT_COLOR), ("not touching", _color(lut, CONTACT_ROW / 2))]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import QEvent, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QAction, QColor, QKeyEvent, QPainter, QPaintEvent, QPalette, QPen
+from PyQt6.QtGui import QAction, QColor, QKeyEvent, QPainter, QPaintEvent, QPalette
 from PyQt6.QtWidgets import (
     QApplication,
     QComboBox,
@@ -227,14 +227,6 @@ class ChoiceBox(QComboBox):
                 event.accept()
                 return True
         return super().event(event)
-
-
-def paint_focus(widget: QWidget) -> None:
-    """Paint a frame around a widget while the keyboard acts there; called by its ``paintEvent``."""
-    if widget.hasFocus():
-        painter = QPainter(widget)
-        painter.setPen(QPen(widget.palette().highlight().color(), 2))
-        painter.drawRect(widget.rect().adjusted(1, 1, -1, -1))
 
 
 # Progress

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, get_args, get_origin
+from functools import cache
+from typing import Any, Literal
 
 from pydantic import BaseModel
-from pydantic.fields import FieldInfo
 
 from ...core.errors import minus
 
@@ -116,99 +117,68 @@ def section_fields(model: type[BaseModel], prefix: str) -> Iterator[FieldSpec]:
     """Yield the fields of a preset section, nested models included, in their order; hidden ones are left out."""
     for name, info in model.model_fields.items():
         path = f"{prefix}.{name}"
-        if isinstance(info.json_schema_extra, dict) and info.json_schema_extra.get("hidden"):
-            continue
         if isinstance(info.annotation, type) and issubclass(info.annotation, BaseModel):
             yield from section_fields(info.annotation, path)
-        else:
-            yield _read_field(path, info)
+        elif not _schema(model)[name].get("hidden"):
+            yield _read_field(model, path)
 
 
 def field_spec(model: type[BaseModel], path: str) -> FieldSpec:
     """Return one field by its dotted path, also a hidden one."""
-    *parents, last = path.split(".")
-    for parent in parents:
+    for parent in path.split(".")[:-1]:
         inner = model.model_fields[parent].annotation
         assert isinstance(inner, type) and issubclass(inner, BaseModel)
         model = inner
-    return _read_field(path, model.model_fields[last])
+    return _read_field(model, path)
 
 
-def _read_field(path: str, info: FieldInfo) -> FieldSpec:
-    extra: dict[str, Any] = info.json_schema_extra if isinstance(info.json_schema_extra, dict) else {}
-    unit = str(extra.get("unit", ""))
+@cache
+def _schema(model: type[BaseModel]) -> dict[str, dict[str, Any]]:
+    """Return what JSON schema says of each field of a model: bounds, choices, and our own keys such as ``unit``."""
+    properties: dict[str, dict[str, Any]] = model.model_json_schema()["properties"]
+    return properties
+
+
+def _read_field(model: type[BaseModel], path: str) -> FieldSpec:
+    name = path.rpartition(".")[2]
+    info, node = model.model_fields[name], _schema(model)[name]
+    unit = node.get("unit", "")
     factor, suffix, _ = _UNITS.get(unit, (1.0, f" {unit}", ""))
-    title = info.title or path.rpartition(".")[2].replace("_", " ").capitalize()
-    default = info.get_default(call_default_factory=True)
-    common: dict[str, Any] = {
-        "path": path,
-        "title": title,
-        "description": info.description or "",
-        "default": default,
-        "unit": unit,
-        "factor": factor,
-        "suffix": suffix,
-        "advanced": bool(extra.get("advanced", False)),
-    }
-    kind = _kind_of(path, info.annotation)
-    if kind == "choice":
-        return FieldSpec(kind=kind, choices=tuple(get_args(info.annotation)), **common)
-    if kind in ("flag", "matrix"):
-        return FieldSpec(kind=kind, **common)
-
-    element, metadata = _element_of(info)
-    bounds = _bounds_of(metadata)
-    slider = extra.get("slider", (bounds["minimum"], bounds["maximum"]))
-    integer = element is int
-    span = float(slider[1]) - float(slider[0])
+    number = node.get("prefixItems", [node])[0]  # all numbers of a range or rectangle have the same bounds
+    minimum = float(number.get("exclusiveMinimum", number.get("minimum", -math.inf)))
+    maximum = float(number.get("maximum", math.inf))
+    low, high = map(float, node.get("slider", (minimum, maximum)))
+    integer = number.get("type") == "integer"
     return FieldSpec(
-        kind=kind,
+        path=path,
+        title=info.title or name.replace("_", " ").capitalize(),
+        description=info.description or "",
+        kind=_kind_of(path, node),
+        default=info.get_default(call_default_factory=True),
+        unit=unit,
+        factor=factor,
+        suffix=suffix,
+        minimum=minimum,
+        maximum=maximum,
+        open_minimum="exclusiveMinimum" in number,
+        slider=(low, high),
+        step=float(node.get("step", 1.0 if integer else (high - low) / 200.0)),
+        log=node.get("scale") == "log",
+        wraps=node.get("wraps", False),
         integer=integer,
-        slider=(float(slider[0]), float(slider[1])),
-        step=float(extra.get("step", 1.0 if integer else span / 200.0)),
-        log=extra.get("scale") == "log",
-        wraps=bool(extra.get("wraps", False)),
-        **bounds,
-        **common,
+        choices=tuple(node.get("enum", ())),
+        advanced=node.get("advanced", False),
     )
 
 
-def _kind_of(path: str, annotation: Any) -> Kind:
-    if annotation is bool:
-        return "flag"
-    if annotation in (int, float):
-        return "number"
-    if get_origin(annotation) is Literal:
-        return "choice"
-    if get_origin(annotation) is tuple:
-        kinds: dict[int, Kind] = {2: "range", 4: "rectangle"}
-        count = len(get_args(annotation))
-        if count in kinds:
-            return kinds[count]
-    if type(None) in get_args(annotation):
+def _kind_of(path: str, node: dict[str, Any]) -> Kind:
+    if "anyOf" in node:  # or None
         return "matrix"
-    raise TypeError(f"{path}: no widget for a field of type {annotation}")
-
-
-def _element_of(info: FieldInfo) -> tuple[Any, list[Any]]:
-    """Return the number type of a field or of a tuple's items, and what bounds it."""
-    if get_origin(info.annotation) is not tuple:
-        return info.annotation, list(info.metadata)
-    item = get_args(info.annotation)[0]
-    if get_origin(item) is not Annotated:
-        return item, []
-    element, *annotations = get_args(item)
-    metadata: list[Any] = []
-    for annotation in annotations:
-        metadata += annotation.metadata if isinstance(annotation, FieldInfo) else [annotation]
-    return element, metadata
-
-
-def _bounds_of(metadata: list[Any]) -> dict[str, Any]:
-    bounds: dict[str, Any] = {"minimum": float("-inf"), "maximum": float("inf"), "open_minimum": False}
-    for entry in metadata:
-        for attribute, target in (("ge", "minimum"), ("gt", "minimum"), ("le", "maximum")):
-            if hasattr(entry, attribute):
-                bounds[target] = float(getattr(entry, attribute))
-                bounds["open_minimum"] |= attribute == "gt"
-    return bounds
+    if "enum" in node:
+        return "choice"
+    kinds: dict[str, Kind] = {"boolean": "flag", "integer": "number", "number": "number"}
+    if len(node.get("prefixItems", ())) in (2, 4):
+        kinds["array"] = "range" if len(node["prefixItems"]) == 2 else "rectangle"
+    if node.get("type") not in kinds:
+        raise TypeError(f"{path}: no widget for a field of this type")
+    return kinds[node["type"]]

@@ -7,7 +7,7 @@ from enum import StrEnum
 from html import escape
 
 from PyQt6.QtCore import QEvent, QObject, Qt, QTimer, pyqtSignal
-from PyQt6.QtGui import QEnterEvent, QHideEvent, QKeyEvent, QPalette, QShowEvent
+from PyQt6.QtGui import QKeyEvent, QPalette, QShowEvent
 from PyQt6.QtWidgets import (
     QApplication,
     QFrame,
@@ -91,7 +91,7 @@ class Message(Card):
         self._goes = QTimer(self)
         self._goes.setSingleShot(True)
         self._goes.setInterval(NOTE_MS + CHARACTER_MS * len(sentence))
-        self._goes.timeout.connect(close)
+        self._goes.timeout.connect(self._leave)
         self.setAccessibleName(f"{severity}: {sentence}")
 
         text = wrapped_label(f"<b>{severity}.</b> {escape(shortened(sentence))}", selectable=True)
@@ -131,24 +131,19 @@ class Message(Card):
         return button
 
     def run(self) -> None:
-        focus = QApplication.focusWidget()
-        if not self.lasts and not self.underMouse() and not (focus is not None and self.isAncestorOf(focus)):
+        """Count the time of a note that goes by itself from now on."""
+        if not self.lasts:
             self._goes.start()
+
+    def _leave(self) -> None:
+        focus = QApplication.focusWidget()
+        if not self.isVisible() or self.underMouse() or (focus is not None and self.isAncestorOf(focus)):
+            self._goes.start()
+        else:
+            self.closed.emit()
 
     def showEvent(self, event: QShowEvent | None) -> None:
         super().showEvent(event)
-        self.run()
-
-    def hideEvent(self, event: QHideEvent | None) -> None:
-        self._goes.stop()
-        super().hideEvent(event)
-
-    def enterEvent(self, event: QEnterEvent | None) -> None:
-        self._goes.stop()
-        super().enterEvent(event)
-
-    def leaveEvent(self, event: QEvent | None) -> None:
-        super().leaveEvent(event)
         self.run()
 
 

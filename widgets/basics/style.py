@@ -100,6 +100,9 @@ QHeaderView::section {
 QFrame[severity="Note"] { background: $accent; }
 QFrame[severity="Warning"] { background: $warning; }
 QFrame[severity="Error"] { background: $error; }
+QLabel[plate="plain"] { background: $base; border-radius: 4px; padding: 4px 8px; }
+QLabel[plate="warning"] {
+    background: $alternate; border: 1px solid $warning; border-radius: 4px; padding: 4px 8px; color: $warning; }
 QToolBar { border: none; spacing: 4px; padding: 2px 4px; }
 """)
 

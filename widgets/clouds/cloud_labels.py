@@ -2,70 +2,53 @@
 
 from __future__ import annotations
 
-import re
+from collections.abc import Sequence
 from html import escape
 
 from PyQt6.QtCore import QSize, Qt
-from PyQt6.QtGui import QColor, QResizeEvent
+from PyQt6.QtGui import QColor, QFontMetrics, QPainter, QPaintEvent
 from PyQt6.QtWidgets import QLabel, QSizePolicy, QWidget
 
-from ..basics.controls import ElidedLabel
 from ..basics.theme import text_font
 
-_MARGIN, _TOP, _GAP = 2, 2, 8
-#: Horizontal padding of the title, in pixels.
-_TITLE_PADDING = 6
+#: Pixels between title and number.
+_GAP = 8
 _MAX_LINES = 4
 
 
 class CloudHeader(QWidget):
     """Title on the left, number of points on the right, without the word where both do not fit.
 
-    The labels have no layout: a layout would repeat its work through the whole window for every frame.
+    Painted without labels, whose layout would repeat its work through the whole window for every frame.
     """
 
     def __init__(self, title: str) -> None:
         super().__init__()
-        self._title = ElidedLabel(title, self)
-        self._title.setObjectName("title")
-        font = self._title.font()
-        font.setBold(True)
-        self._title.setFont(font)
-        self._count = QLabel(self)
-        self._count.setTextFormat(Qt.TextFormat.PlainText)
-        self._count.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        self._title, self._count = title, 0
+        self._bold = text_font("body", bold=True)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        for opaque in (self, self._count):
-            opaque.setAutoFillBackground(True)  # else each new number would paint all widgets behind it
-        self._value = 0
-        self._place()
+        self.setAutoFillBackground(True)  # else each new number would paint all widgets behind it
 
     def set_count(self, count: int) -> None:
-        if count != self._value:
-            self._value = count
-            self._place()
+        if count != self._count:
+            self._count = count
+            self.update()
 
     def sizeHint(self) -> QSize:
-        return QSize(100, self._title.sizeHint().height() + _TOP)
+        return QSize(100, self.fontMetrics().height() + 6)
 
-    def resizeEvent(self, event: QResizeEvent | None) -> None:
-        super().resizeEvent(event)
-        self._place()
-
-    def _place(self) -> None:
-        room, height = self.width() - 2 * _MARGIN, self.height() - _TOP
-        title = self._title.fontMetrics().horizontalAdvance(self._title.text()) + _TITLE_PADDING
-        shown = f"{self._value:,} point{'' if self._value == 1 else 's'}"
-        if title + _GAP + self._width_of(shown) > room:
-            shown = f"{self._value:,}"
-        width = self._width_of(shown)
-        self._count.setText(shown)
-        self._count.setGeometry(_MARGIN + room - width, _TOP, width, height)
-        self._title.setGeometry(_MARGIN, _TOP, max(0, room - width - _GAP), height)
-
-    def _width_of(self, words: str) -> int:
-        """Return the width with every digit as wide as an 8, so that nothing moves between frames."""
-        return self._count.fontMetrics().horizontalAdvance(re.sub(r"\d", "8", words)) + 2
+    def paintEvent(self, _: QPaintEvent | None) -> None:
+        painter, plain, bold = QPainter(self), self.fontMetrics(), QFontMetrics(self._bold)
+        room = self.rect().adjusted(4, 2, -4, 0)
+        count = f"{self._count:,} point{'' if self._count == 1 else 's'}"
+        if bold.horizontalAdvance(self._title) + _GAP + plain.horizontalAdvance(count) > room.width():
+            count = f"{self._count:,}"
+        painter.setPen(self.palette().windowText().color())
+        painter.drawText(room, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter, count)
+        left = room.width() - _GAP - plain.horizontalAdvance(count)
+        painter.setFont(self._bold)
+        title = bold.elidedText(self._title, Qt.TextElideMode.ElideRight, left)
+        painter.drawText(room, Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter, title)
 
 
 class LegendLine(QLabel):
@@ -101,8 +84,9 @@ class LegendLine(QLabel):
         return False  # all views have the height of the highest legend
 
     def set_height(self, height: int) -> None:
-        self._height = height
-        self.updateGeometry()
+        if height != self._height:
+            self._height = height
+            self.updateGeometry()
 
     def needed_height(self) -> int:
         """Return the height in pixels that all entries need at the current width, at most `_MAX_LINES` lines."""
@@ -110,3 +94,11 @@ class LegendLine(QLabel):
 
     def _line_height(self) -> int:
         return self.fontMetrics().height()
+
+
+def level(legends: Sequence[LegendLine]) -> None:
+    """Give legends side by side the height of the highest: views of equal height zoom alike."""
+    shown = [legend for legend in legends if (view := legend.parentWidget()) is None or not view.isHidden()]
+    height = max((legend.needed_height() for legend in shown), default=0)
+    for legend in legends:
+        legend.set_height(height)

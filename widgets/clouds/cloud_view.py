@@ -15,22 +15,17 @@ from PyQt6.QtGui import (
     QPainter,
     QPaintEvent,
     QPalette,
-    QPen,
-    QResizeEvent,
     QWheelEvent,
 )
-from PyQt6.QtWidgets import QPushButton, QWidget
+from PyQt6.QtWidgets import QWidget
 
 from ...core.model.arrays import Float64Array
 from ..basics.layouts import vbox
-from ..basics.wipe import Wipe
+from ..basics.overlays import Notice, Wipe
+from .cloud_canvas import CloudCanvas, Place
 from .cloud_data import DepthCloud
 from .cloud_labels import CloudHeader, LegendLine
-from .cloud_scene import CloudScene, message_rect
-from .software_backend import CloudCanvas
 from .view_camera import ViewCamera, Viewpoint
-
-Place = tuple[float, float, float]
 
 #: Distance in pixels within which a point is picked.
 PICK_PX = 10.0
@@ -39,8 +34,8 @@ _UNDER_PX = 1.5
 _ORBIT_STEP = radians(5.0)
 _ZOOM_STEP = 1.15
 _RING = 2
-#: Pixels between the message and the button below it.
-_OFFER_GAP = 16
+#: Milliseconds between searches for the point under the moving mouse.
+_HOVER_MS = 30
 #: Step in rows and columns at which a cloud is sampled for framing.
 _FRAMING_STEP = 8
 
@@ -62,25 +57,20 @@ _KEYS: dict[int, Callable[[CloudView], None]] = {
 class CloudView(QWidget):
     """Title, number of points, the cloud itself and a legend.
 
-    Until somebody steers it, the camera frames the cloud by itself, and again whenever the view is resized.
+    Until somebody steers it, the camera frames the cloud by itself, and again whenever the view is resized. One that
+    ``inspects`` also reports the point under the mouse, and a double click enlarges it instead of resetting it.
     """
-
-    #: Help on mouse and keys, shown as the tooltip.
-    HELP = """<p><b>Drag</b> to orbit, <b>Shift + drag</b> or middle button to pan, <b>wheel</b> to zoom,
-    <b>double click</b> to reset.</p>
-    <p>Keys: <b>arrows</b> orbit, <b>+ −</b> zoom, <b>R</b> reset, <b>V</b> front, <b>T</b> top, <b>S</b> side.</p>"""
-
-    #: Whether the view follows the mouse while no button is pressed.
-    FOLLOWS_MOUSE = False
 
     #: The wipe was dragged; carries the share of the width left of it.
     wipeDragged = pyqtSignal(float)
     #: The button below the message was pressed.
     offerPressed = pyqtSignal()
+    pointHovered = pyqtSignal(object)  # Flat pixel and place of the point under the mouse, or None
+    enlargeRequested = pyqtSignal()
 
-    def __init__(self, title: str, parent: QWidget | None = None) -> None:
+    def __init__(self, title: str, parent: QWidget | None = None, *, inspects: bool = False) -> None:
         super().__init__(parent)
-        self._scene = CloudScene()
+        self._inspects = inspects
         self._message, self._right_message = "", ""
         self._steered = False
         self._companions: list[CloudView] = []
@@ -92,27 +82,36 @@ class CloudView(QWidget):
         self._drag_from: QPointF | None = None
         self._drag_pans = False
         self._drags_wipe = False
+        self._mouse = QPointF()
+        self._hover = QTimer(self)
+        self._hover.setSingleShot(True)
+        self._hover.setInterval(_HOVER_MS)
+        self._hover.timeout.connect(self._point)  # no lambda: Qt would call it after Python has cleared a closed view
 
         self._header = CloudHeader(title)
-        self._legend = LegendLine()
-        self._canvas = CloudCanvas(self._scene, self)
-        self._offer = QPushButton(self)
-        self._offer.setObjectName("offer")
-        self._offer.hide()
-        self._offer.clicked.connect(self.offerPressed)
+        self.legend_line = LegendLine()
+        self._canvas = CloudCanvas(self)
         self._canvas.setObjectName("canvas")
-        parts = self._header, (self._canvas, 1), self._legend
+        self._canvas.resized.connect(self._start_framing)
+        self._notice, self._badge = Notice(self._canvas), Notice(self._canvas, warns=True)
+        self._notice.button.clicked.connect(self.offerPressed)
+        parts = self._header, (self._canvas, 1), self.legend_line
         vbox(*parts, within=self, margins=(_RING, 0, _RING, 0), spacing=_RING + 1)
         self.set_wipe(None)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAccessibleName(f"3D view: {title}")
-        self.setToolTip(self.HELP)
+        self.setToolTip(
+            "<p><b>Drag</b> to orbit, <b>Shift + drag</b> or middle button to pan, <b>wheel</b> to zoom, "
+            f"<b>double click</b> to {'enlarge' if inspects else 'reset'}.</p>"
+            "<p>Keys: <b>arrows</b> orbit, <b>+ −</b> zoom, <b>R</b> reset, <b>V</b> front, <b>T</b> top, "
+            f"<b>S</b> side{', <b>Z</b> zoom to the patch' if inspects else ''}.</p>"
+        )
 
     # What is shown
 
     def set_cloud(self, cloud: DepthCloud | None) -> None:
-        arrives = cloud is not None and self._scene.cloud is None
-        self._scene.cloud = cloud
+        arrives = cloud is not None and self._canvas.cloud is None
+        self._canvas.cloud = cloud
         self._show_count()
         if arrives and not self._steered:
             self.fit()
@@ -120,116 +119,98 @@ class CloudView(QWidget):
 
     def cloud(self) -> DepthCloud | None:
         """Return the cloud that is shown, left of the wipe if there is one."""
-        return self._scene.cloud
+        return self._canvas.cloud
 
     def right_cloud(self) -> DepthCloud | None:
-        return self._scene.right
+        return self._canvas.right
 
     def set_right(self, cloud: DepthCloud | None, message: str = "") -> None:
         """Show another cloud right of the wipe; ``message`` says why it has no points."""
-        self._scene.right, self._right_message = cloud, message
+        self._canvas.right, self._right_message = cloud, message
         self._show_count()
         self._canvas.update()
 
     def set_wipe(self, wipe: Wipe | None) -> None:
         """Divide the view between two clouds seen by the same camera, or show only one."""
-        self._scene.wipe = wipe
+        self._canvas.wipe = wipe
         if wipe is None:
-            self._scene.right, self._right_message = None, ""
+            self._canvas.right, self._right_message = None, ""
         for widget in (self, self._canvas):
-            widget.setMouseTracking(self.FOLLOWS_MOUSE or wipe is not None)
+            widget.setMouseTracking(self._inspects or wipe is not None)
         self._show_count()
         self._canvas.update()
 
     def wipe(self) -> Wipe | None:
-        return self._scene.wipe
+        return self._canvas.wipe
 
     def point_count(self) -> int:
         """Return the number of points that the view states: of the left cloud unless only the right one is seen."""
-        wipe = self._scene.wipe
-        cloud = self._scene.right if wipe is not None and wipe.share <= 0 else self._scene.cloud
+        wipe = self._canvas.wipe
+        cloud = self._canvas.right if wipe is not None and wipe.share <= 0 else self._canvas.cloud
         return cloud.point_count if cloud else 0
 
     def set_point_size(self, size: float) -> None:
         """Draw points as squares of this edge length, in device-independent pixels, at least 1."""
-        self._scene.point_size = max(1.0, float(size))
+        self._canvas.point_size = max(1.0, float(size))
         self._canvas.update()
 
     def set_running(self, running: bool) -> None:
         """Say whether frames follow each other: a cloud that stands still is drawn with all its points."""
-        self._scene.running = running
+        self._canvas.running = running
         self._canvas.update()
 
     def set_legend(self, entries: list[tuple[str, QColor]]) -> None:
         """Set the legend, the most important entry first."""
-        self._legend.setValue(entries)
+        self.legend_line.setValue(entries)
 
     def legend(self) -> list[tuple[str, QColor]]:
-        return self._legend.value()
-
-    def needed_legend_height(self) -> int:
-        return self._legend.needed_height()
-
-    def set_legend_height(self, height: int) -> None:
-        """Set the legend's height in pixels; frame the cloud again unless the user moved the camera."""
-        self._legend.set_height(height)
-        if not self._steered and self._scene.cloud is not None:
-            self._resized.start()
+        return self.legend_line.value()
 
     def set_message(self, message: str) -> None:
         if message != self._message:
             self._message = message
             self._show_count()
-            self._canvas.update()
 
     def set_offer(self, text: str, tip: str = "") -> None:
         """Set the button below the message, such as "Check cameras"; an empty text removes it."""
-        self._offer.setText(text)
-        self._offer.setToolTip(tip)
-        self._place_offer()
-
-    def _place_offer(self) -> None:
-        """Show the button below the message, only while there is one."""
-        shown = bool(self._offer.text() and self._scene.message)
-        if shown:
-            self._offer.adjustSize()
-            below = message_rect(self._canvas, self._scene.message).bottom() + _OFFER_GAP
-            below = min(below, self._canvas.height() - self._offer.height() - 2)
-            left = (self._canvas.width() - self._offer.width()) / 2
-            self._offer.move(self._canvas.pos() + QPointF(left, below).toPoint())
-        self._offer.setVisible(shown)
+        self._notice.offer(text, tip)
 
     def message(self) -> str:
         """Return the message that is visible now: empty while there are points."""
-        return self._scene.message
+        return self._notice.text()
 
     def set_badge(self, text: str) -> None:
         """Mark the cloud as old and show why; an empty text removes the mark."""
-        if text != self._scene.badge:
-            self._scene.badge = text
+        if text != self.badge():
+            self._badge.set_text(text)
             self.setAccessibleDescription(text)
-            self._canvas.update()
 
     def badge(self) -> str:
-        return self._scene.badge
+        return self._badge.text()
+
+    def set_mark(self, mark: Place | None) -> None:
+        """Mark a place of the view's frame, metres, or none."""
+        if mark != self._canvas.mark:
+            self._canvas.mark = mark
+            self._canvas.update()
+
+    def mark(self) -> Place | None:
+        return self._canvas.mark
 
     def _show_count(self) -> None:
         self._header.set_count(self.point_count())
-        wipe = self._scene.wipe
+        wipe = self._canvas.wipe
         share = 1.0 if wipe is None else wipe.share
-        sides = [(self._scene.cloud, self._message)] if share > 0 else []
+        sides = [(self._canvas.cloud, self._message)] if share > 0 else []
         if share < 1:
-            sides.append((self._scene.right, self._right_message))
+            sides.append((self._canvas.right, self._right_message))
         empty = not any(cloud is not None and cloud.point_count for cloud, _ in sides)
-        message = sides[0][1] if empty else ""
-        if message != self._scene.message:
-            self._scene.message = message
-            self._place_offer()
+        self._notice.set_text(sides[0][1] if empty else "")
 
     # Camera
 
     def camera(self) -> ViewCamera:
-        return self._scene.camera
+        return self._canvas.camera
 
     def set_camera(self, camera: ViewCamera) -> None:
         """Move the camera and those of linked views; automatic framing ends."""
@@ -282,16 +263,16 @@ class CloudView(QWidget):
 
     def _place(self, camera: ViewCamera, steered: bool) -> None:
         self._steered = steered
-        if camera != self._scene.camera:
-            self._scene.camera = camera
+        if camera != self._canvas.camera:
+            self._canvas.camera = camera
             self._canvas.update()
 
     def pick(self, at: QPointF) -> tuple[int, Place] | None:
         """Return flat pixel and place of the point nearest to the eye at a position of the canvas, or beside it."""
         width, height = self._size()
-        wipe = self._scene.wipe
+        wipe = self._canvas.wipe
         right = wipe is not None and at.x() >= wipe.column(width)
-        cloud = self._scene.right if right else self._scene.cloud
+        cloud = self._canvas.right if right else self._canvas.cloud
         if cloud is None:
             return None
         found = cloud.near(self.camera().pixel_matrix(width, height), (at.x(), at.y()), PICK_PX)
@@ -312,10 +293,8 @@ class CloudView(QWidget):
     def minimumSizeHint(self) -> QSize:
         return QSize(160, 160)
 
-    def resizeEvent(self, event: QResizeEvent | None) -> None:
-        super().resizeEvent(event)
-        self._place_offer()
-        if not self._steered and self._scene.cloud is not None:
+    def _start_framing(self) -> None:
+        if not self._steered and self._canvas.cloud is not None:
             self._resized.start()
 
     def _frame_after_resize(self) -> None:
@@ -358,9 +337,13 @@ class CloudView(QWidget):
             self.wipeDragged.emit(min(max(x / max(1, self._canvas.width()), 0.0), 1.0))
             return
         if event is None or self._drag_from is None:
-            if event is not None and self._scene.wipe is not None:
+            if event is not None and self._canvas.wipe is not None:
                 shape = Qt.CursorShape.SplitHCursor if self._at_wipe(event) else Qt.CursorShape.ArrowCursor
                 self._canvas.setCursor(shape)
+            if event is not None and self._inspects and event.buttons() == Qt.MouseButton.NoButton:
+                self._mouse = self._canvas.mapFrom(self, event.position())
+                if not self._hover.isActive():
+                    self._hover.start()
             super().mouseMoveEvent(event)
             return
         moved = event.position() - self._drag_from
@@ -377,11 +360,23 @@ class CloudView(QWidget):
         super().mouseReleaseEvent(event)
 
     def _at_wipe(self, event: QMouseEvent) -> bool:
-        wipe, at = self._scene.wipe, self._canvas.mapFrom(self, event.position())
+        wipe, at = self._canvas.wipe, self._canvas.mapFrom(self, event.position())
         return wipe is not None and wipe.grabbed(at.x(), self._canvas.width())
 
+    def _point(self) -> None:
+        self.pointHovered.emit(self.pick(self._mouse))
+
+    def leaveEvent(self, event: QEvent | None) -> None:
+        super().leaveEvent(event)
+        self._hover.stop()
+        self.pointHovered.emit(None)
+
     def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:
-        if event is not None and event.button() == Qt.MouseButton.LeftButton:
+        if event is None or event.button() != Qt.MouseButton.LeftButton:
+            return
+        if self._inspects:
+            self.enlargeRequested.emit()
+        else:
             self.look_from("reset")
 
     def wheelEvent(self, event: QWheelEvent | None) -> None:
@@ -401,13 +396,9 @@ class CloudView(QWidget):
         self.set_camera(self.camera().zoomed(factor, (at.x(), at.y()), *self._size()))
 
     def paintEvent(self, _event: QPaintEvent | None) -> None:
-        role = QPalette.ColorRole.Highlight if self.hasFocus() else QPalette.ColorRole.Mid
-        width = _RING if self.hasFocus() else 1
         painter = QPainter(self)
-        painter.setPen(QPen(self.palette().color(role), width))
-        grown = self._canvas.geometry().toRectF().adjusted(-width / 2, -width / 2, width / 2, width / 2)
-        painter.drawRect(grown)
-        painter.end()
+        painter.setPen(self.palette().color(QPalette.ColorRole.Mid))
+        painter.drawRect(self._canvas.geometry().adjusted(-1, -1, 0, 0))
 
 
 def as_place(point: npt.ArrayLike) -> Place:

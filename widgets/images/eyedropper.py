@@ -93,22 +93,13 @@ def _on_arc(arc: Span) -> BoolArray:
     return on
 
 
-def _longest_arc(hues: BoolArray) -> Span | None:
-    """Return the longest arc of the circle on which all hues, bool (180,), are true; None if none is."""
-    if hues.all() or not hues.any():
-        return (0, _HUES - 1) if hues.all() else None
-    starts = np.flatnonzero(hues & ~np.roll(hues, 1))
-    stops = np.flatnonzero(hues & ~np.roll(hues, -1))
-    lengths = [(stops - start) % _HUES for start in starts]
-    arcs = [(int(start), int(stops[np.argmin(each)])) for start, each in zip(starts, lengths, strict=True)]
-    return max(arcs, key=_arc_length)
-
-
 def _covering_span(first: Span, second: Span) -> Span:
     return min(first[0], second[0]), max(first[1], second[1])
 
 
 def _covering_arc(first: Span, second: Span) -> Span:
-    """Return the shortest arc that holds two arcs."""
-    gap = _longest_arc(~(_on_arc(first) | _on_arc(second)))
-    return (0, _HUES - 1) if gap is None else ((gap[1] + 1) % _HUES, (gap[0] - 1) % _HUES)
+    """Return the shortest arc that holds two arcs: it begins where one begins and ends where one ends."""
+    held = _on_arc(first) | _on_arc(second)
+    arcs = [(low, high) for low in (first[0], second[0]) for high in (first[1], second[1])]
+    holding = [arc for arc in arcs if _on_arc(arc)[held].all()]
+    return min(holding, key=_arc_length, default=(0, _HUES - 1))

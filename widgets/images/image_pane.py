@@ -7,16 +7,15 @@ from typing import Any
 
 import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, QPointF, QRectF, Qt, pyqtSignal
-from PyQt6.QtGui import QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
-from PyQt6.QtWidgets import QLabel, QWidget
+from PyQt6.QtGui import QImage, QKeyEvent, QMouseEvent, QPainter
+from PyQt6.QtWidgets import QWidget
 
 from ...core.model.arrays import Uint8Array
 from ..basics.colormaps import Legend
 from ..basics.controls import ElidedLabel
 from ..basics.layouts import vbox
-from ..basics.stale_badge import StaleBadge
+from ..basics.overlays import Notice, Wipe
 from ..basics.theme import theme_colors
-from ..basics.wipe import Wipe
 from ..clouds.cloud_labels import LegendLine
 
 #: Columns and rows that each arrow key moves, and the factor of each zoom key.
@@ -161,12 +160,7 @@ class ImagePane(QWidget):
         self.box.addItem(self.cross, ignoreBounds=True)
         self.wipe_line = WipeLine(self.box)
         self.box.addItem(self.wipe_line, ignoreBounds=True)
-        self.empty_label = QLabel("", self.view)
-        self.empty_label.setWordWrap(True)
-        self.empty_label.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        self.empty_label.setMargin(8)
-        self.empty_label.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
-        self.badge = StaleBadge(self.view)
+        self.notice, self.badge = Notice(self.view), Notice(self.view, warns=True)
 
         vbox(self.title, self.legend, (self.view, 1), within=self, margins=0, spacing=0)
 
@@ -204,9 +198,7 @@ class ImagePane(QWidget):
             self._pixels.set_split(self.wipe_line.value())
 
     def set_message(self, text: str) -> None:
-        self.empty_label.setText(text)
-        self.empty_label.setVisible(bool(text))
-        self.empty_label.setGeometry(self.view.rect())
+        self.notice.set_text(text)
 
     def set_badge(self, text: str) -> None:
         self.badge.set_text(text)
@@ -238,24 +230,11 @@ class ImagePane(QWidget):
         if event is not None and event.type() == QEvent.Type.PaletteChange:
             self._recolor()
 
-    def resizeEvent(self, event: Any) -> None:
-        super().resizeEvent(event)
-        self.empty_label.setGeometry(self.view.rect())
-        self.badge.setGeometry(self.view.rect())
-
     def _range_changed(self, *_: object) -> None:
         if self.wipe_line.isVisible():
             self.wipe_line.set_share(self.wipe_line.share)
             self._pixels.set_split(self.wipe_line.value())
         self.viewChanged.emit(self.box.viewRect())
-
-    def paintEvent(self, event: QPaintEvent | None) -> None:
-        super().paintEvent(event)
-        if self.hasFocus():
-            painter = QPainter(self)
-            painter.setPen(QPen(self.palette().accent().color(), 2))
-            bottom = self.view.geometry().top()
-            painter.drawLine(0, bottom, self.width(), bottom)
 
     def _recolor(self) -> None:
         self.view.setBackground(theme_colors().base)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import QRectF, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QKeyEvent, QPaintEvent, QPalette, QResizeEvent
+from PyQt6.QtGui import QColor, QKeyEvent, QPalette, QResizeEvent
 from PyQt6.QtWidgets import QFrame, QHBoxLayout, QPushButton, QSizePolicy, QWidget
 
 from ..basics.colormaps import CONTACT_RGB, MASKED_RGB, depth_legend, difference_legend
-from ..basics.controls import ElidedLabel, paint_focus, wrapped_label
+from ..basics.controls import ElidedLabel, wrapped_label
 from ..basics.layouts import hbox, vbox
-from ..basics.wipe import Wipe
+from ..basics.overlays import Wipe
+from ..clouds.cloud_labels import level
 from .image_pane import ARROW_KEYS, ZOOM_KEYS, ImagePane, Rectangle, moved_by_arrow
 from .marks import RegionItem
 from .strip_render import NO_VALUE_RGB, RenderedStrip
@@ -172,10 +173,6 @@ class ImageStrip(QWidget):
         else:
             super().keyPressEvent(event)
 
-    def paintEvent(self, event: QPaintEvent | None) -> None:
-        super().paintEvent(event)
-        paint_focus(self)
-
     def _connect_pane(self, name: str, pane: ImagePane) -> None:
         pane.hovered.connect(self.point_at)
         pane.clicked.connect(lambda u, v, modifiers: self.clicked.emit(name, u, v, modifiers))
@@ -250,7 +247,4 @@ class ImageStrip(QWidget):
         self._fit_legends()
 
     def _fit_legends(self) -> None:
-        """Give all legends the height of the highest: panes of equal height zoom alike."""
-        height = max(pane.legend.needed_height() for pane in self.panes.values())
-        for pane in self.panes.values():
-            pane.legend.set_height(height)
+        level([pane.legend for pane in self.panes.values()])

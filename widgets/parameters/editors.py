@@ -293,7 +293,9 @@ class MatrixView(QLabel):
 
     def __init__(self, spec: FieldSpec) -> None:
         super().__init__()
-        self._spec = spec
+        font = QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont)
+        font.setPointSizeF(text_font("caption").pointSizeF())
+        self.setFont(font)
         self.setTextInteractionFlags(
             Qt.TextInteractionFlag.TextSelectableByMouse | Qt.TextInteractionFlag.TextSelectableByKeyboard
         )
@@ -304,18 +306,8 @@ class MatrixView(QLabel):
 
     def setValue(self, value: Any) -> None:
         self._value = value
-        font = text_font("body")
-        if value is not None:
-            font = QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont)
-            font.setPointSizeF(text_font("caption").pointSizeF())
-        self.setFont(font)
-        self.setText("from the rig" if value is None else "\n".join(map(self._line, value[:3])))
-
-    def _line(self, row: tuple[float, ...]) -> str:
-        if len(row) == 3:
-            return " ".join(f"{cell:>10.5g}" for cell in row)
-        shift = f"{row[3] * self._spec.factor:8.2f}{self._spec.suffix}"
-        return " ".join(f"{cell:8.5f}" for cell in row[:3]) + f" | {shift}"
+        rows = [" ".join(f"{cell:>9.5g}" for cell in row) for row in value or ()]
+        self.setText("\n".join(rows) or "from the rig")
 
 
 _EDITORS: dict[str, Any] = {

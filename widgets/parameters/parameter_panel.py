@@ -182,13 +182,6 @@ class ParameterPanel(QScrollArea):
         for name, section in self.sections.items():
             section.set_collapsed(name in names)
 
-    def open_folds(self) -> list[str]:
-        return [name for name, form in self.forms.items() if form.is_open]
-
-    def set_open_folds(self, names: list[str]) -> None:
-        for name, form in self.forms.items():
-            form.set_open(form.is_open or name in names)
-
     def enable_measuring(self, enabled: bool) -> None:
         for button in (*self.suggests.values(), self.eyedroppers["set"]):
             button.setEnabled(enabled)

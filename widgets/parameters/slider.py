@@ -27,7 +27,6 @@ _RADIUS = 6.0
 #: Distance in pixels within which the mouse grips a handle.
 _REACH = 8.0
 _GROOVE, _COLORED_GROOVE = 4.0, 8.0
-_BAND = 2  # what is gripped when it is neither handle 0 nor handle 1
 
 Values = tuple[float, ...]
 
@@ -69,9 +68,9 @@ class Scale:
 class Slider(QWidget):
     """One handle, or two with a band between them.
 
-    Drag a handle, or the band to move both; a press beside them brings the nearer handle. With ``wraps`` the handles
-    may cross: the band then goes from the low end over the top to the high end, and moving it rotates it. Otherwise
-    the ends stay at least ``gap`` apart. Tab goes from the low handle to the high one.
+    A press beside a handle brings the nearer one. With ``wraps`` the handles may cross: the band then goes from the
+    low end over the top to the high end. Otherwise they stay at least ``gap`` apart. Tab goes from the low handle to
+    the high one.
     """
 
     edited = pyqtSignal(object, int)  # values, gesture: changed by the user
@@ -84,9 +83,8 @@ class Slider(QWidget):
         self._values: Values = (scale.low, scale.high)[:handles]
         self._colors: list[QColor] = []
         self._active = 0
-        self._gripped: int | None = None
-        self._grip_fraction = 0.0
-        self._grip_values = self._values
+        self._gripped = False
+        self._grip_px = 0.0  # from the handle's centre to the mouse
         self._clock = GestureClock()
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
@@ -106,7 +104,7 @@ class Slider(QWidget):
             self.update()
 
     def is_held(self) -> bool:
-        return self._gripped is not None
+        return self._gripped
 
     def wrapped(self) -> bool:
         return self._wraps and self._values[0] > self._values[-1]
@@ -131,23 +129,21 @@ class Slider(QWidget):
         if event is None or event.button() != Qt.MouseButton.LeftButton:
             return
         x = event.position().x()
-        part = self._part_at(x)
-        gripped = self._nearer_handle(x) if part is None else part
-        self._gripped, self._grip_values = gripped, self._values
-        if gripped != _BAND:
-            self._active = gripped
+        self._active, self._gripped = self._nearer_handle(x), True
+        self._grip_px = x - self.handle_x(self._active)
+        if abs(self._grip_px) > _REACH:
+            self._grip_px = 0.0
         self._clock.hold()
-        self._grip_fraction = self._scale.fraction(self._values[gripped]) if part is None else self._fraction_at(x)
         self._drag_to(x)
         self.update()
 
     def mouseMoveEvent(self, event: QMouseEvent | None) -> None:
-        if event is not None and self._gripped is not None:
+        if event is not None and self._gripped:
             self._drag_to(event.position().x())
 
     def mouseReleaseEvent(self, event: QMouseEvent | None) -> None:
         if event is not None and event.button() == Qt.MouseButton.LeftButton:
-            self._gripped = None
+            self._gripped = False
             self._clock.release()
             self.update()
 
@@ -193,29 +189,15 @@ class Slider(QWidget):
 
     # Moving
 
-    def _fraction_at(self, x: float) -> float:
-        left, length = self.travel()
-        return (x - left) / length
-
     def _nearer_handle(self, x: float) -> int:
-        return min(range(len(self._values)), key=lambda handle: abs(x - self.handle_x(handle)))
-
-    def _part_at(self, x: float) -> int | None:
-        nearer = self._nearer_handle(x)
         low_x, high_x = self.handle_x(0), self.handle_x(-1)
-        if abs(x - self.handle_x(nearer)) <= _REACH:
-            if len(self._values) == 2 and low_x == high_x:  # take the handle that can move towards the mouse
-                return 0 if x < low_x or self._values[1] >= self._scale.high else 1
-            return nearer
-        inside = x < high_x or x > low_x if self.wrapped() else low_x < x < high_x
-        return _BAND if inside else None
+        if len(self._values) == 2 and low_x == high_x:  # take the handle that can move towards the mouse
+            return 0 if x < low_x or self._values[1] >= self._scale.high else 1
+        return int(abs(x - high_x) < abs(x - low_x))
 
     def _drag_to(self, x: float) -> None:
-        by = self._fraction_at(x) - self._grip_fraction
-        if self._gripped == _BAND:
-            self._move_band(by)
-        elif self._gripped is not None:
-            self._move_handle(self._gripped, self._scale.fraction(self._grip_values[self._gripped]) + by)
+        left, length = self.travel()
+        self._move_handle(self._active, (x - self._grip_px - left) / length)
 
     def _step(self, steps: int) -> None:
         position = round(self._scale.fraction(self._values[self._active]) * self._scale.positions) + steps
@@ -233,18 +215,6 @@ class Slider(QWidget):
                 fraction = max(fraction, self._scale.fraction(self._values[0]) + self._gap)
         value = self._scale.value(fraction)
         self._take(tuple(value if number == handle else kept for number, kept in enumerate(self._values)))
-
-    def _move_band(self, by: float) -> None:
-        start = [self._scale.fraction(end) for end in self._grip_values]
-        if self._wraps:
-            count = self._scale.positions + 1
-            shift = round(by * self._scale.positions)
-            ends = [(round(end * self._scale.positions) + shift) % count / self._scale.positions for end in start]
-        else:
-            by = min(max(by, -start[0]), 1.0 - start[1])
-            ends = [end + by for end in start]
-        if by != 0.0:
-            self._take(tuple(map(self._scale.value, ends)))
 
     def _take(self, values: Values) -> None:
         if values != self._values:
@@ -292,7 +262,7 @@ class Slider(QWidget):
             painter.drawRoundedRect(span(*ends), corner, corner)
         painter.setPen(QPen(accent, 2.0))
         for handle in range(len(self._values)):
-            lit = enabled and (handle == self._gripped or (self.hasFocus() and handle == self._active))
+            lit = enabled and handle == self._active and (self._gripped or self.hasFocus())
             painter.setBrush(QColor(colors.accent if lit else colors.knob if enabled else colors.button))
             painter.drawEllipse(QPointF(self.handle_x(handle), centre), _RADIUS, _RADIUS)
         painter.end()

@@ -12,9 +12,7 @@ from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QWidget
 
-from ...core.errors import minus
 from ...core.model.arrays import AnyArray, Float64Array
-from ..basics.fields import format_number
 from ..basics.gestures import GestureClock
 from ..basics.layouts import vbox
 from ..basics.theme import ThemeColors
@@ -53,18 +51,6 @@ GAP: Final = Quantity(
 )  # fmt: skip
 
 
-class _Axis(pg.AxisItem):  # type: ignore[misc]  # pyqtgraph has no types
-    def __init__(self, unit: str) -> None:
-        super().__init__("bottom")
-        self._unit = unit
-
-    def tickStrings(self, values: list[float], scale: float, spacing: float) -> list[str]:
-        return [f"{minus(format_number(value, 3))} {self._unit}" for value in values]
-
-    def wheelEvent(self, event: Any) -> None:
-        event.ignore()
-
-
 class LimitHistogram(QWidget):
     """Counts of a quantity; what lies within the limit is in the accent colour."""
 
@@ -79,7 +65,7 @@ class LimitHistogram(QWidget):
         self._known = 0
         self._stale = False
         self._clock = GestureClock()
-        self.plot_widget = Plot(axes={"bottom": _Axis(quantity.unit)})
+        self.plot_widget = Plot(unit=quantity.unit)
         self.plot_widget.setMinimumWidth(200)
         vbox(self.plot_widget, within=self, margins=0)
         self.setFixedHeight(120)
@@ -157,15 +143,13 @@ class LimitHistogram(QWidget):
         if self._stale:
             return
         symmetric, limit = self._quantity.symmetric, self._limit
-        edges, counts = split_at(self._edges, self._counts, (-limit, limit) if symmetric else (limit,))
-        centres = (edges[:-1] + edges[1:]) / 2
-        inside = np.where(np.abs(centres) <= limit, counts, 0.0)
-        shown = edges * self._quantity.factor
-        self._outside.setData(shown, counts)
-        self._inside.setData(shown, inside)
+        centres = (self._edges[:-1] + self._edges[1:]) / 2
+        shown = self._edges * self._quantity.factor
+        self._outside.setData(shown, self._counts)
+        self._inside.setData(shown, np.where(np.abs(centres) <= limit, self._counts, 0.0))
         reach = max(abs(shown[0]), abs(shown[-1]), 1.1 * limit * self._quantity.factor, 0.1)
         # with one side, the bar at zero is contact itself, which would flatten all others
-        tallest = 1.05 * counts.max(initial=1.0) if symmetric else 1.3 * self._counts[1:].max(initial=1.0)
+        tallest = 1.05 * self._counts.max(initial=1.0) if symmetric else 1.3 * self._counts[1:].max(initial=1.0)
         if not self._dragging():  # a scale that moved under the mouse would run away with the line
             self._plot.getViewBox().setXRange(-reach if symmetric else -0.01 * reach, reach, padding=0)
         self._plot.getViewBox().setYRange(0.0, tallest, padding=0)
@@ -187,13 +171,3 @@ class LimitHistogram(QWidget):
         for line in self.lines:
             line.setPen(pg.mkPen(colors.accent_text, width=2))
             line.setHoverPen(pg.mkPen(colors.text, width=3))
-
-
-def split_at(edges: Float64Array, counts: Float64Array, cuts: tuple[float, ...]) -> tuple[Float64Array, Float64Array]:
-    """Split the bars of a histogram at the cuts inside its range; both parts of a bar keep its height."""
-    for cut in cuts:
-        index = int(np.searchsorted(edges, cut))
-        if 0 < index < len(edges) and edges[index] != cut:
-            edges = np.insert(edges, index, cut)
-            counts = np.insert(counts, index, counts[index - 1])
-    return edges, counts

@@ -13,18 +13,31 @@ from ..basics.theme import ThemeColors, theme_colors
 
 
 class _Axis(pg.AxisItem):  # type: ignore[misc]
+    """An axis whose numbers have a unit; the wheel over it is the page's where the mouse does not scale the plot."""
+
+    def __init__(self, side: str, unit: str) -> None:
+        super().__init__(side)
+        self._after = f" {unit}" if unit else ""
+
     def tickStrings(self, values: list[float], scale: float, spacing: float) -> list[str]:
-        return [minus(text) for text in super().tickStrings(values, scale, spacing)]
+        return [minus(text) + self._after for text in super().tickStrings(values, scale, spacing)]
+
+    def wheelEvent(self, event: Any) -> None:
+        if any(self.linkedView().mouseEnabled()):
+            super().wheelEvent(event)
+        else:
+            event.ignore()
 
 
 class Plot(pg.PlotWidget):  # type: ignore[misc]  # pyqtgraph has no types
-    """A plot without menu and buttons that follows the theme; only if ``movable`` the mouse moves and scales it."""
+    """A plot without menu and buttons that follows the theme; only if ``movable`` the mouse moves and scales it.
 
-    def __init__(
-        self, bottom: str = "", left: str = "", *, movable: bool = False, axes: dict[str, pg.AxisItem] | None = None
-    ) -> None:
+    ``unit`` is written behind the numbers of the lower axis.
+    """
+
+    def __init__(self, bottom: str = "", left: str = "", *, movable: bool = False, unit: str = "") -> None:
         self._recolor: Callable[[ThemeColors], object] | None = None
-        super().__init__(axisItems={side: _Axis(side) for side in ("left", "bottom")} | (axes or {}))
+        super().__init__(axisItems={"left": _Axis("left", ""), "bottom": _Axis("bottom", unit)})
         item = self.getPlotItem()
         item.setMenuEnabled(False)
         item.hideButtons()

@@ -42,16 +42,9 @@ CURVES: Final = (
 #: Time that a live source shows, seconds.
 LIVE_S: Final = 60.0
 _HEIGHT = 84
-#: Resolution of the shading of frames that are not computed yet, columns.
-_COLUMNS = 1000
 _NO_TRUTH = "This source does not know the true contact"
 #: The smallest part of a recording that zooming shows, frames.
 _MIN_FRAMES = 10
-
-
-class _SecondsAxis(pg.AxisItem):  # type: ignore[misc]  # pyqtgraph has no types
-    def tickStrings(self, values: list[float], scale: float, spacing: float) -> list[str]:
-        return [f"{value:.{0 if spacing >= 1 else 1 if spacing >= 0.1 else 2}f} s" for value in values]
 
 
 class _StripPlot(Plot):
@@ -113,7 +106,7 @@ class TimeStrip(QWidget):
         self._words = ""
         self._dragging = False
         self.curve_box = self._make_curve_box()
-        self.plot_widget = _StripPlot(axes={"bottom": _SecondsAxis("bottom")})
+        self.plot_widget = _StripPlot(unit="s")
         self._make_plot()
         self._buttons = hbox(STRETCH, spacing=0)
         side = vbox(self.curve_box, self._buttons, STRETCH, spacing=4)
@@ -139,10 +132,7 @@ class TimeStrip(QWidget):
         view = self.plot_widget
         view.setMouseTracking(True)
         view.setAccessibleName("Time strip")
-        view.setToolTip(
-            "Click or drag to seek, wheel to zoom, middle button to pan, double click to see everything. "
-            "Shaded: not computed yet."
-        )
+        view.setToolTip("Click or drag to seek, wheel to zoom, middle button to pan, double click to see everything.")
         view.sought.connect(self._seek)
         view.held.connect(self._hold)
         view.hovered.connect(self._hover)
@@ -155,13 +145,12 @@ class TimeStrip(QWidget):
         plot.getAxis("left").setTickDensity(0.5)
         plot.getAxis("bottom").setHeight(17)
         self._box = plot.getViewBox()
-        self._shade = pg.PlotCurveItem([0.0, 1.0], [0.0], stepMode="center", fillLevel=0)
         self._outside = [pg.LinearRegionItem(movable=False) for _ in range(2)]
         self._line = pg.PlotCurveItem(connect="finite")
         self._cursor = pg.InfiniteLine(angle=90)
         self._text = pg.TextItem(anchor=(1, 0))
         self._text.setParentItem(self._box)
-        for item in (self._shade, *self._outside, self._line, self._cursor):
+        for item in (*self._outside, self._line, self._cursor):
             plot.addItem(item, ignoreBounds=True)
         self._box.sigResized.connect(lambda: self._text.setPos(self._box.width() - 2, -3))
 
@@ -251,19 +240,6 @@ class TimeStrip(QWidget):
         self._line.setData(self._seconds[known], shown[known])
         top = float(shown[np.isfinite(shown)].max(initial=0.0)) or 1.0
         self._box.setYRange(0.0, 1.0 if curve.key == "iou" else 1.08 * top, padding=0)
-        self._shade_unknown(1.08 * top)
-
-    def _shade_unknown(self, top: float) -> None:
-        """Shade the columns in which no frame is computed."""
-        complete = self._live or not len(self._seconds) or bool(self._computed.all())
-        self._shade.setVisible(not complete)
-        if complete:
-            return
-        columns = min(_COLUMNS, len(self._seconds))
-        end_s = self._end_s()
-        column = np.minimum((self._seconds / end_s * columns).astype(np.intp), columns - 1)
-        missing = np.bincount(column[~self._computed], minlength=columns) > 0
-        self._shade.setData(np.linspace(0.0, end_s, columns + 1), missing * max(top, 1.08))
 
     def _place_cursor(self) -> None:
         there = 0 <= self._index < len(self._seconds) and not self._live
@@ -328,8 +304,6 @@ class TimeStrip(QWidget):
         self._cursor.setPen(pg.mkPen(colors.text, width=2))
         self._text.setColor(colors.text)
         self._text.fill = pg.mkBrush(colors.base)
-        self._shade.setPen(None)
-        self._shade.setBrush(QColor(colors.alternate))
         veil = QColor(colors.outside)
         veil.setAlpha(110)
         for part, edge in zip(self._outside, (1, 0), strict=True):

@@ -296,9 +296,9 @@ def test_the_check_page_shows_both_alignments(open_wizard, scene, frames, feed, 
     page = wizard.check
     wizard.session.add_snapshot(snapshot_of(frames[0.2], feed))
     wizard.go_to(SAVE)
-    qtbot.waitUntil(lambda: "No calibration yet" in page.image.empty_label.text())
+    qtbot.waitUntil(lambda: "No calibration yet" in page.image.notice.text())
     wizard.session.edit("all", with_pairs(scene, frames, feed))
-    qtbot.waitUntil(lambda: page.image.empty_label.text() == "")
+    qtbot.waitUntil(lambda: page.image.notice.text() == "")
     assert "new" in page.errors.text() and "present" in page.errors.text()
     shown = page.image.grab().toImage()
     QTest.keyClick(page.share, Qt.Key.Key_End)

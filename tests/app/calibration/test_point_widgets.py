@@ -16,7 +16,6 @@ from tactune.app.calibration.point_table import PointRow, PointTable
 from tactune.core.calibration.report import PairQuality
 from tactune.widgets.images.marks import Mark
 from tactune.widgets.images.point_image import Loupe, PointImage
-from tactune.widgets.plots.calibration_plots import CoverageGrid
 
 LEFT = Qt.MouseButton.LeftButton
 PLAIN = Qt.KeyboardModifier.NoModifier
@@ -149,13 +148,3 @@ def test_the_table_shows_the_worst_first_and_dashes(table):
     assert (cell(table, 1, 4), cell(table, 2, 4), cell(table, 2, 2)) == ("300.0", "–", "–")
     assert cell(table, 0, 3, Qt.ItemDataRole.BackgroundRole) is not None
     assert cell(table, 1, 3, Qt.ItemDataRole.BackgroundRole) is None
-
-
-def test_the_coverage_paints_in_every_state(qtbot):
-    grid = CoverageGrid()
-    qtbot.addWidget(grid)
-    grid.resize(300, 240)
-    empty = grid.grab().toImage()
-    grid.set_coverage([[0, 1, 5, 2]] * 3, [280.0, 310.0])
-    assert "3 parts are empty" in grid.toolTip()
-    assert grid.grab().toImage() != empty

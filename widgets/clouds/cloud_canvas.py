@@ -1,4 +1,4 @@
-"""Draw a point cloud on the CPU, with compiled loops.
+"""Draw a point cloud on the CPU, with compiled loops, and the canvas of a view that shows it.
 
 Every pixel of the picture is one 32-bit number while it is drawn: its distance in the upper 24 bits, the
 row of the colour table in the lower 8. So *the nearest point wins* is a single minimum. A point is drawn
@@ -11,20 +11,24 @@ less than 65,000 times the nearest, and still tell a millionth of a distance apa
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit, types
-from PyQt6.QtCore import QRectF, Qt
-from PyQt6.QtGui import QImage, QPainter, QPaintEvent
+from PyQt6.QtCore import QPointF, QRectF, Qt, pyqtSignal
+from PyQt6.QtGui import QColor, QImage, QPainter, QPaintEvent, QPalette, QPen, QResizeEvent
 from PyQt6.QtWidgets import QWidget
 
 from ...core.model.arrays import Float32Array, Uint8Array
 from ..basics.colormaps import over_background
+from ..basics.overlays import Wipe, paint_wipe
+from ..basics.theme import CASING, ThemeName, text_font, theme_name
 from .cloud_data import HIGHEST_COUNT, DepthCloud
-from .cloud_scene import CloudScene, paint_overlay
 from .view_camera import FAR, NEAR, ViewCamera
+
+Place = tuple[float, float, float]
 
 #: A pixel that no point covers.
 _EMPTY = np.uint32(0xFFFFFFFF)
@@ -272,26 +276,91 @@ def _packed(table: Uint8Array) -> npt.NDArray[np.uint32]:
 
 
 class CloudCanvas(QWidget):
-    """Shows a scene with `SoftwareRenderer`, redrawing only what changed."""
+    """Shows a cloud, or two at a wipe, with axes and a mark; redraws only what changed.
 
-    def __init__(self, scene: CloudScene, parent: QWidget | None = None) -> None:
+    Its view sets the attributes and calls ``update``.
+    """
+
+    resized = pyqtSignal()
+
+    def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._scene = scene
+        self.cloud: DepthCloud | None = None
+        self.right: DepthCloud | None = None  # drawn right of the wipe, if there is one
+        self.wipe: Wipe | None = None
+        self.camera = ViewCamera()
+        self.point_size = 2.0  # device-independent pixels
+        self.running = False  # frames follow each other
+        self.mark: Place | None = None
         self._renderers = SoftwareRenderer(), SoftwareRenderer()
         self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)  # what lies below need not be painted
 
+    def resizeEvent(self, event: QResizeEvent | None) -> None:
+        super().resizeEvent(event)
+        self.resized.emit()
+
     def paintEvent(self, _event: QPaintEvent | None) -> None:
-        scene, ratio = self._scene, self.devicePixelRatioF()
+        ratio = self.devicePixelRatioF()
         if self.width() * self.height() * ratio**2 > _MAX_SHARP:
             ratio /= 2
-        size = max(1, round(self.width() * ratio)), max(1, round(self.height() * ratio))
-        point_size = max(1, round(scene.point_size * ratio))
-        look = Look(scene.camera, size, point_size, scene.background(self), scene.running)
+        width, height = max(1, round(self.width() * ratio)), max(1, round(self.height() * ratio))
+        red, green, blue, _ = self.palette().color(QPalette.ColorRole.Base).getRgb()
+        point_size = max(1, round(self.point_size * ratio))
+        look = Look(self.camera, (width, height), point_size, (red or 0, green or 0, blue or 0), self.running)
+        # one cloud that both sides share is drawn whole
+        column = width if self.wipe is None or self.right is self.cloud else self.wipe.column(width)
         painter = QPainter(self)
-        for renderer, (cloud, start, stop) in zip(self._renderers, scene.parts(size[0]), strict=True):
+        sides = ((self.cloud, 0, column), (self.right, column, width))
+        for renderer, (cloud, start, stop) in zip(self._renderers, sides, strict=True):
             if start < stop:
-                part = QRectF(start, 0, stop - start, size[1])
-                target = QRectF(start / ratio, 0, part.width() / ratio, size[1] / ratio)
+                part = QRectF(start, 0, stop - start, height)
+                target = QRectF(start / ratio, 0, part.width() / ratio, height / ratio)
                 painter.drawImage(target, renderer.picture(cloud, look), part)
-        paint_overlay(painter, self, scene)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        axes = _axes_image(self.camera.azimuth, self.camera.elevation, theme_name(), self.devicePixelRatioF())
+        painter.drawImage(QPointF(0.0, self.height() - 2 * _AXIS_MARGIN), axes)
+        if self.mark is not None:
+            self._paint_mark(painter, self.mark)
+        if self.wipe is not None:
+            paint_wipe(painter, QRectF(self.rect()), self.wipe)
         painter.end()
+
+    def _paint_mark(self, painter: QPainter, mark: Place) -> None:
+        u, v, away = self.camera.project([mark], max(1, self.width()), max(1, self.height()))[0]
+        if away > 0:
+            for color, width in ((CASING, 4.0), (QColor("white"), 2.0)):
+                painter.setPen(QPen(color, width))
+                painter.drawEllipse(QPointF(u, v), _MARK_RADIUS, _MARK_RADIUS)
+
+
+_MARK_RADIUS = 6.0
+_AXIS_COLORS = {
+    "light": (QColor(200, 40, 40), QColor(25, 135, 60), QColor(40, 90, 210)),
+    "dark": (QColor(255, 115, 110), QColor(100, 210, 130), QColor(125, 165, 255)),
+}
+_AXIS_LENGTH, _AXIS_MARGIN = 22.0, 34.0
+#: Cosine to the viewing direction above which an axis gets no letter: it appears as a dot.
+_FACING = 0.97
+
+
+@lru_cache(maxsize=4)
+def _axes_image(azimuth: float, elevation: float, theme: ThemeName, ratio: float) -> QImage:
+    """Return x, y, z as the camera sees them on a transparent ground, the farthest first; drawn only when it turns."""
+    side = round(2 * _AXIS_MARGIN * ratio)
+    image = QImage(side, side, QImage.Format.Format_ARGB32_Premultiplied)
+    image.setDevicePixelRatio(ratio)
+    image.fill(Qt.GlobalColor.transparent)
+    painter = QPainter(image)
+    painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+    painter.setFont(text_font("caption", bold=True))
+    origin = QPointF(_AXIS_MARGIN, _AXIS_MARGIN)
+    right, up, back = ViewCamera(azimuth=azimuth, elevation=elevation).axes()
+    for axis in sorted(range(3), key=lambda axis: float(back[axis])):
+        direction = QPointF(float(right[axis]), -float(up[axis]))
+        painter.setPen(QPen(_AXIS_COLORS[theme][axis], 2.0, Qt.PenStyle.SolidLine, Qt.PenCapStyle.RoundCap))
+        painter.drawLine(origin, origin + direction * _AXIS_LENGTH)
+        if abs(float(back[axis])) <= _FACING:
+            label = QRectF(-8.0, -8.0, 16.0, 16.0).translated(origin + direction * (_AXIS_LENGTH + 7.0))
+            painter.drawText(label, Qt.AlignmentFlag.AlignCenter, "xyz"[axis])
+    painter.end()
+    return image

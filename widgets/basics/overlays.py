@@ -1,0 +1,130 @@
+"""What lies over a view: a notice in words, and the wipe between two pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from PyQt6.QtCore import QEvent, QObject, QPointF, QRect, QRectF, QSize, Qt
+from PyQt6.QtGui import QColor, QPainter, QPaintEvent, QPalette, QPen
+from PyQt6.QtWidgets import QLabel, QPushButton, QWidget
+
+from .layouts import STRETCH, vbox
+from .theme import CASING, text_font
+
+_VEIL_ALPHA = 150
+
+
+class Notice(QWidget):
+    """Words on a plate in the middle of a view, with a button below where one is offered; hidden without words.
+
+    ``warns`` is for a picture that is old: it is dimmed, and the plate lies at the top in the colour of warnings.
+    """
+
+    def __init__(self, over: QWidget, *, warns: bool = False) -> None:
+        super().__init__(over)
+        self._warns = warns
+        self._words = QLabel()
+        self._words.setTextFormat(Qt.TextFormat.PlainText)
+        self._words.setWordWrap(True)
+        self._words.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self._words.setProperty("plate", "warning" if warns else "plain")
+        self.button = QPushButton()
+        self.button.hide()
+        centre = Qt.AlignmentFlag.AlignHCenter
+        column = (
+            vbox(within=self, margins=8, spacing=12) if warns else vbox(STRETCH, within=self, margins=8, spacing=12)
+        )
+        column.addWidget(self._words, 0, centre)
+        column.addWidget(self.button, 0, centre)
+        column.addStretch(1)
+        self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+        over.installEventFilter(self)
+        self.hide()
+
+    def text(self) -> str:
+        return self._words.text()
+
+    def set_text(self, text: str) -> None:
+        if text != self.text():
+            self._words.setText(text)
+            self._fit()
+            self.setVisible(bool(text))
+            self.raise_()
+
+    def offer(self, text: str, tip: str) -> None:
+        """Show a button below the words, or with an empty text none."""
+        self.button.setText(text)
+        self.button.setToolTip(tip)
+        self.button.setVisible(bool(text))
+        self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents, not text)
+
+    def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
+        if isinstance(watched, QWidget) and event is not None and event.type() == QEvent.Type.Resize:
+            self.setGeometry(watched.rect())
+            self._fit()
+        return False
+
+    def _fit(self) -> None:
+        """Make the plate as large as its words, which are wrapped to the width of the view."""
+        room, flags = QRect(0, 0, max(20, self.width() - 40), 9999), Qt.TextFlag.TextWordWrap
+        words = self._words.fontMetrics().boundingRect(room, flags, self.text())
+        self._words.setFixedSize(words.size() + QSize(20, 12))
+
+    def paintEvent(self, _: QPaintEvent | None) -> None:
+        if self._warns:
+            veil = self.palette().color(QPalette.ColorRole.Base)
+            veil.setAlpha(_VEIL_ALPHA)
+            QPainter(self).fillRect(self.rect(), veil)
+
+
+#: Distance in screen pixels within which the mouse grabs the line of the wipe.
+_REACH: Final = 7.0
+_LINE, _PLATE = QColor(255, 255, 255), QColor(0, 0, 0, 165)
+
+
+@dataclass(frozen=True)
+class Wipe:
+    """A vertical line at the same share of the width in every view, and the names of both sides.
+
+    ``share`` is the part of the width left of the line: 1 shows only the left side, 0 only the right one.
+    """
+
+    share: float
+    left: str
+    right: str
+
+    def column(self, width: int) -> int:
+        return min(max(round(self.share * width), 0), width)
+
+    def grabbed(self, x: float, width: float) -> bool:
+        return abs(x - self.share * width) <= _REACH
+
+
+def paint_wipe(painter: QPainter, room: QRectF, wipe: Wipe) -> None:
+    """Paint the line with a grip, and each name in the outer corner of its side, elided to fit."""
+    x = room.left() + wipe.column(round(room.width()))
+    if 0 < wipe.share < 1:
+        for color, width in ((CASING, 4.0), (_LINE, 2.0)):
+            painter.setPen(QPen(color, width))
+            painter.drawLine(QPointF(x, room.top()), QPointF(x, room.bottom()))
+            painter.setBrush(_LINE)
+            painter.drawEllipse(QPointF(x, room.center().y()), 5.0, 5.0)
+    painter.setFont(text_font("caption"))
+    left, right = QRectF(room), QRectF(room)
+    left.setRight(x)
+    right.setLeft(x)
+    for side, name, corner in (
+        (left, wipe.left, Qt.AlignmentFlag.AlignLeft),
+        (right, wipe.right, Qt.AlignmentFlag.AlignRight),
+    ):
+        inner = side.adjusted(11, 7, -11, 0)
+        text = painter.fontMetrics().elidedText(name, Qt.TextElideMode.ElideRight, int(inner.width()))
+        if len(text) < 2:  # not even the first letter fits
+            continue
+        words = painter.boundingRect(inner, corner | Qt.AlignmentFlag.AlignTop, text)
+        painter.setPen(Qt.PenStyle.NoPen)
+        painter.setBrush(_PLATE)
+        painter.drawRoundedRect(words.adjusted(-5, -1, 5, 1), 3.0, 3.0)
+        painter.setPen(_LINE)
+        painter.drawText(words, 0, text)
