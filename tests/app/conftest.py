@@ -36,7 +36,7 @@ def compiled() -> Iterator[None]:
     wait_for_abandoned(60.0)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def preset() -> Preset:
     """A preset with the tolerance test. For the membrane test the disc's 2 mm are a gap, not a bias."""
     values = {"tolerance.t": 0.03, "outliers.enabled": False, "membrane.bias": False}

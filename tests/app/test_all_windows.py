@@ -29,8 +29,12 @@ from PyQt6.QtWidgets import (
     QToolButton,
     QWidget,
 )
+from pytestqt.qtbot import QtBot
 
 from contrast import contrast_ratio
+from fakes import FakeSource
+from hands import show_source
+from tactune.app.window.main_window import MainWindow
 from tactune.widgets.basics.controls import ElidedLabel
 
 #: The room of a window on a screen of 1024 x 700.
@@ -48,21 +52,33 @@ ACTIONS = (
     "shortcuts",
     "publish",
 )
-NAMES = ("main", *ACTIONS, "compare", "strain", "tilt", "tune")
+#: The window of the analyses has its tabs as pages.
+NAMES = ("main", *ACTIONS, "compare")
 #: What needs a tooltip, too; over a view or an image one would be in the way.
 CONTROLS = (QAbstractButton, QComboBox, QLineEdit, QAbstractSpinBox, QAbstractSlider, QAbstractItemView)
 #: Buttons whose words say all.
 PLAIN = ("ok", "cancel", "close", "open", "save", "choose")
 
 
+@pytest.fixture(scope="module", params=["dark", "light"])  # the last one stays for the tests that follow
+def main(request, qapp, shared, preset, tmp_path_factory) -> MainWindow:
+    """One main window a theme: to change the theme under many open windows takes longer than to begin again."""
+    shared.close()
+    robot = QtBot(request)
+    window = shared.ready(robot, tmp_path_factory.mktemp("main"), preset)
+    window.set_theme(request.param, remember=False)
+    show_source(robot, window, FakeSource(), 3)
+    return window
+
+
 @pytest.fixture(params=NAMES)
-def shown(request, window, qtbot) -> QWidget:
+def shown(request, main, qtbot) -> QWidget:
     """One window after the other."""
     if request.param == "main":
-        return window
+        return main
     before = set(tops())
-    actions = window.analysis.actions
-    action = actions[request.param] if request.param in actions else getattr(window.actions_, request.param)
+    actions = main.analysis.actions
+    action = actions[request.param] if request.param in actions else getattr(main.actions_, request.param)
     action.trigger()
     qtbot.waitUntil(lambda: len(set(tops()) - before) == 1)
     (made,) = set(tops()) - before
@@ -129,13 +145,12 @@ def pixels_of(window: QWidget) -> np.ndarray:
     return np.frombuffer(image.constBits().asarray(image.sizeInBytes()), np.uint32).reshape(image.height(), -1).copy()
 
 
-def test_every_window_can_be_read_reached_and_seen_whole(shown, window, qtbot):
-    missing = set().union(*(unreachable(shown, window) for _ in pages(shown, qtbot)))
-    faint = set()
-    for theme in ("dark", "light"):  # the last one stays for the tests that follow
-        window.set_theme(theme, remember=False)
-        faint |= set().union(*({(theme, page, *each) for each in unreadable(shown)} for page in pages(shown, qtbot)))
-    size = QSize(1024, 700) if shown is window else SMALL
+def test_every_window_can_be_read_reached_and_seen_whole(shown, main, qtbot):
+    missing, faint = set(), set()
+    for page in pages(shown, qtbot):
+        missing |= unreachable(shown, main)
+        faint |= {(page, *each) for each in unreadable(shown)}
+    size = QSize(1024, 700) if shown is main else SMALL
     shown.resize(shown.size().boundedTo(size))
     cut = set().union(*(cut_off(shown, page, size) for page in pages(shown, qtbot)))
     assert (missing, faint, cut) == (set(), set(), set())
