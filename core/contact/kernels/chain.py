@@ -67,7 +67,11 @@ _CONTACT = np.int32(Provenance.CONTACT)
 def flat(image: AnyArray, min_length: int = LANES) -> AnyArray:
     """Return an image's elements in a row, padded with zeros to at least ``min_length`` elements."""
     pixels = np.ascontiguousarray(image).reshape(-1)
-    return pixels if len(pixels) >= min_length else np.pad(pixels, (0, min_length - len(pixels)))
+    if len(pixels) >= min_length:
+        return pixels
+    padded = np.pad(pixels, (0, min_length - len(pixels)))
+    padded.flags.writeable = pixels.flags.writeable  # for another type the kernels would be compiled again
+    return padded
 
 
 def planes_of(table: Float32Array) -> Float32Array:
