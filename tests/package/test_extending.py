@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from commands import Finished
 from fakes import FakeSource
 from rigs import save_rig
 from tactune.app.analysis.tab import TABS, TabKind
@@ -27,6 +27,7 @@ from tactune.core.sources.cameras.drivers import camera_drivers
 from tactune.core.sources.registry import open_source, source_kinds
 from tactune.core.sources.simulator.scene import simulator_rig
 
+Tactune = Callable[..., Finished]
 EXAMPLES = Path(__file__).parents[2] / "docs" / "guide" / "extending.md"
 BROKEN = {
     "gone": ("tactune.sources", "no_such_module:KIND", "ModuleNotFoundError: No module named 'no_such_module'"),
@@ -59,8 +60,9 @@ def acme(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def found(acme: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Let this process find the package."""
+    """Let this process, and those that it starts, find the package."""
     monkeypatch.syspath_prepend(str(acme))
+    monkeypatch.setenv("PYTHONPATH", str(acme))
     added_by_others.cache_clear()
     yield
     monkeypatch.undo()
@@ -86,36 +88,23 @@ def broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     added_by_others.cache_clear()
 
 
-def tactune(acme: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    environment = os.environ | {"PYTHONPATH": str(acme)}
-    return subprocess.run(
-        [sys.executable, "-m", "tactune.app", *words], check=False, capture_output=True, text=True, env=environment
-    )
-
-
-def test_the_source_is_run_by_scheme_and_by_path(acme: Path, tmp_path: Path) -> None:
+def test_the_source_is_run_by_scheme_and_by_path(found: None, tactune: Tactune, tmp_path: Path) -> None:
     rig = simulator_rig()
     save_rig(rig, tmp_path / "rig.json")
     depth = np.full((2, *rig.proximity.intrinsics.shape), 1200, np.uint16)
     color = np.zeros((2, *rig.proximity_color_shape, 3), np.uint8)
     np.savez(tmp_path / "two.npz", proximity_depth=depth, tactile_depth=depth, proximity_color=color)
     for name in (f"npz:{tmp_path / 'two.npz'}", str(tmp_path / "two.npz")):
-        done = tactune(acme, "run", "--source", name, "--preset", "simulator", "--json")
-        assert done.returncode == 0, done.stderr
-        assert [json.loads(line)["sequence"] for line in done.stdout.splitlines()] == [0, 1]
+        done = tactune("run", "--source", name, "--preset", "simulator", "--json")
+        assert [json.loads(line)["sequence"] for line in done.out.splitlines()] == [0, 1], done.err
     (tmp_path / "two.npz").write_bytes(b"nothing")
-    done = tactune(acme, "run", "--source", str(tmp_path / "two.npz"), "--preset", "simulator", "--json")
-    assert done.returncode == 2
-    assert "cannot be read" in done.stderr
-    assert done.stderr.count("\n") == 1
+    assert "cannot be read" in tactune("run", "-s", tmp_path / "two.npz", "--json").sentence
 
 
-def test_the_cameras_are_listed_and_recorded(acme: Path, tmp_path: Path) -> None:
-    listed = tactune(acme, "devices")
-    assert listed.returncode == 0, listed.stderr
-    assert "serial acme1" in listed.stdout and "serial acme2" in listed.stdout
-    done = tactune(acme, "convert", "cameras:", str(tmp_path / "three"), "--frames", "3")
-    assert done.returncode == 0, done.stderr
+def test_the_cameras_are_listed_and_recorded(found: None, tactune: Tactune, tmp_path: Path) -> None:
+    listed = tactune("devices")
+    assert "serial acme1" in listed.out and "serial acme2" in listed.out, listed.err
+    assert tactune("convert", "cameras:", tmp_path / "three", "--frames", 3).status == 0
     with open_source(str(tmp_path / "three")) as recording:
         assert (recording.length, recording.rig.proximity.model, recording.rig.tactile.model) == (3, "A2", "A1")
 

@@ -94,7 +94,20 @@ def environment_with(wheel: Path, environment: Path) -> Path:
     found = needed_by([text for text in asked_for if "extra ==" not in text])
     link(found, environment / "dependencies")
     (site / "dependencies.pth").write_text(f"{environment / 'dependencies'}\n")
+    take_kernels(site / "tactune" / "core")
     return environment / "bin"
+
+
+def take_kernels(core: Path) -> None:
+    """Take the kernels that the repository has compiled from the same sources: compiling them takes a minute or two."""
+    for source in (ROOT / "core").rglob("*.py"):
+        installed, stat = core / source.relative_to(ROOT / "core"), source.stat()
+        assert installed.read_bytes() == source.read_bytes()
+        os.utime(installed, ns=(stat.st_atime_ns, stat.st_mtime_ns))  # numba compares it
+    for kernel in (ROOT / "core").rglob("*.nb[ci]"):
+        target = core / kernel.relative_to(ROOT / "core")
+        target.parent.mkdir(exist_ok=True)
+        shutil.copy(kernel, target)
 
 
 def test_the_wheel_holds_the_guide(robot: Path) -> None:
