@@ -97,6 +97,8 @@ class SharedWindow:
 
     def ready(self, qtbot, tmp_path: Path, preset: Preset) -> MainWindow:
         window = self._window
+        if window is not None:
+            _forget_analyses(window)
         if window is not None and not self._reusable(window):
             self.close()
             window = self._window
@@ -144,6 +146,14 @@ class SharedWindow:
         window.actions_.loop.setChecked(True)
         window.worker.set_loop(True)
         window.worker.set_speed(1.0)
+
+
+def _forget_analyses(window: MainWindow) -> None:
+    """Close the window of the analyses, and what its tabs remember."""
+    window.analysis.close()
+    if window.analysis.window is not None:
+        window.analysis.window.deleteLater()
+        window.analysis.window = None
 
 
 def _others(window: MainWindow) -> int:

@@ -62,10 +62,9 @@ def settle(qtbot, window, tab) -> None:
 
 
 @pytest.fixture
-def window(make_window):
-    made = make_window()
-    made.settings.set("compare/methods", "fusion-rigid,tactile-only")
-    return made
+def window(window):
+    window.settings.set("compare/methods", "fusion-rigid,tactile-only")
+    return window
 
 
 def outcomes(tab):

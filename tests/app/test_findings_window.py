@@ -44,13 +44,12 @@ class OtherSource(FakeSource):
 
 
 @pytest.fixture
-def window(qtbot, make_window):
+def window(qtbot, window):
     """A window that stands still on cameras that disagree."""
-    preset = Preset(name="tiny", contact_test="tolerance").with_values({"tolerance.t": 0.02})
-    made = make_window(preset)
-    show_source(qtbot, made, OtherSource(disagreeing_frame, "disagreeing"), 3)
-    qtbot.waitUntil(made.status.findings.isVisible)
-    return made
+    window.document.new(Preset(name="tiny", contact_test="tolerance").with_values({"tolerance.t": 0.02}))
+    show_source(qtbot, window, OtherSource(disagreeing_frame, "disagreeing"), 3)
+    qtbot.waitUntil(window.status.findings.isVisible)
+    return window
 
 
 def offset_row(window):

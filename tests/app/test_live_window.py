@@ -15,11 +15,6 @@ from tactune.app.worker.results import CloudName, SourceState
 from tactune.core.sources.base import CameraHealth, Health
 
 
-@pytest.fixture
-def window(make_window):
-    return make_window()
-
-
 def badges(window):
     return {str(name): view.badge() for name, view in window.views.views.items()}
 

@@ -86,8 +86,8 @@ def test_a_damaged_settings_file_means_defaults(make_window, settings_file):
     assert window.views.point_size.value() == 2
 
 
-def test_another_rig_warns_once_and_can_be_put_away(make_window, qtbot, preset):
-    window = make_window(preset.model_copy(update={"rig": tiny_rig(serial="9")}))
+def test_another_rig_warns_once_and_can_be_put_away(window, qtbot, preset):
+    window.document.new(preset.model_copy(update={"rig": tiny_rig(serial="9")}))
     show_source(qtbot, window, FakeSource(length=4))
     qtbot.waitUntil(lambda: window.messages.message("rig") is not None)
     assert "p9" in window.messages.message("rig").sentence
@@ -97,8 +97,8 @@ def test_another_rig_warns_once_and_can_be_put_away(make_window, qtbot, preset):
     assert window.messages.message("rig") is None
 
 
-def test_a_preset_of_another_size_says_so_and_shows_the_cameras(make_window, qtbot, preset):
-    window = make_window(preset.model_copy(update={"rig": tiny_rig(32, 24)}))
+def test_a_preset_of_another_size_says_so_and_shows_the_cameras(window, qtbot, preset):
+    window.document.new(preset.model_copy(update={"rig": tiny_rig(32, 24)}))
     show_source(qtbot, window, FakeSource(length=1))
     assert "32 x 24" in window.messages.message("problem").sentence
     assert window.views.views[CloudName.PROXIMITY].point_count() > 0

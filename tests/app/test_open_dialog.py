@@ -9,6 +9,7 @@ from PyQt6.QtWidgets import QDialogButtonBox
 
 from fakes import FakeSource
 from hands import CONTROL, LEFT
+from tactune.app.window import main_window
 from tactune.core.sources.folder import export_folder
 
 CAMERAS, FILES = range(2)
@@ -67,8 +68,7 @@ def test_an_error_is_said_in_the_dialog_and_can_be_corrected(window, qtbot, reco
 # Recent sources
 
 
-def test_a_recording_that_was_open_opens_by_double_click(make_window, qtbot, recording):
-    window = make_window()
+def test_a_recording_that_was_open_opens_by_double_click(window, qtbot, recording):
     name = f"folder:{recording}"
     window.open_source(name)
     qtbot.waitUntil(lambda: shows(window, name))
@@ -97,7 +97,8 @@ def test_a_recording_that_is_gone_is_grey_and_can_be_removed(window, qtbot, tmp_
     assert all(not dialog.page.list.item(row).text().startswith(gone) for row in range(dialog.page.list.count()))
 
 
-def test_the_simulator_is_one_click_away(window, qtbot):
+def test_the_simulator_is_one_click_away(window, qtbot, monkeypatch):
+    monkeypatch.setattr(main_window, "open_source", lambda name, *_: FakeSource(name=name))
     dialog = open_dialog(window, qtbot, FILES)
     QTest.mouseClick(dialog.page.simulator, LEFT)
     qtbot.waitUntil(lambda: shows(window, "sim:cup"))

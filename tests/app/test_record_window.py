@@ -16,15 +16,14 @@ LEFT = Qt.MouseButton.LeftButton
 
 
 @pytest.fixture
-def folder(make_window, settings_file, tmp_path):
+def folder(tmp_path):
     return tmp_path / "recordings"
 
 
 @pytest.fixture
-def window(make_window, folder):
-    made = make_window()
-    made.settings.set("folder/recordings", str(folder))
-    return made
+def window(window, folder):
+    window.settings.set("folder/recordings", str(folder))
+    return window
 
 
 def press_record(window):

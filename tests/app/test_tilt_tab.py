@@ -16,7 +16,7 @@ from tactune.core.sources.registry import open_source
 
 def opened(qtbot, window, source=None, index=3):
     """Show a frame in the tab, opened by its key."""
-    show_source(qtbot, window, source or open_source("sim:cube?press=medium"), index)
+    show_source(qtbot, window, source or open_source("sim:cup?press=medium"), index)
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow)
     QTest.keyClick(window, Qt.Key.Key_F8, Qt.KeyboardModifier.ShiftModifier)

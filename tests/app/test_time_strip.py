@@ -39,31 +39,6 @@ def go_to(qtbot, window, index):
     qtbot.waitUntil(lambda: at_rest(window, index) and window.result.playback.index == index)
 
 
-@pytest.fixture
-def strip_window(qtbot, make_window, scene):
-    """A window that stands still at frame 3 of a recording of 24."""
-    window = make_window()
-    show_scene(qtbot, window, scene, 3)
-    return window
-
-
-@pytest.fixture
-def marked_window(qtbot, make_window, scene):
-    """The same with the strip hidden, so that no process computes the curve."""
-    window = make_window()
-    window.actions_.show_time.trigger()
-    show_scene(qtbot, window, scene, 3)
-    return window
-
-
-@pytest.fixture
-def plain_window(qtbot, make_window):
-    """The same without a file, so that no process computes the curve."""
-    window = make_window()
-    show_source(qtbot, window, FakeSource(LENGTH), 3)
-    return window
-
-
 def mark(qtbot, window, first, last):
     """Set the in and out marks with the keys."""
     for index, key in ((first, Qt.Key.Key_I), (last, Qt.Key.Key_O)):
@@ -75,8 +50,9 @@ def computed(window):
     return window.timeline.series is not None and window.timeline.series.complete
 
 
-def test_the_series_is_the_pipelines_follows_preset_and_undo_and_is_read_by_the_pointer(strip_window, qtbot):
-    window = strip_window
+def test_the_series_is_the_pipelines_follows_preset_and_undo_and_is_read_by_the_pointer(make_window, scene, qtbot):
+    window = make_window()
+    show_scene(qtbot, window, scene, 3)
     qtbot.waitUntil(lambda: computed(window))
     first = window.timeline.series
     source = FakeSource(LENGTH)
@@ -98,10 +74,27 @@ def test_the_series_is_the_pipelines_follows_preset_and_undo_and_is_read_by_the_
     QTest.mouseMove(strip.plot_widget.viewport(), strip.position_of(9).toPoint() + QPoint(0, 10))
     points = int(first.values["points"][9])
     qtbot.waitUntil(lambda: strip.words == f"0.3 s, frame 10: {points} points")
+    a_process_that_was_killed_is_replaced_and_ends_with_the_window(window, qtbot)
 
 
-def test_a_click_and_a_drag_seek(plain_window, qtbot):
-    window = plain_window
+def a_process_that_was_killed_is_replaced_and_ends_with_the_window(window, qtbot):
+    first = window.timeline.series
+    killed = window.timeline.job.process
+    os.kill(killed.pid, signal.SIGKILL)
+    killed.join()
+    window.document.edit("tolerance.t", 0.02)
+    qtbot.waitUntil(lambda: "ended" in window.time_strip.words or computed(window))
+    window.document.edit("tolerance.t", 0.021)
+    qtbot.waitUntil(lambda: computed(window) and window.timeline.series is not first)
+    number = window.timeline.job.process.pid
+    assert number != killed.pid
+    window.close_without_asking()
+    with pytest.raises(ProcessLookupError):
+        os.kill(number, 0)
+
+
+def test_a_click_and_a_drag_seek(window, qtbot):
+    show_source(qtbot, window, FakeSource(LENGTH), 3)
     plot, strip = window.time_strip.plot_widget, window.time_strip
     assert strip.isVisible()
     QTest.mouseClick(plot.viewport(), LEFT, pos=strip.position_of(17).toPoint())
@@ -113,8 +106,9 @@ def test_a_click_and_a_drag_seek(plain_window, qtbot):
     qtbot.waitUntil(lambda: at_rest(window, 5))
 
 
-def test_an_export_has_exactly_the_marked_frames(marked_window, qtbot, tmp_path):
-    window = marked_window
+def test_an_export_has_exactly_the_marked_frames(window, qtbot, tmp_path, scene):
+    window.actions_.show_time.trigger()  # with the strip hidden no process computes the curve
+    show_scene(qtbot, window, scene, 3)
     mark(qtbot, window, 6, 10)
     assert window.context.trim == (6, 11)
     QTest.keyClick(window, Qt.Key.Key_E, CONTROL_SHIFT)
@@ -130,8 +124,7 @@ def test_an_export_has_exactly_the_marked_frames(marked_window, qtbot, tmp_path)
     assert window.context.trim is None
 
 
-def test_a_single_frame_has_no_strip_and_a_live_source_scrolls(make_window, qtbot):
-    window = make_window()
+def test_a_single_frame_has_no_strip_and_a_live_source_scrolls(window, qtbot):
     show_source(qtbot, window, FakeSource(1))
     assert window.time_strip.isHidden()
     assert not window.actions_.mark_in.isEnabled()
@@ -157,21 +150,3 @@ def show_live(qtbot, window, live):
         return f"{area / 100:.3g} cm²" in window.time_strip.words
 
     qtbot.waitUntil(hovered)
-
-
-def test_a_process_that_was_killed_is_replaced_and_ends_with_the_window(strip_window, qtbot):
-    window = strip_window
-    qtbot.waitUntil(lambda: computed(window))
-    first = window.timeline.series
-    killed = window.timeline.job.process
-    os.kill(killed.pid, signal.SIGKILL)
-    killed.join()
-    window.document.edit("tolerance.t", 0.02)
-    qtbot.waitUntil(lambda: "ended" in window.time_strip.words or computed(window))
-    window.document.edit("tolerance.t", 0.021)
-    qtbot.waitUntil(lambda: computed(window) and window.timeline.series is not first)
-    number = window.timeline.job.process.pid
-    assert number != killed.pid
-    window.close_without_asking()
-    with pytest.raises(ProcessLookupError):
-        os.kill(number, 0)

@@ -118,6 +118,20 @@ def test_a_search_that_was_stopped_continues_with_the_ticked_fields_only(qtbot, 
     assert tab.fields["tolerance.t"].isChecked()
     QTest.keyClick(tab.fields["tolerance.t"], Qt.Key.Key_Space)
     assert not tab.start.isEnabled(), "no field is ticked"
+    QTest.keyClick(tab.fields["tolerance.t"], Qt.Key.Key_Space)
+    closing_the_window_ends_the_search(qtbot, tab)
+
+
+def closing_the_window_ends_the_search(qtbot, tab):
+    count = len(tab.run.trials)
+    type_into(tab.trials.lineEdit(), "500")
+    QTest.mouseClick(tab.start, LEFT)
+    qtbot.waitUntil(lambda: len(tab.run.trials) > count, timeout=240_000)
+    [process] = tab.run.findChildren(QProcess)
+    number = process.processId()
+    tab.main.close_without_asking()
+    with pytest.raises(ProcessLookupError):
+        os.kill(number, 0)
 
 
 def test_an_error_of_the_search_is_said_in_the_tab(qtbot, tab, tmp_path):
@@ -127,17 +141,6 @@ def test_an_error_of_the_search_is_said_in_the_tab(qtbot, tab, tmp_path):
     qtbot.waitUntil(lambda: not tab.run.busy, timeout=240_000)
     assert "tactile_depth.png" in text_of(tab.messages)
     assert tab.start.isEnabled()
-
-
-def test_closing_the_window_ends_the_search(qtbot, tab):
-    type_into(tab.trials.lineEdit(), "500")
-    QTest.mouseClick(tab.start, LEFT)
-    qtbot.waitUntil(lambda: len(tab.run.trials) > 0, timeout=240_000)
-    [process] = tab.run.findChildren(QProcess)
-    number = process.processId()
-    tab.main.close_without_asking()
-    with pytest.raises(ProcessLookupError):
-        os.kill(number, 0)
 
 
 def test_frames_are_spread_with_truth_and_consecutive_without_between_the_marks():

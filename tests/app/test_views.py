@@ -65,8 +65,7 @@ def shows_all(window):
     return shown == set(CloudName) and all(pane.isVisible() for pane in window.strip.panes.values())
 
 
-def test_the_membrane_is_framed_not_the_wall_behind_and_frames_do_not_move_the_camera(make_window, qtbot):
-    window = make_window()
+def test_the_membrane_is_framed_not_the_wall_behind_and_frames_do_not_move_the_camera(window, qtbot):
     show_source(qtbot, window, WallSource(), 3)
     for key in (None, Qt.Key.Key_V, Qt.Key.Key_T, Qt.Key.Key_R):
         if key is not None:

@@ -49,16 +49,6 @@ def test_messages_about_a_source_and_ended_tasks_go_with_another_source(window, 
     assert window.messages.sentences() == ["The membrane burst."]
 
 
-def test_messages_and_progress_leave_the_views_where_they_are(window, qtbot):
-    before = window.views.geometry()
-    fail_to_open(window, qtbot)
-    window.opening.show_share(0.4, "Opening sim:slow: pressing")
-    QApplication.processEvents()
-    assert window.opening.isVisible() and window.messages.message("source").isVisible()
-    assert window.views.geometry() == before
-    assert window.views.rect().contains(window.messages.geometry())
-
-
 def test_escape_dismisses_and_the_key_of_messages_goes_to_them(window, qtbot):
     fail_to_open(window, qtbot)
     QTest.keyClick(window, Qt.Key.Key_F12)

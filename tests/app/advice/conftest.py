@@ -9,8 +9,7 @@ from printed_source import PrintedSource
 
 
 @pytest.fixture
-def main(make_window, qtbot):
+def main(window, qtbot):
     """A window at frame 6 of the printed membrane, its mask off."""
-    made = make_window()
-    show_source(qtbot, made, PrintedSource(), 6)
-    return made
+    show_source(qtbot, window, PrintedSource(), 6)
+    return window

@@ -57,11 +57,6 @@ def tab(qtbot, make_window, source, cup_file):
     return made
 
 
-def find(qtbot, tab):
-    QTest.mouseClick(tab.track_button, LEFT)
-    qtbot.waitUntil(lambda: tab.tracked is not None, timeout=60_000)
-
-
 def test_a_mesh_is_opened_refused_or_taken_from_the_simulator(qtbot, tab, source, tmp_path):
     model = tab.model
     assert np.ptp(model.mesh.vertices_m[:, 0]) == pytest.approx(0.107, abs=0.002)
@@ -77,7 +72,8 @@ def test_a_mesh_is_opened_refused_or_taken_from_the_simulator(qtbot, tab, source
 
 def test_the_cup_is_found_followed_exported_lost_and_found_again(qtbot, tab, source, tmp_path):
     drawn = tab.scene.point_count()
-    find(qtbot, tab)
+    QTest.mouseClick(tab.track_button, LEFT)
+    qtbot.waitUntil(lambda: tab.tracked is not None)
     assert tab.track_button.isChecked()
     assert tab.scene.point_count() == drawn, "the model counts no points of the patch"
     assert [name for name, _ in tab.scene.legend()][:2] == ["patch", "model"]
@@ -100,6 +96,7 @@ def test_the_cup_is_found_followed_exported_lost_and_found_again(qtbot, tab, sou
     assert tab.pose.text() == ""
     tab.main.worker.seek(PRESSED)
     qtbot.waitUntil(lambda: not tab.tracked.estimate.lost)
+    poses_are_published_also_behind_another_tab(qtbot, tab, source)
 
 
 def test_a_search_can_be_given_up(qtbot, tab, monkeypatch):
@@ -122,7 +119,7 @@ def test_a_search_can_be_given_up(qtbot, tab, monkeypatch):
     assert tab.tracked is None
 
 
-def test_poses_are_published_also_behind_another_tab(qtbot, tab, source):
+def poses_are_published_also_behind_another_tab(qtbot, tab, source):
     publishing = tab.main.publishing.window
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -131,7 +128,6 @@ def test_poses_are_published_also_behind_another_tab(qtbot, tab, source):
     type_into(publishing.port, str(port), Qt.Key.Key_Tab)
     QTest.mouseClick(publishing.start, LEFT)
     qtbot.waitUntil(lambda: str(port) in publishing.state.text())
-    find(qtbot, tab)
     tab.main.analysis.window.open_on("tilt")
     topics = ["/contact/patch", "/object/pose", "/tf"]
     with FoxgloveClient(port) as client:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QPushButton
 
 from pairs import moved, snapshot_of, with_pairs
 from tactune.app.calibration.correspondence import make_overlay, proximity_partner, tactile_partner
@@ -63,16 +62,6 @@ def test_a_snapshot_ends_where_the_membrane_moves(open_wizard, feed, frames, qtb
     assert (taken.name, taken.averaged) == ("Frames 1 to 2", 2)
     assert "2 of 10 frames: the membrane moves after them" in wizard.frames.note.text()
     np.testing.assert_array_equal(taken.frame.tactile_depth, frames[0.2].tactile_depth)
-
-
-def test_taking_a_snapshot_again_begins_anew(open_wizard, feed, frames, qtbot):
-    wizard = open_wizard()
-    QTest.mouseClick(wizard.frames.take, LEFT)
-    assert "Frame 1 of 10" in wizard.frames.note.text()
-    feed.deliver(*next(recorded(frames, 9, 8)))
-    QTest.mouseClick(wizard.frames.take, LEFT)
-    qtbot.waitUntil(lambda: len(wizard.session.state.snapshots) == 1)
-    assert wizard.session.state.snapshots[0].name == "Frame 9"
 
 
 # Pictures and predictions
@@ -224,30 +213,6 @@ def test_next_waits_for_the_search_and_the_search_can_be_cancelled(open_wizard, 
     QTest.mouseClick(finder.cancel, LEFT)
     qtbot.waitUntil(lambda: "Cancelled" in finder.words.text())
     assert finder.search.isEnabled() and not wizard.session.state.pairs
-
-
-def test_one_button_is_primary_at_one_place_on_every_page(open_wizard, scene, frames, feed, qtbot):
-    wizard = open_wizard()
-
-    def primary():
-        seen = [push for push in wizard.findChildren(QPushButton) if push.isVisible()]
-        return [push.text() for push in seen if push.isDefault()]
-
-    assert primary() == ["Take snapshot"]
-    wizard.session.add_snapshot(snapshot_of(frames[0.2], feed))
-    assert primary() == ["Next"]
-    wizard.go_to(1)
-    assert primary() == ["Find points"]
-    wizard.session.edit("all", with_pairs(scene, frames, feed))
-    qtbot.waitUntil(lambda: wizard.outcome.report is not None)
-    assert [wizard.steps.button(step).text()[-1] for step in range(3)] == ["✓"] * 3
-    places = set()
-    for step, text in enumerate(("Next", "Next", "Next", "Save preset")):
-        wizard.go_to(step)
-        assert primary() == [text]
-        push = wizard.save if step == SAVE else wizard.next
-        places.add(push.geometry().getRect())
-    assert len(places) == 1
 
 
 def test_every_page_is_undone(open_wizard, scene, frames, feed, qtbot):

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from PyQt6.QtCore import QPoint, QRect, Qt
+from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
 from hands import answer_question, press
 from pairs import moved, with_pairs
 from tactune.core.sources.presets import load_preset
-from tactune.widgets.basics.messages import Severity
 
 LEFT = Qt.MouseButton.LeftButton
 CONTROL = Qt.KeyboardModifier.ControlModifier
@@ -58,18 +57,6 @@ def test_a_better_calibration_is_saved_without_a_question_also_twice(open_wizard
     fitted(qtbot, wizard, fewer)
     QTest.mouseClick(wizard.save, LEFT)
     assert "worse" in answer_question(qtbot, "Cancel"), "four pairs do not replace what 26 gave"
-
-
-def test_messages_cover_nothing_below_the_images_of_points(open_wizard, scene, frames, feed):
-    wizard = open_wizard()
-    for number in range(3):
-        wizard.messages.show_message(f"long {number}", Severity.WARNING, "A sentence of many words. " * 6)
-    shown = wizard.messages
-    for step, table in ((1, wizard.points.table), (SAVE, wizard.check.errors)):
-        wizard.go_to(step)
-        covered = QRect(shown.mapToGlobal(QPoint(0, 0)), shown.size())
-        assert shown.isVisible()
-        assert not covered.intersects(QRect(table.mapToGlobal(QPoint(0, 0)), table.size()))
 
 
 def test_next_and_save_wait_for_what_the_footer_says(open_wizard, scene, frames, feed, document, qtbot):

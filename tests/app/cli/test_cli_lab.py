@@ -18,16 +18,16 @@ def test_the_table_prints_cell_by_cell_and_goes_on_where_it_stopped(tactune, tmp
     monkeypatch.setattr(table, "available_threads", lambda: 1)  # in this process: with coarse scenes
     command = [
         "lab", "table", "--objects", "cup", "--presses", "low,medium", "--membranes", "standard", "--seeds", 1,
-        "--methods", "straight,fusion-rigid", "--csv", tmp_path / "cells.csv",
+        "--methods", "proximity-only,fusion-rigid", "--csv", tmp_path / "cells.csv",
     ]  # fmt: skip
     monkeypatch.setattr(platformdirs, "user_cache_dir", lambda _: str(tmp_path))
     status, out, err = tactune(*command)
     assert status == 0
     assert [line[:4] for line in err.splitlines()] == ["1/2 ", "2/2 "]
-    assert [line.split()[1] for line in out.splitlines()[1:3]] == ["straight", "fusion-rigid"]
+    assert [line.split()[1] for line in out.splitlines()[1:3]] == ["proximity-only", "fusion-rigid"]
     rows = list(csv.DictReader((tmp_path / "cells.csv").read_text().splitlines()))
     assert [(row["press"], row["method"]) for row in rows] == [
-        (press, method) for press in ("low", "medium") for method in ("straight", "fusion-rigid")
+        (press, method) for press in ("low", "medium") for method in ("proximity-only", "fusion-rigid")
     ]
     monkeypatch.setattr(table, "score", None)
     assert tactune(*command).status == 0, "nothing is measured again"
@@ -51,7 +51,7 @@ def test_strain_beside_the_solvers(tactune, tmp_path):
 
 def test_the_bench_compares(tactune, monkeypatch):
     pytest.importorskip("open3d")
-    monkeypatch.setattr(lab, "_ROUNDS", 3)
+    monkeypatch.setattr(lab, "_ROUNDS", 1)
     monkeypatch.setattr(bench, "scene_names", lambda: ["empty"])
     status, out, _ = tactune("lab", "bench")
     assert status == 0 and "numpy" in out and "tactune" in out

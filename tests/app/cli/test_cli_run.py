@@ -166,7 +166,7 @@ def test_interrupted_with_finished_files_intact(recording: Path, tmp_path: Path)
 
 @pytest.mark.parametrize("estimate", ["tilt", "tilt-filtered"])
 def test_estimates_the_tilt_of_each_patch(tactune: Tactune, estimate: str) -> None:
-    options = ("run", "--source", "sim:cube?press=medium", "--frames", "2", "--estimate", estimate, "--json")
+    options = ("run", "--source", "sim:cup?press=medium", "--frames", "2", "--estimate", estimate, "--json")
     tilts = [record["tilt"] for record in json_lines(tactune(*options).out)]
     assert len(tilts) == 2
     for tilt in tilts:

@@ -49,13 +49,6 @@ def serving(*words: str, address: str = "127.0.0.1") -> Iterator[tuple[subproces
             process.kill()
 
 
-@pytest.fixture(scope="module")
-def server() -> Iterator[tuple[subprocess.Popen[str], int]]:
-    """Its tests are the last ones: it publishes 30 frames a second until this module ends."""
-    with serving("--port", "0", "--estimate", "tilt") as started:
-        yield started
-
-
 def number_of(frame: dict[str, Any]) -> int:
     return int(json.loads(frame["/tactune/frame"].data)["sequence"])
 
@@ -119,21 +112,25 @@ def test_frames_go_on_while_the_object_is_searched_and_the_end_ends_the_search(
     assert len(searches) == 1
 
 
-def test_ros_2_beside_foxglove_says_where_it_is_and_both_end_cleanly() -> None:
-    options = ("--port", "0", "--ros2", "--domain", "77", "--namespace", "left")
+def test_tilt_goes_to_foxglove_beside_ros_2_and_both_end_cleanly() -> None:
+    options = ("--port", "0", "--estimate", "tilt", "--ros2", "--domain", "77", "--namespace", "left")
     with serving(*options) as (process, port), FoxgloveClient(port) as client:
         assert process.stdout is not None
         assert read_line(process.stdout) == "ROS 2: domain 77, 127.0.0.1, /left\n"
         sockets = listening(process.pid)
         assert {one for one in sockets if one[0].startswith("tcp")} == {("tcp", "127.0.0.1", port)}
         assert {one[0] for one in sockets} == {"tcp", "udp"}
-        client.subscribe(["/contact/patch"])
-        next(client.messages())
+        topics = ["/contact/tilt", "/tactune/frame"]
+        client.subscribe(topics)
+        seen = next(seen for seen in client.frames(topics) if not math.isnan(seen["/contact/tilt"].vector.x))
         process.send_signal(signal.SIGHUP)  # the terminal is closed
         out, err = process.communicate(timeout=WAIT_S)
         assert process.returncode == 0
         assert re.fullmatch(r"published \d+ frames? of live:sim:cup\n", out)
         assert "Traceback" not in err
+    _, patch = find(number_of(seen), load_preset("simulator"))
+    tilt = TiltEstimator(load_preset("simulator"), patch.rig).estimate(patch)
+    assert (seen["/contact/tilt"].vector.x, seen["/contact/tilt"].vector.y) == (tilt.roll_rad, tilt.pitch_rad)
 
 
 def test_other_computers_connect_only_where_asked() -> None:
@@ -172,13 +169,3 @@ def test_the_layout_names_topics_that_exist(tmp_path: Path, tactune: Callable[..
     layout = json.loads(text)
     panels = re.findall(r'"(\w+!\w+)"', json.dumps(layout["layout"]))
     assert sorted(panels) == sorted(layout["configById"])
-
-
-def test_tilt_is_published_where_asked(server: tuple[subprocess.Popen[str], int]) -> None:
-    topics = ["/contact/tilt", "/tactune/frame"]
-    with FoxgloveClient(server[1]) as client:
-        client.subscribe(topics)
-        seen = next(seen for seen in client.frames(topics) if not math.isnan(seen["/contact/tilt"].vector.x))
-    _, patch = find(number_of(seen), load_preset("simulator"))
-    tilt = TiltEstimator(load_preset("simulator"), patch.rig).estimate(patch)
-    assert (seen["/contact/tilt"].vector.x, seen["/contact/tilt"].vector.y) == (tilt.roll_rad, tilt.pitch_rad)

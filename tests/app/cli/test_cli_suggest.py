@@ -42,15 +42,15 @@ def test_each_proposal_is_printed_and_all_are_written(tactune: Tactune, spoiled:
 
 
 def test_a_section_without_evidence_is_refused_with_the_remedy(tactune: Tactune, tmp_path: Path) -> None:
-    with open_source("sim:octopus?press=low&sensor=datasheet") as source:
+    with open_source("sim:cup?press=low&sensor=datasheet") as source:
         export_folder(source, tmp_path / "pressed", frames=1)
     save_preset(load_preset("simulator").with_value("mask.enabled", False), tmp_path / "bare.json")
     named = ("preset", "suggest", "--source", f"folder:{tmp_path / 'pressed'}", "--preset", tmp_path / "bare.json")
     assert "capture an untouched frame" in tactune(*named, "--section", "mask").sentence
 
 
-def test_the_present_frame_can_be_chosen(tactune: Tactune) -> None:
+def test_the_present_frame_can_be_chosen(tactune: Tactune, recording: Path) -> None:
     named = ("preset", "suggest", "--source", "sim:cup", "--preset", "default", "--section", "mask")
     areas = [tactune(*named, "--frame", number).out.partition("changes from ")[2] for number in (0, 45)]
     assert float(areas[0].split()[0]) < float(areas[1].split()[0])
-    assert "frames run from 0 to 89" in tactune(*named, "--frame", 5000).sentence
+    assert "frames run from 0 to 3" in tactune("preset", "suggest", "--source", recording, "--frame", 5000).sentence

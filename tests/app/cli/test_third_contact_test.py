@@ -16,6 +16,7 @@ TOY = Path(__file__).with_name("toy_contact_test.py")
 LINE = '    "tolerance": ToleranceTest,\n'
 
 PANEL = """
+import sys
 from PyQt6.QtWidgets import QApplication
 from tactune.core.preset import Preset
 from tactune.widgets.parameters.parameter_panel import ParameterPanel

@@ -23,17 +23,6 @@ def crash(autosave: Autosave) -> None:
     autosave.close(keep=True)
 
 
-def test_unsaved_work_survives_a_crash(document, folder, tmp_path, preset):
-    autosave = Autosave(document, folder)
-    document.save(tmp_path / "mine.json")
-    document.edit("mask.hue", (170, 10))
-    crash(autosave)
-    [work] = unsaved_work(folder)
-    assert work.preset.mask.hue == (170, 10)
-    assert work.preset == document.preset
-    assert work.path == tmp_path / "mine.json"
-
-
 def test_it_is_kept_while_a_person_edits_without_a_pause(document, folder, qtbot):
     autosave = Autosave(document, folder)
     values = itertools.cycle([0.01, 0.02, 0.03])

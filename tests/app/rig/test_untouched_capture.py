@@ -6,7 +6,6 @@ from dataclasses import replace
 from threading import Event
 
 import numpy as np
-import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
@@ -65,13 +64,11 @@ def test_a_touch_meanwhile_is_refused_in_words(qtbot, window):
     qtbot.waitUntil(lambda: at_rest(window, 2))
 
 
-@pytest.mark.parametrize(("length", "loop", "ends_at"), [(3, True, None), (8, True, 5)])
-def test_where_a_recording_has_no_more_frames_what_came_is_taken(qtbot, window, monkeypatch, length, loop, ends_at):
+def test_where_a_recording_has_no_more_frames_what_came_is_taken(qtbot, window, monkeypatch):
     monkeypatch.setattr(gather, "PATIENCE_S", 1.0)
-    show_source(qtbot, window, FakeSource(length, name="short", ends_at=ends_at), 0)
-    window.worker.set_loop(loop)
+    show_source(qtbot, window, FakeSource(8, name="short", ends_at=5), 0)
     opened = capture(qtbot, window, 15)
-    assert window.document.preset.untouched.frames == (ends_at or length)
+    assert window.document.preset.untouched.frames == 5
     assert "no more" in opened.panel.sentence.text()
 
 
