@@ -106,7 +106,7 @@ def open_recorded(rig: Rig, frames: Sequence[SensorFrame], progress: Progress) -
 class Troubled(FrameSource):
     """A live source at 100 Hz that does what the file says, once, when its frame 20 is due.
 
-    Words: ``raise``, ``segfault``, ``hang``, ``size`` (a frame of another size), ``end``.
+    Words: ``raise``, ``size`` (a frame of another size), ``end``.
     """
 
     def __init__(self, orders: Path, rig: Rig) -> None:
@@ -133,10 +133,6 @@ class Troubled(FrameSource):
             self._orders.unlink()
             if word == "raise":
                 raise SourceError(f"troubled: frame {self._count} is damaged; clean the lens")
-            if word == "segfault":
-                ctypes.string_at(0)
-            if word == "hang":
-                time.sleep(3600)
             if word == "end":
                 return None
             if word == "size":

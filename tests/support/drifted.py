@@ -1,26 +1,21 @@
-"""The simulator after a mishap: a camera has moved, the pressure has changed or a lens is dirty."""
+"""The simulator after a mishap: a camera has moved, or the pressure has changed."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any
 
 import cv2
 import numpy as np
 
-from tactune.core.model.arrays import Float64Array, Uint8Array
-from tactune.core.model.frames import Rig, SensorFrame
+from tactune.core.model.arrays import Float64Array
+from tactune.core.model.frames import Rig
 from tactune.core.sources.base import CameraRole, Progress
 from tactune.core.sources.simulator.membrane import Membrane
 from tactune.core.sources.simulator.render import Camera
 from tactune.core.sources.simulator.scene import Press, cameras
 from tactune.core.sources.simulator.scenes import Scene
 from tactune.core.sources.simulator.source import SimulatorSource, SolvedScene
-
-#: What a smear does: it blurs and adds a veil, over an ellipse in the image; shares of the image and 8-bit levels.
-_SMEAR_BLUR_PX: Final = 3.0
-_SMEAR_VEIL: Final = 0.35
-_SMEAR_LEVELS: Final = 140.0
 
 
 @dataclass(frozen=True)
@@ -30,25 +25,19 @@ class Drift:
     Attributes
     ----------
     camera : "proximity" or "tactile"
-        Which camera moved or is dirty.
+        Which camera moved.
     shift_m : tuple of float
         Its translation along its own x, y and z.
     turn_deg : tuple of float
         Its rotation about its own x, y and z.
     apex_m : float
         Growth of the untouched apex's height above the rim.
-    blur_px : float
-        Sigma of a blur of its whole colour image, as from a film of grease.
-    smear : float
-        Share of the image's width that a smear covers, from the centre.
     """
 
     camera: CameraRole = "tactile"
     shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     apex_m: float = 0.0
-    blur_px: float = 0.0
-    smear: float = 0.0
 
     @property
     def motion(self) -> Float64Array:
@@ -93,28 +82,6 @@ class DriftedSimulator(SimulatorSource):
     def __init__(self, drift: Drift, **options: Any) -> None:
         self.drift = drift
         super().__init__(**options)
-
-    def read(self, index: int) -> SensorFrame:
-        """Return frame ``index`` with the dirt on the lens."""
-        frame = super().read(index)
-        assert frame.tactile_color is not None
-        if self.drift.camera == "tactile":
-            return replace(frame, tactile_color=self._dirty(frame.tactile_color))
-        return replace(frame, proximity_color=self._dirty(frame.proximity_color))
-
-    def _dirty(self, image: Uint8Array) -> Uint8Array:
-        if self.drift.blur_px > 0.0:
-            image = np.asarray(cv2.GaussianBlur(image, (0, 0), self.drift.blur_px), np.uint8)
-        if self.drift.smear == 0.0:
-            return image
-        height, width = image.shape[:2]
-        cover = np.zeros((height, width), np.float32)
-        axes = (round(self.drift.smear * width / 2), round(self.drift.smear * height / 2))
-        cv2.ellipse(cover, (width // 2, height // 2), axes, 0, 0, 360, 1.0, -1)
-        soft = np.asarray(cv2.GaussianBlur(cover, (0, 0), 2 * _SMEAR_BLUR_PX), np.float32)[..., None]
-        behind = cv2.GaussianBlur(image, (0, 0), _SMEAR_BLUR_PX).astype(np.float32)
-        veiled = (1 - _SMEAR_VEIL) * behind + _SMEAR_VEIL * _SMEAR_LEVELS
-        return np.asarray(np.rint(soft * veiled + (1 - soft) * image), np.uint8)
 
     def _solve(self, scene: Scene, progress: Progress) -> SolvedScene:
         drift = self.drift

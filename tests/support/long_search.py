@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 LIMIT_S = 240
-POINTS = 48
+POINTS = 32
 TOLERANCES = "tolerance.t=0.004,0.006,0.008,0.010,0.012,0.014,0.017,0.020"
 
 
@@ -40,9 +40,9 @@ class LongSearch:
 
     def __init__(self, recording: str, folder: Path, preset: Path) -> None:
         self.file = folder / "long.log"
-        grid = ("--set", TOLERANCES, "--set", "outliers.k=5,9,13,17,21,24", "--objective", "iou,rmse")
-        self.command = [sys.executable, "-m", "tactune.app", "tune", "-s", recording, *grid]
-        self.command += ["-p", str(preset), "--study", str(self.file), "--json"]
+        grid = ("--set", TOLERANCES, "--set", "outliers.k=5,9,17,24", "--objective", "iou,rmse")
+        self.words = ["-s", recording, *grid, "-p", str(preset), "--json"]
+        self.command = [sys.executable, "-m", "tactune.app", "tune", *self.words, "--study", str(self.file)]
 
     def start(self, *words: str) -> subprocess.Popen[str]:
         """Start it in a session of its own, and wait until some trials are measured."""

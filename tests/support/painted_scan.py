@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
 import json
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -15,7 +13,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from tactune.core.lab.scan import transformed
-from tactune.core.model.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Uint8Array
+from tactune.core.model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array
 from tactune.core.model.frames import GroundTruth, Matrix4, Rig
 from tactune.core.sources.simulator.object_surface import object_surface, to_surface
 from tactune.core.sources.simulator.source import SimulatorSource
@@ -24,11 +22,8 @@ from tactune.core.sources.simulator.source import SimulatorSource
 PINK: Final = (235, 110, 170)
 PURPLE: Final = (90, 50, 140)
 
-#: Side of the mesh's quads, metres: with vertex colours, and with a texture.
+#: Side of the mesh's quads, metres.
 FINE_M: Final = 0.0008
-COARSE_M: Final = 0.004
-#: Texels along a quad's side; the outermost repeat their neighbours.
-_BLOCK: Final = 14
 #: Largest distance between membrane and touched surface along the camera's axis, metres: covers interpolation between
 #: nodes and steep pixels. The far side of every object is farther away.
 _NEAR_M: Final = 0.003
@@ -42,7 +37,7 @@ class PaintFlaws:
     Attributes
     ----------
     noise : float
-        Standard deviation of each channel at each vertex or texel, 0 to 255.
+        Standard deviation of each channel at each vertex, 0 to 255.
     specks : int
         Spots of the other colour, 2.4 mm wide, anywhere on the object.
     seed : int
@@ -62,25 +57,22 @@ def write_painted_scan(source: SimulatorSource, index: int, path: Path, flaws: P
     Parameters
     ----------
     path : path
-        ``.ply``: a fine mesh with vertex colours. ``.obj``: a coarse mesh with a fine texture, a ``.mtl`` and a
-        ``.png`` beside it.
+        ``NAME.ply``: a fine mesh with vertex colours.
 
     Returns
     -------
     list of Path
-        The scan, its companion files, and last ``NAME.transform.json`` for `load_transform`.
+        The scan, and ``NAME.transform.json`` for `load_transform`.
     """
-    texture = path.suffix == ".obj"
     truth, pose = source.read(index).truth, source.facts(index).T_proximity_object
     assert truth is not None
     painter = _Painter(source.scene.pressed.kind, pose, truth, source.rig, flaws or PaintFlaws())
-    vertices, quads = object_surface(painter.kind, COARSE_M if texture else FINE_M)
-    write = _textured_files if texture else _coloured_files
-    for file, data in write(path, vertices, quads, painter).items():
-        file.write_bytes(data)
+    vertices, quads = object_surface(painter.kind, FINE_M)
+    triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    trimesh.Trimesh(vertices, triangles, vertex_colors=painter.colors(vertices), process=False).export(path)
     transform = path.with_suffix(".transform.json")
     transform.write_text(json.dumps({"T_proximity_scan": pose}))
-    return [path, *([path.with_suffix(suffix) for suffix in (".mtl", ".png")] if texture else []), transform]
+    return [path, transform]
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,52 +115,3 @@ def _looked_up(image: Float32Array, u: Float32Array, v: Float32Array, how: int) 
     wide = [np.pad(where, (0, -len(where) % rows)).reshape(-1, rows) for where in (u, v)]
     found = cv2.remap(image, wide[0], wide[1], how, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0)
     return np.asarray(found, np.float32).reshape(-1)[: len(u)]
-
-
-def _coloured_files(path: Path, vertices: Float64Array, quads: Int64Array, painter: _Painter) -> dict[Path, bytes]:
-    mesh = trimesh.Trimesh(vertices, _halves(quads), vertex_colors=painter.colors(vertices), process=False)
-    return {path: mesh.export(file_type="ply")}
-
-
-def _textured_files(path: Path, vertices: Float64Array, quads: Int64Array, painter: _Painter) -> dict[Path, bytes]:
-    """Give each quad a square block of one texture."""
-    import PIL.Image
-
-    across = math.ceil(math.sqrt(len(quads)))
-    down, size = -(-len(quads) // across), across * _BLOCK
-    row, column = np.divmod(np.arange(len(quads)), across)
-    s = (np.clip(np.arange(_BLOCK), 1, _BLOCK - 2) - 1) / (_BLOCK - 3)
-    colors = painter.colors(_places(vertices[quads], s).reshape(-1, 3)).reshape(len(quads), _BLOCK, _BLOCK, 3)
-    blocks = np.zeros((down, _BLOCK, across, _BLOCK, 3), np.uint8)
-    blocks[row, :, column] = colors
-    image = blocks.reshape(down * _BLOCK, size, 3)
-    ends = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * (_BLOCK - 3) + 1.5  # texel centres
-    x, y = (np.stack([column, row], axis=1)[:, None] * _BLOCK + ends).reshape(-1, 2).T
-    material = trimesh.visual.material.SimpleMaterial(name=path.stem, image=PIL.Image.fromarray(image))
-    uv = np.column_stack([x / size, 1 - y / len(image)])
-    corners = np.arange(4 * len(quads)).reshape(-1, 4)
-    mesh = trimesh.Trimesh(
-        vertices[quads].reshape(-1, 3), _halves(corners), process=False,
-        visual=trimesh.visual.TextureVisuals(uv=uv, material=material),
-    )  # fmt: skip
-    text = trimesh.exchange.obj.export_obj(mesh, write_texture=False, mtl_name=path.with_suffix(".mtl").name)
-    picture = io.BytesIO()
-    PIL.Image.fromarray(image).save(picture, "PNG")
-    lines = f"newmtl {path.stem}\nKd 1.0 1.0 1.0\nmap_Kd {path.with_suffix('.png').name}\n"
-    return {path.with_suffix(".png"): picture.getvalue(), path.with_suffix(".mtl"): lines.encode(), path: text.encode()}
-
-
-def _places(corners: Float64Array, s: Float64Array) -> Float64Array:
-    """Return points on quads (N, 4, 3) at fractions ``s`` of both sides: (N, rows, columns, 3).
-
-    A quad consists of two flat triangles, split from its first to its third corner.
-    """
-    a, b, c, d = (corners[:, None, None, k] for k in range(4))
-    right, down = s[None, None, :, None], s[None, :, None, None]
-    lower = a + right * (b - a) + down * (c - b)
-    upper = a + down * (d - a) + right * (c - d)
-    return np.asarray(np.where(right >= down, lower, upper))
-
-
-def _halves(quads: Int64Array) -> Int64Array:
-    return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])

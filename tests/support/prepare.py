@@ -16,7 +16,6 @@ SCENES = (
     "cup?press=medium",
     "cup?press=low&grid=dots",
     "tray",
-    "tray?press=none",
 )
 
 if __name__ == "__main__":
