@@ -118,7 +118,7 @@ def test_clean_clicks_give_the_pose(rig, model, color_share):
 def test_twelve_clicks_reach_the_cramer_rao_bound(rig):
     noise, (places, true) = ClickNoise(), judged_places(rig)
     errors, bounds = [], []
-    for seed in range(80):
+    for seed in range(40):
         clicks = make_clicks(rig, 12, seed, noise, color_share=0.3)
         errors.append(np.hypot(*(fit_rigid(clicks.noisy, rig).predict(places) - true).T).mean())
         if seed % 4 == 0:
@@ -155,19 +155,18 @@ def test_30_percent_wrong_pairs_are_found(wrong_clicks, count):
 @pytest.mark.parametrize("wrong", [0.6, 1.0])
 @pytest.mark.parametrize("count", [8, 25])
 def test_mostly_wrong_pairs_are_never_silently_used(wrong_clicks, count, wrong):
-    for seed in range(3):
-        right, fitted = wrong_clicks(seed, count, wrong)
-        try:
-            fit = fitted()
-        except CalibrationError:
-            continue
-        assert not (fit.used & ~right).any()
+    right, fitted = wrong_clicks(0, count, wrong)
+    try:
+        used = fitted().used
+    except CalibrationError:
+        return
+    assert not (used & ~right).any()
 
 
 def test_two_wrong_of_eight_are_named_in_four_of_five_cases(rig):
     places, true = judged_places(rig)
     named, errors = 0, []
-    for seed in range(60):
+    for seed in range(30):
         points, rng = make_clicks(rig, 8, seed).noisy, np.random.default_rng(1000 + seed)
         chosen = rng.choice(8, 2, replace=False)
         angle, radius = rng.uniform(0, 2 * np.pi, 2), rng.uniform(10, 30, 2)
@@ -178,7 +177,7 @@ def test_two_wrong_of_eight_are_named_in_four_of_five_cases(rig):
             continue
         named += not fit.used[chosen].any()
         errors.append(np.hypot(*(fit.predict(places) - true).T).mean())
-    assert named >= 48
+    assert named >= 24
     assert np.median(errors) < 2.6
 
 

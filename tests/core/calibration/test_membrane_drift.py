@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,11 +12,6 @@ from tactune.core.errors import CalibrationError, FrameError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
 from tactune.core.rig.drift import LIMIT_M, compare_with_untouched
-from tactune.core.rig.untouched import untouched_frame
-from tactune.core.sources.presets import load_preset
-from tactune.core.sources.registry import open_source
-from tactune.core.sources.simulator import source as source_module
-from tactune.core.sources.simulator.scenes import Scene, resolve_scene
 
 WIDTH, HEIGHT = 160, 120
 RIM_M, BULGE_M = 0.25, 0.06
@@ -118,32 +112,3 @@ def test_frames_that_cannot_be_compared_are_refused() -> None:
     half = replace(UNTOUCHED, tactile_depth=np.ones((60, 80), np.uint16))
     with pytest.raises(FrameError, match="80 x 60"):
         compare_with_untouched(Preset(), RIG, half, UNTOUCHED)
-
-
-def test_the_simulator_is_fine_untouched_and_touched_when_pressed() -> None:
-    preset = load_preset("simulator")
-    with open_source("sim:cup?press=medium&sensor=datasheet") as source:
-        untouched, pressed = untouched_frame(source), source.read(0)
-        with source.with_object_away() as away:
-            now = away.read(20)
-    assert untouched is not None
-    fine = compare_with_untouched(preset, source.rig, now, untouched)
-    assert (fine.verdict, "proximity" in fine.moved_m) == ("fine", True), fine.sentence
-    assert compare_with_untouched(preset, source.rig, pressed, untouched).verdict == "touched"
-
-
-def test_the_solvers_membrane_at_another_pressure_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
-    untouched = untouched_frame(open_source("sim:cup?press=none&sensor=datasheet"))
-    assert untouched is not None
-    more_m = 0.004
-
-    def inflated(*words: Any) -> Scene:
-        made = resolve_scene(*words)
-        design = replace(made.design, apex_m=made.design.apex_m + more_m)
-        return replace(made, name="cup-inflated-118x68", design=design)
-
-    monkeypatch.setattr(source_module, "resolve_scene", inflated)
-    now = open_source("sim:cup?press=none&sensor=datasheet&seed=3")
-    drift = compare_with_untouched(load_preset("simulator"), now.rig, now.next_frame(), untouched)
-    assert drift.verdict == "inflation"
-    assert drift.inflation_m == pytest.approx(more_m, abs=0.0002)

@@ -15,7 +15,7 @@ from traced import allocation
 
 PRESET = Preset(contact_test="tolerance")
 
-FRAMES = 20
+FRAMES = 8
 #: Python's objects of one frame: the patch, its closures, views; far less than any array with an element per point.
 SLACK_BYTES = 64 * 1024
 

@@ -45,11 +45,11 @@ def open3d_inliers(points, k, ratio):
     return kept
 
 
-@pytest.mark.parametrize("k", [2, 5, 20, 50])
-@pytest.mark.parametrize("ratio", [0.5, 2.0])
+@pytest.mark.parametrize("k", [2, 20])
 @pytest.mark.parametrize(("share", "noise_m"), [(0.9, 0.001), (0.3, 0.004), (0.02, 0.001)])
-@pytest.mark.parametrize("distortion", ["none", "brown_conrady", "inverse_brown_conrady"])
-def test_the_inlier_set_is_open3ds_point_for_point(k, ratio, share, noise_m, distortion):
+@pytest.mark.parametrize("distortion", ["none", "brown_conrady"])
+def test_the_inlier_set_is_open3ds_point_for_point(k, share, noise_m, distortion):
+    ratio = {2: 0.5, 20: 2.0}[k]
     points, pixels, grid = scene(k, 160, 120, share, noise_m, distortion)
     kept = statistical_inliers(points, pixels, grid, k, ratio)
     assert np.array_equal(kept, open3d_inliers(points, k, ratio))

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import cv2
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from tactune.core.contact.alignment import homography_table, tactile_homography
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.contact.tolerance import ToleranceTest
 from tactune.core.errors import FrameError, RigMismatchError
+from tactune.core.lab.bench import synthetic_scene
 from tactune.core.lab.reference import reference_patch
 from tactune.core.model.frames import SensorFrame
 from tactune.core.model.provenance import Provenance
@@ -201,3 +204,16 @@ def test_frames_of_the_wrong_shape_are_refused(make_rig, change, words):
     }
     with pytest.raises(FrameError, match=words):
         ContactPipeline(PRESET, rig).process(SensorFrame(sequence=7, **(arrays | change)))
+
+
+def test_pipelines_in_many_threads_give_the_same_bits():
+    scenes = [synthetic_scene(points, 160, 120, seed=points) for points in (300, 2000, 6000, 19_000)]
+
+    def bits(scene) -> bytes:
+        patch = ContactPipeline(scene.preset, scene.rig).process(scene.frame)
+        return patch.points.tobytes() + patch.provenance.tobytes()
+
+    alone = list(map(bits, scenes))
+    with ThreadPoolExecutor(4) as pool:
+        for _ in range(5):
+            assert list(pool.map(bits, scenes)) == alone

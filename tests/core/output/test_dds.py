@@ -69,6 +69,7 @@ def points_of(cloud: Any) -> np.ndarray[Any, Any]:
     return np.frombuffer(bytes(cloud.data), "<f4").reshape(cloud.height, cloud.width, 3)
 
 
+@pytest.mark.long
 def test_fast_dds_receives_every_bit(processed: Processed, fast_dds_program: Path, domain: int) -> None:
     frame, patch, _ = processed
     topics = {
@@ -108,6 +109,7 @@ def test_fast_dds_receives_every_bit(processed: Processed, fast_dds_program: Pat
     assert "tactile_depth_optical_frame" in {t.child_frame_id for t in transforms.decoded("/tf_static").transforms}
 
 
+@pytest.mark.long
 def test_a_subscriber_that_hangs_loses_its_own_frames_only(
     processed: Processed, fast_dds_program: Path, domain: int
 ) -> None:

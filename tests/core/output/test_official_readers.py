@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
 from tactune.core import load_preset
@@ -125,14 +124,6 @@ def test_static_transforms_are_the_factory_poses(path: Path, rig: Rig) -> None:
     np.testing.assert_allclose(poses["tactile_depth_optical_frame"], rig.T_proximity_tactile, atol=1e-12)
     T_depth_color = np.linalg.inv(rig.proximity_color.T_color_depth)
     np.testing.assert_allclose(poses["proximity_color_optical_frame"], T_depth_color, atol=1e-12)
-
-
-def test_players_keep_static_topics_for_late_listeners(path: Path) -> None:
-    with AnyReader([path]) as reader:
-        qos = {connection.topic: connection.ext.offered_qos_profiles for connection in reader.connections}
-    assert {topic for topic, profiles in qos.items() if profiles} == {"/tf_static", "/tactune/rig"}
-    assert qos["/tf_static"][0].durability.name == "TRANSIENT_LOCAL"
-    assert qos["/tf_static"][0].reliability.name == "RELIABLE"
 
 
 def test_patches_are_point_clouds_of_the_same_time(tmp_path: Path, rig: Rig) -> None:

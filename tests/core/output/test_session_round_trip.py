@@ -16,7 +16,6 @@ from tactune.core import load_preset
 from tactune.core.errors import ExportError, FrameError, PresetError, SourceError
 from tactune.core.model.frames import GroundTruth, Rig, SensorFrame
 from tactune.core.output import RecordingStatus, SessionWriter
-from tactune.core.output.messages import LogClock
 from tactune.core.sources.mcap.source import McapSource
 
 Same = Callable[[SensorFrame, SensorFrame], bool]
@@ -113,13 +112,6 @@ def test_no_file_is_overwritten_and_none_is_left_empty(tmp_path: Path, rig: Rig)
     assert path.read_bytes() == b"precious"
     with pytest.raises(ExportError, match=r"cannot write .*b\.mcap: .*; choose another place"):
         SessionWriter(path / "b.mcap", rig)
-
-
-def test_log_times_keep_the_rate_after_a_clock_jumped_back() -> None:
-    clock = LogClock(0.1)
-    assert [clock.tick(ms * 10**6) for ms in (1000, 1100, 200, 300, 5000)] == [
-        ms * 10**6 for ms in (1000, 1100, 1200, 1300, 6000)
-    ]
 
 
 def test_a_damaged_rig_is_refused(tmp_path: Path, rig: Rig, make_frames: MakeFrame, record: Record) -> None:

@@ -18,6 +18,7 @@ from tactune.core.preset.file import preset_and_note, preset_from_text, preset_j
 from tactune.core.preset.preset import json_schema, preset_paths
 from tactune.core.sources.presets import load_preset
 
+SCHEMA = jsonschema.Draft202012Validator(json_schema())
 byte_range = st.tuples(st.integers(0, 255), st.integers(0, 255)).map(lambda pair: tuple(sorted(pair)))
 presets = st.fixed_dictionaries(
     {
@@ -50,8 +51,7 @@ def test_a_preset_survives_its_file_bit_for_bit(preset):
 
 @given(presets)
 def test_every_preset_file_satisfies_the_shipped_schema(preset):
-    errors = list(jsonschema.Draft202012Validator(json_schema()).iter_errors(json.loads(preset_json(preset))))
-    assert errors == []
+    assert list(SCHEMA.iter_errors(json.loads(preset_json(preset)))) == []
 
 
 def test_the_checked_in_schema_is_the_models():

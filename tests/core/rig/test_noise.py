@@ -188,13 +188,13 @@ def _depth_of_slope(start_m, slope_m, columns, shift_m=0.040):
 @lru_cache(maxsize=1)
 def _scene():
     """The flat mesh of an untouched membrane, kept open so that every sensor uses the same solved scene."""
-    return SimulatorSource("cube", cells=(60, 36), variant=Variant(press="none"), sensor="datasheet")
+    return SimulatorSource("cup", cells=(60, 36), variant=Variant(press="none"), sensor="datasheet")
 
 
 @lru_cache(maxsize=2)
 def measured(name):
     _scene()
-    source = SimulatorSource("cube", cells=(60, 36), variant=Variant(press="none"), sensor=name)
+    source = SimulatorSource("cup", cells=(60, 36), variant=Variant(press="none"), sensor=name)
     frames = [source.read(index) for index in range(source.length)]
     return measure_noise(frames, source.rig, load_preset("simulator"), untouched_frame(source)), source.rig
 
@@ -242,9 +242,8 @@ def check(name):
         assert noise.bias_sigma_m < 0.0025
 
 
-@pytest.mark.parametrize("name", ["l515-d405", "far-offset"])
-def test_a_simulated_sensor_gives_back_its_model(name):
-    check(name)
+def test_a_simulated_sensor_gives_back_its_model():
+    check("far-offset")
 
 
 @pytest.mark.long

@@ -59,15 +59,3 @@ def test_what_is_unknown_is_not_claimed(rig, make_frame):
     blind, _ = measure_quality(make_frame(0.0, 0.3), rig, Preset(), REGION)
     verdicts = {reading.title: reading.verdict for reading in blind.readings()}
     assert verdicts == {"Fill rate": Verdict.POOR, "Plane fit": Verdict.UNKNOWN}
-
-
-def test_words_say_the_number_what_is_good_and_the_next_step(rig, make_frame):
-    rng = np.random.default_rng(5)
-    shape = (HEIGHT, WIDTH)
-    frame = make_frame(0.300 + rng.normal(0, 0.0006, shape), 0.300 + rng.normal(0, 0.009, shape))
-    near, far = measure_quality(frame, rig, Preset(), REGION)
-    fill, plane = near.readings()
-    assert (fill.value, fill.verdict, fill.limit_words) == ("100.0 %", Verdict.GOOD, "99 % or more")
-    assert "0.58 mm" in plane.value and plane.verdict is Verdict.GOOD
-    rough = far.readings()[1]
-    assert rough.verdict is Verdict.POOR and rough.step and rough.limit_words.startswith("good: ")

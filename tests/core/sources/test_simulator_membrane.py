@@ -9,11 +9,10 @@ from tactune.core.sources.simulator.membrane import (
     ATMOSPHERE_PA,
     TOUCH_GAP_M,
     Membrane,
-    contact_share,
     object_pose,
 )
 from tactune.core.sources.simulator.mesh import MembraneDesign
-from tactune.core.sources.simulator.objects import BALL, BALL_RADIUS_M, OBJECTS, distance, normal, turn
+from tactune.core.sources.simulator.objects import OBJECTS, distance, normal, turn
 
 COARSE = MembraneDesign(cells=(36, 20))
 
@@ -176,24 +175,3 @@ def test_slightly_inflated_sheet_is_the_taut_sheet_of_the_textbook():
     expected = taut_sheet_height(x, y, design.width_m, design.height_m, gauge / tension)
     assert expected.max() == pytest.approx(design.apex_m, rel=0.01)
     assert np.abs(membrane.rest.nodes[:, 2] - expected).max() < 0.01 * design.apex_m
-
-
-def contact_area_m2(cells, depth_m=0.012):
-    """Area of the deformed sheet that a ball touches."""
-    membrane = Membrane(MembraneDesign(cells=cells))
-    apex = membrane.design.apex_m
-    nodes = None
-    for depth in (depth_m / 2, depth_m):
-        pose = object_pose(np.eye(3), (0.0, 0.0, apex + BALL_RADIUS_M - depth))
-        state = membrane.press(BALL, pose, nodes)
-        nodes = state.nodes
-    corners = nodes[membrane.mesh.triangles]
-    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    touching = contact_share(membrane, state, BALL, pose)[membrane.mesh.triangles].mean(axis=1)
-    return float((areas * touching).sum()), state
-
-
-def test_ball_s_contact_area_and_force_hardly_depend_on_the_mesh():
-    (area, state), (middle, middle_state) = contact_area_m2((44, 26)), contact_area_m2((88, 52))
-    assert area == pytest.approx(middle, rel=0.02)
-    assert state.reaction_n.sum() == pytest.approx(middle_state.reaction_n.sum(), rel=0.02)

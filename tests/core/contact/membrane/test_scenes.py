@@ -26,10 +26,10 @@ MEMBRANE, TOLERANCE = (SIMULATOR.with_value("contact_test", name) for name in ("
 UNIT_M = 1e-5
 
 
-@pytest.mark.parametrize(("scene", "sensor"), [("cube", "datasheet"), ("cup", "wide"), ("octopus", "heavy")])
-def test_the_error_is_hardly_above_that_of_the_best_tolerance(scene, sensor):
+@pytest.mark.parametrize("sensor", ["datasheet", "wide"])
+def test_the_error_is_hardly_above_that_of_the_best_tolerance(sensor):
     """The best t of each scene is chosen with its truth, which no user has."""
-    source = SimulatorSource(scene, seed=1, variant=Variant(press="medium"), sensor=sensor)
+    source = SimulatorSource("cup", seed=1, variant=Variant(press="medium"), sensor=sensor)
     frame = source.read(0)
     seen, truth = replace(frame, truth=None), truth_cloud(frame.truth, source.rig).points
     ours = symmetric_rmse_m(ContactPipeline(MEMBRANE, source.rig).process(seen).points, truth)
@@ -44,29 +44,24 @@ def test_the_error_is_hardly_above_that_of_the_best_tolerance(scene, sensor):
 
 def test_wrong_tactile_depth_in_places_less_than_doubles_the_error():
     """Squares of 8 pixels on 5 % of the tactile image are off by up to a fifth of their distance."""
-    errors = []
-    for scene in ("cube", "cup", "octopus"):
-        source = SimulatorSource(scene, seed=1, variant=Variant(press="medium"), sensor="l515-d405")
-        frame, rng = source.read(0), np.random.default_rng(0)
-        spoiled, (height, width) = frame.tactile_depth.copy(), frame.tactile_depth.shape
-        for _ in range(height * width // 64 // 20):
-            v, u = rng.integers(0, (height - 8, width - 8))
-            square = spoiled[v : v + 8, u : u + 8]
-            square[:] = square * rng.uniform(0.8, 1.2)
-        truth, pipeline = truth_cloud(frame.truth, source.rig).points, ContactPipeline(MEMBRANE, source.rig)
-        patches = map(pipeline.process, (frame, replace(frame, tactile_depth=spoiled)))
-        errors.append([symmetric_rmse_m(patch.points, truth) for patch in patches])
-    clean, spoilt = np.mean(errors, axis=0)
+    source = SimulatorSource("cup", seed=1, variant=Variant(press="medium"), sensor="l515-d405")
+    frame, rng = source.read(0), np.random.default_rng(0)
+    spoiled, (height, width) = frame.tactile_depth.copy(), frame.tactile_depth.shape
+    for _ in range(height * width // 64 // 20):
+        v, u = rng.integers(0, (height - 8, width - 8))
+        square = spoiled[v : v + 8, u : u + 8]
+        square[:] = square * rng.uniform(0.8, 1.2)
+    truth, pipeline = truth_cloud(frame.truth, source.rig).points, ContactPipeline(MEMBRANE, source.rig)
+    patches = map(pipeline.process, (frame, replace(frame, tactile_depth=spoiled)))
+    clean, spoilt = (symmetric_rmse_m(patch.points, truth) for patch in patches)
     assert spoilt < 2 * clean
 
 
 @pytest.mark.parametrize(
-    "hidden",
-    [lambda v, u: u % 4 == 0, lambda v, u: u % 2 == 0, lambda v, u: v % 2 == 1, lambda v, u: (u + v) % 2 == 0],
-    ids=["every fourth column", "even columns", "odd rows", "a chessboard"],
-)  # fmt: skip
+    "hidden", [lambda v, u: u % 4 == 0, lambda v, u: (u + v) % 2 == 0], ids=["every fourth column", "a chessboard"]
+)
 def test_depth_that_is_missing_in_a_pattern_does_not_hide_firm_contact(hidden):
-    source = SimulatorSource("cup", variant=Variant(press="high"))
+    source = SimulatorSource("cup", cells=CELLS, variant=Variant(press="high"))
     frame, pipeline = source.read(0), ContactPipeline(MEMBRANE, source.rig)
     whole = len(pipeline.process(frame).points)
     depth = np.where(hidden(*np.indices(frame.proximity_depth.shape)), 0, frame.proximity_depth).astype(np.uint16)

@@ -56,12 +56,10 @@ def order(words: str) -> Callable[[ProcessSource, Path], None]:
     [
         (lambda source, folder: kill(signal.SIGKILL), "The capture process ended with status -9"),
         (lambda source, folder: kill(signal.SIGSTOP), "The capture process has given no sign of life for 6 s"),
-        (order("segfault"), "The capture process ended with status -11"),
-        (order("hang"), "The capture process has given no sign of life for 6 s"),
         (order("raise"), r"Capturing failed: troubled: frame \d+ is damaged; clean the lens"),
         (order("size"), "Capturing failed: frame .* tactile_depth is 10 x 7 pixels.*"),
     ],
-    ids=["killed", "stopped", "segfault", "hang", "raise", "size"],
+    ids=["killed", "stopped", "raise", "size"],
 )
 def test_it_is_told_and_mended(
     nothing_left: None,

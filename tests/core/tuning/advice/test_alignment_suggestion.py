@@ -24,15 +24,14 @@ def test_prints_tell_the_offset(evidence, spoiled_m, suggest):
 
 
 def test_firm_contact_tells_the_offset_without_prints(evidence, suggest):
-    shown = evidence(NO_MASK.with_value("alignment.depth_offset_m", 0.012), "sim:cube?press=medium&sensor=datasheet")
+    shown = evidence(NO_MASK.with_value("alignment.depth_offset_m", 0.012), "sim:cup?press=medium&sensor=datasheet")
     proposal = suggest("alignment", shown)
     assert proposal.changes["alignment.depth_offset_m"] == pytest.approx(0, abs=0.0025)
 
 
-@pytest.mark.parametrize("gap", [1, 5, 20])
-def test_an_object_that_hovers_is_not_taken_for_a_bias(evidence, gap, suggest):
+def test_an_object_that_hovers_is_not_taken_for_a_bias(evidence, suggest):
     with pytest.raises(AdviceError, match="can't be told from a gap"):
-        suggest("alignment", evidence(NO_MASK, f"sim:cup?gap={gap}", untouched=False))
+        suggest("alignment", evidence(NO_MASK, "sim:cup?gap=5", untouched=False))
 
 
 def test_the_membrane_test_needs_no_offset(evidence, suggest):

@@ -38,7 +38,7 @@ def test_the_proposed_value_is_nearly_the_best(evidence, path):
 
 def test_finding_nothing_is_never_the_best(evidence):
     # much more false contact than contact, whatever t is
-    shown = evidence(TOLERANCE, "sim:octopus?press=medium&sensor=heavy", painted=True)
+    shown = evidence(TOLERANCE, "sim:cup?press=medium&sensor=heavy", painted=True)
     curve = error_curve("tolerance.t", shown)
     proposed = curve.values == curve.proposed
     contact_mm2 = curve.missed_mm2.max()  # nothing is found

@@ -13,7 +13,6 @@ from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.preset import CameraNoise, RigNoise, now
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
-from tactune.core.sources.simulator.sensors import SENSORS
 from tactune.core.tuning.advice.findings import Examiner
 
 SHIPPED = load_preset("simulator")
@@ -48,7 +47,7 @@ def mended(finding, preset, rig, frame, untouched=None):
     return finding.name not in findings(finding.proposal.apply(preset), rig, frame, untouched)
 
 
-@pytest.mark.parametrize("sensor", [name for name, sensor in SENSORS.items() if not sensor.held_out])
+@pytest.mark.parametrize("sensor", ["datasheet", "l515-d405", "worn", "far-offset"])
 @pytest.mark.parametrize("name", [UNTOUCHED, PRESSED])
 def test_the_shipped_preset_gives_no_finding(name, sensor):
     """But for a sensor whose cameras disagree by 17 mm and 1 %: that is found."""
@@ -164,9 +163,8 @@ def test_contact_of_nothing_but_prints(request, sensor, preset):
 
 
 @pytest.mark.parametrize("offset_m", [0.008, -0.008])
-@pytest.mark.parametrize("name", ["sim:cup?press=medium", "sim:cube?press=medium", "sim:octopus?press=medium"])
-def test_prints_beside_contact_do_not_hide_themselves_or_an_offset(name, offset_m):
-    rig, frame = scene(name)
+def test_prints_beside_contact_do_not_hide_themselves_or_an_offset(offset_m):
+    rig, frame = scene(PRESSED)
     preset = NO_MASK.with_values({"alignment.depth_offset_m": offset_m})
     found = findings(preset, rig, frame)
     assert set(found) == {"peak", "prints"}
@@ -179,10 +177,9 @@ def test_prints_beside_contact_do_not_hide_themselves_or_an_offset(name, offset_
     assert mended_area == pytest.approx(shipped_area, rel=0.05)
 
 
-@pytest.mark.parametrize("sensor", ["l515-d405", "datasheet", "heavy"])
-@pytest.mark.parametrize("name", ["sim:cube?press=low", "sim:octopus?press=high", "sim:cup?gap=5"])
-def test_other_scenes_give_no_finding(name, sensor):
-    rig, frame = scene(f"{name}&sensor={sensor}")
+@pytest.mark.parametrize("name", ["sim:cup?press=low", "sim:cup?gap=5"])
+def test_other_scenes_give_no_finding(name):
+    rig, frame = scene(f"{name}&sensor=l515-d405")
     assert findings(SHIPPED, rig, frame) == {}
     assert findings(TOLERANCE, rig, frame) == {}
 

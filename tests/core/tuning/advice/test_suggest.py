@@ -40,9 +40,9 @@ def rmse_mm(preset, rig, frame):
     return compare_with_truth(patch, frame.truth, rig)["rmse_mm"]
 
 
-@pytest.mark.parametrize(("pressed", "sensor"), [("cube", "l515-d405"), ("cup", "datasheet"), ("octopus", "heavy")])
-def test_a_spoiled_preset_is_brought_back(evidence, pressed, sensor):
-    shown = evidence(SHIPPED, f"sim:{pressed}?press=medium&sensor={sensor}")
+@pytest.mark.parametrize("sensor", ["l515-d405", "heavy"])
+def test_a_spoiled_preset_is_brought_back(evidence, sensor):
+    shown = evidence(SHIPPED, f"sim:cup?press=medium&sensor={sensor}")
     good = rmse_mm(SHIPPED, shown.rig, shown.frame)
     for name, values in SPOILED.items():
         preset = SHIPPED.with_values(values)
