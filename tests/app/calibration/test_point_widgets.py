@@ -9,13 +9,13 @@ import pyqtgraph as pg
 import pytest
 from PyQt6.QtCore import QPointF, Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QWidget
+from PyQt6.QtWidgets import QApplication
 
 from pairs import pair_at
 from tactune.app.calibration.point_table import PointRow, PointTable
 from tactune.core.calibration.report import PairQuality
 from tactune.widgets.images.marks import Mark
-from tactune.widgets.images.point_image import Loupe, PointImage
+from tactune.widgets.images.point_image import PointImage
 
 LEFT = Qt.MouseButton.LeftButton
 PLAIN = Qt.KeyboardModifier.NoModifier
@@ -103,19 +103,6 @@ def test_marks_arrows_and_ghost_change_the_picture(image):
     image.layer.set_ghost((90, 60))
     shown.append(image.grab().toImage())
     assert all(before != after for before, after in pairwise(shown))
-
-
-def test_the_loupe_stays_inside_and_off_the_cursor(qtbot):
-    parent = QWidget()
-    qtbot.addWidget(parent)
-    parent.resize(500, 400)
-    loupe = Loupe(parent)
-    loupe.set_pixels(np.full((50, 60, 4), 200, np.uint8))
-    for cursor in (QPointF(2, 2), QPointF(498, 398), QPointF(498, 2), QPointF(250, 200)):
-        loupe.show_at(cursor, (10.0, 12.0))
-        assert parent.rect().contains(loupe.geometry())
-        assert not loupe.geometry().contains(cursor.toPoint())
-    assert loupe.text() == "10.0  12.0"
 
 
 ROWS = [
