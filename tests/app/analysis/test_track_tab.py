@@ -91,12 +91,14 @@ def test_the_cup_is_found_followed_exported_lost_and_found_again(qtbot, tab, sou
     rows = list(csv.DictReader((tmp_path / "poses.csv").read_text(encoding="utf-8").splitlines()))
     assert [int(row["sequence"]) for row in rows] == [PRESSED - 1, PRESSED, PRESSED + 1]
     assert float(rows[-1]["position_error_mm"]) < 2
+    poses_are_published_also_behind_another_tab(qtbot, tab, source)
+    tab.main.analysis.window.open_on("track")
+    tab.main.worker.pause()
     tab.main.worker.seek(0)
     qtbot.waitUntil(lambda: tab.tracked.estimate.lost)
     assert tab.pose.text() == ""
     tab.main.worker.seek(PRESSED)
     qtbot.waitUntil(lambda: not tab.tracked.estimate.lost)
-    poses_are_published_also_behind_another_tab(qtbot, tab, source)
 
 
 def test_a_search_can_be_given_up(qtbot, tab, monkeypatch):

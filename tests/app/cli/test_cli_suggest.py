@@ -42,7 +42,7 @@ def test_each_proposal_is_printed_and_all_are_written(tactune: Tactune, spoiled:
 
 
 def test_a_section_without_evidence_is_refused_with_the_remedy(tactune: Tactune, tmp_path: Path) -> None:
-    with open_source("sim:cup?press=low&sensor=datasheet") as source:
+    with open_source("sim:octopus?press=low&sensor=datasheet") as source:
         export_folder(source, tmp_path / "pressed", frames=1)
     save_preset(load_preset("simulator").with_value("mask.enabled", False), tmp_path / "bare.json")
     named = ("preset", "suggest", "--source", f"folder:{tmp_path / 'pressed'}", "--preset", tmp_path / "bare.json")

@@ -53,7 +53,7 @@ def test_a_pressed_frame_alone_gives_a_mask(evidence, suggest):
 
 def test_small_contacts_that_look_like_prints_are_refused(evidence, suggest):
     with pytest.raises(AdviceError, match="capture an untouched frame"):
-        suggest("mask", evidence(NO_MASK, "sim:cup?press=low", untouched=False))
+        suggest("mask", evidence(NO_MASK, "sim:octopus?press=low", untouched=False))
 
 
 def test_a_mask_that_does_as_well_is_kept(evidence, suggest):
