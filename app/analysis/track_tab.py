@@ -23,7 +23,7 @@ from ...core.model.arrays import Float64Array, Uint8Array
 from ...core.sources.simulator.names import read_name, source_options
 from ...core.sources.simulator.scenes import resolve_scene
 from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_ROW, patch_lut
-from ...widgets.basics.controls import AccentButton, push_button, wrapped_label
+from ...widgets.basics.controls import choice_button, push_button, wrapped_label
 from ...widgets.basics.layouts import STRETCH, hbox, splitter, vbox
 from ...widgets.basics.messages import Severity
 from ...widgets.basics.theme import theme_colors, theme_name
@@ -138,7 +138,7 @@ class TrackTab(LiveTab):
         self._loading = Job(self)
         self.open_button = push_button("&Open mesh…", "Open the object's mesh: OBJ, PLY or STL")
         self.simulated = push_button("&Simulated object", "Use the mesh of the object that the simulator presses")
-        self.track_button = AccentButton(
+        self.track_button = choice_button(
             "Find and trac&k", "Find the object in any orientation by its patch, then track it from frame to frame"
         )
         self.guide = wrapped_label(verdict=True)

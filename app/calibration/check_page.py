@@ -12,7 +12,7 @@ from ...core.calibration.recheck import present_error_px
 from ...core.contact.checks import rig_in_use
 from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import AlignmentSection
-from ...widgets.basics.controls import AccentButton, caption, wrapped_label
+from ...widgets.basics.controls import caption, choice_button, wrapped_label
 from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.images.point_image import PointImage
 from ..document.document import Document
@@ -41,8 +41,8 @@ class CheckPage(QWidget):
         self.share.setValue(50)
         self.share.setToolTip("Share of the tactile image: nothing on the membrane may move as it changes")
         self.which = QButtonGroup(self)
-        new = AccentButton("New", "Overlay the images with the new alignment")
-        present = AccentButton("Present", "Overlay the images with the preset's present alignment")
+        new = choice_button("New", "Overlay the images with the new alignment")
+        present = choice_button("Present", "Overlay the images with the preset's present alignment")
         self.which.addButton(new, 0)
         self.which.addButton(present, 1)
         new.setChecked(True)

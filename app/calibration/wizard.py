@@ -18,7 +18,7 @@ from ...core.calibration.recheck import is_worse, present_error_px
 from ...core.calibration.report import grade
 from ...core.errors import TactuneError, counted
 from ...core.model.alignment import SnapshotRecord
-from ...widgets.basics.controls import AccentButton, push_button, wrapped_label
+from ...widgets.basics.controls import choice_button, push_button, wrapped_label
 from ...widgets.basics.dialogs import Dialogs, bring_up
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ...widgets.basics.messages import Messages, Severity
@@ -99,7 +99,7 @@ class CalibrationWizard(QDialog):
         self.steps = QButtonGroup(self)
         buttons = []
         for number, (name, tip) in enumerate(zip(STEPS, _TIPS, strict=True)):
-            button = AccentButton(f"{number + 1}  {name}", f"{tip} (Ctrl+{number + 1})")
+            button = choice_button(f"{number + 1}  {name}", f"{tip} (Ctrl+{number + 1})")
             button.setMinimumHeight(30)
             button.setMinimumWidth(124)
             self.steps.addButton(button, number)

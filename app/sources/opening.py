@@ -72,7 +72,6 @@ class OpenDialog(QDialog):
 
     def show_progress(self, share: float, words: str) -> None:
         """Show how far the source is opened."""
-        self.progress.setRange(0, 100 if share > 0 else 0)
         self.progress.show_share(share, words or "Opening…")
 
     def show_failure(self, sentence: str) -> None:

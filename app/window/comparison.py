@@ -16,7 +16,7 @@ from ...core.errors import TactuneError
 from ...core.preset import Preset
 from ...core.preset.file import shipped_presets
 from ...core.sources.presets import load_preset
-from ...widgets.basics.controls import AccentButton, caption, push_button, wrapped_label
+from ...widgets.basics.controls import caption, choice_button, push_button, wrapped_label
 from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.basics.messages import Severity
 from ...widgets.basics.record_table import Column, RecordTable
@@ -95,7 +95,7 @@ class ComparisonPanel(QWidget):
         self._numbers_s = 0.0
         self.boxes = self._side_box(0), self._side_box(1)
         self.use = push_button("Use A", ""), push_button("Use B", "")
-        self.modes = {mode: AccentButton(mode.value.capitalize(), _MODE_TIPS[mode]) for mode in Shown}
+        self.modes = {mode: choice_button(mode.value.capitalize(), _MODE_TIPS[mode]) for mode in Shown}
         self.numbers: dict[tuple[str, int], QLabel] = {}
         self.heading = QLabel()
         self.problem = wrapped_label()

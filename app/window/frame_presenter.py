@@ -136,8 +136,7 @@ class FramePresenter(QObject):
             self._strip.set_images(strip, None if compared is None else compared.b.rendered.strip)
         histogram = result.rendered.histogram
         if histogram is not None:  # the worker counts less often than frames come
-            limit = self._context.document.preset.value(histogram.field)
-            self._panel.set_histogram(histogram.field, histogram.counts, histogram.edges, limit, histogram.known)
+            self._panel.set_histogram(histogram.field, histogram.counts, histogram.edges, histogram.known)
         now = time.perf_counter()
         if not result.playback.playing or now - self._read_s >= READING_INTERVAL_S:
             self._read_s = now

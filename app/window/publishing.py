@@ -23,7 +23,7 @@ from PyQt6.QtWidgets import (
 
 from ...core.errors import counted
 from ...core.output.connections import LOOPBACK, Connections
-from ...widgets.basics.controls import AccentButton, NoteLabel, caption, dialog_buttons
+from ...widgets.basics.controls import NoteLabel, caption, choice_button, dialog_buttons
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.layouts import STRETCH, vbox
 from ..context import Context
@@ -65,7 +65,9 @@ class PublishWindow(QDialog):
             grid.addWidget(editor, row, 2)
         grid.setColumnStretch(2, 1)
         self.note = NoteLabel(lines=2)
-        self.start = AccentButton("&Start publishing", "Let clients connect, or disconnect them all and stop listening")
+        self.start = choice_button(
+            "&Start publishing", "Let clients connect, or disconnect them all and stop listening"
+        )
         self.state = NoteLabel(_OFF, lines=4)
         self.state.setAccessibleName("Who listens")
         buttons = dialog_buttons(QDialogButtonBox.StandardButton.Close)

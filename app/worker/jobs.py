@@ -140,8 +140,6 @@ class JobRow(QWidget):
         self.hide()
 
     def _show(self, share: float, words: str) -> None:
-        """Show a share, 0 to 1, and the step; a share of 0 means unknown."""
-        self.bar.setRange(0, 100 if share > 0 else 0)
         self.bar.show_share(share, words)
         self.setVisible(share < 1)
 

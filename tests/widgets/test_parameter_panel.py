@@ -183,7 +183,7 @@ def test_dragging_a_line_of_the_histogram_edits_the_tolerance(
     qapp: QApplication, panel: ParameterPanel, seen: Recorder
 ) -> None:
     panel.set_preset(Preset(contact_test="tolerance"))
-    panel.set_histogram("tolerance.t", np.ones(40), np.linspace(-0.1, 0.1, 41), 0.03, 40)
+    panel.set_histogram("tolerance.t", np.ones(40), np.linspace(-0.1, 0.1, 41), 40)
     qapp.processEvents()
     plot = panel.histograms["tolerance.t"].plot_widget
     box = plot.getPlotItem().getViewBox()

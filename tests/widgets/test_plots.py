@@ -23,7 +23,7 @@ def histogram(qtbot, qapp) -> LimitHistogram:
     widget.resize(320, 120)
     widget.show()
     qtbot.waitExposed(widget)
-    widget.set_data(np.arange(40), EDGES, 0.03)
+    widget.set_data(np.arange(40), EDGES)
     qapp.processEvents()
     return widget
 
@@ -44,7 +44,7 @@ def drag(histogram: LimitHistogram, start: float, *targets: float) -> None:
 
 def test_the_caption_tells_the_share_within_the_lines(histogram: LimitHistogram) -> None:
     assert "%" not in histogram.caption()
-    histogram.set_data(np.full(40, 20), EDGES, 0.03, known=1000)
+    histogram.set_data(np.full(40, 20), EDGES, known=1000)
     assert histogram.caption() == "24.0 % within t"  # 12 of 40 bars, and 200 values beyond them
     drag(histogram, 3.0, 6.0)
     share = float(histogram.caption().split()[0])

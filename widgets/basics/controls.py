@@ -47,14 +47,11 @@ def push_button(text: str, tip: str, shortcut: str = "") -> QPushButton:
     return button
 
 
-class AccentButton(QPushButton):
-    """A checkable button; the style fills checked ones with the accent colour."""
-
-    def __init__(self, text: str, tip: str) -> None:
-        super().__init__(text)
-        self.setCheckable(True)
-        self.setAutoDefault(False)
-        self.setToolTip(tip)
+def choice_button(text: str, tip: str) -> QPushButton:
+    """Return a checkable button; the style fills checked ones with the accent colour."""
+    button = push_button(text, tip)
+    button.setCheckable(True)
+    return button
 
 
 def tool_button(text: str, tip: str, name: str = "", *, icon_name: str = "", checkable: bool = False) -> QToolButton:
@@ -241,10 +238,11 @@ class ProgressBar(QProgressBar):
         self.setRange(0, 100)
 
     def show_share(self, share: float, words: str | None = None) -> None:
-        """Show a share, 0 to 1, and the step, or keep the words."""
+        """Show a share, 0 to 1, where 0 means unknown, and the step, or keep the words."""
         if words is not None and words != self._words:
             self._words = words
             self.updateGeometry()
+        self.setRange(0, 100 if share > 0 else 0)
         self.setValue(round(100 * share))
         self.update()
 
@@ -276,7 +274,6 @@ class ProgressCard(QFrame):
     def show_share(self, share: float, words: str) -> None:
         """Show a share, 0 to 1, and the step; a share of 0 means unknown."""
         self._words.setText(words)
-        self._bar.setRange(0, 100 if share > 0 else 0)
         self._bar.setTextVisible(share > 0)
         self._bar.show_share(share)
         self.show()

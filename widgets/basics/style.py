@@ -43,7 +43,7 @@ _SHEET: Final = Template("""
 QPushButton, QToolButton[autoRaise="false"] {
     background: $button; border: 1px solid $outline; border-radius: 4px; padding: 2px 8px; }
 QToolButton[autoRaise="false"] { padding: 1px 2px; }
-.QPushButton, .AccentButton { min-width: 62px; }
+.QPushButton { min-width: 62px; }
 .QPushButton[wide="true"] { min-width: 102px; }
 QPushButton:focus, QToolButton[autoRaise="false"]:focus { border-color: $focus; }
 QPushButton[flat="true"] { background: transparent; border: none; }

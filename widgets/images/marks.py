@@ -8,6 +8,7 @@ from enum import StrEnum
 from math import atan2, cos, hypot, sin
 from typing import Any, Final
 
+import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import QObject, QPointF, QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF, QTransform
@@ -195,7 +196,6 @@ class RegionItem(QObject):
         super().__init__(pane)
         self._pane = pane
         self.rectangle: Rectangle | None = None
-        self._showing = False
         self._clock = GestureClock()
         pen = pg.mkPen(ACCENT, width=2)
         lit = pg.mkPen("w", width=2)
@@ -224,35 +224,24 @@ class RegionItem(QObject):
         if self.rectangle is None:
             return
         left, top, width, height = self.rectangle
-        self._showing = True
         self.roi.setPos((left - 0.5, top - 0.5), update=False)
-        self.roi.setSize((width, height))
-        self._showing = False
+        self.roi.setSize((width, height), finish=False)
 
     def _changed(self, *_: Any) -> None:
-        if self._showing or not self._clock.held:
-            return
         rectangle = self._rounded()
-        if rectangle != self.rectangle:
+        if self._clock.held and rectangle != self.rectangle:
             self.rectangle = rectangle
             self.edited.emit(rectangle, self._clock.number())
 
     def _finished(self, *_: Any) -> None:
-        if not self._showing:
-            self._clock.release()
-            self._show()
+        self._clock.release()
+        self._show()
 
     def _rounded(self) -> Rectangle:
         """Return the dragged rectangle in whole pixels, cut to the image."""
-        limit = self._pane.image_rect()
-        position, size = self.roi.pos(), self.roi.size()
-        ends = []
-        for start, length, extent in (
-            (position.x(), size.x(), int(limit.width())),
-            (position.y(), size.y(), int(limit.height())),
-        ):
-            low, high = sorted((start + 0.5, start + length + 0.5))
-            first = min(max(round(low), 0), extent - 1)
-            ends.append((first, max(1, min(round(high), extent) - first)))
-        (left, width), (top, height) = ends
-        return left, top, width, height
+        extents = self._pane.image_rect().size().toSize()
+        starts, lengths = np.array(self.roi.pos()) + 0.5, np.array(self.roi.size())
+        ends = np.sort([starts, starts + lengths], axis=0)
+        (left, top), (right, bottom) = np.rint(ends).astype(int).tolist()
+        left, top = min(max(left, 0), extents.width() - 1), min(max(top, 0), extents.height() - 1)
+        return left, top, max(1, min(right, extents.width()) - left), max(1, min(bottom, extents.height()) - top)

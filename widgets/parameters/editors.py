@@ -36,11 +36,10 @@ class NumberEntry(QAbstractSpinBox):
     edited = pyqtSignal(object, int)  # value, gesture
     refused = pyqtSignal(str)  # sentence: what was typed is no number or out of bounds; the old value stays
 
-    def __init__(self, spec: FieldSpec, *, title: str = "", shows_unit: bool = True) -> None:
+    def __init__(self, spec: FieldSpec, *, title: str) -> None:
         super().__init__()
         self._spec = spec
-        self._suffix = spec.suffix if shows_unit else ""
-        self._title = title or spec.title
+        self._title = title
         self._value: float | int = round(spec.slider[0]) if spec.integer else spec.slider[0]
         self._typing = False
         self._clock = GestureClock()
@@ -85,7 +84,7 @@ class NumberEntry(QAbstractSpinBox):
     def sizeHint(self) -> QSize:
         spec = self._spec
         ends = (*spec.slider, -spec.step if spec.minimum < 0 else spec.step)
-        texts = [f"{end * spec.factor:.{spec.decimals}f}{self._suffix}" for end in ends]
+        texts = [f"{end * spec.factor:.{spec.decimals}f}" for end in ends]
         around = 32 if self.buttonSymbols() != QAbstractSpinBox.ButtonSymbols.NoButtons else 8
         return QSize(max(map(self.fontMetrics().horizontalAdvance, texts)) + around, super().sizeHint().height())
 
@@ -131,7 +130,7 @@ class NumberEntry(QAbstractSpinBox):
 
     def _show_value(self) -> None:
         self._typing = False
-        self._edit.setText(self._spec.bare(self._value) + self._suffix)
+        self._edit.setText(self._spec.bare(self._value))
         self._edit.setCursorPosition(0)
         exact = format_number(self._value * self._spec.factor, 15)
         rounded = "" if exact == self._spec.bare(self._value) else f"Exactly {minus(exact)}{self._spec.suffix}. "
@@ -192,7 +191,7 @@ class NumbersEditor(QWidget):
     def __init__(self, spec: FieldSpec) -> None:
         super().__init__()
         self.spec = spec
-        self.entries = [NumberEntry(spec, title=spec.title + name, shows_unit=False) for name in _NAMES[spec.kind]]
+        self.entries = [NumberEntry(spec, title=spec.title + name) for name in _NAMES[spec.kind]]
         self.entry = self.entries[0]
         self.slider: Slider | None = None
         for entry in self.entries:

@@ -159,11 +159,9 @@ class ParameterPanel(QScrollArea):
             self._median_m = distance_m
             self._show_tolerance_mm()
 
-    def set_histogram(
-        self, path: str, counts: AnyArray, edges: npt.NDArray[np.floating], limit: float, known: int
-    ) -> None:
+    def set_histogram(self, path: str, counts: AnyArray, edges: npt.NDArray[np.floating], known: int) -> None:
         """Show what the field at ``path`` limits in the latest frame; parameters as of `LimitHistogram.set_data`."""
-        self.histograms[path].set_data(counts, edges, limit, known)
+        self.histograms[path].set_data(counts, edges, known)
 
     def open_histograms(self) -> frozenset[str]:
         return frozenset(path for path in self.histograms if not self.sections[_section_of(path)].collapsed)

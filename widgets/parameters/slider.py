@@ -248,11 +248,11 @@ class Slider(QWidget):
             painter.setBrush(gradient)
             painter.drawRoundedRect(groove, 3, 3)
             faded = QColor(colors.window)
-            faded.setAlpha(190 if enabled else 220)
+            faded.setAlpha(200)
             for ends in outside if enabled else [(left, left + length)]:
                 painter.fillRect(span(*ends), faded)
             painter.setBrush(Qt.BrushStyle.NoBrush)
-            painter.setPen(QPen(accent, 1.5) if enabled else QPen(Qt.PenStyle.NoPen))
+            painter.setPen(QPen(accent, 1.5))
         else:
             painter.setBrush(QColor(colors.outline if enabled else colors.border))
             painter.drawRoundedRect(groove, height / 2, height / 2)

@@ -91,23 +91,15 @@ class LimitHistogram(QWidget):
         self._place_lines()
         self.plot_widget.follow_theme(self._recolor)
 
-    def set_data(
-        self, counts: AnyArray, edges: npt.NDArray[np.floating], limit: float | None = None, known: int = 0
-    ) -> None:
-        """Show counts, (N,), between increasing edges, (N + 1,); ``known`` counts the values beyond them too.
-
-        ``limit`` moves the lines, unless one is being dragged.
-        """
+    def set_data(self, counts: AnyArray, edges: npt.NDArray[np.floating], known: int = 0) -> None:
+        """Show counts, (N,), between increasing edges, (N + 1,); ``known`` counts the values beyond them too."""
         self._known = known
         self._counts = np.asarray(counts, dtype=np.float64)
         self._edges = np.asarray(edges, dtype=np.float64)
-        if limit is not None and not self._dragging():
-            self._limit = limit
-            self._place_lines()
         self._draw()
 
     def set_limit(self, limit: float) -> None:
-        if limit != self._limit:
+        if limit != self._limit and not self._dragging():
             self._limit = limit
             self._place_lines()
             self._draw()

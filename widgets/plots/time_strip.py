@@ -50,41 +50,40 @@ _MIN_FRAMES = 10
 class _StripPlot(Plot):
     """The left button seeks, wheel and middle button zoom and pan along the time."""
 
-    sought = pyqtSignal(float)
-    held = pyqtSignal(bool)
-    hovered = pyqtSignal(float)
-    left = pyqtSignal()
-    opened = pyqtSignal(float)
+    def __init__(self, strip: TimeStrip) -> None:
+        super().__init__(unit="s")
+        self._strip = strip
 
-    def time_at(self, position: QPointF) -> float:
-        return float(self.getPlotItem().getViewBox().mapSceneToView(self.mapToScene(position.toPoint())).x())
+    def time_at(self, event: QMouseEvent) -> float:
+        place = self.mapToScene(event.position().toPoint())
+        return float(self.getPlotItem().getViewBox().mapSceneToView(place).x())
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
-        if event.button() != Qt.MouseButton.LeftButton:
+        if event.button() == Qt.MouseButton.LeftButton:
+            self._strip.hold(True)
+            self._strip.seek(self.time_at(event))
+        else:
             super().mousePressEvent(event)
-            return
-        self.held.emit(True)
-        self.sought.emit(self.time_at(event.position()))
 
     def mouseMoveEvent(self, event: QMouseEvent) -> None:
-        self.hovered.emit(self.time_at(event.position()))
+        self._strip.hover(self.time_at(event))
         if event.buttons() & Qt.MouseButton.LeftButton:
-            self.sought.emit(self.time_at(event.position()))
+            self._strip.seek(self.time_at(event))
         else:
             super().mouseMoveEvent(event)
 
     def mouseReleaseEvent(self, event: QMouseEvent) -> None:
         if event.button() == Qt.MouseButton.LeftButton:
-            self.held.emit(False)
+            self._strip.hold(False)
         else:
             super().mouseReleaseEvent(event)
 
-    def mouseDoubleClickEvent(self, event: QMouseEvent) -> None:
-        self.opened.emit(self.time_at(event.position()))
+    def mouseDoubleClickEvent(self, _: QMouseEvent) -> None:
+        self._strip.show_all()
 
     def leaveEvent(self, event: QEvent) -> None:
         super().leaveEvent(event)
-        self.left.emit()
+        self._strip.show_words()
 
 
 class TimeStrip(QWidget):
@@ -106,7 +105,7 @@ class TimeStrip(QWidget):
         self._words = ""
         self._dragging = False
         self.curve_box = self._make_curve_box()
-        self.plot_widget = _StripPlot(unit="s")
+        self.plot_widget = _StripPlot(self)
         self._make_plot()
         self._buttons = hbox(STRETCH, spacing=0)
         side = vbox(self.curve_box, self._buttons, STRETCH, spacing=4)
@@ -133,11 +132,6 @@ class TimeStrip(QWidget):
         view.setMouseTracking(True)
         view.setAccessibleName("Time strip")
         view.setToolTip("Click or drag to seek, wheel to zoom, middle button to pan, double click to see everything.")
-        view.sought.connect(self._seek)
-        view.held.connect(self._hold)
-        view.hovered.connect(self._hover)
-        view.left.connect(self._show_words)
-        view.opened.connect(lambda _: self.show_all())
         plot = self._plot = view.getPlotItem()
         plot.setMouseEnabled(x=True, y=False)
         plot.setContentsMargins(0, 4, 8, 0)
@@ -205,7 +199,7 @@ class TimeStrip(QWidget):
     def set_words(self, words: str) -> None:
         """Show progress or a problem while nothing is hovered."""
         self._words = words
-        self._show_words()
+        self.show_words()
 
     @property
     def words(self) -> str:
@@ -230,7 +224,7 @@ class TimeStrip(QWidget):
 
     def _choose(self) -> None:
         self._draw()
-        self._show_words()
+        self.show_words()
         self.curveChosen.emit(self.curve.key)
 
     def _draw(self) -> None:
@@ -266,12 +260,12 @@ class TimeStrip(QWidget):
     def _frame_at(self, time_s: float) -> int:
         return int(np.abs(self._seconds - time_s).argmin())
 
-    def _hold(self, held: bool) -> None:
+    def hold(self, held: bool) -> None:
         if not self._live:
             self._dragging = held
             self.held.emit(held)
 
-    def _seek(self, time_s: float) -> None:
+    def seek(self, time_s: float) -> None:
         if not len(self._seconds) or self._live:
             return
         index = self._frame_at(time_s)
@@ -280,7 +274,7 @@ class TimeStrip(QWidget):
             self._place_cursor()
             self.seekRequested.emit(index)
 
-    def _hover(self, time_s: float) -> None:
+    def hover(self, time_s: float) -> None:
         if not len(self._seconds):
             return
         index, curve = self._frame_at(time_s), self.curve
@@ -289,7 +283,7 @@ class TimeStrip(QWidget):
         place = f"{self._seconds[index]:.1f} s" + ("" if self._live else f", frame {index + 1}")
         self._write(f"{place}: {known}")
 
-    def _show_words(self) -> None:
+    def show_words(self) -> None:
         overlap = self._values.get("iou") if self.curve.key == "iou" else None
         empty = overlap is not None and bool(self._computed.any()) and not np.isfinite(overlap).any()
         self._write(self._words or (_NO_TRUTH if empty else ""))
