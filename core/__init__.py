@@ -6,8 +6,13 @@ reading a preset does not load the compiled kernels.
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+
+# OpenCV reads these when it is loaded. A damaged JPEG of 1 kB may claim gigapixels, which it would fill with grey.
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**26))
+os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # messages of ours say what is wrong with an image
 
 if TYPE_CHECKING:
     from .calibration import calibrate as calibrate

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from ...core.errors import ExportError, counted
+from ...core.errors import ExportError, PresetError, counted
 from .common import (
     CliProgress,
     FrameCount,
     TopicsOption,
+    default_preset,
+    find_rig,
     live_frames,
     number_of_frames,
     open_with_progress,
@@ -70,33 +72,85 @@ def record(
         typer.echo(f"recorded {counted(status.frames, 'frame')} of {opened.name}, {size}, into {out}")
 
 
+#: What ``convert`` writes, by the ends of names; anything else is a folder of images.
+_KINDS = {".mcap": "mcap", ".h5": "hdf5", ".hdf5": "hdf5", ".urdf": "urdf", ".xacro": "urdf", ".launch.yaml": "ros"}
+_CALIBRATIONS = ("ros", "kalibr", "urdf")
+
+
 def convert(
     *,
-    source: Annotated[str, typer.Argument(metavar="SOURCE", help="A recording of any kind, or the simulator.")],
-    target: Annotated[
-        Path, typer.Argument(metavar="FILE.mcap|DIR", help="A .mcap, or a new folder for PNG images with rig.json.")
+    source: Annotated[
+        str, typer.Argument(metavar="SOURCE", help="A recording of any kind, or the simulator; a preset or rig.json.")
     ],
+    target: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE|DIR",
+            help="A recording as .mcap, as .h5, or as a new folder of PNG images; a calibration as .urdf, .xacro, "
+            ".launch.yaml of static transforms, or camchain.yaml of Kalibr.",
+        ),
+    ],
+    to: Annotated[
+        Literal["mcap", "folder", "hdf5", "ros", "kalibr", "urdf"] | None,
+        typer.Option(help="What to write, where the target's name does not tell."),
+    ] = None,
     topics: TopicsOption = None,
     preset: _Preset = None,
     frames: FrameCount = None,
 ) -> None:
-    """Convert any recording to MCAP or to a folder of PNG images, without loss."""
+    """Convert a recording, or the calibration of a preset or recording, to files of other tools."""
+    kind = to or _kind_of(target)
+    if kind != "folder":
+        refuse_existing(target)
+    if kind in _CALIBRATIONS:
+        _convert_calibration(with_topics(source, topics), target, kind, preset)
+    else:
+        _convert_recording(with_topics(source, topics), target, kind, preset, frames)
+
+
+def _kind_of(target: Path) -> str:
+    """Return what a target's name says that it is."""
+    if target.suffix in (".bag", ".db3"):  # such a name would become a folder
+        raise ExportError(f"cannot write {target}: {target.suffix} is read only; name a .mcap or a folder")
+    if "camchain" in target.name:
+        return "kalibr"
+    kind = next((kind for suffix, kind in _KINDS.items() if target.name.lower().endswith(suffix)), None)
+    if kind is None and target.suffix in (".yaml", ".yml"):
+        raise ExportError(f"{target} may be many things; add --to ros for static transforms, or --to kalibr")
+    return kind or "folder"
+
+
+def _convert_calibration(source: str, target: Path, kind: str, preset: str | None) -> None:
+    """Write the calibration of a rig: as a preset states it, or the rig of a recording by itself."""
+    from ...core.output.calibration_files import export_calibration
+    from ...core.preset.file import shipped_presets
+    from ...core.sources.presets import load_preset
+
+    origin = preset or default_preset(source)
+    path = Path(source)
+    is_preset = source in shipped_presets() or (path.is_file() and path.suffix == ".json" and path.name != "rig.json")
+    if is_preset and preset is None:
+        origin = source
+    chosen = load_preset(origin)
+    rig = chosen.rig if is_preset else find_rig(source)
+    if rig is None:
+        raise PresetError(f"the preset {source} serves any rig and names none; give a recording, and --preset {source}")
+    export_calibration(target, kind, rig, chosen)
+    own = chosen.alignment.rigid.T_proximity_tactile is not None
+    typer.echo(f"wrote the pose of {f'the preset {chosen.name}' if own else 'the rig, which no preset replaces'}")
+    typer.echo(f"wrote {target}")
+
+
+def _convert_recording(source: str, target: Path, kind: str, preset: str | None, frames: int | None) -> None:
+    """Write the frames of a source, without loss."""
+    from ...core.output.hdf5 import export_hdf5
     from ...core.output.writer import export_mcap
     from ...core.sources.folder import export_folder
     from ...core.sources.mcap.source import McapSource
     from ...core.sources.presets import load_preset
 
-    if target.suffix in (".bag", ".db3"):  # such a name would become a folder
-        raise ExportError(f"cannot write {target}: {target.suffix} is read only; name a .mcap or a folder")
-    to_mcap = target.suffix == ".mcap"
-    if to_mcap:
-        refuse_existing(target)
     kept = None if preset is None else load_preset(preset)
-    with (
-        open_with_progress(with_topics(source, topics)) as opened,
-        CliProgress() as progress,
-        stop_on_signals() as stopped,
-    ):
+    with open_with_progress(source) as opened, CliProgress() as progress, stop_on_signals() as stopped:
         if kept is None and isinstance(opened, McapSource):
             kept = opened.preset()
 
@@ -105,13 +159,17 @@ def convert(
                 raise KeyboardInterrupt  # also for SIGTERM: the writers remove what is not complete
             progress.frames(round(share * 100), 100)
 
-        if to_mcap:
-            untouched = _untouched(kept, preset, opened)
+        untouched = None if kind == "folder" else _untouched(kept, preset, opened)
+        if kind == "mcap":
             count = export_mcap(opened, target, frames, preset=kept, untouched=untouched, progress=show, exclusive=True)
+        elif kind == "hdf5":
+            count = export_hdf5(opened, target, frames, untouched=untouched, progress=show)
         else:
             count = export_folder(opened, target, frames, show)
-            if kept is not None:
-                warn(f"a folder cannot hold a preset; {kept.name!r} was not written")
+        if kept is not None and kind != "mcap":
+            warn(
+                f"a {'folder' if kind == 'folder' else 'HDF5 file'} cannot hold a preset; {kept.name!r} was not written"
+            )
         if opened.health().message:
             warn(opened.health().message)
         if isinstance(opened, McapSource) and opened.has_poses:

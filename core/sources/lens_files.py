@@ -96,8 +96,10 @@ def read_lenses(path: Path) -> list[StatedLens]:
 
 
 def choose_lens(lenses: Sequence[StatedLens], role: str, size: tuple[int, int]) -> StatedLens:
-    """Return the camera of a file that is meant: by its name, else the only one of this image size."""
-    named = [lens for lens in lenses if role in lens.name]
+    """Return the camera of a file that is meant: by its name or topic, else the only one of this image size."""
+    words = ("proximity", "color") if role == "colour" else (role, "depth")
+    named = [lens for lens in lenses if all(word in lens.name for word in words)]
+    named = named or [lens for lens in lenses if words[0] in lens.name]
     fitting = named or [lens for lens in lenses if lens.size in (None, size)] or list(lenses)
     if len(fitting) > 1:
         path, names = lenses[0].path, [lens.name.split(" ")[0] for lens in lenses]

@@ -13,8 +13,10 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
+from xml.etree import ElementTree
 
 import cv2
+import h5py
 import numpy as np
 from PyQt6.QtCore import QCoreApplication, Qt
 from PyQt6.QtGui import QImage
@@ -46,14 +48,17 @@ from tactune.core.model.frames import TrueStrain
 from tactune.core.model.rig_file import load_rig
 from tactune.core.output import SessionWriter
 from tactune.core.output.bag import PatchWriter
+from tactune.core.output.calibration_files import export_calibration
 from tactune.core.output.cloud_files import write_cloud
 from tactune.core.output.foxglove import save_layout
+from tactune.core.output.hdf5 import export_hdf5
 from tactune.core.output.writer import export_mcap
 from tactune.core.preset import Preset
 from tactune.core.preset.file import save_preset
 from tactune.core.rig.untouched import load_untouched, save_untouched
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.folder_images import write_rig
+from tactune.core.sources.lens_files import read_lenses
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scene import CleanState, PressFacts, simulator_rig
 from tactune.core.sources.simulator.source import SolvedScene, load_scene, save_scene
@@ -82,7 +87,7 @@ class Kind:
     read : callable or None
         Read what is in the folder; False, or a `TactuneError`, where it is refused. None: the product does not read it.
     damaged : int
-        Number of damaged files to try.
+        Number of damaged files to try; 0 if only tests read it.
     ours : bool
         Whether the product writes it.
     grows : bool
@@ -293,6 +298,65 @@ def cloud(name: str) -> Kind:
     return Kind(lambda f, n: write_cloud(f / name, CLOUDS[n]))
 
 
+def read_hdf5(folder: Path) -> None:
+    for path in folder.glob("*.h5"):
+        with h5py.File(path) as file:
+            assert len(file["sequence"]) == len(file["tactile/depth"]) == len(FRAMES)
+
+
+def read_urdf(folder: Path) -> None:
+    for path in folder.glob("*.urdf"):
+        assert ElementTree.parse(path).getroot().tag == "robot"
+
+
+#: Depth in four forms, colour in two: numbered files of other programs.
+FOREIGN = {
+    f"{n}_{name}": image
+    for n in (1, 2)
+    for name, image in {
+        "proximity_depth.tiff": np.linspace(0.2, 0.4, 35, dtype=np.float32).reshape(5, 7),
+        "tactile_depth.pgm": FRAMES[0].tactile_depth,
+        "proximity_rgb.bmp": FRAMES[0].proximity_color,
+        "tactile_color.png": np.dstack([FRAMES[0].tactile_color, FRAMES[0].tactile_color[..., :1]]),
+    }.items()
+}
+
+
+def foreign_folder(folder: Path, n: int) -> None:
+    write_rig(folder, RIG)
+    for name, image in FOREIGN.items():
+        cv2.imwrite(str(folder / name), image)
+    (folder / "associations.txt").write_text("1.5 1_proximity_depth.tiff 1.5 1_tactile_depth.pgm\n")
+
+
+def npy_folder(folder: Path, n: int) -> None:
+    write_rig(folder, RIG)
+    np.save(folder / "proximity_depth.npy", FRAMES[0].proximity_depth)
+    np.save(folder / "tactile_depth.npy", FRAMES[0].tactile_depth.astype(np.float32) * 1e-4)
+
+
+def lens_file(name: str) -> Kind:
+    """A lens as OpenCV writes it."""
+
+    def write(folder: Path, n: int) -> None:
+        file = cv2.FileStorage(str(folder / name), cv2.FILE_STORAGE_WRITE)
+        file.write("camera_matrix", np.array([[30, 0, 15.5], [0, 31, 11.5], [0, 0, 1.0]]))
+        file.write("distortion_coefficients", np.array([0.1, -0.05, 0.001, 0.002, 0.01]))
+        file.release()
+
+    return Kind(write, lambda folder: read_lenses(folder / name)[0].lens((32, 24)), ours=False)
+
+
+def camchain(folder: Path, n: int) -> None:
+    export_calibration(fresh(folder, ".yaml"), "kalibr", RIG.model_copy(update={"tactile": RIG.proximity}))
+
+
+def read_camchain(folder: Path) -> None:
+    for path in folder.glob("[!.]*.yaml"):
+        for lens in read_lenses(path):
+            lens.lens(lens.size or (7, 5))
+
+
 PICTURE = QImage(64, 64, QImage.Format.Format_RGB32)
 POINTS = [PAIR.model_copy(update={"id": str(k)}) for k in range(50)]
 SCENE = table.Scene("cup", "low")
@@ -310,6 +374,13 @@ KINDS: dict[str, Kind] = {
     "untouched frame": Kind(write_untouched, read_untouched),
     "rig": Kind(lambda f, n: write_rig(fresh(f), RIG), read_rigs, 600),
     "folder": Kind(lambda f, n: export_folder(ListSource(FRAMES), fresh(f)), play_all),
+    "foreign folder": Kind(foreign_folder, play, ours=False),
+    "folder of arrays": Kind(npy_folder, play, ours=False),
+    **{f"lens.{suffix}": lens_file(f"a.{suffix}") for suffix in ("yaml", "xml", "json")},
+    "lens.txt": Kind(text("a.txt", "30 0 15\n0 31 11\n0 0 1\n"), lambda f: read_lenses(f / "a.txt"), 100, ours=False),
+    "camchain": Kind(camchain, read_camchain, 100),
+    "URDF": Kind(lambda f, n: export_calibration(fresh(f, ".urdf"), "urdf", RIG), read_urdf, 0),
+    "HDF5": Kind(lambda f, n: export_hdf5(ListSource(FRAMES), fresh(f, ".h5")), read_hdf5, 0),
     "recording": Kind(record, play_all, 400, grows=True),
     "converted recording": Kind(lambda f, n: export_mcap(ListSource(FRAMES[n:]), f / "a.mcap"), play_all, 100),
     "patches": Kind(write_patches, grows=True),

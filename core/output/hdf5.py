@@ -1,0 +1,128 @@
+"""Recordings as HDF5, for learning and analysis: one chunk an image, lossless.
+
+::
+
+    /                     attributes rig (JSON as in rig.json), rate_hz, T_proximity_tactile (4 x 4, if known)
+    /sequence             int64 (N)
+    /proximity/depth      uint16 (N, H, W), counts; attributes unit_m, K (3 x 3), distortion, coefficients
+    /proximity/color      uint8 (N, H, W, 3), RGB; attributes K, distortion, coefficients, T_color_depth, where the
+                          colour camera is one of its own
+    /proximity/time_s     float64 (N)
+    /tactile/depth, /tactile/color (aligned to the depth; only if frames have it), /tactile/time_s
+    /truth/contact        bool (N, H, W), only if frames have it; /truth/depth_m float32, nan where unknown
+    /untouched/...        the untouched frame, under the same names, N = 1
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import ExportError, MissingExtraError
+from ..model.files import atomic_path, remove_leftovers
+from ..model.frames import Rig, SensorFrame
+from ..model.intrinsics import Intrinsics
+from ..model.rig_file import rig_to_json
+from ..sources.base import FrameSource, Progress
+
+
+def export_hdf5(
+    source: FrameSource,
+    path: Path | str,
+    frames: int | None = None,
+    *,
+    untouched: SensorFrame | None = None,
+    progress: Progress | None = None,
+) -> int:
+    """Write at most ``frames`` of a source, from its present position, as HDF5; return how many.
+
+    The file gets its name when it is complete, and replaces none. ``untouched`` is by default the source's.
+    """
+    try:
+        import h5py
+    except ImportError as error:
+        raise MissingExtraError('HDF5 needs h5py: pip install "tactune[export]"') from error
+    if frames is None and source.length is None:
+        raise ExportError(f"{source.name} is live and has no end; record it, or say how many frames to convert")
+    left = None if source.length is None else source.length - source.position
+    total = min(count for count in (left, frames) if count is not None)
+    untouched = source.untouched() if untouched is None else untouched
+    remove_leftovers(Path(path).parent, Path(path).name)
+    with atomic_path(path, exclusive=True) as temporary:
+        try:
+            with h5py.File(temporary, "w") as file:
+                count = 0
+                for count, frame in enumerate(itertools.islice(source, total), start=1):
+                    frame.check_against(source.rig)
+                    _append(file, frame, count - 1)
+                    if progress is not None:
+                        progress(count / total, f"frame {count} of {total}")
+                if count == 0:
+                    raise ExportError(f"{source.name} has no frames left to export; seek to the first one")
+                if untouched is not None:
+                    _append(file.create_group("untouched"), untouched, 0)
+                _describe(file, source.rig, source.frame_rate_hz)
+        except (RuntimeError, ValueError) as error:  # what h5py makes of a full disk
+            raise ExportError(f"cannot write {path}: {error}; choose another place") from error
+    return count
+
+
+def _append(group: Any, frame: SensorFrame, index: int) -> None:
+    """Write a frame at an index; what it lacks and others have is 0, truth nan."""
+    for name, value in _values(frame):
+        array = np.asarray(value)
+        if name not in group:
+            image = (
+                {"chunks": (1, *array.shape), "compression": "gzip", "shuffle": True}
+                if array.ndim
+                else {"chunks": (256,)}
+            )
+            empty = np.nan if array.dtype == np.float32 else 0
+            group.create_dataset(
+                name, (index, *array.shape), array.dtype, maxshape=(None, *array.shape), fillvalue=empty, **image
+            )
+        group[name].resize(index + 1, axis=0)
+        group[name][index] = array
+
+
+def _values(frame: SensorFrame) -> Iterator[tuple[str, Any]]:
+    yield "sequence", np.int64(frame.sequence)
+    yield "proximity/depth", frame.proximity_depth
+    yield "proximity/color", frame.proximity_color
+    yield "proximity/time_s", frame.proximity_time_s
+    yield "tactile/depth", frame.tactile_depth
+    yield "tactile/time_s", frame.tactile_time_s
+    if frame.tactile_color is not None:
+        yield "tactile/color", frame.tactile_color
+    if frame.truth is not None:
+        yield "truth/contact", frame.truth.contact
+        if frame.truth.depth_m is not None:
+            yield "truth/depth_m", frame.truth.depth_m
+
+
+def _describe(file: Any, rig: Rig, rate_hz: float) -> None:
+    count = len(file["sequence"])
+    for name in ("tactile/color", "truth/contact", "truth/depth_m"):
+        if name in file:
+            file[name].resize(count, axis=0)
+    file.attrs["rig"] = json.dumps(rig_to_json(rig))
+    file.attrs["rate_hz"] = rate_hz
+    if rig.T_proximity_tactile is not None:
+        file.attrs["T_proximity_tactile"] = np.array(rig.T_proximity_tactile)
+    for name, camera in (("proximity", rig.proximity), ("tactile", rig.tactile)):
+        file[f"{name}/depth"].attrs["unit_m"] = camera.depth_unit_m
+        _describe_lens(file[f"{name}/depth"], camera.intrinsics)
+    if rig.proximity_color is not None:
+        _describe_lens(file["proximity/color"], rig.proximity_color.intrinsics)
+        file["proximity/color"].attrs["T_color_depth"] = np.array(rig.proximity_color.T_color_depth)
+
+
+def _describe_lens(images: Any, lens: Intrinsics) -> None:
+    images.attrs["K"] = lens.camera_matrix()
+    images.attrs["distortion"] = str(lens.distortion)
+    images.attrs["coefficients"] = np.array(lens.coefficients)

@@ -1,0 +1,157 @@
+"""Calibrations and recordings as files of other tools, read back by parsers of these formats."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+from pathlib import Path
+from xml.etree import ElementTree
+
+import h5py
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+from scipy.spatial.transform import Rotation
+
+from folder_scenes import RIG, ListSource, make_frame
+from tactune.core.errors import TactuneError
+from tactune.core.model.frames import Rig
+from tactune.core.model.intrinsics import Distortion
+from tactune.core.model.rig_file import parse_rig
+from tactune.core.output.calibration_files import CALIBRATIONS, export_calibration
+from tactune.core.output.hdf5 import export_hdf5
+from tactune.core.preset import Preset
+from tactune.core.sources.lens_files import choose_lens, pose_between, read_lenses
+
+TACTILE, COLOR = "tactile_depth_optical_frame", "proximity_color_optical_frame"
+
+
+def turned(*degrees: float) -> list[list[float]]:
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_euler("zyx", degrees, degrees=True).as_matrix()
+    pose[:3, 3] = 0.04, -0.01, 1e-5
+    return pose.tolist()
+
+
+def rig_with(pose: object, k3: float = 0.0, distortion: Distortion = Distortion.BROWN_CONRADY) -> Rig:
+    coefficients = (0.1, -0.05, 0.001, 1e-5, k3)
+    lens = RIG.tactile.intrinsics.model_copy(update={"coefficients": coefficients, "distortion": distortion, "fy": 9.5})
+    tactile = RIG.tactile.model_copy(update={"intrinsics": lens})
+    return Rig.model_validate(RIG.model_dump() | {"tactile": tactile.model_dump(), "T_proximity_tactile": pose})
+
+
+def urdf_poses(path: Path) -> dict[str, np.ndarray]:
+    """URDF: rpy are turns about the fixed axes x, y, z, in this order."""
+    poses = {}
+    for joint in ElementTree.parse(path).getroot().iter("joint"):
+        assert joint.attrib["type"] == "fixed"
+        assert joint.find("parent").attrib["link"] == "proximity_depth_optical_frame"
+        origin = joint.find("origin").attrib
+        roll, pitch, yaw = map(float, origin["rpy"].split())
+        pose = np.eye(4)
+        for axis, angle in zip("xyz", (roll, pitch, yaw), strict=True):
+            pose[:3, :3] = Rotation.from_euler(axis, angle).as_matrix() @ pose[:3, :3]
+        pose[:3, 3] = list(map(float, origin["xyz"].split()))
+        poses[joint.find("child").attrib["link"]] = pose
+    return poses
+
+
+def launch_poses(path: Path) -> dict[str, np.ndarray]:
+    """The arguments of tf2_ros's static_transform_publisher."""
+    parser = argparse.ArgumentParser()
+    for name in ("x", "y", "z", "qx", "qy", "qz", "qw"):
+        parser.add_argument(f"--{name}", type=float, required=True)
+    parser.add_argument("--frame-id", required=True)
+    parser.add_argument("--child-frame-id", required=True)
+    poses = {}
+    for entry in YAML(typ="safe").load(path)["launch"]:
+        assert (entry["node"]["pkg"], entry["node"]["exec"]) == ("tf2_ros", "static_transform_publisher")
+        args = parser.parse_args(shlex.split(entry["node"]["args"]))
+        assert args.frame_id == "proximity_depth_optical_frame"
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_quat([args.qx, args.qy, args.qz, args.qw]).as_matrix()
+        pose[:3, 3] = args.x, args.y, args.z
+        poses[args.child_frame_id] = pose
+    return poses
+
+
+def kalibr_poses(path: Path) -> dict[str, np.ndarray]:
+    """Our own reader, and the file as plain YAML: T_cn_cnm1 takes points of the camera before to this one."""
+    lenses = read_lenses(path)
+    for camera in YAML(typ="safe").load(path).values():
+        numbers = camera["intrinsics"] + camera["distortion_coeffs"]
+        assert all(isinstance(number, float) for number in numbers)
+    chosen = [choose_lens(lenses, role, (1, 1)) for role in ("proximity", "tactile", "colour")]
+    assert [lens.size for lens in chosen] == [(7, 5), (6, 4), (9, 8)]
+    assert chosen[1].lens((6, 4)).intrinsics.coefficients == pytest.approx((0.1, -0.05, 0.001, 1e-5, 0))
+    poses = [pose_between(chosen[0], other, lenses) for other in chosen[1:]]
+    return dict(zip((TACTILE, COLOR), map(np.array, poses), strict=True))
+
+
+READERS = {"urdf": urdf_poses, "ros": launch_poses, "kalibr": kalibr_poses}
+
+
+@pytest.mark.parametrize("angles", [(0, 0, 0), (10, -20, 30), (0, 90, 0), (170, 0, -179)])
+@pytest.mark.parametrize("kind", CALIBRATIONS)
+def test_other_tools_read_the_poses(tmp_path: Path, kind: str, angles: tuple[float, ...]) -> None:
+    rig = rig_with(turned(*angles))
+    path = tmp_path / "rig.yaml"
+    export_calibration(path, kind, rig)
+    poses = READERS[kind](path)
+    np.testing.assert_allclose(poses[TACTILE], rig.T_proximity_tactile, atol=1e-9)
+    color = np.linalg.inv(np.array(rig.proximity_color.T_color_depth))
+    np.testing.assert_allclose(poses[COLOR], color, atol=1e-9)
+
+
+def test_the_pose_of_a_preset_replaces_that_of_the_rig(tmp_path: Path) -> None:
+    preset = Preset().with_value("alignment.rigid.T_proximity_tactile", turned(5, 6, 7))
+    export_calibration(tmp_path / "a.urdf", "urdf", rig_with(turned(0, 0, 0)), preset)
+    np.testing.assert_allclose(urdf_poses(tmp_path / "a.urdf")[TACTILE], turned(5, 6, 7), atol=1e-9)
+
+
+REFUSED = {
+    "no pose": (rig_with(None), Preset(), "urdf", "pose of the tactile camera is not known"),
+    "homography": (RIG, Preset().with_value("alignment.model", "homography"), "ros", "homography"),
+    "k3": (rig_with(turned(0, 0, 0), k3=0.1), None, "kalibr", "k3 = 0.1"),
+    "lens": (rig_with(turned(0, 0, 0), distortion=Distortion.INVERSE_BROWN_CONRADY), None, "kalibr", "inverse_brown"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_a_format_cannot_hold_is_refused_and_nothing_is_written(tmp_path: Path, case: str) -> None:
+    rig, preset, kind, sentence = REFUSED[case]
+    with pytest.raises(TactuneError, match=sentence):
+        export_calibration(tmp_path / "a", kind, rig, preset)
+    assert not list(tmp_path.iterdir())
+
+
+def test_h5py_reads_every_image_time_and_unit(tmp_path: Path) -> None:
+    frames = [make_frame(0), make_frame(1, tactile_color=None, truth=None), make_frame(2)]
+    untouched = make_frame(9)
+    told: list[float] = []
+    source = ListSource(frames, untouched=untouched)
+    assert export_hdf5(source, tmp_path / "a.h5", progress=lambda share, _: told.append(share)) == 3
+    assert told[-1] == 1.0
+    with h5py.File(tmp_path / "a.h5") as file:
+        for index, frame in enumerate(frames):
+            for role in ("proximity", "tactile"):
+                np.testing.assert_array_equal(file[role]["depth"][index], getattr(frame, f"{role}_depth"))
+                assert file[role]["time_s"][index] == getattr(frame, f"{role}_time_s")
+            np.testing.assert_array_equal(file["proximity/color"][index], frame.proximity_color)
+            assert file["sequence"][index] == frame.sequence
+        np.testing.assert_array_equal(file["tactile/color"][2], frames[2].tactile_color)
+        np.testing.assert_array_equal(file["truth/contact"][0], frames[0].truth.contact)
+        np.testing.assert_array_equal(file["truth/depth_m"][2], frames[2].truth.depth_m)
+        assert not file["tactile/color"][1].any() and np.isnan(file["truth/depth_m"][1]).all()
+        np.testing.assert_array_equal(file["untouched/tactile/depth"][0], untouched.tactile_depth)
+        assert file["tactile/depth"].attrs["unit_m"] == RIG.tactile.depth_unit_m
+        np.testing.assert_array_equal(file["proximity/depth"].attrs["K"], RIG.proximity.intrinsics.camera_matrix())
+        assert parse_rig(json.loads(file.attrs["rig"]), "rig") == RIG
+
+
+def test_an_export_as_hdf5_replaces_no_file(tmp_path: Path) -> None:
+    (tmp_path / "a.h5").write_text("mine")
+    with pytest.raises(TactuneError, match="already there"):
+        export_hdf5(ListSource([make_frame(0)]), tmp_path / "a.h5")
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
