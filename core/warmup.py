@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
+from dataclasses import replace
+from typing import Any, Final
 
 import numpy as np
 
@@ -24,10 +25,14 @@ Progress = Callable[[float, str], None]
 
 _WIDTH, _HEIGHT = 96, 64
 #: Number of kernels of a frame, by contact test, and of the average over frames.
-_KERNELS: Final = {"tolerance": 11, "membrane": 14}
+_KERNELS: Final = {"tolerance": 11, "membrane": 14, "dent": 4}
 _AVERAGE_KERNELS: Final = 2
 #: The largest and the last kernels of each test, and what the window reads of a patch.
-_LARGEST: Final = {"tolerance": (find_candidates, search_all), "membrane": (find_differences, collect_points)}
+_LARGEST: Final[dict[str, tuple[Any, ...]]] = {
+    "tolerance": (find_candidates, search_all),
+    "membrane": (find_differences, collect_points),
+    "dent": (find_candidates,),
+}
 _ALL: Final = (*_LARGEST["tolerance"], *_LARGEST["membrane"], search_rows, add_to_means, classify_rows, color_lookup)
 
 
@@ -61,14 +66,14 @@ def warm_up_test(preset: Preset, progress: Progress) -> None:
 
     tell(0)
     with counting_compiled(tell):
-        ContactPipeline(_preset(test, 2 if averages else 1), _rig()).process(_frame(test))
+        _pipeline(_preset(test, 2 if averages else 1)).process(_frame(test))
     progress(1.0, f"The {test} test is compiled")
 
 
 def warm_up_views(test: str) -> None:
     """Compile what the window reads of a frame, and of its patch by a contact test beside the points."""
     rig, frame, preset = _rig(), _frame(test), _preset(test)
-    patch = ContactPipeline(preset, rig).process(frame)
+    patch = _pipeline(preset).process(frame)
     _ = patch.provenance, patch.aligned
     colors_at(patch.points, np.flatnonzero(patch.mask), frame.proximity_color, rig)
     in_hsv_range(frame.proximity_color, preset.mask)
@@ -81,6 +86,12 @@ def warm_up(progress: Progress = lambda share, words: None) -> Compiled:
     warm_up_views("membrane")
     progress(1.0, "All contact tests are compiled")
     return compiled_so_far()
+
+
+def _pipeline(preset: Preset) -> ContactPipeline:
+    """Return a pipeline in whose untouched frame the membrane is farther away."""
+    frame = _frame(preset.contact_test)
+    return ContactPipeline(preset, _rig(), replace(frame, tactile_depth=frame.tactile_depth + np.uint16(300)))
 
 
 def _preset(test: str, frames: int = 1) -> Preset:

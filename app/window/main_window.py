@@ -314,17 +314,19 @@ class MainWindow(QMainWindow):
     def _show_opening(self, name: str, share: float, words: str) -> None:
         self.opening.show_share(share, f"Opening {name}{': ' + words if words else '…'}")
 
-    def _enable_measuring(self, enabled: bool) -> None:
+    def _enable_measuring(self, enabled: bool, two_cameras: bool = True) -> None:
         actions = self.actions_
-        for action in (actions.record, actions.calibrate, actions.recheck, actions.suggest_all):
+        for action in (actions.record, actions.suggest_all):
             action.setEnabled(enabled)
+        for action in (actions.calibrate, actions.recheck):
+            action.setEnabled(enabled and two_cameras)
         if not enabled:
             actions.export_patch.setEnabled(False)  # enabled with the first patch
         self.panel.enable_measuring(enabled)
 
     def _opened(self, info: SourceInfo) -> None:
         self.opening.hide()
-        self._enable_measuring(True)
+        self._enable_measuring(True, info.rig.has_proximity)
         self.settings.add_recent(RECENT, info.name)
         self.toolbar.show_source(info.name)
         self.status.show_source(info)

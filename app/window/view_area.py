@@ -133,6 +133,7 @@ class ViewArea(QWidget):
             self._fit_legends()
         if result.source is not self._framed:  # once for each source, so that playing never moves the camera
             self._framed = result.source
+            self._show_cameras(result.source.rig.has_proximity)
             self._any_view().refocus()
 
     def _focus(self) -> Float64Array:
@@ -204,6 +205,12 @@ class ViewArea(QWidget):
     def resizeEvent(self, event: QResizeEvent | None) -> None:
         super().resizeEvent(event)
         self._fit_legends()
+
+    def _show_cameras(self, has_proximity: bool) -> None:
+        """Hide the view of a camera that the rig does not have."""
+        action = self.toggles[CloudName.PROXIMITY]
+        action.setEnabled(has_proximity)
+        self._show_view(CloudName.PROXIMITY, has_proximity and action.isChecked())
 
     def _show_view(self, name: CloudName, shown: bool) -> None:
         self.views[name].setVisible(shown)

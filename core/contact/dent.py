@@ -44,7 +44,7 @@ class DentSection(Section):
             step=0.0005,
             limits=(0.0, 0.1),
         ),
-    ] = 0.004
+    ] = 0.005
     min_area_mm2: Annotated[
         float,
         described(
