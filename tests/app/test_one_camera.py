@@ -16,7 +16,7 @@ def test_two_buttons_lead_from_a_recording_of_one_camera_to_a_patch(window, qtbo
     assert views[CloudName.TACTILE].isVisible()
     assert not actions.show_proximity.isEnabled()
     assert not actions.calibrate.isEnabled()
-    offer = views[CloudName.PATCH]._offer
+    offer = views[CloudName.PATCH]._notice.button
     qtbot.waitUntil(offer.isVisible)
     QTest.mouseClick(offer, LEFT)
     assert window.document.preset.contact_test == "dent"
