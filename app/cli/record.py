@@ -135,7 +135,7 @@ def _convert_calibration(source: str, target: Path, kind: str, preset: str | Non
     rig = chosen.rig if is_preset else find_rig(source)
     if rig is None:
         raise PresetError(f"the preset {source} serves any rig and names none; give a recording, and --preset {source}")
-    export_calibration(target, kind, rig, chosen)
+    export_calibration(target, kind, rig, chosen, exclusive=True)
     own = chosen.alignment.rigid.T_proximity_tactile is not None
     typer.echo(f"wrote the pose of {f'the preset {chosen.name}' if own else 'the rig, which no preset replaces'}")
     typer.echo(f"wrote {target}")
@@ -163,7 +163,7 @@ def _convert_recording(source: str, target: Path, kind: str, preset: str | None,
         if kind == "mcap":
             count = export_mcap(opened, target, frames, preset=kept, untouched=untouched, progress=show, exclusive=True)
         elif kind == "hdf5":
-            count = export_hdf5(opened, target, frames, untouched=untouched, progress=show)
+            count = export_hdf5(opened, target, frames, untouched=untouched, progress=show, exclusive=True)
         else:
             count = export_folder(opened, target, frames, show)
         if kept is not None and kind != "mcap":

@@ -1,4 +1,4 @@
-"""File actions: open and save presets, open what is dropped, export patches; asks before unsaved changes are lost."""
+"""File actions: open and save presets, open what is dropped; asks before unsaved changes are lost."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from typing import Any
 
 from PyQt6.QtCore import QObject
 
-from ...core.errors import SourceError, TactuneError, counted
-from ...core.output.cloud_files import patch_cloud, write_cloud
+from ...core.errors import SourceError, TactuneError
 from ...core.preset import Preset, now
 from ...core.sources.presets import load_preset
 from ...widgets.basics.messages import Severity
@@ -19,11 +18,10 @@ from ..sources.paths import recording_name
 from .actions import Actions
 
 PRESET_FILTER = "Presets (*.json)"
-EXPORT_FILTERS = ["PLY, binary (*.ply)", "NumPy (*.npz)", "Table (*.csv)"]
 
 
 class FileFlows(QObject):
-    """Opens, saves and exports, with dialogs and messages."""
+    """Opens and saves, with dialogs and messages."""
 
     def __init__(self, context: Context, autosave: Autosave) -> None:
         super().__init__(context)
@@ -37,7 +35,6 @@ class FileFlows(QObject):
         actions.open_preset.triggered.connect(self.open_preset_dialog)
         actions.save.triggered.connect(lambda _: self.save())
         actions.save_as.triggered.connect(lambda _: self.save_as())
-        actions.export_patch.triggered.connect(self.export_dialog)
 
     def guarded(self, then: Callable[[], object]) -> None:
         """Call ``then``, which replaces the preset, after asking about unsaved changes."""
@@ -94,21 +91,6 @@ class FileFlows(QObject):
             self._messages.show_message("file", Severity.ERROR, str(error))
             return
         self._context.sourceRequested.emit(name)
-
-    def export_dialog(self) -> None:
-        result = self._context.result
-        if result is None or result.patch is None:
-            return
-        patch = result.patch
-
-        def chosen(path: Path) -> None:
-            self._messages.clear_subject(TASK)
-            if self._told(lambda: write_cloud(path, patch_cloud(patch, result.frame, result.source.rig))):
-                sentence = f"Frame {result.frame_number}: {counted(len(patch.points), 'point')} written to {path}."
-                self._messages.show_message("export", Severity.INFO, sentence, subject=TASK)
-
-        suggestion = f"patch_{patch.sequence:06d}.ply"
-        self._dialogs.save_file("export", "Export this patch", suggestion, EXPORT_FILTERS, chosen)
 
     def offer_unsaved_work(self) -> None:
         """Offer the unsaved work of a window that crashed, newest first, one piece after the other."""

@@ -39,13 +39,13 @@ from ..sources.opening import OpenControl
 from ..sources.pages import RECENT
 from ..sources.topics import WITHOUT_TOPICS, TopicsControl
 from ..timeline.control import Timeline
-from ..timeline.export import FrameExport
 from ..worker.errors import ErrorHook
 from ..worker.reading import SourceRequest
 from ..worker.results import Result, SourceInfo, Wanted
 from ..worker.worker import Worker
 from .actions import THEMES, Actions, make_menus
 from .comparison import ComparisonPanel
+from .export import Export
 from .files import FileFlows
 from .findings import FindingsControl
 from .frame_presenter import FramePresenter
@@ -110,7 +110,7 @@ class MainWindow(QMainWindow):
         self.eyedropper = Eyedropper(self.context, self.panel, self.strip)
         self.recording = RecordingBar(self.context, self.actions_.record)
         self.timeline = Timeline(self.context, self.time_strip)
-        self.export = FrameExport(self.context, self.export_bar)
+        self.export = Export(self.context, self.export_bar)
         self.calibration = CalibrationLauncher(self.context)
         self.cameras = CameraControl(self.context)
         self.sources = OpenControl(self.context)
@@ -232,6 +232,7 @@ class MainWindow(QMainWindow):
         actions.first.triggered.connect(lambda: worker.seek(0))
         actions.loop.triggered.connect(worker.set_loop)
         flows.connect_actions(actions)
+        actions.export.triggered.connect(lambda _: self.export.ask())
         actions.calibrate.triggered.connect(self.calibration.open_wizard)
         actions.recheck.triggered.connect(self.calibration.open_recheck)
         actions.check_cameras.triggered.connect(self.checks.open)
@@ -276,7 +277,6 @@ class MainWindow(QMainWindow):
             (actions.mark_in, timeline.mark_in),
             (actions.mark_out, timeline.mark_out),
             (actions.clear_marks, timeline.clear_marks),
-            (actions.export_recording, self.export.ask),
         ):
             action.triggered.connect(lambda _, act=act: act())
             timeline.availableChanged.connect(action.setEnabled)
@@ -308,7 +308,7 @@ class MainWindow(QMainWindow):
             self.messages.clear_subject(SOURCE)
             self.panel.clear_errors()
             self.presenter.forget()
-            self.actions_.export_patch.setEnabled(False)
+            self.actions_.export.setEnabled(False)
             self.views.show_message(_OPENING)
 
     def _show_opening(self, name: str, share: float, words: str) -> None:
@@ -321,7 +321,7 @@ class MainWindow(QMainWindow):
         for action in (actions.calibrate, actions.recheck):
             action.setEnabled(enabled and two_cameras)
         if not enabled:
-            actions.export_patch.setEnabled(False)  # enabled with the first patch
+            actions.export.setEnabled(False)  # enabled with the first frame
         self.panel.enable_measuring(enabled)
 
     def _opened(self, info: SourceInfo) -> None:
@@ -344,7 +344,7 @@ class MainWindow(QMainWindow):
         if result is None:
             return
         self.presenter.show(result)
-        self.actions_.export_patch.setEnabled(result.patch is not None)
+        self.actions_.export.setEnabled(True)
         self.context.frameShown.emit()
 
     def _send_wanted(self) -> None:

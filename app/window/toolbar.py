@@ -144,7 +144,7 @@ class ToolBar(QToolBar):
         transport.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
         self.addSeparator()
         self.addWidget(self.preset)
-        for action in (actions.record, actions.calibrate, actions.export_patch):
+        for action in (actions.record, actions.calibrate, actions.export):
             button = QToolButton()
             button.setDefaultAction(action)
             button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)

@@ -315,7 +315,7 @@ class Worker(QThread):
         if self._info is None or self._live is None:
             self.recordingFailed.emit(
                 "Only cameras and other live sources are recorded: connect cameras (F3), or export a part of this "
-                "recording (File > Export recording)."
+                "recording (File > Export)."
             )
             return
         try:

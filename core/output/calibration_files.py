@@ -32,13 +32,15 @@ class _Camera:
     pose: Float64Array
 
 
-def export_calibration(path: Path, kind: str, rig: Rig, preset: Preset | None = None) -> None:
+def export_calibration(
+    path: Path, kind: str, rig: Rig, preset: Preset | None = None, *, exclusive: bool = False
+) -> None:
     """Write lenses and poses of a rig's cameras; the calibrated pose of a preset replaces the rig's own.
 
     Parameters
     ----------
     path : Path
-        A file that does not exist.
+        One that is there is replaced, or refused if ``exclusive``.
     kind : str
         One of `CALIBRATIONS`.
 
@@ -49,7 +51,7 @@ def export_calibration(path: Path, kind: str, rig: Rig, preset: Preset | None = 
     """
     cameras = list(_cameras(rig, preset))
     text = _WRITERS[kind](cameras)
-    with atomic_path(path, exclusive=True) as temporary:
+    with atomic_path(path, exclusive=exclusive) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 

@@ -38,10 +38,12 @@ def export_hdf5(
     *,
     untouched: SensorFrame | None = None,
     progress: Progress | None = None,
+    exclusive: bool = False,
 ) -> int:
     """Write at most ``frames`` of a source, from its present position, as HDF5; return how many.
 
-    The file gets its name when it is complete, and replaces none. ``untouched`` is by default the source's.
+    The file gets its name when it is complete; one that was there is replaced, or refused if ``exclusive``.
+    ``untouched`` is by default the source's.
     """
     try:
         import h5py
@@ -53,7 +55,7 @@ def export_hdf5(
     total = min(count for count in (left, frames) if count is not None)
     untouched = source.untouched() if untouched is None else untouched
     remove_leftovers(Path(path).parent, Path(path).name)
-    with atomic_path(path, exclusive=True) as temporary:
+    with atomic_path(path, exclusive=exclusive) as temporary:
         try:
             with h5py.File(temporary, "w") as file:
                 count = 0

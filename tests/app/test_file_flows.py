@@ -57,6 +57,22 @@ def test_export_writes_a_readable_file(window, qtbot, tmp_path):
     assert len(list(csv.reader(path.read_text().splitlines()))) == count + 1
 
 
+def test_the_calibration_is_exported_by_the_same_dialog(window, qtbot, tmp_path):
+    for name, start in (("a.urdf", b"<?xml"), ("a.launch.yaml", b"# ros2"), ("a.camchain.yaml", b"cam0")):
+        window.activateWindow()
+        qtbot.waitUntil(window.isActiveWindow)
+        QTest.keyClick(window, Qt.Key.Key_E, CONTROL)
+        type_path(qtbot, tmp_path / name)
+        qtbot.waitUntil((tmp_path / name).exists)
+        assert (tmp_path / name).read_bytes().startswith(start)
+        qtbot.waitUntil(lambda name=name: any(name in sentence for sentence in window.messages.sentences()))
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow)
+    QTest.keyClick(window, Qt.Key.Key_E, CONTROL)
+    type_path(qtbot, tmp_path / "a.obj")
+    qtbot.waitUntil(lambda: any("does not say what to export" in each for each in window.messages.sentences()))
+
+
 def test_drop_a_recording(window, qtbot, tmp_path):
     from tactune.core.sources.folder import export_folder
 

@@ -102,7 +102,6 @@ def test_a_preset_of_another_size_says_so_and_shows_the_cameras(window, qtbot, p
     show_source(qtbot, window, FakeSource(length=1))
     assert "32 x 24" in window.messages.message("problem").sentence
     assert window.views.views[CloudName.PROXIMITY].point_count() > 0
-    assert not window.actions_.export_patch.isEnabled()
     window.document.new(preset)
     qtbot.waitUntil(lambda: window.result.patch is not None)
     assert window.messages.message("problem") is None
@@ -168,4 +167,4 @@ def test_region_dragged_in_the_strip_is_a_step(window, qtbot):
 def test_a_frame_that_overtakes_the_news_of_its_source_stays(window):
     window.worker.opened.emit(window.result.source)
     assert window.views.views[CloudName.PATCH].point_count() > 0
-    assert window.actions_.export_patch.isEnabled()
+    assert window.actions_.export.isEnabled()

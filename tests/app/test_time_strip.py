@@ -12,7 +12,7 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 
 from fakes import FakeCameras, FakeSource, at_rest
-from hands import CONTROL_SHIFT, LEFT, show_source, type_path
+from hands import CONTROL, LEFT, show_source, type_path
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.mcap.source import McapSource
@@ -111,7 +111,7 @@ def test_an_export_has_exactly_the_marked_frames(window, qtbot, tmp_path, scene)
     show_scene(qtbot, window, scene, 3)
     mark(qtbot, window, 6, 10)
     assert window.context.trim == (6, 11)
-    QTest.keyClick(window, Qt.Key.Key_E, CONTROL_SHIFT)
+    QTest.keyClick(window, Qt.Key.Key_E, CONTROL)
     type_path(qtbot, tmp_path / "part.mcap")
     qtbot.waitUntil(lambda: window.messages.message("export") is not None)
     assert "Frames 7 to 11 (5) written to" in window.messages.message("export").sentence

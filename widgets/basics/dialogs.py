@@ -92,8 +92,12 @@ class Dialogs:
         dialog = self._dialog(title, path.parent, QFileDialog.FileMode.AnyFile)
         dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
         dialog.setNameFilters(name_filters)
-        dialog.setDefaultSuffix(path.suffix.removeprefix("."))
-        dialog.filterSelected.connect(lambda chosen: dialog.setDefaultSuffix(chosen.split("*.")[1].split(")")[0]))
+
+        def take_suffix(chosen: str) -> None:
+            dialog.setDefaultSuffix(chosen.partition("*.")[2].partition(")")[0])
+
+        take_suffix(f"*{path.suffix})" if path.suffix else name_filters[0])
+        dialog.filterSelected.connect(take_suffix)
         dialog.selectFile(path.name)
         self._run(kind, dialog, lambda paths: use(paths[0]))
 

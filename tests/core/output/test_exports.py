@@ -150,8 +150,8 @@ def test_h5py_reads_every_image_time_and_unit(tmp_path: Path) -> None:
         assert parse_rig(json.loads(file.attrs["rig"]), "rig") == RIG
 
 
-def test_an_export_as_hdf5_replaces_no_file(tmp_path: Path) -> None:
+def test_an_exclusive_export_as_hdf5_replaces_no_file(tmp_path: Path) -> None:
     (tmp_path / "a.h5").write_text("mine")
     with pytest.raises(TactuneError, match="already there"):
-        export_hdf5(ListSource([make_frame(0)]), tmp_path / "a.h5")
+        export_hdf5(ListSource([make_frame(0)]), tmp_path / "a.h5", exclusive=True)
     assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]

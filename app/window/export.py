@@ -1,0 +1,116 @@
+"""Export of what the window shows: the patch, the frames between the marks, or the calibration, by one dialog."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+from PyQt6.QtCore import QObject
+
+from ...core.errors import ExportError, counted
+from ...core.output.calibration_files import export_calibration
+from ...core.output.cloud_files import SUFFIXES, patch_cloud, write_cloud
+from ...core.output.hdf5 import export_hdf5
+from ...core.output.writer import export_mcap
+from ...core.sources.registry import open_source
+from ...widgets.basics.controls import ProgressCard
+from ...widgets.basics.messages import Severity
+from ..context import TASK, Context
+from ..worker.jobs import Job, Progress, Work
+from ..worker.results import Result
+
+_PATCH = ["Patch, PLY (*.ply)", "Patch, NumPy (*.npz)", "Patch, table (*.csv)"]
+_RECORDING = ["Recording (*.mcap)", "Recording, HDF5 (*.h5)"]
+_CALIBRATIONS = {
+    ".urdf": ("Calibration, URDF (*.urdf)", "urdf"),
+    ".launch.yaml": ("Calibration, static transforms (*.launch.yaml)", "ros"),
+    ".camchain.yaml": ("Calibration, Kalibr (*.camchain.yaml)", "kalibr"),
+}
+
+
+class Export(QObject):
+    """Exports on a thread; the chosen filter, or the end of a typed name, decides what is written."""
+
+    def __init__(self, context: Context, bar: ProgressCard) -> None:
+        super().__init__(context)
+        self._context = context
+        self._job = Job(self)
+        self._job.progress.connect(bar.show_share)
+        self._job.busyChanged.connect(bar.setVisible)
+        report = partial(context.messages.show_message, "export", subject=TASK)
+        self._job.done.connect(partial(report, Severity.INFO))
+        self._job.failed.connect(
+            lambda sentence: report(Severity.ERROR if sentence else Severity.INFO, sentence or "Export cancelled.")
+        )
+        bar.cancel.clicked.connect(self._job.cancel)
+
+    def ask(self) -> None:
+        """Ask for a file; what the window does not show, such as a patch, is not offered."""
+        result = self._context.result
+        if result is None:
+            return
+        calibrations = [title for title, _ in _CALIBRATIONS.values()]
+        recording = [] if result.source.length is None else _RECORDING
+        filters = [*([] if result.patch is None else _PATCH), *recording, *calibrations]
+        suggestion = f"frame_{result.frame_number:06d}"
+        self._context.dialogs.save_file("export", "Export", suggestion, filters, partial(self._export, result))
+
+    def close(self) -> None:
+        """Cancel; a file that is not complete goes."""
+        self._job.stop()
+
+    def _export(self, result: Result, path: Path) -> None:
+        self._context.messages.clear_subject(TASK)
+        self._job.start(self._work(result, path))
+
+    def _work(self, result: Result, path: Path) -> Work:
+        name = path.name.lower()
+        kind = next((kind for suffix, (_, kind) in _CALIBRATIONS.items() if name.endswith(suffix)), None)
+        if kind is not None:
+            return self._calibration(result, path, kind)
+        if path.suffix.lower() in (".mcap", ".h5"):
+            return self._recording(result, path)
+        return self._patch(result, path)
+
+    def _patch(self, result: Result, path: Path) -> Work:
+        def work(_: Progress) -> str:
+            if path.suffix.lower() not in SUFFIXES:
+                known = ", ".join((*SUFFIXES, ".mcap", ".h5", *_CALIBRATIONS))
+                raise ExportError(f"{path.name} does not say what to export; choose one of {known}")
+            if result.patch is None:
+                raise ExportError("this frame has no patch")
+            write_cloud(path, patch_cloud(result.patch, result.frame, result.source.rig))
+            points = counted(len(result.patch.points), "point")
+            return f"Frame {result.frame_number}: {points} written to {path}."
+
+        return work
+
+    def _calibration(self, result: Result, path: Path, kind: str) -> Work:
+        preset = self._context.document.preset
+
+        def work(_: Progress) -> str:
+            export_calibration(path, kind, result.source.rig, preset)
+            return f"The calibration of the cameras was written to {path}."
+
+        return work
+
+    def _recording(self, result: Result, path: Path) -> Work:
+        """Return the work that reads the frames between the marks from the file a second time."""
+        preset, untouched = self._context.document.preset, self._context.worker.recorder.untouched
+        length = result.source.length
+        first, end = self._context.trim or (0, length or 0)
+
+        def work(progress: Progress) -> str:
+            if length is None:
+                raise ExportError("a live source is recorded with Record (F9), not exported")
+            with open_source(result.source.name, progress) as source:
+                source.seek(first)
+                if path.suffix.lower() == ".h5":
+                    count = export_hdf5(source, path, end - first, untouched=untouched, progress=progress)
+                else:
+                    count = export_mcap(
+                        source, path, end - first, preset=preset, untouched=untouched, progress=progress
+                    )
+            return f"Frames {first + 1} to {end} ({count}) written to {path}."
+
+        return work
