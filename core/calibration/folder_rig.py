@@ -100,19 +100,28 @@ def describe_folder(
         image = read_values(draft.first(f"{role}_depth"))
         option = options.get(role) or (options.get("tactile") if len(roles) == 1 else None)
         found = _camera(draft, role, option, "depth", (image.shape[1], image.shape[0]))
-        unit_m, value = _unit(draft, role, found, units.get(role), image)
+        given = units.get(role) or (units.get("tactile") if len(roles) == 1 else None)
+        unit_m, value = _unit(draft, role, found, given, image)
         cameras[role] = {"model": found.model, "depth_unit_m": unit_m, **found.lens.intrinsics.model_dump(mode="json")}
         forms[role] = found.form | value
-    color = _color(draft, options, cameras[roles[0]])
     if len(roles) == 1:
-        if color is not None:
-            draft.warnings.append("the colour has another lens than the only depth camera: it is shown as it is")
-        cameras, forms, color = {"tactile": cameras[roles[0]]}, {"tactile": forms[roles[0]]}, None
-    if color is not None:
+        _check_only_color(draft, cameras[roles[0]])
+        cameras, forms = {"tactile": cameras[roles[0]]}, {"tactile": forms[roles[0]]}
+    elif (color := _color(draft, options, cameras["proximity"])) is not None:
         cameras["proximity_color"] = color.lens.intrinsics.model_dump(mode="json")
         forms["proximity_color"] = color.form
     pose = _pose(draft, roles)
     return FolderRig(make_rig(cameras, pose), forms, tuple(draft.notes), tuple(draft.warnings))
+
+
+def _check_only_color(draft: _Draft, depth: dict[str, Any]) -> None:
+    """Say what is known of the colour of the only camera."""
+    if "proximity_color" not in draft.layout.slots:
+        draft.warnings.append("the folder has no colour: its image stays black")
+    elif read_image(draft.first("proximity_color")).shape[:2] != (depth["height"], depth["width"]):
+        draft.warnings.append("the colour has another size than the depth, so it is left out")
+    elif draft.layout.name not in ("TUM", "BOP"):
+        draft.warnings.append("the colour has the size of the depth and is taken as aligned to it")
 
 
 def _color(draft: _Draft, options: dict[str, str | None], depth: dict[str, Any]) -> _Camera | None:

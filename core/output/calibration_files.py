@@ -47,7 +47,9 @@ def export_calibration(
     Raises
     ------
     ExportError
-        The pose of the cameras is unknown, or the format cannot hold a lens.
+        The format cannot hold a lens, or the rig has no pose.
+    RigMismatchError
+        The pose of the cameras is unknown.
     """
     cameras = list(_cameras(rig, preset))
     text = _WRITERS[kind](cameras)
@@ -56,6 +58,9 @@ def export_calibration(
 
 
 def _cameras(rig: Rig, preset: Preset | None) -> Iterator[_Camera]:
+    if not rig.has_proximity:
+        yield _Camera(TACTILE_FRAME, "/tactile/depth/image", rig.tactile.intrinsics, np.eye(4))
+        return
     yield _Camera(PROXIMITY_FRAME, "/proximity/depth/image", rig.proximity.intrinsics, np.eye(4))
     alignment = Preset().alignment if preset is None else preset.alignment
     if alignment.model == "homography":
@@ -78,6 +83,8 @@ def _numbers(values: Float64Array) -> str:
 
 
 def _launch(cameras: list[_Camera]) -> str:
+    if len(cameras) == 1:
+        raise ExportError("the rig has one camera, so there is no transform to publish; export its lens to Kalibr")
     nodes = []
     for camera in cameras[1:]:
         x, y, z = camera.pose[:3, 3]

@@ -1,4 +1,4 @@
-"""Recordings as HDF5, for learning and analysis: one chunk an image, lossless.
+"""Recordings as HDF5, for learning and analysis: one chunk an image, lossless. One camera alone is ``/tactile``.
 
 ::
 
@@ -61,22 +61,22 @@ def export_hdf5(
                 count = 0
                 for count, frame in enumerate(itertools.islice(source, total), start=1):
                     frame.check_against(source.rig)
-                    _append(file, frame, count - 1)
+                    _append(file, source.rig, frame, count - 1)
                     if progress is not None:
                         progress(count / total, f"frame {count} of {total}")
                 if count == 0:
                     raise ExportError(f"{source.name} has no frames left to export; seek to the first one")
                 if untouched is not None:
-                    _append(file.create_group("untouched"), untouched, 0)
+                    _append(file.create_group("untouched"), source.rig, untouched, 0)
                 _describe(file, source.rig, source.frame_rate_hz)
         except (RuntimeError, ValueError) as error:  # what h5py makes of a full disk
             raise ExportError(f"cannot write {path}: {error}; choose another place") from error
     return count
 
 
-def _append(group: Any, frame: SensorFrame, index: int) -> None:
+def _append(group: Any, rig: Rig, frame: SensorFrame, index: int) -> None:
     """Write a frame at an index; what it lacks and others have is 0, truth nan."""
-    for name, value in _values(frame):
+    for name, value in _values(rig, frame):
         array = np.asarray(value)
         if name not in group:
             image = (
@@ -92,11 +92,12 @@ def _append(group: Any, frame: SensorFrame, index: int) -> None:
         group[name][index] = array
 
 
-def _values(frame: SensorFrame) -> Iterator[tuple[str, Any]]:
+def _values(rig: Rig, frame: SensorFrame) -> Iterator[tuple[str, Any]]:
     yield "sequence", np.int64(frame.sequence)
-    yield "proximity/depth", frame.proximity_depth
-    yield "proximity/color", frame.proximity_color
-    yield "proximity/time_s", frame.proximity_time_s
+    if rig.has_proximity:
+        yield "proximity/depth", frame.proximity_depth
+        yield "proximity/color", frame.proximity_color
+        yield "proximity/time_s", frame.proximity_time_s
     yield "tactile/depth", frame.tactile_depth
     yield "tactile/time_s", frame.tactile_time_s
     if frame.tactile_color is not None:
@@ -114,11 +115,12 @@ def _describe(file: Any, rig: Rig, rate_hz: float) -> None:
             file[name].resize(count, axis=0)
     file.attrs["rig"] = json.dumps(rig_to_json(rig))
     file.attrs["rate_hz"] = rate_hz
-    if rig.T_proximity_tactile is not None:
+    if rig.has_proximity and rig.T_proximity_tactile is not None:
         file.attrs["T_proximity_tactile"] = np.array(rig.T_proximity_tactile)
     for name, camera in (("proximity", rig.proximity), ("tactile", rig.tactile)):
-        file[f"{name}/depth"].attrs["unit_m"] = camera.depth_unit_m
-        _describe_lens(file[f"{name}/depth"], camera.intrinsics)
+        if f"{name}/depth" in file:
+            file[f"{name}/depth"].attrs["unit_m"] = camera.depth_unit_m
+            _describe_lens(file[f"{name}/depth"], camera.intrinsics)
     if rig.proximity_color is not None:
         _describe_lens(file["proximity/color"], rig.proximity_color.intrinsics)
         file["proximity/color"].attrs["T_color_depth"] = np.array(rig.proximity_color.T_color_depth)

@@ -69,6 +69,10 @@ class FolderSource(SeekableSource):
         if len({stamp.sequence for stamp in self._stamps}) < len(self._stamps):  # result files are named by it
             raise SourceError(f"{self._path} has two frames of the same sequence in frame.json; correct it")
         super().__init__(name, rig, len(self._stamps))
+        first = self._layout.frames[0].images
+        color = first.get("tactile_color") or first.get("proximity_color")
+        #: The colour of the only camera is shown if it has the size of the depth.
+        self._shows_color = color is not None and read_image(color).shape[:2] == rig.tactile.intrinsics.shape
         self.read(0)
 
     @property
@@ -92,6 +96,8 @@ class FolderSource(SeekableSource):
     def health(self) -> Health:
         """Return what the folder lacks."""
         slots, lacks = self._layout.slots, []
+        if not self._rig.has_proximity and not self._shows_color:
+            lacks.append("this folder has no colour of the size of the depth: its image stays black")
         if self._rig.has_proximity and "proximity_color" not in slots:
             lacks.append("this folder has no proximity colour: its image stays black")
         if self._layout.unmatched:
@@ -100,23 +106,18 @@ class FolderSource(SeekableSource):
 
     def _frame(self, files: FrameFiles, stamp: _Stamp) -> SensorFrame:
         rig, images, where = self._rig, files.images, files.folder or self._path
-        slots = self._layout.slots
         if not rig.has_proximity:
             return self._one_camera(files, stamp)
-        if "proximity_depth" not in images:
-            raise SourceError(f"{where} has no proximity_depth.png, and no .tif, .npy or .pgm of that name; add it")
-        if "tactile_depth" in slots and "tactile_depth" not in images:
-            raise SourceError(f"{where} has no tactile_depth.png, and no .tif, .npy or .pgm of that name; add it")
+        for slot in ("proximity_depth", "tactile_depth"):
+            if slot not in images:
+                raise SourceError(f"{where} has no {slot}.png, and no .tif, .npy or .pgm of that name; add it")
         tactile_shape, color_shape = rig.tactile.intrinsics.shape, rig.proximity_color_shape
-        color, tactile = images.get("proximity_color"), images.get("tactile_depth")
-        tactile_color = images.get("tactile_color")
+        color, tactile_color = images.get("proximity_color"), images.get("tactile_color")
         form, tactile_form, color_form = (self._forms[name] for name in ("proximity", "tactile", "proximity_color"))
         return SensorFrame(
             sequence=stamp.sequence,
             proximity_depth=read_depth(images["proximity_depth"], rig.proximity, form),
-            tactile_depth=np.zeros(tactile_shape, np.uint16)
-            if tactile is None
-            else read_depth(tactile, rig.tactile, tactile_form),
+            tactile_depth=read_depth(images["tactile_depth"], rig.tactile, tactile_form),
             proximity_color=np.zeros((*color_shape, 3), np.uint8)
             if color is None
             else read_color(color, color_shape, color_form),
@@ -132,7 +133,7 @@ class FolderSource(SeekableSource):
         images = {slot.replace("proximity", "tactile"): path for slot, path in files.images.items()}
         if "tactile_depth" not in images:
             raise SourceError(f"{where} has no tactile_depth.png, and no .tif, .npy or .pgm of that name; add it")
-        color = images.get("tactile_color")
+        color = images.get("tactile_color") if self._shows_color else None
         return SensorFrame.of_one_camera(
             stamp.sequence,
             read_depth(images["tactile_depth"], camera, form),

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from folder_scenes import RIG, ListSource, make_frame
 from tactune.core.errors import TactuneError
-from tactune.core.model.frames import Rig
+from tactune.core.model.frames import Rig, SensorFrame
 from tactune.core.model.intrinsics import Distortion
 from tactune.core.model.rig_file import parse_rig
 from tactune.core.output.calibration_files import CALIBRATIONS, export_calibration
@@ -155,3 +155,18 @@ def test_an_exclusive_export_as_hdf5_replaces_no_file(tmp_path: Path) -> None:
     with pytest.raises(TactuneError, match="already there"):
         export_hdf5(ListSource([make_frame(0)]), tmp_path / "a.h5", exclusive=True)
     assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
+
+
+def test_one_camera_alone_is_the_tactile_one(tmp_path: Path) -> None:
+    rig = Rig.of_one_camera(RIG.proximity)
+    frame = SensorFrame.of_one_camera(0, make_frame(0).proximity_depth, None, 0.0)
+    export_hdf5(ListSource([frame], rig), tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5") as file:
+        assert "proximity" not in file
+        np.testing.assert_array_equal(file["tactile/depth"][0], frame.tactile_depth)
+    export_calibration(tmp_path / "a.yaml", "kalibr", rig)
+    assert [lens.name for lens in read_lenses(tmp_path / "a.yaml")] == ["cam0 /tactile/depth/image"]
+    export_calibration(tmp_path / "a.urdf", "urdf", rig)
+    assert not urdf_poses(tmp_path / "a.urdf")
+    with pytest.raises(TactuneError, match="one camera"):
+        export_calibration(tmp_path / "b", "ros", rig)

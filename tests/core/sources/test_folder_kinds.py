@@ -182,6 +182,15 @@ def test_a_layout_is_found_with_its_unit_and_its_gaps(tmp_path: Path, layout: st
     assert sum(not frame.proximity_color.any() for frame in read) == colorless
 
 
+def test_colour_of_another_size_of_the_only_camera_is_left_out(tmp_path: Path) -> None:
+    save(tmp_path / "depth/1.png", DEPTH)
+    save(tmp_path / "rgb/1.png", cv2.resize(COLOR, (64, 48)))
+    found = make_rig(tmp_path, "tactile=mm", tactile=LENS)
+    assert "left out" in " ".join(found.warnings)
+    with FolderSource(tmp_path) as source:
+        assert not source.read(0).proximity_color.any() and "no colour" in source.health().message
+
+
 def test_images_of_two_cameras_are_paired_by_time_at_most_half_a_period_apart(tmp_path: Path) -> None:
     for index in range(5):
         save(tmp_path / f"proximity_depth/{17000 + index / 10:.6f}.png", DEPTH)
