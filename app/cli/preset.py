@@ -95,7 +95,7 @@ def validate(preset: Annotated[str, typer.Argument(metavar="FILE", help="A prese
     from ...core.sources.presets import load_preset_and_note
 
     loaded, older = load_preset_and_note(preset)
-    cameras = () if loaded.rig is None else (loaded.rig.proximity, loaded.rig.tactile)
+    cameras = () if loaded.rig is None else loaded.rig.cameras
     made_for = " and ".join(f"{camera.model} {camera.serial}".strip() for camera in cameras) or "any rig"
     typer.echo(f"{preset}: good, preset {loaded.name!r} for {made_for}" + (f", {older}" if older else ""))
     tell_notes(loaded)

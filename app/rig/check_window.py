@@ -20,7 +20,7 @@ from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ..context import Context
 from ..worker.jobs import Progress, Work
-from ..worker.results import SourceInfo
+from ..worker.results import Result, SourceInfo
 from .gather import Gather
 from .quality_tab import QualityTab
 
@@ -36,6 +36,7 @@ _SKEW_INTRO: Final = (
     "For six seconds, press an object into the membrane and pull it out, a few centimetres deep and irregularly. "
     "Both cameras see this motion. The delay at which they agree best is their skew, independent of their time stamps."
 )
+_SKEW, _SKEW_TIP = 1, "The delay between both cameras, from motion"  # place and tooltip of the tab
 DELAY_PATH: Final = "cameras.tactile_delay_s"
 
 
@@ -137,7 +138,7 @@ class CheckWindow(QDialog):
         self.tabs.setDocumentMode(True)
         for tab, title, tip in (
             (self.quality, "&Quality", "Fill rate and flatness in a region"),
-            (self.skew, "&Skew", "The delay between both cameras, from motion"),
+            (self.skew, "&Skew", _SKEW_TIP),
             (self.noise, "&Noise and bias", "The noise of both cameras and the bias between them, for the preset"),
         ):
             self.tabs.setTabToolTip(self.tabs.addTab(tab, title), tip)
@@ -146,6 +147,14 @@ class CheckWindow(QDialog):
         self.finished.connect(self._end)
         vbox((self.tabs, 1), hbox(STRETCH, leave), within=self)
         self.resize(1040, 760)
+
+    def show_result(self, result: Result) -> None:
+        """Take a frame of the main window; without two cameras there is no skew."""
+        two = result.source.rig.has_proximity
+        if self.tabs.isTabEnabled(_SKEW) != two:
+            self.tabs.setTabEnabled(_SKEW, two)
+            self.tabs.setTabToolTip(_SKEW, _SKEW_TIP if two else "This rig has one camera: there is no delay")
+        self.quality.show_result(result)
 
     def _end(self) -> None:
         """Stop all measurements."""
@@ -184,4 +193,4 @@ class CameraChecks(QObject):
     def _frame_shown(self) -> None:
         result = self._context.result
         if self.window is not None and result is not None:
-            self.window.quality.show_result(result)
+            self.window.show_result(result)

@@ -106,6 +106,10 @@ class QualityTab(QWidget):
         for line in self.lines.values():
             line.clear()
         self.status.clear()
+        two = result.source.rig.has_proximity
+        for part in (self.panes["tactile"], self.lines["tactile"]):  # one camera: the first pane is the tactile's
+            part.setVisible(two)
+        self.panes["proximity"].title.setText("Proximity depth" if two else "Tactile depth")
         size = result.source.rig.proximity.intrinsics
         width, height = round(_START_SHARE * size.width), round(_START_SHARE * size.height)
         self.set_region(((size.width - width) // 2, (size.height - height) // 2, width, height))
@@ -133,8 +137,9 @@ class QualityTab(QWidget):
         if self._unfitted:
             self._unfitted = False
             self._fit()
-        for camera in self.quality:
-            self.lines[camera.role].setText(_table(camera.readings()))
+        shown = self.quality[1:] if self.panes["tactile"].isHidden() else self.quality
+        for camera, line in zip(shown, self.lines.values(), strict=False):
+            line.setText(_table(camera.readings()))
         left, top, width, height = self.quality[1].region
         self._tactile_region.setRect(left - 0.5, top - 0.5, width, height)
         self.status.clear()

@@ -76,7 +76,10 @@ class WatchControl(QObject):
         if report.state == "withdrawn":
             self._context.messages.clear(_KEY)
         else:
-            self._context.messages.show_message(_KEY, Severity.WARNING, report.sentence, [("Re-check…", self._recheck)])
+            result = self._context.result
+            two = result is not None and result.source.rig.has_proximity
+            offers = [("Re-check…", self._recheck)] if two else []
+            self._context.messages.show_message(_KEY, Severity.WARNING, report.sentence, offers)
 
     def _fail(self, sentence: str) -> None:
         self._failed = True  # the same untouched frame would fail again

@@ -143,6 +143,11 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
 }
 
 
+#: What a rig with a tactile camera only does not have, and why.
+_OF_TWO_CAMERAS: Final = ("calibrate", "recheck", "show_proximity")
+ONE_CAMERA: Final = "This rig has a tactile camera only; this needs two cameras"
+
+
 class Actions:
     """The actions of `TABLE` by name, as in ``actions.save``."""
 
@@ -151,8 +156,7 @@ class Actions:
             "undo": undo_stack.createUndoAction(parent, "&Undo"),
             "redo": undo_stack.createRedoAction(parent, "&Redo"),
         }
-        rows = [row for entries in TABLE.values() for row in entries if isinstance(row, Row)]
-        self._actions = {row.name: _set_up(made.get(row.name) or QAction(parent), row) for row in rows}
+        self._actions = {row.name: _set_up(made.get(row.name) or QAction(parent), row) for row in _rows()}
 
     def __getattr__(self, name: str) -> QAction:
         try:
@@ -160,24 +164,40 @@ class Actions:
         except KeyError:
             raise AttributeError(f"no action is called {name!r}") from None
 
+    def show_two_cameras(self, two: bool) -> None:
+        """Enable what needs two cameras, or say why it is disabled."""
+        for row in _rows():
+            if row.name in _OF_TWO_CAMERAS:
+                action = self._actions[row.name]
+                action.setEnabled(two)
+                action.setToolTip(_tip(row) if two else ONE_CAMERA)
+
     def all(self) -> list[QAction]:
         return list(self._actions.values())
 
 
-def _set_up(action: QAction, row: Row) -> QAction:
+def _rows() -> list[Row]:
+    return [row for entries in TABLE.values() for row in entries if isinstance(row, Row)]
+
+
+def _tip(row: Row) -> str:
     plain, _, pressed = row.text.replace("&", "").partition("\t")
+    keys = QKeySequence(row.keys.split(", ")[0]).toString() or pressed
+    return f"{row.tip or plain.rstrip('…')}{f' ({keys})' if keys else ''}"
+
+
+def _set_up(action: QAction, row: Row) -> QAction:
     action.setShortcuts([QKeySequence(key) for key in row.keys.split(", ")] if row.keys else [])
     if row.icon:
         action.setIcon(icon(row.icon, "recording" if row.name == "record" else ""))
     if row.name in ("undo", "redo"):  # Qt keeps their text: it names the step
-        action.setIconText(plain)
+        action.setIconText(row.text.replace("&", "").partition("\t")[0])
         return action
     action.setText(row.text)
     if row.checked is not None:
         action.setCheckable(True)
         action.setChecked(row.checked)
-    keys = action.shortcut().toString() or pressed
-    action.setToolTip(f"{row.tip or plain.rstrip('…')}{f' ({keys})' if keys else ''}")
+    action.setToolTip(_tip(row))
     return action
 
 

@@ -59,7 +59,7 @@ _NUMBERS: Final = {
 }
 #: How records are called in the table.
 _RECORDS: Final[dict[str, Callable[[Any], str]]] = {
-    "rig": lambda rig: f"{rig.proximity.model} + {rig.tactile.model}",
+    "rig": lambda rig: " + ".join(camera.model for camera in rig.cameras),
     "untouched": lambda record: str(record.sha256[:8]),
     "noise": lambda noise: f"bias {1e3 * noise.bias_m:.1f} mm",
 }

@@ -9,14 +9,14 @@ from PyQt6.QtGui import QAction, QPalette
 from PyQt6.QtWidgets import QDialog, QFrame, QLabel, QToolButton, QVBoxLayout, QWidget
 
 from ...core.preset import Preset
-from ...core.tuning.advice.proposal import Finding, Proposal
+from ...core.tuning.advice.proposal import Finding
 from ...widgets.basics.controls import NoteLabel, push_button
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.layouts import STRETCH, hbox, scrolling, vbox
 from ...widgets.parameters.form import ShownFinding
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..context import Context
-from ..worker.results import CloudName, Result
+from ..worker.results import CloudName
 from .actions import Actions, plain_text
 from .status import FrameStatus
 from .view_area import ViewArea
@@ -182,32 +182,13 @@ class FindingsControl(QObject):
         if result is None or result.compared is not None or (result.patch is not None and len(result.patch.points)):
             self._view.set_offer("")
             return
-        if result.patch is None:
-            self._offered = _remedy(result)
-            offer = ShownFinding("") if self._offered is None else self._in_words(self._offered)
-            self._view.set_offer(offer.button, offer.tip)
-            return
         explaining = next((finding for finding in self._shown.values() if finding.explains_empty), None)
         if explaining is not None:
             self._view.set_message(explaining.sentence)
+            self._context.messages.clear("problem")  # it says the same, without a remedy
             self._offered = explaining
         elif result.rendered.no_contact_action:
             rendered = result.rendered
             self._offered = Finding("no_contact", "", rendered.no_contact, action=rendered.no_contact_action)
         offer = ShownFinding("") if self._offered is None else self._in_words(self._offered)
         self._view.set_offer(offer.button, offer.tip)
-
-
-def _remedy(result: Result) -> Finding | None:
-    """Return what mends a preset that cannot be used with a rig with a tactile camera only; None if nothing does."""
-    test = result.preset.test
-    if result.source.rig.has_proximity:
-        return None
-    if test.needs_proximity:
-        evidence = "This rig has a tactile camera only, so no two depths can be compared."
-        expected = "Finds where the membrane is dented."
-        proposal = Proposal("contact_test", {"contact_test": "dent"}, "Use the dent test", evidence, expected)
-        return Finding("one_camera", "contact_test", evidence, proposal)
-    if test.needs_untouched and result.preset.untouched is None:
-        return Finding("no_untouched", "untouched", result.problem, action="capture_untouched")
-    return None

@@ -65,8 +65,9 @@ def readout(patch: ContactPatch | None, u: int, v: int, color: str = "") -> str:
     if gap and verdict is Provenance.RIM:
         why, gap = f"{gap}: outside the edge of contact", ""
     # What a narrow window cuts off comes last.
-    parts = [f"({u}, {v})", f"dp {_metres(expected)}", f"dt {_metres(measured)}", why, gap]
-    if math.isfinite(relative):
+    two = patch.rig.has_proximity
+    parts = [f"({u}, {v})", f"dp {_metres(expected)}" if two else "", f"dt {_metres(measured)}", why, gap]
+    if two and math.isfinite(relative):
         difference = minus(f"{relative:+.1%} ({1e3 * (expected - measured):+.1f} mm)")
         parts.append(f"(dp − dt) / dp = {difference}")
     parts.append(color)

@@ -10,6 +10,7 @@ from PyQt6.QtCore import QEvent, QSignalBlocker, QSize, Qt
 from PyQt6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QKeyEvent
 from PyQt6.QtWidgets import QApplication, QMainWindow, QSplitter, QWidget
 
+from ...core.model.frames import Rig
 from ...core.preset import Preset
 from ...core.preset.file import shipped_presets
 from ...core.sources.registry import open_source
@@ -314,23 +315,30 @@ class MainWindow(QMainWindow):
     def _show_opening(self, name: str, share: float, words: str) -> None:
         self.opening.show_share(share, f"Opening {name}{': ' + words if words else '…'}")
 
-    def _enable_measuring(self, enabled: bool, two_cameras: bool = True) -> None:
+    def _enable_measuring(self, enabled: bool) -> None:
         actions = self.actions_
-        for action in (actions.record, actions.suggest_all):
+        for action in (actions.record, actions.calibrate, actions.recheck, actions.suggest_all):
             action.setEnabled(enabled)
-        for action in (actions.calibrate, actions.recheck):
-            action.setEnabled(enabled and two_cameras)
         if not enabled:
             actions.export.setEnabled(False)  # enabled with the first frame
         self.panel.enable_measuring(enabled)
 
     def _opened(self, info: SourceInfo) -> None:
         self.opening.hide()
-        self._enable_measuring(True, info.rig.has_proximity)
+        self._enable_measuring(True)
+        self._leave_out_missing(info.rig)
         self.settings.add_recent(RECENT, info.name)
         self.toolbar.show_source(info.name)
         self.status.show_source(info)
         self.file_flows.offer_preset(info.preset)
+
+    def _leave_out_missing(self, rig: Rig) -> None:
+        """Hide or disable what needs two cameras while the rig has a tactile camera only."""
+        two = rig.has_proximity
+        self.views.show_rig(rig)
+        self.strip.set_two_cameras(two)
+        self.panel.set_two_cameras(two)
+        self.actions_.show_two_cameras(two)
 
     def _open_failed(self, name: str, sentence: str) -> None:
         self.opening.hide()

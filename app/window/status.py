@@ -86,7 +86,7 @@ class FrameStatus(QStatusBar):
 
     def show_source(self, info: SourceInfo) -> None:
         rig = info.rig
-        cameras = " + ".join(f"{camera.model} {camera.serial}".strip() for camera in (rig.proximity, rig.tactile))
+        cameras = " + ".join(f"{camera.model} {camera.serial}".strip() for camera in rig.cameras)
         length = "" if info.length is None else f", {counted(info.length, 'frame')}"
         self._source.setText(f"{info.name}{length}, {cameras}")
 

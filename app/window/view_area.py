@@ -67,6 +67,7 @@ class ViewArea(QWidget):
         self._actions = actions
         self._result: Result | None = None
         self._framed: SourceInfo | None = None
+        self._two_cameras = True
         link_cameras(list(self.views.values()))
         self._legends: dict[CloudName, object] = {}
         self.splitter = QSplitter(Qt.Orientation.Horizontal)
@@ -92,7 +93,7 @@ class ViewArea(QWidget):
         self.point_size.valueChanged.connect(self._resize_points)
         vbox(self._choices(actions), (self.splitter, 1), within=self, margins=0, spacing=4)
         for name, action in self.toggles.items():
-            action.toggled.connect(lambda shown, name=name: self._show_view(name, shown))
+            action.toggled.connect(lambda _, name=name: self._show_view(name))
         for action, viewpoint in (
             (actions.reset_view, "reset"),
             (actions.front_view, "front"),
@@ -124,16 +125,15 @@ class ViewArea(QWidget):
         for view in self.views.values():
             view.set_running(result.playback.playing)
         if result.compared is not None:
-            self._show_compared(result.compared, result.source.rig, theme)
+            self._show_compared(result.compared, theme)
         else:
             for name in result.rendered.clouds:
-                cloud, message = _shown(name, result, result.source.rig)
+                cloud, message = _shown(name, result)
                 self._show_cloud(name, cloud, message, self._legend_of(name, result.rendered, theme))
         if self._legends != legends:
             self._fit_legends()
         if result.source is not self._framed:  # once for each source, so that playing never moves the camera
             self._framed = result.source
-            self._show_cameras(result.source.rig.has_proximity)
             self._any_view().refocus()
 
     def _focus(self) -> Float64Array:
@@ -149,10 +149,10 @@ class ViewArea(QWidget):
         for view in self.views.values():
             view.set_wipe(wipe)
 
-    def _show_compared(self, compared: ComparedFrame, rig: Rig, theme: ThemeName) -> None:
+    def _show_compared(self, compared: ComparedFrame, theme: ThemeName) -> None:
         """Show A left and B right of the wipe."""
         for name in compared.a.rendered.clouds:
-            (left, why_left), (right, why_right) = (_shown(name, side, rig) for side in (compared.a, compared.b))
+            (left, why_left), (right, why_right) = (_shown(name, side) for side in (compared.a, compared.b))
             legend, other = (self._legend_of(name, side.rendered, theme) for side in (compared.a, compared.b))
             self._show_cloud(name, left, why_left, legend + [entry for entry in other if entry not in legend])
             self.views[name].set_right(right, why_right)
@@ -206,14 +206,18 @@ class ViewArea(QWidget):
         super().resizeEvent(event)
         self._fit_legends()
 
-    def _show_cameras(self, has_proximity: bool) -> None:
-        """Hide the view of a camera that the rig does not have."""
-        action = self.toggles[CloudName.PROXIMITY]
-        action.setEnabled(has_proximity)
-        self._show_view(CloudName.PROXIMITY, has_proximity and action.isChecked())
+    def show_rig(self, rig: Rig) -> None:
+        """Leave out the view of a camera that the rig does not have."""
+        if rig.has_proximity != self._two_cameras:
+            self._two_cameras = rig.has_proximity
+            self._show_view(CloudName.PROXIMITY)
 
-    def _show_view(self, name: CloudName, shown: bool) -> None:
-        self.views[name].setVisible(shown)
+    def chosen(self, name: CloudName) -> bool:
+        """Return whether a view is wanted, and the rig has its camera."""
+        return self.toggles[name].isChecked() and (self._two_cameras or name is not CloudName.PROXIMITY)
+
+    def _show_view(self, name: CloudName) -> None:
+        self.views[name].setVisible(self.chosen(name))
         self.wantedChanged.emit()
 
     def _resize_points(self, size: int) -> None:
@@ -252,7 +256,7 @@ def legend_of(
     return patch_legend(theme)
 
 
-def _shown(name: CloudName, result: Result | ComparedSide, rig: Rig) -> tuple[DepthCloud | None, str]:
+def _shown(name: CloudName, result: Result | ComparedSide) -> tuple[DepthCloud | None, str]:
     """Return the cloud of a view, and why it has no points and what to do."""
     cloud = result.rendered.clouds[name]
     if name is CloudName.TACTILE and cloud is None:
@@ -318,9 +322,8 @@ class ViewParts(QObject):
             return False
         self.shown = None
         for name, view in self._views.views.items():
-            view.setVisible(self._views.toggles[name].isChecked())
-        for pane in self._strip.panes.values():
-            pane.show()
+            view.setVisible(self._views.chosen(name))
+        self._strip.show_panes()
         self._views.show()
         self._strip.setVisible(self._actions.show_strip.isChecked())
         self._views.wantedChanged.emit()

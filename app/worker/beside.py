@@ -13,7 +13,7 @@ from ...core.errors import TactuneError
 from ...core.model.frames import SensorFrame
 from ...core.preset import Preset
 from ...core.rig.untouched import kept_untouched
-from ...core.tuning.advice.findings import Examiner
+from ...core.tuning.advice.findings import Examiner, unusable_test
 from ...core.tuning.advice.proposal import Finding
 from ...core.warmup import is_compiled, warm_up_if_needed, warm_up_views
 from .results import Result, SourceInfo
@@ -149,11 +149,12 @@ class Examination:
         """Return what is wrong with the newest result, and its preset; call it only when that is due."""
         result, self._result = self._result, None
         assert result is not None
+        untouched = self._stored_untouched(result.source, result.preset)
         if result.patch is None:
-            return (), result.preset
+            unusable = unusable_test(result.preset, result.source.rig, untouched)
+            return () if unusable is None else (unusable,), result.preset
         if self._examiner is None or result.source is not self._info:
             self._examiner, self._info = Examiner(result.source.rig), result.source
-        untouched = self._stored_untouched(result.source, result.preset)
         found = self._examiner.findings(result.frame, result.patch, result.preset, untouched)
         self._ended_s = time.perf_counter()
         return found, result.preset

@@ -61,6 +61,8 @@ def draw_strip(
     if patch is None:
         measured_m = np.full(counts.shape, np.nan, np.float32)
         expected_m = np.where(valid, depth_m, measured_m)
+        if not rig.has_proximity:  # one image, which needs no alignment
+            measured_m = expected_m
     else:
         expected_m, measured_m = (
             np.ascontiguousarray(image[every]) for image in (patch.aligned.expected_m, patch.aligned.measured_m)

@@ -128,6 +128,11 @@ class Rig(_Frozen):
         return self.proximity.model != NO_CAMERA
 
     @property
+    def cameras(self) -> tuple[DepthCamera, ...]:
+        """The cameras that the rig really has."""
+        return (self.proximity, self.tactile) if self.has_proximity else (self.tactile,)
+
+    @property
     def proximity_color_shape(self) -> tuple[int, int]:
         """Height and width of the proximity colour image in pixels."""
         camera = self.proximity_color.intrinsics if self.proximity_color else self.proximity.intrinsics

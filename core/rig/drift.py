@@ -92,9 +92,11 @@ def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouch
     dented = float(np.mean(np.abs(change - plane - inflation_m * bulge) > _DENT_M))
 
     planes_m = {"tactile": _rms(plane)}
-    if (proximity_m := _proximity_moved(preset, rig, frame, untouched, inflation_m)) is not None:
-        planes_m["proximity"] = proximity_m
-    shifts = {"proximity": _shift_px(untouched.proximity_color, frame.proximity_color)}
+    shifts: dict[str, float | None] = {}
+    if rig.has_proximity:
+        if (proximity_m := _proximity_moved(preset, rig, frame, untouched, inflation_m)) is not None:
+            planes_m["proximity"] = proximity_m
+        shifts["proximity"] = _shift_px(untouched.proximity_color, frame.proximity_color)
     distance_m = float(np.median(before))
     metres_a_px = {"proximity": distance_m / color_lens(rig).fx, "tactile": distance_m / rig.tactile.intrinsics.fx}
     if untouched.tactile_color is not None and frame.tactile_color is not None:
@@ -104,7 +106,7 @@ def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouch
         for name, shift in shifts.items()
         if shift is not None
     }
-    verdict, sentence = _judge(planes_m, shift_m, inflation_m, dented)
+    verdict, sentence = _judge(planes_m, shift_m, inflation_m, dented, rig.has_proximity)
     moved_m = {name: max(planes_m.get(name, 0.0), shift_m.get(name, 0.0)) for name in {**planes_m, **shift_m}}
     return MembraneDrift(moved_m, shift_m, inflation_m, verdict, sentence)
 
@@ -193,7 +195,7 @@ def _local_contrast(color: Uint8Array) -> Uint8Array:
 
 
 def _judge(
-    planes_m: dict[str, float], shift_m: dict[str, float], inflation_m: float, dented: float
+    planes_m: dict[str, float], shift_m: dict[str, float], inflation_m: float, dented: float, two_cameras: bool
 ) -> tuple[Verdict, str]:
     if dented > _DENT_SHARE and shift_m.get("tactile", 0.0) < _FAR_M:
         return "touched", (
@@ -209,8 +211,8 @@ def _judge(
         by = " and ".join(f"{1e3 * metres:.1f} mm" for metres in moved.values())
         cameras = f"The {next(iter(moved))} camera has" if len(moved) == 1 else "Both cameras have"
         return "camera", (
-            f"{cameras} moved by {by}, or drifted with temperature; calibrate again, then capture the untouched frame "
-            "again."
+            f"{cameras} moved by {by}, or drifted with temperature; "
+            f"{'calibrate again, then ' if two_cameras else ''}capture the untouched frame again."
         )
     if abs(inflation_m) > LIMIT_M:
         return "inflation", (
@@ -218,7 +220,9 @@ def _judge(
             f"{'farther out' if inflation_m > 0 else 'farther in'} than in the untouched frame; inflate it as before, "
             "or capture the untouched frame again."
         )
-    unseen = "" if "proximity" in planes_m else " The proximity camera sees too little of it to be checked."
+    unseen = ""
+    if two_cameras and "proximity" not in planes_m:
+        unseen = " The proximity camera sees too little of it to be checked."
     return "fine", f"The membrane is as in the untouched frame.{unseen}"
 
 

@@ -112,15 +112,18 @@ def measure_noise(
         frame.check_against(rig)
     report(0.0, "Looking for movement")
     _refuse_movement("tactile", [frame.tactile_depth for frame in different], rig.tactile)
-    _refuse_movement("proximity", [frame.proximity_depth for frame in different], rig.proximity)
+    if rig.has_proximity:
+        _refuse_movement("proximity", [frame.proximity_depth for frame in different], rig.proximity)
     proximity, tactile = depth_noises(different, rig, lambda share, words: report(0.1 + 0.7 * share, words))
     report(0.8, "Measuring the bias")
     density_m4 = proximity.density_m4(rig.proximity.intrinsics.fx) + tactile.density_m4(rig.tactile.intrinsics.fx)
     some = list(different[:: max(len(different) // 10, 1)])  # over the whole time
-    found = [
-        print_bias(some if untouched is None else [untouched, *some], rig, preset, density_m4),
-        pressed_bias(some, contact_bias or firm_contact_bias(preset, rig), density_m4),
-    ]
+    found: list[MeasuredBias | None] = []
+    if rig.has_proximity:
+        found = [
+            print_bias(some if untouched is None else [untouched, *some], rig, preset, density_m4),
+            pressed_bias(some, contact_bias or firm_contact_bias(preset, rig), density_m4),
+        ]
     report(1.0, "The noise is measured")
     known = [bias for bias in found if bias is not None] or [MeasuredBias(0.0, UNKNOWN_BIAS_M, "unknown")]
     bias = min(known, key=lambda bias: bias.sigma_m)
@@ -137,7 +140,9 @@ def measure_noise(
 
 
 def describe(noise: RigNoise) -> list[str]:
-    """Return the result in sentences: tactile noise, proximity noise, bias."""
+    """Return the result in sentences: tactile noise, proximity noise, bias; without a second camera the first."""
+    if noise.proximity == noise.tactile:  # the stand-in for a camera that is not there has the same noise
+        return [_describe_camera("Tactile", noise.tactile)]
     return [
         _describe_camera("Tactile", noise.tactile),
         _describe_camera("Proximity", noise.proximity),
@@ -157,6 +162,8 @@ def depth_noises(frames: Sequence[SensorFrame], rig: Rig, progress: Progress) ->
         return _camera_noise(role, images, camera, membrane_m, lambda share: progress(start + share / 2, words))
 
     tactile = measure("tactile", [frame.tactile_depth for frame in frames], None, 0.0)
+    if not rig.has_proximity:
+        return tactile, tactile
     proximity = measure("proximity", [frame.proximity_depth for frame in frames], tactile.distance_m, 0.5)
     return proximity, tactile
 

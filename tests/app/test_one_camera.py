@@ -1,11 +1,104 @@
-"""A rig with a tactile camera only in the window: no empty view, and buttons that lead to a patch."""
+"""A rig with a tactile camera only in the window: what it shows, what it leaves out, and how contact is found."""
 
 from __future__ import annotations
 
+import numpy as np
+import pytest
 from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QPushButton
 
-from hands import LEFT
+from fakes import FakeSource, tiny_rig
+from hands import LEFT, show_source
 from tactune.app.worker.results import CloudName
+from tactune.core.model.frames import Rig, SensorFrame
+
+DENT_M = 0.012
+
+
+def dented(index, rig):
+    """A flat membrane at 250 mm; from frame 1 on a disc is pressed towards the camera."""
+    height, width = rig.tactile.intrinsics.shape
+    v, u = np.mgrid[:height, :width]
+    pressed = (np.hypot(u - width / 2, v - height / 2) < 12) & (index > 0)
+    counts = np.rint(np.where(pressed, 0.25 - DENT_M, 0.25) / rig.tactile.depth_unit_m).astype(np.uint16)
+    return SensorFrame.of_one_camera(index, counts, np.full((height, width, 3), 90, np.uint8), index / 30)
+
+
+def one_camera(**options):
+    rig = Rig.of_one_camera(tiny_rig().tactile)
+    return FakeSource(rig=rig, make=dented, name="bubble", **options)
+
+
+@pytest.fixture
+def untouched_source():
+    return one_camera(untouched=dented(0, Rig.of_one_camera(tiny_rig().tactile)))
+
+
+def press(qtbot, widget, text):
+    """Wait until a button with this text is visible, and click it."""
+
+    def shown():
+        return [each for each in widget.findChildren(QPushButton) if each.text() == text and each.isVisible()]
+
+    qtbot.waitUntil(lambda: bool(shown()))
+    QTest.mouseClick(shown()[0], LEFT)
+
+
+def patch_view(window):
+    return window.views.views[CloudName.PATCH]
+
+
+def test_the_button_in_the_empty_view_chooses_dent_and_one_undo_takes_it_back(window, qtbot, untouched_source):
+    show_source(qtbot, window, untouched_source, 3)
+    qtbot.waitUntil(lambda: "tactile camera only" in patch_view(window).message())
+    press(qtbot, patch_view(window), "Use the dent test")
+    qtbot.waitUntil(lambda: window.result.patch is not None and len(window.result.patch.points) > 0)
+    assert window.document.preset.contact_test == "dent"
+    nearer = np.isclose(window.result.patch.points[:, 2], 0.25 - DENT_M, atol=2e-4)
+    assert nearer.mean() > 0.8  # the average over neighbours blurs the edge of the disc
+    assert window.messages.message("problem") is None
+    window.worker.seek(0)
+    qtbot.waitUntil(lambda: window.result.frame.sequence == 0 and len(window.result.patch.points) == 0)
+    window.document.undo_stack.undo()
+    assert window.document.preset.contact_test == "tolerance"
+
+
+def test_views_and_actions_of_two_cameras_go_and_come_back(window, qtbot, untouched_source):
+    actions, strip = window.actions_, window.strip
+    show_source(qtbot, window, untouched_source, 3)
+    assert not window.views.views[CloudName.PROXIMITY].isVisible()
+    assert [name for name, pane in strip.panes.items() if pane.isVisible()] == ["color", "tactile"]
+    assert not window.panel.sections["alignment"].isVisible()
+    for action in (actions.calibrate, actions.recheck, actions.show_proximity):
+        assert not action.isEnabled()
+        assert "tactile camera only" in action.toolTip()
+
+    window.parts.toggle(strip.panes["color"])  # an enlarged image and back
+    window.parts.back()
+    assert not window.views.views[CloudName.PROXIMITY].isVisible()
+    assert not strip.panes["difference"].isVisible()
+
+    show_source(qtbot, window, FakeSource(), 3)
+    assert window.views.views[CloudName.PROXIMITY].isVisible()
+    assert all(pane.isVisible() for pane in strip.panes.values())
+    assert window.panel.sections["alignment"].isVisible()
+    for action in (actions.calibrate, actions.recheck, actions.show_proximity):
+        assert action.isEnabled()
+        assert "tactile camera only" not in action.toolTip()
+
+
+def test_the_check_of_cameras_has_no_second_camera(make_window, qtbot, preset, untouched_source):
+    window = make_window(preset)
+    show_source(qtbot, window, untouched_source, 3)
+    window.checks.open()
+    opened = window.checks.window
+    qtbot.waitUntil(lambda: opened.quality.quality is not None)
+    assert not opened.quality.panes["tactile"].isVisible()
+    assert "Fill rate" in opened.quality.lines["proximity"].text()
+    assert not opened.tabs.isTabEnabled(opened.tabs.indexOf(opened.skew))
+    show_source(qtbot, window, FakeSource(), 3)
+    qtbot.waitUntil(lambda: opened.tabs.isTabEnabled(opened.tabs.indexOf(opened.skew)))
+    qtbot.waitUntil(opened.quality.panes["tactile"].isVisible)
 
 
 def test_two_buttons_lead_from_a_recording_of_one_camera_to_a_patch(window, qtbot):
@@ -16,13 +109,10 @@ def test_two_buttons_lead_from_a_recording_of_one_camera_to_a_patch(window, qtbo
     assert views[CloudName.TACTILE].isVisible()
     assert not actions.show_proximity.isEnabled()
     assert not actions.calibrate.isEnabled()
-    offer = views[CloudName.PATCH]._notice.button
-    qtbot.waitUntil(offer.isVisible)
-    QTest.mouseClick(offer, LEFT)
+    press(qtbot, patch_view(window), "Use the dent test")
     assert window.document.preset.contact_test == "dent"
     qtbot.waitUntil(lambda: window.result.preset.contact_test == "dent" and "untouched" in window.result.problem)
-    qtbot.waitUntil(offer.isVisible)
-    QTest.mouseClick(offer, LEFT)
+    press(qtbot, patch_view(window), "Capture untouched frame")
     qtbot.waitUntil(lambda: window.untouched.window is not None and window.untouched.window.isVisible())
     capture = window.untouched.window.panel
     capture.wanted = 3

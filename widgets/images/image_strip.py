@@ -22,6 +22,8 @@ PANES = {
     "tactile": "Tactile depth (aligned)",
     "difference": "Relative difference",
 }
+#: The panes that a rig with a tactile camera only does not have.
+_OF_TWO_CAMERAS = ("proximity", "difference")
 
 _EMPTY = "No frame yet"
 
@@ -78,6 +80,7 @@ class ImageStrip(QWidget):
         self._fitted = True
         self._linking = False
         self._hint = 0
+        self._two_cameras = True
         self._wipe: Wipe | None = None
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAccessibleName("Images of the current frame")
@@ -121,6 +124,19 @@ class ImageStrip(QWidget):
     def right_of_wipe(self, u: int) -> bool:
         line = self.panes["color"].wipe_line
         return bool(line.isVisible() and u > line.value())
+
+    def set_two_cameras(self, two: bool) -> None:
+        """Show the images that compare two cameras, or leave them out."""
+        if two != self._two_cameras:
+            self._two_cameras = two
+            self.panes["tactile"].title.setText(PANES["tactile"] if two else "Tactile depth")
+            self.show_panes()
+
+    def show_panes(self) -> None:
+        """Show all images that the cameras give."""
+        for name, pane in self.panes.items():
+            pane.setVisible(self._two_cameras or name not in _OF_TWO_CAMERAS)
+        self._check_hint()
 
     def set_badge(self, text: str) -> None:
         for pane in self.panes.values():

@@ -180,6 +180,10 @@ class ParameterPanel(QScrollArea):
         for name, section in self.sections.items():
             section.set_collapsed(name in names)
 
+    def set_two_cameras(self, two: bool) -> None:
+        """Show the alignment of two cameras, or leave it out."""
+        self.sections["alignment"].setVisible(two)
+
     def enable_measuring(self, enabled: bool) -> None:
         for button in (*self.suggests.values(), self.eyedroppers["set"]):
             button.setEnabled(enabled)

@@ -43,7 +43,11 @@ _MIN_FALSE_MM2, _MAX_SMALLEST_MM2, _MARGIN = 10.0, 100.0, 1.2
 #: An object in contact dents the membrane. Curvature of a slightly bulged membrane, 1/m, and the smallest dent that can
 #: be told from noise, metres.
 _BULGE_PER_M, _MIN_DENT_M = 10.0, 0.001
-_SMALLEST: Final = {"membrane": "membrane.min_area_mm2", "tolerance": "outliers.min_cluster_area_mm2"}
+_SMALLEST: Final = {
+    "membrane": "membrane.min_area_mm2",
+    "tolerance": "outliers.min_cluster_area_mm2",
+    "dent": "dent.min_area_mm2",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +72,22 @@ class Situation:
         return float(np.median(counts)) * self.rig.tactile.depth_unit_m * section.depth_scale + section.depth_offset_m
 
 
+def unusable_test(preset: Preset, rig: Rig, untouched: SensorFrame | None) -> Finding | None:
+    """The contact test compares with a camera or a frame that is not there, so there is no patch."""
+    if preset.test.needs_proximity and not rig.has_proximity:
+        sentence = f"The contact test {preset.contact_test} compares two cameras; this rig has a tactile camera only."
+        expected = "Contact is where the membrane has moved since the untouched frame."
+        proposal = Proposal("contact_test", {"contact_test": "dent"}, "Use the dent test", sentence, expected)
+        return Finding("one_camera", "contact_test", sentence, proposal, explains_empty=True)
+    if preset.test.needs_untouched and untouched is None:
+        sentence = (
+            f"The contact test {preset.contact_test} compares with the untouched frame, and there is none: capture it "
+            "while nothing touches the membrane."
+        )
+        return Finding("no_untouched", "contact_test", sentence, action="capture_untouched", explains_empty=True)
+    return None
+
+
 def no_depth(it: Situation) -> Finding | None:
     """A camera measures hardly any depth, or the tactile depth is implausible."""
     return depth_missing(it.frame, it.rig)
@@ -79,8 +99,8 @@ def depth_missing(frame: SensorFrame, rig: Rig) -> Finding | None:
         "proximity": "raise its laser power or gain, and check that nothing covers its window",
         "tactile": "light the membrane evenly, and check that it has texture and that the lens is clean",
     }
-    if rig.tactile.model == "none":
-        return None
+    if not rig.has_proximity:
+        remedies.pop("proximity")
     for role, remedy in remedies.items():
         counts = frame.proximity_depth if role == "proximity" else frame.tactile_depth
         share = float(np.mean(valid_depth(counts[::_STRIDE, ::_STRIDE])))
@@ -94,7 +114,7 @@ def wrong_unit(frame: SensorFrame, rig: Rig) -> Finding | None:
     """The tactile camera sees the membrane at a distance that no sensor has."""
     counts = frame.tactile_depth[::_STRIDE, ::_STRIDE]
     counts = counts[valid_depth(counts)]
-    if rig.tactile.model == "none" or not len(counts):
+    if not len(counts):
         return None
     unit_m = rig.tactile.depth_unit_m
     distance_m = float(np.median(counts)) * unit_m
@@ -121,7 +141,7 @@ def covering_mask(it: Situation) -> Finding | None:
 def peak(it: Situation) -> Finding | None:
     """The bias between the cameras is larger than the contact test stands."""
     preset, distance_m = it.preset, it.distance_m
-    if it.rig.tactile.model == "none" or not distance_m > 0 or (found := _bias(it)) is None:
+    if not preset.test.needs_proximity or not distance_m > 0 or (found := _bias(it)) is None:
         return None
     limits = preset.test.bias_limits(preset, distance_m)
     largest_m = min((limits.good_m + limits.fair_m) / 2, _MAX_ASSUMED_M)  # half of what leaves no contact
@@ -166,6 +186,8 @@ def _bias(it: Situation) -> MeasuredBias | None:
 
 def prints(it: Situation) -> Finding | None:
     """Several groups of contact have the colour of prints, and wherever it is, both cameras measure the membrane."""
+    if not it.preset.test.needs_proximity:
+        return None
     count, labels, stats, _ = cv2.connectedComponentsWithStats(it.patch.mask.view(np.uint8))
     large = [label for label in range(1, count) if stats[label, cv2.CC_STAT_AREA] >= _MIN_GROUP_PX]
     if len(large) < _MIN_PRINTS:
@@ -258,6 +280,7 @@ class Examiner:
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
         self._pipeline: ContactPipeline | None = None
+        self._untouched: SensorFrame | None = None
 
     def findings(
         self, frame: SensorFrame, patch: ContactPatch, preset: Preset, untouched: SensorFrame | None = None
@@ -269,8 +292,9 @@ class Examiner:
         before: ContactPatch | None = None
         if untouched is not None:
             try:
-                if self._pipeline is None:
-                    self._pipeline = ContactPipeline(preset, self._rig)
+                if self._pipeline is None or untouched is not self._untouched:
+                    self._untouched = untouched
+                    self._pipeline = ContactPipeline(preset, self._rig, untouched)
                 elif self._pipeline.preset is not preset:
                     self._pipeline.update(preset)
                 before = self._pipeline.process(untouched)
