@@ -10,6 +10,7 @@ from ...model.plugins import added_by_others
 from ...preset import CamerasSection
 from ..base import CameraRole
 from .camera import CameraDriver, DeviceInfo
+from .orbbec import OrbbecDriver
 from .realsense import RealSenseDriver
 
 #: Entry points of other packages: classes of camera drivers.
@@ -21,7 +22,7 @@ SCHEME: Final = "cameras"
 def camera_drivers() -> tuple[list[CameraDriver], list[str]]:
     """Return all installed drivers, and a sentence for each that cannot be loaded."""
     found, failed = added_by_others(GROUP, CameraDriver)
-    known = {**found, "realsense": RealSenseDriver}
+    known = {**found, "orbbec": OrbbecDriver, "realsense": RealSenseDriver}
     drivers, problems = [], list(failed.values())
     for name in sorted(known):
         try:
