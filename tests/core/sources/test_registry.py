@@ -23,7 +23,7 @@ from tactune.core.sources.simulator.sensors import DEFAULT_SENSOR
     ],
 )
 def test_simulator_names(rest: str, expected: dict[str, Any]) -> None:
-    plain = {"sensor": DEFAULT_SENSOR, "variant": Variant()}
+    plain = {"sensor": DEFAULT_SENSOR, "variant": Variant(), "cameras": "two"}
     assert source_options(read_name(rest)) == plain | expected
 
 
