@@ -71,7 +71,12 @@ def list_devices() -> tuple[list[DeviceInfo], str, list[str]]:
     return devices, "; ".join(filter(None, (driver.hint() for driver in drivers))), [*failures, *problems]
 
 
-def choose(devices: Sequence[DeviceInfo], cameras: CamerasSection, hint: str = "") -> dict[CameraRole, DeviceInfo]:
+def choose(
+    devices: Sequence[DeviceInfo],
+    cameras: CamerasSection,
+    hint: str = "",
+    roles: Sequence[CameraRole] = ("proximity", "tactile"),
+) -> dict[CameraRole, DeviceInfo]:
     """Decide which device gets which role: by serial number where the preset names one, else by `DeviceInfo.role`.
 
     ``hint`` is the reason why a driver may not list a camera. `SourceError` if one is missing, or several would fit.
@@ -84,8 +89,8 @@ def choose(devices: Sequence[DeviceInfo], cameras: CamerasSection, hint: str = "
     serials: dict[CameraRole, str] = {"proximity": cameras.proximity.serial, "tactile": cameras.tactile.serial}
     form = f"name both serials as {SCHEME}:PROXIMITY,TACTILE or choose in the camera dialog"
     chosen: dict[CameraRole, DeviceInfo] = {}
-    for role, serial in serials.items():
-        if serial:
+    for role in roles:
+        if serial := serials[role]:
             fitting = [device for device in devices if device.serial == serial]
         else:
             fitting = [device for device in devices if device.role == role and device.serial not in serials.values()]
@@ -97,7 +102,7 @@ def choose(devices: Sequence[DeviceInfo], cameras: CamerasSection, hint: str = "
         if len(fitting) > 1:
             raise SourceError(f"{SCHEME}: {_titles(fitting)} may each be the {role} camera; {form}")
         chosen[role] = fitting[0]
-    if chosen["proximity"] is chosen["tactile"]:
+    if len(roles) == 2 and chosen["proximity"] is chosen["tactile"]:
         raise SourceError(f"{SCHEME}: both cameras have the serial {serials['tactile']}; name two different ones")
     return chosen
 

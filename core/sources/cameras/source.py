@@ -35,12 +35,13 @@ def open_cameras(cameras: CamerasSection, progress: Progress) -> FrameSource:
 
 
 class CameraSource(FrameSource):
-    """A proximity and a tactile camera, paired by time.
+    """A proximity and a tactile camera, paired by time; or a tactile camera only.
 
     Frames are numbered from 0 and carry the cameras' time stamps on the computer's clock; the tactile camera's
     are reduced by ``cameras.tactile_delay_s``. While a camera stalls or is missing there are no frames and `health`
     says why; frames continue by themselves when it is back. The two cameras may have different drivers; ``problems``
-    are sentences about drivers that cannot be used; ``name`` is that of the source if it is not ``cameras:``.
+    are sentences about drivers that cannot be used; ``roles`` are those of the cameras to open; ``name`` is that of the
+    source if it is not ``cameras:``.
     """
 
     def __init__(
@@ -51,6 +52,7 @@ class CameraSource(FrameSource):
         problems: Sequence[str] = (),
         *,
         name: str = "",
+        roles: Sequence[CameraRole] = ("proximity", "tactile"),
     ) -> None:
         serials = (cameras.proximity.serial, cameras.tactile.serial)
         self.name = name or (f"{SCHEME}:{','.join(serials)}" if all(serials) else f"{SCHEME}:")
@@ -63,9 +65,9 @@ class CameraSource(FrameSource):
         tell(0.0, "looking for cameras")
         connected, failures = connected_devices(drivers)
         hint = "; ".join(filter(None, [*(driver.hint() for driver in drivers), *failures, *problems]))
-        chosen = choose([info for _, info in connected], cameras, hint)
+        chosen = choose([info for _, info in connected], cameras, hint, roles)
         try:
-            for share, (role, info) in zip((0.2, 0.6), chosen.items(), strict=True):
+            for share, (role, info) in zip((0.2, 0.6), chosen.items(), strict=False):
                 tell(share, f"opening the {info.title}")
                 driver = next(driver for driver, known in connected if known is info)
                 self._feeds[role] = CameraThread(role, driver, info, getattr(cameras, role).options, self._add)
@@ -77,8 +79,11 @@ class CameraSource(FrameSource):
             raise
         self._delay_s = cameras.tactile_delay_s
         self._pairer: Pairer[Images] = Pairer(1.0 / self.frame_rate_hz, _PATIENCE_S + abs(self._delay_s))
-        proximity, tactile = self._feeds["proximity"].calibration, self._feeds["tactile"].calibration
-        self._rig = Rig(proximity=proximity.depth, tactile=tactile.depth, proximity_color=proximity.color_camera)
+        tactile = self._feeds["tactile"].calibration
+        self._rig = Rig.of_one_camera(tactile.depth)
+        if "proximity" in self._feeds:
+            proximity = self._feeds["proximity"].calibration
+            self._rig = Rig(proximity=proximity.depth, tactile=tactile.depth, proximity_color=proximity.color_camera)
         self._last_frame_s = time.monotonic()
         for feed in self._feeds.values():
             feed.start()
@@ -91,7 +96,7 @@ class CameraSource(FrameSource):
     @property
     def frame_rate_hz(self) -> float:
         """The rate at which both cameras take images."""
-        return self._feeds["proximity"].rate_hz
+        return next(iter(self._feeds.values())).rate_hz
 
     def wait(self, timeout_s: float) -> bool:
         """Wait for a pair of images, at most ``timeout_s``; `SourceError` if a driver hangs."""
@@ -113,6 +118,9 @@ class CameraSource(FrameSource):
         proximity, tactile, color = first.item, second.item, second.item.color
         if color is not None:
             color = self._feeds["tactile"].calibration.color_on_depth(color, tactile.depth)
+        if not self._rig.has_proximity:
+            self._sequence += 1
+            return SensorFrame.of_one_camera(self._sequence - 1, tactile.depth, color, second.time_s)
         proximity_color = proximity.color
         if proximity_color is None:
             proximity_color = np.zeros((*self._rig.proximity_color_shape, 3), np.uint8)
@@ -158,7 +166,10 @@ class CameraSource(FrameSource):
     def _add(self, role: CameraRole, images: Images, arrival_s: float) -> None:
         """Take the images of one camera, on its thread."""
         with self._changed:
-            if role == "proximity":
+            if not self._rig.has_proximity:
+                alone = Timed(images.time_s, arrival_s, images)
+                self._ready.append((alone, alone))
+            elif role == "proximity":
                 self._pairer.add_first(Timed(images.time_s, arrival_s, images))
             else:
                 self._pairer.add_second(Timed(images.time_s - self._delay_s, arrival_s, images))

@@ -93,14 +93,15 @@ class Ros2Source(CameraSource):
             str(role): getattr(cameras, str(role)).model_copy(update={"serial": info.serial, "options": {}})
             for role, info in infos.items()
         }
-        first, second = (found.images[found.topics[f"{role}.depth"]].frame for role in ("proximity", "tactile"))
+        roles = tuple(info.role for info in self._driver.devices() if info.role is not None)
+        first, second = (found.images[found.topics[f"{role}.depth"]].frame for role in (roles[0], roles[-1]))
         pose = found.frames.pose(first, second)
         if pose is None:
             self._driver.notes["pose"] = (
                 f"no chain of fixed transforms joins the frames {foreign(first, 60)!r} and {foreign(second, 60)!r} "
                 "of the cameras: calibrate the alignment"
             )
-        super().__init__([self._driver], cameras.model_copy(update=chosen), progress, name=name)
+        super().__init__([self._driver], cameras.model_copy(update=chosen), progress, name=name, roles=roles)
         if pose is not None:
             self._rig = self._rig.model_copy(update={"T_proximity_tactile": camera_pose(pose)})
 

@@ -41,6 +41,8 @@ class Found:
 
     def gap(self) -> str:
         """Return a clause that says which image or lens is missing; empty if none is."""
+        if "tactile.depth" not in self.topics:
+            return "no topic is named as tactile.depth"
         for slot, topic in self.topics.items():
             if slot.endswith(".info"):
                 continue
@@ -62,6 +64,8 @@ def find_topics(name: str, listener: Listener, chosen: Topics, progress: Progres
             changed_s = now_s
             images, frames = survey(heard), Frames(heard)
             topics, gap = (chosen, "") if chosen else guess_topics(images, frames.joined)
+            if "tactile.depth" not in topics:  # a camera alone is a tactile one
+                topics = {slot.replace("proximity", "tactile"): topic for slot, topic in topics.items()}
             found = Found(topics, {image.name: image for image in images}, heard.types, frames)
             gap = gap or found.gap()
         time.sleep(_POLL_S)

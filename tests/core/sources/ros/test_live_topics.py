@@ -70,6 +70,23 @@ def test_two_cameras_are_found_and_survive_that_their_publisher_goes(domain: int
             assert source.health().message == ""
 
 
+@pytest.mark.parametrize("chosen", ["", "?proximity.depth=/d405/depth/image_rect_raw"])
+def test_one_camera_is_a_tactile_one(chosen: str, domain: int) -> None:
+    with (
+        cameras(domain, names=("d405",)),
+        open_topics(f"?domain={domain}{chosen}", CamerasSection(), untold) as source,
+    ):
+        assert not source.rig.has_proximity
+        numbers = []
+        for _ in range(8):
+            frame = source.next_frame()
+            assert frame is not None
+            assert np.array_equal(frame.proximity_depth, frame.tactile_depth)
+            numbers.append(int(frame.tactile_depth[0, 0]))
+        assert numbers == sorted(set(numbers))
+        assert source.health().ok
+
+
 @pytest.fixture
 def from_fast_dds(fast_dds_program: Path, domain: int) -> Iterator[int]:
     """Publish by Fast DDS, images without repeats as sensor data are, and return the domain."""
