@@ -17,9 +17,9 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -56,22 +56,64 @@ def export_hdf5(
     untouched = source.untouched() if untouched is None else untouched
     remove_leftovers(Path(path).parent, Path(path).name)
     with atomic_path(path, exclusive=exclusive) as temporary:
-        try:
-            with h5py.File(temporary, "w") as file:
-                count = 0
-                for count, frame in enumerate(itertools.islice(source, total), start=1):
-                    frame.check_against(source.rig)
-                    _append(file, source.rig, frame, count - 1)
-                    if progress is not None:
-                        progress(count / total, f"frame {count} of {total}")
-                if count == 0:
-                    raise ExportError(f"{source.name} has no frames left to export; seek to the first one")
-                if untouched is not None:
-                    _append(file.create_group("untouched"), source.rig, untouched, 0)
-                _describe(file, source.rig, source.frame_rate_hz)
-        except (RuntimeError, ValueError) as error:  # what h5py makes of a full disk
-            raise ExportError(f"cannot write {path}: {error}; choose another place") from error
+        with _Disk(temporary) as disk, h5py.File(disk, "w") as file:
+            count = 0
+            for count, frame in enumerate(itertools.islice(source, total), start=1):
+                frame.check_against(source.rig)
+                _append(file, source.rig, frame, count - 1)
+                disk.check()
+                if progress is not None:
+                    progress(count / total, f"frame {count} of {total}")
+            if count == 0:
+                raise ExportError(f"{source.name} has no frames left to export; seek to the first one")
+            if untouched is not None:
+                _append(file.create_group("untouched"), source.rig, untouched, 0)
+            _describe(file, source.rig, source.frame_rate_hz)
+        disk.check()
     return count
+
+
+class _Disk:
+    """A file that keeps the error of a full disk: HDF5 ends the process if a write fails while it closes the file."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("w+b", buffering=0)
+        self._error: OSError | None = None
+        self.seek, self.tell = self._file.seek, self._file.tell
+        self.read, self.readinto = self._file.read, self._file.readinto
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def write(self, data: memoryview) -> int:
+        left = memoryview(data)
+        self._try(lambda: self._write_all(left))
+        return len(left)
+
+    def _write_all(self, left: memoryview) -> None:
+        while left:
+            left = left[self._file.write(left) :]
+
+    def truncate(self, size: int) -> None:
+        self._try(lambda: self._file.truncate(size))
+
+    def flush(self) -> None:
+        """Do nothing: the file has no buffer."""
+
+    def _try(self, work: Callable[[], object]) -> None:
+        if self._error is None:
+            try:
+                work()
+            except OSError as error:
+                self._error = error
+
+    def check(self) -> None:
+        """Raise the error of a write that failed."""
+        if self._error is not None:
+            raise self._error
 
 
 def _append(group: Any, rig: Rig, frame: SensorFrame, index: int) -> None:

@@ -29,7 +29,7 @@ KILLS, SECONDS_BESIDE, MOST_S, HUNG_S = 12, 1.0, 10.0, 120.0
 #: What a window reads only when it opens: a state beside those that another window is replacing.
 READ_AT_START = ("unsaved preset", "alignment", "calibration")
 #: Written under a new name each time: what was checked once need not be read again.
-NAMED_ANEW = ("rig", "folder", "recording", "camchain", "URDF", "HDF5")
+NAMED_ANEW = ("rig", "folder", "recording")
 OURS = [name for name, kind in KINDS.items() if kind.ours]
 
 

@@ -299,14 +299,12 @@ def cloud(name: str) -> Kind:
 
 
 def read_hdf5(folder: Path) -> None:
-    for path in folder.glob("*.h5"):
-        with h5py.File(path) as file:
-            assert len(file["sequence"]) == len(file["tactile/depth"]) == len(FRAMES)
+    with h5py.File(folder / "a.h5") as file:
+        assert len(file["sequence"]) == len(file["tactile/depth"]) == len(FRAMES)
 
 
 def read_urdf(folder: Path) -> None:
-    for path in folder.glob("*.urdf"):
-        assert ElementTree.parse(path).getroot().tag == "robot"
+    assert ElementTree.parse(folder / "a.urdf").getroot().tag == "robot"
 
 
 #: Depth in four forms, colour in two: numbered files of other programs.
@@ -348,13 +346,12 @@ def lens_file(name: str) -> Kind:
 
 
 def camchain(folder: Path, n: int) -> None:
-    export_calibration(fresh(folder, ".yaml"), "kalibr", RIG.model_copy(update={"tactile": RIG.proximity}))
+    export_calibration(folder / "a.yaml", "kalibr", RIG.model_copy(update={"tactile": RIG.proximity}))
 
 
 def read_camchain(folder: Path) -> None:
-    for path in folder.glob("[!.]*.yaml"):
-        for lens in read_lenses(path):
-            lens.lens(lens.size or (7, 5))
+    for lens in read_lenses(folder / "a.yaml"):
+        lens.lens(lens.size or (7, 5))
 
 
 PICTURE = QImage(64, 64, QImage.Format.Format_RGB32)
@@ -379,8 +376,8 @@ KINDS: dict[str, Kind] = {
     **{f"lens.{suffix}": lens_file(f"a.{suffix}") for suffix in ("yaml", "xml", "json")},
     "lens.txt": Kind(text("a.txt", "30 0 15\n0 31 11\n0 0 1\n"), lambda f: read_lenses(f / "a.txt"), 100, ours=False),
     "camchain": Kind(camchain, read_camchain, 100),
-    "URDF": Kind(lambda f, n: export_calibration(fresh(f, ".urdf"), "urdf", RIG), read_urdf, 0),
-    "HDF5": Kind(lambda f, n: export_hdf5(ListSource(FRAMES), fresh(f, ".h5")), read_hdf5, 0),
+    "URDF": Kind(lambda f, n: export_calibration(f / "a.urdf", "urdf", RIG), read_urdf, 0),
+    "HDF5": Kind(lambda f, n: export_hdf5(ListSource(FRAMES), f / "a.h5"), read_hdf5, 0),
     "recording": Kind(record, play_all, 400, grows=True),
     "converted recording": Kind(lambda f, n: export_mcap(ListSource(FRAMES[n:]), f / "a.mcap"), play_all, 100),
     "patches": Kind(write_patches, grows=True),
