@@ -47,12 +47,12 @@ SourceOption = Annotated[
     ),
 ]
 TopicsOption = Annotated[
-    str | None,
+    list[str] | None,
     typer.Option(
         "--topics",
         metavar="SLOT=TOPIC,...",
         help="Topics of a ROS recording, or of live ones (ros2:): proximity.depth, proximity.color, proximity.info, "
-        "and the same of tactile. They are kept beside a recording.",
+        "and the same of tactile; may be repeated. They are kept beside a recording.",
     ),
 ]
 UntouchedSource = Annotated[
@@ -111,13 +111,13 @@ def _cell_text(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def with_topics(source: str, topics: str | None) -> str:
+def with_topics(source: str, topics: list[str] | None) -> str:
     """Return the name of a source with the topics that its images are on."""
-    if topics is None:
+    if not topics:
         return source
     from ...core.sources.ros.topics import parse_topics
 
-    named = ",".join(f"{slot}={topic}" for slot, topic in parse_topics(topics).items())
+    named = ",".join(f"{slot}={topic}" for slot, topic in parse_topics(",".join(topics)).items())
     return f"{source}?{named}"
 
 

@@ -22,6 +22,8 @@ _TO_RGB: Final[dict[str, tuple[int, int | None]]] = {
     "bgr8": (3, cv2.COLOR_BGR2RGB),
     "rgba8": (4, cv2.COLOR_RGBA2RGB),
     "bgra8": (4, cv2.COLOR_BGRA2RGB),
+    "8UC3": (3, cv2.COLOR_BGR2RGB),  # OpenCV's order, as RViz shows it
+    "8UC4": (4, cv2.COLOR_BGRA2RGB),
     "8UC1": (1, cv2.COLOR_GRAY2RGB),
     "mono8": (1, cv2.COLOR_GRAY2RGB),
     **dict.fromkeys(("YUYV", "yuyv", "yuv422_yuy2", "yuy2"), (2, cv2.COLOR_YUV2RGB_YUYV)),
@@ -48,6 +50,9 @@ _DECODED: Final = {
 }
 #: compressed_depth_image_transport puts its settings in front of a PNG: an enumeration and two float32.
 _DEPTH_HEADER_BYTES: Final = 12
+#: More than any depth camera has; a damaged size must not fill the memory.
+_MOST_PIXELS: Final = 1 << 24
+_MOST_DIGITS: Final = 10  # of 3 bits each
 #: Unit of the counts to which depth in metres is brought.
 FLOAT_UNIT_M: Final = 1e-4
 
@@ -67,7 +72,7 @@ def damage_told(path: Path, what: str) -> Iterator[None]:
         raise SourceError(f"cannot read {path}: {error.strerror or error}; check the disk") from error
     except Exception as error:
         detail = foreign(error) or type(error).__name__
-        raise SourceError(f"{path}: {what} ({detail}); copy or record it again") from error
+        raise SourceError(f"{path}: {what} ({detail}); copy it again if it is damaged") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,9 +187,8 @@ def _unpacked(words: str, data: Uint8Array) -> RawImage:
         if kind is None:
             raise DamagedFileError(f"it is compressed with {image.dtype} and the shape {image.shape}")
         return RawImage.of_pixels(image, kind)
-    if "rvl" in how:
-        raise DamagedFileError("its depth is compressed as RVL; record it as png, or uncompressed")
-    image = _decoded(data[_DEPTH_HEADER_BYTES:])
+    packed = data[_DEPTH_HEADER_BYTES:]
+    image = _unpack_rvl(packed) if "rvl" in how.lower() else _decoded(packed)
     if image.dtype != np.uint16 or image.ndim != 2:
         raise DamagedFileError(f"its depth is compressed with {image.dtype} and the shape {image.shape}")
     if encoding != "32FC1":
@@ -194,6 +198,40 @@ def _unpacked(words: str, data: Uint8Array) -> RawImage:
     with np.errstate(divide="ignore", invalid="ignore"):
         metres = np.where(image > 0, scale / (image - offset), np.nan)
     return RawImage.of_pixels(metres.astype(np.float32), "32FC1")
+
+
+def _unpack_rvl(data: Uint8Array) -> Uint16Array:
+    """Return depth, uint16 (H, W), that is compressed as RVL (Wilson 2017), with width and height in front.
+
+    It is a list of numbers: how many pixels are zero, how many are not, and the differences of the latter. A number is
+    written 3 bits at a time, the lowest first; the fourth bit says that more follow.
+    """
+    width, height = np.frombuffer(data[:8].tobytes(), "<u4").tolist()
+    if not 0 < width * height <= _MOST_PIXELS:
+        raise DamagedFileError(f"its depth is said to have {width} x {height} pixels")
+    words = np.frombuffer(data[8 : len(data) // 4 * 4].tobytes(), "<u4")
+    parts = (words[:, None] >> np.arange(28, -1, -4, dtype=np.uint32) & 15).ravel().astype(np.int64)
+    starts = np.flatnonzero(np.concatenate([[True], parts[:-1] < 8]))
+    digit = np.arange(len(parts)) - np.repeat(starts, np.diff(np.append(starts, len(parts))))
+    if digit.max(initial=0) > _MOST_DIGITS:
+        raise DamagedFileError("its depth has a number that is too large")
+    numbers = np.add.reduceat((parts & 7) << 3 * digit, starts)
+    steps = (numbers >> 1) ^ -(numbers & 1)
+    seen = np.zeros(width * height, np.bool_)
+    differences = []
+    place = at = 0
+    while place < len(seen):
+        if at + 2 > len(numbers):
+            raise DamagedFileError("its depth ends too early")
+        place, count, at = place + int(numbers[at]), int(numbers[at + 1]), at + 2
+        if max(place, place + count) > len(seen) or at + count > len(numbers):
+            raise DamagedFileError("its depth has more pixels than its size")
+        seen[place : place + count] = True
+        differences.append(steps[at : at + count])
+        place, at = place + count, at + count
+    depth = np.zeros(len(seen), np.uint16)
+    depth[seen] = np.cumsum(np.concatenate(differences))
+    return depth.reshape(height, width)
 
 
 def _decoded(data: Uint8Array) -> AnyArray:

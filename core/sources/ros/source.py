@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -21,12 +21,24 @@ from ..lens import Lens, camera_info_lens
 from ..mcap.messages import matrix_of
 from ..ros_image import FLOAT_UNIT_M, RawImage, damage_told, nearest_within, pairs, period_s
 from .bags import POSES, Bag, open_bag
-from .topics import ImageTopic, Topics, guess_topics, list_topics, load_topics, split_name, store_topics, survey
+from .topics import (
+    ImageTopic,
+    Topics,
+    complete_topics,
+    guess_topics,
+    list_topics,
+    load_topics,
+    split_name,
+    store_topics,
+    survey,
+)
 
 #: Unit of depth in whole numbers, by ROS's convention for depth images (REP 118).
 COUNT_UNIT_M: Final = 0.001
 #: Camera infos that are tried until one is filled in.
 _TRIED_INFOS: Final = 100
+#: Messages of poses of each topic that are read.
+_TRIED_POSES: Final = 1000
 #: Size of the pictures of topics, pixels.
 _PICTURE_PX: Final = 160
 #: A pose between two frames that changes by more than this, metres and radians, is none of a rig.
@@ -46,7 +58,8 @@ class Frames:
         for topic, kind in bag.types.items():
             if kind not in POSES:
                 continue
-            for index in range(min(bag.count(topic), _TRIED_INFOS)):
+            count = bag.count(topic)  # of many, some from all over the recording: what moves may rest at first
+            for index in np.unique(np.linspace(0, count - 1, min(count, _TRIED_POSES)).astype(int)).tolist():
                 for each in bag.message(topic, index).transforms:
                     names = each.header.frame_id.lstrip("/"), each.child_frame_id.lstrip("/")
                     poses.setdefault(names, []).append(matrix_of(each.transform))
@@ -56,8 +69,13 @@ class Frames:
                 self._edges.setdefault(child, {})[parent] = np.asarray(np.linalg.inv(found[0]), np.float64)
 
     def pose(self, to: str, of: str) -> Float64Array | None:
-        """Return ``T_to_of``, 4 x 4, which takes coordinates in ``of`` to ``to``; None if no chain joins them."""
+        """Return ``T_to_of``, 4 x 4, which takes coordinates in ``of`` to ``to``; None if no chain joins them.
+
+        Images without a frame in their headers are in no known one.
+        """
         to, of = to.lstrip("/"), of.lstrip("/")
+        if not to or not of:
+            return None
         known = {to: np.eye(4)}
         waiting = [to]
         while waiting:
@@ -109,7 +127,7 @@ class Inspection:
     """What a person sees before the topics of a recording are chosen.
 
     ``guess`` is empty and ``gap`` a clause where the names do not tell the topics; ``pictures`` has a small image of
-    each topic, RGB uint8 (H, W, 3).
+    each topic whose middle image can be shown, RGB uint8 (H, W, 3).
     """
 
     images: tuple[ImageTopic, ...]
@@ -128,7 +146,10 @@ def inspect_recording(path: Path, progress: Progress | None = None) -> Inspectio
     with closing(open_bag(path, progress)) as bag, damage_told(path, "it is damaged"):
         images, frames = survey(bag), Frames(bag)
         guess, gap = guess_topics(images, lambda a, b: frames.pose(a, b) is not None)
-        pictures = {image.name: _picture(bag, image) for image in images}
+        pictures = {}
+        for image in images:
+            with suppress(Exception):  # one that is damaged or of an unknown encoding is listed without a picture
+                pictures[image.name] = _picture(bag, image)
     return Inspection(images, guess, gap, pictures)
 
 
@@ -180,7 +201,7 @@ class RosSource(SeekableSource):
         frames = Frames(self._bag)
         topics, gap = guess_topics(images, frames.joined)
         if chosen:
-            topics, gap = chosen, "" if "tactile.depth" in chosen else "--topics names no tactile.depth"
+            topics, gap = complete_topics(chosen, topics, images, frames.joined)
         if gap:
             raise SourceError(
                 f"{self._path}: {gap}; name them with --topics proximity.depth=/topic,tactile.depth=/topic; "
@@ -199,7 +220,13 @@ class RosSource(SeekableSource):
         if self._tactile is None:
             return Rig.of_one_camera(proximity.depth)
         pose = frames.pose(self._main.depth.topic.frame, self._tactile.depth.topic.frame)
-        if pose is None:
+        if pose is not None and not pose[:3, 3].any():  # two drivers that were left with the same frame names
+            self._notes.append(
+                f"both cameras are said to be at the same place (frames {self._main.depth.topic.frame} and "
+                f"{self._tactile.depth.topic.frame}), so the pose between them is unknown: calibrate the alignment"
+            )
+            pose = None
+        elif pose is None:
             self._notes.append(
                 "the pose between the cameras is not in this recording "
                 f"(no chain of fixed transforms from {self._main.depth.topic.frame or 'an unnamed frame'} to "
@@ -253,7 +280,7 @@ class RosSource(SeekableSource):
         """Return the colour of a camera and the pose of its depth in it."""
         image = self._image_topic(f"{role}.color", name, known)
         ours, theirs = depth.topic.frame, image.frame
-        pose = np.eye(4) if ours == theirs else frames.pose(theirs, ours)
+        pose = frames.pose(theirs, ours)
         if pose is None:
             raise _GapError(f"no fixed transform joins its frame {theirs!r} to the frame of the depth, {ours!r}")
         if image.info:

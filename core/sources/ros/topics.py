@@ -125,6 +125,8 @@ def guess_topics(images: Sequence[ImageTopic], joined: Callable[[str, str], bool
         return {}, "no topic has depth images"
     roles = _roles(list(with_depth))
     if roles is None:
+        if len(with_depth) == 1:
+            return {}, "it has depth of the proximity camera only, that of the tactile camera is missing"
         return {}, "its names do not say which camera is proximity and which is tactile"
     topics: Topics = {}
     for role, name in roles.items():
@@ -138,7 +140,7 @@ def guess_topics(images: Sequence[ImageTopic], joined: Callable[[str, str], bool
 def _roles(cameras: list[str]) -> dict[str, str] | None:
     """Return the camera of each role, by their names; None if these do not tell it."""
     if len(cameras) == 1:
-        return {"tactile": cameras[0]}
+        return None if "prox" in cameras[0].lower() else {"tactile": cameras[0]}
     near = [name for name in cameras if any(word in name.lower() for word in _PROXIMITY)]
     touch = [name for name in cameras if any(word in name.lower() for word in _TACTILE)]
     if len(cameras) == 2:  # the other one is the other camera
@@ -167,6 +169,25 @@ def _streams(group: Sequence[ImageTopic], joined: Callable[[str, str], bool]) ->
             if depth.frame == color.frame or joined(depth.frame, color.frame):
                 return depth, color
     return depths[0], None
+
+
+def complete_topics(
+    chosen: Topics, guess: Topics, images: Sequence[ImageTopic], joined: Callable[[str, str], bool]
+) -> tuple[Topics, str]:
+    """Return the topics that a person named with what follows from them, and a clause that says what is missing.
+
+    The colour is that of the same camera; without any depth that was named, the guess counts.
+    """
+    topics = dict(chosen) if any(slot.endswith(".depth") for slot in chosen) else guess | chosen
+    for role in ("proximity", "tactile"):
+        if any(slot.startswith(f"{role}.") for slot in topics) and f"{role}.depth" not in topics:
+            return topics, f"--topics names no {role}.depth"
+        depth = [image for image in images if image.name == topics.get(f"{role}.depth")]
+        if depth and f"{role}.color" not in topics:
+            group = [image for image in images if image.kind == "color" and image.camera == depth[0].camera]
+            if (color := _streams([*depth, *group], joined)[1]) is not None:
+                topics[f"{role}.color"] = color.name
+    return topics, "" if "tactile.depth" in topics else "--topics names no tactile.depth"
 
 
 def split_name(name: str) -> tuple[str, Topics]:
@@ -219,6 +240,9 @@ def store_topics(recording: Path, topics: Topics) -> bool:
 def list_topics(images: Sequence[ImageTopic], types: Mapping[str, str]) -> str:
     """Return what a recording has, for the end of a message."""
     if images:
-        return "its images: " + "; ".join(map(str, images[:8])) + ("; …" if len(images) > 8 else "")
+        known = {image.name for image in images}
+        rest = [topic for topic, kind in sorted(types.items()) if kind in (IMAGE, COMPRESSED) and topic not in known]
+        unread = f"; not readable: {', '.join(foreign(topic, 60) for topic in rest[:4])}" if rest else ""
+        return "its images: " + "; ".join(map(str, images[:8])) + ("; …" if len(images) > 8 else "") + unread
     names = ", ".join(f"{foreign(topic, 60)} ({foreign(kind, 60)})" for topic, kind in sorted(types.items())[:8])
     return f"its topics: {names}" if names else "it has no messages"

@@ -46,7 +46,7 @@ def test_a_file_cut_anywhere_is_refused_or_plays_what_is_whole(path: Path, tmp_p
                 for frame in source:
                     np.testing.assert_array_equal(frame.proximity_depth, frames[frame.proximity_time_s])
         except SourceError as error:
-            assert "record it again" in str(error)
+            assert "copy it again" in str(error)
 
 
 @pytest.mark.parametrize("has_index", [True, False])

@@ -173,6 +173,7 @@ def bayer(pattern: str) -> np.ndarray:
 
 COLORS = {
     "rgb8": RGB, "bgr8": RGB[..., ::-1], "rgba8": np.dstack([RGB, GREY]), "bgra8": np.dstack([RGB[..., ::-1], GREY]),
+    "8UC3": RGB[..., ::-1], "8UC4": np.dstack([RGB[..., ::-1], GREY]),
     "rgb16": RGB.astype(np.uint16) * 256, "bgr16": RGB[..., ::-1].astype(np.uint16) * 256, "mono8": GREY, "8UC1": GREY,
     "mono16": GREY.astype(np.uint16) * 256, "YUYV": yuv("yuyv"), "yuv422_yuy2": yuv("yuyv"), "yuyv": yuv("yuyv"),
     "UYVY": yuv("uyvy"), "uyvy": yuv("uyvy"), "yuv422": yuv("uyvy"), "nv12": planes("nv12"), "nv21": planes("nv21"),
@@ -266,3 +267,69 @@ def test_without_depth_it_lists_what_there_is(tmp_path: Path, streams: list[Any]
     ) as caught:
         first_frame(make_recording(tmp_path / "take", streams))
     assert "record" not in str(caught.value).partition("take")[2]
+
+
+@pytest.mark.parametrize("frames", [("x_optical", "x_optical"), ("", "")])
+def test_drivers_left_with_the_same_or_no_frame_names_give_no_pose(tmp_path: Path, frames: tuple[str, str]) -> None:
+    streams = [depth(NEAR, frames[0]), depth(TOUCH, frames[1], 390), color("/l515/color/image_raw", frames[0])]
+    rig, frame, health = first_frame(make_recording(tmp_path / "take", streams))
+    assert rig.T_proximity_tactile is None
+    assert "calibrate the alignment" in health.message
+    assert frame.proximity_color.any() == bool(frames[0])  # no frame is not the same frame
+
+
+def test_topics_are_named_in_one_option_or_in_several_and_colour_follows_its_depth(
+    tmp_path: Path, tactune: Any
+) -> None:
+    names = ("/cam1/depth/image", "/cam2/depth/image", "/cam2/color/image_raw")
+    streams = [depth(names[0], "b_optical"), depth(names[1], "a_optical", 390), color(names[2], "c_optical")]
+    path = make_recording(tmp_path / "take", streams)
+    both = ("--topics", f"proximity.depth={names[1]}", "--topics", f"tactile.depth={names[0]}")
+    assert "--topics names no tactile.depth" in tactune("convert", path, tmp_path / "out", *both[:2]).sentence
+    assert tactune("convert", path, tmp_path / "out", *both).status == 0
+    with open_source(str(tmp_path / "out")) as source:
+        frame = source.next_frame()
+        assert (frame.proximity_depth[0, 0], frame.tactile_depth[0, 0]) == (390, 400)
+        assert (frame.proximity_color == 90).all()
+
+
+def test_depth_of_the_proximity_camera_alone_is_told(tmp_path: Path) -> None:
+    with pytest.raises(SourceError, match=r"proximity camera only.*--topics"):
+        first_frame(make_recording(tmp_path / "take", [depth("/proximity/depth/image", "a_optical")]))
+
+
+def rvl(image: np.ndarray) -> bytes:
+    """Compress as the paper's own program does, one pixel after another."""
+    parts: list[int] = []
+
+    def put(number: int) -> None:
+        while number > 7:
+            parts.append(number & 7 | 8)
+            number >>= 3
+        parts.append(number)
+
+    pixels, at, before = image.ravel().tolist(), 0, 0
+    while at < len(pixels):
+        run = next((n for n, value in enumerate(pixels[at:]) if value), len(pixels) - at)
+        at += run
+        put(run)
+        run = next((n for n, value in enumerate(pixels[at:]) if not value), len(pixels) - at)
+        put(run)
+        for value in pixels[at : at + run]:
+            step, before = value - before, value
+            put(2 * step if step >= 0 else -2 * step - 1)
+        at += run
+    parts += [0] * (-len(parts) % 8)
+    words = np.array(parts, np.uint32).reshape(-1, 8) << np.arange(28, -1, -4, dtype=np.uint32)
+    return bytes(12) + np.array(image.shape[::-1], "<u4").tobytes() + words.sum(axis=1).astype("<u4").tobytes()
+
+
+@pytest.mark.parametrize("hole", [np.s_[:0], np.s_[:3], np.s_[5:9, 4:], np.s_[-2:], np.s_[::2, ::2]])
+def test_depth_compressed_as_rvl(tmp_path: Path, hole: Any) -> None:
+    image = RNG.integers(1, 65535, (H, W)).astype(np.uint16)
+    image[hole] = 0
+    topic, info = "/l515/depth/image_rect_raw/compressedDepth", "/l515/depth/camera_info"
+    how = "16UC1; compressedDepth rvl"
+    near = depth(topic, "a_optical", images=[rvl(image)] * 3, encoding=how, info=info)
+    _, frame, _ = first_frame(make_recording(tmp_path / "take", [near, TWO[1]]))
+    np.testing.assert_array_equal(frame.proximity_depth, image)
