@@ -75,7 +75,10 @@ class TopicsDialog(QDialog):
         choice.currentIndexChanged.connect(self._show)
 
     def _pixmap(self, topic: str) -> QPixmap:
-        pixels = self._found.pictures[topic]
+        """Return the picture of a topic; none if it could not be read."""
+        pixels = self._found.pictures.get(topic)
+        if pixels is None:
+            return QPixmap()
         height, width, _ = pixels.shape
         image = QImage(pixels.tobytes(), width, height, 3 * width, QImage.Format.Format_RGB888)
         return QPixmap.fromImage(image).scaled(_PICTURE_SIZE, Qt.AspectRatioMode.KeepAspectRatio)

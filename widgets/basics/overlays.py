@@ -30,6 +30,7 @@ class Notice(QWidget):
         self._words.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self._words.setProperty("plate", "warning" if warns else "plain")
         self.button = QPushButton()
+        self.button.setAutoDefault(False)  # Enter belongs to the dialog that the view is in
         self.button.hide()
         centre = Qt.AlignmentFlag.AlignHCenter
         column = (
