@@ -48,7 +48,7 @@ def run_gui(source: str, preset: str, screenshot: Path | None, after: int = 30) 
         window.error_hook.install()
         window.show()
         picture = None if screenshot is None else _Screenshot(window, screenshot, after)
-        window.open_source(source)
+        window.open_source(source) if picture is None else window.open_named(source)
         if picture is None:
             window.file_flows.offer_unsaved_work()
             _stop_on_interrupt(window, application)

@@ -148,7 +148,8 @@ class Timeline(QObject):
             self._rest.start()  # the contact test is being compiled; the other process would do the same at once
             return
         self._strip.set_words("Computing…")
-        self.job.start(self._info.name, len(self._series), self._context.document.preset)
+        document = self._context.document
+        self.job.start(self._info.name, len(self._series), document.preset, document.untouched_home)
 
     def _found(self, values: list[FrameValues]) -> None:
         if self._series is None:

@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Final
 
 import cv2
@@ -25,6 +26,7 @@ from ...core.errors import FrameError, SourceError, TactuneError
 from ...core.model.arrays import BoolArray, Float64Array
 from ...core.model.frames import SensorFrame
 from ...core.preset import Preset
+from ...core.rig.untouched import kept_untouched
 from ...core.sources.base import FrameSource
 from ...core.sources.registry import open_source
 
@@ -53,6 +55,7 @@ class Order:
     source: str
     length: int
     preset: Preset
+    home: Path | None  # the file beside which the preset's untouched frame lies
 
 
 @dataclass(frozen=True)
@@ -80,9 +83,12 @@ def visiting_order(length: int, preset: Preset) -> list[int]:
     return [*range(0, length, step), *(index for index in range(length) if index % step)]
 
 
-def time_series(source: FrameSource, preset: Preset, order: Iterable[int]) -> Iterator[FrameValues]:
+def time_series(
+    source: FrameSource, preset: Preset, order: Iterable[int], home: Path | None = None
+) -> Iterator[FrameValues]:
     """Yield the values of frame after frame; a frame that cannot be read or processed has nan for all of them."""
-    pipeline = ContactPipeline(preset, source.rig)
+    untouched = kept_untouched(preset, home, source).frame if preset.test.needs_untouched else None
+    pipeline = ContactPipeline(preset, source.rig, untouched)
     for index in order:
         try:
             if source.position != index:
@@ -128,7 +134,7 @@ def _compute(source: FrameSource, order: Order, orders: Connection) -> None:
         raise SourceError(f"{source.name} has {source.length} frames, {was}; open it again")
     waiting: list[FrameValues] = []
     sent_s = time.monotonic()
-    for values in time_series(source, order.preset, visiting_order(order.length, order.preset)):
+    for values in time_series(source, order.preset, visiting_order(order.length, order.preset), order.home):
         if orders.poll():
             return
         waiting.append(values)

@@ -7,6 +7,7 @@ import signal
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 
 from PyQt6.QtCore import QObject, QTimer, pyqtSignal
 
@@ -36,14 +37,17 @@ class SeriesJob(QObject):
         self._timer.setInterval(_LOOK_MS)
         self._timer.timeout.connect(self._look)
 
-    def start(self, source: str, length: int, preset: Preset) -> None:
-        """Compute the series of a source's ``length`` frames; ends the one before."""
+    def start(self, source: str, length: int, preset: Preset, home: Path | None) -> None:
+        """Compute the series of a source's ``length`` frames; ends the one before.
+
+        The preset's untouched frame lies beside the file ``home``.
+        """
         self._number += 1
         if self._orders is None:
             self._start_process()
         assert self._orders is not None
         with suppress(OSError):  # the process has died: `_look` says so
-            self._orders.send(Order(self._number, source, length, preset))
+            self._orders.send(Order(self._number, source, length, preset, home))
         self._timer.start()
 
     def rest(self) -> None:

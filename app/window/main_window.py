@@ -115,7 +115,7 @@ class MainWindow(QMainWindow):
         self.calibration = CalibrationLauncher(self.context)
         self.cameras = CameraControl(self.context)
         self.sources = OpenControl(self.context)
-        self.topics = TopicsControl(self, self._open_named, self._open_failed)
+        self.topics = TopicsControl(self, self.open_named, self._open_failed)
         self.checks = CameraChecks(self.context)
         self.untouched = UntouchedControls(self.context)
         self.watch = WatchControl(
@@ -287,11 +287,11 @@ class MainWindow(QMainWindow):
     def open_source(self, name: str) -> None:
         """Open a source by its name, after its topics were asked for if it is a recording of another program."""
         if name.partition(":")[0] in WITHOUT_TOPICS:
-            self._open_named(name)
+            self.open_named(name)
         else:
             self.topics.open(name)
 
-    def _open_named(self, name: str) -> None:
+    def open_named(self, name: str) -> None:
         """Open a source; the present one stays open until that has succeeded."""
         cameras = self.document.preset.cameras
         exclusive = name.startswith(CAMERA_SCHEMES)
