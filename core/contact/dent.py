@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Final
 
-import cv2
 import numpy as np
 
 from ..errors import RigMismatchError
@@ -100,6 +99,8 @@ class DentTest(ContactTest):
 
     def _change_m(self, frame: SensorFrame) -> Float32Array:
         """Return the movement towards the camera, averaged over a square: float32 (H, W); nan where it is unknown."""
+        import cv2  # on demand: presets and patches need no images
+
         pixels = self.pixels
         assert pixels.untouched is not None
         now = pixels.aligned(frame).measured_m

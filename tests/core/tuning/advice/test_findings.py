@@ -130,12 +130,6 @@ def test_a_depth_unit_that_puts_the_membrane_where_it_cannot_be(unit_m, distance
     assert finding.explains_empty
 
 
-def test_a_source_with_one_camera_gives_no_finding():
-    rig, frame = scene(PRESSED)
-    rig = rig.model_copy(update={"tactile": rig.tactile.model_copy(update={"model": "none"})})
-    assert findings(SHIPPED, rig, replace(frame, tactile_depth=np.zeros_like(frame.tactile_depth))) == {}
-
-
 def test_a_mask_that_covers_the_image():
     rig, frame = scene(PRESSED)
     covered = SHIPPED.with_values({"mask.hue": (0, 179), "mask.saturation": (0, 255), "mask.value": (60, 255)})
