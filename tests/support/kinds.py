@@ -114,8 +114,10 @@ def fresh(folder: Path, suffix: str = "") -> Path:
 
 def play(path: Path) -> None:
     with open_source(str(path)) as source:
-        pipeline = ContactPipeline(PRESET, source.rig)
+        alone = PRESET.with_value("contact_test", "dent")
+        pipeline = ContactPipeline(PRESET, source.rig) if source.rig.has_proximity else None
         for frame in source:
+            pipeline = pipeline or ContactPipeline(alone, source.rig, frame)
             pipeline.process(frame)
 
 

@@ -188,13 +188,13 @@ def _depth_of_slope(start_m, slope_m, columns, shift_m=0.040):
 @lru_cache(maxsize=1)
 def _scene():
     """The flat mesh of an untouched membrane, kept open so that every sensor uses the same solved scene."""
-    return SimulatorSource("cup", cells=(60, 36), variant=Variant(press="none"), sensor="datasheet")
+    return SimulatorSource("cube", cells=(60, 36), variant=Variant(press="none"), sensor="datasheet")
 
 
 @lru_cache(maxsize=2)
 def measured(name):
     _scene()
-    source = SimulatorSource("cup", cells=(60, 36), variant=Variant(press="none"), sensor=name)
+    source = SimulatorSource("cube", cells=(60, 36), variant=Variant(press="none"), sensor=name)
     frames = [source.read(index) for index in range(source.length)]
     return measure_noise(frames, source.rig, load_preset("simulator"), untouched_frame(source)), source.rig
 
