@@ -37,7 +37,7 @@ class SeriesJob(QObject):
         self._timer.setInterval(_LOOK_MS)
         self._timer.timeout.connect(self._look)
 
-    def start(self, source: str, length: int, preset: Preset, home: Path | None) -> None:
+    def start(self, source: str, length: int, preset: Preset, home: Path | None = None) -> None:
         """Compute the series of a source's ``length`` frames; ends the one before.
 
         The preset's untouched frame lies beside the file ``home``.
