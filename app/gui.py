@@ -59,11 +59,15 @@ def run_gui(source: str, preset: str, screenshot: Path | None, after: int = 30) 
 
 
 def _ended(status: int) -> int:
-    """Return the exit status after abandoned threads have ended; if one does not, end the process here."""
-    if not wait_for_abandoned(MAX_WAIT_S):
+    """Return the exit status after abandoned threads have ended; else, or after a signal, end the process here.
+
+    The interpreter's own exit can hang in a thread that computes, and it may destroy Qt's objects in an order that
+    crashes where a signal has ended the window.
+    """
+    if not wait_for_abandoned(MAX_WAIT_S) or status > 128:
         sys.stdout.flush()
         sys.stderr.flush()
-        os._exit(status)  # the interpreter's own exit can hang in a thread that computes
+        os._exit(status)
     return status
 
 
