@@ -17,8 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from ...core.errors import MissingExtraError, as_sentence, minus
 from ...core.estimation.object_mesh import SUFFIXES, ObjectMesh, import_open3d, load_mesh, simulated_mesh
-from ...core.estimation.pose import PoseError, PoseEstimate, PoseTracker, pose_error
-from ...core.estimation.pose_files import pose_record
+from ...core.estimation.pose import PoseError, PoseEstimate, PoseTracker, pose_error, pose_record
 from ...core.model.arrays import Float64Array, Uint8Array
 from ...core.sources.simulator.names import read_name, source_options
 from ...core.sources.simulator.scenes import resolve_scene

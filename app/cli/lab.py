@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ...core.errors import SourceError, TactuneError, counted
-from ...core.model.files import check_writable, finite_or_none, write_csv
-from ...core.model.units import UNITS_M, MeshUnit
+from ...core.model.files import UNITS_M, MeshUnit, check_writable, finite_or_none, write_csv
 from .common import (
     SOURCE,
     CliProgress,

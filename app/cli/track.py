@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ...core.errors import ExportError, counted
-from ...core.model.units import MeshUnit
+from ...core.model.files import MeshUnit
 from .common import (
     SOURCE,
     CliProgress,
@@ -66,8 +66,7 @@ def track(
 
     The object is searched for in the first patch that is large enough.
     """
-    from ...core.estimation.pose import PoseTracker, pose_error
-    from ...core.estimation.pose_files import pose_record
+    from ...core.estimation.pose import PoseTracker, pose_error, pose_record
     from ...core.sources.presets import load_preset
 
     if out is None and not truth:
@@ -154,7 +153,7 @@ def _output(out: Path | None, source: FrameSource, preset: Preset) -> Iterator[S
 
             yield write
     else:
-        from ...core.estimation.pose_files import open_poses
+        from ...core.estimation.pose import open_poses
 
         with open_poses(out) as write_row:
             yield lambda patch, pose, record: write_row(record)

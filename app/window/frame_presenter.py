@@ -9,7 +9,7 @@ from PyQt6.QtCore import QObject
 
 from ...core.contact.pipeline import ContactPatch
 from ...core.errors import minus
-from ...core.model.provenance import Provenance
+from ...core.model.patch import Provenance
 from ...core.sources.base import CameraHealth, CameraRole
 from ...widgets.basics.messages import Severity
 from ...widgets.basics.overlays import Wipe

@@ -14,7 +14,7 @@ from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSlider, QSplitter, QToolButton
 from ...core.contact.pipeline import ContactPatch
 from ...core.model.arrays import Float64Array
 from ...core.model.frames import Rig
-from ...core.model.provenance import Provenance
+from ...core.model.patch import Provenance
 from ...widgets.basics.colormaps import (
     LATE_VERDICTS,
     Legend,

@@ -10,14 +10,14 @@ import cv2
 import numpy as np
 
 from ...core.contact.alignment import tactile_pose
-from ...core.contact.masking import colors_at, in_hsv_range, masked_share
 from ...core.contact.pipeline import ContactPatch
+from ...core.contact.pixels import colors_at, in_hsv_range, masked_share
 from ...core.errors import TactuneError
 from ...core.model.arrays import BoolArray, Float32Array, IndexArray, Uint8Array, Uint16Array
 from ...core.model.clouds import ray_table, valid_depth
 from ...core.model.frames import Rig, SensorFrame
 from ...core.model.intrinsics import Intrinsics
-from ...core.model.provenance import Provenance
+from ...core.model.patch import Provenance
 from ...core.preset import Preset
 from ...core.tuning.advice.findings import depth_missing
 from ...widgets.basics.colormaps import (

@@ -14,7 +14,7 @@ from ...core.errors import PresetError, SourceError
 from ...core.model.arrays import Float64Array, Int64Array
 from ...core.model.frames import Rig, SensorFrame
 from ...core.model.metrics import PatchOverlap
-from ...core.model.provenance import Provenance
+from ...core.model.patch import Provenance
 from ...core.preset import Preset
 from ...core.rig.untouched import FoundUntouched, find_untouched
 from ...core.sources.base import FrameSource, Health, Progress

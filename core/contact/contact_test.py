@@ -16,8 +16,7 @@ import numpy as np
 from ..errors import counted
 from ..model.arrays import Uint8Array
 from ..model.frames import SensorFrame
-from ..model.patch import Found
-from ..model.provenance import Provenance
+from ..model.patch import Found, Provenance
 from ..model.sections import Section
 
 if TYPE_CHECKING:  # the preset reads this module to know its sections; kernels load with the first pipeline

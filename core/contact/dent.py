@@ -14,8 +14,7 @@ import numpy as np
 from ..errors import RigMismatchError
 from ..model.arrays import BoolArray, Float32Array, Uint8Array
 from ..model.frames import SensorFrame
-from ..model.patch import NO_CANDIDATES, Candidates, Found
-from ..model.provenance import Provenance
+from ..model.patch import NO_CANDIDATES, Candidates, Found, Provenance
 from ..model.sections import Section, described
 from .contact_test import MASK_REASON, PIXEL_FIELDS, BiasLimits, ContactTest, DropReason, Steps
 

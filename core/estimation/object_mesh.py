@@ -15,8 +15,7 @@ import numpy as np
 
 from ..errors import MissingExtraError, SourceError, TactuneError, foreign
 from ..model.arrays import AnyArray, BoolArray, Float64Array, Int32Array
-from ..model.files import user_path
-from ..model.units import UNITS_M
+from ..model.files import UNITS_M, user_path
 from ..sources.simulator.scenes import Scene
 
 #: Suffixes of meshes.

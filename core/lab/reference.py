@@ -20,7 +20,7 @@ from ..model.arrays import AnyArray, BoolArray, IndexArray, Uint8Array, Uint16Ar
 from ..model.clouds import ray_table
 from ..model.frames import Rig, SensorFrame
 from ..model.intrinsics import Distortion, Intrinsics
-from ..model.provenance import Provenance
+from ..model.patch import Provenance
 from ..preset import MaskSection, Preset
 
 

@@ -12,8 +12,7 @@ from ..model.alignment import AlignmentSection
 from ..model.arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint16Array
 from ..model.clouds import deproject, nearest_pixels, ray_table, valid_depth
 from ..model.frames import Rig, SensorFrame
-from ..model.patch import AlignedDepth, ContactPatch, Lazy
-from ..model.provenance import Provenance
+from ..model.patch import AlignedDepth, ContactPatch, Lazy, Provenance
 from ..preset import Preset
 
 #: Finds the contact patch of a frame; raises a `TactuneError` that says why where it cannot.

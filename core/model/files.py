@@ -1,4 +1,4 @@
-"""Atomic writing of files, numbers and tables as files hold them, and paths as users write them."""
+"""Atomic writing of files, numbers, tables and units as files hold them, and paths as users write them."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from enum import StrEnum
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -156,3 +157,14 @@ def code_version() -> str:
     for file in sorted(core.rglob("*.py")):
         digest.update(str(file.relative_to(core)).encode() + b"\0" + file.read_bytes())
     return digest.hexdigest()
+
+
+class MeshUnit(StrEnum):
+    M = "m"
+    CM = "cm"
+    MM = "mm"
+    INCH = "in"
+
+
+#: Metres of each unit.
+UNITS_M: Final[Mapping[str, float]] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}

@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from ..contact.masking import colors_at
 from ..contact.pipeline import ContactPatch
+from ..contact.pixels import colors_at
 from ..errors import ExportError
 from ..model.arrays import AnyArray
 from ..model.clouds import PointCloud

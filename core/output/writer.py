@@ -16,8 +16,8 @@ from ..errors import ExportError, TactuneError
 from ..model.arrays import Float64Array
 from ..model.files import atomic_path, remove_leftovers
 from ..model.frames import Rig, SensorFrame
+from ..model.loading import untouched_bytes
 from ..model.rig_file import json_text, rig_to_json
-from ..model.untouched_archive import untouched_bytes
 from ..preset import Preset
 from ..sources.base import FrameSource, Progress
 from ..sources.mcap.messages import CAMERA_INFO, IMAGE, TEXT, TRANSFORMS, UNTOUCHED_NAME, Topic

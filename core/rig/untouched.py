@@ -17,8 +17,7 @@ from ..model.arrays import Float64Array, Uint16Array, spread
 from ..model.clouds import valid_depth
 from ..model.files import atomic_path
 from ..model.frames import SensorFrame
-from ..model.loading import read_file
-from ..model.untouched_archive import frame_from_bytes, untouched_bytes
+from ..model.loading import frame_from_bytes, read_file, untouched_bytes
 from ..preset import Preset, UntouchedRecord
 from ..sources.base import FrameSource, Progress
 

@@ -7,7 +7,7 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
 from tactune.app.worker.results import CloudName, ColorBy
-from tactune.core.model.provenance import Provenance
+from tactune.core.model.patch import Provenance
 from tactune.widgets.basics.colormaps import CONTACT_RGB
 
 PATCH, TACTILE, PROXIMITY = CloudName.PATCH, CloudName.TACTILE, CloudName.PROXIMITY

@@ -37,7 +37,7 @@ from tactune.core.calibration.points import write_points
 from tactune.core.calibration.snapshots import content_hash
 from tactune.core.errors import ExportError, SourceError
 from tactune.core.estimation.object_mesh import load_mesh
-from tactune.core.estimation.pose_files import open_poses
+from tactune.core.estimation.pose import open_poses
 from tactune.core.lab import table
 from tactune.core.lab.scan import load_scan, load_transform
 from tactune.core.lab.scan import read_pairs as read_scan_pairs

@@ -11,7 +11,7 @@ from pytestqt.qtbot import QtBot
 
 from seen_clouds import BLUE, FRONT, GREEN, RED, canvas_of, cloud_of, colored, picture, pixels_of, red_wall, shown, wall
 from tactune.core.model.intrinsics import Intrinsics
-from tactune.core.model.provenance import Provenance
+from tactune.core.model.patch import Provenance
 from tactune.widgets.basics.colormaps import provenance_legend
 from tactune.widgets.basics.overlays import Wipe
 from tactune.widgets.clouds.cloud_canvas import CloudCanvas, SoftwareRenderer

@@ -6,7 +6,7 @@ import numpy.typing as npt
 import pytest
 
 from colour_vision import EYES, nearest
-from tactune.core.model.provenance import Provenance
+from tactune.core.model.patch import Provenance
 from tactune.widgets.basics import colormaps
 from tactune.widgets.basics.theme import ThemeName
 

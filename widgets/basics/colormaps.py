@@ -16,7 +16,7 @@ import pyqtgraph as pg
 from PyQt6.QtGui import QColor
 
 from ...core.model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array, Uint16Array
-from ...core.model.provenance import Provenance
+from ...core.model.patch import Provenance
 from .theme import ThemeName
 
 Legend = list[tuple[str, QColor]]

@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from ...model.arrays import AnyArray, Float32Array, Int32Array, Int64Array, Uint8Array, Uint16Array
-from ...model.provenance import Provenance
+from ...model.patch import Provenance
 from .colors import lanes_in_range
 from .compiling import inline, kernel
 from .lenses import project_lanes

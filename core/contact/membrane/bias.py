@@ -21,9 +21,7 @@ from ...model.arrays import Float32Array
 from ...model.frames import Rig
 from ...model.rig_noise import CameraNoise, RigNoise
 from ..kernels.cells import MembraneImage
-from .cells import CELL_PX, GUESS_PX, Cells, cells_of
-from .differences import Differences, surroundings
-from .equilibrium import Equilibrium, settle
+from .equilibrium import CELL_PX, GUESS_PX, Cells, Differences, Equilibrium, cells_of, settle, surroundings
 from .section import LARGEST_BIAS_M
 
 #: For the search for the bias: side of a grid cell, pixels; sigma of the window over the object's shape, pixels; length

@@ -16,18 +16,211 @@ to the tangent plane of the nearest border cell, and it may be negative. If the 
 it pulls the gap open at the border; if it passes behind, it is bent around the border and touches up to it.
 
 Assumed: the same tension in all directions, no friction, small slopes between membrane and object.
+
+The gap is solved for on square cells of pixels. p / T is measured on the tactile depth alone, so a bias between the
+cameras has no effect on it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from typing import Final
 
 import numpy as np
 
-from ...model.arrays import BoolArray, Float32Array
+from ...model.alignment import AlignmentSection
+from ...model.arrays import BoolArray, Float32Array, Uint16Array
+from ...model.clouds import ray_table
+from ...model.frames import Rig, SensorFrame
+from ...model.intrinsics import Intrinsics
+from ..kernels import cells as cell_kernels
 from ..kernels import equilibrium as kernels
-from .cells import FAR_M, Cells, over_window
+from ..kernels import membrane as membrane_kernels
+from ..kernels.cells import MembraneImage
+from ..kernels.membrane import BLOCK_PX, RayWindow
+from ..kernels.threads import in_parallel
+
+
+@dataclass(frozen=True, eq=False)
+class Differences:
+    """Both depths in a rectangle of the proximity image; images are (H, W)."""
+
+    place: tuple[slice, slice]  # Rows and columns of the rectangle
+    difference_m: Float32Array  # Proximity less tactile depth, less ``bias_m``; 0 where it is too large
+    counts: Uint16Array  # Raw proximity depth
+    unit_m: np.float32  # Metres of a count
+    usable: BoolArray  # Has both depths, less than the largest difference between them, and not the mask's colour
+    excluded: BoolArray  # Outside the region or range
+    bias_m: float  # The bias that was subtracted from the proximity depth before it was aligned
+    #: (N,): The differences of pixels with the mask's colour; empty where the rig's bias was measured.
+    on_prints_m: Float32Array
+
+    def depth_m(self, counts: Uint16Array) -> Float32Array:
+        """Return raw proximity depth in metres, less ``bias_m``."""
+        depth = counts * self.unit_m
+        depth -= np.float32(self.bias_m)
+        return depth
+
+    @property
+    def corner(self) -> tuple[int, int]:
+        """Row and column at which the rectangle begins."""
+        return self.place[0].start, self.place[1].start
+
+    def cut(self, part: tuple[slice, slice]) -> Differences:
+        """Return a part of the rectangle."""
+        height, width = self.usable.shape
+        (top, left), (first, last, _), (begin, end, _) = self.corner, part[0].indices(height), part[1].indices(width)
+        return replace(
+            self,
+            place=(slice(top + first, top + last), slice(left + begin, left + end)),
+            difference_m=self.difference_m[part].copy(),
+            counts=self.counts[part].copy(),
+            usable=self.usable[part].copy(),
+            excluded=self.excluded[part].copy(),
+        )
+
+
+def surroundings(marked: BoolArray, margin_px: int) -> tuple[slice, slice] | None:
+    """Return the bounding box of the marked pixels, padded by ``margin_px``; None without any."""
+    rows, columns = (np.flatnonzero(marked.any(axis=axis)) for axis in (1, 0))
+    if len(rows) == 0:
+        return None
+    height, width = marked.shape
+    return (
+        slice(max(int(rows[0]) - margin_px, 0), min(int(rows[-1]) + 1 + margin_px, height)),
+        slice(max(int(columns[0]) - margin_px, 0), min(int(columns[-1]) + 1 + margin_px, width)),
+    )
+
+
+#: Side of the cells, pixels.
+CELL_PX: Final = 3
+#: Share of a cell's window that must be usable for a gap; for the object's curvature, and for its slope.
+_MIN_SHARE: Final = np.float32(0.4)
+_MIN_SHARES_OF_SURFACE: Final = (np.float32(0.5), np.float32(0.05))
+#: Excluded share from which a cell takes no part.
+_MAX_EXCLUDED: Final = np.float32(0.5)
+#: Sigma of the window over which the first guess of the gap is averaged, pixels.
+GUESS_PX: Final = 2.5
+#: How far the object's curvature is extrapolated, pixels.
+_REACH_PX: Final = 16.0
+#: Lower limit of p / T - k, 1/m; it holds where the object is hollow and curves more strongly than the free membrane.
+_MIN_PUSH_PER_M: Final = np.float32(2.0)
+#: For cells without a known gap: larger than any that counts, metres.
+FAR_M: Final = np.float32(0.01)
+#: Beside the object, a difference this far from the bias, in either direction, is a wrong depth, metres.
+_WRONG_M: Final = np.float32(0.012)
+#: How far the gap is solved for beside the object, pixels, and the resulting frame of the images, cells.
+_BESIDE_PX: Final = 9
+FRAME: Final = 1 + -(-_BESIDE_PX // CELL_PX)
+INNER: Final = (slice(FRAME, -FRAME),) * 2
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Square cells of pixels for the obstacle problem; images are (H, W), with a `FRAME` of unknown cells."""
+
+    #: Mean difference of both depths along the ray. Beside the object: that of its tangent plane and the membrane.
+    difference_m: Float32Array
+    share: Float32Array  # Share of pixels that take part
+    #: Of the difference in the obstacle problem: that share; beside the object 1 where the membrane is seen.
+    weight: Float32Array
+    near_share: Float32Array  # That share averaged over the window of the first guess, from `over_window`
+    known: BoolArray  # Whether enough pixels near it take part
+    linked: BoolArray  # Known, or beside known cells
+    push_per_m: Float32Array  # p / T - k: twice the mean curvature of the free membrane less that of the object
+    sides_m: Float32Array  # (2, H, W): Length along the surface to the right and down
+    facing: Float32Array  # Ratio of a gap along the normal to the difference along the ray
+    size_px: int
+
+    @property
+    def area_m2(self) -> Float32Array:
+        """Usable area of each cell, (H, W)."""
+        return np.asarray(self.share * self.sides_m[0] * self.sides_m[1])
+
+
+def cells_of(
+    differences: Differences,
+    membrane: MembraneImage,
+    size_px: int,
+    shape_px: float,
+    free_per_m: float,
+    near_m: tuple[float, float],
+    rig: Rig,
+) -> Cells | None:
+    """Average differences and the object's shape over cells; None if the image is smaller than three cells.
+
+    Only differences near the bias take part: ``near_m`` is centre and limit. The object's shape is averaged over a
+    window of sigma ``shape_px``; ``free_per_m`` is twice the mean curvature of the free membrane.
+    """
+    import cv2
+
+    camera, (height, width) = rig.proximity.intrinsics, differences.usable.shape
+    if min(height, width) < 3 * size_px:
+        return None
+    shape = -(-height // size_px) + 2 * FRAME, -(-width // size_px) + 2 * FRAME
+    sums = cell_kernels.CellSums(
+        np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros((*shape, 4), np.float32)
+    )
+    window = cell_kernels.DifferenceWindow(
+        differences.difference_m, differences.usable, differences.excluded, differences.counts, differences.unit_m,
+        np.float32(differences.bias_m), np.float32(near_m[0]), np.float32(near_m[1]),
+    )  # fmt: skip
+    rays = RayWindow(ray_table(camera), *differences.corner)
+    step = 2 if size_px % 4 == 0 else 1  # neighbours share noise, so every fourth pixel is enough for large cells
+    in_parallel(partial(cell_kernels.average_cells, window, size_px, step, rays, FRAME, sums), shape[0] - 2 * FRAME)
+    difference, excluded, points = sums
+    share, known = points[..., 3].copy(), np.zeros(shape, np.bool_)
+    known[INNER] = ((over_window(share, size_px) > _MIN_SHARE) & (excluded < _MAX_EXCLUDED))[INNER]
+    share *= known
+
+    smooth = cv2.GaussianBlur(points, (0, 0), max(shape_px / size_px, 0.3), borderType=cv2.BORDER_CONSTANT)
+    surface = cell_kernels.Surface(
+        np.empty(shape, np.float32), np.empty((2, *shape), np.float32), np.empty(shape, np.float32)
+    )
+    cell_kernels.measure_cells(smooth, _MIN_SHARES_OF_SURFACE, (size_px / camera.fx, size_px / camera.fy), surface)
+    queue, sources = np.empty((2, share.size), np.int32)
+    cell_kernels.extrapolate(surface.bulges, known, round(_REACH_PX / size_px), queue)
+    push = np.maximum(np.float32(free_per_m) - surface.bulges, _MIN_PUSH_PER_M)
+
+    top, left = (start - FRAME * size_px for start in differences.corner)
+    grid = cell_kernels.CellGrid(rays.rays, top, left, size_px)
+    linked, weight, planes = known.copy(), share.copy(), np.empty((3, share.size), np.float32)
+    beside = cell_kernels.BesideCells(linked, difference, weight, sources, queue, planes)
+    reach = -(-_BESIDE_PX // size_px)
+    limits = near_m[0], _WRONG_M
+    cell_kernels.continue_beside(known, excluded, points, surface, grid, membrane, limits, reach, beside)
+    push[linked & ~known] = free_per_m
+    near = over_window(share, size_px)
+    return Cells(difference, share, weight, near, known, linked, push, surface.sides, surface.facing, size_px)
+
+
+def over_window(image: Float32Array, size_px: int) -> Float32Array:
+    """Average an image of cells of ``size_px`` over the Gaussian window of `GUESS_PX`."""
+    import cv2
+
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), GUESS_PX / size_px, borderType=cv2.BORDER_CONSTANT))
+
+
+def to_pixels(
+    cells: Cells, image: Float32Array, shape: tuple[int, int], box: tuple[slice, slice] = (slice(None), slice(None))
+) -> tuple[Float32Array, BoolArray]:
+    """Interpolate an image of the cells, or of a part of them, to pixels; ``box`` does not count the frame.
+
+    Return the pixels, far in unknown cells, and whether a cell near the pixel is unknown, both (H, W).
+    """
+    import cv2
+
+    known, (height, width) = cells.known[INNER][box], shape
+    size = known.shape[1] * cells.size_px, known.shape[0] * cells.size_px
+    weight = known.view(np.uint8).astype(np.float32)
+    inside = cv2.resize(weight, size, interpolation=cv2.INTER_NEAREST)[:height, :width] > 0
+    total = cv2.resize(weight * image[INNER][box], size, interpolation=cv2.INTER_LINEAR)[:height, :width]
+    share = cv2.resize(weight, size, interpolation=cv2.INTER_LINEAR)[:height, :width]
+    pixels = np.where(inside, total / np.maximum(share, np.float32(1e-6)), FAR_M)
+    return np.asarray(pixels, np.float32), np.asarray(inside & (share < 1))
+
 
 #: The gap is solved for where the measured one is smaller, metres.
 _MAX_GAP_M: Final = np.float32(0.005)
@@ -61,3 +254,58 @@ def settle(cells: Cells, bias_m: float, trust_m: float, start: Equilibrium | Non
     kernels.settle(gap.reshape(-1), gap.shape[1], equations, loads, _FACTOR, _TOLERANCE_M, _MAX_SWEEPS)
     gap[~cells.known] = FAR_M
     return Equilibrium(gap, guess, measured - gap, inside & cells.known & (gap <= 0))
+
+
+#: Sigma of the window over blocks of tactile pixels.
+_WINDOW_BLOCKS: Final = 2.5
+#: Share of a window that must have depth.
+_MIN_DEPTH_SHARE: Final = np.float32(0.7)
+#: With fewer blocks the usual curvature is assumed, 1/m; other values are limited.
+_MIN_BLOCKS: Final = 100
+USUAL_PER_M: Final = 10.0
+LIMITS_PER_M: Final = (3.0, 40.0)
+
+
+def free_curvature_per_m(frame: SensorFrame, alignment: AlignmentSection, rig: Rig) -> float:
+    """Return twice the mean curvature of the free membrane, 1/m: as measured, within limits, or else a usual one."""
+    return usable_curvature_per_m(measured_curvature_per_m(frame, alignment, rig))
+
+
+def usable_curvature_per_m(measured_per_m: float) -> float:
+    """Return a measured curvature within limits; the usual one for nan."""
+    return USUAL_PER_M if math.isnan(measured_per_m) else float(np.clip(measured_per_m, *LIMITS_PER_M))
+
+
+def measured_curvature_per_m(frame: SensorFrame, alignment: AlignmentSection, rig: Rig) -> float:
+    """Measure twice the mean curvature of the free membrane, 1/m; nan without enough tactile depth.
+
+    It is the median over the tactile image: contact is flatter or dented, but covers less than half of what the camera
+    sees, and noise has no mean.
+    """
+    import cv2
+
+    camera = rig.tactile.intrinsics
+    shape = camera.height // BLOCK_PX, camera.width // BLOCK_PX
+    if min(shape) < 3:
+        return math.nan
+    unit_m, offset_m = rig.tactile.depth_unit_m * alignment.depth_scale, alignment.depth_offset_m
+    # Points are averaged, not depths: at the image's border their mean is shifted, but lies on the surface.
+    points, bulge = np.empty((2, *shape, 4), np.float32), np.empty(shape, np.float32)
+    membrane_kernels.block_points(
+        frame.tactile_depth, _rays_of_blocks(camera), np.float32(unit_m), np.float32(offset_m), points[0]
+    )
+    cv2.GaussianBlur(points[0], (0, 0), _WINDOW_BLOCKS, points[1], borderType=cv2.BORDER_CONSTANT)
+    membrane_kernels.bulges(points[1], _MIN_DEPTH_SHARE, bulge)
+    bulge = bulge[~np.isnan(bulge)]
+    if len(bulge) < _MIN_BLOCKS:
+        return math.nan
+    middle = len(bulge) // 2
+    return float(np.partition(bulge, middle)[middle])
+
+
+@lru_cache(maxsize=8)
+def _rays_of_blocks(camera: Intrinsics) -> Float32Array:
+    """Return ``(x / z, y / z)`` at the centre of each block, shape (h, w, 2)."""
+    rays = ray_table(camera)[: camera.height // BLOCK_PX * BLOCK_PX, : camera.width // BLOCK_PX * BLOCK_PX]
+    squares = rays.reshape(camera.height // BLOCK_PX, BLOCK_PX, camera.width // BLOCK_PX, BLOCK_PX, 2)
+    return np.ascontiguousarray(squares.mean(axis=(1, 3)), np.float32)

@@ -13,8 +13,7 @@ import numpy as np
 from ...model.arrays import BoolArray, Float32Array, Uint8Array
 from ...model.clouds import ray_table
 from ...model.frames import Rig, SensorFrame
-from ...model.patch import Candidates, Lazy, MembraneFacts
-from ...model.provenance import Provenance
+from ...model.patch import Candidates, Lazy, MembraneFacts, Provenance
 from ..alignment import make_alignment
 from ..kernels import membrane as kernels
 from ..kernels.cells import MembraneImage
@@ -24,11 +23,20 @@ from ..kernels.threads import ROWS, in_parallel
 from ..outliers.clusters import in_large_cluster
 from ..pixels import MAX_TILES_ALONE, Pixels, Workspace, depth_images
 from .bias import COARSE_CELL_PX, FrameBias, RigBias, frame_bias, rig_bias
-from .cells import CELL_PX, FAR_M, INNER, Cells, cells_of, to_pixels
-from .differences import Differences, surroundings
-from .equilibrium import Equilibrium
+from .equilibrium import (
+    CELL_PX,
+    FAR_M,
+    INNER,
+    Cells,
+    Differences,
+    Equilibrium,
+    cells_of,
+    measured_curvature_per_m,
+    surroundings,
+    to_pixels,
+    usable_curvature_per_m,
+)
 from .section import LARGEST_BIAS_M, NEAR_GAP_M, MembraneSection
-from .tension import measured_curvature_per_m, usable_curvature_per_m
 
 if TYPE_CHECKING:
     from ...preset import Preset

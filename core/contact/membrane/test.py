@@ -8,16 +8,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from ...model.frames import SensorFrame
-from ...model.patch import NO_CANDIDATES, Candidates, Found
-from ...model.provenance import Provenance
+from ...model.patch import NO_CANDIDATES, Candidates, Found, Provenance
 from ..contact_test import HARMLESS_SHARE, MASK_REASON, PIXEL_FIELDS, BiasLimits, ContactTest, DropReason, Steps
 from .section import LARGEST_BIAS_M, NEAR_GAP_M, MembraneSection
 
 if TYPE_CHECKING:
     from ...model.arrays import BoolArray
     from ...preset import Preset
-    from .cells import Cells
-    from .equilibrium import Equilibrium
+    from .equilibrium import Cells, Equilibrium
     from .steps import Measured
 
 

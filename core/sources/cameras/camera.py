@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...contact.masking import colors_at
+from ...contact.pixels import colors_at
 from ...errors import SourceError
 from ...model.arrays import Uint8Array, Uint16Array
 from ...model.clouds import deproject, valid_depth

@@ -16,9 +16,8 @@ from ...errors import PresetError, SourceError
 from ...model.arrays import AnyArray, Float64Array, IndexArray, Int64Array, Uint64Array
 from ...model.files import user_path
 from ...model.frames import GroundTruth, Rig, SensorFrame
-from ...model.loading import parse_json
+from ...model.loading import parse_json, parse_untouched
 from ...model.rig_file import parse_rig
-from ...model.untouched_archive import parse_untouched
 from ...preset import Preset
 from ...preset.file import preset_and_note
 from ..base import Health, Progress, SeekableSource

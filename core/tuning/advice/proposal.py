@@ -13,8 +13,7 @@ from ...errors import AdviceError, FrameError
 from ...model.arrays import BoolArray
 from ...model.files import atomic_path
 from ...model.frames import Rig, SensorFrame
-from ...model.loading import parse_npz, read_file
-from ...model.untouched_archive import frame_arrays, frame_from_bytes
+from ...model.loading import frame_arrays, frame_from_bytes, parse_npz, read_file
 from ...preset import Preset
 
 

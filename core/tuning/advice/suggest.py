@@ -10,9 +10,9 @@ from typing import Any, Final
 import numpy as np
 
 from ...contact.membrane.bias import rig_bias
+from ...contact.membrane.equilibrium import LIMITS_PER_M, free_curvature_per_m
 from ...contact.membrane.section import LARGEST_BIAS_M
 from ...contact.membrane.steps import firm_contact_bias
-from ...contact.membrane.tension import LIMITS_PER_M, free_curvature_per_m
 from ...contact.pipeline import ContactPipeline
 from ...errors import AdviceError, FrameError, PresetError, RigMismatchError, minus
 from ...model.clouds import valid_depth

@@ -8,8 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from ..model.clouds import deproject
-from ..model.patch import Candidates, Found
-from ..model.provenance import Provenance
+from ..model.patch import Candidates, Found, Provenance
 from ..model.sections import Section, described
 from .contact_test import PIXEL_FIELDS, BiasLimits, ContactTest, DropReason
 

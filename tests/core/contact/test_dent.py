@@ -12,7 +12,7 @@ import pytest
 from tactune.core import ContactPipeline, Preset, load_preset, open_source
 from tactune.core.errors import RigMismatchError
 from tactune.core.model.frames import Rig, SensorFrame
-from tactune.core.model.provenance import Provenance
+from tactune.core.model.patch import Provenance
 from tactune.core.output.writer import export_mcap
 from tactune.core.rig.untouched import untouched_frame
 from tactune.core.sources.folder import export_folder

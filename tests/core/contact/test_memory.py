@@ -9,7 +9,7 @@ import pytest
 from numba.core.runtime import _nrt_python, rtsys
 
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.model.provenance import Provenance
+from tactune.core.model.patch import Provenance
 from tactune.core.preset import Preset
 from traced import allocation
 

@@ -15,7 +15,7 @@ from tactune.core.errors import FrameError, RigMismatchError
 from tactune.core.lab.bench import synthetic_scene
 from tactune.core.lab.reference import reference_patch
 from tactune.core.model.frames import SensorFrame
-from tactune.core.model.provenance import Provenance
+from tactune.core.model.patch import Provenance
 from tactune.core.preset import Preset
 
 PRESET = Preset(contact_test="tolerance")

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from rigs import one_place_rig
-from tactune.core.model.patch import AlignedDepth, ContactPatch, Lazy
-from tactune.core.model.provenance import Provenance
+from tactune.core.model.patch import AlignedDepth, ContactPatch, Lazy, Provenance
 
 
 def patch_of(mask: np.ndarray) -> ContactPatch:

@@ -21,8 +21,7 @@ from tactune.core.model.metrics import (
     symmetric_rmse_m,
     truth_cloud,
 )
-from tactune.core.model.patch import AlignedDepth
-from tactune.core.model.provenance import Provenance
+from tactune.core.model.patch import AlignedDepth, Provenance
 
 LENS = Intrinsics(width=6, height=4, fx=5.0, fy=6.0, cx=2.5, cy=1.5)
 CAMERA = DepthCamera(intrinsics=LENS, depth_unit_m=0.001)

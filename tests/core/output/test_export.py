@@ -15,8 +15,7 @@ from tactune.core.errors import ExportError
 from tactune.core.model.clouds import PointCloud
 from tactune.core.model.frames import ColorCamera, DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
-from tactune.core.model.patch import AlignedDepth
-from tactune.core.model.provenance import Provenance
+from tactune.core.model.patch import AlignedDepth, Provenance
 from tactune.core.output.cloud_files import SUFFIXES, patch_cloud, write_cloud
 
 TYPES = (np.int8, np.uint8, np.int16, np.uint16, np.int32, np.uint32, np.float32, np.float64)

@@ -13,7 +13,7 @@ from rigs import one_place_rig
 from tactune.core.calibration.snapshots import content_hash
 from tactune.core.errors import CalibrationError, PresetError
 from tactune.core.model.frames import SensorFrame
-from tactune.core.model.untouched_archive import untouched_bytes
+from tactune.core.model.loading import untouched_bytes
 from tactune.core.output import SessionWriter
 from tactune.core.preset import Preset, UntouchedRecord
 from tactune.core.preset.file import save_preset

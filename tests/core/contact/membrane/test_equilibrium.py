@@ -13,10 +13,8 @@ from tactune.core.contact.kernels import cells as cell_kernels
 from tactune.core.contact.kernels import equilibrium as kernels
 from tactune.core.contact.kernels.membrane import RayWindow
 from tactune.core.contact.membrane.bias import rig_bias
-from tactune.core.contact.membrane.cells import Cells, cells_of, over_window
-from tactune.core.contact.membrane.equilibrium import settle
+from tactune.core.contact.membrane.equilibrium import Cells, cells_of, free_curvature_per_m, over_window, settle
 from tactune.core.contact.membrane.steps import differences_at, membrane_image
-from tactune.core.contact.membrane.tension import free_curvature_per_m
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.contact.pixels import Pixels, Workspace
 from tactune.core.model.frames import DepthCamera, Rig, SensorFrame

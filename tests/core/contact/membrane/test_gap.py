@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.model.provenance import Provenance
+from tactune.core.model.patch import Provenance
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 

@@ -14,7 +14,7 @@ from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.model.metrics import symmetric_rmse_m, truth_cloud
-from tactune.core.model.provenance import Provenance
+from tactune.core.model.patch import Provenance
 from tactune.core.preset import Preset
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scenes import Variant
