@@ -205,14 +205,13 @@ def write_picture(picture: QImage | None, numbers: str, path: Path, what: str) -
     CSV would replace a file that does not belong to such a picture.
     """
     beside = path if picture is None else path.with_suffix(".csv")
-    if picture is not None and beside.exists() and not path.exists():
-        raise ExportError(f"{beside} already exists and would be replaced; choose another name")
     if picture is None:
         with atomic_path(path) as temporary:
             temporary.write_text(numbers, encoding="utf-8")
         return f"{what} written to {path}."
+    new = not path.exists()
     # The picture gets its name first: a table without its picture would be refused the next time.
-    with atomic_path(beside) as table, atomic_path(path) as temporary:
+    with atomic_path(beside, exclusive=new) as table, atomic_path(path, exclusive=new) as temporary:
         table.write_text(numbers, encoding="utf-8")
         if not picture.save(str(temporary), "PNG"):
             raise ExportError(f"cannot write the picture {path}; choose another place")

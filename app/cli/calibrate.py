@@ -53,12 +53,13 @@ def calibrate(
 
     pairs = read_points(points)
     cameras = find_rig(rig)
-    base = None
+    base, new = None, False
     if out is not None:
-        base = load_preset(out) if out.exists() else Preset().with_value("name", out.stem)
+        new = not out.exists()
+        base = Preset().with_value("name", out.stem) if new else load_preset(out)
     report = fit(pairs, cameras, model)
     if out is not None and base is not None:
-        save_preset(report.apply_to(base), out)
+        save_preset(report.apply_to(base), out, exclusive=new)
     if as_json:
         typer.echo(json.dumps(report.to_json(), indent=2, allow_nan=False))
     else:

@@ -128,9 +128,10 @@ def tune(
         _print_front(plan, found, front)
     if out is not None:
         best = tuned_preset(plan, front[0], len(found))
+        _check_out(out, base_file)  # a search takes hours: another program may have taken the name
         if best.untouched is not None and base_file is not None:
             copy_untouched(best.untouched, base_file, out)
-        save_preset(best, out)
+        save_preset(best, out, exclusive=not out.exists())
         typer.echo(f"wrote {out}: trial {front[0].number}", err=True)
 
 

@@ -55,10 +55,10 @@ def atomic_path(target: Path | str, *, follow_link: bool = False, exclusive: boo
 def _take_name(temporary: Path, final: Path) -> None:
     """Give a complete file its name, unless another program has taken it meanwhile."""
     try:
-        try:
+        with suppress(OSError):  # where this fails: the name is taken, or a memory card's file system has no links
             os.link(temporary, final)
-        except PermissionError:  # a memory card's file system has no links
-            final.open("xb").close()
+            return
+        final.open("xb").close()
     except FileExistsError:
         raise _taken(final) from None
 

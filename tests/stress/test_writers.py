@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import multiprocessing
 import random
+import re
 import resource
 import shutil
 import signal
@@ -126,6 +127,32 @@ def test_two_writers_leave_whole_files(name: str, tmp_path: Path, start: Any, qa
         writer.kill()
         writer.join(HUNG_S)
     check(KINDS[name], tmp_path)
+
+
+def write_new(said: Connection, name: str, folder: Path, n: int, start_s: float) -> None:
+    writer = KINDS[name].new
+    assert writer is not None
+    time.sleep(max(start_s - time.monotonic(), 0))  # both processes at the same moment
+    try:
+        writer(folder, n)
+    except TactuneError as error:
+        said.send(str(error))
+    else:
+        said.send("")
+
+
+@pytest.mark.parametrize("name", [name for name, kind in KINDS.items() if kind.new])
+def test_of_two_writers_of_one_new_name_one_is_refused(name: str, tmp_path: Path, start: Any, qapp: object) -> None:
+    for number in range(5):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        writers = [start(write_new, name, folder, n, time.monotonic() + 1.0) for n in range(2)]
+        answers = [heard(said, name) for _, said in writers]
+        for writer, _ in writers:
+            writer.join(HUNG_S)
+        assert answers.count("") == 1, answers
+        assert re.search("already there|not empty", max(answers)), answers
+        assert all(path.name.startswith("new") for path in folder.iterdir())
 
 
 def set_values(said: Connection, file: Path, who: int) -> None:

@@ -96,6 +96,8 @@ class Kind:
         Whether a write that fails says nothing: what is lost are only values to begin with.
     keeps_state : bool
         Whether reading writes, too: a search goes on, a damaged state of the window is set aside.
+    new : callable or None
+        Write version 0 or 1 under the one name ``new``, refused where it is taken; None: the product never refuses.
     """
 
     write: Callable[[Path, int], object]
@@ -105,6 +107,7 @@ class Kind:
     grows: bool = False
     silent: bool = False
     keeps_state: bool = False
+    new: Callable[[Path, int], object] | None = None
 
 
 def fresh(folder: Path, suffix: str = "") -> Path:
@@ -131,16 +134,16 @@ def play_all(folder: Path) -> None:
                 raise
 
 
-def record(folder: Path, n: int) -> None:
-    with SessionWriter(fresh(folder, ".mcap"), RIG, untouched=FRAMES[0]) as writer:
-        for frame in FRAMES:
+def record(path: Path, n: int) -> None:
+    with SessionWriter(path, RIG, untouched=FRAMES[0]) as writer:
+        for frame in FRAMES[n:]:
             writer.put(frame, wait=True)
         if error := writer.close().error:
             raise ExportError(error)
 
 
-def write_patches(folder: Path, n: int) -> None:
-    with PatchWriter(fresh(folder, ".mcap"), RIG, Preset(), 30.0) as writer:
+def write_patches(path: Path, n: int) -> None:
+    with PatchWriter(path, RIG, Preset(), 30.0) as writer:
         for number in range(3):
             writer.write(CLOUDS[n].points, number, number / 30)
 
@@ -368,21 +371,51 @@ def table_plan(folder: Path) -> table.Plan:
 
 KINDS: dict[str, Kind] = {
     "preset": Kind(
-        lambda f, n: save_preset(Preset(name="ab"[n] * 60), f / "a.json"), lambda f: load_preset(f / "a.json"), 600
+        lambda f, n: save_preset(Preset(name="ab"[n] * 60), f / "a.json"),
+        lambda f: load_preset(f / "a.json"),
+        600,
+        new=lambda f, n: save_preset(Preset(name=f"number {n}"), f / "new.json", exclusive=True),
     ),
     "untouched frame": Kind(write_untouched, read_untouched),
-    "rig": Kind(lambda f, n: write_rig(fresh(f), RIG), read_rigs, 600),
-    "folder": Kind(lambda f, n: export_folder(ListSource(FRAMES), fresh(f)), play_all),
+    "rig": Kind(lambda f, n: write_rig(fresh(f), RIG), read_rigs, 600, new=lambda f, n: write_rig(f / "new", RIG)),
+    "folder": Kind(
+        lambda f, n: export_folder(ListSource(FRAMES), fresh(f)),
+        play_all,
+        new=lambda f, n: export_folder(ListSource(FRAMES[n:]), f / "new"),
+    ),
     "foreign folder": Kind(foreign_folder, play, ours=False),
     "folder of arrays": Kind(npy_folder, play, ours=False),
     **{f"lens.{suffix}": lens_file(f"a.{suffix}") for suffix in ("yaml", "xml", "json")},
     "lens.txt": Kind(text("a.txt", "30 0 15\n0 31 11\n0 0 1\n"), lambda f: read_lenses(f / "a.txt"), 100, ours=False),
     "camchain": Kind(camchain, read_camchain, 100),
-    "URDF": Kind(lambda f, n: export_calibration(f / "a.urdf", "urdf", RIG), read_urdf, 0),
-    "HDF5": Kind(lambda f, n: export_hdf5(ListSource(FRAMES), f / "a.h5"), read_hdf5, 0),
-    "recording": Kind(record, play_all, 400, grows=True),
-    "converted recording": Kind(lambda f, n: export_mcap(ListSource(FRAMES[n:]), f / "a.mcap"), play_all, 100),
-    "patches": Kind(write_patches, grows=True),
+    "URDF": Kind(
+        lambda f, n: export_calibration(f / "a.urdf", "urdf", RIG),
+        read_urdf,
+        0,
+        new=lambda f, n: export_calibration(f / "new.urdf", "urdf", RIG, exclusive=True),
+    ),
+    "HDF5": Kind(
+        lambda f, n: export_hdf5(ListSource(FRAMES), f / "a.h5"),
+        read_hdf5,
+        0,
+        new=lambda f, n: export_hdf5(ListSource(FRAMES[n:]), f / "new.h5", exclusive=True),
+    ),
+    "recording": Kind(
+        lambda f, n: record(fresh(f, ".mcap"), 0),
+        play_all,
+        400,
+        grows=True,
+        new=lambda f, n: record(f / "new.mcap", n),
+    ),
+    "converted recording": Kind(
+        lambda f, n: export_mcap(ListSource(FRAMES[n:]), f / "a.mcap"),
+        play_all,
+        100,
+        new=lambda f, n: export_mcap(ListSource(FRAMES[n:]), f / "new.mcap", exclusive=True),
+    ),
+    "patches": Kind(
+        lambda f, n: write_patches(fresh(f, ".mcap"), n), grows=True, new=lambda f, n: write_patches(f / "new.mcap", n)
+    ),
     "cloud.npz": cloud("a.npz"),
     "cloud.ply": cloud("a.ply"),
     "cloud.csv": cloud("a.csv"),

@@ -9,20 +9,12 @@ from typing import Any
 
 import pytest
 
-from folder_scenes import RIG, ListSource, make_frame
+from kinds import KINDS
 from tactune.core.errors import ExportError
-from tactune.core.output.writer import export_mcap
-from tactune.core.preset import Preset
-from tactune.core.preset.file import save_preset
-from tactune.core.sources.folder import export_folder
-from tactune.core.sources.folder_images import write_rig
 
-FRAMES = [make_frame(n) for n in range(3)]
-WRITERS: dict[str, Callable[[Path, int], Any]] = {
-    "preset": lambda path, n: save_preset(Preset(name=f"number {n}"), path / "new.json", exclusive=True),
-    "rig": lambda path, n: write_rig(path, RIG),
-    "recording": lambda path, n: export_mcap(ListSource(FRAMES[n:]), path / "new.mcap", exclusive=True),
-    "folder": lambda path, n: export_folder(ListSource(FRAMES[n:]), path / "new"),
+#: A picture that is there is replaced, since the dialog has asked, but none that was made while this one was written.
+WRITERS = {name: kind.new for name, kind in KINDS.items() if kind.new and not kind.grows} | {
+    "picture": KINDS["picture"].write
 }
 
 
