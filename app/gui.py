@@ -76,6 +76,7 @@ def _stop_on_interrupt(window: MainWindow, application: QApplication) -> None:
 
     def stop(number: int) -> None:
         window.autosave.flush()
+        window.autosave.wait()
         window.shut_down()
         application.exit(128 + number)  # as shells expect
 
