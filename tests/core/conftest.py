@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import fast_dds
 import folder_scenes
@@ -15,9 +16,11 @@ from tactune.core.sources.folder import export_folder
 
 
 def _pose(baseline_m: float, turn_deg: float) -> list[list[float]]:
-    angle = np.deg2rad(turn_deg)
-    cos, sin = float(np.cos(angle)), float(np.sin(angle))
-    return [[cos, 0.0, sin, baseline_m], [0.0, 1.0, 0.0, 0.0], [-sin, 0.0, cos, 0.002], [0.0, 0.0, 0.0, 1.0]]
+    """Return a pose that turns about all axes, so that no term of it is zero."""
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_rotvec([turn_deg / 3, turn_deg, -turn_deg / 2], degrees=True).as_matrix()
+    pose[:3, 3] = baseline_m, 0.001, 0.002
+    return pose.tolist()
 
 
 @pytest.fixture(scope="session")

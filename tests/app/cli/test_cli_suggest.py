@@ -49,8 +49,7 @@ def test_a_section_without_evidence_is_refused_with_the_remedy(tactune: Tactune,
     assert "capture an untouched frame" in tactune(*named, "--section", "mask").sentence
 
 
-def test_the_present_frame_can_be_chosen(tactune: Tactune, recording: Path) -> None:
+def test_the_present_frame_can_be_chosen(tactune: Tactune) -> None:
     named = ("preset", "suggest", "--source", "sim:cup", "--preset", "default", "--section", "mask")
     areas = [tactune(*named, "--frame", number).out.partition("changes from ")[2] for number in (0, 45)]
     assert float(areas[0].split()[0]) < float(areas[1].split()[0])
-    assert "frames run from 0 to 3" in tactune("preset", "suggest", "--source", recording, "--frame", 5000).sentence

@@ -45,6 +45,7 @@ def test_points_that_span_depth_make_it_recommend_rigid(rig):
     assert rigid.agreement.cross_validated_px < 0.6 * plane.agreement.cross_validated_px
     assert plane.excluded == rigid.excluded == ()
     assert plane.effect.supported_tolerance > 1.5 * rigid.effect.supported_tolerance
+    assert rigid.effect.boundary_mm < plane.effect.boundary_mm < 10  # 8 mm and less off its plane
 
 
 def test_wrong_depths_make_it_recommend_the_homography(rig, plane):

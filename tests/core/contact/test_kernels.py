@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -77,6 +78,22 @@ def test_no_candidate_is_ever_ruled_out(make_rig, make_frame, seed, model, width
         }
     )  # fmt: skip
     assert not (tiles_with_candidates(preset, rig, frame) & ~marked(preset, rig, frame)).any()
+
+
+def test_what_lies_behind_the_images_in_memory_changes_nothing(make_rig, make_frame):
+    rig = make_rig(width=90, height=64)
+    frame = make_frame(rig, noise_m=0.0)
+    apart = lifted(frame, rig, 0.1, np.zeros(frame.proximity_depth.shape, bool))
+
+    def followed_by(image, count):
+        memory = np.full(image.size + 64, count, np.uint16)
+        memory[: image.size] = image.ravel()
+        return memory[: image.size].reshape(image.shape)
+
+    for membrane_m, object_m in ((0.0, 0.0), (0.38, 0.28)):  # then each image is followed by what the other one sees
+        proximity = followed_by(apart.proximity_depth, round(object_m / rig.proximity.depth_unit_m))
+        tactile = followed_by(apart.tactile_depth, round(membrane_m / rig.tactile.depth_unit_m))
+        assert not marked(PRESET, rig, replace(apart, proximity_depth=proximity, tactile_depth=tactile)).any()
 
 
 def test_every_colour_has_opencvs_hue_saturation_and_value():

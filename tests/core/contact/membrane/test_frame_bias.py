@@ -24,8 +24,8 @@ MEMBRANE = load_preset("simulator").with_values({"contact_test": "membrane", "al
 
 
 @cache
-def cup(sensor: str) -> SimulatorSource:
-    return SimulatorSource("cup", seed=1, cells=CELLS, variant=Variant(press="medium"), sensor=sensor)
+def cup(sensor: str, press: str = "medium") -> SimulatorSource:
+    return SimulatorSource("cup", seed=1, cells=CELLS, variant=Variant(press=press), sensor=sensor)
 
 
 @cache
@@ -78,6 +78,19 @@ def test_a_flat_bias_is_found_in_firm_contact(bias_m, known, sensor):
     mask = ContactPipeline(preset, source.rig).process(moved).mask
     unbiased = ContactPipeline(preset.with_value("noise", None), source.rig).process(replace(frame, truth=None)).mask
     assert pixel_scores(mask, frame.truth.contact).iou > pixel_scores(unbiased, frame.truth.contact).iou - 0.05
+
+
+@pytest.mark.parametrize("bias_m", [-0.004, 0.004])
+def test_small_contact_draws_an_unknown_bias_to_itself_and_does_not_prove_it(bias_m):
+    source = cup("clean", "low")
+    frame = source.read(0)
+    v, u = np.nonzero(frame.truth.contact)
+    contact_alone = (int(u.min()), int(v.min()), int(np.ptp(u)), int(np.ptp(v)))
+    values = {"mask.enabled": False, "region.enabled": True, "region.rectangle": contact_alone}
+    moved = farther(frame, bias_m, source.rig.proximity.depth_unit_m)
+    found = ContactPipeline(MEMBRANE.with_values(values), source.rig).process(moved).membrane
+    assert found.bias_m == pytest.approx(bias_m, abs=0.0004)
+    assert found.firm_m2 == 0 and not found.bias_known
 
 
 def test_a_rigs_bias_that_has_changed_is_replaced_in_firm_contact():

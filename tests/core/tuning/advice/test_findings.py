@@ -89,7 +89,8 @@ class TestPeak:
         assert findings(SHIPPED, rig, frame)["peak"].action == "measure_noise"  # the membrane test corrects by it
         known = SHIPPED.model_copy(update={"noise": noise(0.001, bias_m=0.020)})
         assert findings(known, rig, frame) == {}
-        tolerance = known.with_values({"contact_test": "tolerance"})
+        tolerance = TOLERANCE.with_value("alignment.depth_offset_m", 0.004)
+        tolerance = tolerance.model_copy(update={"noise": noise(0.001, bias_m=0.016)})
         found = findings(tolerance, rig, frame)["peak"]
         changed = found.proposal.apply(tolerance)
         total_m = changed.noise.bias_m + changed.alignment.depth_offset_m
@@ -216,6 +217,14 @@ class TestFalseContact:
         assert found.sentence.startswith("The untouched frame has")
         assert found.proposal is None
         assert found.action == "measure_noise"
+
+    def test_it_is_looked_for_again_after_a_change_of_the_preset(self):
+        rig, untouched = scene(UNTOUCHED)
+        examiner = Examiner(rig)
+        for preset, expected in ((NO_MASK, True), (SHIPPED, False)):
+            patch = ContactPipeline(preset, rig).process(untouched)
+            found = {finding.name for finding in examiner.findings(untouched, patch, preset, untouched)}
+            assert ("false_contact" in found) == expected
 
     def test_small_false_contact_leads_to_a_larger_smallest_contact(self):
         rig, untouched = scene(f"{UNTOUCHED}&sensor=heavy&seed=2")
