@@ -57,7 +57,7 @@ REFUSED = [
     ("preset measure-rig --source IN --out OUT/clip.mcap", "is no preset file"),
     ("preset measure-rig --source IN --out SHIPPED", "already there"),
     ("preset suggest --source IN --section musk", "mask, contact_test"),
-    ("preset suggest --source IN --frame 9", "no frame 9"),
+    ("preset suggest --source IN --frame 5", "no frame 5"),
     ("preset suggest --source IN --frame 5000", "frames run from 0 to 3"),
     ("preset suggest --source IN --out IN/rig.json", "remove it first"),
     ("preset create-rig IN --tactile D405=60,61,31,23 --proximity L515=1,1,31,23", "a view of"),
