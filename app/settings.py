@@ -33,7 +33,6 @@ def default_settings_file() -> Path:
 
 
 def default_recordings_folder() -> Path:
-    """Return the folder for recordings in the user's documents."""
     return Path(platformdirs.user_documents_dir()) / "Tactune"
 
 
@@ -54,11 +53,9 @@ class Settings:
         self._timer.timeout.connect(self.sync)
 
     def text(self, key: str, default: str = "") -> str:
-        """Return a remembered string."""
         return self._values.get(key, default)
 
     def number(self, key: str, default: float) -> float:
-        """Return a remembered number."""
         try:
             return float(self.text(key))
         except ValueError:
@@ -72,7 +69,6 @@ class Settings:
             return QByteArray()
 
     def set(self, key: str, value: str | float | QByteArray) -> None:
-        """Remember a value."""
         text = b64encode(value.data()).decode() if isinstance(value, QByteArray) else str(value)
         self._values[key] = self._changed[key] = text
         self._timer.start()
@@ -82,12 +78,10 @@ class Settings:
         return [item for item in self.text(f"recent/{kind}").split("\n") if item]
 
     def add_recent(self, kind: str, item: str) -> None:
-        """Put an item on top of the recent list of its kind."""
         items = [item, *(other for other in self.recent(kind) if other != item)]
         self.set(f"recent/{kind}", "\n".join(items[:RECENT_LIMIT]))
 
     def remove_recent(self, kind: str, item: str) -> None:
-        """Remove an item from the recent list of its kind."""
         self.set(f"recent/{kind}", "\n".join(other for other in self.recent(kind) if other != item))
 
     def sync(self) -> None:

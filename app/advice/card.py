@@ -63,7 +63,6 @@ class ProposalCard(QFrame):
         return {path: value for path, value in self.proposal.changes.items() if value != self._preset.value(path)}
 
     def show_preset(self, preset: Preset) -> None:
-        """Show another present preset."""
         self._preset = preset
         self._show_values()
 

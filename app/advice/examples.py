@@ -74,7 +74,6 @@ class ExampleHistory(History[State]):
 
     @property
     def examples(self) -> tuple[Example, ...]:
-        """The examples."""
         return tuple(marked.example for marked in self.state)
 
     def mark(self, marked: MarkedFrame, text: str, gesture: int = 0) -> None:
@@ -85,7 +84,6 @@ class ExampleHistory(History[State]):
             self.edit(text, (*self.state, marked))
 
     def delete(self, key: str) -> None:
-        """Delete an example."""
         self.edit("Delete example", tuple(marked for marked in self.state if marked.key != key))
 
 
@@ -101,7 +99,6 @@ class ExampleKeeper(KeptState[State]):
         history.changed.connect(self.schedule)
 
     def present(self) -> State:
-        """Return the examples."""
         return self._history.state
 
     def switch_to(self, rig: Rig) -> None:
@@ -117,7 +114,6 @@ class ExampleKeeper(KeptState[State]):
         self._history.start(self._stored)
 
     def write(self, state: State, file: Path) -> None:
-        """Write the examples that are new or changed, and remove the files of deleted ones."""
         for marked in set(state) - set(self._stored):
             marked.example.save(_file_of(file, marked.key))
         for key in {marked.key for marked in self._stored} - {marked.key for marked in state}:
@@ -189,7 +185,6 @@ class ExamplesWindow(QDialog):
 
     @property
     def marked(self) -> MarkedFrame | None:
-        """The selected example."""
         row, state = self.list.currentRow(), self._history.state
         return state[row] if 0 <= row < len(state) else None
 

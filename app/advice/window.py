@@ -290,7 +290,6 @@ class SuggestControl(QObject):
         self.window.ask(section)
 
     def open_examples(self) -> None:
-        """Show the examples of the present rig."""
         if self.examples_window is None:
             self.examples_window = ExamplesWindow(self._context, self.examples)
         bring_up(self.examples_window)
@@ -304,7 +303,6 @@ class SuggestControl(QObject):
             self.window.outdated(reason)
 
     def close(self) -> None:
-        """Close the windows, stop measuring and save the examples."""
         if self.window is not None:
             self.window.close_down()
         if self.examples_window is not None:

@@ -87,11 +87,9 @@ class CompareTab(LiveTab):
     # What the base asks
 
     def begin(self, result: Result) -> None:
-        """Empty the views; they frame the next cloud."""
         self.grid.clear()
 
     def work(self, result: Result) -> Work:
-        """Return the comparison of the chosen methods."""
         chosen, home, theme = self.chosen, self.context.document.untouched_home, theme_name()
 
         def compare(progress: Progress) -> Comparison:
@@ -102,7 +100,6 @@ class CompareTab(LiveTab):
         return compare
 
     def show_found(self, result: Result, found: Comparison) -> Row | None:
-        """Show views and table."""
         self._show_views()
         self._show_table(found.outcomes)
         for outcome in found.outcomes:
@@ -124,7 +121,6 @@ class CompareTab(LiveTab):
         return None
 
     def picture(self) -> QWidget | None:
-        """Return views and table."""
         return self.sheet
 
     # Choices

@@ -74,11 +74,7 @@ def _lut(contact: tuple[int, int, int], theme: ThemeName) -> Uint8Array:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """One method, or the truth, on one frame; numbers that do not exist are nan.
-
-    ``ms`` is the median time of the last frames. ``note`` says why there is no patch. ``averaged`` counts the frames
-    that the method averaged.
-    """
+    """One method, or the truth, on one frame, with its median time; numbers that do not exist are nan."""
 
     name: str
     cloud: DepthCloud

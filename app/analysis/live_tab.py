@@ -96,7 +96,6 @@ class LiveTab(AnalysisTab):
     # Frames
 
     def show_result(self, result: Result) -> None:
-        """Work on this frame next."""
         former, self.result = self.result, result
         if former is None or result.source is not former.source:
             self.job.cancel()
@@ -114,10 +113,7 @@ class LiveTab(AnalysisTab):
             self.job.start(lambda progress: (result, work(progress)))
 
     def untouched(self, result: Result, home: Path | None, progress: Progress) -> FoundUntouched:
-        """Return the untouched frame for a result; for the work, on its thread. It is searched once for each source.
-
-        ``home`` is the document's `untouched_home`. Without a frame the warnings say why.
-        """
+        """Return the untouched frame for a result, or None and warnings; it is searched once for each source."""
         key = result.source.name, id(result.source), result.preset.untouched, home
         if self._untouched is None or self._untouched[0] != key:
             try:
@@ -130,7 +126,6 @@ class LiveTab(AnalysisTab):
         return self._untouched[1]
 
     def shut_down(self) -> None:
-        """Stop all threads, for good."""
         self.job.stop()
         self._writing.stop()
 
@@ -199,11 +194,7 @@ def rows_as_csv(columns: Iterable[str], rows: Iterable[Row]) -> str:
 
 
 def write_picture(picture: QImage | None, numbers: str, path: Path, what: str) -> str:
-    """Write ``path`` as PNG and the numbers as a CSV file of the same name; without a picture, only the CSV.
-
-    ``what`` begins the sentence that is returned. Raise `ExportError` where the files cannot be written, or where the
-    CSV would replace a file that does not belong to such a picture.
-    """
+    """Write ``path`` as PNG and the numbers as CSV beside it; without a picture only these. Return a sentence."""
     beside = path if picture is None else path.with_suffix(".csv")
     if picture is None:
         with atomic_path(path) as temporary:

@@ -108,7 +108,6 @@ class StrainTab(LiveTab):
     # What the base asks
 
     def begin(self, result: Result) -> None:
-        """Forget the frames of the former source."""
         self._frames.clear()
         self.map.show_view(None, "Measuring the first frame…")
         self.numbers.setText("")
@@ -137,7 +136,6 @@ class StrainTab(LiveTab):
         return measure
 
     def show_found(self, result: Result, found: StrainView) -> Row | None:
-        """Show the map and the numbers."""
         self.map.show_view(found, found.problem)
         measured = found.measured
         if measured is None:
@@ -162,14 +160,12 @@ class StrainTab(LiveTab):
         )
 
     def rows_changed(self) -> None:
-        """Draw the frames whose displacement is known, in their order."""
         rows = [row for row in sorted(self.rows.values(), key=lambda row: row[0]) if row[1] is not None]
         table = np.array([row[1:4] for row in rows], np.float64).reshape(-1, 3)
         for axis, curve in enumerate(self._curves, start=1):
             curve.setData(table[:, 0], table[:, axis])
 
     def picture(self) -> QWidget | None:
-        """Return map, numbers and curve."""
         return self.sheet
 
     # Entries
@@ -203,7 +199,6 @@ class StrainView:
 
 
 def largest_pair(axis: AxisStrain, pixels: Float64Array) -> Float64Array:
-    """Return the two dots with the largest strain between them, pixels (2, 2)."""
     return np.asarray(pixels[axis.pairs[np.argmax(axis.strain)]])
 
 

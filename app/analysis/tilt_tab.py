@@ -99,12 +99,10 @@ class TiltTab(LiveTab):
     # Frames
 
     def begin(self, result: Result) -> None:
-        """Start the filter anew."""
         self._filter.restart()
         self._show_none()
 
     def work(self, result: Result) -> Work:
-        """Return the estimate of the tilt of a frame."""
 
         def estimate(_: object) -> Tilt | None:
             if result.patch is None:
@@ -115,7 +113,6 @@ class TiltTab(LiveTab):
         return estimate
 
     def show_found(self, result: Result, found: Any) -> Row | None:
-        """Show the plane and the angles."""
         if found is None or result.patch is None:
             self._show_none()
             self.cloud.set_message(result.problem)
@@ -162,7 +159,6 @@ class TiltTab(LiveTab):
         self.status.setText(" · ".join(hints))
 
     def rows_changed(self) -> None:
-        """Draw roll and pitch over time; gaps where they are not determined."""
         rows = sorted(list(self.rows.values())[-_PLOTTED:], key=lambda row: float(row[1]))
         times = np.array([row[1] for row in rows])
         first = self.COLUMNS.index("filtered_roll_deg" if self.filtered.isChecked() else "roll_deg")

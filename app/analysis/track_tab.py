@@ -176,7 +176,6 @@ class TrackTab(LiveTab):
         return self.track_button.isChecked()
 
     def shut_down(self) -> None:
-        """Stop all threads."""
         super().shut_down()
         self._loading.stop()
 
@@ -221,7 +220,6 @@ class TrackTab(LiveTab):
             self.track_button.setChecked(False)
 
     def begin(self, result: Result) -> None:
-        """Offer the simulator's own object where there is one."""
         self.simulated.setVisible(result.source.name.removeprefix("live:").startswith("sim:"))
 
     def work(self, result: Result) -> Work:
@@ -237,7 +235,6 @@ class TrackTab(LiveTab):
         return track
 
     def show_found(self, result: Result, found: Any) -> Row | None:
-        """Show the patch, the model in its pose and the numbers."""
         self.tracked = found if self._tracker is not None else None
         if self.tracked is None:
             self._show()
@@ -267,7 +264,6 @@ class TrackTab(LiveTab):
         self.scene.set_legend(legend)
 
     def _next_step(self) -> str:
-        """Return the state of tracking or the next step, as a sentence."""
         if self.model is None:
             other = "Press Simulated object, or open" if self.simulated.isVisibleTo(self) else "Open"
             return f"{other} the mesh of the object that is pressed."

@@ -74,7 +74,6 @@ class TuneRun(QObject):
 
     @property
     def busy(self) -> bool:
-        """Whether a search runs."""
         return self._process is not None
 
     def start(self, request: Request) -> None:
@@ -185,7 +184,6 @@ class TuneTab(AnalysisTab):
         self._list_fields(self._document.preset)
 
     def show_result(self, result: Result) -> None:
-        """Offer to search on the source of this frame."""
         new = self._result is None or result.source is not self._result.source
         self._result = result
         if new:
@@ -321,7 +319,6 @@ class TuneTab(AnalysisTab):
         comparison.show(comparison.present, self._previewed)
 
     def _end_preview(self) -> None:
-        """End the comparison if it is still this tab's."""
         sides = self._context.comparison.sides
         if self._previewed is not None and sides is not None and sides[1] == self._previewed:
             self._context.comparison.end()
@@ -338,7 +335,6 @@ class TuneTab(AnalysisTab):
 
 
 def _words(trial: dict[str, Any], objective: str) -> str:
-    """Describe a trial in one line."""
     figures = trial["figures"]
     values = [f"{field_title(path)} {field_spec(Preset, path).describe(it)}" for path, it in trial["values"].items()]
     which = "Present preset" if trial["present"] else f"Trial {trial['number']}"

@@ -67,10 +67,7 @@ _OWN: Final = {
 
 
 class AnalysisLauncher(QObject):
-    """Finds the tabs, opens the window on one of them, and feeds it. ``play`` is what the space bar does.
-
-    ``shared`` are actions of the main window whose shortcuts also work in this window.
-    """
+    """Opens the window on a tab and feeds it; ``shared`` are actions of the main window that work here too."""
 
     def __init__(self, context: Context, play: QAction, shared: Sequence[QAction]) -> None:
         super().__init__(context)
@@ -86,14 +83,12 @@ class AnalysisLauncher(QObject):
         context.frameShown.connect(self._frame_shown)
 
     def open(self, name: str, _checked: bool = False) -> None:
-        """Open the window on a tab, or bring it to the front."""
         if self.window is None:
             self.window = AnalysisWindow(self._kinds, self._context, self._play)
             self.window.addActions([*self.actions.values(), *self._shared])
         self.window.open_on(name)
 
     def close(self) -> None:
-        """Stop the tabs and close the window."""
         if self.window is not None:
             self.window.shut_down()
 

@@ -57,7 +57,6 @@ class CheckPage(QWidget):
         self.setFocusProxy(self.share)
 
     def show_outcome(self, outcome: Outcome) -> None:
-        """Show a new fit."""
         self._outcome = outcome
         self._draw()
 

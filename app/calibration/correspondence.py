@@ -35,10 +35,7 @@ def proximity_partner(
 def tactile_partner(
     alignment: Alignment, rig: Rig, frame: SensorFrame, image: ImageChoice, place: Place
 ) -> Place | None:
-    """Predict the tactile pixel of a pixel of a proximity image.
-
-    The click's ray is followed until it intersects the membrane measured by the tactile camera.
-    """
+    """Predict a tactile pixel: where the proximity pixel's ray meets the membrane by the tactile camera."""
     points = clicked_ray(rig, image, [place], np.linspace(_NEAREST_M, _FARTHEST_M, _STEPS))
     pixels, depth_m = alignment.tactile_pixels(rig, points)
     shape = rig.tactile.intrinsics.shape

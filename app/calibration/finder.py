@@ -88,10 +88,7 @@ def _corners(number: int, snapshot: Snapshot, choices: Choices, rig: Rig) -> lis
 
 
 class Finder(QWidget):
-    """One row: the target and its size, and progress. Found pairs are added as one undoable step.
-
-    The wizard places the button ``search``, the page the result ``words``.
-    """
+    """One row: the target and its size, and progress. Found pairs are added as one undoable step."""
 
     def __init__(self, session: Session) -> None:
         super().__init__()

@@ -43,7 +43,6 @@ class Outcome:
 
     @property
     def fits(self) -> dict[str, PairQuality]:
-        """The pairs under the fit, by id."""
         return {} if self.report is None else {pair.id: pair for pair in self.report.chosen.pairs}
 
     @property

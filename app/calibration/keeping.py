@@ -27,10 +27,7 @@ _IMAGES = ("proximity_depth", "tactile_depth", "proximity_color", "tactile_color
 
 
 class Keeper(KeptState[SessionState]):
-    """Keeps a session's state in a folder. Snapshots are separate files, named by their digest.
-
-    A lock makes two windows on the same rig use different files.
-    """
+    """Keeps a session's state in a folder, snapshots as files named by digest; a lock gives two windows two files."""
 
     file: Path
 
@@ -66,7 +63,6 @@ class Keeper(KeptState[SessionState]):
         return kept_at
 
     def close(self) -> None:
-        """Write the last state, remove the snapshots that no state on the disk names, and release the file."""
         self.flush()
         self.finish()
         with suppress(OSError):  # a state that cannot be read may name any of them
@@ -77,7 +73,6 @@ class Keeper(KeptState[SessionState]):
         self._lock.unlock()
 
     def write(self, state: SessionState, file: Path) -> None:
-        """Write new snapshots, then the state that refers to them."""
         for snapshot in state.snapshots:
             images = _images_file(self.folder, snapshot.digest)
             if snapshot.digest not in self._stored or not images.exists():  # another window may have removed it

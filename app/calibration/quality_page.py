@@ -115,7 +115,6 @@ class QualityPage(QWidget):
         self.show_outcome(Outcome())
 
     def show_outcome(self, outcome: Outcome) -> None:
-        """Show a new fit."""
         self._outcome = outcome
         report = outcome.report
         if report is None:

@@ -79,7 +79,6 @@ class SessionState:
 
     @property
     def snapshot(self) -> Snapshot | None:
-        """The snapshot that is being clicked in."""
         return None if self.number is None else self.snapshots[self.number]
 
     @property
@@ -88,7 +87,6 @@ class SessionState:
         return tuple(dict.fromkeys(snap.source for snap in self.snapshots if snap.source))
 
     def snapshot_of(self, pair: PointPair) -> Snapshot | None:
-        """Return the snapshot in which a pair was clicked."""
         known = pair.snapshot is not None and pair.snapshot < len(self.snapshots)
         return self.snapshots[pair.snapshot] if known and pair.snapshot is not None else None
 
@@ -169,7 +167,6 @@ class Session(History[SessionState]):
         self.edit("Add a snapshot", added.with_choices(snapshot=snapshot.digest))
 
     def remove_snapshot(self, digest: str) -> None:
-        """Remove a snapshot with the pairs clicked in it."""
         before = self._state
         kept = tuple(snap for snap in before.snapshots if snap.digest != digest)
         pairs = [pair for pair in before.pairs if pair.snapshot != before.digests.index(digest)]

@@ -30,10 +30,7 @@ def take_snapshot(frames: Sequence[SensorFrame], number: int, info: SourceInfo) 
 
 
 def moved_m(before: SensorFrame, after: SensorFrame, unit_m: float) -> float:
-    """Return how much the tactile depth changed between two frames, metres.
-
-    This is the 95th percentile over the pixels: sensitive to a small moving object, robust to noise.
-    """
+    """Return the 95th percentile of the tactile depth's change, metres: a small moving object shows, noise does not."""
     first, last = before.tactile_depth[::4, ::4], after.tactile_depth[::4, ::4]
     valid = valid_depth(first) & valid_depth(last)
     if not valid.any():

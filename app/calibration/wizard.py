@@ -409,7 +409,6 @@ class CalibrationLauncher(QObject):
         context.frameShown.connect(self._frame_shown)
 
     def open_wizard(self) -> None:
-        """Open the wizard on the current source, or bring it to the front."""
         context = self._context
         if context.result is None:
             context.messages.show_message("calibration", Severity.WARNING, _NO_FRAME, subject=SOURCE)

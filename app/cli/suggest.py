@@ -134,5 +134,4 @@ def _recent_frames(source: FrameSource, last: int | None) -> tuple[SensorFrame, 
 
 
 def _as_options(changes: Mapping[str, object]) -> list[str]:
-    """Return changed fields as options, a line each."""
     return [f"  --set {path}={json.dumps(value, separators=(',', ':'))}" for path, value in changes.items()]

@@ -75,5 +75,4 @@ def run_child(command: Sequence[str], patience_s: float = PATIENCE_S) -> Child:
 
 
 def python_child(code: str, *arguments: str) -> list[str]:
-    """Return the command that runs Python code in its own process."""
     return [sys.executable, "-P", "-c", code, *arguments]

@@ -32,14 +32,10 @@ class UntouchedStore:
         self.place = folder / "preset.json"
 
     def keep(self, frame: SensorFrame, frames: int) -> UntouchedRecord:
-        """Save an untouched frame and return its record for the preset."""
         return save_untouched(frame, frames, self.place)
 
     def home(self, record: UntouchedRecord | None, path: Path | None) -> Path | None:
-        """Return the file that an untouched frame lies beside, for `load_untouched`: the preset's own, else `place`.
-
-        If it is not found, return the preset's own file, or None without a file.
-        """
+        """Return the file beside which `load_untouched` finds an untouched frame: the preset's own, else `place`."""
         if record is None or (path is not None and (path.parent / record.file).is_file()):
             return path
         return self.place if (self._folder / record.file).is_file() else path
@@ -104,10 +100,7 @@ class Document(QObject):
         return f"{self.preset.name} *" if self.dirty else self.preset.name
 
     def edit(self, path: str, value: Any, gesture: int = 0) -> bool:
-        """Change one field, such as ``"mask.hue"``, as one undoable step; return False if the preset refused the value.
-
-        Edits of one field with the same ``gesture`` (one drag) become one step; 0 never merges.
-        """
+        """Change one field as one step, also those of one ``gesture``; return False if the preset refused the value."""
         return self.edit_many({path: value}, gesture)
 
     def apply(self, proposal: Proposal) -> bool:

@@ -24,10 +24,7 @@ DAMAGE = (OSError, ValueError, KeyError, TypeError, TactuneError)
 
 
 class KeptState(QObject, Generic[T]):
-    """Keeps a file up to date with a state that changes: ``delay_ms`` after a change, in order, on a thread of its own.
-
-    A subclass says what the state is (`present`) and how it is written (`write`).
-    """
+    """Writes a state (`present`) to a file (`write`) ``delay_ms`` after a change, in order, on a thread of its own."""
 
     failed = pyqtSignal(str)  # the state cannot be written, which is told once, or a saved one cannot be read
     #: Advice at the end of the sentence that writing failed.

@@ -47,11 +47,9 @@ class Autosave(KeptState[tuple[Preset, Path | None] | None]):
         document.fileChanged.connect(self.schedule)
 
     def present(self) -> tuple[Preset, Path | None] | None:
-        """Return the unsaved preset and its path, or None while everything is saved."""
         return (self._document.preset, self._document.path) if self._document.dirty else None
 
     def write(self, state: tuple[Preset, Path | None] | None, file: Path) -> None:
-        """Write the unsaved preset, or remove the file."""
         if state is None:
             file.unlink(missing_ok=True)
         else:

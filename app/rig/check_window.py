@@ -58,16 +58,13 @@ class NoiseTab(Gather):
         self._show_busy()
 
     def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
-        """Measure the frames."""
         count, preset, home = self.wanted, self._document.preset, self._document.untouched_home
         return lambda progress: _measure(kept[:count], info, preset, home, progress)
 
     def show_found(self, found: RigNoise) -> None:
-        """Say what happened; the preset's noise is always shown."""
         self.sentence.setText("The measurement is in the preset now; Undo (Ctrl+Z) takes it out again.")
 
     def change(self) -> tuple[str, Any]:
-        """Return the field and its value."""
         return "noise", self.found.model_dump()
 
     def _show_stored(self, *_: object) -> None:
@@ -102,11 +99,9 @@ class SkewTab(Gather):
         self._show_busy()
 
     def keep(self, frame: SensorFrame) -> Sample:
-        """Return the frame, subsampled."""
         return Sample.of(frame)
 
     def share(self, kept: Sequence[Sample]) -> float:
-        """Return which share of the duration the frames cover according to their own stamps."""
         steps = np.diff([sample.proximity_time_s for sample in kept])
         return float(steps[(steps > 0) & (steps <= MAX_GAP_S)].sum()) / _WATCHED_S
 
@@ -116,7 +111,6 @@ class SkewTab(Gather):
         return partial(measure_skew, ordered, info.rig, self._document.preset.alignment)
 
     def show_found(self, found: Skew) -> None:
-        """Show a measurement."""
         now = " The preset compensates it when cameras are opened again." if found.significant else ""
         self.sentence.setText(found.sentence + now)
 
@@ -173,20 +167,17 @@ class CameraChecks(QObject):
         context.frameShown.connect(self._frame_shown)
 
     def open_noise(self) -> None:
-        """Open the window at the tab *Noise and bias*."""
         self.open()
         assert self.window is not None
         self.window.tabs.setCurrentWidget(self.window.noise)
 
     def open(self) -> None:
-        """Open the window on the current source, or bring it to the front."""
         if self.window is None:
             self.window = CheckWindow(self._context)
         bring_up(self.window)
         self._frame_shown()
 
     def close(self) -> None:
-        """Close the window."""
         if self.window is not None:
             self.window.close()
 

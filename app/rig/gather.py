@@ -234,7 +234,6 @@ class Gather(QWidget):
         self.progress.setVisible(self.busy)
 
     def row(self) -> QHBoxLayout:
-        """Return the row of buttons and progress."""
         return hbox(self.start, self.cancel, self.undo, (self.progress, 1))
 
 

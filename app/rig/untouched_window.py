@@ -57,7 +57,6 @@ class UntouchedPanel(Gather):
         self._show_busy()
 
     def work(self, kept: list[SensorFrame], info: SourceInfo) -> Work:
-        """Average the frames, and keep the average on disk."""
 
         def average(_: Progress) -> UntouchedRecord:
             averaged = average_untouched(kept[: self.wanted])
@@ -66,7 +65,6 @@ class UntouchedPanel(Gather):
         return average
 
     def show_found(self, found: UntouchedRecord) -> None:
-        """Say what was captured, and the next step."""
         fewer = " because the source has no more" if found.frames < self.wanted else ""
         self.sentence.setText(
             f"Captured {counted(found.frames, 'frame')}{fewer}. "
@@ -74,7 +72,6 @@ class UntouchedPanel(Gather):
         )
 
     def change(self) -> tuple[str, Any]:
-        """Return the field and its value."""
         return "untouched", self.found.model_dump()
 
 
@@ -110,7 +107,6 @@ class CaptureWindow(QDialog):
         super().keyPressEvent(event)
 
     def done(self, result: int) -> None:
-        """Stop capturing."""
         self.panel.close_down()
         super().done(result)
 
@@ -146,7 +142,6 @@ class UntouchedControls(QObject):
         context.worker.opened.connect(self.keeper.source_opened)
 
     def open(self) -> None:
-        """Open the window on the current source, or bring it to the front."""
         if self._context.result is None:
             sentence = "There is no frame to capture yet: open a source first."
             self._context.messages.show_message("untouched", Severity.WARNING, sentence, subject=SOURCE)
@@ -156,7 +151,6 @@ class UntouchedControls(QObject):
         bring_up(self.window)
 
     def close(self) -> None:
-        """Stop capturing, close the window and stop following the preset."""
         if self.window is not None:
             self.window.reject()
         self.keeper.close()

@@ -75,7 +75,6 @@ class CamerasPage(SourcePage):
         return self.proximity.currentData() or "", self.tactile.currentData() or ""
 
     def come_up(self) -> None:
-        """Search when the page is shown first."""
         if not self._has_searched:
             self._look()
 

@@ -66,7 +66,6 @@ class OptionRow(ParameterRow):
 
 
 def option_spec(option: CameraOption) -> FieldSpec:
-    """Return the description of an option for its row."""
     title = option.name.replace("_", " ").replace("-", " ").capitalize()
     common: dict[str, Any] = {
         "path": f"cameras.{option.camera}.options.{option.name}",
@@ -188,7 +187,6 @@ class CameraControl(QObject):
         bring_up(self.panel)
 
     def close(self) -> None:
-        """Close the panel."""
         self.panel.close()
 
     def _option_edited(self, role: CameraRole, name: str, value: float, gesture: int) -> None:
@@ -201,7 +199,6 @@ class CameraControl(QObject):
         self._document.edit(f"cameras.{role}.options", options, gesture)
 
     def _preset_changed(self, preset: Preset) -> None:
-        """Send changed settings to the cameras."""
         before, self._cameras = self._cameras, preset.cameras
         if before == preset.cameras:
             return

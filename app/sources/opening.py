@@ -20,10 +20,7 @@ _CAMERAS, _FILES = range(2)
 
 
 class OpenDialog(QDialog):
-    """Asks for a source, on a page or by its name.
-
-    It stays open until the source is, and shows progress and errors: call `show_progress`, `show_failure` or `accept`.
-    """
+    """Asks for a source, on a page or by its name, and stays open, with progress and errors, until the source is."""
 
     requested = pyqtSignal(str)  # name of the source to open
 
@@ -61,7 +58,6 @@ class OpenDialog(QDialog):
 
     @property
     def page(self) -> SourcePage:
-        """The page that is shown."""
         return self.pages[self.tabs.currentIndex()]
 
     def start_on(self, index: int) -> None:
@@ -71,7 +67,6 @@ class OpenDialog(QDialog):
         self._page_chosen()
 
     def show_progress(self, share: float, words: str) -> None:
-        """Show how far the source is opened."""
         self.progress.show_share(share, words or "Opening…")
 
     def show_failure(self, sentence: str) -> None:
@@ -127,7 +122,6 @@ class OpenControl(QObject):
             )
 
     def open_cameras(self) -> None:
-        """Ask for two cameras."""
         if self.dialog is None:
             self._make_dialog().start_on(_CAMERAS)
 
@@ -140,7 +134,6 @@ class OpenControl(QObject):
         return True
 
     def close(self) -> None:
-        """Close the dialog."""
         if self.dialog is not None:
             self.dialog.reject()
 

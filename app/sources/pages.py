@@ -86,7 +86,6 @@ class FilesPage(SourcePage):
         self.simulator.clicked.connect(self._open_simulator)
 
     def come_up(self) -> None:
-        """Choose what is selected, the newest at first."""
         if self.list.currentItem() is None:
             self.list.setCurrentRow(0)
         self._selected(self.list.currentItem())

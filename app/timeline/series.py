@@ -68,7 +68,6 @@ class Answer:
 
 
 def frame_values(index: int, frame: SensorFrame, patch: ContactPatch) -> FrameValues:
-    """Return the values of a processed frame."""
     iou = math.nan
     if frame.truth is not None:
         either = np.count_nonzero(patch.mask | frame.truth.contact)

@@ -19,10 +19,7 @@ _LOOK_MS, _ENDING_S = 100, 2.0
 
 
 class SeriesJob(QObject):
-    """At most one series at a time; the process stays for the next preset, with its source open.
-
-    Call `stop` before the series of another source.
-    """
+    """At most one series at a time; the process stays for the next preset until `stop`, with its source open."""
 
     found = pyqtSignal(object)  # list of FrameValues
     ended = pyqtSignal(str)  # empty where the series is complete, else the problem
@@ -38,10 +35,7 @@ class SeriesJob(QObject):
         self._timer.timeout.connect(self._look)
 
     def start(self, source: str, length: int, preset: Preset, home: Path | None = None) -> None:
-        """Compute the series of a source's ``length`` frames; ends the one before.
-
-        The preset's untouched frame lies beside the file ``home``.
-        """
+        """Compute the series of ``length`` frames, with the untouched frame beside ``home``; ends the one before."""
         self._number += 1
         if self._orders is None:
             self._start_process()

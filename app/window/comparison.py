@@ -172,7 +172,6 @@ class ComparisonPanel(QWidget):
 
     @property
     def share(self) -> float:
-        """Share of the width that shows A."""
         return {Shown.A: 1.0, Shown.B: 0.0}.get(self._mode, self._share)
 
     def move_wipe(self, share: float) -> None:

@@ -80,7 +80,6 @@ class PublishWindow(QDialog):
 
     @property
     def connections(self) -> Connections:
-        """The connections as entered."""
         return Connections(
             self.foxglove.isChecked(),
             self.ros2.isChecked(),

@@ -85,7 +85,6 @@ class RecordingBar(QFrame):
         self._messages.show_message("recording", Severity.INFO, f"New recordings will be written to {folder}.")
 
     def start(self) -> None:
-        """Start a recording named by date and time."""
         folder = Path(self._settings.text(_FOLDER, str(default_recordings_folder())))
         try:
             folder.mkdir(parents=True, exist_ok=True)

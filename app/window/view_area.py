@@ -225,7 +225,6 @@ class ViewArea(QWidget):
             view.set_point_size(size)
 
     def _any_view(self) -> CloudView:
-        """Return any visible view; the others' cameras follow it."""
         return next((view for view in self.views.values() if not view.isHidden()), self.views[CloudName.PATCH])
 
     def restore(self, point_size: float, color_by: str) -> None:

@@ -37,10 +37,7 @@ class BackgroundCompiler:
         return self._thread is not None
 
     def missing(self, preset: Preset) -> str:
-        """Return how far the compilation of a preset's contact test is; empty if its frames need not wait.
-
-        A test that is not compiled is taken up by the next `start`.
-        """
+        """Return how far the compilation of a preset's contact test is; empty if its frames need not wait."""
         kernels = _kernels_of(preset)
         if kernels in self._ready:
             return ""

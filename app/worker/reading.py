@@ -21,10 +21,7 @@ _PROGRESS_INTERVAL_S = 0.05
 
 @dataclass(frozen=True)
 class SourceRequest:
-    """A source to open: its name for messages, and a function that opens it.
-
-    ``exclusive`` is for cameras, which only one process can open: the present source is closed first.
-    """
+    """A source to open; an ``exclusive`` one, cameras, needs the present source closed first."""
 
     name: str
     open: Callable[[Progress], FrameSource]
@@ -38,7 +35,6 @@ class OpeningCancelledError(TactuneError):
 def open_requested(
     request: SourceRequest, wanted: Callable[[], bool], report: Callable[[float, str], None]
 ) -> FrameSource:
-    """Open a source, and report progress."""
     last_report_s = 0.0
 
     def progress(fraction: float, text: str) -> None:
@@ -82,7 +78,6 @@ class FrameReader:
             self._ahead = index, self._thread.submit(self._read, index)
 
     def untouched(self) -> SensorFrame | None:
-        """Return a frame of the untouched membrane, or None if the recording has none."""
         return self._thread.submit(self.source.untouched).result()
 
     def close(self) -> None:

@@ -35,10 +35,7 @@ class _Watcher:
 
 
 class Recorder:
-    """Writes at most one file at a time; every method may be called from any thread.
-
-    ``ended`` is called for each finished file, on its own thread, because the disk may be slow.
-    """
+    """Writes at most one file at a time, from any thread; ``ended`` is called for each, on a thread of its own."""
 
     def __init__(
         self, ended: Callable[[RecordingEnd], None], writer: Callable[..., SessionWriter] = SessionWriter
@@ -58,7 +55,6 @@ class Recorder:
         return self._writer is not None
 
     def status(self) -> RecordingStatus | None:
-        """Return the state of the recording; None if nothing is recorded."""
         writer = self._writer
         return None if writer is None else self._with_refused(writer.status())
 
@@ -91,10 +87,7 @@ class Recorder:
         self._watcher = None
 
     def put(self, frame: SensorFrame, number: int | None = None) -> None:
-        """Record a frame if a recording runs; one that does not fit its rig counts as dropped.
-
-        ``number``, for messages, counts from 1.
-        """
+        """Record a frame if a recording runs; one that does not fit its rig counts as dropped."""
         number = frame.sequence + 1 if number is None else number
         self._show(frame, number)
         if self._writer is None:

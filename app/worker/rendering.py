@@ -45,11 +45,7 @@ def draw_strip(
     width_hint: int,
     shows_mask: bool = True,
 ) -> RenderedStrip:
-    """Return the four images of the strip: colour, expected and measured depth, relative difference.
-
-    ``accepted`` is the largest relative difference that counts as equal. ``width_hint`` is the width of an
-    image on the screen in pixels; 0 draws all pixels.
-    """
+    """Return colour, expected and measured depth and relative difference, in ``width_hint`` px (0: all)."""
     typical_m = (depth_range_m[0] + depth_range_m[1]) / 2
     height, width = frame.proximity_depth.shape
     stride = stride_for(width, width_hint)
@@ -292,10 +288,7 @@ def why_no_contact(frame: SensorFrame, patch: ContactPatch, preset: Preset, rig:
 
 
 def membrane_sample_m(frame: SensorFrame, preset: Preset, rig: Rig) -> Float32Array:
-    """Return the membrane's depth at every sixth row and column, metres (N,); enough for ranges and medians.
-
-    The tactile camera sees only the membrane. Without tactile depth, the proximity depth is used.
-    """
+    """Return the membrane's depth at every sixth row and column, (N,) metres, by the proximity camera if need be."""
     alignment = preset.alignment
     sample = frame.tactile_depth[::_SAMPLE, ::_SAMPLE]
     scale, offset = rig.tactile.depth_unit_m * alignment.depth_scale, alignment.depth_offset_m
@@ -388,10 +381,7 @@ def _depth_with_patch(scene: Scene, patch: ContactPatch) -> Uint16Array:
 
 
 def histogram_of(patch: ContactPatch, preset: Preset, wanted: frozenset[str]) -> Histogram | None:
-    """Count what the limit of the preset's contact test applies to, if the histogram of this field is wanted.
-
-    That is the relative difference, or the gap in equilibrium, in every other row and column.
-    """
+    """Count what the contact test's limit applies to in every other row and column, if this histogram is wanted."""
     if preset.contact_test == "tolerance" and "tolerance.t" in wanted:
         reach = max(HISTOGRAM_LIMIT, 1.5 * preset.tolerance.t)
         return _counted("tolerance.t", patch.relative_difference, -reach, reach, HISTOGRAM_BINS)

@@ -97,10 +97,7 @@ class Wanted:
 
 @dataclass(frozen=True, eq=False)
 class Histogram:
-    """Counts in one frame of what a preset field limits, in the field's unit; ``edges`` has one entry more.
-
-    ``known`` is the number of all values, with those beyond the edges.
-    """
+    """Counts of what a preset field limits, in its unit; ``known`` values include those beyond the edges."""
 
     field: str
     counts: Int64Array
@@ -144,10 +141,7 @@ class SourceInfo:
     at_rest: FrameSource | None = None
 
     def find_untouched(self, preset: Preset, path: Path | None, progress: Progress) -> FoundUntouched:
-        """Return the untouched frame for a preset and its file; on any thread, while the source is being read.
-
-        The simulator's is measured now, in its own scene, which may take long.
-        """
+        """Return the untouched frame for a preset and its file, from any thread; measuring it may take long."""
         return FoundUntouched(None) if self.at_rest is None else find_untouched(preset, path, self.at_rest, progress)
 
     @classmethod
@@ -165,10 +159,7 @@ class SourceInfo:
 
 @dataclass(frozen=True)
 class SourceState:
-    """State of the source, sent separately from its frames because it matters most while none come.
-
-    ``stale``: the last frame is too old to show the present. ``problem`` says why no frame can be read.
-    """
+    """State of the source, sent separately from its frames because it matters most while none come."""
 
     health: Health = field(default_factory=Health)
     stale: bool = False
@@ -177,10 +168,7 @@ class SourceState:
 
 @dataclass(frozen=True, eq=False)
 class ComparedSide:
-    """One of two compared presets on one frame.
-
-    ``ms`` is the time of the contact test; steps that were cached count as when they were last computed.
-    """
+    """One of two compared presets on one frame; cached steps count with the time that they took."""
 
     side: Side
     patch: ContactPatch | None

@@ -92,10 +92,7 @@ class Worker(QThread):
         return self._mailbox.take()
 
     def open(self, request: SourceRequest) -> None:
-        """Open a source and, once that has succeeded, play it instead of the present one.
-
-        A source that is still opening is cancelled.
-        """
+        """Open a source and, once that has succeeded, play it; one that is still opening is cancelled."""
         self._request = request
         self._orders.put(lambda: self._open(request))
 
@@ -103,10 +100,7 @@ class Worker(QThread):
         self._request = None
 
     def set_preset(self, preset: Preset, untouched_home: Path | None = None) -> None:
-        """Use another preset from the next frame on; a paused frame is processed again.
-
-        Its untouched frame lies beside the file ``untouched_home``.
-        """
+        """Use another preset, with its untouched frame beside ``untouched_home``; a paused frame is processed again."""
         self._orders.put(lambda: setattr(self._untouched, "home", untouched_home))
         self._orders.put(lambda: self._change("_preset", preset))
 
@@ -151,7 +145,6 @@ class Worker(QThread):
         self._orders.put(lambda: setattr(self._playback, "held", held))
 
     def set_option(self, camera: CameraRole, name: str, value: float) -> None:
-        """Change a setting of a camera."""
         self._orders.put(lambda: self._set_option(camera, name, value))
 
     def start_recording(self, path: Path) -> None:

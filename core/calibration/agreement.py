@@ -187,10 +187,7 @@ def _weigh(
     shape: tuple[int, ...],
     degrees: int,
 ) -> list[_Kind]:
-    """Return each kind of error with its posterior probability and its most likely size.
-
-    The rest is what the fit, with its design ``rows`` and their orthonormal ``basis`` Q, leaves of the residuals.
-    """
+    """Return each kind of error with its posterior probability and its most likely size."""
     made = []
     for name, of_pairs in shapes.items():
         error = np.zeros((*shape, of_pairs.shape[2]))
@@ -240,10 +237,7 @@ def _regions(pairs: Float64Array) -> list[IndexArray]:
 
 
 def _left_out(basis: Float64Array, residuals: Float64Array, divisions: list[IndexArray]) -> float | None:
-    """Return the RMS length of whitened residuals of regions under the fit of the others.
-
-    The first division is taken whose regions all leave enough pairs for a fit.
-    """
+    """Return the RMS length of whitened residuals of regions under the fit of the others."""
     for label in divisions:
         squares = 0.0
         for region in np.unique(label):

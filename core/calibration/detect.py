@@ -27,10 +27,7 @@ _MIN_SYMMETRY, _DARK_SHARE = 0.7, (0.25, 0.75)
 
 
 class Snapped(NamedTuple):
-    """A feature near a click: sub-pixel position and kind.
-
-    A blob is the centre of a spot; a crossing is where two edges cross, as on a chessboard, or two lines.
-    """
+    """A feature near a click: a blob, the centre of a spot, or a crossing of two edges or lines."""
 
     u: float
     v: float

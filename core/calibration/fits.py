@@ -59,10 +59,7 @@ _MAX_RIGID_PX = 12.0
 
 
 class Model(ABC):
-    """A model of the alignment with parameters theta (P,), and the pairs that it is fitted to.
-
-    ``sample`` pairs determine theta; ``largest_px`` is the largest residual of an inlier.
-    """
+    """A model with parameters theta (P,); ``sample`` pairs determine it, an inlier is off by at most ``largest_px``."""
 
     name: ClassVar[str]
     sample: ClassVar[int]
@@ -152,10 +149,7 @@ def _normalising(pixels: Float64Array) -> Float64Array:
 
 
 class RigidModel(Model):
-    """The tactile camera's pose in the proximity depth frame.
-
-    Theta holds the rotation vector (rad), the translation (m) and, where fitted, the offset of the tactile depth (m).
-    """
+    """The tactile camera's pose in the proximity frame: rotation vector (rad), translation (m), depth offset (m)."""
 
     name = "rigid alignment"
     sample = 3
@@ -211,10 +205,7 @@ class Fit:
 
     @property
     def noise_factor(self) -> float:
-        """Observed noise relative to the stated one; 1 without degrees of freedom.
-
-        Few pairs chosen to agree say little, so the stated noise counts beside them.
-        """
+        """Observed noise relative to the stated one, which counts beside it since few pairs say little."""
         if self.degrees <= 0:
             return 1.0
         stated = 0.0 if self.used.all() else _STATED_DEGREES
@@ -222,7 +213,6 @@ class Fit:
 
     @cached_property
     def alignment(self) -> Alignment:
-        """The fitted alignment."""
         return self.model.alignment(self.theta)
 
     @cached_property
@@ -301,10 +291,7 @@ def derivative(function: Callable[[Float64Array], Float64Array], theta: Float64A
 
 
 def fit_homography(points: PointArrays, rig: Rig, *, use: BoolArray | None = None, names: Sequence[str] = ()) -> Fit:
-    """Fit the homography from tactile to proximity depth pixels; outliers are rejected.
-
-    ``use`` are the inliers, if already known; ``names`` those of the pairs in messages.
-    """
+    """Fit the homography from tactile to proximity depth pixels; ``use`` are the inliers, if already known."""
     check_points(points, HomographyModel.sample, "homography", tactile=points.tactile, proximity=points.proximity)
     fit = _fit_robustly(HomographyModel(points, rig, names, CLICK_SIGMA_PX), use)
     if np.linalg.det(np.asarray(fit.alignment.homography)) < 0:
@@ -323,10 +310,7 @@ def fit_rigid(
     offset: bool = False,
     names: Sequence[str] = (),
 ) -> Fit:
-    """Fit the tactile camera's pose in the proximity frame to points with depth; outliers are rejected.
-
-    ``sigma_px`` is the noise of a click, ``offset`` whether an offset of the tactile depth is fitted, too.
-    """
+    """Fit the tactile camera's pose, and with ``offset`` that of its depth, to points with depth, without outliers."""
     check_points(points, 4 + offset, RigidModel.name, tactile=Alignment(np.eye(4)).points_m(rig, points.places))
     return _fit_robustly(RigidModel(points, rig, names, sigma_px, offset), None)
 
@@ -385,10 +369,7 @@ def _volume(fit: Fit) -> float:
 
 
 def _likeliest(model: Model, theta: Float64Array) -> tuple[float, BoolArray]:
-    """Return the largest log evidence of the k nearest pairs being right against all being wrong, and which they are.
-
-    ``model.sample`` pairs determine the model; every number of wrong pairs is equally likely.
-    """
+    """Return the largest log evidence of the k nearest pairs being right, not all wrong, and which they are."""
     noise_px, size, count = model.noise_px(theta), model.sample, len(model.points)
     with np.errstate(all="ignore"):
         away = np.nan_to_num(np.hypot(*model.residuals_px(theta).T), nan=np.inf)

@@ -114,10 +114,7 @@ class Alignment:
         return proximity_pixels(rig, self.points_m(rig, places), in_color)
 
     def tactile_pixels(self, rig: Rig, points_m: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """Return the tactile pixels (N, 2) of points (N, 3) of the proximity depth frame, and their corrected depths.
-
-        With a homography the depth is that from the proximity camera.
-        """
+        """Return the tactile pixels (N, 2) of points (N, 3) of the proximity frame, and their corrected depths."""
         if self.pose is not None:
             seen = moved(np.linalg.inv(self.pose), points_m)
             return rig.tactile.intrinsics.project(seen), seen[:, 2]
@@ -126,7 +123,6 @@ class Alignment:
 
 
 def mapped(homography: npt.ArrayLike | None, pixels: Float64Array) -> Float64Array:
-    """Map pixels (N, 2) by a homography."""
     assert homography is not None
     x, y, w = np.asarray(homography, np.float64) @ np.column_stack([pixels, np.ones(len(pixels))]).T
     with np.errstate(divide="ignore", invalid="ignore"):

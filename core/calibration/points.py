@@ -110,10 +110,7 @@ def write_points(path: Path | str, pairs: Sequence[PointPair]) -> None:
 
 @dataclass(frozen=True, eq=False)
 class PointArrays:
-    """Complete pairs as arrays.
-
-    Pixels (N, 2), of proximity in the image that ``in_color`` (N,) says; depths (N,) in metres, nan if unknown.
-    """
+    """Complete pairs as arrays: pixels (N, 2), depths (N,) in metres, nan if unknown."""
 
     tactile: Float64Array
     tactile_depth_m: Float64Array
@@ -122,7 +119,6 @@ class PointArrays:
 
     @staticmethod
     def of(pairs: Sequence[PointPair]) -> PointArrays:
-        """Return pairs as arrays."""
 
         def column(*names: str) -> Float64Array:
             rows = [[getattr(pair, name) for name in names] for pair in pairs]

@@ -41,10 +41,7 @@ class Drift:
 
 
 def recheck(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
-    """Compare a preset's alignment with a current frame.
-
-    Textured places of the membrane are located in the proximity colour image by local matching.
-    """
+    """Compare a preset's alignment with a current frame, by matching places of the membrane in the colour images."""
     frame.check_against(rig)
     if frame.tactile_color is None:
         raise CalibrationError(

@@ -139,12 +139,10 @@ class CalibrationReport:
 
     @property
     def chosen(self) -> ModelQuality:
-        """The quality of ``model``."""
         return self.quality[self.model]
 
     @property
     def homography(self) -> Fit | None:
-        """The fitted homography."""
         return self.quality["homography"].fit if "homography" in self.quality else None
 
     @property
@@ -158,7 +156,6 @@ class CalibrationReport:
         return f"{grade(self.chosen)} {next_step(self.chosen, self.coverage)}"
 
     def to_json(self) -> dict[str, Any]:
-        """Return the whole report as JSON values."""
         aligned = self.chosen.fit.alignment
         return {
             "model": self.model,
@@ -201,7 +198,6 @@ class CalibrationReport:
         return preset.model_copy(update={"alignment": section, "rig": self.rig, "modified": now()})
 
     def words(self) -> str:
-        """Return the whole report as text."""
         lines = [f"Model: {self.model}. {self.reason}"]
         if self.depth_offset is not None:
             lines.append(self.depth_offset.words())

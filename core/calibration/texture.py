@@ -114,10 +114,7 @@ class _View:
 
 
 def measure_pairs(frame: SensorFrame, rig: Rig, alignment: Alignment) -> PointArrays:
-    """Locate textured places of the tactile image in the proximity colour image.
-
-    The alignment must be correct to about 10 pixels. Returned are the places that were found.
-    """
+    """Locate places of the tactile image in the proximity colour image; the alignment must be right to about 10 px."""
     return _points(_guided([_View(0, frame, rig)], rig, alignment))
 
 

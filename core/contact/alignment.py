@@ -30,7 +30,6 @@ class AlignmentModel:
 
     @property
     def size(self) -> kernels.ImageSizes:
-        """Sizes of both depth images."""
         return self.tables.size
 
     def align(self, proximity: Uint16Array, tactile: Uint16Array, region: kernels.Region) -> AlignedDepth:

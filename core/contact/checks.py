@@ -70,10 +70,7 @@ def _lens_difference(made_for: Intrinsics, found: Intrinsics) -> str:
 
 
 def check_rig(preset: Preset, rig: Rig) -> list[str]:
-    """Return sentences on differences between the preset's rig and the present rig, and on their consequences.
-
-    `RigMismatchError` if the image sizes differ, or the region of interest lies outside the image.
-    """
+    """Return how the rig differs from the preset's; `RigMismatchError` if sizes do, or the region is outside."""
     name, made_for, used = f"Preset {preset.name!r}", preset.rig, rig_in_use(preset, rig)
     warnings = []
     if preset.test.needs_proximity and not rig.has_proximity:

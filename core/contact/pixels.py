@@ -49,10 +49,7 @@ def masked_share(image: Uint8Array, section: MaskSection) -> float:
 
 
 def colors_at(points: Float32Array, pixels: IndexArray, image: Uint8Array, rig: Rig) -> tuple[Uint8Array, BoolArray]:
-    """Return the colour of each point (N, 3) in the proximity colour image, and whether the colour camera sees it.
-
-    ``pixels`` are the points' flat depth pixels, for an image that is aligned to depth already.
-    """
+    """Return the colours of points (N, 3) with flat depth pixels ``pixels``, and which the colour camera sees."""
     if rig.proximity_color is None:
         return image.reshape(-1, 3)[pixels], np.ones(len(pixels), bool)
     T_c_d = np.asarray(rig.proximity_color.T_color_depth, dtype=np.float32)

@@ -107,7 +107,6 @@ class ToleranceTest(ContactTest):
         self._candidates = self._inliers = self._contact = NO_CANDIDATES
 
     def find(self, frame: SensorFrame, preset: Preset, due: Steps) -> Found:
-        """Return the contact in a frame."""
         pixels, section, t = self.pixels, preset.outliers, preset.tolerance.t
         camera = pixels.rig.proximity.intrinsics
         if due("fusion"):
@@ -129,7 +128,6 @@ class ToleranceTest(ContactTest):
 
     @classmethod
     def accepted_share(cls, preset: Preset, distance_m: float) -> float:
-        """Return t."""
         return preset.tolerance.t
 
     @classmethod

@@ -56,7 +56,6 @@ class ObjectMesh:
 
     @cached_property
     def areas_m2(self) -> Float64Array:
-        """Area of each triangle, float64 (M,)."""
         return triangle_areas(self.vertices_m, self.triangles)
 
     def sample(self, count: int) -> tuple[Float64Array, Float64Array]:
@@ -71,7 +70,6 @@ class ObjectMesh:
 
     @cached_property
     def centre_m(self) -> Float64Array:
-        """Centre of the surface, metres, float64 (3,)."""
         centres = self.vertices_m[self.triangles].mean(axis=1)
         return np.asarray(np.average(centres, axis=0, weights=self.areas_m2))
 
@@ -116,10 +114,7 @@ class ObjectMesh:
 
 
 def load_mesh(path: Path | str, unit: str | None = None) -> ObjectMesh:
-    """Read the mesh of an object, ``.obj``, ``.ply`` or ``.stl``.
-
-    Its unit is by default m if the object then is 10 mm to 2 m large, else mm: a cup of 95 is not 95 m.
-    """
+    """Read a mesh; without a unit, in m if the object then is 10 mm to 2 m large, else in mm."""
     if unit is not None and unit not in UNITS_M:
         raise SourceError(f"there is no unit {unit!r}; choose one of {', '.join(UNITS_M)}")
     path = user_path(path)
@@ -206,7 +201,6 @@ def simulated_mesh(scene: Scene, name: str) -> ObjectMesh:
 
 
 def import_open3d() -> Any:
-    """Import Open3D, or raise `MissingExtraError`."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ImportWarning)  # a build with CUDA on a computer without

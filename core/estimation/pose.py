@@ -83,10 +83,7 @@ class PoseError:
 
 
 def pose_error(estimate: PoseEstimate, truth: npt.ArrayLike, mesh: ObjectMesh) -> PoseError:
-    """Compare an estimate with the true ``T_proximity_object``, or with the nearest pose that looks equal.
-
-    What the patch leaves free does not count.
-    """
+    """Compare with the true pose, or the nearest that looks equal; what the patch leaves free does not count."""
     pose, radius_m = estimate.T_proximity_object, mesh.radius_m
     equal = (motion_between(np.asarray(truth) @ turn, pose, pose[:3, 3], radius_m) for turn in mesh.half_turns)
     error = min(equal, key=lambda motion: float(np.linalg.norm(motion)))

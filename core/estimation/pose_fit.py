@@ -84,7 +84,6 @@ class PatchPoints:
         return np.asarray(np.average(self.points, axis=0, weights=self.weights))
 
     def every(self, step: int) -> PatchPoints:
-        """Return every n-th point."""
         return PatchPoints(self.points[::step], self.weights[::step], self.windows[::step])
 
 
@@ -214,10 +213,7 @@ def _is_free(values: Float64Array, inflation: float) -> BoolArray:
 
 
 def _inflation(pairs: _Pairs, patch: PatchPoints) -> float:
-    """Return the factor by which variances are larger than the noise alone says, at least 1.
-
-    Errors that many tiles share, of the mesh or of a camera, show in the mean residuals of windows of tiles.
-    """
+    """Return the factor on variances, at least 1, by errors of mesh or camera that many tiles share."""
     _, window = np.unique(patch.windows, return_inverse=True)
     information = np.bincount(window, pairs.weights)
     pulls = np.bincount(window, pairs.weights * pairs.gaps)
@@ -337,10 +333,7 @@ def _equal(found: list[Fit]) -> list[Fit]:
 
 
 def _spread_rotations(count: int) -> Float64Array:
-    """Return rotations that cover all orientations evenly, (N, 3, 3).
-
-    Alexa, "Super-Fibonacci spirals: fast, low-discrepancy sampling of SO(3)", CVPR 2022.
-    """
+    """Return rotations that cover all orientations evenly, (N, 3, 3) (Alexa, "Super-Fibonacci spirals", CVPR 2022)."""
     s = np.arange(count) + 0.5
     t = s / count
     alpha, beta = 2 * np.pi * s / math.sqrt(2), 2 * np.pi * s / 1.533751168755204288118041

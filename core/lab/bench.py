@@ -75,7 +75,6 @@ def scene_names() -> tuple[str, ...]:
 
 @lru_cache(maxsize=16)
 def make_scene(name: str) -> BenchScene:
-    """Build a scene by its name."""
     if name not in _SCENES:
         raise TactuneError(f"there is no scene {name!r}; known are {', '.join(_SCENES)}")
     return replace(_SCENES[name](), name=name)
@@ -349,7 +348,6 @@ def _mask(scene: BenchScene, pixels: IndexArray) -> BoolArray:
 
 
 def rows_text(rows: Sequence[Row]) -> str:
-    """Return a table as text."""
     lines = [("scene", "engine", "ms", "quartiles", "ratio", "points", "differ", "IoU", "RMSE mm")]
     for row in rows:
         ms, quartiles = f"{row.timing.median_ms:.3f}", f"{row.timing.lower_ms:.2f}-{row.timing.upper_ms:.2f}"
@@ -373,7 +371,6 @@ class Check:
 
     @property
     def holds(self) -> bool:
-        """Whether the measured number is within the limit."""
         return self.measured >= self.wanted if self.at_least else self.measured <= self.wanted
 
     def __str__(self) -> str:

@@ -66,7 +66,6 @@ class MembraneMechanics:
         self._pixels, self._corners, self._weights = interpolation(mesh)
 
     def find(self, frame: SensorFrame) -> ContactPatch:
-        """Return the points of the membrane that carry contact pressure."""
         frame.check_against(self._rig)
         counts = frame.tactile_depth
         x = self.problem.solve(self.way_m(counts))

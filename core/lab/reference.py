@@ -92,10 +92,7 @@ class Reference:
             self._homography = _homography(tactile_homography(preset.alignment, rig), rig)
 
     def seen_by_tactile(self, depth: AnyArray, pixels: IndexArray) -> tuple[AnyArray, AnyArray, AnyArray, BoolArray]:
-        """Return the expected tactile depth of proximity pixels, their tactile pixels u, v, and which are visible.
-
-        ``depth`` is that of the pixels, metres. Points behind the tactile camera are not visible.
-        """
+        """Return tactile depth and place u, v of proximity pixels at a depth (m), and which are visible."""
         if self.preset.alignment.model == "rigid":
             seen = self._directions[pixels] * depth[:, None] + self._origin
             with np.errstate(all="ignore"):
@@ -105,10 +102,7 @@ class Reference:
         return depth, u, v, visible
 
     def find(self, frame: SensorFrame, verdicts: Uint8Array | None = None) -> tuple[AnyArray, IndexArray]:
-        """Return the points (N, 3) in metres and the flat pixels (N,) of the contact patch.
-
-        Writes the verdict on each pixel into ``verdicts``, flat, where given.
-        """
+        """Return points (N, 3) in metres and flat pixels (N,) of the patch; fill in each pixel's verdict."""
         preset, dtype = self.preset, self.dtype
 
         def pass_on(pixels: IndexArray, next_verdict: Provenance) -> None:

@@ -127,11 +127,7 @@ def _subdivided(mesh: Any, path: Path | str) -> Any:
 
 @dataclass(frozen=True)
 class PaintSettings:
-    """Colour of the touched paint as in `MaskSection`, and the clean-up of its spots.
-
-    Smaller spots than ``least_area_mm2`` are removed and smaller holes filled; ``largest`` is the number of spots to
-    keep, largest first, 0 for all.
-    """
+    """Colour of the touched paint, least area of spots and holes, and how many spots are kept, 0: all."""
 
     hue: tuple[int, int] = (150, 179)
     saturation: tuple[int, int] = (40, 255)
@@ -150,10 +146,7 @@ class PaintSettings:
 
 
 def painted_contact(scan: Scan, paint: PaintSettings) -> BoolArray:
-    """Tell which vertices have the colour of touched paint, after the clean-up, (N,).
-
-    First holes below the least area are filled, then spots below it are removed, then the largest spots are kept.
-    """
+    """Tell which vertices are touched paint, (N,): small holes are filled, small spots removed, the largest kept."""
     contact = in_hsv_range(scan.colors[None], paint.color_range())[0]
     least_m2 = 1e-6 * paint.least_area_mm2
     thirds = np.repeat(scan.areas_m2 / 3, 3)
@@ -247,13 +240,7 @@ def transformed(pose: Matrix4, points: npt.ArrayLike) -> Float64Array:
 
 
 def load_transform(path: Path | str) -> Matrix4:
-    """Read a pose: JSON ``{"T_proximity_scan": 4 x 4}``, or four lines of four numbers.
-
-    Raises
-    ------
-    SourceError
-        The file cannot be read or holds no rigid transform in metres.
-    """
+    """Read a rigid transform in metres: JSON ``{"T_proximity_scan": 4 x 4}``, or four lines of four numbers."""
     text = read_text(path)
     try:
         if text.lstrip().startswith("{"):

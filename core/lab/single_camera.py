@@ -68,10 +68,7 @@ def tactile_only(preset: Preset, rig: Rig, untouched: SensorFrame) -> Find:
 
 
 def rival_patch(frame: SensorFrame, rig: Rig, points: Float32Array, mask: Callable[[], BoolArray]) -> ContactPatch:
-    """Return a rival's patch; only its points, (N, 3), and mask, (H, W), are known.
-
-    The points may come from the tactile camera's pixels, so there may be more or fewer than the mask has pixels.
-    """
+    """Return a rival's patch, of which only points, (N, 3), and mask, (H, W), are known; their numbers may differ."""
     known, shape = Lazy(mask), rig.proximity.intrinsics.shape
     verdicts = Lazy(lambda: np.where(known.get(), Provenance.CONTACT, Provenance.OUTSIDE_TOLERANCE).astype(np.uint8))
     nothing = np.full(shape, np.nan, np.float32)

@@ -75,7 +75,6 @@ class AxisStrain:
 
     @property
     def largest(self) -> float:
-        """Largest strain."""
         return float(self.strain.max())
 
 
@@ -153,10 +152,7 @@ def average_still(frames: Sequence[SensorFrame]) -> tuple[SensorFrame, int]:
 
 
 def _moved(frame: SensorFrame, newest: SensorFrame) -> bool:
-    """Tell whether the membrane has moved between two frames by more than the noise of the tiles' inverse depths.
-
-    Movement is smooth, noise is not: a tile minus the mean of its neighbours on either side contains noise only.
-    """
+    """Tell whether the membrane moved by more than noise: that of a tile minus the mean of its neighbours."""
     before, now = frame.tactile_depth, newest.tactile_depth
     known = valid_depth(before) & valid_depth(now)
     moved = np.where(known, 1.0 / np.maximum(now, 1) - 1.0 / np.maximum(before, 1), 0.0)

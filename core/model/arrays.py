@@ -21,8 +21,5 @@ Uint64Array = npt.NDArray[np.uint64]
 
 
 def spread(values: AnyArray, middle: float = 0.0) -> float:
-    """Return 1.4826 times the median distance of the values from a middle: their standard deviation if they are normal.
-
-    Values that are nan do not count.
-    """
+    """Return 1.4826 times the median distance from a middle, nan left out: the deviation of normal values."""
     return 1.4826 * float(np.nanmedian(np.abs(values - middle)))

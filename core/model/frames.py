@@ -124,7 +124,6 @@ class Rig(_Frozen):
 
     @property
     def has_proximity(self) -> bool:
-        """Whether the rig has two cameras."""
         return self.proximity.model != NO_CAMERA
 
     @property

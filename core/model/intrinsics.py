@@ -32,10 +32,7 @@ class Distortion(StrEnum):
 
 
 class Intrinsics(BaseModel):
-    """Image size, focal lengths and principal point in pixels, and lens distortion.
-
-    ``coefficients`` are librealsense's k1, k2, p1, p2, k3.
-    """
+    """Image size, focal lengths and principal point in pixels, and librealsense's k1, k2, p1, p2, k3."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 

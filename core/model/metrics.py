@@ -83,10 +83,7 @@ def compare_with_truth(patch: ContactPatch, truth: GroundTruth, rig: Rig) -> dic
 
 
 def symmetric_rmse_m(first: npt.ArrayLike, second: npt.ArrayLike) -> float:
-    """Return the mean of both directed root mean square distances of two clouds, as in Yin et al.; nan if one is empty.
-
-    A directed distance is that of one cloud's points to their nearest neighbours in the other cloud.
-    """
+    """Return the mean of both directed RMS distances of two clouds, as in Yin et al.; nan if one is empty."""
     a, b = np.asarray(first, np.float64).reshape(-1, 3), np.asarray(second, np.float64).reshape(-1, 3)
     if len(a) == 0 or len(b) == 0:
         return math.nan

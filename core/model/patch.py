@@ -102,7 +102,6 @@ class Candidates:
         return len(self.pixels)
 
     def mask(self, shape: tuple[int, int]) -> BoolArray:
-        """Return the pixels as an image of this shape."""
         image = np.zeros(shape, np.bool_)
         image.reshape(-1)[self.pixels] = True
         return image

@@ -18,10 +18,7 @@ from typing import Any
 
 @cache
 def added_by_others(group: str, kind: type[Any]) -> tuple[dict[str, Any], dict[str, str]]:
-    """Import what other packages add to a group, once: objects of a kind, or classes of an abstract one.
-
-    Returns them, and a sentence for each that cannot be used, by the names of the entry points.
-    """
+    """Import what other packages add to a group, by name; return it, and a sentence for each that cannot be used."""
     found: dict[str, Any] = {}
     problems: dict[str, str] = {}
     for entry in entry_points(group=group):

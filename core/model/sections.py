@@ -18,10 +18,7 @@ _Pixel = Annotated[int, Field(ge=0, le=16384)]
 def described(
     title: str, description: str, *, unit: str = "", limits: tuple[float, float] | None = None, **extra: Any
 ) -> Any:
-    """Return a field with its presentation in the GUI: title, tooltip, unit and the slider's scale.
-
-    ``advanced=True`` puts the field behind a fold of the panel.
-    """
+    """Return a field with title, tooltip, unit and slider's scale; ``advanced`` ones are behind the panel's fold."""
     bounds: dict[str, Any] = {} if limits is None else {"ge": limits[0], "le": limits[1]}
     return Field(title=title, description=description, json_schema_extra={"unit": unit, **extra}, **bounds)
 

@@ -40,11 +40,7 @@ def export_hdf5(
     progress: Progress | None = None,
     exclusive: bool = False,
 ) -> int:
-    """Write at most ``frames`` of a source, from its present position, as HDF5; return how many.
-
-    The file gets its name when it is complete; one that was there is replaced, or refused if ``exclusive``.
-    ``untouched`` is by default the source's.
-    """
+    """Write at most ``frames`` of a source, from its present position, whole or not at all; return how many."""
     try:
         import h5py
     except ImportError as error:

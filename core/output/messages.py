@@ -79,10 +79,7 @@ def nanoseconds(time_s: float) -> int:
 
 
 class LogClock:
-    """Log times that follow the time stamps and always increase, since players sort by them.
-
-    After a camera's clock has jumped back, the next frame follows one period after the last.
-    """
+    """Log times that follow the stamps and always increase, since players sort by them, also if a clock jumps back."""
 
     def __init__(self, period_s: float) -> None:
         self._period_ns = max(nanoseconds(period_s), 1)

@@ -144,7 +144,6 @@ class SessionWriter:
                 self._changed.notify_all()
 
     def status(self) -> RecordingStatus:
-        """Return the state of the recording."""
         with self._changed:
             return RecordingStatus(
                 path=self._bag.path,
@@ -270,11 +269,7 @@ def export_mcap(
     progress: Progress | None = None,
     exclusive: bool = False,
 ) -> int:
-    """Write at most ``frames`` of a source, from its present position, as a recording; return how many.
-
-    The file gets its name when it is complete; one that was there is replaced, or refused if ``exclusive``.
-    ``untouched`` is by default the source's.
-    """
+    """Write at most ``frames`` of a source, from its present position, whole or not at all; return how many."""
     if frames is None and source.length is None:
         raise ExportError(f"{source.name} is live and has no end; record it, or say how many frames to convert")
     left = None if source.length is None else source.length - source.position

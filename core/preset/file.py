@@ -84,7 +84,6 @@ def _taken_out(document: Any, path: str) -> bool:
 
 
 def preset_json(preset: Preset) -> str:
-    """Return the text of a preset file."""
     document = {
         "schema": SCHEMA_NAME,
         "schema_version": SCHEMA_VERSION,

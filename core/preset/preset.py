@@ -113,7 +113,6 @@ class Preset(_WithTests):
 
     @property
     def test(self) -> type[ContactTest]:
-        """The chosen contact test."""
         return CONTACT_TESTS[self.contact_test]
 
     @property

@@ -196,7 +196,6 @@ def pressed_bias(
 
 
 def describe_bias(bias: MeasuredBias) -> str:
-    """Return the bias in a sentence."""
     if bias.origin == "unknown":
         return (
             "The bias between the cameras could not be told from a gap: press an object firmly (10 cm2 or more) and "

@@ -151,10 +151,7 @@ def describe(noise: RigNoise) -> list[str]:
 
 
 def depth_noises(frames: Sequence[SensorFrame], rig: Rig, progress: Progress) -> tuple[CameraNoise, CameraNoise]:
-    """Measure the noise of the proximity and of the tactile camera on at least two frames of a scene at rest.
-
-    Raises a `FrameError` if a camera sees too little depth or no smooth surface.
-    """
+    """Measure the noise of both cameras on two or more frames at rest; `FrameError` if they see too little."""
 
     def measure(role: CameraRole, images: list[Uint16Array], membrane_m: float | None, start: float) -> CameraNoise:
         camera = rig.tactile if role == "tactile" else rig.proximity

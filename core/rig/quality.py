@@ -109,10 +109,7 @@ class CameraQuality:
 def measure_quality(
     frame: SensorFrame, rig: Rig, preset: Preset, region: Rectangle
 ) -> tuple[CameraQuality, CameraQuality]:
-    """Measure the proximity camera in a region of its image, and the tactile camera where it sees the same.
-
-    The preset's alignment relates both cameras; without a pose the tactile camera is measured in the same rectangle.
-    """
+    """Measure the proximity camera in a region, and the tactile camera where it sees the same."""
     frame.check_against(rig)
     left, top, width, height = region
     size = rig.proximity.intrinsics
@@ -153,10 +150,7 @@ def _camera_quality(role: CameraRole, image: Uint16Array, camera: DepthCamera, r
 
 
 def _tactile_region(frame: SensorFrame, rig: Rig, preset: Preset, region: Rectangle) -> Rectangle:
-    """Return the rectangle of the tactile image that corresponds to a region of the proximity image.
-
-    The region's corners are projected at the region's median proximity depth (rigid) or mapped by the homography.
-    """
+    """Return the rectangle of the tactile image that corresponds to a region of the proximity image."""
     left, top, width, height = region
     right, bottom = left + width - 1, top + height - 1
     corners: Float64Array = np.array([[left, top], [right, top], [left, bottom], [right, bottom]], np.float64)

@@ -58,17 +58,13 @@ class Sample:
 
     @classmethod
     def of(cls, frame: SensorFrame) -> Sample:
-        """Subsample a frame."""
         depths = (depth[::STEP, ::STEP].copy() for depth in (frame.proximity_depth, frame.tactile_depth))
         return cls(frame.proximity_time_s, frame.tactile_time_s, *depths)
 
 
 @dataclass(frozen=True)
 class Skew:
-    """The delay between both cameras, seconds, and its 95 % uncertainty.
-
-    It is tactile minus proximity time stamp for the same moment, the preset field ``cameras.tactile_delay_s``.
-    """
+    """``cameras.tactile_delay_s``: tactile minus proximity stamp of one moment, and its 95 % uncertainty, s."""
 
     delay_s: float
     uncertainty_s: float
@@ -89,10 +85,7 @@ class Skew:
 def measure_skew(
     samples: Sequence[Sample], rig: Rig, section: AlignmentSection, progress: Progress | None = None
 ) -> Skew:
-    """Measure the delay from a few seconds in which an object is pressed in and released.
-
-    The samples are in the order of their time stamps; the alignment relates the pixels of both cameras.
-    """
+    """Measure the delay from a few seconds of samples, by their stamps, of an object pressed in and released."""
     if len(samples) < _MIN_SAMPLES:
         raise FrameError(
             f"only {counted(len(samples), 'frame')} came; record at least {MIN_TIME_S:g} s in which something moves"

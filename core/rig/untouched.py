@@ -130,11 +130,7 @@ def kept_untouched(preset: Preset | None, preset_path: Path | str | None, source
 
 
 def untouched_frame(source: FrameSource, progress: Progress | None = None) -> SensorFrame | None:
-    """Return the source's untouched frame, or None if it has none.
-
-    The simulator's is a measurement, not the ground truth: the median of `UNTOUCHED_FRAMES` noisy frames with the
-    object removed. Raises a `SourceError` if it cannot be read.
-    """
+    """Return the source's untouched frame, or None; the simulator's is measured, with noise, without its object."""
     from ..sources.simulator.source import SimulatorSource  # on demand: other sources need not wait for it
 
     untouched = source.untouched()
@@ -148,10 +144,7 @@ def untouched_frame(source: FrameSource, progress: Progress | None = None) -> Se
 def frames_to_average(
     source: FrameSource, count: int, progress: Progress | None = None
 ) -> Iterator[Iterable[SensorFrame]]:
-    """Yield the frames to average: the next ``count`` frames of a source (fewer if it ends) while nothing touches.
-
-    The simulator removes its object for them and repeats its untouched membrane as often as needed.
-    """
+    """Yield the next ``count`` frames of a source, without the simulator's object, which repeats them as needed."""
     from ..sources.simulator.source import SimulatorSource  # on demand: other sources need not wait for it
 
     if not isinstance(source, SimulatorSource):

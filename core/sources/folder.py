@@ -86,7 +86,6 @@ class FolderSource(SeekableSource):
         return self._frame(self._layout.frames[index], self._stamps[index])
 
     def untouched(self) -> SensorFrame | None:
-        """Return the frame in the subfolder ``untouched``, or None if there is none."""
         folder = self._path / "untouched"
         if not folder.is_dir():
             return None
@@ -94,7 +93,6 @@ class FolderSource(SeekableSource):
         return self._frame(files, _read_stamp(files, 0))
 
     def health(self) -> Health:
-        """Return what the folder lacks."""
         slots, lacks = self._layout.slots, []
         if not self._rig.has_proximity and not self._shows_color:
             lacks.append("this folder has no colour of the size of the depth: its image stays black")

@@ -88,10 +88,7 @@ def _lens(intrinsics: Intrinsics, form: Form) -> Lens | None:
 
 
 def write_rig(path: Path, rig: Rig, forms: dict[str, dict[str, Any]] | None = None) -> None:
-    """Write ``rig.json`` into a folder, whole or not at all; one that is there is never replaced.
-
-    ``forms`` has the fields that a folder's cameras have beside those of a rig, by camera.
-    """
+    """Write ``rig.json`` with the cameras' ``forms`` into a folder, whole or not at all; one that is there stays."""
     data = rig_to_json(rig)
     for name, fields in (forms or {}).items():
         data[name] |= fields

@@ -53,10 +53,7 @@ class FrameFiles:
 
 @dataclass(frozen=True)
 class Layout:
-    """The frames of a folder.
-
-    ``unmatched`` depth images have no partner; ``counts_per_m`` is that of a layout that fixes it.
-    """
+    """The frames of a folder; ``unmatched`` depth images have no partner, ``counts_per_m`` is fixed by some layouts."""
 
     name: str
     frames: tuple[FrameFiles, ...]

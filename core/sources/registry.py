@@ -156,11 +156,7 @@ def open_source(name: str, progress: Progress | None = None, cameras: CamerasSec
 
 
 def topics_to_choose(name: str, progress: Progress | None = None) -> Inspection | None:
-    """Return what a person can choose from before a ROS recording of another program is opened first.
-
-    None for every other source, and where the topics are named or were chosen before. Raises a `SourceError` if the
-    recording cannot be read.
-    """
+    """Return what there is to choose before another program's recording is opened; None if nothing."""
     from .mcap.source import is_ours
     from .realsense_files.source import is_realsense
     from .ros.source import inspect_recording

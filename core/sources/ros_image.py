@@ -106,7 +106,6 @@ class RawImage:
         return self.encoding in _DEPTH
 
     def counts(self, shape: tuple[int, int], *, copy: bool = True) -> Uint16Array:
-        """Return raw counts: uint16, shape (H, W)."""
         return self.channel(shape, ("mono16", "16UC1"), np.dtype(np.uint16), copy=copy)
 
     def depth(self, shape: tuple[int, int], *, copy: bool = True) -> Uint16Array:

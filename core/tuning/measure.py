@@ -53,10 +53,7 @@ def _source(name: str) -> SeekableSource:
 
 
 def measure(plan: Plan, trials: Sequence[dict[str, Any]]) -> list[Measured]:
-    """Measure trials, each given by the values of its fields. The calling thread does nothing else: it is a worker's.
-
-    Raises a `TactuneError` if a source cannot be read.
-    """
+    """Measure trials, each given by the values of its fields; the calling thread is a worker's and only does this."""
     set_threads(1)
     cv2.setNumThreads(1)
     runs = [_Run(plan.base, values) for values in trials]
@@ -217,10 +214,7 @@ _CONNECT_S: Final = 10.0
 
 @contextmanager
 def cluster_workers(address: str) -> Iterator[Workers]:
-    """Yield the workers of a Dask scheduler, one thread each. A batch whose worker dies is measured by another one.
-
-    Raises a `MissingExtraError` without distributed, a `TuneError` if no scheduler with a worker answers.
-    """
+    """Yield the workers of a Dask scheduler, one thread each; `TuneError` if no scheduler with a worker answers."""
     try:
         import distributed
     except ImportError as error:

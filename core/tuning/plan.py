@@ -52,10 +52,7 @@ OBJECTIVES: Final = {
 
 @dataclass(frozen=True)
 class Axis:
-    """One preset field that varies over listed values, as plain data, or from ``low`` to ``high`` in the field's unit.
-
-    ``log``: equal ratios are equally far. ``whole``: whole numbers only.
-    """
+    """A preset field that varies over values, or from ``low`` to ``high``; ``log``: equal ratios are equally far."""
 
     path: str
     values: tuple[Any, ...] = ()
@@ -118,7 +115,6 @@ def _checked(axis: Axis, base: Preset) -> Axis:
 
 
 def plain_value(preset: Preset, path: str) -> Any:
-    """Return the value of a field as plain JSON data."""
     value = preset.value(path)
     return json.loads(json.dumps(value.model_dump(mode="json") if hasattr(value, "model_dump") else value))
 

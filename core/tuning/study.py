@@ -40,10 +40,7 @@ optuna.logging.set_verbosity(optuna.logging.ERROR)
 
 @dataclass(frozen=True)
 class Trial:
-    """A measured trial: Optuna's number, plain values of the fields that vary, and `Measured` as figures or failure.
-
-    ``present``: it is the preset that the search started from.
-    """
+    """A measured trial: Optuna's number, values of the fields that vary, and figures or failure."""
 
     number: int
     values: dict[str, Any]
@@ -53,10 +50,7 @@ class Trial:
 
 
 class Study:
-    """The study of a plan in a journal file, which is created if it does not exist, and may hold several studies.
-
-    Raises a `TuneError` if the file is not a journal, an `ExportError` if it cannot be written.
-    """
+    """The study of a plan in a journal file, which may hold several; `TuneError` if the file is none."""
 
     def __init__(self, plan: Plan, path: Path) -> None:
         self.plan, self.path = plan, path
@@ -85,10 +79,7 @@ class Study:
             ) from error
 
     def results(self) -> tuple[list[Trial], list[Trial]]:
-        """Return the measured trials by number, and the front: those that no other beats in all objectives.
-
-        The best by the first objective comes first. Trials that found no contact at all are not on the front.
-        """
+        """Return the measured trials by number, and those that no other beats, by the first objective."""
         first = self.plan.objectives[0]
         sign = -1.0 if OBJECTIVES[first].larger else 1.0
         trials = {}

@@ -18,10 +18,7 @@ if TYPE_CHECKING:
 
 
 def open_in_process(rest: str, progress: Progress | None, cameras: CamerasSection | None) -> FrameSource:
-    """Open two cameras by the text after the scheme: ``PROXIMITY,TACTILE``, their serial numbers, or nothing.
-
-    Without serial numbers, those of the preset are used; without these, the cameras are chosen by model.
-    """
+    """Open ``PROXIMITY,TACTILE``, serial numbers; else those of the preset, or by model."""
     from ...preset import CamerasSection
     from ..capture.source import ProcessSource
     from .source import open_cameras

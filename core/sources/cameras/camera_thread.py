@@ -67,7 +67,6 @@ class CameraThread:
             self._close_camera()
 
     def health(self) -> CameraHealth:
-        """Return the state of the camera."""
         state: Literal["streaming", "stalled", "missing"] = "streaming"
         sentences = list(self._refused)
         if self._problem:

@@ -33,13 +33,7 @@ def camera_drivers() -> tuple[list[CameraDriver], list[str]]:
 
 
 def connected_devices(drivers: Sequence[CameraDriver]) -> tuple[list[tuple[CameraDriver, DeviceInfo]], list[str]]:
-    """Return the devices of all drivers, and a sentence for each driver that fails.
-
-    Raises
-    ------
-    TactuneError
-        No device is found and a driver fails.
-    """
+    """Return the devices of all drivers, and a sentence for each that fails; raise the first if there is no device."""
     found: list[tuple[CameraDriver, DeviceInfo]] = []
     failures: list[TactuneError] = []
     for driver in drivers:
@@ -55,13 +49,7 @@ def connected_devices(drivers: Sequence[CameraDriver]) -> tuple[list[tuple[Camer
 
 
 def list_devices() -> tuple[list[DeviceInfo], str, list[str]]:
-    """Return all connected devices, proximity cameras first; why others may be missing; what is wrong with drivers.
-
-    Raises
-    ------
-    TactuneError
-        No device is found and a driver is missing or fails.
-    """
+    """Return all devices, proximity cameras first; why others may be missing; what is wrong with drivers."""
     drivers, problems = camera_drivers()
     try:
         found, failures = connected_devices(drivers)

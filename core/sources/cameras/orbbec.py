@@ -61,7 +61,6 @@ class OrbbecDriver(CameraDriver):
         self._find = query
 
     def devices(self) -> list[DeviceInfo]:
-        """Return the connected devices."""
         if self._find is None and find_spec("pyorbbecsdk") is None:
             return []
         found = self._query()

@@ -20,19 +20,7 @@ class Timed(Generic[Item]):
 
 @dataclass
 class Pairer(Generic[Item]):
-    """Pairs the images of two streams that are nearest in time and at most half a period apart.
-
-    Each stream must be in time order, with at least half a period between its images.
-
-    Attributes
-    ----------
-    period_s : float
-        Time between two images of a stream.
-    patience_s : float
-        Longest wait for a partner.
-    unmatched : int
-        Images without a partner.
-    """
+    """Pairs the images of two streams, each in time order, that are nearest in time and at most half a period apart."""
 
     period_s: float
     patience_s: float
@@ -41,11 +29,9 @@ class Pairer(Generic[Item]):
     _second: list[Timed[Item]] = field(default_factory=list)
 
     def add_first(self, item: Timed[Item]) -> None:
-        """Add an image of the first stream."""
         insort(self._first, item, key=lambda each: each.time_s)
 
     def add_second(self, item: Timed[Item]) -> None:
-        """Add an image of the second stream."""
         insort(self._second, item, key=lambda each: each.time_s)
 
     def take(self, now_s: float) -> list[tuple[Timed[Item], Timed[Item]]]:

@@ -24,10 +24,7 @@ _ROLES: dict[str, CameraRole] = {"L515": "proximity", "D405": "tactile"}
 
 
 class RealSenseDriver(CameraDriver):
-    """The RealSense cameras: L515, D405 and others of the D400 line.
-
-    ``query`` returns the driver's objects of the connected devices; by default those on this machine's USB.
-    """
+    """The RealSense cameras; ``query`` returns the driver's objects of the connected devices."""
 
     title = "RealSense"
 
@@ -35,11 +32,9 @@ class RealSenseDriver(CameraDriver):
         self._find = query
 
     def devices(self) -> list[DeviceInfo]:
-        """Return the connected devices."""
         return [describe(device) for device in self._query()]
 
     def open(self, serial: str, role: CameraRole) -> Camera:
-        """Open a device."""
         from .realsense_camera import RealSenseCamera
 
         for device in self._query():

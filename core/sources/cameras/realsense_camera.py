@@ -79,7 +79,6 @@ class RealSenseCamera(Camera):
         self._opened: list[Any] = []
 
     def start(self) -> None:
-        """Start streaming."""
         try:
             for sensor, profiles in self._sensors:
                 sensor.open(profiles)
@@ -105,7 +104,6 @@ class RealSenseCamera(Camera):
         )
 
     def close(self) -> None:
-        """Stop streaming; twice is harmless."""
         opened, self._opened = self._opened, []
         for sensor in opened:
             for step in (sensor.stop, sensor.close):
@@ -113,7 +111,6 @@ class RealSenseCamera(Camera):
                     step()
 
     def options(self) -> tuple[CameraOption, ...]:
-        """Return the settings that can be changed, with their present values."""
         options = []
         for name in _OFFERED:
             with suppress(RuntimeError):  # some cannot be read in some modes
@@ -121,7 +118,6 @@ class RealSenseCamera(Camera):
         return tuple(options)
 
     def set_option(self, name: str, value: float) -> None:
-        """Change one setting."""
         sensor = self._depth_sensor
         option = getattr(self._driver.option, name, None) if name in _OFFERED else None
         if option is None or not sensor.supports(option):

@@ -95,7 +95,6 @@ class CameraSource(FrameSource):
 
     @property
     def frame_rate_hz(self) -> float:
-        """The rate at which both cameras take images."""
         return next(iter(self._feeds.values())).rate_hz
 
     def wait(self, timeout_s: float) -> bool:
@@ -137,15 +136,12 @@ class CameraSource(FrameSource):
         return frame
 
     def options(self) -> tuple[CameraOption, ...]:
-        """Return the settings of both cameras, as they report them now."""
         return tuple(option for feed in self._feeds.values() for option in feed.options())
 
     def set_option(self, camera: CameraRole, name: str, value: float) -> None:
-        """Change one setting of a camera; it is set again whenever the camera is reopened."""
         self._feeds[camera].set_option(name, value)
 
     def health(self) -> Health:
-        """Return the state of both cameras and how many images were lost."""
         cameras = tuple(feed.health() for feed in self._feeds.values())
         return Health(
             ok=all(camera.state == "streaming" for camera in cameras),
@@ -157,7 +153,6 @@ class CameraSource(FrameSource):
         )
 
     def close(self) -> None:
-        """Stop both cameras."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()

@@ -33,16 +33,13 @@ class LiveLoop(FrameSource):
 
     @property
     def rig(self) -> Rig:
-        """The rig that took the frames."""
         return self._source.rig
 
     @property
     def frame_rate_hz(self) -> float:
-        """The rate at which frames come, in Hz."""
         return self._source.frame_rate_hz
 
     def next_frame(self) -> SensorFrame:
-        """Return the next frame once it is due."""
         frame = self._prepare()
         time.sleep(max(0.0, self._due_in_s()))
         self._next = None
@@ -50,23 +47,19 @@ class LiveLoop(FrameSource):
         return frame
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until the next frame is due, at most ``timeout_s``."""
         self._prepare()
         due_in_s = self._due_in_s()
         time.sleep(max(0.0, min(due_in_s, timeout_s)))
         return due_in_s <= timeout_s
 
     def untouched(self) -> SensorFrame | None:
-        """Return a frame of the untouched membrane, or None if the recording has none."""
         return self._source.untouched()
 
     def health(self) -> Health:
-        """Return the health of the recording and how many frames were late."""
         health = self._source.health()
         return replace(health, dropped=health.dropped + self._dropped)
 
     def close(self) -> None:
-        """Close the recording."""
         self._source.close()
 
     def _due_in_s(self) -> float:

@@ -80,12 +80,10 @@ class ProcessSource(FrameSource):
 
     @property
     def rig(self) -> Rig:
-        """The rig that takes the frames."""
         return self._rig
 
     @property
     def frame_rate_hz(self) -> float:
-        """The rate at which frames are taken, in Hz."""
         return self._frame_rate_hz
 
     def next_frame(self) -> SensorFrame | None:
@@ -93,11 +91,9 @@ class ProcessSource(FrameSource):
         return self._supervisor.next_frame()
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until `next_frame` will not block, at most ``timeout_s``; return whether it will not."""
         return self._supervisor.wait(timeout_s)
 
     def health(self) -> Health:
-        """Return the health of the source and of its process."""
         return self._supervisor.health()
 
     def options(self) -> tuple[CameraOption, ...]:
@@ -111,12 +107,10 @@ class ProcessSource(FrameSource):
         self._supervisor.kept_options[camera, name] = value
 
     def untouched(self) -> SensorFrame | None:
-        """Return a frame of the untouched membrane, or None if the source has none."""
         untouched: SensorFrame | None = self._supervisor.call("untouched")
         return untouched
 
     def close(self) -> None:
-        """End the capture process. Closing twice is harmless."""
         self._close()
 
 
@@ -163,7 +157,6 @@ class Supervisor:
                 progress(opening.fraction, opening.text)
 
     def wait(self, timeout_s: float | None) -> bool:
-        """Wait until `next_frame` does not block."""
         with self._changed:
             return self._changed.wait_for(lambda: bool(self._waiting) or self._finished, timeout_s)
 
@@ -186,7 +179,6 @@ class Supervisor:
         return frame
 
     def health(self) -> Health:
-        """Return the health of the source and of its process."""
         with self._changed:
             now, stale = self._health, self._stale or self._error is not None
             notice = str(self._error or (self._notice if time.monotonic() < self._notice_until_s else ""))
@@ -221,7 +213,6 @@ class Supervisor:
         return reply.value
 
     def stop(self) -> None:
-        """End the process and the thread."""
         self._stop.set()
         if self._thread is not current_thread():  # a forgotten source may be collected in any thread
             self._thread.join()
@@ -388,10 +379,7 @@ class _Process:
 
 @contextmanager
 def _as_imported_program() -> Iterator[None]:
-    """Keep `multiprocessing` from running the caller's script again: a robot's script then needs no main guard.
-
-    A daemonic process may start one too: it ends with its pipe.
-    """
+    """Keep `multiprocessing` from running the caller's script again: a robot's script then needs no main guard."""
     own = multiprocessing.current_process()
     with _spawning:
         script, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")

@@ -99,7 +99,6 @@ class McapFile:
             return data
 
     def close(self) -> None:
-        """Close the file; twice is harmless."""
         self._file.close()
         self._cache.clear()
 

@@ -119,7 +119,6 @@ class McapSource(SeekableSource):
         return Topic.OBJECT_POSE in self._file.topics
 
     def health(self) -> Health:
-        """Return what the recording lacks."""
         lacks = []
         if not self._file.complete:
             lacks.append(f"this recording was cut off; it plays up to its last complete frame, number {self._length}")

@@ -84,7 +84,6 @@ class BagSource(SeekableSource):
         return self._proximity.depth.rate_hz or super().frame_rate_hz
 
     def health(self) -> Health:
-        """Return what the recording lacks."""
         lacks = []
         if self._tactile is not None and self._proximity.color is None:
             lacks.append("this recording has no proximity colour: its image stays black")
@@ -159,7 +158,6 @@ def is_realsense(text: str) -> bool:
 
 
 def open_recording(path: Path, progress: Progress | None = None) -> RecordingFile:
-    """Open one file, by its content."""
     with damage_told(path, "this is no readable RealSense recording"):
         with path.open("rb") as file:
             start = file.read(32)

@@ -51,10 +51,7 @@ for _name in POSES:
 
 
 class Bag(ABC):
-    """Messages of a recording; ``types`` has the message type of each topic that has messages.
-
-    ``complete`` is False where the recorder was killed, so that the last part is missing.
-    """
+    """Messages of a recording, and their type by topic; not ``complete`` if its recorder was killed."""
 
     complete = True
 
@@ -82,7 +79,6 @@ class Bag(ABC):
         return False
 
     def message(self, topic: str, index: int) -> Any:
-        """Return a message."""
         data, kind = self.raw(topic, index), self.types[topic]
         return _ROS1.deserialize_ros1(bytes(data), kind) if self.is_ros1(topic) else TYPES.deserialize_cdr(data, kind)
 

@@ -116,10 +116,7 @@ class Participant:
         self.participant: DomainParticipant = self._entities[1]
 
     def write(self, topic: str, kind: str, type_hash: str, history: int, is_kept: bool) -> Writer:
-        """Announce a topic; the last ``history`` messages are there for repeats, if ``is_kept`` also for later readers.
-
-        Raises `ValueError` if the topic cannot be written.
-        """
+        """Announce a topic that repeats ``history`` messages, if ``is_kept`` to later readers; or `ValueError`."""
         qos = Qos(
             Policy.Reliability.Reliable(max_blocking_time=0),
             Policy.Durability.TransientLocal if is_kept else Policy.Durability.Volatile,
@@ -192,10 +189,7 @@ class Reader:
 
 
 class Listener(Participant):
-    """A participant that reads topics.
-
-    It listens to the loopback interface as well, since a publisher on this computer may use either.
-    """
+    """A participant that reads topics, also of the loopback interface: a publisher on this computer may use either."""
 
     def __init__(self, domain: int, host: str) -> None:
         super().__init__(domain, host, also_here=True)

@@ -106,13 +106,11 @@ class Ros2Source(CameraSource):
             self._rig = self._rig.model_copy(update={"T_proximity_tactile": camera_pose(pose)})
 
     def health(self) -> Health:
-        """Return the state of the cameras, and what their topics lack."""
         health = super().health()
         notes = map(as_sentence, self._driver.notes.values())
         return replace(health, message=" ".join(filter(None, [health.message, *notes])))
 
     def close(self) -> None:
-        """Stop reading and leave the domain."""
         super().close()
         self._listener.close()
 
@@ -124,10 +122,7 @@ class _TopicInfo(DeviceInfo):
 
 
 class Ros2Driver(CameraDriver):
-    """The cameras of a domain; their topics of depth stand for serial numbers.
-
-    ``notes`` are clauses about what the topics of a camera lack.
-    """
+    """The cameras of a domain, with topics of depth as serial numbers; ``notes`` are clauses about what topics lack."""
 
     title = "ROS 2"
 
@@ -136,11 +131,9 @@ class Ros2Driver(CameraDriver):
         self._listener, self._found = listener, found
 
     def devices(self) -> list[DeviceInfo]:
-        """Return the cameras that were found."""
         return [self._info(role) for role in ("proximity", "tactile") if f"{role}.depth" in self._found.topics]
 
     def open(self, serial: str, role: CameraRole) -> Camera:
-        """Read the topics of a camera; `SourceError` if a lens is missing or too few images come."""
         depth = _Stream(self._listener, self._found, f"{role}.depth")
         color = _Stream(self._listener, self._found, f"{role}.color") if f"{role}.color" in self._found.topics else None
         pose = np.eye(4)

@@ -69,10 +69,7 @@ class Frames:
                 self._edges.setdefault(child, {})[parent] = np.asarray(np.linalg.inv(found[0]), np.float64)
 
     def pose(self, to: str, of: str) -> Float64Array | None:
-        """Return ``T_to_of``, 4 x 4, which takes coordinates in ``of`` to ``to``; None if no chain joins them.
-
-        Images without a frame in their headers are in no known one.
-        """
+        """Return ``T_to_of`` (4, 4), which takes coordinates in ``of`` to ``to``; None if no chain joins them."""
         to, of = to.lstrip("/"), of.lstrip("/")
         if not to or not of:
             return None
@@ -137,10 +134,7 @@ class Inspection:
 
 
 def inspect_recording(path: Path, progress: Progress | None = None) -> Inspection | None:
-    """Return what there is to choose from; None where the topics have been chosen before.
-
-    Raises a `SourceError` if it cannot be read.
-    """
+    """Return what there is to choose from; None where the topics have been chosen before."""
     if load_topics(path):
         return None
     with closing(open_bag(path, progress)) as bag, damage_told(path, "it is damaged"):
@@ -169,13 +163,7 @@ def _picture(bag: Bag, image: ImageTopic) -> Uint8Array:
 
 
 class RosSource(SeekableSource):
-    """A ROS bag of any program; frames are pairs of depth images whose header stamps are half a period apart at most.
-
-    Parameters
-    ----------
-    rest : str
-        The path, and after a question mark the topics that a person chose, which are then kept beside the recording.
-    """
+    """A ROS bag of any program, with frames of depth images whose header stamps are half a period apart at most."""
 
     def __init__(self, scheme: str, rest: str, progress: Progress | None = None) -> None:
         text, chosen = split_name(rest)
@@ -312,7 +300,6 @@ class RosSource(SeekableSource):
         return None
 
     def _stamps_s(self, topic: str, progress: Progress | None) -> Float64Array:
-        """Return the header stamps of a topic, in seconds."""
         count = self._bag.count(topic)
         stamps_ns: Int64Array = np.empty(count, np.int64)
         for index in range(count):
@@ -345,7 +332,6 @@ class RosSource(SeekableSource):
         return 1.0 / period_s(self._main.depth.stamps_s)
 
     def health(self) -> Health:
-        """Return what the recording lacks."""
         lacks: Sequence[str] = list(self._notes)
         if self._tactile is not None and self._main.color is None:
             lacks = [*lacks, "this recording has no proximity colour: its image stays black"]

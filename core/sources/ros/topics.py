@@ -174,10 +174,7 @@ def _streams(group: Sequence[ImageTopic], joined: Callable[[str, str], bool]) ->
 def complete_topics(
     chosen: Topics, guess: Topics, images: Sequence[ImageTopic], joined: Callable[[str, str], bool]
 ) -> tuple[Topics, str]:
-    """Return the topics that a person named with what follows from them, and a clause that says what is missing.
-
-    The colour is that of the same camera; without any depth that was named, the guess counts.
-    """
+    """Return the topics that a person named with what follows from them, and a clause that says what is missing."""
     topics = dict(chosen) if any(slot.endswith(".depth") for slot in chosen) else guess | chosen
     for role in ("proximity", "tactile"):
         if any(slot.startswith(f"{role}.") for slot in topics) and f"{role}.depth" not in topics:

@@ -92,7 +92,6 @@ def _box(x: float, y: float, z: float, half_x: float, half_y: float, half_z: flo
 
 @compiled
 def _cylinder(x: float, y: float, z: float, radius: float, half_length: float, rounding: float) -> float:
-    """A cylinder along z."""
     qr, qz = math.sqrt(x * x + y * y) - radius + rounding, abs(z) - half_length + rounding
     return math.sqrt(max(qr, 0.0) ** 2 + max(qz, 0.0) ** 2) + min(max(qr, qz), 0.0) - rounding
 

@@ -67,10 +67,7 @@ def _rigid(degrees: tuple[float, float, float], translation_m: tuple[float, floa
 
 
 def cameras(rig: Rig, design: MembraneDesign) -> tuple[Camera, Camera, Camera]:
-    """Return proximity, tactile and proximity colour cameras in the membrane's frame.
-
-    The membrane's centre lies between the two depth cameras.
-    """
+    """Return proximity, tactile and colour cameras in the membrane's frame, centred between the first two."""
     assert rig.proximity_color is not None
     assert rig.T_proximity_tactile is not None
     proximity_membrane = np.eye(4)
@@ -189,7 +186,6 @@ class Press:
         return np.where((state.reaction_n > 0.0)[:, None], (on_object - after[:, 3]) @ after[:, :3], np.nan)
 
     def facts(self, depth_m: float, pose: Float64Array, state: MembraneState) -> PressFacts:
-        """Return the ground truth of one state."""
         object_membrane = np.vstack([pose, (0.0, 0.0, 0.0, 1.0)])
         proximity_membrane = np.vstack([self._cameras[0].pose, (0.0, 0.0, 0.0, 1.0)])
         return PressFacts(
@@ -200,7 +196,6 @@ class Press:
         )
 
     def picture(self, pose: Float64Array, state: MembraneState) -> CleanState:
-        """Draw one state in all cameras."""
         mesh, kind = self.membrane.mesh, self.pressed.kind
         surface = self.membrane.surface(state.nodes)
         touching = contact_share(self.membrane, state, kind, pose)
@@ -268,10 +263,7 @@ def _follow(
 
 
 def true_strain(membrane: Membrane, nodes: Float64Array, camera: Camera) -> TrueStrain:
-    """Return the strain for membrane nodes of shape (N, 3), along the grid straight from dot to dot.
-
-    0 where the camera sees no two neighbouring dots whole.
-    """
+    """Return the strain for membrane nodes (N, 3), from dot to dot; 0 where no two neighbouring dots are seen whole."""
     design = membrane.design
     columns, rows = dot_counts(design.width_m, design.height_m)
     flat = dot_grid(design.width_m, design.height_m)

@@ -101,7 +101,6 @@ class SimulatorSource(SeekableSource):
         return self._solved.facts[self.scene.frames[index]]
 
     def read(self, index: int) -> SensorFrame:
-        """Return frame ``index``, 0 <= index < length."""
         return self.draw(index, self.scene.frames[index])
 
     def draw(self, index: int, number: int) -> SensorFrame:
@@ -155,7 +154,6 @@ class SimulatorSource(SeekableSource):
         return solved
 
     def _press(self, scene: Scene) -> Press:
-        """Return the press that is solved and drawn."""
         return Press(scene, deepcopy(_inflated(scene.design)), self._both)
 
     def solve_anew(self, scene: Scene, progress: Progress) -> SolvedScene:

@@ -117,7 +117,6 @@ def error_curve(path: str, evidence: Evidence, progress: Progress = lambda share
 
 
 def usual_value(path: str) -> float:
-    """Return the shipped value of a field that examples tell."""
     return _USUAL.get(path, float(Preset().value(path)))
 
 

@@ -73,11 +73,7 @@ def suggest_mask(evidence: Evidence, progress: Progress) -> Proposal:
 
 
 def find_prints(evidence: Evidence) -> tuple[Proposal, BoolArray]:
-    """Propose the mask that covers the prints, and return the pixels that it covers.
-
-    They are found in the untouched frame or an example of the untouched membrane; without any, among small groups of
-    the present frame that are near the membrane, if they have one colour.
-    """
+    """Propose the mask that covers the prints, and return its pixels; without untouched frame, of one colour."""
     preset, rig = evidence.preset, evidence.rig
     free = evidence.untouched or next((each.frame for each in evidence.examples if each.contact is None), None)
     colours = _colours(free or evidence.frame, preset, rig, pressed=free is None)

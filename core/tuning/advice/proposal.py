@@ -109,7 +109,6 @@ class Evidence:
 
     @property
     def frame(self) -> SensorFrame:
-        """The present frame."""
         return self.frames[-1]
 
     @property

@@ -164,10 +164,7 @@ SECTIONS: Final = tuple(_SUGGEST)
 
 @dataclass(frozen=True)
 class AllProposals:
-    """Proposals for several sections, each computed with the earlier ones applied.
-
-    ``refusals`` says by section why there is none; ``merged`` has all changes as one proposal.
-    """
+    """Proposals for several sections, each with the earlier ones applied; why others have none; all changes in one."""
 
     parts: tuple[Proposal, ...]
     refusals: dict[str, str]
