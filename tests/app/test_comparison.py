@@ -7,8 +7,17 @@ import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 
-from fakes import tiny_frame, tiny_rig
-from hands import CONTROL, LEFT, cells, drag_slider, shows_preset_of_document, tolerance_slider, type_path
+from fakes import HEIGHT, tiny_frame, tiny_rig
+from hands import (
+    CONTROL,
+    LEFT,
+    cells,
+    drag_slider,
+    image_position,
+    shows_preset_of_document,
+    tolerance_slider,
+    type_path,
+)
 from tactune.app.document.comparison import Side
 from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.processing import FrameProcessor
@@ -115,23 +124,35 @@ def test_what_changed_since_save_from_the_menu(edited, qtbot):
     assert edited.result.patch is shown.b.patch, "other windows go on with the present preset"
 
 
-def test_drag_the_wipe_in_a_view_and_all_views_and_images_follow(compared, qtbot):
+def shares(window):
+    """Where the wipe stands in each view and image, as a share of its width."""
+    found = [view.wipe().share for view in window.views.views.values()]
+    for pane in window.strip.panes.values():
+        rect = pane.box.viewRect()
+        found.append((pane.wipe_line.value() - rect.left()) / rect.width())
+    return found
+
+
+def test_drag_the_wipe_in_a_view_or_an_image_and_all_others_follow(compared, qtbot):
     views = compared.views.views
     canvas = views["tactile"].findChild(object, "canvas")
     width, height = canvas.width(), canvas.height()
     QTest.mousePress(canvas, LEFT, pos=QPoint(width // 2, height // 3))
     QTest.mouseMove(canvas, QPoint(width // 4, height // 3))
     QTest.mouseRelease(canvas, LEFT, pos=QPoint(width // 4, height // 3))
-    for view in views.values():
-        assert view.wipe().share == pytest.approx(0.25, abs=0.02)
-    for pane in compared.strip.panes.values():
-        rect = pane.box.viewRect()
-        assert (pane.wipe_line.value() - rect.left()) / rect.width() == pytest.approx(0.25, abs=0.02)
+    assert shares(compared) == pytest.approx([0.25] * len(shares(compared)), abs=0.02)
     QTest.keyClick(compared, Qt.Key.Key_Right, ALT)
     assert views["patch"].wipe().share == pytest.approx(0.3, abs=0.02)
     QTest.keyClick(compared, Qt.Key.Key_Left, ALT)
     QTest.keyClick(compared, Qt.Key.Key_Left, ALT)
     assert views["patch"].wipe().share == pytest.approx(0.2, abs=0.02)
+    pane = compared.strip.panes["color"]
+    viewport, line = pane.view.viewport(), image_position(pane, pane.wipe_line.value(), HEIGHT // 2).toPoint()
+    QTest.mousePress(viewport, LEFT, pos=line)
+    for step in (10, 20, 30):
+        QTest.mouseMove(viewport, line + QPoint(step, 0))
+    QTest.mouseRelease(viewport, LEFT, pos=line + QPoint(30, 0))
+    assert shares(compared) == pytest.approx([0.2 + 30 / viewport.width()] * len(shares(compared)), abs=0.03)
     patches = compared.result.compared
     assert views["patch"].cloud() is patches.a.rendered.clouds["patch"]
     assert views["patch"].right_cloud() is patches.b.rendered.clouds["patch"]

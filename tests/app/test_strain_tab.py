@@ -94,6 +94,15 @@ def test_another_spacing_is_measured_and_remembered(qtbot, window):
     assert type(tab)(window.context).spacing.value() == 11.5
 
 
+def test_frames_of_a_still_membrane_are_averaged(qtbot, window):
+    tab = opened(qtbot, window, FakeSource(rig=RIG, make=lambda index, rig: sheet(index), untouched=sheet(0)))
+    window.worker.seek(4)
+    settled(qtbot, tab, 4)
+    assert tab.found.averaged == 1
+    type_into(tab.average, "2")
+    qtbot.waitUntil(lambda: tab.found.averaged == 2)
+
+
 def test_without_dots_or_untouched_frame_the_tab_says_so(qtbot, window):
     tab = opened(qtbot, window, pressed(dots=False))
     assert tab.found.measured is None and "grid of dots" in tab.numbers.text() and not tab.rows

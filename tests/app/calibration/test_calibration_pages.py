@@ -93,7 +93,7 @@ def test_partners_are_found_both_ways(scene, frames):
 # Points
 
 
-def test_a_wrong_pair_is_rejected_highlighted_and_named(open_wizard, scene, frames, feed, qtbot):
+def test_a_wrong_pair_is_rejected_highlighted_and_named(open_wizard, scene, frames, feed, qtbot, hand):
     state = with_pairs(scene, frames, feed)
     wizard = open_wizard()
     wizard.session.edit("all", state.with_pair(moved(state.pairs[4], 25, -11)))
@@ -102,6 +102,13 @@ def test_a_wrong_pair_is_rejected_highlighted_and_named(open_wizard, scene, fram
     assert [name for name, row in rows.items() if row.marked] == ["5"]
     assert "Rejected" in rows["5"].note
     assert "pair 5" in wizard.quality.step.text()
+
+    wizard.go_to(2)
+    quality_map = wizard.quality.map
+    qtbot.waitUntil(lambda: bool(quality_map.layer.marks) and not wizard.quality.job.busy)
+    wrong = next(mark for mark in quality_map.layer.marks if mark.key == "5")
+    hand.click(quality_map, (wrong.u, wrong.v))
+    assert wizard.session.selected == ("5",)
 
     wizard.go_to(1)
     shown = wizard.points.table.model()
