@@ -1,16 +1,12 @@
 """Settings and fixtures for every test: a home folder per process, patient waiting, recordings of real cameras."""
 
-from __future__ import annotations
-
 import atexit
 import fcntl
 import os
 import shutil
 import signal
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import platformdirs
 import pytest
@@ -51,10 +47,10 @@ if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_I
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
-def _compile_locked(compile_kernel: Callable[..., Any]) -> Callable[..., Any]:
+def _compile_locked(compile_kernel):
     """Let one process at a time compile a kernel; the others wait and find the machine code on the disk."""
 
-    def locked(self: Any, signature: Any) -> Any:
+    def locked(self, signature):
         if not hasattr(self._cache, "_cache_file"):
             return compile_kernel(self, signature)
         path = Path(self._cache._cache_file._index_path).with_suffix(".lock")
@@ -70,7 +66,7 @@ Dispatcher.compile = _compile_locked(Dispatcher.compile)
 
 
 @pytest.fixture(scope="session")
-def shared_data() -> Path:
+def shared_data():
     """Return the folder of recordings of real cameras; skip the test where there is none."""
     if not SHARED_DATA.is_dir():
         pytest.skip(NO_SHARED_DATA)
@@ -78,11 +74,11 @@ def shared_data() -> Path:
 
 
 @pytest.fixture
-def tactune(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Callable[..., Finished]:
+def tactune(capsys, monkeypatch):
     """Run a command in this process, through the entry point of the installed one."""
     from tactune.app.cli.main import main
 
-    def run(*words: object) -> Finished:
+    def run(*words):
         monkeypatch.setattr("sys.argv", ["tactune", *map(str, words)])
         capsys.readouterr()
         return Finished(main(), *capsys.readouterr())
@@ -91,7 +87,7 @@ def tactune(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.hookimpl(trylast=True)
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+def pytest_terminal_summary(terminalreporter):
     skipped = terminalreporter.stats.get("skipped", [])
     count = sum(NO_SHARED_DATA in str(report.longrepr) for report in skipped)
     if count:
@@ -100,7 +96,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 
 @pytest.fixture
-def qtbot(qapp: Any, request: pytest.FixtureRequest) -> Any:
+def qtbot(qapp, request):
     """Give pytest-qt's robot at least a minute of patience: a busy machine does everything, but later."""
     from pytestqt.qtbot import QtBot
 
@@ -110,8 +106,8 @@ def qtbot(qapp: Any, request: pytest.FixtureRequest) -> Any:
     return bot
 
 
-def _patient(wait: Callable[..., Any]) -> Callable[..., Any]:
-    def wait_longer(*what: Any, timeout: int = 5000, **options: Any) -> Any:
+def _patient(wait):
+    def wait_longer(*what, timeout=5000, **options):
         if options.get("raising") is False:  # such as assertNotEmitted, which waits for nothing to happen
             return wait(*what, timeout=timeout, **options)
         return wait(*what, timeout=max(timeout, 60_000), **options)

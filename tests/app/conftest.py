@@ -1,11 +1,7 @@
 """Windows that show the tiny recording."""
 
-from __future__ import annotations
-
 import json
 import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import pyqtgraph as pg
 import pytest
@@ -25,7 +21,7 @@ from watched_worker import Watched
 
 
 @pytest.fixture(scope="session", autouse=True)
-def compiled() -> Iterator[None]:
+def compiled():
     """Compile the kernels before anything waits for a first frame; at the end wait for threads, or Python aborts."""
     pg.setConfigOptions(mouseRateLimit=-1)
     warm_up_if_needed(lambda share, words: None)
@@ -37,25 +33,25 @@ def compiled() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def preset() -> Preset:
+def preset():
     """A preset with the tolerance test. For the membrane test the disc's 2 mm are a gap, not a bias."""
     values = {"tolerance.t": 0.03, "outliers.enabled": False, "membrane.bias": False}
     return Preset(name="tiny", contact_test="tolerance").with_values(values)
 
 
 @pytest.fixture
-def source() -> Iterator[FakeSource]:
+def source():
     made = FakeSource()
     yield made
     made.close()
 
 
 @pytest.fixture
-def settings_file(tmp_path) -> Path:
+def settings_file(tmp_path):
     return tmp_path / "window.json"
 
 
-def open_window(qtbot, folder: Path, settings_file: Path, start: Preset, size: tuple[int, int] | None) -> MainWindow:
+def open_window(qtbot, folder, settings_file, start, size):
     settings = Settings(settings_file)
     if not settings.text("theme"):
         settings.set("theme", "light")
@@ -70,12 +66,12 @@ def open_window(qtbot, folder: Path, settings_file: Path, start: Preset, size: t
     return window
 
 
-def activate(qtbot, window: MainWindow) -> None:
+def activate(qtbot, window):
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow)
 
 
-def close_window(window: MainWindow) -> None:
+def close_window(window):
     if window.worker.isRunning():
         window.close_without_asking()
         end = time.monotonic() + 60.0
@@ -89,13 +85,13 @@ def close_window(window: MainWindow) -> None:
 class SharedWindow:
     """One main window for the tests of a module; one that a test left with other windows open is replaced."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         self._folder, self._opened = folder, 0
-        self._window: MainWindow | None = None
+        self._window = None
         self._others = 0
-        self._settings: dict[str, str] = {}
+        self._settings = {}
 
-    def ready(self, qtbot, tmp_path: Path, preset: Preset) -> MainWindow:
+    def ready(self, qtbot, tmp_path, preset):
         window = self._window
         if window is not None:
             _forget_analyses(window)
@@ -116,20 +112,20 @@ class SharedWindow:
             window.settings.set(key, str(tmp_path))
         return window
 
-    def close(self) -> None:
+    def close(self):
         if self._window is not None:
             close_window(self._window)
         self._window = None
 
-    def _reusable(self, window: MainWindow) -> bool:
+    def _reusable(self, window):
         busy = window.recording.running or window.status.publishing.isVisible() or window.context.trim
         return not busy and window.worker.isRunning() and _others(window) == self._others
 
-    def _remembered(self, window: MainWindow) -> dict[str, str]:
+    def _remembered(self, window):
         window.settings.sync()
         return json.loads((self._folder / str(self._opened) / "window.json").read_text())
 
-    def _reset(self, window: MainWindow, preset: Preset) -> None:
+    def _reset(self, window, preset):
         """Bring a window back to how it opens: layout, messages, preset, playback."""
         window.context.comparison.end()
         window.eyedropper.use("off")
@@ -148,7 +144,7 @@ class SharedWindow:
         window.worker.set_speed(1.0)
 
 
-def _forget_analyses(window: MainWindow) -> None:
+def _forget_analyses(window):
     """Close the window of the analyses, and what its tabs remember."""
     window.analysis.close()
     if window.analysis.window is not None:
@@ -156,26 +152,26 @@ def _forget_analyses(window: MainWindow) -> None:
         window.analysis.window = None
 
 
-def _others(window: MainWindow) -> int:
+def _others(window):
     """The dialogs of a window, and the windows that are seen: tests leave some behind."""
     shown = [each for each in QApplication.topLevelWidgets() if each.isVisible()]
     return len(window.findChildren(QDialog)) + len(shown)
 
 
 @pytest.fixture(scope="module")
-def shared(qapp, tmp_path_factory) -> Iterator[SharedWindow]:
+def shared(qapp, tmp_path_factory):
     holder = SharedWindow(tmp_path_factory.mktemp("window"))
     yield holder
     holder.close()
 
 
 @pytest.fixture
-def make_window(qtbot, shared, preset, tmp_path, settings_file) -> Iterator[Callable[..., MainWindow]]:
+def make_window(qtbot, shared, preset, tmp_path, settings_file):
     """Open windows that use nothing of the person's own folders, and close them whatever happened."""
     shared.close()
     windows = []
 
-    def make(start: Preset = preset, size: tuple[int, int] | None = (1280, 800)) -> MainWindow:
+    def make(start=preset, size=(1280, 800)):
         window = open_window(qtbot, tmp_path, settings_file, start, size)
         windows.append(window)
         return window
@@ -186,7 +182,7 @@ def make_window(qtbot, shared, preset, tmp_path, settings_file) -> Iterator[Call
 
 
 @pytest.fixture
-def own_window(qtbot, make_window) -> MainWindow:
+def own_window(qtbot, make_window):
     """A window of this test alone, standing still at frame 3 of a recording of 8."""
     made = make_window()
     show_source(qtbot, made, FakeSource(), 3)
@@ -194,7 +190,7 @@ def own_window(qtbot, make_window) -> MainWindow:
 
 
 @pytest.fixture
-def window(request, qtbot, shared, tmp_path, preset) -> MainWindow:
+def window(request, qtbot, shared, tmp_path, preset):
     """The window of the module at frame 3 of a recording of 8; tests that open more windows get one of their own."""
     if "make_window" in request.fixturenames:
         return request.getfixturevalue("own_window")
@@ -204,7 +200,7 @@ def window(request, qtbot, shared, tmp_path, preset) -> MainWindow:
 
 
 @pytest.fixture
-def cameras(window, qtbot) -> FakeCameras:
+def cameras(window, qtbot):
     """Live cameras in the window; their first frame is shown."""
     made = FakeCameras()
     made.release()
@@ -213,7 +209,7 @@ def cameras(window, qtbot) -> FakeCameras:
 
 
 @pytest.fixture
-def watched(qtbot, preset) -> Iterator[Watched]:
+def watched(qtbot, preset):
     made = Watched(preset)
     yield made
     made.worker.shut_down()

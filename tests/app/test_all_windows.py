@@ -1,12 +1,8 @@
 """Every window: texts that can be read in both themes, controls for keyboard and screen reader, nothing cut."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
-from PyQt6.QtCore import QPoint, QRect, QSize, Qt
+from PyQt6.QtCore import QPoint, QSize, Qt
 from PyQt6.QtGui import QImage
 from PyQt6.QtWidgets import (
     QAbstractButton,
@@ -34,7 +30,6 @@ from pytestqt.qtbot import QtBot
 from contrast import contrast_ratio
 from fakes import FakeSource
 from hands import show_source
-from tactune.app.window.main_window import MainWindow
 from tactune.widgets.basics.controls import ElidedLabel
 
 #: The room of a window on a screen of 1024 x 700.
@@ -61,7 +56,7 @@ PLAIN = ("ok", "cancel", "close", "open", "save", "choose")
 
 
 @pytest.fixture(scope="module", params=["dark", "light"])  # the last one stays for the tests that follow
-def main(request, qapp, shared, preset, tmp_path_factory) -> MainWindow:
+def main(request, qapp, shared, preset, tmp_path_factory):
     """One main window a theme: to change the theme under many open windows takes longer than to begin again."""
     shared.close()
     robot = QtBot(request)
@@ -72,7 +67,7 @@ def main(request, qapp, shared, preset, tmp_path_factory) -> MainWindow:
 
 
 @pytest.fixture(params=NAMES)
-def shown(request, main, qtbot) -> QWidget:
+def shown(request, main, qtbot):
     """One window after the other."""
     if request.param == "main":
         return main
@@ -85,12 +80,12 @@ def shown(request, main, qtbot) -> QWidget:
     return made
 
 
-def tops() -> list[QWidget]:
+def tops():
     windows = [widget for widget in QApplication.topLevelWidgets() if widget.isVisible()]
     return [window for window in windows if window.windowType() != Qt.WindowType.ToolTip]
 
 
-def pages(window: QWidget, qtbot) -> Iterator[int]:
+def pages(window, qtbot):
     """Turn to every page of the window's stack, if it has one."""
     stacks = [stack for stack in window.findChildren(QStackedWidget) if stack.isVisible() and stack.count() > 1]
     in_tabs = window.findChild(QTabWidget)
@@ -102,16 +97,16 @@ def pages(window: QWidget, qtbot) -> Iterator[int]:
         yield page
 
 
-def settle() -> None:
+def settle():
     for _ in range(3):  # a page that was just made lays itself out in steps
         QApplication.processEvents()
 
 
-def within(window: QWidget, kind: type) -> list:
+def within(window, kind):
     return [widget for widget in window.findChildren(kind) if widget.isVisible() and widget.isEnabled()]
 
 
-def said(widget: QWidget) -> str:
+def said(widget):
     """Return the name that Qt gives a screen reader: the accessible one, a button's words, or those of its label."""
     if widget.accessibleName():
         return widget.accessibleName()
@@ -120,18 +115,18 @@ def said(widget: QWidget) -> str:
     return next((label.text() for label in widget.window().findChildren(QLabel) if label.buddy() is widget), "")
 
 
-def described(widget: QWidget) -> str:
+def described(widget):
     text = getattr(widget, "text", str)()
     return f"{type(widget).__name__} {text or said(widget)!r} in {type(widget.parent()).__name__}"
 
 
-def place(widget: QWidget, window: QWidget) -> QRect:
+def place(widget, window):
     """Return what is seen of a widget, in coordinates of the window."""
     seen = widget.visibleRegion().boundingRect()
     return seen.translated(widget.mapTo(window, QPoint(0, 0)))
 
 
-def sharpest(image: np.ndarray, rect: QRect) -> float:
+def sharpest(image, rect):
     """Return the contrast of the most different pixel against the most frequent one."""
     part = image[rect.top() : rect.bottom() + 1, rect.left() : rect.right() + 1]
     pixels, counts = np.unique(part & 0xFFFFFF, return_counts=True)
@@ -139,7 +134,7 @@ def sharpest(image: np.ndarray, rect: QRect) -> float:
     return max(contrast_ratio(f"#{pixel:06x}", background) for pixel in pixels)
 
 
-def pixels_of(window: QWidget) -> np.ndarray:
+def pixels_of(window):
     """Return the picture of a window, (height, width) of 0xAARRGGBB."""
     image = window.grab().toImage().convertToFormat(QImage.Format.Format_RGB32)
     return np.frombuffer(image.constBits().asarray(image.sizeInBytes()), np.uint32).reshape(image.height(), -1).copy()
@@ -156,7 +151,7 @@ def test_every_window_can_be_read_reached_and_seen_whole(shown, main, qtbot):
     assert (missing, faint, cut) == (set(), set(), set())
 
 
-def unreadable(shown: QWidget) -> set:
+def unreadable(shown):
     faint = set()
     image = pixels_of(shown)
     for widget in [w for kind in (QLabel, QAbstractButton, QComboBox, QLineEdit) for w in within(shown, kind)]:
@@ -172,7 +167,7 @@ def unreadable(shown: QWidget) -> set:
     return faint
 
 
-def unreachable(shown: QWidget, window: QWidget) -> set:
+def unreachable(shown, window):
     missing = set()
     by_menu = {action for action in window.actions_.all() if not action.shortcut().isEmpty()}
     for widget in controls(shown):
@@ -195,7 +190,7 @@ def unreachable(shown: QWidget, window: QWidget) -> set:
     return missing
 
 
-def told(widget: QWidget, window: QWidget) -> bool:
+def told(widget, window):
     """Tell whether pointing at a widget shows a tooltip, its own or that of what it is part of."""
     while widget is not window and widget is not None:
         if widget.toolTip():
@@ -204,7 +199,7 @@ def told(widget: QWidget, window: QWidget) -> bool:
     return False
 
 
-def controls(window: QWidget) -> list[QWidget]:
+def controls(window):
     """Return what a person can act on; parts of a control do not count."""
     found = []
     for widget in within(window, QWidget):
@@ -222,7 +217,7 @@ def controls(window: QWidget) -> list[QWidget]:
     return found
 
 
-def cut_off(shown: QWidget, page: int, size: QSize) -> set:
+def cut_off(shown, page, size):
     assert shown.width() <= size.width() and shown.height() <= size.height(), (page, shown.minimumSizeHint())
     cut = set()
     for widget in within(shown, QLabel) + within(shown, QAbstractButton):

@@ -1,7 +1,5 @@
 """The Analysis window: opened by its actions, updated while visible, closed with the main window."""
 
-from __future__ import annotations
-
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
@@ -9,31 +7,29 @@ from PyQt6.QtWidgets import QApplication, QLabel
 
 from tactune.app.analysis import window as analysis_window
 from tactune.app.analysis.tab import AnalysisTab, TabKind
-from tactune.app.window.main_window import MainWindow
-from tactune.app.worker.results import Result
 
 
 class NotingTab(AnalysisTab):
     """Remembers what it was told."""
 
-    def __init__(self, _context) -> None:
+    def __init__(self, _context):
         super().__init__()
-        self.sequences: list[int] = []
+        self.sequences = []
         self.ended = False
 
-    def show_result(self, result: Result) -> None:
+    def show_result(self, result):
         self.sequences.append(result.frame.sequence)
 
-    def shut_down(self) -> None:
+    def shut_down(self):
         self.ended = True
 
 
-def broken_tab(_context) -> AnalysisTab:
+def broken_tab(_context):
     raise RuntimeError("no such sensor")
 
 
 @pytest.fixture(autouse=True)
-def tabs(monkeypatch) -> None:
+def tabs(monkeypatch):
     own = {
         "compare": TabKind("&Compare", "Compares", NotingTab, "F7"),
         "strain": TabKind("&Strain", "Measures strain", NotingTab, "Ctrl+T"),
@@ -44,7 +40,7 @@ def tabs(monkeypatch) -> None:
     monkeypatch.setattr(analysis_window, "added_by_others", lambda group, kind: (added, problems))
 
 
-def opened(qtbot, window: MainWindow):
+def opened(qtbot, window):
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow)
     QTest.keyClick(window, Qt.Key.Key_F7)

@@ -1,7 +1,5 @@
 """The Compare tab: methods side by side on the frame that the main window shows."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import replace
 
@@ -29,7 +27,7 @@ def known_frame(index, rig, truth=True):
     return replace(frame, truth=GroundTruth(np.roll(frame.proximity_color[..., 0] == 200, 2, axis=1), depth_m))
 
 
-def source(untouched=True, truth=True) -> FakeSource:
+def source(untouched=True, truth=True):
     made = FakeSource(make=lambda index, rig: known_frame(index, rig, truth))
     frame = tiny_frame(0, made.rig)
     deeper = frame.tactile_depth.copy()
@@ -48,7 +46,7 @@ def open_on(qtbot, window, shown):
     return tab
 
 
-def settle(qtbot, window, tab) -> None:
+def settle(qtbot, window, tab):
     """Wait until what is shown is what is chosen."""
     qtbot.waitUntil(
         lambda: (
@@ -71,7 +69,7 @@ def outcomes(tab):
     return {outcome.name: outcome for outcome in tab.found.outcomes}
 
 
-def tick(qtbot, window, tab, name: str) -> None:
+def tick(qtbot, window, tab, name):
     """Select a method's row and tick it by the space bar."""
     tab.table.select([name])
     QTest.keyClick(tab.table, Qt.Key.Key_Space)

@@ -1,7 +1,5 @@
 """Two presets compared: their patches, and everything that a person does with mouse and keys."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, Qt

@@ -1,7 +1,5 @@
 """The choice of the contact test in the window: by keyboard, undo, and the widgets that depend on it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
@@ -12,11 +10,10 @@ from hands import CONTROL, shows_preset_of_document, type_into
 from tactune.app.worker.results import CloudName
 from tactune.core.contact.membrane.test import MembraneTest
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.preset import Preset
 
 
 @pytest.fixture
-def preset(preset: Preset) -> Preset:
+def preset(preset):
     """The tiny membrane is flat, as no inflated one is: only a short equilibrium length keeps its measured gap."""
     return preset.with_value("membrane.trust_m", 0.008)
 

@@ -1,7 +1,5 @@
 """Files in the window: presets, recordings with presets, unsaved changes and exports."""
 
-from __future__ import annotations
-
 import csv
 import json
 
@@ -23,7 +21,6 @@ from hands import (
 )
 from tactune.app.document.recovery import Autosave
 from tactune.core.sources.presets import load_preset
-from tactune.widgets.basics.messages import Message
 
 
 def test_save_reopen_same_values(window, qtbot, tmp_path, make_window):
@@ -133,7 +130,7 @@ def test_a_new_preset_asks_too_and_takes_no_name_of_a_shipped_one(window, qtbot)
     assert not window.document.dirty
 
 
-def offer(window) -> Message:
+def offer(window):
     message = window.messages.message("recovery")
     assert message is not None
     return message

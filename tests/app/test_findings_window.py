@@ -1,7 +1,5 @@
 """Findings in the window: beside the control, in the list and in the empty view; a click mends, Ctrl+Z undoes."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

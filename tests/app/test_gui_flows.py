@@ -1,7 +1,5 @@
 """Complete user flows of tuning and playing, by real mouse and key events."""
 
-from __future__ import annotations
-
 import numpy as np
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest

@@ -1,7 +1,5 @@
 """Starting the window: presets, screenshots, signals, and the message about compiling."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """The Help menu."""
 
-from __future__ import annotations
-
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QDesktopServices

@@ -1,7 +1,5 @@
 """A frame and a preset give the same bits in the window, in ``tactune run`` and in a Python script."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Choosing and configuring cameras: lists, messages without cameras, options stored in the preset."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

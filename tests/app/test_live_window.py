@@ -1,7 +1,5 @@
 """The window with live cameras: stale frames are marked, missing cameras are named, and capture resumes by itself."""
 
-from __future__ import annotations
-
 import time
 
 import pytest

@@ -1,7 +1,5 @@
 """The worker with live cameras: orders without frames, faults, and no endless waiting."""
 
-from __future__ import annotations
-
 import pytest
 
 from fakes import FakeCameras, FakeSource

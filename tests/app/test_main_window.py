@@ -1,7 +1,5 @@
 """The main window: its contents, saved state and messages."""
 
-from __future__ import annotations
-
 import json
 
 from PyQt6.QtCore import Qt, QTimer

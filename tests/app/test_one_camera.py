@@ -1,7 +1,5 @@
 """A rig with a tactile camera only in the window: what it shows, what it leaves out, and how contact is found."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from PyQt6.QtTest import QTest

@@ -1,7 +1,5 @@
 """The dialog *Open…*: a page gives the name, errors are said in it."""
 
-from __future__ import annotations
-
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest

@@ -1,7 +1,5 @@
 """Provenance in the three views, chosen by keys as a person does."""
 
-from __future__ import annotations
-
 import numpy as np
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest

@@ -1,7 +1,5 @@
 """*Connect > Publish* in the window, seen by a Foxglove client of another make."""
 
-from __future__ import annotations
-
 import socket
 import time
 

@@ -1,7 +1,5 @@
 """Recording in the window by its key: the file's contents and the messages."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from PyQt6.QtCore import Qt

@@ -1,7 +1,5 @@
 """The recorder between the reading thread and the file."""
 
-from __future__ import annotations
-
 from threading import Event
 
 import pytest
@@ -16,10 +14,10 @@ from tactune.core.preset import Preset
 class FakeWriter:
     """A file that accepts frames until a test stops it."""
 
-    def __init__(self, path) -> None:
+    def __init__(self, path):
         self.path = path
         self.frames, self.dropped = [], 0
-        self.error: Exception | None = None
+        self.error = None
         self.may_close = Event()
         self.may_close.set()
         self.closed = False

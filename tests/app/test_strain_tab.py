@@ -1,7 +1,5 @@
 """The Strain tab: a pressed printed grid, measured on another thread."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import replace
 
@@ -20,7 +18,7 @@ LENS = RIG.tactile.intrinsics
 V, U = np.mgrid[:240, :320].astype(float)
 
 
-def sheet(index: int, stretch=(1.0, 1.0), depth_m=0.3, dots=True) -> SensorFrame:
+def sheet(index, stretch=(1.0, 1.0), depth_m=0.3, dots=True):
     """A flat sheet with 13 x 9 dots, 10 mm apart before it was stretched."""
     s = (U - LENS.cx) / LENS.fx * depth_m / stretch[0]
     t = (V - LENS.cy) / LENS.fy * depth_m / stretch[1]
@@ -33,7 +31,7 @@ def sheet(index: int, stretch=(1.0, 1.0), depth_m=0.3, dots=True) -> SensorFrame
     return SensorFrame(index, counts, counts, color, color)
 
 
-def pressed(untouched=True, dots=True) -> FakeSource:
+def pressed(untouched=True, dots=True):
     """Frame n is 3 n mm nearer and stretched by 5 n % along the length and 2 n % along the width."""
 
     def make(index, rig):

@@ -1,7 +1,5 @@
 """The Tilt tab: angles of the shown frame, over time, copied and exported."""
 
-from __future__ import annotations
-
 import csv
 import math
 

@@ -1,10 +1,7 @@
 """The time strip by mouse and keys: seek, in and out marks, export and recording of a part."""
 
-from __future__ import annotations
-
 import os
 import signal
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +18,7 @@ LENGTH = 24
 
 
 @pytest.fixture
-def scene(tmp_path) -> Path:
+def scene(tmp_path):
     folder = tmp_path / "scene"
     export_folder(FakeSource(LENGTH), folder)
     return folder

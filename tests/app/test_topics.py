@@ -1,7 +1,5 @@
 """Opening a recording of another program: its topics are shown with pictures, chosen once, and kept."""
 
-from __future__ import annotations
-
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest

@@ -1,7 +1,5 @@
 """The tab Tune: a search in a process of its own, its dots, the preview of a trial, and its way into the preset."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

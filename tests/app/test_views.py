@@ -1,7 +1,5 @@
 """What a person does in the views: framing, enlarging, pointing, copying, by real mouse and key events."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 
@@ -13,7 +11,6 @@ from PyQt6.QtWidgets import QWidget
 
 from fakes import FakeSource, tiny_frame
 from hands import image_position, show_source
-from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.results import CloudName
 
 LEFT = Qt.MouseButton.LeftButton
@@ -35,7 +32,7 @@ class WallSource(FakeSource):
         return replace(frame, proximity_depth=proximity, tactile_depth=tactile)
 
 
-def canvas(window: MainWindow, name: CloudName) -> QWidget:
+def canvas(window, name):
     found = window.views.views[name].findChild(QWidget, "canvas")
     assert found is not None
     return found

@@ -1,7 +1,5 @@
 """The check for drift in the window: one message with its number for a live source, and the re-check one click away."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
@@ -22,11 +20,11 @@ KEY = "watch"
 class MovedCameras(FakeCameras):
     """Live cameras with a frame in ten seconds; the tactile one is moved by ``move``."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self._rest, self._moved, self.is_moved = drifted(), drifted(DRIFT), False
         super().__init__(self._rest.rig)
 
-    def move(self) -> None:
+    def move(self):
         self.is_moved = True
 
     def next_frame(self):
@@ -81,7 +79,6 @@ def test_a_moved_camera_is_told_and_the_button_opens_the_re_check(window, moving
     assert window.messages.message(KEY) is None
     look(qtbot, window, moving, 1)
     message = window.messages.message(KEY)
-    assert message is not None
     assert "The tactile camera has moved by 2.0 mm" in message.sentence
     press(message, "Re-check…")
     assert window.messages.message(KEY) is None

@@ -1,7 +1,5 @@
 """Toolbar and status bar are readable at every width of the window."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Messages of the main window go when what they speak of is no longer true; nothing is pushed aside."""
 
-from __future__ import annotations
-
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication

@@ -1,7 +1,5 @@
 """The worker thread, its playback and its mailbox."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -138,7 +136,7 @@ def test_slow_consumers_see_the_newest_frame_and_the_drops_are_counted(qtbot, pr
 
 
 def test_the_newest_item_wins_and_older_ones_are_counted():
-    box: Mailbox[int] = Mailbox()
+    box = Mailbox()
     assert box.put(1) is True
     assert box.put(2) is False
     assert box.put(3) is False
@@ -146,13 +144,13 @@ def test_the_newest_item_wins_and_older_ones_are_counted():
     assert box.take() is None
     assert box.put(4) is True
     assert box.dropped == 2
-    better: Mailbox[float] = Mailbox(lambda old, new: int(old) == int(new))
+    better = Mailbox(lambda old, new: int(old) == int(new))
     better.put(1.0)
     better.put(1.5)
     assert (better.dropped, better.take()) == (0, 1.5)
 
 
-def started(length: int | None = 5, rate_hz: float = 10.0) -> Playback:
+def started(length=5, rate_hz=10.0):
     playback = Playback()
     playback.start_source(length, rate_hz)
     return playback

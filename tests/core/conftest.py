@@ -1,8 +1,3 @@
-from __future__ import annotations
-
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -15,7 +10,7 @@ from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.sources.folder import export_folder
 
 
-def _pose(baseline_m: float, turn_deg: float) -> list[list[float]]:
+def _pose(baseline_m, turn_deg):
     """Return a pose that turns about all axes, so that no term of it is zero."""
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_rotvec([turn_deg / 3, turn_deg, -turn_deg / 2], degrees=True).as_matrix()
@@ -24,11 +19,11 @@ def _pose(baseline_m: float, turn_deg: float) -> list[list[float]]:
 
 
 @pytest.fixture(scope="session")
-def make_rig() -> Callable[..., Rig]:
+def make_rig():
     """Make a small rig; lenses and the colour camera can be chosen."""
 
-    def make(width: int = 80, height: int = 60, color: bool = True, distortion: str = "none", bend: float = 0.0) -> Rig:
-        def lens(focal: float, shift: float) -> Intrinsics:
+    def make(width=80, height=60, color=True, distortion="none", bend=0.0):
+        def lens(focal, shift):
             return Intrinsics(
                 width=width, height=height, fx=focal, fy=focal * 1.01, cx=width / 2 - shift, cy=height / 2 + shift,
                 distortion=distortion, coefficients=(bend, -bend, bend / 50, -bend / 60, bend / 3),
@@ -47,16 +42,16 @@ def make_rig() -> Callable[..., Rig]:
 
 
 @pytest.fixture(scope="session")
-def make_frame() -> Callable[..., SensorFrame]:
+def make_frame():
     """Make a frame of a bumpy surface that both cameras see at nearly the same depth, with holes."""
 
-    def make(rig: Rig, seed: int = 0, noise_m: float = 0.004, share_missing: float = 0.1) -> SensorFrame:
+    def make(rig, seed=0, noise_m=0.004, share_missing=0.1):
         rng = np.random.default_rng(seed)
         height, width = rig.proximity.intrinsics.shape
         v, u = np.mgrid[:height, :width]
         depth = 0.28 + 0.03 * np.sin(u / width * 5) * np.cos(v / height * 4)
 
-        def counts(unit: float) -> np.ndarray:
+        def counts(unit):
             image = np.rint((depth + rng.normal(0, noise_m, depth.shape)) / unit).astype(np.uint16)
             image[rng.random(depth.shape) < share_missing / 2] = 0
             image[rng.random(depth.shape) < share_missing / 2] = 65535
@@ -73,7 +68,7 @@ def make_frame() -> Callable[..., SensorFrame]:
 
 
 @pytest.fixture
-def recording(tmp_path: Path) -> Path:
+def recording(tmp_path):
     """Two frames with everything that a recording can hold."""
     frames = [folder_scenes.make_frame(seed) for seed in (0, 1, 9)]
     path = tmp_path / "recording"
@@ -82,12 +77,12 @@ def recording(tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def fast_dds_program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def fast_dds_program(tmp_path_factory):
     if not fast_dds.can_build():
         pytest.skip(f"FAST DDS IS NOT TESTED: {fast_dds.HOW_TO_BUILD}")
     return fast_dds.build(tmp_path_factory.mktemp("fast-dds"))
 
 
 @pytest.fixture
-def domain() -> int:
+def domain():
     return free_domain()

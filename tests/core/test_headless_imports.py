@@ -1,7 +1,5 @@
 """The core is headless: importing all of its modules imports no window system and no Open3D."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 
@@ -17,7 +15,7 @@ print(sorted(name for name in sys.modules if name.startswith(("tactune.widgets",
 """
 
 
-def test_importing_all_of_the_core_imports_nothing_of_the_window() -> None:
+def test_importing_all_of_the_core_imports_nothing_of_the_window():
     done = subprocess.run([sys.executable, "-c", WALK], check=False, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     counted, upwards = done.stdout.splitlines()
@@ -27,7 +25,7 @@ def test_importing_all_of_the_core_imports_nothing_of_the_window() -> None:
     assert upwards == "[]"
 
 
-def test_reading_and_recording_frames_load_no_compiler() -> None:
+def test_reading_and_recording_frames_load_no_compiler():
     program = """
 import sys
 import tactune.core.output.writer, tactune.core.sources.folder, tactune.core.sources.mcap.source
@@ -37,7 +35,7 @@ print("numba" in sys.modules)
     assert done.stdout == "False\n", done.stderr
 
 
-def test_every_exported_name_is_there_without_window_or_extras() -> None:
+def test_every_exported_name_is_there_without_window_or_extras():
     program = """
 import sys
 import tactune.core
@@ -48,7 +46,7 @@ print(sorted({name.partition(".")[0] for name in sys.modules} & {"PyQt6", "OpenG
     assert done.stdout.splitlines() == ["True 18", "[]"], done.stderr
 
 
-def test_the_commands_that_need_no_window_import_none() -> None:
+def test_the_commands_that_need_no_window_import_none():
     program = """
 import sys
 from tactune.app.cli import lab, main, run, serve

@@ -1,7 +1,5 @@
 """One real scene of an L515 and a D435: measured facts must not change."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +22,7 @@ def scene(shared_data):
         yield source.rig, frame
 
 
-def share_passing(rig, frame, **values) -> float:
+def share_passing(rig, frame, **values):
     """Share of the pixels with depth in both cameras that pass the tolerance test, per cent."""
     preset = Preset(contact_test="tolerance").with_values(
         {"outliers.enabled": False} | {path.replace("__", "."): v for path, v in values.items()}

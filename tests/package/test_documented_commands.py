@@ -1,14 +1,11 @@
 """Every ``tactune`` command in README and guide is accepted as written, and Python examples run."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import shlex
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 import typer
@@ -19,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs" / "guide").glob("*.md"))]
 
 
-def documented_commands() -> list[tuple[str, str]]:
+def documented_commands():
     """Return (page, command) of code blocks and inline code; inline code may be broken over two lines."""
     found = []
     for page in PAGES:
@@ -37,9 +34,9 @@ def documented_commands() -> list[tuple[str, str]]:
     return list(dict.fromkeys(found))
 
 
-def parse(words: list[str]) -> None:
+def parse(words):
     """Parse a command line without running it; names of commands alone need no options."""
-    command: Any = typer.main.get_command(commands)
+    command = typer.main.get_command(commands)
     name, rest, parent = "tactune", words, None
     while rest:
         context = command.make_context(name, list(rest), parent=parent)
@@ -51,17 +48,17 @@ def parse(words: list[str]) -> None:
 
 
 @pytest.mark.parametrize(("page", "command"), documented_commands())
-def test_a_documented_command_is_accepted(page: str, command: str) -> None:
+def test_a_documented_command_is_accepted(page, command):
     parse(shlex.split(command)[1:])
 
 
-def test_pages_name_each_other_truly() -> None:
+def test_pages_name_each_other_truly():
     for page in [*PAGES, *(ROOT / "docs").glob("*.md")]:
         for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text("utf-8")):
             assert (page.parent / target).exists(), f"{page.name} names {target}"
 
 
-def test_the_guide_builds_without_a_warning_and_reads_without_a_network(tmp_path: Path) -> None:
+def test_the_guide_builds_without_a_warning_and_reads_without_a_network(tmp_path):
     """``strict`` in mkdocs.yml fails on links, anchors and pictures that lead nowhere, and on pages left out."""
     built = tmp_path / "guide"
     command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--config-file", str(ROOT / "docs" / "mkdocs.yml")]
@@ -75,6 +72,6 @@ def test_the_guide_builds_without_a_warning_and_reads_without_a_network(tmp_path
         assert [url for url in loaded if "canonical" not in url] == [], page.name
 
 
-def test_the_page_of_keys_is_that_of_the_window() -> None:
+def test_the_page_of_keys_is_that_of_the_window():
     words = runpy.run_path(str(ROOT / "scripts" / "make_keys.py"))["page"]()
     assert (ROOT / "docs" / "guide" / "keys.md").read_text("utf-8") == words, "run scripts/make_keys.py"

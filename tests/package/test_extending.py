@@ -1,18 +1,14 @@
 """The examples of docs/guide/extending.md, installed as a package and run."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from commands import Finished
 from fakes import FakeSource
 from rigs import save_rig
 from tactune.app.analysis.tab import TABS, TabKind
@@ -27,7 +23,6 @@ from tactune.core.sources.cameras.drivers import camera_drivers
 from tactune.core.sources.registry import open_source, source_kinds
 from tactune.core.sources.simulator.scene import simulator_rig
 
-Tactune = Callable[..., Finished]
 EXAMPLES = Path(__file__).parents[2] / "docs" / "guide" / "extending.md"
 BROKEN = {
     "gone": ("tactune.sources", "no_such_module:KIND", "ModuleNotFoundError: No module named 'no_such_module'"),
@@ -38,14 +33,14 @@ BROKEN = {
 }
 
 
-def install(source: Path, target: Path) -> Path:
+def install(source, target):
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--no-build-isolation"]
     subprocess.run([*pip, "--target", str(target), str(source)], check=True, capture_output=True)
     return target
 
 
 @pytest.fixture(scope="module")
-def acme(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def acme(tmp_path_factory):
     """Install what the page says, and return the folder that it went to."""
     source = tmp_path_factory.mktemp("acme")
     files = re.findall(r"`([\w./]+)`:\n\n```\w+\n(.*?)```", EXAMPLES.read_text(), re.DOTALL)
@@ -59,7 +54,7 @@ def acme(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def found(acme: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def found(acme, monkeypatch):
     """Let this process, and those that it starts, find the package."""
     monkeypatch.syspath_prepend(str(acme))
     monkeypatch.setenv("PYTHONPATH", str(acme))
@@ -70,7 +65,7 @@ def found(acme: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @pytest.fixture
-def broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def broken(tmp_path, monkeypatch):
     """Let this process find a package whose entry points cannot be loaded; yields its folder."""
     metadata = tmp_path / "rotten-1.0.dist-info"
     metadata.mkdir()
@@ -88,7 +83,7 @@ def broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     added_by_others.cache_clear()
 
 
-def test_the_source_is_run_by_scheme_and_by_path(found: None, tactune: Tactune, tmp_path: Path) -> None:
+def test_the_source_is_run_by_scheme_and_by_path(found, tactune, tmp_path):
     rig = simulator_rig()
     save_rig(rig, tmp_path / "rig.json")
     depth = np.full((2, *rig.proximity.intrinsics.shape), 1200, np.uint16)
@@ -101,7 +96,7 @@ def test_the_source_is_run_by_scheme_and_by_path(found: None, tactune: Tactune, 
     assert "cannot be read" in tactune("run", "-s", tmp_path / "two.npz", "--json").sentence
 
 
-def test_the_cameras_are_listed_and_recorded(found: None, tactune: Tactune, tmp_path: Path) -> None:
+def test_the_cameras_are_listed_and_recorded(found, tactune, tmp_path):
     listed = tactune("devices")
     assert "serial acme1" in listed.out and "serial acme2" in listed.out, listed.err
     assert tactune("convert", "cameras:", tmp_path / "three", "--frames", 3).status == 0
@@ -109,7 +104,7 @@ def test_the_cameras_are_listed_and_recorded(found: None, tactune: Tactune, tmp_
         assert (recording.length, recording.rig.proximity.model, recording.rig.tactile.model) == (3, "A2", "A1")
 
 
-def test_the_method_stands_beside_our_own(found: None) -> None:
+def test_the_method_stands_beside_our_own(found):
     source = FakeSource(length=1)
     frame = source.next_frame()
     assert frame is not None
@@ -119,7 +114,7 @@ def test_the_method_stands_beside_our_own(found: None) -> None:
     assert len(patch.points) == np.count_nonzero(patch.mask) > 0
 
 
-def test_the_tab_stands_in_the_analysis_menu(found: None, qtbot, tmp_path: Path) -> None:
+def test_the_tab_stands_in_the_analysis_menu(found, qtbot, tmp_path):
     preset = Preset.model_validate({"outliers": {"enabled": False}})
     window = MainWindow(preset, Settings(tmp_path / "window.json"), tmp_path, False)
     qtbot.addWidget(window)
@@ -133,7 +128,7 @@ def test_the_tab_stands_in_the_analysis_menu(found: None, qtbot, tmp_path: Path)
     window.close_without_asking()
 
 
-def test_a_broken_entry_point_is_one_sentence_and_breaks_nothing_else(broken: Path) -> None:
+def test_a_broken_entry_point_is_one_sentence_and_breaks_nothing_else(broken):
     assert [kind.scheme for kind in source_kinds()][:2] == ["sim", "folder"]
     for name in ("gone", "odd"):
         with pytest.raises(

@@ -1,11 +1,8 @@
 """pyproject.toml agrees with the folders and with the lock file."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path
-from typing import Any
 
 import pytest
 from packaging.requirements import Requirement
@@ -16,18 +13,18 @@ FOLDERS = ("core", "widgets", "app", "presets")
 
 
 @pytest.fixture(scope="module")
-def pyproject() -> dict[str, Any]:
+def pyproject():
     return tomllib.loads((ROOT / "pyproject.toml").read_text())
 
 
-def test_every_folder_with_code_is_a_package_and_listed(pyproject: dict[str, Any]) -> None:
+def test_every_folder_with_code_is_a_package_and_listed(pyproject):
     with_code = {file.parent.relative_to(ROOT) for name in FOLDERS for file in (ROOT / name).rglob("*.py")}
     listed = pyproject["tool"]["setuptools"]["packages"]
     assert sorted(listed) == sorted(".".join(("tactune", *folder.parts)) for folder in with_code)
     assert [folder for folder in with_code if not (ROOT / folder / "__init__.py").is_file()] == []
 
 
-def test_the_lock_holds_what_pyproject_allows(pyproject: dict[str, Any]) -> None:
+def test_the_lock_holds_what_pyproject_allows(pyproject):
     locked = dict(re.findall(r"^([a-z0-9-]+)==(\S+)", (ROOT / "requirements.lock").read_text(), re.MULTILINE))
     project = pyproject["project"]
     wanted = [

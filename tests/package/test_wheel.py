@@ -6,8 +6,6 @@ the empty environment. The test is therefore quick and works offline, and packag
 OpenGL, Open3D) cannot be imported.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -36,9 +34,9 @@ SOURCES = [
 ]
 
 
-def needed_by(requirements: list[str]) -> dict[str, Distribution]:
+def needed_by(requirements):
     """Return every installed distribution that the requirements need, directly or not."""
-    found: dict[str, Distribution] = {}
+    found = {}
     waiting = [Requirement(text) for text in requirements]
     while waiting:
         requirement = waiting.pop()
@@ -53,7 +51,7 @@ def needed_by(requirements: list[str]) -> dict[str, Distribution]:
     return found
 
 
-def link(found: dict[str, Distribution], folder: Path) -> None:
+def link(found, folder):
     """Link what belongs to the distributions, and nothing else, into a folder."""
     folder.mkdir()
     for installed in found.values():
@@ -65,7 +63,7 @@ def link(found: dict[str, Distribution], folder: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def robot(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def robot(tmp_path_factory):
     """Build the wheel, install it without extras into an empty environment, return that environment's bin."""
     folder = tmp_path_factory.mktemp("robot")
     source = folder / "source"
@@ -82,7 +80,7 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return environment_with(wheel, folder / "environment")
 
 
-def environment_with(wheel: Path, environment: Path) -> Path:
+def environment_with(wheel, environment):
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(environment)], check=True)
     python = environment / "bin" / "python"
     site = next((environment / "lib").glob("python*/site-packages"))
@@ -98,7 +96,7 @@ def environment_with(wheel: Path, environment: Path) -> Path:
     return environment / "bin"
 
 
-def take_kernels(core: Path) -> None:
+def take_kernels(core):
     """Take the kernels that the repository has compiled from the same sources: compiling them takes a minute or two."""
     for source in (ROOT / "core").rglob("*.py"):
         installed, stat = core / source.relative_to(ROOT / "core"), source.stat()
@@ -110,12 +108,12 @@ def take_kernels(core: Path) -> None:
         shutil.copy(kernel, target)
 
 
-def test_the_wheel_holds_the_guide(robot: Path) -> None:
+def test_the_wheel_holds_the_guide(robot):
     (page,) = robot.parent.glob("lib/python*/site-packages/tactune/app/guide/index.html")
     assert "membrane" in page.read_text("utf-8")
 
 
-def test_the_headless_job_runs_there(robot: Path, tmp_path: Path) -> None:
+def test_the_headless_job_runs_there(robot, tmp_path):
     words = f"run --source sim --preset simulator --frames 3 --out {tmp_path} --json".split()
     done = subprocess.run([robot / "tactune", *words], check=False, capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -126,7 +124,7 @@ def test_the_headless_job_runs_there(robot: Path, tmp_path: Path) -> None:
             assert saved["points"].shape == (line["points"], 3)
 
 
-def test_the_window_says_what_it_lacks_there(robot: Path) -> None:
+def test_the_window_says_what_it_lacks_there(robot):
     environment = os.environ | {"QT_QPA_PLATFORM": "offscreen"}
     done = subprocess.run([robot / "tactune"], check=False, capture_output=True, text=True, env=environment)
     assert done.returncode == 2

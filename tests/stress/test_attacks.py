@@ -3,15 +3,11 @@
 Each attack is made from nothing, so the seeds are fixed. The limit of memory is 10 times the file plus 300 MB.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import struct
 import zlib
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import lz4.frame
 import pytest
@@ -27,7 +23,7 @@ from tactune.core.sources.registry import open_source
 pytestmark = pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="measures memory as Linux tells it")
 
 
-def refused(read: Callable[[Path], Any], path: Path) -> None:
+def refused(read, path):
     """Read a file, which must give a sentence without line breaks."""
     size = sum(file.stat().st_size for file in path.rglob("*") if file.is_file()) if path.is_dir() else 0
     with bounded(size or (path.stat().st_size if path.is_file() else 0)), pytest.raises(TactuneError) as caught:
@@ -35,7 +31,7 @@ def refused(read: Callable[[Path], Any], path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
-def play(path: Path) -> None:
+def play(path):
     with open_source(str(path)) as source:
         list(source)
 
@@ -43,28 +39,28 @@ def play(path: Path) -> None:
 # Makers of files
 
 
-def png(width: int, height: int, content: bytes = b"", bits: int = 8, colour: int = 2) -> bytes:
-    def part(name: bytes, data: bytes) -> bytes:
+def png(width, height, content=b"", bits=8, colour=2):
+    def part(name, data):
         return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
 
     head = struct.pack(">IIBBBBB", width, height, bits, colour, 0, 0, 0)
     return b"\x89PNG\r\n\x1a\n" + part(b"IHDR", head) + part(b"IDAT", content) + part(b"IEND", b"")
 
 
-def record(opcode: int, body: bytes) -> bytes:
+def record(opcode, body):
     return struct.pack("<BQ", opcode, len(body)) + body
 
 
-def chunk(content: bytes, size: int, packing: bytes = b"lz4") -> bytes:
+def chunk(content, size, packing=b"lz4"):
     return record(6, struct.pack("<QQQII", 0, 0, size, 0, 3) + packing + struct.pack("<Q", len(content)) + content)
 
 
-def mcap_of_large_chunks(path: Path) -> None:
+def mcap_of_large_chunks(path):
     packed = lz4.frame.compress(bytes(2**28))
     path.write_bytes(b"\x89MCAP0\r\n" + 12 * chunk(packed, 2**28))
 
 
-def folder(path: Path, name: str, put: Callable[[Path], None]) -> None:
+def folder(path, name, put):
     """A folder of one frame of which one file is replaced."""
     intrinsics = {"width": 8, "height": 6, "fx": 8.0, "fy": 8.0, "cx": 4.0, "cy": 3.0}
     camera = {"model": "x", "depth_unit_m": 0.001, **intrinsics}
@@ -83,14 +79,14 @@ def folder(path: Path, name: str, put: Callable[[Path], None]) -> None:
 
 DEEP = "[" * 100_000 + "]" * 100_000
 
-FILES: dict[str, tuple[Callable[[Path], object], Callable[[Path], Any]]] = {
+FILES = {
     "chunks.mcap": (mcap_of_large_chunks, play),
     "deep.preset.json": (lambda p: p.write_text(DEEP), load_preset),
     "deep.rig.json": (lambda p: p.write_text(DEEP), load_rig),
     "deep.pose.json": (lambda p: p.write_text('{"T_proximity_scan":' + DEEP + "}"), load_transform),
     "zeros.json": (lambda p: p.write_bytes(bytes(50_000_000)), load_preset),
 }
-IMAGES: dict[str, Callable[[Path], object]] = {
+IMAGES = {
     "claims gigapixels": lambda p: p.write_bytes(png(60_000, 60_000, zlib.compress(bytes(1000)))),
     "claims 2 gigapixels as JPEG": lambda p: p.write_bytes(b"\xff\xd8\xff\xc0\x00\x11\x08" + b"\xff" * 8 + bytes(99)),
     "is a pipe": os.mkfifo,
@@ -99,7 +95,7 @@ IMAGES: dict[str, Callable[[Path], object]] = {
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", FILES)
-def test_a_small_file_takes_little_memory_and_time(name: str, tmp_path: Path) -> None:
+def test_a_small_file_takes_little_memory_and_time(name, tmp_path):
     make, read = FILES[name]
     make(tmp_path / name)
     refused(read, tmp_path / name)
@@ -108,13 +104,13 @@ def test_a_small_file_takes_little_memory_and_time(name: str, tmp_path: Path) ->
 @pytest.mark.long
 @pytest.mark.parametrize("kind", IMAGES)
 @pytest.mark.parametrize("name", ["proximity_depth.png", "truth_contact.png"])
-def test_a_folder_with_such_an_image_is_refused(name: str, kind: str, tmp_path: Path) -> None:
+def test_a_folder_with_such_an_image_is_refused(name, kind, tmp_path):
     folder(tmp_path / "a", name, IMAGES[kind])
     refused(play, tmp_path / "a")
 
 
 @pytest.mark.long
-def test_a_picture_that_claims_gigapixels_is_not_decoded(tmp_path: Path) -> None:
+def test_a_picture_that_claims_gigapixels_is_not_decoded(tmp_path):
     for n in range(20):
         (tmp_path / f"{n}.png").write_bytes(png(30_000, 30_000, zlib.compress(bytes(1000))))
     with bounded(0), pytest.raises(TactuneError):

@@ -1,12 +1,8 @@
 """Thousands of damaged files, seeds fixed: each is read or refused in a sentence, in little memory and time."""
 
-from __future__ import annotations
-
 import os
 import random
 import re
-from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
@@ -24,7 +20,7 @@ VALUES = (
 )
 
 
-def mutated(whole: bytes, rng: random.Random) -> bytes:
+def mutated(whole, rng):
     """Return a file with random bytes changed, or where it is text, with one or two values replaced."""
     if whole.isascii() and rng.random() < 0.7:
         content = whole.decode()
@@ -36,7 +32,7 @@ def mutated(whole: bytes, rng: random.Random) -> bytes:
     return damaged(whole, rng)
 
 
-def is_read(read: Callable[[Path], object], folder: Path, what: str) -> bool:
+def is_read(read, folder, what):
     """Return whether a folder is read; where it is refused in words, they are one sentence."""
     try:
         return read(folder) is not False
@@ -52,7 +48,7 @@ READ = [name for name, kind in KINDS.items() if kind.read is not None and kind.d
 
 @pytest.mark.parametrize("put", ["pipe", "endless", "folder", "loop"])
 @pytest.mark.parametrize("name", READ)
-def test_what_is_no_ordinary_file_is_refused(name: str, put: str, tmp_path: Path, qapp: object) -> None:
+def test_what_is_no_ordinary_file_is_refused(name, put, tmp_path, qapp):
     kind = KINDS[name]
     assert kind.read is not None
     kind.write(tmp_path, 0)
@@ -75,9 +71,7 @@ def test_what_is_no_ordinary_file_is_refused(name: str, put: str, tmp_path: Path
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("name", READ)
-def test_damaged_files_are_read_or_refused_and_kept(
-    name: str, tmp_path: Path, qapp: object, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_damaged_files_are_read_or_refused_and_kept(name, tmp_path, qapp, capfd):
     kind = KINDS[name]
     assert kind.read is not None
     folder = tmp_path / "a" / "b"  # so that ../../x is seen

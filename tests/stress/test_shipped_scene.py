@@ -1,9 +1,6 @@
 """The solved scene in the package is what the solver gives."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,8 +22,8 @@ def test_the_shipped_scene_is_the_solver_s():
             assert np.count_nonzero(getattr(ours, name) != image) <= 1e-5 * image.size, name
 
 
-def flat(facts: dict[str, Any]) -> list[float]:
-    numbers: list[float] = []
+def flat(facts):
+    numbers = []
     for value in facts.values():
         numbers += flat(value) if isinstance(value, dict) else np.ravel(np.asarray(value, float)).tolist()
     return numbers

@@ -1,7 +1,5 @@
 """Float32 against float64."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -14,12 +12,12 @@ from tactune.core.lab.reference import reference_patch
 
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), adversarial=st.booleans())
-def test_any_seed(seed: int, adversarial: bool) -> None:
+def test_any_seed(seed, adversarial):
     ulps = differing_ulps(*random_case(np.random.default_rng(seed), adversarial=adversarial))
     assert (ulps <= BOUND_ULPS).all()
 
 
-def test_a_wrong_pipeline_is_found_out() -> None:
+def test_a_wrong_pipeline_is_found_out():
     """A tolerance that is 5 % too large differs far beyond rounding."""
     preset, rig, frame = random_case(np.random.default_rng(5), adversarial=False)
     wrong = preset.with_value("tolerance.t", preset.tolerance.t * 1.05)
@@ -30,7 +28,7 @@ def test_a_wrong_pipeline_is_found_out() -> None:
     assert (ulps_to_thresholds(preset, rig, frame)[where] > BOUND_ULPS).any()
 
 
-def test_kernels_do_not_use_fast_math() -> None:
+def test_kernels_do_not_use_fast_math():
     for value in vars(kernels).values():
         options = getattr(value, "targetoptions", None)
         if options is not None:

@@ -1,7 +1,5 @@
 """Every kind of file while its writer is killed, beside a second writer, and on a full disk."""
 
-from __future__ import annotations
-
 import itertools
 import multiprocessing
 import random
@@ -11,14 +9,12 @@ import shutil
 import signal
 import sys
 import time
-from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 import kinds
-from kinds import KINDS, Kind
+from kinds import KINDS
 from tactune.app.settings import Settings
 from tactune.core.errors import TactuneError
 
@@ -35,7 +31,7 @@ OURS = [name for name, kind in KINDS.items() if kind.ours]
 
 
 @pytest.fixture(scope="module")
-def start() -> Any:
+def start():
     """Start a function in a process of its own, which has imported everything already."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", str(Path(kinds.__file__).parent))
@@ -43,7 +39,7 @@ def start() -> Any:
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(["kinds"])
 
-        def run(function: Any, *words: object) -> tuple[Any, Connection]:
+        def run(function, *words):
             ours, theirs = context.Pipe(duplex=False)
             process = context.Process(target=function, args=(theirs, *words), daemon=True)
             process.start()
@@ -53,7 +49,7 @@ def start() -> Any:
         yield run
 
 
-def keep_writing(said: Connection, name: str, folder: Path, first: int) -> None:
+def keep_writing(said, name, folder, first):
     heard_of = False
     for n in itertools.count(first):
         try:
@@ -65,7 +61,7 @@ def keep_writing(said: Connection, name: str, folder: Path, first: int) -> None:
             heard_of = True
 
 
-def write_once(said: Connection, name: str, folder: Path, limit: int) -> None:
+def write_once(said, name, folder, limit):
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
     try:
@@ -78,19 +74,19 @@ def write_once(said: Connection, name: str, folder: Path, limit: int) -> None:
         said.send("")
 
 
-def heard(said: Connection, name: str) -> Any:
+def heard(said, name):
     """What a writer says next; a writer that says nothing hangs, or is refused for ever."""
     assert said.poll(HUNG_S), f"a writer of {name} said nothing in {HUNG_S:.0f} s"
     return said.recv()
 
 
-def check(kind: Kind, folder: Path) -> None:
+def check(kind, folder):
     begun = time.process_time()  # not by the clock, since the machine may be busy
     assert kind.read is None or kind.read(folder) is not False
     assert time.process_time() - begun < MOST_S
 
 
-def visible(folder: Path) -> dict[str, bytes]:
+def visible(folder):
     return {
         str(file.relative_to(folder)): file.read_bytes()
         for file in folder.rglob("*")
@@ -99,7 +95,7 @@ def visible(folder: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("name", OURS)
-def test_a_killed_writer_leaves_whole_files(name: str, tmp_path: Path, start: Any, qapp: object) -> None:
+def test_a_killed_writer_leaves_whole_files(name, tmp_path, start, qapp):
     rng = random.Random(name)
     for _ in range(KILLS):
         writer, said = start(keep_writing, name, tmp_path, rng.randrange(2))
@@ -114,7 +110,7 @@ def test_a_killed_writer_leaves_whole_files(name: str, tmp_path: Path, start: An
 
 
 @pytest.mark.parametrize("name", OURS)
-def test_two_writers_leave_whole_files(name: str, tmp_path: Path, start: Any, qapp: object) -> None:
+def test_two_writers_leave_whole_files(name, tmp_path, start, qapp):
     writers = [start(keep_writing, name, tmp_path, n) for n in range(2)]
     for _, said in writers:
         heard(said, name)
@@ -129,7 +125,7 @@ def test_two_writers_leave_whole_files(name: str, tmp_path: Path, start: Any, qa
     check(KINDS[name], tmp_path)
 
 
-def write_new(said: Connection, name: str, folder: Path, n: int, start_s: float) -> None:
+def write_new(said, name, folder, n, start_s):
     writer = KINDS[name].new
     assert writer is not None
     time.sleep(max(start_s - time.monotonic(), 0))  # both processes at the same moment
@@ -142,7 +138,7 @@ def write_new(said: Connection, name: str, folder: Path, n: int, start_s: float)
 
 
 @pytest.mark.parametrize("name", [name for name, kind in KINDS.items() if kind.new])
-def test_of_two_writers_of_one_new_name_one_is_refused(name: str, tmp_path: Path, start: Any, qapp: object) -> None:
+def test_of_two_writers_of_one_new_name_one_is_refused(name, tmp_path, start, qapp):
     for number in range(5):
         folder = tmp_path / str(number)
         folder.mkdir()
@@ -155,7 +151,7 @@ def test_of_two_writers_of_one_new_name_one_is_refused(name: str, tmp_path: Path
         assert all(path.name.startswith("new") for path in folder.iterdir())
 
 
-def set_values(said: Connection, file: Path, who: int) -> None:
+def set_values(said, file, who):
     kinds.application()
     settings = Settings(file)
     for number in range(50):
@@ -163,7 +159,7 @@ def set_values(said: Connection, file: Path, who: int) -> None:
         settings.sync()
 
 
-def test_two_windows_forget_no_value_of_each_other(tmp_path: Path, start: Any, qapp: object) -> None:
+def test_two_windows_forget_no_value_of_each_other(tmp_path, start, qapp):
     windows = [start(set_values, tmp_path / "window.json", who) for who in range(2)]
     for window, _ in windows:
         window.join(HUNG_S)
@@ -172,7 +168,7 @@ def test_two_windows_forget_no_value_of_each_other(tmp_path: Path, start: Any, q
 
 
 @pytest.mark.parametrize("name", OURS)
-def test_a_full_disk_is_said_and_nothing_is_lost(name: str, tmp_path: Path, start: Any, qapp: object) -> None:
+def test_a_full_disk_is_said_and_nothing_is_lost(name, tmp_path, start, qapp):
     kind = KINDS[name]
     kind.write(tmp_path, 0)
     before = visible(tmp_path)

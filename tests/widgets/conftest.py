@@ -1,13 +1,7 @@
 """A cloud view and a parameter panel."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
-
 import pyqtgraph as pg
 import pytest
-from PyQt6.QtWidgets import QApplication
-from pytestqt.qtbot import QtBot
 
 from panel_steering import Recorder
 from seen_clouds import shown
@@ -17,12 +11,12 @@ from tactune.widgets.parameters.parameter_panel import ParameterPanel
 
 
 @pytest.fixture(autouse=True)
-def light_theme(qapp: QApplication) -> None:
+def light_theme(qapp):
     apply_theme(qapp, "light")
 
 
 @pytest.fixture(autouse=True)
-def every_mouse_move_counts() -> Iterator[None]:
+def every_mouse_move_counts():
     before = pg.getConfigOption("mouseRateLimit")
     pg.setConfigOptions(mouseRateLimit=-1)
     yield
@@ -30,12 +24,12 @@ def every_mouse_move_counts() -> Iterator[None]:
 
 
 @pytest.fixture
-def view(qtbot: QtBot) -> CloudView:
+def view(qtbot):
     return shown(qtbot, CloudView("Proximity"))
 
 
 @pytest.fixture
-def panel(qtbot: QtBot) -> ParameterPanel:
+def panel(qtbot):
     widget = ParameterPanel()
     qtbot.addWidget(widget)
     widget.resize(340, 1000)
@@ -47,5 +41,5 @@ def panel(qtbot: QtBot) -> ParameterPanel:
 
 
 @pytest.fixture
-def seen(panel: ParameterPanel) -> Recorder:
+def seen(panel):
     return Recorder(panel)

@@ -1,7 +1,4 @@
-from __future__ import annotations
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from tactune.core.model.intrinsics import Intrinsics
@@ -14,12 +11,12 @@ RAYS = LENS.rays()
 EYE = np.eye(4)
 
 
-def cloud_of(depth: npt.ArrayLike, **changes: object) -> DepthCloud:
-    given: dict[str, object] = {"depth_unit_m": 0.001, "rays": RAYS, "lut": depth_lut(), "pose": EYE} | changes
-    return DepthCloud(np.asarray(depth, dtype=np.uint16), **given)  # type: ignore[arg-type]
+def cloud_of(depth, **changes):
+    given = {"depth_unit_m": 0.001, "rays": RAYS, "lut": depth_lut(), "pose": EYE} | changes
+    return DepthCloud(np.asarray(depth, dtype=np.uint16), **given)
 
 
-def test_points_are_pose_times_ray_times_corrected_depth() -> None:
+def test_points_are_pose_times_ray_times_corrected_depth():
     depth = np.zeros((4, 5), np.uint16)
     depth[1, 3], depth[3, 0] = 500, 800
     pose = np.array([[0.0, -1, 0, 0.1], [1, 0, 0, 0.2], [0, 0, 1, 0.3], [0, 0, 0, 1]])
@@ -31,7 +28,7 @@ def test_points_are_pose_times_ray_times_corrected_depth() -> None:
     np.testing.assert_allclose(points, expected, atol=1e-6)
 
 
-def test_no_depth_hidden_colours_and_depths_that_are_not_positive_do_not_count() -> None:
+def test_no_depth_hidden_colours_and_depths_that_are_not_positive_do_not_count():
     depth = np.full((4, 5), 100, np.uint16)
     depth[0] = (0, 65535, 65534, 1, 50)
     index = np.ones((4, 5), np.uint8)
@@ -49,10 +46,10 @@ def test_no_depth_hidden_colours_and_depths_that_are_not_positive_do_not_count()
 
 @pytest.mark.parametrize("size", [(400, 300), (200, 600)])
 @pytest.mark.parametrize("viewpoint", ["reset", "top", "side"])
-def test_framing_fills_the_view_without_cutting(size: tuple[int, int], viewpoint: str) -> None:
+def test_framing_fills_the_view_without_cutting(size, viewpoint):
     rng = np.random.default_rng(2)
     points = rng.uniform(-1, 1, (4000, 3)) * (0.18, 0.1, 0.04) + (0.03, 0, 0.27)
-    camera = ViewCamera().looking_from(viewpoint).framing(points, *size)  # type: ignore[arg-type]
+    camera = ViewCamera().looking_from(viewpoint).framing(points, *size)
     pixels = camera.project(points, *size)[:, :2] / size
     inside = ((pixels >= 0) & (pixels <= 1)).all(axis=1)
     assert inside.mean() > 0.98
@@ -60,7 +57,7 @@ def test_framing_fills_the_view_without_cutting(size: tuple[int, int], viewpoint
     assert np.abs(pixels.min(axis=0) + pixels.max(axis=0) - 1).max() < 0.1, "centred"
 
 
-def test_free_points_survive_the_image() -> None:
+def test_free_points_survive_the_image():
     rng = np.random.default_rng(4)
     points = rng.uniform(-0.15, 0.15, (5000, 3)) + np.array([0.3, -0.1, 0.0])
     cloud = free_cloud(points, np.zeros(5000, np.uint8), depth_lut())

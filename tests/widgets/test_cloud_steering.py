@@ -1,22 +1,17 @@
 """A cloud view follows mouse and keys and frames its content."""
 
-from __future__ import annotations
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 from PyQt6.QtCore import QPoint, QPointF, Qt
 from PyQt6.QtGui import QShortcut, QWheelEvent
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
-from pytestqt.qtbot import QtBot
 
 from seen_clouds import FRONT, RED, canvas_of, cloud_of, colored, drag, picture, pixels_of, shown, three_linked, wall
 from tactune.widgets.clouds.cloud_view import CloudView
-from tactune.widgets.clouds.view_camera import ViewCamera
 
 
-def test_orbiting_one_view_turns_all(qtbot: QtBot) -> None:
+def test_orbiting_one_view_turns_all(qtbot):
     window = three_linked(qtbot)
     views = window.findChildren(CloudView)
     for view in views:
@@ -34,7 +29,7 @@ def test_orbiting_one_view_turns_all(qtbot: QtBot) -> None:
             assert (picture(view) != old).any()
 
 
-def turn_wheel(view: CloudView, at: QPointF, steps: float) -> None:
+def turn_wheel(view, at, steps):
     """Turn the wheel over a place of the canvas. Qt passes only the window system's own wheel events up."""
     canvas = canvas_of(view)
     event = QWheelEvent(
@@ -44,7 +39,7 @@ def turn_wheel(view: CloudView, at: QPointF, steps: float) -> None:
     QApplication.sendEvent(view, event)
 
 
-def test_the_wheel_zooms_about_the_cursor(view: CloudView) -> None:
+def test_the_wheel_zooms_about_the_cursor(view):
     view.set_camera(FRONT)
     canvas = canvas_of(view)
     size = canvas.width(), canvas.height()
@@ -57,12 +52,12 @@ def test_the_wheel_zooms_about_the_cursor(view: CloudView) -> None:
     assert view.camera().distance == pytest.approx(FRONT.distance)
 
 
-def test_keys_orbit_zoom_and_choose_viewpoints(view: CloudView) -> None:
+def test_keys_orbit_zoom_and_choose_viewpoints(view):
     view.set_cloud(cloud_of(wall()))
     view.setFocus()
     start = view.camera()
 
-    def after(key: Qt.Key) -> ViewCamera:
+    def after(key):
         QTest.keyClick(view, key)
         return view.camera()
 
@@ -79,9 +74,9 @@ def test_keys_orbit_zoom_and_choose_viewpoints(view: CloudView) -> None:
     assert reset.target == pytest.approx(start.target)
 
 
-def test_focused_keys_win_over_shortcuts_of_the_application(qtbot: QtBot) -> None:
+def test_focused_keys_win_over_shortcuts_of_the_application(qtbot):
     view = shown(qtbot, CloudView("Keys"))
-    pressed: list[str] = []
+    pressed = []
     for key in ("T", "Ctrl+T"):
         shortcut = QShortcut(key, view)
         shortcut.setContext(Qt.ShortcutContext.WindowShortcut)
@@ -98,7 +93,7 @@ def test_focused_keys_win_over_shortcuts_of_the_application(qtbot: QtBot) -> Non
 # Framing
 
 
-def extent(view: CloudView, color: tuple[int, int, int]) -> npt.NDArray[np.float64]:
+def extent(view, color):
     """Left, top, right and bottom of a colour as shares of the canvas."""
     image = picture(view)
     pixels = pixels_of(image, color)
@@ -106,9 +101,7 @@ def extent(view: CloudView, color: tuple[int, int, int]) -> npt.NDArray[np.float
     return np.concatenate([pixels.min(axis=0), pixels.max(axis=0) + 1]) / np.tile(size, 2)
 
 
-def test_the_first_cloud_is_framed_and_stays_so_when_resized_until_somebody_steers(
-    view: CloudView, qtbot: QtBot
-) -> None:
+def test_the_first_cloud_is_framed_and_stays_so_when_resized_until_somebody_steers(view, qtbot):
     view.set_cloud(cloud_of(wall(700), index=np.zeros((48, 64), np.uint8), lut=colored(RED)))
     for width, height in ((420, 360), (300, 500), (700, 250)):
         view.resize(width, height)

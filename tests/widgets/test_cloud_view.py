@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 import pytest
-from pytestqt.qtbot import QtBot
 
 from seen_clouds import BLUE, FRONT, GREEN, RED, canvas_of, cloud_of, colored, picture, pixels_of, red_wall, shown, wall
 from tactune.core.model.intrinsics import Intrinsics
@@ -30,7 +29,7 @@ class Sparse:
     points: npt.NDArray[np.float64]
 
 
-def sparse_cloud() -> Sparse:
+def sparse_cloud():
     angle = 0.2
     pose = np.eye(4)
     pose[:3, :3] = [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
@@ -48,7 +47,7 @@ def sparse_cloud() -> Sparse:
     return Sparse(cloud, colors, np.array(points))
 
 
-def seen_at(camera: ViewCamera, point: npt.NDArray[np.float64], width: int, height: int) -> tuple[float, float]:
+def seen_at(camera, point, width, height):
     """Project with nothing but the definition: an eye, a target, and y pointing down."""
     direction = np.array(
         [
@@ -70,7 +69,7 @@ def seen_at(camera: ViewCamera, point: npt.NDArray[np.float64], width: int, heig
 
 @pytest.mark.parametrize("point_size", [1, 2, 3, 4])
 @pytest.mark.parametrize("azimuth", [-0.5, 0.0, 0.9])
-def test_points_are_drawn_where_numpy_deprojects_them(view: CloudView, azimuth: float, point_size: int) -> None:
+def test_points_are_drawn_where_numpy_deprojects_them(view, azimuth, point_size):
     sparse = sparse_cloud()
     view.set_cloud(sparse.cloud)
     view.set_point_size(point_size)
@@ -90,7 +89,7 @@ def test_points_are_drawn_where_numpy_deprojects_them(view: CloudView, azimuth: 
 
 
 @pytest.mark.parametrize("counts", [0, 65535])
-def test_no_depth_is_not_drawn(view: CloudView, counts: int) -> None:
+def test_no_depth_is_not_drawn(view, counts):
     """At 10 micrometres a count even 65535 would lie well inside the view."""
     depth = wall(counts)
     depth[20:28, 20:40] = 30000
@@ -106,7 +105,7 @@ def test_no_depth_is_not_drawn(view: CloudView, counts: int) -> None:
 
 @pytest.mark.parametrize("nearer_first", [True, False])
 @pytest.mark.parametrize("behind", [True, False])
-def test_the_nearer_point_wins(view: CloudView, nearer_first: bool, behind: bool) -> None:
+def test_the_nearer_point_wins(view, nearer_first, behind):
     depth, index, rays = np.zeros((48, 64), np.uint16), np.zeros((48, 64), np.uint8), np.zeros((48, 64, 2), np.float32)
     depth[0, :2] = (250, 350) if nearer_first else (350, 250)
     index[0, :2] = (0, 1) if nearer_first else (1, 0)
@@ -122,7 +121,7 @@ def test_the_nearer_point_wins(view: CloudView, nearer_first: bool, behind: bool
 
 
 @pytest.mark.parametrize("width", [297, 600, 1600])
-def test_a_legend_that_is_high_enough_shows_all_names(qtbot: QtBot, width: int) -> None:
+def test_a_legend_that_is_high_enough_shows_all_names(qtbot, width):
     legend = LegendLine()
     qtbot.addWidget(legend)
     one = legend.sizeHint().height()
@@ -138,7 +137,7 @@ def test_a_legend_that_is_high_enough_shows_all_names(qtbot: QtBot, width: int) 
 # What is not drawn
 
 
-def dense_cloud(every: int = 1, holes: bool = True) -> DepthCloud:
+def dense_cloud(every=1, holes=True):
     """A stepped red and green wall of 640 x 480 pixels, denser than the screen, or every n-th row and column of it."""
     lens = Intrinsics(width=640, height=480, fx=460.0, fy=460.0, cx=319.5, cy=239.5)
     v, u = np.mgrid[:480, :640]
@@ -155,7 +154,7 @@ def dense_cloud(every: int = 1, holes: bool = True) -> DepthCloud:
     )
 
 
-def test_running_frames_leave_out_points_that_the_screen_cannot_tell_apart(qtbot: QtBot) -> None:
+def test_running_frames_leave_out_points_that_the_screen_cannot_tell_apart(qtbot):
     view = shown(qtbot, CloudView("V"))
     view.set_camera(FRONT)
     view.set_cloud(dense_cloud())
@@ -169,8 +168,8 @@ def test_running_frames_leave_out_points_that_the_screen_cannot_tell_apart(qtbot
     assert (running == picture(view)).all(), "every other row and column, and no holes from single pixels without depth"
 
 
-def test_a_cloud_that_did_not_change_is_not_drawn_again(qtbot: QtBot, monkeypatch: pytest.MonkeyPatch) -> None:
-    drawn: list[DepthCloud | None] = []
+def test_a_cloud_that_did_not_change_is_not_drawn_again(qtbot, monkeypatch):
+    drawn = []
     render = SoftwareRenderer.render
     monkeypatch.setattr(
         SoftwareRenderer, "render", lambda self, cloud, look: (drawn.append(cloud), render(self, cloud, look))[1]
@@ -194,8 +193,8 @@ def test_a_cloud_that_did_not_change_is_not_drawn_again(qtbot: QtBot, monkeypatc
     assert len(drawn) == 1
 
 
-def test_a_large_view_is_drawn_at_half_its_resolution(qtbot: QtBot, monkeypatch: pytest.MonkeyPatch) -> None:
-    sizes: list[tuple[int, int]] = []
+def test_a_large_view_is_drawn_at_half_its_resolution(qtbot, monkeypatch):
+    sizes = []
     render = SoftwareRenderer.render
     monkeypatch.setattr(
         SoftwareRenderer, "render", lambda self, cloud, look: (sizes.append(look.size), render(self, cloud, look))[1]

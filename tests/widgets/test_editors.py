@@ -1,7 +1,5 @@
 """Sliders and entries of numbers and ranges, by mouse and keys."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -10,19 +8,19 @@ from PyQt6.QtTest import QTest
 
 from hands import type_into
 from tactune.core.preset import Preset
-from tactune.widgets.basics.fields import FieldSpec, section_fields
+from tactune.widgets.basics.fields import section_fields
 from tactune.widgets.parameters.editors import NumbersEditor, parse_number
 from tactune.widgets.parameters.slider import Scale, Slider
 
 LEFT = Qt.MouseButton.LeftButton
 
 
-def spec_of(path: str) -> FieldSpec:
+def spec_of(path):
     name = path.partition(".")[0]
     return next(spec for spec in section_fields(type(getattr(Preset(), name)), name) if spec.path == path)
 
 
-def make_slider(qtbot, path: str) -> NumbersEditor:
+def make_slider(qtbot, path):
     widget = NumbersEditor(spec_of(path))
     qtbot.addWidget(widget)
     widget.resize(260, 30)
@@ -34,27 +32,27 @@ def make_slider(qtbot, path: str) -> NumbersEditor:
     return widget
 
 
-def record(widget) -> list[tuple[object, int]]:
-    edits: list[tuple[object, int]] = []
+def record(widget):
+    edits = []
     widget.edited.connect(lambda value, gesture: edits.append((value, gesture)))
     return edits
 
 
-def point_at(widget: NumbersEditor, value: float) -> QPoint:
+def point_at(widget, value):
     left, length = widget.slider.travel()
     spec = widget.spec
     fraction = Scale(*spec.slider, step=spec.step, log=spec.log).fraction(value)
     return QPoint(round(left + length * fraction), widget.slider.height() // 2)
 
 
-def drag(widget: NumbersEditor, start: float, *targets: float) -> None:
+def drag(widget, start, *targets):
     QTest.mousePress(widget.slider, LEFT, pos=point_at(widget, start))
     for target in targets:
         QTest.mouseMove(widget.slider, point_at(widget, target))
     QTest.mouseRelease(widget.slider, LEFT, pos=point_at(widget, targets[-1]))
 
 
-def test_typing_takes_effect_on_enter(qtbot) -> None:
+def test_typing_takes_effect_on_enter(qtbot):
     widget = make_slider(qtbot, "alignment.depth_offset_m")
     edits = record(widget)
     type_into(widget.entry, "-17.5")
@@ -75,7 +73,7 @@ def test_typing_takes_effect_on_enter(qtbot) -> None:
         ("alignment.depth_offset_m", "101", "from −100 mm to 100 mm"),
     ],
 )
-def test_what_is_not_allowed_is_refused_in_words(qtbot, path: str, text: str, reason: str) -> None:
+def test_what_is_not_allowed_is_refused_in_words(qtbot, path, text, reason):
     widget = make_slider(qtbot, path)
     before, shown = widget.value(), widget.entry.text()
     edits, sentences = record(widget), []
@@ -89,7 +87,7 @@ def test_what_is_not_allowed_is_refused_in_words(qtbot, path: str, text: str, re
     assert reason in sentences[0]
 
 
-def test_a_burst_of_arrows_is_one_gesture(qtbot) -> None:
+def test_a_burst_of_arrows_is_one_gesture(qtbot):
     widget = make_slider(qtbot, "outliers.k")
     edits = record(widget)
     widget.entry.setFocus()
@@ -104,7 +102,7 @@ def test_a_burst_of_arrows_is_one_gesture(qtbot) -> None:
     assert len({gesture for _, gesture in edits}) == 2
 
 
-def test_arrows_step_without_rounding_noise_and_stop_at_the_bounds(qtbot) -> None:
+def test_arrows_step_without_rounding_noise_and_stop_at_the_bounds(qtbot):
     widget = make_slider(qtbot, "outliers.ratio")
     edits = record(widget)
     widget.entry.setFocus()
@@ -122,7 +120,7 @@ def test_arrows_step_without_rounding_noise_and_stop_at_the_bounds(qtbot) -> Non
 
 @given(value=st.floats(0.0, 1.0))
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=80)
-def test_showing_a_value_never_changes_it(qtbot, value: float) -> None:
+def test_showing_a_value_never_changes_it(qtbot, value):
     widget = NumbersEditor(spec_of("tolerance.t"))
     edits = record(widget)
     widget.setValue(value)
@@ -139,14 +137,14 @@ def test_showing_a_value_never_changes_it(qtbot, value: float) -> None:
 @pytest.mark.parametrize(
     ("text", "number"), [("12", 12.0), (" 7,5 mm ", 7.5), ("7.5mm", 7.5), ("−3", -3.0), ("1e3", 1000.0)]
 )
-def test_people_may_type_a_unit_or_a_comma(text: str, number: float) -> None:
+def test_people_may_type_a_unit_or_a_comma(text, number):
     assert parse_number(text, " mm") == number
 
 
 LEFT = Qt.MouseButton.LeftButton
 
 
-def make_band(qtbot, *, wraps: bool, low: float = 0, high: float = 179, gap: float = 0.0) -> Slider:
+def make_band(qtbot, *, wraps, low=0, high=179, gap=0.0):
     slider = Slider(Scale(0, 179, step=1), 2, wraps=wraps, gap=gap)
     qtbot.addWidget(slider)
     slider.resize(372, 24)  # two pixels a step
@@ -158,13 +156,13 @@ def make_band(qtbot, *, wraps: bool, low: float = 0, high: float = 179, gap: flo
     return slider
 
 
-def record_bands(slider: Slider) -> list[tuple[float, float, int]]:
-    edits: list[tuple[float, float, int]] = []
+def record_bands(slider):
+    edits = []
     slider.edited.connect(lambda band, gesture: edits.append((*band, gesture)))
     return edits
 
 
-def place_of(slider: Slider, value: float) -> QPoint:
+def place_of(slider, value):
     present = slider.values()
     slider.blockSignals(True)
     slider.set_values(value, value)
@@ -174,7 +172,7 @@ def place_of(slider: Slider, value: float) -> QPoint:
     return QPoint(round(x), slider.height() // 2)
 
 
-def drag_band(slider: Slider, start: float, *targets: float) -> None:
+def drag_band(slider, start, *targets):
     QTest.mousePress(slider, LEFT, pos=place_of(slider, start))
     for target in targets:
         QTest.mouseMove(slider, place_of(slider, target))
@@ -190,7 +188,7 @@ def drag_band(slider: Slider, start: float, *targets: float) -> None:
         (False, 50, 100, 0, [(70, 60)], (60, 100)),  # a press beside brings the nearer one
     ],
 )
-def test_drags_end_where_they_should(qtbot, wraps, low, high, gap, drags, value) -> None:
+def test_drags_end_where_they_should(qtbot, wraps, low, high, gap, drags, value):
     slider = make_band(qtbot, wraps=wraps, low=low, high=high, gap=gap)
     assert not slider.wrapped()
     for places in drags:
@@ -199,7 +197,7 @@ def test_drags_end_where_they_should(qtbot, wraps, low, high, gap, drags, value)
     assert slider.wrapped() == (value[0] > value[1])
 
 
-def test_the_keyboard_reaches_both_handles(qtbot) -> None:
+def test_the_keyboard_reaches_both_handles(qtbot):
     slider = make_band(qtbot, wraps=False, low=50, high=100)
     edits = record_bands(slider)
     slider.setFocus(Qt.FocusReason.TabFocusReason)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from hypothesis import given, settings
@@ -11,7 +9,7 @@ from tactune.widgets.images.eyedropper import new_ranges
 FULL = MaskSection(hue=(0, 179), saturation=(0, 255), value=(0, 255))
 
 
-def every_color() -> np.ndarray:
+def every_color():
     """A coarse grid over the whole HSV cube, as (N, 3)."""
     h, s, v = np.meshgrid(np.arange(180), np.arange(0, 256, 15), np.arange(0, 256, 15), indexing="ij")
     return np.stack([h, s, v], axis=-1).reshape(-1, 3).astype(np.uint8)
@@ -20,7 +18,7 @@ def every_color() -> np.ndarray:
 COLORS = every_color()
 
 
-def patch_of(hue: int, saturation: int, value: int, spread: int, seed: int) -> np.ndarray:
+def patch_of(hue, saturation, value, spread, seed):
     """7 x 7 RGB pixels scattered around an HSV colour."""
     rng = np.random.default_rng(seed)
     hsv = np.empty((7, 7, 3), np.int64)
@@ -30,7 +28,7 @@ def patch_of(hue: int, saturation: int, value: int, spread: int, seed: int) -> n
     return cv2.cvtColor(hsv.astype(np.uint8), cv2.COLOR_HSV2RGB)
 
 
-def contains(mask: MaskSection, hsv: np.ndarray) -> np.ndarray:
+def contains(mask, hsv):
     """Which of the colours, H, S and V, a mask covers, as OpenCV finds them."""
     (low, high), (from_s, to_s), (from_v, to_v) = mask.hue, mask.saturation, mask.value
     arcs = [(low, high)] if low <= high else [(low, 179), (0, high)]
@@ -38,7 +36,7 @@ def contains(mask: MaskSection, hsv: np.ndarray) -> np.ndarray:
     return np.any(found, axis=0).reshape(hsv.shape[:-1])
 
 
-def to_hsv(rgb: np.ndarray) -> np.ndarray:
+def to_hsv(rgb):
     return cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2HSV)
 
 
@@ -53,7 +51,7 @@ samples = st.one_of(patches, noise)
 
 
 @given(samples, ranges)
-def test_set_covers_nine_tenths_of_every_channel(rgb: np.ndarray, present: MaskSection) -> None:
+def test_set_covers_nine_tenths_of_every_channel(rgb, present):
     fresh = new_ranges(rgb, present, "set")
     hsv = to_hsv(rgb).reshape(-1, 3)
     for channel, span in ((1, fresh.saturation), (2, fresh.value)):
@@ -67,13 +65,13 @@ def test_set_covers_nine_tenths_of_every_channel(rgb: np.ndarray, present: MaskS
 
 @given(samples, ranges)
 @settings(max_examples=60)
-def test_expand_covers_both(rgb: np.ndarray, present: MaskSection) -> None:
+def test_expand_covers_both(rgb, present):
     wider = contains(new_ranges(rgb, present, "expand"), COLORS)
     assert wider[contains(present, COLORS)].all()
     assert wider[contains(new_ranges(rgb, present, "set"), COLORS)].all()
 
 
-def test_a_sample_around_red_wraps() -> None:
+def test_a_sample_around_red_wraps():
     red = patch_of(hue=1, saturation=200, value=200, spread=4, seed=0)
     fresh = new_ranges(red, FULL, "set")
     assert fresh.hue[0] > 150

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, QPointF, Qt
@@ -9,14 +7,14 @@ from PyQt6.QtWidgets import QApplication
 
 from hands import image_position
 from tactune.widgets.images.image_strip import PANES, ImageStrip
-from tactune.widgets.images.strip_render import RenderedStrip, StripImages, render_strip, stride_for
+from tactune.widgets.images.strip_render import StripImages, render_strip, stride_for
 
 LEFT = Qt.MouseButton.LeftButton
 NONE = Qt.KeyboardModifier.NoModifier
 HEIGHT, WIDTH = 480, 640
 
 
-def rendered(height: int = HEIGHT, width: int = WIDTH, hint: int = 0) -> RenderedStrip:
+def rendered(height=HEIGHT, width=WIDTH, hint=0):
     stride = stride_for(width, hint)
     v, u = np.mgrid[:height:stride, :width:stride]
     depth = (0.2 + 0.0001 * u + 0.0001 * v).astype(np.float32)
@@ -36,7 +34,7 @@ def rendered(height: int = HEIGHT, width: int = WIDTH, hint: int = 0) -> Rendere
 
 
 @pytest.fixture
-def strip(qtbot, qapp: QApplication) -> ImageStrip:
+def strip(qtbot, qapp):
     widget = ImageStrip()
     qtbot.addWidget(widget)
     widget.resize(1600, 260)
@@ -48,15 +46,15 @@ def strip(qtbot, qapp: QApplication) -> ImageStrip:
     return widget
 
 
-def viewport(strip: ImageStrip, pane: str):
+def viewport(strip, pane):
     return strip.panes[pane].view.viewport()
 
 
-def at(strip: ImageStrip, pane: str, u: float, v: float) -> QPoint:
+def at(strip, pane, u, v):
     return image_position(strip.panes[pane], u, v).toPoint()
 
 
-def zoom_in(strip: ImageStrip, pane: str, u: float, v: float, notches: int = 10) -> None:
+def zoom_in(strip, pane, u, v, notches=10):
     point = QPointF(at(strip, pane, u, v))
     for _ in range(notches):
         event = QWheelEvent(
@@ -73,15 +71,15 @@ def zoom_in(strip: ImageStrip, pane: str, u: float, v: float, notches: int = 10)
     QApplication.processEvents()
 
 
-def seen_rect(strip: ImageStrip, pane: str) -> tuple[float, float, float, float]:
+def seen_rect(strip, pane):
     rect = strip.panes[pane].box.viewRect()
     return rect.left(), rect.top(), rect.width(), rect.height()
 
 
 @pytest.mark.parametrize("pane", ["color", "difference"])
-def test_hover_tells_the_exact_pixel_in_every_pane(strip: ImageStrip, pane: str) -> None:
+def test_hover_tells_the_exact_pixel_in_every_pane(strip, pane):
     zoom_in(strip, pane, 320, 240)
-    found: list[tuple[int, int]] = []
+    found = []
     strip.hovered.connect(lambda u, v: found.append((u, v)))
     expected = [(u, v) for u, v in ((320, 240), (321, 240), (318, 243), (323, 238))]
     for u, v in expected:
@@ -90,16 +88,16 @@ def test_hover_tells_the_exact_pixel_in_every_pane(strip: ImageStrip, pane: str)
 
 
 @pytest.mark.parametrize("pane", ["color", "difference"])
-def test_a_click_tells_pane_pixel_and_modifiers(strip: ImageStrip, pane: str) -> None:
+def test_a_click_tells_pane_pixel_and_modifiers(strip, pane):
     zoom_in(strip, pane, 150, 350)
-    clicks: list[tuple[object, ...]] = []
+    clicks = []
     strip.clicked.connect(lambda *click: clicks.append(click))
     QTest.mouseClick(viewport(strip, pane), LEFT, pos=at(strip, pane, 150, 350))
     QTest.mouseClick(viewport(strip, pane), LEFT, Qt.KeyboardModifier.ShiftModifier, at(strip, pane, 152, 349))
     assert clicks == [(pane, 150, 350, NONE), (pane, 152, 349, Qt.KeyboardModifier.ShiftModifier)]
 
 
-def test_all_panes_zoom_and_pan_together_and_0_shows_them_whole(strip: ImageStrip, qapp: QApplication) -> None:
+def test_all_panes_zoom_and_pan_together_and_0_shows_them_whole(strip, qapp):
     whole = {pane: seen_rect(strip, pane) for pane in PANES}
     zoom_in(strip, "proximity", 200, 100, notches=8)
     zoomed = seen_rect(strip, "proximity")
@@ -123,7 +121,7 @@ def test_all_panes_zoom_and_pan_together_and_0_shows_them_whole(strip: ImageStri
 
 
 @pytest.mark.parametrize("hint", [0, 300])
-def test_the_pixels_on_the_screen_are_those_of_the_image(strip: ImageStrip, qapp: QApplication, hint: int) -> None:
+def test_the_pixels_on_the_screen_are_those_of_the_image(strip, qapp, hint):
     strip.set_images(rendered(hint=hint))
     zoom_in(strip, "color", 200, 100, notches=12)
     grabbed = strip.panes["color"].view.grab().toImage()
@@ -132,9 +130,9 @@ def test_the_pixels_on_the_screen_are_those_of_the_image(strip: ImageStrip, qapp
         assert (color.red(), color.green(), color.blue()) == (u % 256, v % 256, 0)
 
 
-def test_the_keyboard_points_clicks_and_zooms(strip: ImageStrip, qapp: QApplication) -> None:
-    found: list[tuple[int, int]] = []
-    clicks: list[tuple[object, ...]] = []
+def test_the_keyboard_points_clicks_and_zooms(strip, qapp):
+    found = []
+    clicks = []
     strip.hovered.connect(lambda u, v: found.append((u, v)))
     strip.clicked.connect(lambda *click: clicks.append(click))
     QTest.keyClick(strip, Qt.Key.Key_Right)
@@ -151,10 +149,10 @@ def test_the_keyboard_points_clicks_and_zooms(strip: ImageStrip, qapp: QApplicat
     assert seen_rect(strip, "difference") == pytest.approx(whole, abs=0.5)
 
 
-def test_the_region_is_dragged_by_its_corner_in_one_gesture(strip: ImageStrip, qapp: QApplication) -> None:
+def test_the_region_is_dragged_by_its_corner_in_one_gesture(strip, qapp):
     strip.set_region((100, 80, 400, 300))
     qapp.processEvents()
-    edits: list[tuple[tuple[int, ...], int]] = []
+    edits = []
     strip.regionEdited.connect(lambda rectangle, gesture: edits.append((rectangle, gesture)))
     port = viewport(strip, "proximity")
     start, end = at(strip, "proximity", 499.5, 379.5), at(strip, "proximity", 560, 420)

@@ -1,12 +1,9 @@
 """Picking in a 3D view."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
-from pytestqt.qtbot import QtBot
 
 from seen_clouds import FRONT, canvas_of, cloud_of, picture, shown, wall
 from tactune.widgets.clouds.cloud_view import CloudView
@@ -15,7 +12,7 @@ LEFT = Qt.MouseButton.LeftButton
 
 
 @pytest.fixture
-def view(qtbot: QtBot) -> CloudView:
+def view(qtbot):
     made = CloudView("Patch", inspects=True)
     shown(qtbot, made)
     made.set_cloud(cloud_of(wall()))
@@ -24,20 +21,19 @@ def view(qtbot: QtBot) -> CloudView:
     return made
 
 
-def on_canvas(view: CloudView, pixel: int) -> QPoint:
+def on_canvas(view, pixel):
     """Where a pixel of the cloud is seen."""
     cloud, canvas = view.cloud(), canvas_of(view)
-    assert cloud is not None
     u, v, _ = view.camera().project(cloud.places(np.array([pixel])), canvas.width(), canvas.height())[0]
     return QPoint(int(u), int(v))
 
 
 @pytest.mark.parametrize("pixel", [20 * 64 + 30, 40 * 64 + 12])
-def test_the_point_under_the_mouse_is_found(view: CloudView, qtbot: QtBot, pixel: int) -> None:
+def test_the_point_under_the_mouse_is_found(view, qtbot, pixel):
     at, heard = on_canvas(view, pixel), list[tuple[int, object]]()
     view.pointHovered.connect(lambda point: heard.append(point) if point is not None else None)
 
-    def pointed() -> bool:
+    def pointed():
         """Point there once more: the display's own pointer, which is elsewhere, may end the hovering meanwhile."""
         QTest.mouseMove(canvas_of(view), at + QPoint(0, 1))
         QTest.mouseMove(canvas_of(view), at)
@@ -45,13 +41,12 @@ def test_the_point_under_the_mouse_is_found(view: CloudView, qtbot: QtBot, pixel
 
     qtbot.waitUntil(pointed)
     cloud = view.cloud()
-    assert cloud is not None
     found, place = heard[-1]
     assert found == pixel
     np.testing.assert_allclose(place, cloud.places(np.array([pixel]))[0])
 
 
-def test_a_mark_is_painted_and_goes(view: CloudView) -> None:
+def test_a_mark_is_painted_and_goes(view):
     bare = picture(view)
     view.set_mark((0.0, 0.0, 0.3))
     marked = picture(view)

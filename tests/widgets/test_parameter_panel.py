@@ -1,9 +1,5 @@
 """The parameter panel: shows every preset exactly, tells what a person does, sections and folds."""
 
-from __future__ import annotations
-
-from typing import Literal
-
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -13,7 +9,7 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QComboBox, QLabel
 
 from hands import type_into
-from panel_steering import EYE3, EYE4, LEFT, Recorder, drag
+from panel_steering import EYE3, EYE4, LEFT, drag
 from tactune.core.preset import (
     AlignmentSection,
     HomographyAlignment,
@@ -27,7 +23,7 @@ from tactune.core.preset import (
     ToleranceSection,
 )
 from tactune.widgets.parameters.form import ShownFinding
-from tactune.widgets.parameters.parameter_panel import SECTIONS, ParameterPanel, fields_of
+from tactune.widgets.parameters.parameter_panel import SECTIONS, fields_of
 
 hues = st.tuples(st.integers(0, 179), st.integers(0, 179))
 spans = st.tuples(st.integers(0, 255), st.integers(0, 255)).map(lambda pair: (min(pair), max(pair)))
@@ -69,14 +65,14 @@ presets = st.builds(
 
 @given(preset=presets)
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40, deadline=None)
-def test_every_preset_is_shown_exactly_and_silently(panel: ParameterPanel, seen: Recorder, preset: Preset) -> None:
+def test_every_preset_is_shown_exactly_and_silently(panel, seen, preset):
     panel.set_preset(preset)
     for path, row in panel.rows.items():
         assert row.editor.value() == preset.value(path), path
     assert (seen.edits, seen.resets, seen.modes) == ([], [], [])
 
 
-def test_every_field_of_the_model_has_a_row(panel: ParameterPanel) -> None:
+def test_every_field_of_the_model_has_a_row(panel):
     expected = [spec.path for name, _ in SECTIONS for spec in fields_of(name)]
     assert list(panel.rows) == expected
     assert {"contact_test", "membrane.gap_m"} < set(expected)
@@ -87,9 +83,7 @@ def test_every_field_of_the_model_has_a_row(panel: ParameterPanel) -> None:
 
 
 @pytest.mark.parametrize("contact_test", ["tolerance", "membrane"])
-def test_visiting_every_widget_by_tab_changes_nothing(
-    panel: ParameterPanel, seen: Recorder, contact_test: Literal["tolerance", "membrane"]
-) -> None:
+def test_visiting_every_widget_by_tab_changes_nothing(panel, seen, contact_test):
     preset = Preset(
         contact_test=contact_test,
         mask=MaskSection(enabled=True),
@@ -118,7 +112,7 @@ def test_visiting_every_widget_by_tab_changes_nothing(
     assert all(section.button in visited for section in panel.sections.values() if section.isVisible())
 
 
-def test_dragging_a_slider_is_one_gesture(panel: ParameterPanel, seen: Recorder) -> None:
+def test_dragging_a_slider_is_one_gesture(panel, seen):
     slider = panel.rows["tolerance.t"].widget.slider
     left, length = slider.travel()
     drag(slider, left + 0.3 * length, left + 0.4 * length, left + 0.5 * length)
@@ -131,7 +125,7 @@ def test_dragging_a_slider_is_one_gesture(panel: ParameterPanel, seen: Recorder)
     assert panel.histograms["tolerance.t"].limit() == values[-1]
 
 
-def test_typing_and_reset(panel: ParameterPanel, seen: Recorder) -> None:
+def test_typing_and_reset(panel, seen):
     panel.set_preset(Preset(contact_test="tolerance"))
     panel.set_baseline(Preset(name="bench", tolerance=ToleranceSection(t=0.0123)))
     row = panel.rows["tolerance.t"]
@@ -148,7 +142,7 @@ def test_typing_and_reset(panel: ParameterPanel, seen: Recorder) -> None:
     assert seen.edits[-1][:2] == ("tolerance.t", Preset().tolerance.t)
 
 
-def test_a_refused_value_is_explained_and_taken_back(panel: ParameterPanel, seen: Recorder) -> None:
+def test_a_refused_value_is_explained_and_taken_back(panel, seen):
     panel.set_preset(Preset(mask=MaskSection(enabled=True, saturation=(10, 100))))
     row = panel.rows["mask.saturation"]
     type_into(row.widget.entries[0], "200")
@@ -162,7 +156,7 @@ def test_a_refused_value_is_explained_and_taken_back(panel: ParameterPanel, seen
     assert seen.edits[-1][1] == (20, 100)
 
 
-def test_eyedroppers_exclude_each_other_and_escape_leaves(panel: ParameterPanel, seen: Recorder) -> None:
+def test_eyedroppers_exclude_each_other_and_escape_leaves(panel, seen):
     panel.set_preset(Preset(mask=MaskSection(enabled=True)))
     for mode in ("set", "expand"):
         QTest.mouseClick(panel.eyedroppers[mode], LEFT)
@@ -179,9 +173,7 @@ def test_eyedroppers_exclude_each_other_and_escape_leaves(panel: ParameterPanel,
     assert not panel.eyedroppers["expand"].isChecked()
 
 
-def test_dragging_a_line_of_the_histogram_edits_the_tolerance(
-    qapp: QApplication, panel: ParameterPanel, seen: Recorder
-) -> None:
+def test_dragging_a_line_of_the_histogram_edits_the_tolerance(qapp, panel, seen):
     panel.set_preset(Preset(contact_test="tolerance"))
     panel.set_histogram("tolerance.t", np.ones(40), np.linspace(-0.1, 0.1, 41), 40)
     qapp.processEvents()
@@ -199,7 +191,7 @@ def test_dragging_a_line_of_the_histogram_edits_the_tolerance(
     assert panel.rows["tolerance.t"].editor.value() == seen.edits[-1][1]
 
 
-def test_nothing_is_cut_off_at_its_narrowest(panel: ParameterPanel) -> None:
+def test_nothing_is_cut_off_at_its_narrowest(panel):
     panel.resize(panel.minimumWidth(), 500)
     for form in panel.forms.values():
         form.set_open(True)
@@ -216,7 +208,7 @@ def test_nothing_is_cut_off_at_its_narrowest(panel: ParameterPanel) -> None:
         assert panel.widget().width() <= panel.viewport().width()
 
 
-def test_only_the_chosen_alignment_is_shown(panel: ParameterPanel, seen: Recorder) -> None:
+def test_only_the_chosen_alignment_is_shown(panel, seen):
     pose, plane = (
         panel.rows[f"alignment.{name}"].widget for name in ("rigid.T_proximity_tactile", "homography.plane_distance_m")
     )
@@ -240,7 +232,7 @@ def test_only_the_chosen_alignment_is_shown(panel: ParameterPanel, seen: Recorde
     assert "-0.00123" in pose.text()
 
 
-def test_advanced_fields_are_folded_until_they_matter(panel: ParameterPanel) -> None:
+def test_advanced_fields_are_folded_until_they_matter(panel):
     trust, gap = panel.rows["membrane.trust_m"], panel.rows["membrane.gap_m"]
     assert gap.widget.isVisible()
     assert not trust.widget.isVisible()
@@ -262,8 +254,8 @@ def test_advanced_fields_are_folded_until_they_matter(panel: ParameterPanel) -> 
     assert not panel.forms["alignment"].is_open, "the same finding again"
 
 
-def test_the_contact_test_decides_which_sections_are_shown(panel: ParameterPanel, seen: Recorder) -> None:
-    def shown() -> set[str]:
+def test_the_contact_test_decides_which_sections_are_shown(panel, seen):
+    def shown():
         return {name for name in ("tolerance", "outliers", "membrane") if panel.sections[name].isVisible()}
 
     assert shown() == {"membrane"}, "the default test"

@@ -1,7 +1,5 @@
 """The histogram of a limit and the time strip."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, QPointF, Qt
@@ -17,7 +15,7 @@ EDGES = np.linspace(-0.1, 0.1, 41)
 
 
 @pytest.fixture
-def histogram(qtbot, qapp) -> LimitHistogram:
+def histogram(qtbot, qapp):
     widget = LimitHistogram(RELATIVE_DIFFERENCE, 0.03)
     qtbot.addWidget(widget)
     widget.resize(320, 120)
@@ -28,12 +26,12 @@ def histogram(qtbot, qapp) -> LimitHistogram:
     return widget
 
 
-def bar_at(histogram: LimitHistogram, percent: float) -> QPoint:
+def bar_at(histogram, percent):
     box = histogram.plot_widget.getPlotItem().getViewBox()
     return histogram.plot_widget.mapFromScene(box.mapViewToScene(QPointF(percent, 15.0)))
 
 
-def drag(histogram: LimitHistogram, start: float, *targets: float) -> None:
+def drag(histogram, start, *targets):
     viewport = histogram.plot_widget.viewport()
     QTest.mouseMove(viewport, bar_at(histogram, start))
     QTest.mousePress(viewport, LEFT, pos=bar_at(histogram, start))
@@ -42,7 +40,7 @@ def drag(histogram: LimitHistogram, start: float, *targets: float) -> None:
     QTest.mouseRelease(viewport, LEFT, pos=bar_at(histogram, targets[-1]))
 
 
-def test_the_caption_tells_the_share_within_the_lines(histogram: LimitHistogram) -> None:
+def test_the_caption_tells_the_share_within_the_lines(histogram):
     assert "%" not in histogram.caption()
     histogram.set_data(np.full(40, 20), EDGES, known=1000)
     assert histogram.caption() == "24.0 % within t"  # 12 of 40 bars, and 200 values beyond them
@@ -52,8 +50,8 @@ def test_the_caption_tells_the_share_within_the_lines(histogram: LimitHistogram)
 
 
 @pytest.mark.parametrize(("start", "target"), [(3.0, 6.0), (3.0, -6.0)])
-def test_dragging_a_line_moves_both_in_one_gesture(histogram: LimitHistogram, start: float, target: float) -> None:
-    edits: list[tuple[float, int]] = []
+def test_dragging_a_line_moves_both_in_one_gesture(histogram, start, target):
+    edits = []
     histogram.limitEdited.connect(lambda t, gesture: edits.append((t, gesture)))
     drag(histogram, start, (start + target) / 2, target)
     assert edits

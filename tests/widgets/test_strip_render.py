@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +9,7 @@ from tactune.widgets.images.strip_render import NO_VALUE_RGB, StripImages, rende
 HEIGHT, WIDTH = 48, 64
 
 
-def images(**changes) -> StripImages:
+def images(**changes):
     v, u = np.mgrid[:HEIGHT, :WIDTH]
     depth = (0.2 + 0.001 * u).astype(np.float32)
     values = {
@@ -27,11 +25,11 @@ def images(**changes) -> StripImages:
     return StripImages(**(values | changes))
 
 
-def rgb(pane: np.ndarray) -> np.ndarray:
+def rgb(pane):
     return pane[:, :, 2::-1].astype(int)
 
 
-def test_depth_has_the_colors_of_the_table_and_none_is_flat() -> None:
+def test_depth_has_the_colors_of_the_table_and_none_is_flat():
     proximity = images().proximity_m.copy()
     proximity[5:9, 7:13] = np.nan
     shown = rgb(render_strip(images(proximity_m=proximity, depth_range_m=(0.2, 0.263))).panes[1])
@@ -45,7 +43,7 @@ def test_depth_has_the_colors_of_the_table_and_none_is_flat() -> None:
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 0.01, 0.03, 0.2])
-def test_the_band_is_one_color_and_nothing_else_has_it(tolerance: float) -> None:
+def test_the_band_is_one_color_and_nothing_else_has_it(tolerance):
     scene = images(tolerance=tolerance)
     rendered = render_strip(scene)
     shown = rgb(rendered.panes[3])
@@ -57,7 +55,7 @@ def test_the_band_is_one_color_and_nothing_else_has_it(tolerance: float) -> None
     assert not in_band[magnitude > tolerance + quantum].any()
 
 
-def test_contact_is_outlined_in_every_pane() -> None:
+def test_contact_is_outlined_in_every_pane():
     contact = np.zeros((HEIGHT, WIDTH), bool)
     contact[10:30, 20:50] = True
     plain, outlined = render_strip(images()), render_strip(images(contact=contact))
@@ -71,7 +69,7 @@ def test_contact_is_outlined_in_every_pane() -> None:
 
 @given(hint=st.integers(1, 200))
 @settings(max_examples=30, deadline=None)
-def test_a_small_pane_gets_every_nth_pixel(hint: int) -> None:
+def test_a_small_pane_gets_every_nth_pixel(hint):
     whole, stride = images(), stride_for(WIDTH, hint)
     assert stride == 1 or WIDTH / stride >= 0.9 * hint
     parts = {

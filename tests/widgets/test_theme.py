@@ -1,7 +1,5 @@
 """Colours of the themes, the focus ring, tooltips in lines of readable length, and the badge of an old image."""
 
-from __future__ import annotations
-
 import pyqtgraph as pg
 import pytest
 from PyQt6.QtCore import QPoint, QRect, Qt
@@ -18,7 +16,7 @@ NAMES = ("light", "dark")
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("background", ["window", "base", "alternate", "button"])
 @pytest.mark.parametrize("text", ["text", "muted", "accent_text", "error"])
-def test_text_is_readable_on_every_background(name: str, background: str, text: str) -> None:
+def test_text_is_readable_on_every_background(name, background, text):
     colors = theme_colors(name)
     assert contrast_ratio(getattr(colors, text), getattr(colors, background)) >= 4.5
 
@@ -26,13 +24,13 @@ def test_text_is_readable_on_every_background(name: str, background: str, text: 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("background", ["window", "base", "button"])
 @pytest.mark.parametrize("line", ["outline", "focus"])
-def test_fields_grooves_and_the_focus_are_seen(name: str, background: str, line: str) -> None:
+def test_fields_grooves_and_the_focus_are_seen(name, background, line):
     colors = theme_colors(name)
     assert contrast_ratio(getattr(colors, line), getattr(colors, background)) >= 3.0
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_theme_reaches_qt_and_pyqtgraph(qapp: QApplication, qtbot, name: str) -> None:
+def test_a_theme_reaches_qt_and_pyqtgraph(qapp, qtbot, name):
     widget = QWidget()
     qtbot.addWidget(widget)
     assert apply_theme(qapp, name) == name
@@ -46,7 +44,7 @@ def test_a_theme_reaches_qt_and_pyqtgraph(qapp: QApplication, qtbot, name: str) 
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_ring_shows_where_the_keyboard_acts(qapp: QApplication, qtbot, name: str) -> None:
+def test_a_ring_shows_where_the_keyboard_acts(qapp, qtbot, name):
     apply_theme(qapp, name)
     window = QWidget()
     qtbot.addWidget(window)
@@ -59,7 +57,7 @@ def test_a_ring_shows_where_the_keyboard_acts(qapp: QApplication, qtbot, name: s
         window.show()
     ring, colors = QRect(two.geometry()).adjusted(-2, -2, 2, 2), theme_colors()
 
-    def edges() -> set[str]:
+    def edges():
         image = window.grab(ring).toImage()
         return {image.pixelColor(x, y).name() for x, y in ((20, 0), (20, 1), (0, 10), (1, 10))}
 

@@ -1,17 +1,13 @@
 """The wipe: two sides in one view, the same in both back ends, and dragged with the mouse."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtGui import QImage
 from PyQt6.QtTest import QTest
-from pytestqt.qtbot import QtBot
 
 from seen_clouds import FRONT, GREEN, RED, cloud_of, colored, picture, red_wall, shown, wall
 from tactune.widgets.basics.overlays import Wipe
-from tactune.widgets.clouds.cloud_data import DepthCloud
 from tactune.widgets.clouds.cloud_view import CloudView
 from tactune.widgets.images.image_strip import ImageStrip, RenderedStrip
 
@@ -20,12 +16,12 @@ LEFT = Qt.MouseButton.LeftButton
 GRIP, NAMES = 10, 40
 
 
-def green_wall() -> DepthCloud:
+def green_wall():
     return cloud_of(wall(), index=np.zeros((48, 64), np.uint8), lut=colored(GREEN))
 
 
 @pytest.fixture
-def view(qtbot: QtBot) -> CloudView:
+def view(qtbot):
     made = shown(qtbot, CloudView("Patch"))
     made.set_camera(FRONT)
     made.set_cloud(red_wall())
@@ -33,7 +29,7 @@ def view(qtbot: QtBot) -> CloudView:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.35, 0.8, 1.0])
-def test_each_side_is_what_its_cloud_alone_shows(view: CloudView, share: float) -> None:
+def test_each_side_is_what_its_cloud_alone_shows(view, share):
     red = picture(view)
     view.set_cloud(green_wall())
     green = picture(view)
@@ -52,19 +48,19 @@ def test_each_side_is_what_its_cloud_alone_shows(view: CloudView, share: float) 
     assert view.right_cloud() is None
 
 
-def flat(rgb: tuple[int, int, int]) -> RenderedStrip:
+def flat(rgb):
     red, green, blue = rgb
     pixels = np.full((48, 64, 4), (blue, green, red, 255), np.uint8)
     return RenderedStrip((pixels,) * 4, (64, 48), 1, (0.2, 0.3), 0.02, 0.1)
 
 
-def rgb_at(pane: object, place: QPoint) -> tuple[int, int, int]:
-    image = pane.view.viewport().grab().toImage().convertToFormat(QImage.Format.Format_RGB888)  # type: ignore[attr-defined]
+def rgb_at(pane, place):
+    image = pane.view.viewport().grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
     color = image.pixelColor(place)
     return color.red(), color.green(), color.blue()
 
 
-def test_all_images_are_divided_at_the_same_share_also_when_zoomed(qtbot: QtBot) -> None:
+def test_all_images_are_divided_at_the_same_share_also_when_zoomed(qtbot):
     strip = ImageStrip()
     strip.resize(1000, 260)
     qtbot.addWidget(strip)

@@ -1,7 +1,5 @@
 """A window at a frame of the printed membrane."""
 
-from __future__ import annotations
-
 import pytest
 
 from hands import show_source

@@ -1,7 +1,5 @@
 """Suggestions in the window, by mouse and keys."""
 
-from __future__ import annotations
-
 import time
 from threading import Event
 

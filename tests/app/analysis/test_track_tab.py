@@ -1,7 +1,5 @@
 """A simulated cup is found, tracked from frame to frame and exported, by real mouse and key events."""
 
-from __future__ import annotations
-
 import csv
 import socket
 from concurrent.futures import ThreadPoolExecutor

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from PyQt6.QtCore import QEvent, QPoint, Qt
+from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
-from pytestqt.qtbot import QtBot
 from scipy.spatial.transform import Rotation
 
 from tactune.app.calibration.wizard import CalibrationWizard
@@ -27,14 +23,13 @@ from tactune.core.model.frames import ColorCamera, DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.preset import Preset
 from tactune.widgets.basics.dialogs import Dialogs
-from tactune.widgets.images.point_image import PointImage
 
 WIDTH, HEIGHT = 320, 240
 FLAT_M, TALLEST_M = 0.33, 0.06
 NOBODY = Qt.KeyboardModifier.NoModifier
 
 
-def pose(degrees: tuple[float, float, float], translation_m: tuple[float, float, float]) -> Any:
+def pose(degrees, translation_m):
     """A rigid transform from small turns about x, y, z."""
     matrix = np.eye(4)
     matrix[:3, :3] = Rotation.from_euler("xyz", degrees, degrees=True).as_matrix()
@@ -50,27 +45,26 @@ class Scene:
     T_p_t: npt.NDArray[np.float64]
     dots: npt.NDArray[np.float64]
 
-    def height_m(self, points: npt.NDArray[np.float64], level: float) -> npt.NDArray[np.float64]:
+    def height_m(self, points, level):
         """Distance of the membrane along z in the proximity frame; a cushion that bulges towards the cameras."""
         x, y = (points[..., 0] - 0.02) / 0.14, points[..., 1] / 0.10
         return np.asarray(FLAT_M - level * TALLEST_M * np.exp(-(x**2 + y**2)))
 
-    def points(self, level: float) -> npt.NDArray[np.float64]:
+    def points(self, level):
         """The dots in the proximity depth frame, (N, 3)."""
         return np.column_stack([self.dots, self.height_m(self.dots, level)])
 
-    def proximity_pixels(self, level: float) -> npt.NDArray[np.float64]:
+    def proximity_pixels(self, level):
         """The dots in the proximity colour image."""
-        assert self.rig.proximity_color is not None
         T = np.asarray(self.rig.proximity_color.T_color_depth)
         return self.rig.proximity_color.intrinsics.project(self.points(level) @ T[:3, :3].T + T[:3, 3])
 
-    def tactile_pixels(self, level: float) -> npt.NDArray[np.float64]:
+    def tactile_pixels(self, level):
         """The dots in the tactile image."""
         T = np.linalg.inv(self.T_p_t)
         return self.rig.tactile.intrinsics.project(self.points(level) @ T[:3, :3].T + T[:3, 3])
 
-    def frame(self, number: int, level: float) -> SensorFrame:
+    def frame(self, number, level):
         """What both cameras see at one inflation level."""
         tactile_m = self._tactile_depth(level)
         counts = np.rint(tactile_m / self.rig.tactile.depth_unit_m)
@@ -83,7 +77,7 @@ class Scene:
             tactile_color=_dotted(self.tactile_pixels(level)),
         )
 
-    def alignment_error_px(self, T_p_t: npt.NDArray[np.float64]) -> float:
+    def alignment_error_px(self, T_p_t):
         """Root mean square error of a pose over the membrane at all levels, proximity depth pixels."""
         squares = []
         for level in (0.2, 0.6, 1.0):
@@ -94,7 +88,7 @@ class Scene:
             squares.append(((lens.project(found) - lens.project(seen)) ** 2).sum(axis=1))
         return float(np.sqrt(np.mean(squares)))
 
-    def _tactile_depth(self, level: float) -> npt.NDArray[np.float64]:
+    def _tactile_depth(self, level):
         rays = np.concatenate(
             [self.rig.tactile.intrinsics.rays().astype(np.float64), np.ones((HEIGHT, WIDTH, 1))], axis=2
         )
@@ -106,7 +100,7 @@ class Scene:
         return depth
 
 
-def _dotted(centers: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
+def _dotted(centers):
     v, u = np.mgrid[:HEIGHT, :WIDTH]
     dark = np.zeros((HEIGHT, WIDTH))
     for x, y in centers:
@@ -116,8 +110,8 @@ def _dotted(centers: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
 
 
 @pytest.fixture(scope="session")
-def scene() -> Scene:
-    def lens(f: float, cx: float, cy: float) -> Intrinsics:
+def scene():
+    def lens(f, cx, cy):
         return Intrinsics(width=WIDTH, height=HEIGHT, fx=f, fy=f, cx=cx, cy=cy)
 
     truth = pose((0.4, -1.0, 0.3), (0.040, 0.001, -0.001))
@@ -136,30 +130,27 @@ def scene() -> Scene:
 
 
 @pytest.fixture(scope="session")
-def frames(scene: Scene) -> dict[float, SensorFrame]:
+def frames(scene):
     return {level: scene.frame(number, level) for number, level in enumerate((0.2, 1.0))}
 
 
 @pytest.fixture
-def feed(scene: Scene, frames: dict[float, SensorFrame]) -> FrameFeed:
+def feed(scene, frames):
     info, playback = SourceInfo("tiny", scene.rig, 2, 30.0), PlaybackState(index=0, length=2)
     worker = Worker(Preset())  # never started, so that it answers no order
     return FrameFeed(worker, SimpleNamespace(source=info, frame=frames[0.2], playback=playback))
 
 
-OpenWizard = Callable[[], CalibrationWizard]
-
-
 @pytest.fixture
-def document() -> Document:
+def document():
     return Document(Preset(name="tiny", contact_test="tolerance"))
 
 
 @pytest.fixture
-def open_wizard(qtbot: QtBot, feed: FrameFeed, document: Document, tmp_path: Path) -> Iterator[OpenWizard]:
-    opened: list[CalibrationWizard] = []
+def open_wizard(qtbot, feed, document, tmp_path):
+    opened = []
 
-    def open_it() -> CalibrationWizard:
+    def open_it():
         dialogs = Dialogs(None, Settings(tmp_path / "window.json"), native=False)
         wizard = CalibrationWizard(feed, document, tmp_path / "kept", dialogs)
         opened.append(wizard)
@@ -180,17 +171,17 @@ def open_wizard(qtbot: QtBot, feed: FrameFeed, document: Document, tmp_path: Pat
 class Hand:
     """Real mouse events at image places."""
 
-    def at(self, image: PointImage, place: Any) -> QPoint:
+    def at(self, image, place):
         """The screen position of an image place."""
         return image.screen_place(float(place[0]), float(place[1])).toPoint()
 
-    def click(self, image: PointImage, place: Any, modifiers: Qt.KeyboardModifier = NOBODY) -> None:
+    def click(self, image, place, modifiers=NOBODY):
         """Move there and click."""
         viewport, position = image.view.viewport(), self.at(image, place)
         QTest.mouseMove(viewport, position)
         QTest.mouseClick(viewport, Qt.MouseButton.LeftButton, modifiers, position)
 
-    def drag(self, image: PointImage, start: Any, end: Any) -> None:
+    def drag(self, image, start, end):
         """Press, move in steps, release."""
         viewport = image.view.viewport()
         first, last = self.at(image, start), self.at(image, end)
@@ -201,5 +192,5 @@ class Hand:
 
 
 @pytest.fixture
-def hand() -> Hand:
+def hand():
     return Hand()

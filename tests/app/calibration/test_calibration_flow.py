@@ -1,9 +1,6 @@
 """A complete calibration by mouse and keys, from the first snapshot to the preset, and then headless."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -144,7 +141,6 @@ def test_a_whole_calibration_by_mouse_and_keys(  # noqa: PLR0915 - one flow, ste
     assert scene.alignment_error_px(tactile_pose(preset.alignment, scene.rig)) < 0.25
     assert scene.alignment_error_px(np.asarray(scene.rig.T_proximity_tactile)) > 1
     record = preset.alignment.calibration
-    assert record is not None
     assert [point.id for point in record.points] == [str(number) for number in range(1, 11)]
     assert {snapshot.sha256 for snapshot in record.snapshots} == {first, second}
     assert record.tactile_serial == "t1"
@@ -196,7 +192,7 @@ def test_a_restored_calibration_of_another_source_says_so(open_wizard, feed, fra
     assert again.frames.list.item(0).text().endswith("tiny")
 
 
-def test_points_file_round_trip(open_wizard, scene, qtbot, tmp_path: Path):
+def test_points_file_round_trip(open_wizard, scene, qtbot, tmp_path):
     wizard = open_wizard()
     proximity, tactile = scene.proximity_pixels(0.2), scene.tactile_pixels(0.2)
     for dot in (0, 8, 40, 60):

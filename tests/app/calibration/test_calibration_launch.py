@@ -1,7 +1,5 @@
 """The calibration wizard and the re-check, opened from the main window."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Single pages and windows of the wizard: snapshots, helpers, check, re-check, saved state."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What happens to the preset and its file when a calibration is saved."""
 
-from __future__ import annotations
-
 import numpy as np
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest

@@ -1,7 +1,5 @@
 """The point image, the loupe, the table and the small plots, by real events."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``tactune preset check``: findings in sentences, with their own exit status."""
 
-from __future__ import annotations
-
 SOURCE = "sim:cup?press=medium"
 
 

@@ -1,7 +1,5 @@
 """``tactune convert``: the target's name, or --to, says what is written."""
 
-from __future__ import annotations
-
 from xml.etree import ElementTree
 
 import h5py

@@ -1,9 +1,6 @@
 """``tactune preset create-rig``: the rig of a folder of images, without a window."""
 
-from __future__ import annotations
-
 import shutil
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,7 +10,7 @@ from tactune.core.model.rig_file import load_rig
 
 
 @pytest.fixture
-def bare(recording: Path) -> Path:
+def bare(recording):
     """A recording without its rig."""
     (recording / "rig.json").unlink()
     return recording

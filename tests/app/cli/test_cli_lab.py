@@ -1,7 +1,5 @@
 """The commands of the lab: table, strain and bench; the one of scans is tested with scans."""
 
-from __future__ import annotations
-
 import csv
 
 import platformdirs

@@ -1,16 +1,10 @@
 """``tactune preset measure-rig``: noise and bias of a recording of a wall, in sentences and in a preset."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from datetime import UTC, datetime
-from pathlib import Path
-from typing import Any
 
 import pytest
 
 from side_by_side import HEIGHT, PRINT_MASK, WIDTH, Wall, rig
-from tactune.core.model.frames import Rig
 from tactune.core.preset import Preset
 from tactune.core.preset.file import save_preset
 from tactune.core.rig.untouched import load_untouched
@@ -19,25 +13,24 @@ from tactune.core.sources.presets import load_preset
 
 __all__ = ["rig"]
 
-Tactune = Callable[..., Any]
 LAST_YEAR = datetime(2025, 6, 1, tzinfo=UTC)
 
 
 @pytest.fixture
-def wall(tmp_path: Path, rig: Rig) -> Path:
+def wall(tmp_path, rig):
     export_folder(Wall(rig, 14), tmp_path / "wall")
     return tmp_path / "wall"
 
 
 @pytest.fixture
-def mine(tmp_path: Path) -> Path:
+def mine(tmp_path):
     """A preset of last year in a folder of its own."""
     path = tmp_path / "presets" / "mine.json"
     save_preset(Preset(name="mine", created=LAST_YEAR, modified=LAST_YEAR).with_values(PRINT_MASK), path)
     return path
 
 
-def test_noise_and_bias_are_said_and_stored(tactune: Tactune, wall: Path, mine: Path) -> None:
+def test_noise_and_bias_are_said_and_stored(tactune, wall, mine):
     finished = tactune("preset", "measure-rig", "--source", wall, "--preset", mine)
     assert finished.status == 0
     tactile, proximity, bias, written = finished.out.splitlines()
@@ -45,13 +38,12 @@ def test_noise_and_bias_are_said_and_stored(tactune: Tactune, wall: Path, mine: 
     assert bias.startswith("The proximity camera reads 4.0 ± 0.2 mm farther")
     assert written == f"wrote {mine}"
     preset = load_preset(mine)
-    assert preset.noise is not None
     assert preset.noise.bias_m == pytest.approx(0.004, abs=2e-4)
     assert preset.noise.frames == 14
     assert preset.created == LAST_YEAR < preset.modified
 
 
-def test_a_shipped_preset_is_measured_into_another_file(tactune: Tactune, rig: Rig, tmp_path: Path) -> None:
+def test_a_shipped_preset_is_measured_into_another_file(tactune, rig, tmp_path):
     wall = tmp_path / "apart"  # the proximity camera looks through the membrane at something 60 mm behind
     export_folder(Wall(rig, 14, bias_m=0.060), wall)
     out = tmp_path / "measured.json"
@@ -62,7 +54,7 @@ def test_a_shipped_preset_is_measured_into_another_file(tactune: Tactune, rig: R
     assert (preset.name, preset.noise.bias_from, preset.noise.frames) == ("measured", "unknown", 14)
 
 
-def test_the_untouched_frame_goes_with_the_preset(tactune: Tactune, wall: Path, mine: Path, tmp_path: Path) -> None:
+def test_the_untouched_frame_goes_with_the_preset(tactune, wall, mine, tmp_path):
     words = ("--source", wall, "--preset", mine)
     assert tactune("preset", "capture-untouched", *words, "--force").status == 0
     out = tmp_path / "elsewhere" / "copy.json"

@@ -1,11 +1,6 @@
 """``tactune preset new | show | validate | schema``."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -17,10 +12,8 @@ from tactune.core.preset.file import save_preset
 from tactune.core.preset.preset import json_schema
 from tactune.core.sources.presets import load_preset
 
-Tactune = Callable[..., Any]
 
-
-def test_new_writes_a_preset_for_the_rig_with_what_was_set(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
+def test_new_writes_a_preset_for_the_rig_with_what_was_set(tactune, recording, tmp_path):
     file = tmp_path / "mine.json"
     finished = tactune(
         *("preset", "new", "--rig", recording / "rig.json", "--set", "alignment.model=homography", "--out", file),
@@ -39,10 +32,8 @@ def test_new_writes_a_preset_for_the_rig_with_what_was_set(tactune: Tactune, rec
     assert preset.outliers == Preset().outliers
 
 
-def test_the_contact_test_is_chosen_by_name_or_by_one_of_its_fields(
-    tactune: Tactune, recording: Path, tmp_path: Path
-) -> None:
-    def made(name: str, *settings: str) -> Preset:
+def test_the_contact_test_is_chosen_by_name_or_by_one_of_its_fields(tactune, recording, tmp_path):
+    def made(name, *settings):
         words = [word for setting in settings for word in ("--set", setting)]
         assert tactune("preset", "new", "--rig", recording / "rig.json", "--out", tmp_path / name, *words).status == 0
         return load_preset(tmp_path / name)
@@ -56,7 +47,7 @@ def test_the_contact_test_is_chosen_by_name_or_by_one_of_its_fields(
     assert made("d.json", "membrane.gap_m=0.001", "contact_test=tolerance").contact_test == "tolerance"
 
 
-def test_new_starts_from_another_preset_and_its_rig(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
+def test_new_starts_from_another_preset_and_its_rig(tactune, recording, tmp_path):
     first, second, third = (tmp_path / f"{name}.json" for name in ("first", "second", "third"))
     rig = load_rig(recording / "rig.json")
     values = {"notes": "by hand", "tolerance.t": 0.011, "outliers.k": 7, "created": "2020-01-02T03:04:05Z"}
@@ -84,9 +75,7 @@ def test_new_starts_from_another_preset_and_its_rig(tactune: Tactune, recording:
         (["contact_test=membrane", "alignment.model=homography"], ["mask.hue", "one plane"]),
     ],
 )
-def test_what_is_probably_not_meant_is_noted_and_nothing_else(
-    tactune: Tactune, recording: Path, tmp_path: Path, settings: list[str], words: list[str]
-) -> None:
+def test_what_is_probably_not_meant_is_noted_and_nothing_else(tactune, recording, tmp_path, settings, words):
     file = tmp_path / "mine.json"
     options = [word for setting in settings for word in ("--set", setting)]
     new = tactune("preset", "new", "--rig", recording / "rig.json", "--out", file, *options)
@@ -98,7 +87,7 @@ def test_what_is_probably_not_meant_is_noted_and_nothing_else(
         assert word in line
 
 
-def test_show_prints_a_file_that_loads_to_the_same_preset(tactune: Tactune, tmp_path: Path) -> None:
+def test_show_prints_a_file_that_loads_to_the_same_preset(tactune, tmp_path):
     finished = tactune("preset", "show", "default")
     (tmp_path / "copy.json").write_text(finished.out)
     assert finished.status == 0
@@ -106,7 +95,7 @@ def test_show_prints_a_file_that_loads_to_the_same_preset(tactune: Tactune, tmp_
     assert "nothing" in tactune("preset", "show", "nothing").sentence
 
 
-def test_validate_names_the_good_and_the_bad(tactune: Tactune, tmp_path: Path) -> None:
+def test_validate_names_the_good_and_the_bad(tactune, tmp_path):
     good, bad = tmp_path / "good.json", tmp_path / "bad.json"
     save_preset(Preset(name="fine"), good)
     document = json.loads(good.read_text())
@@ -116,9 +105,7 @@ def test_validate_names_the_good_and_the_bad(tactune: Tactune, tmp_path: Path) -
     assert "bad.json: tolerance.t is -1" in tactune("preset", "validate", bad).sentence
 
 
-def test_validate_names_fields_that_are_gone_in_files_and_recordings(
-    tactune: Tactune, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_validate_names_fields_that_are_gone_in_files_and_recordings(tactune, recording, tmp_path, monkeypatch):
     old, file = tmp_path / "old.mcap", tmp_path / "old.json"
     assert tactune("record", "--source", recording, "--preset", "default", "--out", old).status == 0
     save_preset(Preset(name="old"), file)
@@ -128,5 +115,5 @@ def test_validate_names_fields_that_are_gone_in_files_and_recordings(
         assert finished.status == 0 and "cameras.tactile_delay_s" in finished.out
 
 
-def test_schema_is_the_schema(tactune: Tactune) -> None:
+def test_schema_is_the_schema(tactune):
     assert json.loads(tactune("preset", "schema").out) == json_schema()

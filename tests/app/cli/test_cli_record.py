@@ -1,15 +1,10 @@
 """``tactune record``, ``tactune convert`` and ``tactune run --out patches.mcap``."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,24 +13,21 @@ from mcap_ros2.decoder import DecoderFactory
 
 from capture_sources import same_frame
 from tactune.core import ContactPipeline, load_preset, open_source
-from tactune.core.sources import FrameSource
 from tactune.core.sources.mcap.source import McapSource
 
-Run = Callable[..., Any]
 
-
-def assert_same_recording(first: FrameSource, second: FrameSource) -> None:
+def assert_same_recording(first, second):
     assert first.rig == second.rig
     assert first.length == second.length
     assert all(map(same_frame, first, second))
 
 
-def length_of(path: Path) -> int | None:
+def length_of(path):
     with McapSource(path) as source:
         return source.length
 
 
-def test_a_recording_is_recorded_whole(tmp_path: Path, recording: Path, tactune: Run) -> None:
+def test_a_recording_is_recorded_whole(tmp_path, recording, tactune):
     done = tactune("record", "--source", recording, "--out", tmp_path / "new" / "a.mcap", "--preset", "default")
     assert (done.status, done.err) == (0, "")
     assert done.out.startswith(f"recorded 4 frames of folder:{recording}, ")
@@ -47,16 +39,14 @@ def test_a_recording_is_recorded_whole(tmp_path: Path, recording: Path, tactune:
             assert_same_recording(source, original)
 
 
-def test_a_signal_while_queued_frames_are_written_loses_none(
-    tmp_path: Path, recording: Path, tactune: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_signal_while_queued_frames_are_written_loses_none(tmp_path, recording, tactune, monkeypatch):
     from tactune.core.output import bag
 
     write = bag.Bag.write
-    sent: list[int] = []
-    ended: list[int] = []
+    sent = []
+    ended = []
 
-    def slowly(self: bag.Bag, *message: Any) -> None:
+    def slowly(self, *message):
         time.sleep(0.2)
         write(self, *message)
         if not sent:
@@ -74,7 +64,7 @@ def test_a_signal_while_queued_frames_are_written_loses_none(
     assert length_of(tmp_path / "a.mcap") == 4
 
 
-def test_converting_there_and_back_changes_no_bit(tmp_path: Path, recording: Path, tactune: Run) -> None:
+def test_converting_there_and_back_changes_no_bit(tmp_path, recording, tactune):
     assert tactune("convert", recording, tmp_path / "a.mcap", "--preset", "simulator").status == 0
     done = tactune("convert", tmp_path / "a.mcap", tmp_path / "back")
     assert done.status == 0
@@ -89,7 +79,7 @@ def test_converting_there_and_back_changes_no_bit(tmp_path: Path, recording: Pat
 
 
 @pytest.mark.parametrize("name", ["realsense_bag/single_depth_color_640x480.bag", "real_pair"])
-def test_real_recordings_convert_there_and_back(tmp_path: Path, tactune: Run, shared_data: Path, name: str) -> None:
+def test_real_recordings_convert_there_and_back(tmp_path, tactune, shared_data, name):
     recording = shared_data / name
     assert tactune("convert", recording, tmp_path / "a.mcap").status == 0
     assert tactune("convert", tmp_path / "a.mcap", tmp_path / "folder").status == 0
@@ -98,7 +88,7 @@ def test_real_recordings_convert_there_and_back(tmp_path: Path, tactune: Run, sh
             assert_same_recording(source, original)
 
 
-def test_patches_go_into_one_bag_with_the_stamps_of_their_frames(tmp_path: Path, recording: Path, tactune: Run) -> None:
+def test_patches_go_into_one_bag_with_the_stamps_of_their_frames(tmp_path, recording, tactune):
     out = tmp_path / "patches.mcap"
     done = tactune("run", "--source", recording, "--preset", "default", "--out", out)
     assert done.status == 0
@@ -121,7 +111,7 @@ def test_patches_go_into_one_bag_with_the_stamps_of_their_frames(tmp_path: Path,
     assert "its topics are /contact/patch" in tactune("run", "-s", out, "--json").sentence
 
 
-def test_sigterm_ends_a_live_source_with_a_whole_file(tmp_path: Path, recording: Path) -> None:
+def test_sigterm_ends_a_live_source_with_a_whole_file(tmp_path, recording):
     out = tmp_path / "a.mcap"
     command = [sys.executable, "-m", "tactune.app", "record", "-s", f"live:folder:{recording}", "-o", str(out)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:

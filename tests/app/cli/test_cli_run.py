@@ -1,13 +1,9 @@
 """``tactune run``, and ``tactune convert`` into a folder."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,22 +15,21 @@ from tactune.core.preset.file import save_preset
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 
-Tactune = Callable[..., Any]
 COMMAND = [sys.executable, "-m", "tactune.app"]
 
 
-def json_lines(text: str) -> list[dict[str, Any]]:
-    def refuse(constant: str) -> None:
+def json_lines(text):
+    def refuse(constant):
         raise AssertionError(f"{constant} is no JSON")
 
     return [json.loads(line, parse_constant=refuse) for line in text.splitlines()]
 
 
-def names(folder: Path) -> list[str]:
+def names(folder):
     return sorted(file.name for file in folder.iterdir())
 
 
-def test_the_files_hold_what_three_lines_of_python_give(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
+def test_the_files_hold_what_three_lines_of_python_give(tactune, recording, tmp_path):
     assert tactune("run", "--source", recording, "--preset", "default", "--out", tmp_path / "out").status == 0
     with open_source(str(recording)) as source:
         pipeline = ContactPipeline(load_preset("default"), source.rig)
@@ -48,7 +43,7 @@ def test_the_files_hold_what_three_lines_of_python_give(tactune: Tactune, record
             assert np.array_equal(np.stack([saved["v"], saved["u"]]), np.nonzero(patch.mask))
 
 
-def test_json_lines_say_what_the_patch_is(tactune: Tactune, recording: Path) -> None:
+def test_json_lines_say_what_the_patch_is(tactune, recording):
     finished = tactune("run", "--source", recording, "--json")
     lines = json_lines(finished.out)
     assert finished.status == 0
@@ -63,7 +58,7 @@ def test_json_lines_say_what_the_patch_is(tactune: Tactune, recording: Path) -> 
     assert list(lines[3]["stage_ms"]) == ["fusion", "equilibrium", "edge", "clusters", "points"]
 
 
-def test_truth_is_compared_where_it_is_known(tactune: Tactune, make_recording: Callable[..., Path]) -> None:
+def test_truth_is_compared_where_it_is_known(tactune, make_recording):
     everything = ("--set", "tolerance.t=0.03", "--set", "outliers.enabled=false")
     lines = json_lines(tactune("run", "-s", make_recording(), "-p", "default", *everything, "--json", "--truth").out)
     assert [line["touched"] for line in lines] == [False, True, True, True]
@@ -77,23 +72,21 @@ def test_truth_is_compared_where_it_is_known(tactune: Tactune, make_recording: C
     assert len(unlabelled.err.splitlines()) == 1
 
 
-def test_the_summary_is_for_people(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
+def test_the_summary_is_for_people(tactune, recording, tmp_path):
     finished = tactune("run", "-s", recording, "-n", "9", "-o", tmp_path / "out", "--truth")
     for words in ("4 frames", "contact in 3", "ms per frame", "iou", f"wrote {tmp_path / 'out'}"):
         assert words in finished.out
     assert finished.err == ""
 
 
-def test_a_depth_unit_that_cannot_be_is_told_once(tactune: Tactune, recording: Path) -> None:
+def test_a_depth_unit_that_cannot_be_is_told_once(tactune, recording):
     rig = json.loads((recording / "rig.json").read_text())
     rig["tactile"]["depth_unit_m"] *= 100
     (recording / "rig.json").write_text(json.dumps(rig))
     assert tactune("run", "--truth", "-s", recording).err.count("depth_unit_m") == 1
 
 
-def test_another_serial_is_a_warning_and_another_size_an_error(
-    tactune: Tactune, make_recording: Callable[..., Path], tmp_path: Path
-) -> None:
+def test_another_serial_is_a_warning_and_another_size_an_error(tactune, make_recording, tmp_path):
     preset = tmp_path / "mine.json"
     save_preset(Preset(name="mine", rig=load_rig(make_recording("first") / "rig.json")), preset)
 
@@ -108,8 +101,8 @@ def test_another_serial_is_a_warning_and_another_size_an_error(
     assert "80 x 48" in sentence
 
 
-def test_run_uses_the_preset_with_what_was_set(tactune: Tactune, recording: Path) -> None:
-    def points(*settings: str) -> list[Any]:
+def test_run_uses_the_preset_with_what_was_set(tactune, recording):
+    def points(*settings):
         words = [word for setting in settings for word in ("--set", setting)]
         finished = tactune("run", "-s", recording, "-p", "default", "--json", *words)
         return [json.loads(line)["points"] for line in finished.out.splitlines()]
@@ -119,7 +112,7 @@ def test_run_uses_the_preset_with_what_was_set(tactune: Tactune, recording: Path
     assert points("region.rectangle=[0,0,16,12]", "region.enabled=false") == points()
 
 
-def test_a_full_disk_behind_standard_output_is_told_in_one_sentence(recording: Path) -> None:
+def test_a_full_disk_behind_standard_output_is_told_in_one_sentence(recording):
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
             [*COMMAND, "run", "--source", str(recording), "--json"],
@@ -130,17 +123,15 @@ def test_a_full_disk_behind_standard_output_is_told_in_one_sentence(recording: P
     assert done.stderr.count("\n") == 1
 
 
-def test_a_reader_that_stops_reading_ends_the_command_silently(recording: Path) -> None:
+def test_a_reader_that_stops_reading_ends_the_command_silently(recording):
     command = [*COMMAND, "run", "--source", str(recording), "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert process.stderr is not None
         process.stdout.close()
         assert process.stderr.read() == ""
     assert process.returncode == 1
 
 
-def test_interrupted_with_finished_files_intact(recording: Path, tmp_path: Path) -> None:
+def test_interrupted_with_finished_files_intact(recording, tmp_path):
     out = tmp_path / "out"
     interrupted = (
         "import os, signal, sys\n"
@@ -165,7 +156,7 @@ def test_interrupted_with_finished_files_intact(recording: Path, tmp_path: Path)
 
 
 @pytest.mark.parametrize("estimate", ["tilt", "tilt-filtered"])
-def test_estimates_the_tilt_of_each_patch(tactune: Tactune, estimate: str) -> None:
+def test_estimates_the_tilt_of_each_patch(tactune, estimate):
     options = ("run", "--source", "sim:cup?press=medium", "--frames", "2", "--estimate", estimate, "--json")
     tilts = [record["tilt"] for record in json_lines(tactune(*options).out)]
     assert len(tilts) == 2

@@ -1,7 +1,5 @@
 """``tactune serve`` as a program, seen by a Foxglove client of another make."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
@@ -10,32 +8,28 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
 
-from commands import Finished, read_line
+from commands import read_line
 from foxglove_client import WAIT_S, FoxgloveClient
 from sockets import listening
-from tactune.core import ContactPatch, ContactPipeline, load_preset, open_source
+from tactune.core import ContactPipeline, load_preset, open_source
 from tactune.core.estimation.object_mesh import simulated_mesh
 from tactune.core.estimation.pose import PoseTracker
 from tactune.core.estimation.tilt import TiltEstimator
-from tactune.core.model.frames import SensorFrame
 from tactune.core.output.publisher import LIVE_TOPICS
-from tactune.core.preset import Preset
 from tactune.core.sources.simulator.source import SimulatorSource
 
 TACTUNE = Path(sys.executable).with_name("tactune")
 
 
 @contextmanager
-def serving(*words: str, address: str = "127.0.0.1") -> Iterator[tuple[subprocess.Popen[str], int]]:
+def serving(*words, address="127.0.0.1"):
     """Start a server and yield it with its port, once it listens."""
     command = [str(TACTUNE), "serve", "--foxglove", "--source", "sim:cup", *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -49,15 +43,15 @@ def serving(*words: str, address: str = "127.0.0.1") -> Iterator[tuple[subproces
             process.kill()
 
 
-def number_of(frame: dict[str, Any]) -> int:
+def number_of(frame):
     return int(json.loads(frame["/tactune/frame"].data)["sequence"])
 
 
-def cloud_of(message: Any) -> np.ndarray[Any, Any]:
+def cloud_of(message):
     return np.frombuffer(bytes(message.data), "<f4").reshape(message.height, message.width, 3)
 
 
-def find(number: int, preset: Preset) -> tuple[SensorFrame, ContactPatch]:
+def find(number, preset):
     """Return a frame of the source that is served, and its patch."""
     with open_source("sim:cup") as source:
         assert source.length is not None
@@ -68,7 +62,7 @@ def find(number: int, preset: Preset) -> tuple[SensorFrame, ContactPatch]:
 
 
 @pytest.fixture
-def mesh(tmp_path: Path) -> Path:
+def mesh(tmp_path):
     """The mesh of the simulator's cup, in metres."""
     with open_source("sim:cup") as source:
         assert isinstance(source, SimulatorSource)
@@ -78,9 +72,9 @@ def mesh(tmp_path: Path) -> Path:
 
 
 @pytest.mark.long
-def test_a_pose_is_published_where_a_mesh_is_given(mesh: Path) -> None:
+def test_a_pose_is_published_where_a_mesh_is_given(mesh):
     asked = ("--mesh", str(mesh), "--unit", "m")
-    numbers: dict[int, int] = {}
+    numbers = {}
     with serving("--port", "0", *asked) as (_, port), FoxgloveClient(port) as client:
         client.subscribe(["/object/pose", "/tactune/frame"])
         for topic, stamp_ns, message in client.messages():
@@ -89,18 +83,15 @@ def test_a_pose_is_published_where_a_mesh_is_given(mesh: Path) -> None:
             elif stamp_ns in numbers:
                 break
     frame, _ = find(numbers[stamp_ns], load_preset("simulator"))
-    assert frame.truth is not None
     truth = np.array(frame.truth.T_proximity_object)
     position = message.pose.pose.position
     assert np.linalg.norm(np.array([position.x, position.y, position.z]) - truth[:3, 3]) < 0.03
 
 
-def test_frames_go_on_while_the_object_is_searched_and_the_end_ends_the_search(
-    mesh: Path, monkeypatch: pytest.MonkeyPatch, tactune: Callable[..., Finished]
-) -> None:
+def test_frames_go_on_while_the_object_is_searched_and_the_end_ends_the_search(mesh, monkeypatch, tactune):
     searches = []
 
-    def search(tracker: PoseTracker, patch: ContactPatch, time_s: float, go_on: Callable[[float], None]) -> None:
+    def search(tracker, patch, time_s, go_on):
         searches.append(patch.sequence)
         while True:
             go_on(0.5)
@@ -112,7 +103,7 @@ def test_frames_go_on_while_the_object_is_searched_and_the_end_ends_the_search(
     assert len(searches) == 1
 
 
-def test_tilt_goes_to_foxglove_beside_ros_2_and_both_end_cleanly() -> None:
+def test_tilt_goes_to_foxglove_beside_ros_2_and_both_end_cleanly():
     options = ("--port", "0", "--estimate", "tilt", "--ros2", "--domain", "77", "--namespace", "left")
     with serving(*options) as (process, port), FoxgloveClient(port) as client:
         assert process.stdout is not None
@@ -133,7 +124,7 @@ def test_tilt_goes_to_foxglove_beside_ros_2_and_both_end_cleanly() -> None:
     assert (seen["/contact/tilt"].vector.x, seen["/contact/tilt"].vector.y) == (tilt.roll_rad, tilt.pitch_rad)
 
 
-def test_other_computers_connect_only_where_asked() -> None:
+def test_other_computers_connect_only_where_asked():
     with serving("--port", "0", "--host", "0.0.0.0", address="0.0.0.0") as (process, port):
         assert process.stderr is not None
         said = read_line(process.stderr)
@@ -144,10 +135,8 @@ def test_other_computers_connect_only_where_asked() -> None:
             assert next(client.messages())[0] == "/contact/patch"
 
 
-def test_a_taken_port_is_told_before_the_source_opens(
-    monkeypatch: pytest.MonkeyPatch, tactune: Callable[..., Finished]
-) -> None:
-    opened: list[object] = []
+def test_a_taken_port_is_told_before_the_source_opens(monkeypatch, tactune):
+    opened = []
     monkeypatch.setattr("tactune.core.sources.registry.open_source", lambda *words: opened.append(words))
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
@@ -160,7 +149,7 @@ def test_a_taken_port_is_told_before_the_source_opens(
     assert not opened
 
 
-def test_the_layout_names_topics_that_exist(tmp_path: Path, tactune: Callable[..., Finished]) -> None:
+def test_the_layout_names_topics_that_exist(tmp_path, tactune):
     assert tactune("serve", "--layout", tmp_path / "tactune.json").status == 0
     text = (tmp_path / "tactune.json").read_text()
     topics = set(re.findall(r'"(/[a-z0-9_/]+)', text))

@@ -1,14 +1,10 @@
 """The command as a whole: version, help, the window, and start-up time."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import pytest
 import typer
@@ -16,15 +12,14 @@ import typer
 from tactune.app.cli import main
 from tactune.app.cli.common import default_preset
 
-Tactune = Callable[..., Any]
 HEAVY = ("numpy", "scipy", "cv2", "numba", "pydantic", "open3d", "PyQt6", "pyqtgraph")
 
 
-def test_version(tactune: Tactune) -> None:
+def test_version(tactune):
     assert tactune("--version").out == f"tactune {version('tactune')}\n"
 
 
-def test_help_is_one_screen_with_every_command(tactune: Tactune) -> None:
+def test_help_is_one_screen_with_every_command(tactune):
     finished = tactune("--help")
     assert finished.status == 0
     lines = finished.out.splitlines()
@@ -38,7 +33,7 @@ def test_help_is_one_screen_with_every_command(tactune: Tactune) -> None:
     assert sorted(shown) == sorted(name for names in main.GROUPS.values() for name in names)
 
 
-def test_the_tab_key_completes_commands() -> None:
+def test_the_tab_key_completes_commands():
     words = {"COMP_WORDS": "tactune re", "COMP_CWORD": "1", "_TACTUNE_COMPLETE": "complete_bash"}
     done = subprocess.run(
         [sys.executable, "-m", "tactune.app"], capture_output=True, text=True, env=os.environ | words, check=False
@@ -46,7 +41,7 @@ def test_the_tab_key_completes_commands() -> None:
     assert done.stdout.split() == ["record", "recheck"]
 
 
-def test_help_imports_nothing_heavy() -> None:
+def test_help_imports_nothing_heavy():
     program = (
         "import sys; from tactune.app.cli.main import main; sys.argv = ['tactune', '--help']; main(); "
         f"print([name for name in {HEAVY} if name in sys.modules])"
@@ -56,17 +51,17 @@ def test_help_imports_nothing_heavy() -> None:
 
 
 @pytest.fixture
-def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
+def opened(monkeypatch):
     """Stand in for the window and note what it is asked to show."""
     monkeypatch.setenv("QT_QPA_PLATFORM", "offscreen")
     from tactune.app import gui
 
-    calls: list[tuple[Any, ...]] = []
+    calls = []
     monkeypatch.setattr(gui, "run_gui", lambda *words: calls.append(words))
     return calls
 
 
-def test_the_window_opens_on_the_simulator_or_what_it_is_told(tactune: Tactune, opened: list[tuple[Any, ...]]) -> None:
+def test_the_window_opens_on_the_simulator_or_what_it_is_told(tactune, opened):
     assert tactune().status == 0
     assert tactune("gui", "--source", "sim:cup", "--preset", "default", "--screenshot", "window.png").status == 0
     assert opened == [("sim", "simulator", None), ("sim:cup", "default", Path("window.png"))]
@@ -79,7 +74,7 @@ def test_the_window_opens_on_the_simulator_or_what_it_is_told(tactune: Tactune, 
         ("sys.meta_path.insert(0, WithoutLibrary)", "libEGL.so.1"),
     ],
 )
-def test_a_window_that_cannot_open_says_what_to_install(obstacle: str, remedy: str) -> None:
+def test_a_window_that_cannot_open_says_what_to_install(obstacle, remedy):
     program = f"""
 import sys
 class WithoutLibrary:
@@ -101,13 +96,13 @@ sys.exit(main())
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is always a display")
-def test_without_a_display_the_window_is_declined(tactune: Tactune, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_display_the_window_is_declined(tactune, monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
         monkeypatch.delenv(name, raising=False)
     assert "tactune run" in tactune().sentence
 
 
-def test_a_display_that_does_not_answer_is_said_in_words(tactune: Tactune, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_display_that_does_not_answer_is_said_in_words(tactune, monkeypatch):
     for name in ("WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("DISPLAY", ":9999")
@@ -119,5 +114,5 @@ def test_a_display_that_does_not_answer_is_said_in_words(tactune: Tactune, monke
     [("sim", "simulator"), ("sim:cup?seed=3", "simulator"), ("live:sim", "simulator"), ("live:sim:cube", "simulator"),
      ("folder:sim", "default"), ("realsense:", "default"), ("live:folder:x", "default"), ("similar.bag", "default")],
 )  # fmt: skip
-def test_the_simulator_has_a_preset_of_its_own(source: str, preset: str) -> None:
+def test_the_simulator_has_a_preset_of_its_own(source, preset):
     assert default_preset(source) == preset

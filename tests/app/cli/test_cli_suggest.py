@@ -1,11 +1,5 @@
 """``tactune preset suggest``: proposals with their evidence, and the preset that they give."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
 import pytest
 
 from tactune.core.preset.file import save_preset
@@ -13,13 +7,12 @@ from tactune.core.sources.folder import export_folder
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 
-Tactune = Callable[..., Any]
 SCENE = "sim:cup?press=medium"
 SHIPPED = load_preset("simulator")
 
 
 @pytest.fixture
-def spoiled(tmp_path: Path) -> Path:
+def spoiled(tmp_path):
     """A preset without mask and with a wrong depth offset."""
     save_preset(
         SHIPPED.with_values({"mask.enabled": False, "alignment.depth_offset_m": 0.012}), tmp_path / "spoiled.json"
@@ -27,7 +20,7 @@ def spoiled(tmp_path: Path) -> Path:
     return tmp_path / "spoiled.json"
 
 
-def test_each_proposal_is_printed_and_all_are_written(tactune: Tactune, spoiled: Path, tmp_path: Path) -> None:
+def test_each_proposal_is_printed_and_all_are_written(tactune, spoiled, tmp_path):
     out = tmp_path / "mended.json"
     finished = tactune("preset", "suggest", "--source", SCENE, "--preset", spoiled, "--out", out)
     assert finished.status == 0
@@ -41,7 +34,7 @@ def test_each_proposal_is_printed_and_all_are_written(tactune: Tactune, spoiled:
     assert load_preset(tmp_path / "set.json").mask == mended.mask
 
 
-def test_a_section_without_evidence_is_refused_with_the_remedy(tactune: Tactune, tmp_path: Path) -> None:
+def test_a_section_without_evidence_is_refused_with_the_remedy(tactune, tmp_path):
     with open_source("sim:octopus?press=low&sensor=datasheet") as source:
         export_folder(source, tmp_path / "pressed", frames=1)
     save_preset(load_preset("simulator").with_value("mask.enabled", False), tmp_path / "bare.json")
@@ -49,7 +42,7 @@ def test_a_section_without_evidence_is_refused_with_the_remedy(tactune: Tactune,
     assert "capture an untouched frame" in tactune(*named, "--section", "mask").sentence
 
 
-def test_the_present_frame_can_be_chosen(tactune: Tactune) -> None:
+def test_the_present_frame_can_be_chosen(tactune):
     named = ("preset", "suggest", "--source", "sim:cup", "--preset", "default", "--section", "mask")
     areas = [tactune(*named, "--frame", number).out.partition("changes from ")[2] for number in (0, 45)]
     assert float(areas[0].split()[0]) < float(areas[1].split()[0])

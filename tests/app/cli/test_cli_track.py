@@ -1,7 +1,5 @@
 """``tactune track``: poses as other programs read them, and what it refuses."""
 
-from __future__ import annotations
-
 import csv
 
 import numpy as np

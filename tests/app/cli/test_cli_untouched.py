@@ -1,11 +1,6 @@
 """``tactune preset capture-untouched``, the users of the untouched frame, and ``tactune recheck``."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from datetime import UTC, datetime
-from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -16,44 +11,40 @@ from tactune.core.preset.file import save_preset
 from tactune.core.rig.untouched import load_untouched
 from tactune.core.sources.presets import load_preset
 
-Tactune = Callable[..., Any]
 LAST_YEAR = datetime(2025, 6, 1, tzinfo=UTC)
 
 
 @pytest.fixture
-def mine(tmp_path: Path) -> Path:
+def mine(tmp_path):
     """A preset of last year in a folder of its own."""
     save_preset(Preset(name="mine", created=LAST_YEAR, modified=LAST_YEAR), tmp_path / "presets" / "mine.json")
     return tmp_path / "presets" / "mine.json"
 
 
 @pytest.fixture
-def captured(tactune: Tactune, recording: Path, mine: Path) -> Path:
+def captured(tactune, recording, mine):
     """The preset with the recording's flat membrane, which its frames keep, as its untouched frame."""
     assert tactune("preset", "capture-untouched", "--source", recording, "--preset", mine).status == 0
     return mine
 
 
-def set_tactile_depth(recording: Path, counts: int) -> None:
+def set_tactile_depth(recording, counts):
     for image in recording.glob("**/tactile_depth.png"):
         shape = cv2.imread(str(image), cv2.IMREAD_UNCHANGED).shape
         cv2.imwrite(str(image), np.full(shape, counts, np.uint16))
 
 
-def test_capturing_puts_a_file_beside_the_preset(tactune: Tactune, recording: Path, mine: Path) -> None:
+def test_capturing_puts_a_file_beside_the_preset(tactune, recording, mine):
     finished = tactune("preset", "capture-untouched", "--source", recording, "--preset", mine)
     assert finished.status == 0
     assert "averaged 4 frames" in finished.out
     preset = load_preset(mine)
-    assert preset.untouched is not None
     assert preset.untouched.frames == 4
     assert (load_untouched(preset.untouched, mine).tactile_depth == 3000).all()
     assert preset.created == LAST_YEAR < preset.modified
 
 
-def test_a_touched_membrane_is_no_untouched_frame_where_the_mask_hides_the_prints(
-    tactune: Tactune, recording: Path, mine: Path
-) -> None:
+def test_a_touched_membrane_is_no_untouched_frame_where_the_mask_hides_the_prints(tactune, recording, mine):
     words = ("preset", "capture-untouched", "--source", recording, "--preset", mine)
     assert tactune(*words).status == 0
     save_preset(Preset(name="mine").with_values({"mask.enabled": True, "mask.hue": (140, 170)}), mine)
@@ -66,9 +57,7 @@ def test_a_touched_membrane_is_no_untouched_frame_where_the_mask_hides_the_print
     assert load_preset(mine).untouched is not None
 
 
-def test_recheck_says_that_all_holds_or_ends_with_1_after_a_drift(
-    tactune: Tactune, recording: Path, captured: Path
-) -> None:
+def test_recheck_says_that_all_holds_or_ends_with_1_after_a_drift(tactune, recording, captured):
     finished = tactune("recheck", "--source", recording, "--preset", captured)
     assert finished.status == 0
     assert "alignment was not checked" in finished.err, "the recording has no tactile colour"

@@ -1,29 +1,22 @@
 """``tactune run --watch``: the check for drift without a window."""
 
-from __future__ import annotations
-
 import shlex
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import pytest
 
 from drifted import Drift
 from drifting import drifted, record_looks
 
-Tactune = Callable[..., Any]
-
 
 @pytest.fixture(scope="module")
-def moved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def moved(tmp_path_factory):
     """A recording with a frame in ten seconds; after 40 s the tactile camera stands 2 mm beside its place."""
     path = tmp_path_factory.mktemp("moved") / "moved.mcap"
     record_looks(path, [drifted()] * 4 + [drifted(Drift("tactile", (0.002, 0.0, 0.0)))] * 4)
     return path
 
 
-def test_a_moved_camera_is_logged_once_with_its_number_and_the_re_check(tactune: Tactune, moved: Path) -> None:
+def test_a_moved_camera_is_logged_once_with_its_number_and_the_re_check(tactune, moved):
     finished = tactune("run", "--source", moved, "--watch")
     assert finished.status == 0
     [line] = [line for line in finished.err.splitlines() if "moved" in line and "has moved" in line]

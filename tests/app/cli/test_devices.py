@@ -1,7 +1,5 @@
 """``tactune devices`` with cameras, without cameras, and with a driver that is missing, hangs or crashes."""
 
-from __future__ import annotations
-
 import pytest
 
 from tactune.app.doctor import checks as doctor

@@ -1,7 +1,5 @@
 """``tactune doctor``: each check on a working system and with each simulated fault."""
 
-from __future__ import annotations
-
 import json
 import os
 

@@ -1,11 +1,7 @@
 """What a command cannot do is one sentence that names it, exit status 2, and no file."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -68,9 +64,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("words", "named"), REFUSED)
-def test_it_is_one_sentence_and_writes_nothing(
-    tactune: Callable[..., Any], recording: Path, tmp_path: Path, words: str, named: str
-) -> None:
+def test_it_is_one_sentence_and_writes_nothing(tactune, recording, tmp_path, words, named):
     out, shipped = tmp_path / "out", Path(str(resources.files("tactune.presets"))) / "simulator.json"
     out.mkdir()
     (recording / "precious.mcap").write_text("precious")

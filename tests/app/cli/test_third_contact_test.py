@@ -1,7 +1,5 @@
 """Adding a contact test needs one file and one line; tested in a copy of the program."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -39,7 +37,7 @@ for words in json.loads(sys.argv[1]):
 
 
 @pytest.fixture
-def program(tmp_path: Path) -> Path:
+def program(tmp_path):
     """Return a folder with the program, in which the toy's file and line have been added."""
     package = tmp_path / "program" / "tactune"
     for folder in ("app", "widgets", "presets", "core"):
@@ -63,7 +61,7 @@ def program(tmp_path: Path) -> Path:
     return tmp_path / "program"
 
 
-def python(program: Path, *words: str) -> str:
+def python(program, *words):
     environment = os.environ | {"PYTHONPATH": str(program), "QT_QPA_PLATFORM": "offscreen"}
     done = subprocess.run(
         [sys.executable, *words], check=False, capture_output=True, text=True, env=environment, cwd=program
@@ -72,7 +70,7 @@ def python(program: Path, *words: str) -> str:
     return done.stdout
 
 
-def test_a_third_contact_test_is_one_file_and_one_line(program: Path, recording: Path, tmp_path: Path) -> None:
+def test_a_third_contact_test_is_one_file_and_one_line(program, recording, tmp_path):
     preset, rig = str(tmp_path / "toy.json"), str(recording / "rig.json")
     schema, _, frames, _ = python(program, "-c", COMMANDS, json.dumps([
         ["preset", "schema"],

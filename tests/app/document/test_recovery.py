@@ -17,7 +17,7 @@ def document(qtbot, preset):
     return Document(preset)
 
 
-def crash(autosave: Autosave) -> None:
+def crash(autosave):
     """End as a killed process does: the file stays, the lock is free."""
     autosave.flush()
     autosave.close(keep=True)

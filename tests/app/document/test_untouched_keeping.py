@@ -1,11 +1,7 @@
 """The untouched frame of the window's preset: saved, recovered after a crash, recorded, read from recordings."""
 
-from __future__ import annotations
-
 import shutil
-from pathlib import Path
 
-import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
@@ -23,12 +19,12 @@ RIG = tiny_rig()
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> UntouchedStore:
+def store(tmp_path):
     return UntouchedStore(tmp_path / "store")
 
 
 @pytest.fixture
-def document(qapp, store: UntouchedStore) -> Document:
+def document(qapp, store):
     """A new preset with a captured untouched frame, not saved yet."""
     made = Document(Preset(name="new"))
     made.untouched_store = store
@@ -36,7 +32,7 @@ def document(qapp, store: UntouchedStore) -> Document:
     return made
 
 
-def kept_beside(path: Path) -> np.ndarray:
+def kept_beside(path):
     record = load_preset(path).untouched
     assert record is not None
     return load_untouched(record, path).tactile_depth
@@ -45,7 +41,7 @@ def kept_beside(path: Path) -> np.ndarray:
 # Saving
 
 
-def test_the_untouched_frame_goes_wherever_the_preset_is_saved(document: Document, tmp_path: Path) -> None:
+def test_the_untouched_frame_goes_wherever_the_preset_is_saved(document, tmp_path):
     first, renamed, elsewhere = (tmp_path / name for name in ("a/one.json", "a/two.json", "b/three.json"))
     for path in (first, renamed, elsewhere):
         document.save(path)
@@ -58,8 +54,8 @@ def test_the_untouched_frame_goes_wherever_the_preset_is_saved(document: Documen
     assert kept_beside(tmp_path / "c" / "four.json").any()
 
 
-def test_a_lost_untouched_frame_is_a_warning_when_saving(document: Document, tmp_path: Path) -> None:
-    warnings: list[str] = []
+def test_a_lost_untouched_frame_is_a_warning_when_saving(document, tmp_path):
+    warnings = []
     document.warned.connect(warnings.append)
     for file in (tmp_path / "store").glob("*.npz"):
         file.unlink()
@@ -73,7 +69,7 @@ def test_a_lost_untouched_frame_is_a_warning_when_saving(document: Document, tmp
 # The window
 
 
-def capture(qtbot, window) -> None:
+def capture(qtbot, window):
     window.actions_.capture_untouched.trigger()
     opened = window.untouched.window
     opened.panel.wanted = 3

@@ -1,9 +1,5 @@
 """The window that checks the cameras, opened from the main window, on sources with known errors."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
@@ -13,10 +9,8 @@ from fakes import FakeSource
 from hands import LEFT, show_source
 from side_by_side import HEIGHT, PRINT_MASK, WIDTH, Wall, WallCameras, counts
 from tactune.app.rig import gather
-from tactune.app.window.main_window import MainWindow
 from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
-from tactune.core.sources.base import FrameSource
 
 DELAY_S = 0.120
 
@@ -49,14 +43,11 @@ def press(index, rig):
     return frame(index, rig, board(index / 30) + noise[0], membrane + noise[1])
 
 
-Open = Callable[[FrameSource], MainWindow]
-
-
 @pytest.fixture
-def open_checks(qtbot, make_window) -> Open:
+def open_checks(qtbot, make_window):
     """A main window on a source, with the check window open."""
 
-    def make(source: FrameSource) -> MainWindow:
+    def make(source):
         values = {"contact_test": "tolerance", "outliers.enabled": False, **PRINT_MASK}
         main = make_window(Preset().with_values(values))
         show_source(qtbot, main, source)

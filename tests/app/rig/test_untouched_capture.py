@@ -1,7 +1,5 @@
 """Capturing the untouched frame in the window, by mouse and keys."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from threading import Event
 

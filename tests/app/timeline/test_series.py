@@ -1,7 +1,5 @@
 """Series over time equal the pipeline's patches frame by frame; every frame is visited once."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

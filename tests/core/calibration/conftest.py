@@ -1,11 +1,8 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from tactune.core.calibration.geometry import mapped
 from tactune.core.calibration.points import PointArrays
-from tactune.core.model.frames import Rig
 from tactune.core.sources.simulator.scene import simulator_rig
 
 
@@ -40,10 +37,10 @@ class Plane:
 
 
 @pytest.fixture(scope="session")
-def plane() -> Plane:
+def plane():
     return Plane()
 
 
 @pytest.fixture(scope="session")
-def rig() -> Rig:
+def rig():
     return simulator_rig()

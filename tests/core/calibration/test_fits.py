@@ -1,7 +1,5 @@
 """Fits of both models: right, as good as theory allows, robust against wrong pairs, and refused where nothing fits."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -1,7 +1,5 @@
 """Snapshots, texture matching and the re-check, on the simulator's frames."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

@@ -1,7 +1,5 @@
 """Lenses from pictures of a chessboard, and nominal ones: what is fitted, and what is refused."""
 
-from __future__ import annotations
-
 import shutil
 
 import cv2

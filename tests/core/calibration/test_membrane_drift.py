@@ -1,7 +1,5 @@
 """Drift since the untouched frame: pressure, camera pose, contact, or none."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -24,11 +22,11 @@ RADIUS = np.hypot(U - LENS.cx, V - LENS.cy) / 55
 PRINTS = sum(np.hypot(U - u, V - v) < 9 for u, v in ((50, 40), (110, 50), (80, 90))) > 0
 
 
-def membrane(bulge_m: float = BULGE_M) -> np.ndarray:
+def membrane(bulge_m=BULGE_M):
     return RIM_M + bulge_m * (1 - RADIUS**2)
 
 
-def seen(tactile_m: np.ndarray, proximity_m: np.ndarray | None = None, seed: int = 1) -> SensorFrame:
+def seen(tactile_m, proximity_m=None, seed=1):
     """A frame with noise; off the prints the proximity camera sees the room, which may be another each time."""
     rng = np.random.default_rng(seed)
     tactile = np.where(RADIUS < 1, tactile_m + rng.normal(0, 0.0006, tactile_m.shape), 0.0)
@@ -45,7 +43,7 @@ def seen(tactile_m: np.ndarray, proximity_m: np.ndarray | None = None, seed: int
 UNTOUCHED = seen(membrane(), seed=0)
 
 
-def test_the_same_membrane_is_fine() -> None:
+def test_the_same_membrane_is_fine():
     drift = compare_with_untouched(Preset(), RIG, seen(membrane()), UNTOUCHED)
     assert drift.verdict == "fine"
     assert drift.moved_m["tactile"] < 1e-4
@@ -54,7 +52,7 @@ def test_the_same_membrane_is_fine() -> None:
 
 
 @pytest.mark.parametrize("more_m", [0.004, -0.003])
-def test_another_pressure_is_told_from_a_camera_that_moved(more_m: float) -> None:
+def test_another_pressure_is_told_from_a_camera_that_moved(more_m):
     drift = compare_with_untouched(Preset(), RIG, seen(membrane(BULGE_M + more_m)), UNTOUCHED)
     assert drift.verdict == "inflation"
     assert drift.inflation_m == pytest.approx(more_m, rel=0.1)
@@ -62,7 +60,7 @@ def test_another_pressure_is_told_from_a_camera_that_moved(more_m: float) -> Non
     assert drift.moved_m["tactile"] < LIMIT_M / 2
 
 
-def test_another_pressure_is_told_where_the_proximity_camera_stands_farther_back() -> None:
+def test_another_pressure_is_told_where_the_proximity_camera_stands_farther_back():
     back_m = 0.02
     pose = np.eye(4)
     pose[2, 3] = back_m
@@ -82,7 +80,7 @@ def test_another_pressure_is_told_where_the_proximity_camera_stands_farther_back
         (0.002, 0.002, "Both cameras have moved"),
     ],
 )
-def test_an_offset_up_to_the_rim_is_a_camera(tactile: np.ndarray, proximity: float, said: str) -> None:
+def test_an_offset_up_to_the_rim_is_a_camera(tactile, proximity, said):
     now = membrane()
     drift = compare_with_untouched(Preset(), RIG, seen(now + tactile, now + proximity), UNTOUCHED)
     assert drift.verdict == "camera"
@@ -90,21 +88,21 @@ def test_an_offset_up_to_the_rim_is_a_camera(tactile: np.ndarray, proximity: flo
     assert abs(drift.inflation_m) < LIMIT_M / 2
 
 
-def test_a_dent_is_a_touch_and_no_drift() -> None:
+def test_a_dent_is_a_touch_and_no_drift():
     dent = 0.012 * np.exp(-((U - 60) ** 2 + (V - 50) ** 2) / (2 * 10**2))
     drift = compare_with_untouched(Preset(), RIG, seen(membrane() - dent, membrane()), UNTOUCHED)
     assert drift.verdict == "touched"
     assert "remove it" in drift.sentence
 
 
-def test_without_prints_the_proximity_camera_is_not_judged() -> None:
+def test_without_prints_the_proximity_camera_is_not_judged():
     plain = replace(UNTOUCHED, proximity_depth=np.full((HEIGHT, WIDTH), 2600, np.uint16))
     drift = compare_with_untouched(Preset(), RIG, seen(membrane()), plain)
     assert drift.verdict == "fine"
     assert "sees too little" in drift.sentence
 
 
-def test_frames_that_cannot_be_compared_are_refused() -> None:
+def test_frames_that_cannot_be_compared_are_refused():
     with pytest.raises(CalibrationError, match="only 0 pixels"):
         compare_with_untouched(
             Preset(), RIG, replace(UNTOUCHED, tactile_depth=np.zeros((HEIGHT, WIDTH), np.uint16)), UNTOUCHED

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -77,7 +75,7 @@ def test_a_file_that_is_not_there_is_named(tmp_path):
 TABLE = [HEADER.split(","), ["1", "1", "1.5", "2", "3", "4", "0.25"], ["a b", "0", "-1.5", "2", "3", "5", ""]]
 
 
-def joined(separator: str, rows: list[list[str]] = TABLE, end: str = "\n") -> str:
+def joined(separator, rows=TABLE, end="\n"):
     return end.join(separator.join(row) for row in rows) + end
 
 

@@ -1,7 +1,5 @@
 """The temporal average of depth while the membrane is still."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +17,7 @@ def rig(make_rig):
     return make_rig(width=160, height=120)
 
 
-def frames_of(make_frame, rig, count: int, noise_m: float = 0.0008, share_missing: float = 0.1):
+def frames_of(make_frame, rig, count, noise_m=0.0008, share_missing=0.1):
     return [make_frame(rig, seed, noise_m, share_missing) for seed in range(count)]
 
 

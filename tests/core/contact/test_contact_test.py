@@ -1,7 +1,5 @@
 """The membrane contact test as an option of the pipeline."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +15,7 @@ from tactune.core.contact.membrane.test import MembraneTest
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.contact.pixels import Pixels, Workspace, colors_at, in_hsv_range
 from tactune.core.model.clouds import ray_table
-from tactune.core.model.frames import Rig, SensorFrame
+from tactune.core.model.frames import SensorFrame
 from tactune.core.model.patch import Provenance
 from tactune.core.preset import Preset
 
@@ -31,12 +29,12 @@ NOISE = {"proximity": _CAMERA, "tactile": _CAMERA, "bias_m": 0.0004, "bias_sigma
 
 
 @pytest.fixture(scope="module")
-def rig() -> Rig:
+def rig():
     """Two cameras in one place, so that pixels compare one by one."""
     return one_place_rig(WIDTH, HEIGHT, 300.0, 1e-5, 1e-5)
 
 
-def frame_of(gap_m, color=None) -> SensorFrame:
+def frame_of(gap_m, color=None):
     """A flat membrane and an object so far behind it; nan where the proximity camera sees nothing."""
     proximity = np.nan_to_num(np.rint((MEMBRANE_M + gap_m) / 1e-5)).astype(np.uint16)
     tactile = np.full((HEIGHT, WIDTH), round(MEMBRANE_M / 1e-5), np.uint16)
@@ -44,7 +42,7 @@ def frame_of(gap_m, color=None) -> SensorFrame:
 
 
 @pytest.fixture(scope="module")
-def scene() -> SensorFrame:
+def scene():
     """A disc in contact that leaves by the square of the way; beside it whatever else pixels can be."""
     v, u = np.mgrid[:HEIGHT, :WIDTH]
     r = np.hypot(u - 60, v - 60)
@@ -59,11 +57,11 @@ def scene() -> SensorFrame:
     return frame_of(gap, color)
 
 
-def masked(preset: Preset) -> Preset:
+def masked(preset):
     return preset.with_values({"mask.enabled": True, "mask.saturation": (100, 255), "mask.value": (100, 255)})
 
 
-def same_patch(one, other) -> bool:
+def same_patch(one, other):
     return (
         np.array_equal(one.provenance, other.provenance)
         and np.array_equal(one.mask, other.mask)

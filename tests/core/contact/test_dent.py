@@ -1,17 +1,11 @@
 """The dent test and rigs with a tactile camera only: files, recordings, and the simulator's truth."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
 from tactune.core import ContactPipeline, Preset, load_preset, open_source
 from tactune.core.errors import RigMismatchError
-from tactune.core.model.frames import Rig, SensorFrame
+from tactune.core.model.frames import SensorFrame
 from tactune.core.model.patch import Provenance
 from tactune.core.output.writer import export_mcap
 from tactune.core.rig.untouched import untouched_frame
@@ -22,7 +16,7 @@ PRESSED = "sim:cup?press=medium&cameras=tactile"
 
 
 @pytest.fixture(scope="module")
-def pressed() -> tuple[Rig, SensorFrame, SensorFrame]:
+def pressed():
     """The rig, a frame of a press and the untouched frame."""
     with open_source(PRESSED) as source:
         frame, untouched = source.next_frame(), untouched_frame(source)
@@ -31,21 +25,21 @@ def pressed() -> tuple[Rig, SensorFrame, SensorFrame]:
     return source.rig, frame, untouched
 
 
-def plane(depth_m: float, dent_m: float = 0.0) -> SensorFrame:
+def plane(depth_m, dent_m=0.0):
     """A flat membrane of 48 x 64 pixels with a square dent of 20 pixels."""
     metres = np.full((48, 64), depth_m)
     metres[14:34, 20:40] -= dent_m
     return SensorFrame.of_one_camera(0, np.rint(metres / 1e-4).astype(np.uint16), None, 0.0)
 
 
-def flat_rig() -> Rig:
+def flat_rig():
     camera = {"model": "D405", "width": 64, "height": 48, "fx": 60, "fy": 60, "cx": 31.5, "cy": 23.5}
     from tactune.core.model.rig_file import parse_rig
 
     return parse_rig({"tactile": camera | {"depth_unit_m": 1e-4}}, "here")
 
 
-def test_a_dent_is_found_where_numpy_sees_it_and_a_bulge_is_none() -> None:
+def test_a_dent_is_found_where_numpy_sees_it_and_a_bulge_is_none():
     rig, untouched = flat_rig(), plane(0.3)
     pipeline = ContactPipeline(DENT.with_value("dent.min_area_mm2", 0.0), rig, untouched)
     patch = pipeline.process(plane(0.3, dent_m=0.01))
@@ -58,7 +52,7 @@ def test_a_dent_is_found_where_numpy_sees_it_and_a_bulge_is_none() -> None:
     assert not pipeline.process(plane(0.3, dent_m=0.003)).mask.any()
 
 
-def test_small_dents_and_holes_and_noise_are_no_contact() -> None:
+def test_small_dents_and_holes_and_noise_are_no_contact():
     rig, untouched = flat_rig(), plane(0.3)
     dented = plane(0.3, dent_m=0.01)
     area_mm2 = ContactPipeline(DENT, rig, untouched).process(dented).area_mm2
@@ -72,7 +66,7 @@ def test_small_dents_and_holes_and_noise_are_no_contact() -> None:
     assert not len(ContactPipeline(DENT, rig, untouched).process(hidden).points)
 
 
-def test_steps_are_cached_and_a_change_of_the_limit_finds_more(pressed: tuple[Rig, SensorFrame, SensorFrame]) -> None:
+def test_steps_are_cached_and_a_change_of_the_limit_finds_more(pressed):
     rig, frame, untouched = pressed
     pipeline = ContactPipeline(DENT, rig, untouched)
     first = pipeline.process(frame)
@@ -84,11 +78,9 @@ def test_steps_are_cached_and_a_change_of_the_limit_finds_more(pressed: tuple[Ri
 
 
 @pytest.mark.parametrize("name", ["cup?press=medium", "octopus?press=medium"])
-def test_the_true_contact_is_dented_and_what_hovers_is_not(name: str) -> None:
+def test_the_true_contact_is_dented_and_what_hovers_is_not(name):
     with open_source(f"sim:{name}&cameras=tactile") as source:
         frame, untouched = source.next_frame(), untouched_frame(source)
-    assert frame is not None
-    assert frame.truth is not None
     dented = ContactPipeline(DENT, source.rig, untouched).process(frame).mask
     assert (dented & frame.truth.contact).sum() > 0.9 * frame.truth.contact.sum()
     with open_source("sim:cup?gap=5&cameras=tactile") as hovering:
@@ -98,12 +90,10 @@ def test_the_true_contact_is_dented_and_what_hovers_is_not(name: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["folder", "recording"])
-def test_a_recording_of_one_camera_gives_the_same_patch(
-    pressed: tuple[Rig, SensorFrame, SensorFrame], tmp_path: Path, kind: str
-) -> None:
+def test_a_recording_of_one_camera_gives_the_same_patch(pressed, tmp_path, kind):
     rig, frame, untouched = pressed
     with open_source(PRESSED) as source:
-        write: Callable[..., Any] = export_folder if kind == "folder" else export_mcap
+        write = export_folder if kind == "folder" else export_mcap
         path = tmp_path / ("take" if kind == "folder" else "take.mcap")
         write(source, path, 2)
     with open_source(str(path)) as stored:
@@ -117,7 +107,7 @@ def test_a_recording_of_one_camera_gives_the_same_patch(
     assert np.array_equal(ours, theirs)
 
 
-def test_what_needs_two_cameras_or_an_untouched_frame_says_so(pressed: tuple[Rig, SensorFrame, SensorFrame]) -> None:
+def test_what_needs_two_cameras_or_an_untouched_frame_says_so(pressed):
     rig, frame, _ = pressed
     with pytest.raises(RigMismatchError, match="tactile camera only; choose the contact test dent"):
         ContactPipeline(load_preset("default"), rig)

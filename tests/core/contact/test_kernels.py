@@ -1,7 +1,5 @@
 """The kernels: the coarse test is safe, the colour test is OpenCV's, cached machine code is never stale."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
@@ -27,11 +25,11 @@ from tactune.core.preset import MaskSection, Preset
 PRESET = Preset(contact_test="tolerance")
 
 
-def pixels_of(preset, rig) -> Pixels:
+def pixels_of(preset, rig):
     return Pixels(preset, rig, make_alignment(preset.alignment, rig), Workspace(rig))
 
 
-def tiles_with_candidates(preset, rig, frame) -> np.ndarray:
+def tiles_with_candidates(preset, rig, frame):
     verdicts = pixels_of(preset, rig).classify(frame, preset.tolerance.t)
     v, u = np.nonzero(verdicts == Provenance.CONTACT)
     tiles = np.zeros(tile_grid(frame.proximity_depth.shape[1], frame.proximity_depth.shape[0]), bool)
@@ -39,7 +37,7 @@ def tiles_with_candidates(preset, rig, frame) -> np.ndarray:
     return tiles
 
 
-def marked(preset, rig, frame) -> np.ndarray:
+def marked(preset, rig, frame):
     pixels = pixels_of(preset, rig)
     tiles, count = pixels.coarse.tiles(depth_images(frame), pixels.test(preset.tolerance.t).limits)
     assert count == tiles.sum()
@@ -120,7 +118,7 @@ print(doubled(21.0))
 
 
 @pytest.fixture
-def package(tmp_path: Path) -> Path:
+def package(tmp_path):
     """A package like ours: a kernel that takes a function of another module in."""
     core = tmp_path / "small" / "core"
     core.mkdir(parents=True)
@@ -135,13 +133,13 @@ def package(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def _run(folder: Path) -> float:
+def _run(folder):
     environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
     program = [sys.executable, "-c", _PROGRAM.format(folder=str(folder))]
     return float(subprocess.run(program, capture_output=True, text=True, check=True, env=environment).stdout)
 
 
-def test_a_change_in_another_module_reaches_the_kernel(package: Path) -> None:
+def test_a_change_in_another_module_reaches_the_kernel(package):
     assert _run(package) == 42.0
     assert list(package.rglob("outer.doubled-*.nbi"))
     inner = package / "small" / "core" / "inner.py"

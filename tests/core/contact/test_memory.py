@@ -1,7 +1,5 @@
 """Processing frames needs no memory beyond that of the results."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

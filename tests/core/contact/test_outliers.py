@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -21,7 +19,7 @@ from tactune.core.model.frames import DepthCamera
 from tactune.core.model.intrinsics import Intrinsics
 
 
-def scene(seed: int, width: int, height: int, share: float, noise_m: float, distortion: str = "none"):
+def scene(seed, width, height, share, noise_m, distortion="none"):
     """A wavy, noisy surface seen through a random share of the pixels."""
     rng = np.random.default_rng(seed)
     lens = Intrinsics(

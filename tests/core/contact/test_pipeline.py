@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 
 import cv2
@@ -41,7 +39,7 @@ settings_of_all_kinds = st.fixed_dictionaries(
 )
 
 
-def same_patch(one, other) -> bool:
+def same_patch(one, other):
     return (
         np.array_equal(one.provenance, other.provenance)
         and np.array_equal(one.points.view(np.uint32), other.points.view(np.uint32))
@@ -209,7 +207,7 @@ def test_frames_of_the_wrong_shape_are_refused(make_rig, change, words):
 def test_pipelines_in_many_threads_give_the_same_bits():
     scenes = [synthetic_scene(points, 160, 120, seed=points) for points in (300, 2000, 6000, 19_000)]
 
-    def bits(scene) -> bytes:
+    def bits(scene):
         patch = ContactPipeline(scene.preset, scene.rig).process(scene.frame)
         return patch.points.tobytes() + patch.provenance.tobytes()
 

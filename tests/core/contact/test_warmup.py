@@ -1,7 +1,5 @@
 """Compilation before the first frame: cached on disk, without a writable disk, in threads and in forked processes."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -20,7 +18,7 @@ from fakes import tiny_frame, tiny_rig
 """
 
 
-def run(program: str, **environment: str) -> str:
+def run(program, **environment):
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", PROCESS + program],
         check=False, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(SUPPORT)} | environment,

@@ -1,7 +1,5 @@
 """The example ``examples/balance_tray.py``: a robot program that levels a tray by the tilt of its contact patch."""
 
-from __future__ import annotations
-
 import math
 import runpy
 from pathlib import Path

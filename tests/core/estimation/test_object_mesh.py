@@ -1,7 +1,5 @@
 """Meshes of objects from files: formats, units and refusals."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

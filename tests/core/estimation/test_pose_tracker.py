@@ -1,7 +1,5 @@
 """The pose of a known object, from patches of shapes whose free directions are known, and in simulated scenes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

@@ -1,7 +1,5 @@
 """Roll, pitch and long axis of a patch: exact planes, independent computations, what is not determined, sigmas."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

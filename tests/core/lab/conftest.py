@@ -37,30 +37,30 @@ class CircularMembrane:
     rim_m: float = RIM_M
     aside_m: float = 0.0
 
-    def shape(self, r, contact_radius_m: float):
+    def shape(self, r, contact_radius_m):
         """Height over the rim's plane per p / p0, metres; p0 / (4 T) is such that the apex is at ``apex_m``."""
         a, c = self.radius_m, contact_radius_m
         r = np.clip(np.asarray(r, float), max(c, 1e-9), a)
         return self.apex_m / a**2 * (a**2 - r**2 + 2 * c**2 * np.log(r / a))
 
-    def volume(self, contact_radius_m: float) -> float:
+    def volume(self, contact_radius_m):
         """Volume over the rim's plane per p / p0, by fine quadrature."""
         edges = np.linspace(0.0, self.radius_m, 20_001)
         r = (edges[1:] + edges[:-1]) / 2
         return float(np.sum(self.shape(r, contact_radius_m) * 2 * np.pi * r * np.diff(edges)))
 
-    def pressure(self, contact_radius_m: float) -> float:
+    def pressure(self, contact_radius_m):
         """p / p0 by the gas law, linear in the volume."""
         untouched = self.volume(0.0)
         absolute = (ATMOSPHERE_PA + self.gauge_pressure_pa) / self.gauge_pressure_pa
         gas = absolute / (self.housing_m3 + untouched)
         return (1 + gas * untouched) / (1 + gas * self.volume(contact_radius_m))
 
-    def height(self, r, contact_radius_m: float):
+    def height(self, r, contact_radius_m):
         """Height over the rim's plane, metres; the plate's own within its edge."""
         return self.pressure(contact_radius_m) * self.shape(r, contact_radius_m)
 
-    def depth_m(self, camera: Intrinsics, middle_x_m: float, contact_radius_m: float):
+    def depth_m(self, camera, middle_x_m, contact_radius_m):
         """Return depth and distance from the membrane's centre for each pixel, metres; nan outside the membrane."""
         x, y = np.moveaxis(camera.rays().astype(np.float64), 2, 0)
         depth = np.full(camera.shape, self.rim_m)
@@ -69,7 +69,7 @@ class CircularMembrane:
             depth = self.rim_m + self.height(r, contact_radius_m)
         return np.where(r <= self.radius_m, depth, np.nan), r
 
-    def frame(self, contact_radius_m: float, noise_m: float = 0.0, seed: int = 0, gap_m: float = 0.0) -> SensorFrame:
+    def frame(self, contact_radius_m, noise_m=0.0, seed=0, gap_m=0.0):
         """What is seen with a plate of radius c pressing; none for c = 0.
 
         With a gap the plate hovers that far above the untouched apex, and is as large as c.
@@ -91,12 +91,12 @@ class CircularMembrane:
         )
 
 
-def _counts(depth_m, unit_m: float):
+def _counts(depth_m, unit_m):
     return np.nan_to_num(np.rint(depth_m / unit_m)).astype(np.uint16)
 
 
 @pytest.fixture(scope="session")
-def small_rig() -> Rig:
+def small_rig():
     """Two cameras side by side without lens distortion, with fine depth counts."""
     camera = Intrinsics(width=320, height=240, fx=260.0, fy=260.0, cx=159.5, cy=119.5)
     pose = np.eye(4)
@@ -109,13 +109,13 @@ def small_rig() -> Rig:
 
 
 @pytest.fixture(scope="session")
-def shallow(small_rig: Rig) -> CircularMembrane:
+def shallow(small_rig):
     """Slopes up to 0.1, for which the closed forms hold to a hundredth."""
     return CircularMembrane(small_rig)
 
 
 @pytest.fixture(scope="session")
-def bulged(small_rig: Rig) -> CircularMembrane:
+def bulged(small_rig):
     """An apex of 20 mm."""
     return CircularMembrane(small_rig, apex_m=0.020)
 

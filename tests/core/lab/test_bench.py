@@ -1,7 +1,5 @@
 """The benchmark: exact engines agree, slower engines take longer, shortfalls are found."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys
@@ -15,7 +13,6 @@ from tactune.core.errors import TactuneError
 from tactune.core.lab import bench
 from tactune.core.lab.bench import (
     ENGINES,
-    BenchScene,
     Check,
     compare_engines,
     make_scene,
@@ -33,11 +30,11 @@ pytestmark = [
 
 
 @pytest.fixture(scope="module")
-def scene() -> BenchScene:
+def scene():
     return replace(synthetic_scene(3000, 160, 120), name="small")
 
 
-def test_baseline_and_pipeline_agree_with_the_float64_reference(scene: BenchScene) -> None:
+def test_baseline_and_pipeline_agree_with_the_float64_reference(scene):
     expected = reference_patch(scene.preset, scene.rig, scene.frame, np.float64).pixels
     assert len(expected) > 1000
     for name in ("numpy", "tactune"):
@@ -48,7 +45,7 @@ def test_baseline_and_pipeline_agree_with_the_float64_reference(scene: BenchScen
     assert len(np.intersect1d(pixels(), expected)) > 0.9 * len(expected) and len(near) > 1000
 
 
-def test_rows_and_names() -> None:
+def test_rows_and_names():
     rows = compare_engines(["empty"], ["tactune"], 3)
     assert [(row.engine, row.differing_px) for row in rows] == [("numpy", 0), ("tactune", 0)]
     assert rows[0].ratio == 1.0 and rows[1].ratio > 1.0 and math.isnan(rows[1].rmse_mm)
@@ -58,7 +55,7 @@ def test_rows_and_names() -> None:
     assert "empty" in scene_names()
 
 
-def test_a_check_that_falls_short_says_so_and_the_gate_finds_a_slow_pipeline(monkeypatch) -> None:
+def test_a_check_that_falls_short_says_so_and_the_gate_finds_a_slow_pipeline(monkeypatch):
     assert str(Check("speed", 5.9, 6)).startswith("SHORT speed: 5.90 (must be >= 6)")
     assert Check("speed", 6.0, 6).holds
     assert not Check("pixels", 1, 0, at_least=False).holds
@@ -70,7 +67,7 @@ def test_a_check_that_falls_short_says_so_and_the_gate_finds_a_slow_pipeline(mon
     assert [check.holds for check in bench.whole_pipeline(3, ["empty"])] == [False, True]
 
 
-def test_the_pipeline_imports_no_large_library_before_it_needs_one() -> None:
+def test_the_pipeline_imports_no_large_library_before_it_needs_one():
     large = {"scipy.spatial", "scipy.ndimage", "cv2", "open3d", "matplotlib"}
     program = f"import sys; from tactune.core import ContactPipeline; print(sorted({large} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)

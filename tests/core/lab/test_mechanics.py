@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +24,7 @@ def housing(monkeypatch):
     monkeypatch.setattr(module, "HOUSING_M3", 0.002)
 
 
-def disc(radius: float, rings: int, height) -> MembraneMesh:
+def disc(radius, rings, height):
     """A disc of rings of 6, 12, 18... nodes, lifted by a function of the radius."""
     from scipy.spatial import Delaunay
 
@@ -120,7 +118,7 @@ def test_untouched_frames_that_show_no_membrane_are_refused(bulged, cup_frames):
         MembraneMechanics(Preset(), bulged.rig, cup_frames[1])
 
 
-def mechanics(membrane, nodes=440) -> MembraneMechanics:
+def mechanics(membrane, nodes=440):
     return MembraneMechanics(Preset(), membrane.rig, membrane.frame(0.0), nodes)
 
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +15,7 @@ from tactune.core.sources.presets import load_preset
 BASELINE_M, RIM_M = 0.02, 0.25
 
 
-def inside(truth_depth, pixels: int = 6):
+def inside(truth_depth, pixels=6):
     """Pixels that see the membrane, and so do all within some pixels."""
     import cv2
 

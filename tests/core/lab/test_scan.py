@@ -1,7 +1,5 @@
 """Contact by paint: the clean-up, and the way from the simulator's painted scan to the scores of a recording."""
 
-from __future__ import annotations
-
 import csv
 
 import cv2

@@ -1,7 +1,5 @@
 """Strain of rendered sheets whose stretch is known, and of the simulator's membrane."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import islice
 

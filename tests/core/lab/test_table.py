@@ -1,7 +1,5 @@
 """The table of methods: its plan, cells on the simulator, what is stored, and averages by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """The connected parts of a patch."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -9,7 +7,7 @@ from rigs import one_place_rig
 from tactune.core.model.patch import AlignedDepth, ContactPatch, Lazy, Provenance
 
 
-def patch_of(mask: np.ndarray) -> ContactPatch:
+def patch_of(mask):
     """Return a patch of these pixels at 0.2 m, farther in the right half."""
     rig = one_place_rig(mask.shape[1], mask.shape[0], 50.0)
     camera, (v, u) = rig.proximity.intrinsics, np.nonzero(mask)
@@ -19,7 +17,7 @@ def patch_of(mask: np.ndarray) -> ContactPatch:
     return ContactPatch(0, points, verdicts, AlignedDepth.empty(mask.shape), rig, {}, mask=Lazy(lambda: mask))
 
 
-def test_contacts_are_the_connected_parts_the_largest_first() -> None:
+def test_contacts_are_the_connected_parts_the_largest_first():
     mask = np.zeros((40, 60), bool)
     mask[5:10, 5:15] = True  # 50 pixels at 0.2 m
     mask[10, 15] = True  # touches at a corner

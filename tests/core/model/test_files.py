@@ -1,11 +1,7 @@
 """Names of new files: taken by one of two programs, never by both."""
 
-from __future__ import annotations
-
 import os
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -20,17 +16,15 @@ WRITERS = {name: kind.new for name, kind in KINDS.items() if kind.new and not ki
 
 @pytest.mark.parametrize("links", [True, False])
 @pytest.mark.parametrize("kind", WRITERS)
-def test_a_name_that_another_program_takes_meanwhile_is_refused(
-    kind: str, links: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_name_that_another_program_takes_meanwhile_is_refused(kind, links, tmp_path, monkeypatch):
     """The second program writes its whole file at the moment when the first is about to name its own."""
-    others: list[dict[str, bytes]] = []
+    others = []
 
-    def contents() -> dict[str, bytes]:
+    def contents():
         return {str(file.relative_to(tmp_path)): file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
 
-    def after_the_other(name: Callable[..., Any]) -> Callable[..., Any]:
-        def call(*words: Any) -> Any:
+    def after_the_other(name):
+        def call(*words):
             if not others:
                 others.append({})
                 hidden = set(contents())
@@ -40,7 +34,7 @@ def test_a_name_that_another_program_takes_meanwhile_is_refused(
 
         return call
 
-    def no_links(*_: object) -> None:
+    def no_links(*_):
         raise PermissionError
 
     monkeypatch.setattr(os, "link", after_the_other(os.link if links else no_links))

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,7 +9,7 @@ from tactune.core.model.intrinsics import Distortion, Intrinsics
 COEFFICIENTS = (0.12, -0.22, 0.001, -0.0007, 0.08)
 
 
-def camera(distortion: str, coefficients: tuple[float, ...] = COEFFICIENTS) -> Intrinsics:
+def camera(distortion, coefficients=COEFFICIENTS):
     return Intrinsics(
         width=640, height=480, fx=460.0, fy=461.0, cx=318.2, cy=242.7, distortion=distortion, coefficients=coefficients
     )
@@ -22,7 +20,7 @@ def rs():
     return pytest.importorskip("pyrealsense2", reason="needs the extra realsense", exc_type=ImportError)
 
 
-def librealsense_intrinsics(rs, lens: Intrinsics):
+def librealsense_intrinsics(rs, lens):
     twin = rs.intrinsics()
     twin.width, twin.height = lens.width, lens.height
     twin.fx, twin.fy, twin.ppx, twin.ppy = lens.fx, lens.fy, lens.cx, lens.cy

@@ -1,7 +1,5 @@
 """Metrics against brute force, Open3D, and general properties."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -30,7 +28,7 @@ RIG = Rig(proximity=CAMERA, tactile=CAMERA)
 masks = npst.arrays(bool, (3, 4))
 
 
-def test_pixel_scores_by_hand() -> None:
+def test_pixel_scores_by_hand():
     mask = np.array([[1, 1, 1, 0, 0, 0]], bool)
     truth = np.array([[0, 1, 1, 1, 1, 1]], bool)
     assert pixel_scores(mask, truth) == PixelScores(iou=2 / 6, precision=2 / 3, recall=2 / 5)
@@ -39,7 +37,7 @@ def test_pixel_scores_by_hand() -> None:
 
 
 @given(masks, masks)
-def test_pixel_scores_are_shares_and_swap(mask: np.ndarray, truth: np.ndarray) -> None:
+def test_pixel_scores_are_shares_and_swap(mask, truth):
     scores, swapped = pixel_scores(mask, truth), pixel_scores(truth, mask)
     assert 0.0 <= scores.iou <= min(scores.precision, scores.recall) <= 1.0
     assert (scores.iou, scores.precision, scores.recall) == (swapped.iou, swapped.recall, swapped.precision)
@@ -47,7 +45,7 @@ def test_pixel_scores_are_shares_and_swap(mask: np.ndarray, truth: np.ndarray) -
     assert pixel_scores(mask.T, truth.T) == scores
 
 
-def two_clouds(seed: int, first: int, second: int):
+def two_clouds(seed, first, second):
     random = np.random.default_rng(seed)
     return random.normal(0.0, 0.05, (first, 3)), random.normal(0.01, 0.03, (second, 3))
 
@@ -75,7 +73,7 @@ def test_no_distance_to_nothing():
         assert math.isnan(TruthTree(truth).symmetric_rmses_m([patch])[0])
 
 
-def make_truth() -> GroundTruth:
+def make_truth():
     contact = np.zeros((4, 6), bool)
     contact[1, 2:5] = contact[3, 0] = True
     depth_m = np.linspace(0.2, 0.3, 24, dtype=np.float32).reshape(4, 6)
@@ -83,13 +81,13 @@ def make_truth() -> GroundTruth:
     return GroundTruth(contact, depth_m)
 
 
-def make_patch(mask: np.ndarray, points: np.ndarray) -> ContactPatch:
+def make_patch(mask, points):
     provenance = np.where(mask, Provenance.CONTACT, Provenance.OUTSIDE_TOLERANCE).astype(np.uint8)
     nothing = np.full(mask.shape, np.nan, np.float32)
     return ContactPatch(0, points, provenance, AlignedDepth(nothing, nothing), RIG, {})
 
 
-def test_truth_without_depth_has_no_cloud() -> None:
+def test_truth_without_depth_has_no_cloud():
     truth = GroundTruth(np.ones((4, 6), bool))
     assert truth_cloud(truth, RIG).points.shape == (0, 3)
     scores = compare_with_truth(make_patch(truth.contact, np.ones((24, 3), np.float32)), truth, RIG)
@@ -97,7 +95,7 @@ def test_truth_without_depth_has_no_cloud() -> None:
     assert math.isnan(scores["rmse_mm"])
 
 
-def test_a_patch_is_scored_in_pixels_and_millimetres() -> None:
+def test_a_patch_is_scored_in_pixels_and_millimetres():
     truth = make_truth()
     cloud = truth_cloud(truth, RIG).points
     mask = truth.contact.copy()

@@ -1,46 +1,41 @@
 """Small rigs and frames with distinctive numbers, and a comparison of frames."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 import pytest
 
 import capture_sources
 import folder_scenes
-from tactune.core.model.frames import Rig, SensorFrame
-from tactune.core.output import RecordingStatus, SessionWriter
+from tactune.core.output import SessionWriter
 
 
 @pytest.fixture(scope="session")
-def make_rig() -> Callable[..., Rig]:
+def make_rig():
     return folder_scenes.make_rig
 
 
 @pytest.fixture(scope="session")
-def rig(make_rig: Callable[..., Rig]) -> Rig:
+def rig(make_rig):
     return make_rig()
 
 
 @pytest.fixture(scope="session")
-def make_frame() -> Callable[..., SensorFrame]:
+def make_frame():
     """Make a frame of noise for a rig, different for each seed."""
     return lambda rig, seed=0, **changes: folder_scenes.make_frame(seed, rig, **changes)
 
 
 @pytest.fixture
-def make_frames(rig: Rig, make_frame: Callable[..., SensorFrame]) -> Callable[[int], list[SensorFrame]]:
+def make_frames(rig, make_frame):
     return lambda count: [make_frame(rig, seed) for seed in range(count)]
 
 
 @pytest.fixture(scope="session")
-def record() -> Callable[..., RecordingStatus]:
+def record():
     """Write frames to a file, losing none."""
 
-    def write(path: Path, rig: Rig, frames: list[SensorFrame], **options: object) -> RecordingStatus:
-        with SessionWriter(path, rig, **options) as writer:  # type: ignore[arg-type]
+    def write(path, rig, frames, **options):
+        with SessionWriter(path, rig, **options) as writer:
             for frame in frames:
                 assert writer.put(frame, wait=True)
         status = writer.close()
@@ -51,6 +46,6 @@ def record() -> Callable[..., RecordingStatus]:
 
 
 @pytest.fixture(scope="session")
-def same_frame() -> Callable[[SensorFrame, SensorFrame], bool]:
+def same_frame():
     """Whether two frames have the same bits; a recording does not hold the object's true pose."""
     return partial(capture_sources.same_frame, pose=False)

@@ -1,27 +1,17 @@
 """Bags with Tactune's topics from other programs: re-recorded, rewritten, differently compressed, without a rig."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from tactune.core.errors import SourceError
-from tactune.core.model.frames import Rig, SensorFrame
-from tactune.core.output import RecordingStatus
 from tactune.core.sources.mcap.source import McapSource
-
-Same = Callable[[SensorFrame, SensorFrame], bool]
 
 LATE_NS = {"/tactune/frame": 0, "/proximity/depth/image": 3_000_000, "/tactile/depth/image": 9_000_000}
 
 
 @pytest.fixture
-def frames(rig: Rig, make_frame: Callable[..., SensorFrame]) -> list[SensorFrame]:
+def frames(rig, make_frame):
     """Frames at 30 Hz."""
     return [
         make_frame(rig, seed, proximity_time_s=2.0 + seed / 30, tactile_time_s=2.001 + seed / 30) for seed in range(5)
@@ -29,18 +19,18 @@ def frames(rig: Rig, make_frame: Callable[..., SensorFrame]) -> list[SensorFrame
 
 
 @pytest.fixture
-def ours(tmp_path: Path, rig: Rig, frames: list[SensorFrame], record: Callable[..., RecordingStatus]) -> Path:
+def ours(tmp_path, rig, frames, record):
     record(tmp_path / "ours.mcap", rig, frames)
     return tmp_path / "ours.mcap"
 
 
-def rewrite(ours: Path, target: Path, without: tuple[str, ...] = (), late: bool = False, **options: Any) -> Path:
+def rewrite(ours, target, without=(), late=False, **options):
     """Copy the messages with the official library, as a converter or a recorder in ROS does: no attachments."""
     with ours.open("rb") as source, target.open("wb") as file:
         writer = Writer(file, **options)
         writer.start("ros2")
-        schemas: dict[str, int] = {}
-        channels: dict[str, int] = {}
+        schemas = {}
+        channels = {}
         for schema, channel, message in make_reader(source).iter_messages():
             if channel.topic.startswith(without):
                 continue
@@ -68,9 +58,7 @@ def rewrite(ours: Path, target: Path, without: tuple[str, ...] = (), late: bool 
         {"late": True, "chunk_size": 300},
     ],
 )
-def test_a_copy_by_other_tools_plays_the_same(
-    tmp_path: Path, ours: Path, rig: Rig, frames: list[SensorFrame], same_frame: Same, options: dict[str, Any]
-) -> None:
+def test_a_copy_by_other_tools_plays_the_same(tmp_path, ours, rig, frames, same_frame, options):
     with McapSource(rewrite(ours, tmp_path / "copy.mcap", **options)) as source:
         assert source.health().ok
         assert source.rig == rig
@@ -79,9 +67,7 @@ def test_a_copy_by_other_tools_plays_the_same(
         assert source.frame_rate_hz == pytest.approx(30.0, rel=1e-6)
 
 
-def test_a_copy_that_is_cut_off_plays_up_to_there(
-    tmp_path: Path, ours: Path, frames: list[SensorFrame], same_frame: Same
-) -> None:
+def test_a_copy_that_is_cut_off_plays_up_to_there(tmp_path, ours, frames, same_frame):
     copy = rewrite(ours, tmp_path / "copy.mcap", chunk_size=400)
     copy.write_bytes(copy.read_bytes()[: copy.stat().st_size // 2])
     with McapSource(copy) as source:
@@ -90,14 +76,12 @@ def test_a_copy_that_is_cut_off_plays_up_to_there(
             assert same_frame(source.read(index), frames[index])
 
 
-def test_a_bag_without_a_rig_is_refused(tmp_path: Path, ours: Path) -> None:
+def test_a_bag_without_a_rig_is_refused(tmp_path, ours):
     with pytest.raises(SourceError, match=r"has no rig\.json and no /tactune/rig"):
         McapSource(rewrite(ours, tmp_path / "plain.mcap", without=("/tactune",)))
 
 
-def test_a_bag_without_tactile_depth_is_refused(
-    tmp_path: Path, ours: Path, rig: Rig, frames: list[SensorFrame]
-) -> None:
+def test_a_bag_without_tactile_depth_is_refused(tmp_path, ours, rig, frames):
     for without, sentence in (
         ("/tactile/depth/image", r"holds no frame: there is no image on /tactile/depth/image \(its topics are /prox"),
         ("/", r"holds no frame: .* \(it has no messages\)"),
@@ -106,7 +90,7 @@ def test_a_bag_without_tactile_depth_is_refused(
             McapSource(rewrite(ours, tmp_path / "part.mcap", without=(without,)))
 
 
-def test_a_topic_of_another_type_is_refused(tmp_path: Path, ours: Path) -> None:
+def test_a_topic_of_another_type_is_refused(tmp_path, ours):
     copy = rewrite(ours, tmp_path / "copy.mcap", compression=CompressionType.NONE)
     copy.write_bytes(copy.read_bytes().replace(b"sensor_msgs/msg/Image", b"sensor_msgs/msg/Imago"))
     with pytest.raises(

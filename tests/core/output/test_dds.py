@@ -1,17 +1,13 @@
 """ROS 2 topics without ROS, received in processes of their own by Fast DDS, ROS 2's default, and by Cyclone DDS."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket
 import struct
 import threading
 import time
-from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,23 +15,19 @@ import pytest
 from fast_dds import FastDds
 from tactune.core import ContactPipeline, load_preset, open_source
 from tactune.core.errors import PublishError
-from tactune.core.model.frames import SensorFrame
-from tactune.core.model.patch import ContactPatch
 from tactune.core.output.dds import DdsSink
 from tactune.core.output.publisher import LIVE_TOPICS, Publisher
-from tactune.core.preset import Preset
 
 SUPPORT = Path(__file__).resolve().parents[2] / "support"
 PERIOD_S = 1 / 30
 
-Processed = tuple[SensorFrame, ContactPatch, Preset]
 #: Pose of the object and its covariance.
 POSE = np.eye(4), np.diag(np.arange(1.0, 7.0))
 POSE[0][:3, 3] = 0.1, -0.02, 0.3
 
 
 @pytest.fixture(scope="module")
-def processed() -> Processed:
+def processed():
     preset = load_preset("simulator")
     with open_source("sim:cup") as source:
         source.seek(40)
@@ -45,12 +37,12 @@ def processed() -> Processed:
 
 
 @contextmanager
-def published(processed: Processed, *sinks: DdsSink) -> Iterator[Publisher]:
+def published(processed, *sinks):
     """Publish the same frame 30 times a second."""
     frame, patch, preset = processed
     ended = threading.Event()
 
-    def run() -> None:
+    def run():
         while not ended.wait(PERIOD_S):
             publisher.put(frame, patch, preset)
             publisher.put_pose(*POSE, frame.proximity_time_s)
@@ -65,12 +57,12 @@ def published(processed: Processed, *sinks: DdsSink) -> Iterator[Publisher]:
             thread.join()
 
 
-def points_of(cloud: Any) -> np.ndarray[Any, Any]:
+def points_of(cloud):
     return np.frombuffer(bytes(cloud.data), "<f4").reshape(cloud.height, cloud.width, 3)
 
 
 @pytest.mark.long
-def test_fast_dds_receives_every_bit(processed: Processed, fast_dds_program: Path, domain: int) -> None:
+def test_fast_dds_receives_every_bit(processed, fast_dds_program, domain):
     frame, patch, _ = processed
     topics = {
         "/contact/patch": "reliable",
@@ -110,9 +102,7 @@ def test_fast_dds_receives_every_bit(processed: Processed, fast_dds_program: Pat
 
 
 @pytest.mark.long
-def test_a_subscriber_that_hangs_loses_its_own_frames_only(
-    processed: Processed, fast_dds_program: Path, domain: int
-) -> None:
+def test_a_subscriber_that_hangs_loses_its_own_frames_only(processed, fast_dds_program, domain):
     cloud = {"/proximity/points": "reliable"}
     with (
         published(processed, DdsSink(domain)) as publisher,
@@ -131,7 +121,7 @@ def test_a_subscriber_that_hangs_loses_its_own_frames_only(
         slow.wait_for_more("/proximity/points")
 
 
-def udp_sockets() -> dict[int, tuple[str, int, bytes]]:
+def udp_sockets():
     """Return address, port and device of this process's UDP sockets by file descriptor."""
     found = {}
     for descriptor in Path("/proc/self/fd").iterdir():
@@ -144,7 +134,7 @@ def udp_sockets() -> dict[int, tuple[str, int, bytes]]:
     return found
 
 
-def test_nothing_listens_or_leaves_unless_asked(processed: Processed, domain: int) -> None:
+def test_nothing_listens_or_leaves_unless_asked(processed, domain):
     before = udp_sockets()
     sink = DdsSink(domain)
     assert udp_sockets() == before
@@ -185,12 +175,12 @@ def test_nothing_listens_or_leaves_unless_asked(processed: Processed, domain: in
         ({"host": "eth0"}, "'eth0' is no IPv4 address"),
     ],
 )
-def test_what_ros_does_not_allow_is_refused(options: dict[str, Any], sentence: str) -> None:
+def test_what_ros_does_not_allow_is_refused(options, sentence):
     with pytest.raises(PublishError, match=sentence):
         DdsSink(**options)
 
 
-def test_an_address_that_this_computer_does_not_have_is_named(domain: int) -> None:
+def test_an_address_that_this_computer_does_not_have_is_named(domain):
     sink = DdsSink(domain, host="192.0.2.77")
     with pytest.raises(PublishError, match=r"no network interface with the address 192\.0\.2\.77"):
         sink.start(LIVE_TOPICS)

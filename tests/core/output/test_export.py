@@ -1,10 +1,7 @@
 """Cloud files: lossless round trip, readable by other programs, clear errors for bad files."""
 
-from __future__ import annotations
-
 import csv
 import io
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +18,7 @@ from tactune.core.output.cloud_files import SUFFIXES, patch_cloud, write_cloud
 TYPES = (np.int8, np.uint8, np.int16, np.uint16, np.int32, np.uint32, np.float32, np.float64)
 
 
-def make_cloud(count: int = 7, colors: bool = True) -> PointCloud:
+def make_cloud(count=7, colors=True):
     rng = np.random.default_rng(count)
     attributes = {np.dtype(kind).name + "_x": (rng.normal(size=count) * 99).astype(kind) for kind in TYPES[4:]}
     attributes |= {np.dtype(kind).name: rng.integers(0, 99, count).astype(kind) for kind in TYPES[:4]}
@@ -31,7 +28,7 @@ def make_cloud(count: int = 7, colors: bool = True) -> PointCloud:
     return PointCloud(points, rng.integers(0, 256, (count, 3)).astype(np.uint8) if colors else None, attributes)
 
 
-def points_in(path: Path) -> np.ndarray:
+def points_in(path):
     """Read points by other programs' means."""
     if path.suffix.lower() == ".ply":
         return np.asarray(load_ply(io.BytesIO(path.read_bytes()))["vertices"])
@@ -42,7 +39,7 @@ def points_in(path: Path) -> np.ndarray:
 
 @pytest.mark.parametrize("suffix", [*SUFFIXES, ".PLY", ".NPZ"])
 @pytest.mark.parametrize("colors", [False, True])
-def test_points_come_back_bit_for_bit(tmp_path: Path, suffix: str, colors: bool) -> None:
+def test_points_come_back_bit_for_bit(tmp_path, suffix, colors):
     cloud = make_cloud(colors=colors)
     write_cloud(tmp_path / f"cloud{suffix}", cloud)
     assert points_in(tmp_path / f"cloud{suffix}").astype(np.float32).tobytes() == cloud.points.tobytes()
@@ -50,13 +47,13 @@ def test_points_come_back_bit_for_bit(tmp_path: Path, suffix: str, colors: bool)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_a_frame_without_contact_is_an_empty_cloud(tmp_path: Path, suffix: str) -> None:
+def test_a_frame_without_contact_is_an_empty_cloud(tmp_path, suffix):
     write_cloud(tmp_path / f"cloud{suffix}", make_cloud(0))
     content = (tmp_path / f"cloud{suffix}").read_bytes()
     assert {".ply": b"element vertex 0\n", ".npz": b"points.npy", ".csv": b"x_m,y_m,z_m"}[suffix] in content
 
 
-def test_a_csv_file_has_titles_with_units(tmp_path: Path) -> None:
+def test_a_csv_file_has_titles_with_units(tmp_path):
     cloud = PointCloud(
         np.float32([[0.1, 0.2, 0.3]]),
         np.uint8([[1, 2, 3]]),
@@ -69,7 +66,7 @@ def test_a_csv_file_has_titles_with_units(tmp_path: Path) -> None:
     assert row == ["0.100000001", "0.200000003", "0.300000012", "1", "2", "3", "0.5", "7", "1"]
 
 
-def test_open3d_reads_the_ply(tmp_path: Path) -> None:
+def test_open3d_reads_the_ply(tmp_path):
     o3d = pytest.importorskip("open3d", reason="open3d is not installed", exc_type=ImportError)
     cloud = make_cloud()
     kept = {"float32_x", "float64_x", "int32_x", "uint16", "uint8"}
@@ -97,9 +94,7 @@ def test_open3d_reads_the_ply(tmp_path: Path) -> None:
         (".csv", {"a,b": np.zeros(7)}, "'a,b'"),
     ],
 )
-def test_what_cannot_be_written_is_refused_and_leaves_no_file(
-    tmp_path: Path, suffix: str, attributes: dict[str, np.ndarray], word: str
-) -> None:
+def test_what_cannot_be_written_is_refused_and_leaves_no_file(tmp_path, suffix, attributes, word):
     cloud = PointCloud(make_cloud().points, None, attributes)
     with pytest.raises(ExportError, match=word):
         write_cloud(tmp_path / f"cloud{suffix}", cloud)
@@ -112,7 +107,7 @@ SHIFT = ((1.0, 0.0, 0.0, 0.25), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0
 
 
 @pytest.mark.parametrize("own_color_camera", [False, True])
-def test_a_patch_carries_colour_difference_and_pixels(own_color_camera: bool) -> None:
+def test_a_patch_carries_colour_difference_and_pixels(own_color_camera):
     camera = DepthCamera(intrinsics=LENS, depth_unit_m=0.001)
     color_camera = ColorCamera(intrinsics=COLOR_LENS, T_color_depth=SHIFT) if own_color_camera else None
     rig = Rig(proximity=camera, tactile=camera, proximity_color=color_camera)

@@ -1,11 +1,8 @@
 """Calibrations and recordings as files of other tools, read back by parsers of these formats."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import shlex
-from pathlib import Path
 from xml.etree import ElementTree
 
 import h5py
@@ -27,21 +24,21 @@ from tactune.core.sources.lens_files import choose_lens, pose_between, read_lens
 TACTILE, COLOR = "tactile_depth_optical_frame", "proximity_color_optical_frame"
 
 
-def turned(*degrees: float) -> list[list[float]]:
+def turned(*degrees):
     pose = np.eye(4)
     pose[:3, :3] = Rotation.from_euler("zyx", degrees, degrees=True).as_matrix()
     pose[:3, 3] = 0.04, -0.01, 1e-5
     return pose.tolist()
 
 
-def rig_with(pose: object, k3: float = 0.0, distortion: Distortion = Distortion.BROWN_CONRADY) -> Rig:
+def rig_with(pose, k3=0.0, distortion=Distortion.BROWN_CONRADY):
     coefficients = (0.1, -0.05, 0.001, 1e-5, k3)
     lens = RIG.tactile.intrinsics.model_copy(update={"coefficients": coefficients, "distortion": distortion, "fy": 9.5})
     tactile = RIG.tactile.model_copy(update={"intrinsics": lens})
     return Rig.model_validate(RIG.model_dump() | {"tactile": tactile.model_dump(), "T_proximity_tactile": pose})
 
 
-def urdf_poses(path: Path) -> dict[str, np.ndarray]:
+def urdf_poses(path):
     """URDF: rpy are turns about the fixed axes x, y, z, in this order."""
     poses = {}
     for joint in ElementTree.parse(path).getroot().iter("joint"):
@@ -57,7 +54,7 @@ def urdf_poses(path: Path) -> dict[str, np.ndarray]:
     return poses
 
 
-def launch_poses(path: Path) -> dict[str, np.ndarray]:
+def launch_poses(path):
     """The arguments of tf2_ros's static_transform_publisher."""
     parser = argparse.ArgumentParser()
     for name in ("x", "y", "z", "qx", "qy", "qz", "qw"):
@@ -76,7 +73,7 @@ def launch_poses(path: Path) -> dict[str, np.ndarray]:
     return poses
 
 
-def kalibr_poses(path: Path) -> dict[str, np.ndarray]:
+def kalibr_poses(path):
     """Our own reader, and the file as plain YAML: T_cn_cnm1 takes points of the camera before to this one."""
     lenses = read_lenses(path)
     for camera in YAML(typ="safe").load(path).values():
@@ -94,7 +91,7 @@ READERS = {"urdf": urdf_poses, "ros": launch_poses, "kalibr": kalibr_poses}
 
 @pytest.mark.parametrize("angles", [(0, 0, 0), (10, -20, 30), (0, 90, 0), (170, 0, -179)])
 @pytest.mark.parametrize("kind", CALIBRATIONS)
-def test_other_tools_read_the_poses(tmp_path: Path, kind: str, angles: tuple[float, ...]) -> None:
+def test_other_tools_read_the_poses(tmp_path, kind, angles):
     rig = rig_with(turned(*angles))
     path = tmp_path / "rig.yaml"
     export_calibration(path, kind, rig)
@@ -104,7 +101,7 @@ def test_other_tools_read_the_poses(tmp_path: Path, kind: str, angles: tuple[flo
     np.testing.assert_allclose(poses[COLOR], color, atol=1e-9)
 
 
-def test_the_pose_of_a_preset_replaces_that_of_the_rig(tmp_path: Path) -> None:
+def test_the_pose_of_a_preset_replaces_that_of_the_rig(tmp_path):
     preset = Preset().with_value("alignment.rigid.T_proximity_tactile", turned(5, 6, 7))
     export_calibration(tmp_path / "a.urdf", "urdf", rig_with(turned(0, 0, 0)), preset)
     np.testing.assert_allclose(urdf_poses(tmp_path / "a.urdf")[TACTILE], turned(5, 6, 7), atol=1e-9)
@@ -119,17 +116,17 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_a_format_cannot_hold_is_refused_and_nothing_is_written(tmp_path: Path, case: str) -> None:
+def test_what_a_format_cannot_hold_is_refused_and_nothing_is_written(tmp_path, case):
     rig, preset, kind, sentence = REFUSED[case]
     with pytest.raises(TactuneError, match=sentence):
         export_calibration(tmp_path / "a", kind, rig, preset)
     assert not list(tmp_path.iterdir())
 
 
-def test_h5py_reads_every_image_time_and_unit(tmp_path: Path) -> None:
+def test_h5py_reads_every_image_time_and_unit(tmp_path):
     frames = [make_frame(0), make_frame(1, tactile_color=None, truth=None), make_frame(2)]
     untouched = make_frame(9)
-    told: list[float] = []
+    told = []
     source = ListSource(frames, untouched=untouched)
     assert export_hdf5(source, tmp_path / "a.h5", progress=lambda share, _: told.append(share)) == 3
     assert told[-1] == 1.0
@@ -150,14 +147,14 @@ def test_h5py_reads_every_image_time_and_unit(tmp_path: Path) -> None:
         assert parse_rig(json.loads(file.attrs["rig"]), "rig") == RIG
 
 
-def test_an_exclusive_export_as_hdf5_replaces_no_file(tmp_path: Path) -> None:
+def test_an_exclusive_export_as_hdf5_replaces_no_file(tmp_path):
     (tmp_path / "a.h5").write_text("mine")
     with pytest.raises(TactuneError, match="already there"):
         export_hdf5(ListSource([make_frame(0)]), tmp_path / "a.h5", exclusive=True)
     assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
 
 
-def test_one_camera_alone_is_the_tactile_one(tmp_path: Path) -> None:
+def test_one_camera_alone_is_the_tactile_one(tmp_path):
     rig = Rig.of_one_camera(RIG.proximity)
     frame = SensorFrame.of_one_camera(0, make_frame(0).proximity_depth, None, 0.0)
     export_hdf5(ListSource([frame], rig), tmp_path / "a.h5")

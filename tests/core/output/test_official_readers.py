@@ -1,11 +1,5 @@
 """Recordings in other readers: the official MCAP reader with its ROS 2 decoder, and rosbags."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 from mcap.reader import make_reader
@@ -13,11 +7,8 @@ from mcap_ros2.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
 from tactune.core import load_preset
-from tactune.core.model.frames import Rig, SensorFrame
 from tactune.core.output.bag import PatchWriter
 from tactune.core.preset.file import preset_json
-
-Decoded = dict[str, list[tuple[Any, Any]]]
 
 TYPES = {
     "/tactune/frame": "std_msgs/msg/String",
@@ -38,19 +29,19 @@ COUNT = 3
 
 
 @pytest.fixture
-def frames(make_frames: Callable[[int], list[SensorFrame]]) -> list[SensorFrame]:
+def frames(make_frames):
     return make_frames(COUNT)
 
 
 @pytest.fixture
-def path(tmp_path: Path, rig: Rig, frames: list[SensorFrame], record: Callable[..., Any]) -> Path:
+def path(tmp_path, rig, frames, record):
     record(tmp_path / "a.mcap", rig, frames, preset=load_preset("default"))
     return tmp_path / "a.mcap"
 
 
-def decode(path: Path) -> Decoded:
+def decode(path):
     """Read all messages with checksums on, by topic."""
-    found: Decoded = {}
+    found = {}
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
         for schema, channel, message, decoded in reader.iter_decoded_messages():
@@ -60,18 +51,17 @@ def decode(path: Path) -> Decoded:
     return found
 
 
-def stamp_ns(message: Any) -> int:
+def stamp_ns(message):
     return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
 
 
-def test_the_container_has_all_that_readers_seek_by(path: Path) -> None:
+def test_the_container_has_all_that_readers_seek_by(path):
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         assert reader.get_header().profile == "ros2"
         summary = reader.get_summary()
         attachments = {attachment.name: attachment for attachment in reader.iter_attachments()}
         metadata = {record.name: record.metadata for record in reader.iter_metadata()}
-    assert summary is not None
     assert {channel.topic for channel in summary.channels.values()} == set(TYPES)
     assert summary.statistics.message_count == 2 + COUNT * (len(TYPES) - 2)
     assert summary.statistics.chunk_count == len(summary.chunk_indexes) == COUNT
@@ -81,7 +71,7 @@ def test_the_container_has_all_that_readers_seek_by(path: Path) -> None:
     assert metadata["tactune"]["frame_rate_hz"] == "30.0"
 
 
-def test_topics_images_and_stamps(path: Path, rig: Rig, frames: list[SensorFrame]) -> None:
+def test_topics_images_and_stamps(path, rig, frames):
     found = decode(path)
     assert {topic: len(messages) for topic, messages in found.items()} == {
         topic: 1 if topic in ("/tactune/rig", "/tf_static") else COUNT for topic in TYPES
@@ -111,7 +101,7 @@ def test_topics_images_and_stamps(path: Path, rig: Rig, frames: list[SensorFrame
             assert message.sequence == frame.sequence
 
 
-def test_static_transforms_are_the_factory_poses(path: Path, rig: Rig) -> None:
+def test_static_transforms_are_the_factory_poses(path, rig):
     ((_, message),) = decode(path)["/tf_static"]
     poses = {}
     for transform in message.transforms:
@@ -126,7 +116,7 @@ def test_static_transforms_are_the_factory_poses(path: Path, rig: Rig) -> None:
     np.testing.assert_allclose(poses["proximity_color_optical_frame"], T_depth_color, atol=1e-12)
 
 
-def test_patches_are_point_clouds_of_the_same_time(tmp_path: Path, rig: Rig) -> None:
+def test_patches_are_point_clouds_of_the_same_time(tmp_path, rig):
     clouds = [
         np.random.default_rng(seed).normal(size=(count, 3)).astype(np.float32) for seed, count in enumerate((5, 0, 2))
     ]

@@ -1,11 +1,7 @@
 """Live messages, decoded by MCAP's own ROS 2 decoder, and the mailboxes between frames and sinks."""
 
-from __future__ import annotations
-
 import threading
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,23 +12,21 @@ from tactune.core import ContactPipeline, load_preset, open_source
 from tactune.core.errors import PublishError
 from tactune.core.estimation.tilt import Tilt
 from tactune.core.model.clouds import deproject
-from tactune.core.model.frames import SensorFrame
 from tactune.core.model.patch import ContactPatch, Lazy
 from tactune.core.output.messages import definition
-from tactune.core.output.publisher import LIVE_TOPICS, LiveMessage, Publisher, SinkStatus, frame_messages, pose_messages
-from tactune.core.preset import Preset
+from tactune.core.output.publisher import LIVE_TOPICS, Publisher, SinkStatus, frame_messages, pose_messages
 
 WAIT_S = 60
 
 
-def decoded(message: LiveMessage) -> Any:
+def decoded(message):
     schema = Schema(1, definition(message.type).encode(), "ros2msg", message.type)
     decode = DecoderFactory().decoder_for("cdr", schema)
     assert decode is not None
     return decode(message.data)
 
 
-def points_of(cloud: Any) -> np.ndarray[Any, Any]:
+def points_of(cloud):
     assert [(field.name, field.offset, field.datatype, field.count) for field in cloud.fields] == [
         ("x", 0, 7, 1),
         ("y", 4, 7, 1),
@@ -47,7 +41,7 @@ TILT = Tilt(0, 0.0, 9, roll_rad=0.1, roll_sigma_rad=0.01, axis_rad=-0.5, axis_si
 
 
 @pytest.fixture(scope="module")
-def processed() -> tuple[SensorFrame, ContactPatch, Preset]:
+def processed():
     preset = load_preset("simulator")
     with open_source("sim:cup") as source:
         source.seek(40)
@@ -56,7 +50,7 @@ def processed() -> tuple[SensorFrame, ContactPatch, Preset]:
         return frame, ContactPipeline(preset, source.rig).process(frame), preset
 
 
-def test_every_topic_arrives_bit_for_bit(processed: tuple[SensorFrame, ContactPatch, Preset]) -> None:
+def test_every_topic_arrives_bit_for_bit(processed):
     frame, patch, preset = processed
     covariance = np.arange(36, dtype=np.float64).reshape(6, 6)
     built = frame_messages(frame, patch, preset, 5 * 10**9, Lazy(TILT.record))
@@ -103,24 +97,24 @@ def test_every_topic_arrives_bit_for_bit(processed: tuple[SensorFrame, ContactPa
 class Collecting:
     """A sink that keeps messages; it can be told to wait before it sends, or to fail."""
 
-    def __init__(self, wanted: Sequence[str]) -> None:
+    def __init__(self, wanted):
         self.topics = wanted
-        self.messages: list[LiveMessage] = []
+        self.messages = []
         self.gate = threading.Event()
         self.gate.set()
         self.entered = threading.Event()
-        self.fault: Exception | None = None
+        self.fault = None
         self.arrived = threading.Condition()
         self.is_open = False
 
-    def start(self, topics: Mapping[str, str]) -> None:
+    def start(self, topics):
         assert topics == LIVE_TOPICS
         self.is_open = True
 
-    def wanted(self) -> Sequence[str]:
+    def wanted(self):
         return self.topics
 
-    def send(self, messages: Sequence[LiveMessage]) -> None:
+    def send(self, messages):
         self.entered.set()
         assert self.gate.wait(WAIT_S)
         if self.fault is not None:
@@ -129,18 +123,18 @@ class Collecting:
             self.messages += messages
             self.arrived.notify_all()
 
-    def close(self) -> None:
+    def close(self):
         self.is_open = False
 
-    def status(self) -> SinkStatus:
+    def status(self):
         return SinkStatus("collecting", "here", 1)
 
-    def wait_for(self, is_done: Callable[[list[LiveMessage]], bool]) -> None:
+    def wait_for(self, is_done):
         with self.arrived:
             assert self.arrived.wait_for(lambda: is_done(self.messages), WAIT_S)
 
 
-def test_a_slow_sink_loses_its_own_frames_and_no_other(processed: tuple[SensorFrame, ContactPatch, Preset]) -> None:
+def test_a_slow_sink_loses_its_own_frames_and_no_other(processed):
     quick, slow = Collecting(["/contact/area_mm2"]), Collecting(["/contact/area_mm2"])
     slow.gate.clear()
     with Publisher([quick, slow]) as publisher:
@@ -159,9 +153,7 @@ def test_a_slow_sink_loses_its_own_frames_and_no_other(processed: tuple[SensorFr
     assert quick.messages[0] is slow.messages[0]  # nothing is encoded twice
 
 
-def test_a_pose_that_comes_later_has_the_stamp_of_its_frame(
-    processed: tuple[SensorFrame, ContactPatch, Preset],
-) -> None:
+def test_a_pose_that_comes_later_has_the_stamp_of_its_frame(processed):
     frame, patch, preset = processed
     later = replace(frame, proximity_time_s=frame.proximity_time_s + 0.5)
     sink = Collecting(["/object/pose", "/contact/area_mm2", "/tf_static"])
@@ -178,12 +170,12 @@ def test_a_pose_that_comes_later_has_the_stamp_of_its_frame(
     assert decoded(pose).pose.pose.position.y == 0.2
 
 
-def test_nothing_is_built_for_nobody(processed: tuple[SensorFrame, ContactPatch, Preset]) -> None:
+def test_nothing_is_built_for_nobody(processed):
     frame, patch, preset = processed
 
     class Unread(ContactPatch):
         @property
-        def points(self) -> Any:
+        def points(self):
             raise AssertionError("read")
 
     unread = Unread(7, np.empty((0, 3), np.float32), patch.provenance, patch.aligned, patch.rig, {})
@@ -197,13 +189,13 @@ def test_nothing_is_built_for_nobody(processed: tuple[SensorFrame, ContactPatch,
         assert publisher.status()[0].error == ""
 
 
-def test_a_sink_that_cannot_start_closes_the_others() -> None:
+def test_a_sink_that_cannot_start_closes_the_others():
     first, second = Collecting([]), Collecting([])
 
-    def refuse(topics: Mapping[str, str]) -> None:
+    def refuse(topics):
         raise PublishError("port 8765 is taken")
 
-    second.start = refuse  # type: ignore[method-assign]
+    second.start = refuse
     with pytest.raises(PublishError, match="8765"):
         Publisher([first, second])
     assert not first.is_open

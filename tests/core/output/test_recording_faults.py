@@ -1,33 +1,23 @@
 """Killed writers, full or slow disks, truncated and damaged files: the written part stays playable."""
 
-from __future__ import annotations
-
 import os
 import random
 import threading
 import time
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from tactune.core.errors import AdviceError, SourceError
-from tactune.core.model.frames import Rig, SensorFrame
-from tactune.core.output import RecordingStatus, SessionWriter, bag
+from tactune.core.output import SessionWriter, bag
 from tactune.core.sources.mcap.messages import Topic
 from tactune.core.sources.mcap.reader import MAGIC, McapFile
 from tactune.core.sources.mcap.source import McapSource
 
 LZ4_MAGIC = b"\x04\x22\x4d\x18"
 
-Frames = Callable[[int], list[SensorFrame]]
-Same = Callable[[SensorFrame, SensorFrame], bool]
-Record = Callable[..., RecordingStatus]
 
-
-def plays(path: Path, frames: list[SensorFrame], same: Same) -> int:
+def plays(path, frames, same):
     """Check that a file is a prefix of the frames, and return how long it is."""
     with McapSource(path) as source:
         assert all(same(played, frame) for played, frame in zip(source, frames, strict=False))
@@ -35,9 +25,7 @@ def plays(path: Path, frames: list[SensorFrame], same: Same) -> int:
         return source.length
 
 
-def test_a_file_cut_anywhere_plays_a_prefix_or_is_refused(
-    tmp_path: Path, rig: Rig, make_frames: Frames, record: Record, same_frame: Same
-) -> None:
+def test_a_file_cut_anywhere_plays_a_prefix_or_is_refused(tmp_path, rig, make_frames, record, same_frame):
     frames = make_frames(4)
     record(tmp_path / "whole.mcap", rig, frames)
     data = (tmp_path / "whole.mcap").read_bytes()
@@ -55,13 +43,11 @@ def test_a_file_cut_anywhere_plays_a_prefix_or_is_refused(
     assert {count for _, count in lengths} == {0, 1, 2, 3, 4}
 
 
-def test_opening_a_long_recording_can_be_cancelled(
-    tmp_path: Path, rig: Rig, make_frames: Frames, record: Record
-) -> None:
+def test_opening_a_long_recording_can_be_cancelled(tmp_path, rig, make_frames, record):
     path = tmp_path / "long.mcap"
     record(path, rig, make_frames(2) * 150)
 
-    def cancel(share: float, words: str) -> None:
+    def cancel(share, words):
         assert 0.0 < share < 1.0
         raise AdviceError("cancelled")
 
@@ -69,9 +55,7 @@ def test_opening_a_long_recording_can_be_cancelled(
         McapSource(path, cancel)
 
 
-def test_a_damaged_frame_is_told_and_the_others_play(
-    tmp_path: Path, rig: Rig, make_frames: Frames, record: Record, same_frame: Same
-) -> None:
+def test_a_damaged_frame_is_told_and_the_others_play(tmp_path, rig, make_frames, record, same_frame):
     frames = make_frames(3)
     record(tmp_path / "whole.mcap", rig, frames)
     data = bytearray((tmp_path / "whole.mcap").read_bytes())
@@ -95,7 +79,7 @@ def test_a_damaged_frame_is_told_and_the_others_play(
         (MAGIC + os.urandom(10000), r"holds no frame|is damaged"),
     ],
 )
-def test_what_is_no_recording_is_refused(tmp_path: Path, content: bytes, sentence: str) -> None:
+def test_what_is_no_recording_is_refused(tmp_path, content, sentence):
     (tmp_path / "a.mcap").write_bytes(content)
     with pytest.raises(SourceError, match=sentence):
         McapSource(tmp_path / "a.mcap")
@@ -103,13 +87,11 @@ def test_what_is_no_recording_is_refused(tmp_path: Path, content: bytes, sentenc
         McapSource(tmp_path / "b.mcap")
 
 
-def test_a_full_queue_drops_and_counts_or_waits(
-    tmp_path: Path, rig: Rig, make_frames: Frames, same_frame: Same, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_queue_drops_and_counts_or_waits(tmp_path, rig, make_frames, same_frame, monkeypatch):
     go = threading.Event()
     write = bag.Bag.write
 
-    def slowly(self: bag.Bag, *message: Any) -> None:
+    def slowly(self, *message):
         assert go.wait(30)
         write(self, *message)
 
@@ -137,7 +119,7 @@ def test_a_full_queue_drops_and_counts_or_waits(
     assert plays(tmp_path / "slow.mcap", kept, same_frame) == 4
 
 
-def test_a_recording_keeps_one_pose_of_each_of_its_frames(tmp_path: Path, rig: Rig, make_frames: Frames) -> None:
+def test_a_recording_keeps_one_pose_of_each_of_its_frames(tmp_path, rig, make_frames):
     path, frame = tmp_path / "poses.mcap", make_frames(1)[0]
     with SessionWriter(path, rig, poses=True) as writer:
         writer.put_pose(np.eye(4), np.eye(6), frame.sequence, 0.0)  # of a frame that is not there yet

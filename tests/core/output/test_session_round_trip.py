@@ -1,9 +1,6 @@
 """A recording is bit-identical: images, times, rig, truth, preset, and the patches computed from them."""
 
-from __future__ import annotations
-
 import tempfile
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,14 +11,9 @@ from hypothesis import strategies as st
 
 from tactune.core import load_preset
 from tactune.core.errors import ExportError, FrameError, PresetError, SourceError
-from tactune.core.model.frames import GroundTruth, Rig, SensorFrame
-from tactune.core.output import RecordingStatus, SessionWriter
+from tactune.core.model.frames import GroundTruth
+from tactune.core.output import SessionWriter
 from tactune.core.sources.mcap.source import McapSource
-
-Same = Callable[[SensorFrame, SensorFrame], bool]
-MakeRig = Callable[..., Rig]
-MakeFrame = Callable[..., SensorFrame]
-Record = Callable[..., RecordingStatus]
 
 SIZES = st.tuples(st.integers(1, 40), st.integers(1, 24))
 #: Seconds of clocks that jump by decades; log times that follow four such jumps still fit into 63 bits.
@@ -31,20 +23,13 @@ TIMES = st.floats(-1e9, 2e9)
 @settings(max_examples=40)
 @given(data=st.data(), proximity=SIZES, tactile=SIZES, color=st.none() | SIZES)
 def test_every_bit_of_random_frames_comes_back(
-    make_rig: MakeRig,
-    make_frame: MakeFrame,
-    record: Record,
-    same_frame: Same,
-    data: st.DataObject,
-    proximity: tuple[int, int],
-    tactile: tuple[int, int],
-    color: tuple[int, int] | None,
-) -> None:
+    make_rig, make_frame, record, same_frame, data, proximity, tactile, color
+):
     rig = make_rig(proximity, tactile, color)
     frames = []
     for seed in range(data.draw(st.integers(1, 5))):
         frame = make_frame(rig, seed)
-        changes: dict[str, object] = {
+        changes = {
             "sequence": data.draw(st.integers(0, 2**40)),
             "proximity_time_s": data.draw(TIMES),
             "tactile_time_s": data.draw(TIMES),
@@ -69,9 +54,7 @@ def test_every_bit_of_random_frames_comes_back(
                 assert same_frame(source.next_frame(), frames[index])
 
 
-def test_frames_without_what_is_optional(
-    tmp_path: Path, make_rig: MakeRig, make_frame: MakeFrame, record: Record
-) -> None:
+def test_frames_without_what_is_optional(tmp_path, make_rig, make_frame, record):
     rig = make_rig(color=None)
     bare = make_frame(rig, tactile_color=None, truth=None)
     full = make_frame(rig, 1)
@@ -83,9 +66,7 @@ def test_frames_without_what_is_optional(
         assert source.health().ok
 
 
-def test_a_frame_that_does_not_fit_is_refused_and_the_recording_goes_on(
-    tmp_path: Path, rig: Rig, make_frame: MakeFrame, same_frame: Same
-) -> None:
+def test_a_frame_that_does_not_fit_is_refused_and_the_recording_goes_on(tmp_path, rig, make_frame, same_frame):
     good = make_frame(rig)
     with SessionWriter(tmp_path / "a.mcap", rig) as writer:
         for bad, reason in (
@@ -101,7 +82,7 @@ def test_a_frame_that_does_not_fit_is_refused_and_the_recording_goes_on(
         assert same_frame(source.next_frame(), good)
 
 
-def test_no_file_is_overwritten_and_none_is_left_empty(tmp_path: Path, rig: Rig) -> None:
+def test_no_file_is_overwritten_and_none_is_left_empty(tmp_path, rig):
     path = tmp_path / "a.mcap"
     status = SessionWriter(path, rig).close()
     assert status.error == f"no frame arrived for {path}, so there is no file; check the source"
@@ -114,7 +95,7 @@ def test_no_file_is_overwritten_and_none_is_left_empty(tmp_path: Path, rig: Rig)
         SessionWriter(path / "b.mcap", rig)
 
 
-def test_a_damaged_rig_is_refused(tmp_path: Path, rig: Rig, make_frames: MakeFrame, record: Record) -> None:
+def test_a_damaged_rig_is_refused(tmp_path, rig, make_frames, record):
     record(tmp_path / "a.mcap", rig, make_frames(1))
     data = (tmp_path / "a.mcap").read_bytes()
     assert data.count(b'"fx": 460.1') == 3
@@ -123,9 +104,7 @@ def test_a_damaged_rig_is_refused(tmp_path: Path, rig: Rig, make_frames: MakeFra
         McapSource(tmp_path / "b.mcap")
 
 
-def test_a_damaged_preset_says_so_and_the_frames_still_play(
-    tmp_path: Path, rig: Rig, make_frames: MakeFrame, record: Record
-) -> None:
+def test_a_damaged_preset_says_so_and_the_frames_still_play(tmp_path, rig, make_frames, record):
     record(tmp_path / "a.mcap", rig, make_frames(1), preset=load_preset("default"))
     data = (tmp_path / "a.mcap").read_bytes()
     (tmp_path / "b.mcap").write_bytes(data.replace(b'"tactune.preset"', b'"tactune.nonsens'))

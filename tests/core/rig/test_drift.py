@@ -1,8 +1,5 @@
 """Drift since the untouched frame: what is found, what is left alone, and when a warning is withdrawn."""
 
-from __future__ import annotations
-
-from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
 
@@ -13,9 +10,8 @@ from drifted import Drift
 from drifting import AVERAGED, drifted, untouched
 from tactune.core.calibration.snapshots import take_snapshot
 from tactune.core.errors import CalibrationError, FrameError
-from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
-from tactune.core.rig.drift import INTERVAL_S, Watch, WatchReport, compare_with_untouched
+from tactune.core.rig.drift import INTERVAL_S, Watch, compare_with_untouched
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 
@@ -24,16 +20,16 @@ LATER = range(AVERAGED, AVERAGED + 8)
 
 
 @cache
-def at_rest(index: int) -> SensorFrame:
+def at_rest(index):
     return drifted().read(index)
 
 
 @pytest.fixture
-def watch() -> Watch:
+def watch():
     return Watch(PRESET, drifted().rig, untouched())
 
 
-def reports(watch: Watch, frames: Iterable[SensorFrame], start: int = 0) -> list[tuple[int, WatchReport]]:
+def reports(watch, frames, start=0):
     """Return the reports with the number of the look that made each."""
     looks = ((look, watch.look(frame, (start + look) * INTERVAL_S)) for look, frame in enumerate(frames, 1))
     return [(look, report) for look, report in looks if report is not None]
@@ -49,7 +45,7 @@ def reports(watch: Watch, frames: Iterable[SensorFrame], start: int = 0) -> list
         (Drift(apex_m=0.0076), "inflation", "inflation", 0.0070, "farther out"),
     ],
 )
-def test_a_change_is_found_with_its_size(drift: Drift, verdict: str, what: str, value_m: float, said: str) -> None:
+def test_a_change_is_found_with_its_size(drift, verdict, what, value_m, said):
     now = take_snapshot([drifted(drift).read(index) for index in LATER]).frame
     found = compare_with_untouched(PRESET, drifted().rig, now, untouched())
     assert found.verdict == verdict
@@ -58,7 +54,7 @@ def test_a_change_is_found_with_its_size(drift: Drift, verdict: str, what: str, 
     assert said in found.sentence
 
 
-def test_a_change_is_told_once_and_withdrawn(watch: Watch) -> None:
+def test_a_change_is_told_once_and_withdrawn(watch):
     after = drifted(Drift(apex_m=0.0076))
     assert not reports(watch, map(at_rest, LATER[:3]))
     [(look, report)] = reports(watch, map(after.read, LATER[:5]), 3)
@@ -69,13 +65,13 @@ def test_a_change_is_told_once_and_withdrawn(watch: Watch) -> None:
     assert watch.told == "fine"
 
 
-def test_a_single_odd_frame_is_not_told(watch: Watch) -> None:
+def test_a_single_odd_frame_is_not_told(watch):
     frames = [at_rest(index) for index in LATER]
     frames[6] = drifted(Drift("tactile", (0.005, 0, 0))).read(21)
     assert reports(watch, frames) == []
 
 
-def test_ordinary_use_raises_no_alarm(watch: Watch) -> None:
+def test_ordinary_use_raises_no_alarm(watch):
     """Presses, releases, and an object that hovers, with the light dimmed for a while."""
     source = open_source("sim:cup")
     order = np.random.default_rng(3).integers(source.length, size=12)
@@ -84,7 +80,7 @@ def test_ordinary_use_raises_no_alarm(watch: Watch) -> None:
     assert reports(watch, frames) == []
 
 
-def test_a_look_is_due_every_ten_seconds_and_after_the_clock_was_set_back(watch: Watch) -> None:
+def test_a_look_is_due_every_ten_seconds_and_after_the_clock_was_set_back(watch):
     assert watch.due(100.0)
     watch.look(drifted().read(20), 100.0)
     assert not watch.due(109.9)
@@ -92,7 +88,7 @@ def test_a_look_is_due_every_ten_seconds_and_after_the_clock_was_set_back(watch:
     assert watch.due(0.0)
 
 
-def test_what_cannot_be_compared_is_refused(watch: Watch) -> None:
+def test_what_cannot_be_compared_is_refused(watch):
     with pytest.raises(CalibrationError, match="untouched frame"):
         Watch(Preset(), drifted().rig, None)
     frame = drifted().read(20)

@@ -1,7 +1,5 @@
 """The noise of both cameras and the bias between them are what was put in: a wall, and the simulator's sensors."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import lru_cache
@@ -19,7 +17,7 @@ from tactune.core.rig.untouched import untouched_frame
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.noise import STEREO_BASELINE_M, TOF_DISTANCE_SHARE
 from tactune.core.sources.simulator.scenes import Variant
-from tactune.core.sources.simulator.sensors import SENSORS, SensorModel
+from tactune.core.sources.simulator.sensors import SENSORS
 from tactune.core.sources.simulator.source import SimulatorSource
 
 #: The colour that the mask takes for prints, and another one.
@@ -199,7 +197,7 @@ def measured(name):
     return measure_noise(frames, source.rig, load_preset("simulator"), untouched_frame(source)), source.rig
 
 
-def judge(found: CameraNoise, white_m, correlated_m, length_px, fixed_share, step_m):
+def judge(found, white_m, correlated_m, length_px, fixed_share, step_m):
     """Compare with the model, in the parts that exceed the quantisation."""
     quantised = step_m / math.sqrt(12)
     if white_m > quantised:
@@ -213,7 +211,7 @@ def judge(found: CameraNoise, white_m, correlated_m, length_px, fixed_share, ste
 
 
 def check(name):
-    model: SensorModel = SENSORS[name]
+    model = SENSORS[name]
     noise, rig = measured(name)
     near = noise.proximity.distance_m
     growth = 1 - TOF_DISTANCE_SHARE + TOF_DISTANCE_SHARE * near / 0.3

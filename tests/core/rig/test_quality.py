@@ -1,7 +1,5 @@
 """Depth quality on planes with known noise, against NumPy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,9 +1,5 @@
 """The delay between both cameras is recovered: on a board with known motion, and on the simulator."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -28,7 +24,7 @@ def still(t):
 
 
 @pytest.fixture
-def record(rig) -> Callable[..., list[Sample]]:
+def record(rig):
     """A few seconds in which the tactile camera's stamps are ``delay_s`` later than what they show."""
     shape = -(-HEIGHT // STEP), -(-WIDTH // STEP)
     across = np.hypot(*(np.indices(shape) - np.array([shape[0] / 2, shape[1] / 2])[:, None, None]))

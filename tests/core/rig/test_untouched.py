@@ -1,10 +1,7 @@
 """The untouched frame of a preset: captured, stored beside it, loaded, and refused with a message."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,7 +27,7 @@ MEMBRANE = 2800
 RIG = one_place_rig(WIDTH, HEIGHT, 90.0)
 
 
-def untouched_image(number: int, noise: float = 4.0) -> SensorFrame:
+def untouched_image(number, noise=4.0):
     rng = np.random.default_rng(number)
     return SensorFrame(
         sequence=number,
@@ -40,7 +37,7 @@ def untouched_image(number: int, noise: float = 4.0) -> SensorFrame:
     )
 
 
-def dented(frame: SensorFrame, counts: int, size: int) -> SensorFrame:
+def dented(frame, counts, size):
     depth = frame.tactile_depth.copy()
     depth[:size, :size] -= counts
     return replace(frame, tactile_depth=depth)
@@ -52,18 +49,18 @@ class Still(FrameSource):
     name = "still"
     rig = RIG
 
-    def __init__(self, untouched: SensorFrame | None = None) -> None:
+    def __init__(self, untouched=None):
         self._untouched = untouched
 
-    def next_frame(self) -> SensorFrame | None:
+    def next_frame(self):
         return untouched_image(0)
 
-    def untouched(self) -> SensorFrame | None:
+    def untouched(self):
         return self._untouched
 
 
 @pytest.fixture
-def kept(tmp_path: Path) -> tuple[Path, Preset, SensorFrame]:
+def kept(tmp_path):
     """A preset with an untouched frame beside it."""
     captured = average_untouched(map(untouched_image, range(5)))
     record = save_untouched(captured.frame, captured.frames, tmp_path / "kept.json")
@@ -72,7 +69,7 @@ def kept(tmp_path: Path) -> tuple[Path, Preset, SensorFrame]:
     return tmp_path / "kept.json", load_preset(tmp_path / "kept.json"), captured.frame
 
 
-def record_of(preset: Preset) -> UntouchedRecord:
+def record_of(preset):
     assert preset.untouched is not None
     return preset.untouched
 
@@ -80,14 +77,14 @@ def record_of(preset: Preset) -> UntouchedRecord:
 # Capturing
 
 
-def test_averaging_takes_the_noise_away() -> None:
+def test_averaging_takes_the_noise_away():
     captured = average_untouched(map(untouched_image, range(15)))
     assert captured.frames == 15
     assert np.std(captured.frame.tactile_depth - float(MEMBRANE)) < 4.0 / 2.5
 
 
 @pytest.mark.parametrize(("counts", "size", "refused"), [(60, 32, True), (6, 96, False)])
-def test_something_that_touches_meanwhile_is_refused(counts: int, size: int, refused: bool) -> None:
+def test_something_that_touches_meanwhile_is_refused(counts, size, refused):
     frames = [*map(untouched_image, range(4)), dented(untouched_image(4), counts, size)]
     if not refused:
         assert average_untouched(frames).frames == 5
@@ -96,12 +93,12 @@ def test_something_that_touches_meanwhile_is_refused(counts: int, size: int, ref
         average_untouched(frames)
 
 
-def test_noise_that_neighbours_share_is_no_movement() -> None:
+def test_noise_that_neighbours_share_is_no_movement():
     with open_source("sim:cup?press=none&sensor=heavy") as source:
         assert average_untouched(itertools.islice(source, 5)).frames == 5
 
 
-def test_no_frames_are_refused() -> None:
+def test_no_frames_are_refused():
     with pytest.raises(CalibrationError, match="gave none"):
         average_untouched([])
 
@@ -109,21 +106,21 @@ def test_no_frames_are_refused() -> None:
 # The file
 
 
-def test_an_untouched_frame_comes_back_bit_for_bit(kept: tuple[Path, Preset, SensorFrame]) -> None:
+def test_an_untouched_frame_comes_back_bit_for_bit(kept):
     path, preset, frame = kept
     record = record_of(preset)
     assert record.frames == 5
     assert content_hash(load_untouched(record, path)) == content_hash(frame) == record.sha256
 
 
-def test_a_copy_goes_beside_another_preset(kept: tuple[Path, Preset, SensorFrame], tmp_path: Path) -> None:
+def test_a_copy_goes_beside_another_preset(kept, tmp_path):
     path, preset, frame = kept
     copy_untouched(record_of(preset), path, tmp_path / "other" / "preset.json")
     assert content_hash(load_untouched(record_of(preset), tmp_path / "other" / "preset.json")) == content_hash(frame)
 
 
 @pytest.mark.parametrize("name", [".bash_profile", "../untouched-0123456789ab.npz", "untouched-0123456789ab.npz\n"])
-def test_a_preset_names_no_other_file(name: str) -> None:
+def test_a_preset_names_no_other_file(name):
     with pytest.raises(ValueError, match="file"):
         UntouchedRecord(file=name, sha256="0" * 64, frames=1)
 
@@ -137,9 +134,7 @@ def test_a_preset_names_no_other_file(name: str) -> None:
         (untouched_bytes(untouched_image(0))[:-40], "damaged"),
     ],
 )
-def test_a_file_that_is_none_is_refused_in_words(
-    kept: tuple[Path, Preset, SensorFrame], content: bytes, said: str
-) -> None:
+def test_a_file_that_is_none_is_refused_in_words(kept, content, said):
     path, preset, _ = kept
     record = record_of(preset)
     (path.parent / record.file).write_bytes(content)
@@ -151,7 +146,7 @@ def test_a_file_that_is_none_is_refused_in_words(
 # Which one is used
 
 
-def test_the_presets_own_untouched_frame_comes_before_the_sources(kept: tuple[Path, Preset, SensorFrame]) -> None:
+def test_the_presets_own_untouched_frame_comes_before_the_sources(kept):
     path, preset, frame = kept
     found = find_untouched(preset, path, Still(untouched_image(7)))
     assert found.frame is not None
@@ -159,9 +154,7 @@ def test_the_presets_own_untouched_frame_comes_before_the_sources(kept: tuple[Pa
     assert not found.warnings
 
 
-def test_a_missing_untouched_frame_is_a_warning_and_the_sources_is_taken(
-    kept: tuple[Path, Preset, SensorFrame],
-) -> None:
+def test_a_missing_untouched_frame_is_a_warning_and_the_sources_is_taken(kept):
     path, preset, _ = kept
     (path.parent / record_of(preset).file).unlink()
     others = untouched_image(7)
@@ -172,28 +165,25 @@ def test_a_missing_untouched_frame_is_a_warning_and_the_sources_is_taken(
     assert find_untouched(preset, path, Still()).frame is None
 
 
-def test_an_untouched_frame_of_another_rig_is_not_used(kept: tuple[Path, Preset, SensorFrame]) -> None:
+def test_an_untouched_frame_of_another_rig_is_not_used(kept):
     path, preset, _ = kept
     source = Still()
     wide = RIG.proximity.model_copy(update={"intrinsics": RIG.proximity.intrinsics.model_copy(update={"width": 200})})
-    source.rig = RIG.model_copy(update={"proximity": wide})  # type: ignore[misc]
+    source.rig = RIG.model_copy(update={"proximity": wide})
     found = find_untouched(preset, path, source)
     assert found.frame is None
     assert "200 x 96" in found.warnings[0]
 
 
-def test_without_one_the_source_is_asked() -> None:
+def test_without_one_the_source_is_asked():
     assert find_untouched(Preset(), None, Still()).frame is None
     with open_source("sim:cup?press=medium&sensor=datasheet") as source:
         found = find_untouched(Preset(), "simulator", source).frame
-        assert found is not None
         free = found.tactile_depth[200:280, 280:360].mean() - source.read(0).tactile_depth[200:280, 280:360].mean()
     assert free > 100, "the object is away"
 
 
-def test_a_recording_holds_the_untouched_frame_of_its_preset(
-    kept: tuple[Path, Preset, SensorFrame], tmp_path: Path
-) -> None:
+def test_a_recording_holds_the_untouched_frame_of_its_preset(kept, tmp_path):
     _, preset, frame = kept
     path, bare = tmp_path / "both.mcap", tmp_path / "bare.mcap"
     for file, untouched in ((path, frame), (bare, None)):

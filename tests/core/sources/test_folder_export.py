@@ -1,9 +1,5 @@
 """Exports to folders of images are atomic and never overwrite other files."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 
 from folder_scenes import ListSource, make_frame
@@ -11,10 +7,10 @@ from tactune.core.errors import ExportError
 from tactune.core.sources.folder import FolderSource, export_folder
 
 
-def test_export_starts_at_the_position_and_stops_after_so_many_frames(tmp_path: Path) -> None:
+def test_export_starts_at_the_position_and_stops_after_so_many_frames(tmp_path):
     source = ListSource([make_frame(seed) for seed in range(5)])
     source.seek(1)
-    told: list[float] = []
+    told = []
     assert export_folder(source, tmp_path / "out", frames=3, progress=lambda share, _: told.append(share)) == 3
     assert [frame.sequence for frame in FolderSource(tmp_path / "out")] == [101, 102, 103]
     assert told == pytest.approx([1 / 3, 2 / 3, 1.0])
@@ -22,7 +18,7 @@ def test_export_starts_at_the_position_and_stops_after_so_many_frames(tmp_path: 
     assert told[-1] == 1.0
 
 
-def test_an_export_overwrites_nothing(tmp_path: Path) -> None:
+def test_an_export_overwrites_nothing(tmp_path):
     target = tmp_path / "out"
     target.mkdir()
     (target / "notes.txt").write_text("mine")

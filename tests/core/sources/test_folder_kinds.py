@@ -1,17 +1,13 @@
 """Folders of images that other people have: layouts, kinds of depth and colour, lens files, and units."""
 
-from __future__ import annotations
-
 import json
 import re
-from collections.abc import Callable
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from tactune.core.calibration.folder_rig import FolderRig, describe_folder
+from tactune.core.calibration.folder_rig import describe_folder
 from tactune.core.errors import TactuneError
 from tactune.core.model.intrinsics import Distortion
 from tactune.core.sources.folder import FolderSource
@@ -26,7 +22,7 @@ COLOR = np.zeros((*SHAPE, 3), np.uint8)
 COLOR[:, :16] = 10, 120, 250  # BGR
 
 
-def save(path: Path, image: np.ndarray) -> None:
+def save(path, image):
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".npy":
         np.save(path, image)
@@ -34,7 +30,7 @@ def save(path: Path, image: np.ndarray) -> None:
         assert cv2.imwrite(str(path), image)
 
 
-def make_rig(folder: Path, unit: str | None = "mm", **options: str) -> FolderRig:
+def make_rig(folder, unit="mm", **options):
     given = dict.fromkeys(("proximity", "tactile", "color")) | options
     found = describe_folder(folder, given, unit)
     write_rig(folder, found.rig, found.forms)
@@ -42,7 +38,7 @@ def make_rig(folder: Path, unit: str | None = "mm", **options: str) -> FolderRig
 
 
 METRES = np.where(DEPTH > 0, DEPTH / 1000, np.nan)
-DEPTHS: dict[str, tuple[np.ndarray, str]] = {
+DEPTHS = {
     "png": (DEPTH, "mm"),
     "PNG": (DEPTH, "0.001"),
     "tif": (DEPTH, "proximity=1/1000,tactile=mm"),
@@ -64,9 +60,7 @@ ARRAYS = {
     [(suffix, *values) for suffix, values in DEPTHS.items()] + [("npy", *values) for values in ARRAYS.values()],
     ids=[*DEPTHS, *ARRAYS],
 )
-def test_depth_of_any_form_has_the_same_metres(
-    tmp_path: Path, suffix: str, image: np.ndarray, unit: str | None
-) -> None:
+def test_depth_of_any_form_has_the_same_metres(tmp_path, suffix, image, unit):
     for role in ("proximity", "tactile"):
         save(tmp_path / f"{role}_depth.{suffix}", image)
     save(tmp_path / "proximity_color.png", COLOR)
@@ -90,7 +84,7 @@ COLORS = {
 
 
 @pytest.mark.parametrize("kind", COLORS)
-def test_colour_of_any_form_is_rgb(tmp_path: Path, kind: str) -> None:
+def test_colour_of_any_form_is_rgb(tmp_path, kind):
     suffix, image, rgb = COLORS[kind]
     save(tmp_path / f"proximity_color{suffix}", image)
     for role in ("proximity", "tactile"):
@@ -103,7 +97,7 @@ def test_colour_of_any_form_is_rgb(tmp_path: Path, kind: str) -> None:
 # --- layouts -------------------------------------------------------------------------------------------
 
 
-def tum(folder: Path) -> None:
+def tum(folder):
     """Depth at 10 Hz, colour 20 ms later, one colour image missing, names that are no times."""
     lists = {"depth": ["# depth maps", "# timestamp filename"], "rgb": ["# color images"]}
     for index in range(4):
@@ -117,7 +111,7 @@ def tum(folder: Path) -> None:
     (folder / "groundtruth.txt").write_text("# tx ty tz\n1305031102.1 1 2 3 0 0 0 1\n")
 
 
-def tum_associations(folder: Path) -> None:
+def tum_associations(folder):
     for index in range(4):
         save(folder / f"depth/{index}.png", DEPTH * 5)
         save(folder / f"rgb/{index + 7}.jpg", COLOR)
@@ -125,7 +119,7 @@ def tum_associations(folder: Path) -> None:
     (folder / "associations.txt").write_text("\n".join(lines))
 
 
-def bop(folder: Path) -> None:
+def bop(folder):
     for index in range(3):
         save(folder / f"rgb/{index:06d}.jpg", COLOR)
         save(folder / f"depth/{index:06d}.png", DEPTH * 10)
@@ -134,7 +128,7 @@ def bop(folder: Path) -> None:
     (folder / "scene_camera.json").write_text(json.dumps({str(index): camera for index in range(3)}))
 
 
-def roles(folder: Path) -> None:
+def roles(folder):
     for index in (3, 20, 100):
         save(folder / f"proximity/depth_{index}.npy", DEPTH)
         save(folder / f"proximity/color_{index}.jpg", COLOR)
@@ -142,13 +136,13 @@ def roles(folder: Path) -> None:
     save(folder / "tactile/depth/00021.tiff", DEPTH)
 
 
-def flat(folder: Path) -> None:
+def flat(folder):
     for index in range(2):
         for name in ("proximity_depth", "tactile_depth", "proximity_rgb"):
             save(folder / f"frame{index:04d}_{name}.png", COLOR if "rgb" in name else DEPTH)
 
 
-def subfolders(folder: Path) -> None:
+def subfolders(folder):
     for index in range(2):
         save(folder / f"{index}/depth.png", DEPTH)
         save(folder / f"{index}/ir.png", GRAY)
@@ -156,7 +150,7 @@ def subfolders(folder: Path) -> None:
 
 
 #: Writer, options, frames, images without a partner, frames without colour, warning-free unit in metres.
-LAYOUTS: dict[str, tuple[Callable[[Path], None], dict[str, str], int, int, int]] = {
+LAYOUTS = {
     "TUM": (tum, {"proximity": LENS}, 4, 0, 1),
     "TUM associations": (tum_associations, {"proximity": LENS}, 3, 0, 0),
     "BOP": (bop, {}, 3, 0, 0),
@@ -167,7 +161,7 @@ LAYOUTS: dict[str, tuple[Callable[[Path], None], dict[str, str], int, int, int]]
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_a_layout_is_found_with_its_unit_and_its_gaps(tmp_path: Path, layout: str) -> None:
+def test_a_layout_is_found_with_its_unit_and_its_gaps(tmp_path, layout):
     write, options, frames, unmatched, colorless = LAYOUTS[layout]
     write(tmp_path)
     found = make_rig(tmp_path, options.pop("unit", None) if "unit" in options else None, **options)
@@ -182,7 +176,7 @@ def test_a_layout_is_found_with_its_unit_and_its_gaps(tmp_path: Path, layout: st
     assert sum(not frame.proximity_color.any() for frame in read) == colorless
 
 
-def test_colour_of_another_size_of_the_only_camera_is_left_out(tmp_path: Path) -> None:
+def test_colour_of_another_size_of_the_only_camera_is_left_out(tmp_path):
     save(tmp_path / "depth/1.png", DEPTH)
     save(tmp_path / "rgb/1.png", cv2.resize(COLOR, (64, 48)))
     found = make_rig(tmp_path, "tactile=mm", tactile=LENS)
@@ -191,7 +185,7 @@ def test_colour_of_another_size_of_the_only_camera_is_left_out(tmp_path: Path) -
         assert not source.read(0).proximity_color.any() and "no colour" in source.health().message
 
 
-def test_images_of_two_cameras_are_paired_by_time_at_most_half_a_period_apart(tmp_path: Path) -> None:
+def test_images_of_two_cameras_are_paired_by_time_at_most_half_a_period_apart(tmp_path):
     for index in range(5):
         save(tmp_path / f"proximity_depth/{17000 + index / 10:.6f}.png", DEPTH)
         late_s = 0.06 if index == 2 else 0.04
@@ -217,7 +211,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_does_not_fit_is_refused_with_the_name_of_the_file(tmp_path: Path, case: str) -> None:
+def test_what_does_not_fit_is_refused_with_the_name_of_the_file(tmp_path, case):
     images, sentence = REFUSED[case]
     for name, image in images.items():
         save(tmp_path / name, image)
@@ -230,7 +224,7 @@ def test_what_does_not_fit_is_refused_with_the_name_of_the_file(tmp_path: Path, 
 
 
 @pytest.fixture
-def plain(tmp_path: Path) -> Path:
+def plain(tmp_path):
     for role in ("proximity", "tactile"):
         save(tmp_path / f"{role}_depth.png", DEPTH)
     save(tmp_path / "proximity_color.png", COLOR)
@@ -253,7 +247,7 @@ UNITS = {  # unit, proximity, tactile: unit of both in metres or what refuses it
 
 
 @pytest.mark.parametrize("case", UNITS)
-def test_a_unit_is_given_or_refused_or_told(plain: Path, case: str) -> None:
+def test_a_unit_is_given_or_refused_or_told(plain, case):
     unit, proximity, tactile, expected, warning = UNITS[case]
     options = {"proximity": proximity, "tactile": tactile, "color": None}
     if isinstance(expected, str):
@@ -282,7 +276,7 @@ distortion_coefficients: {{rows: 1, cols: {n}, data: [{d}]}}
 """
 
 
-def ros(model: str, *d: float) -> str:
+def ros(model, *d):
     return ROS.format(k=K, model=model, n=len(d), d=", ".join(map(str, d)))
 
 
@@ -308,7 +302,7 @@ cam1:
   rostopic: /far/image
 """
 BROWN = (0.1, -0.05, 0.001, 0.002, 0.0)
-FILES: dict[str, tuple[str, tuple[float, ...], bool]] = {  # text, Brown-Conrady's coefficients, whether rectified
+FILES = {  # text, Brown-Conrady's coefficients, whether rectified
     "ros.yaml": (ros("plumb_bob", *BROWN), BROWN, False),
     "rational.yaml": (ros("rational_polynomial", *BROWN, 0.8, 0.4, 0.2), (), True),
     "rational_plain.yaml": (ros("rational_polynomial", *BROWN, 0, 0, 0), BROWN, False),
@@ -333,7 +327,7 @@ FILES: dict[str, tuple[str, tuple[float, ...], bool]] = {  # text, Brown-Conrady
 }
 
 
-def opencv_file(path: Path, *, coefficients: int) -> None:
+def opencv_file(path, *, coefficients):
     """OpenCV's own writer."""
     file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     file.write("image_width", 32)
@@ -347,7 +341,7 @@ OPENCV = {f"opencv{n}{suffix}": n for n in (5, 8) for suffix in (".yaml", ".xml"
 
 
 @pytest.mark.parametrize("name", [*FILES, *OPENCV])
-def test_a_lens_file_of_another_program_is_read_and_the_folder_plays(plain: Path, name: str) -> None:
+def test_a_lens_file_of_another_program_is_read_and_the_folder_plays(plain, name):
     path = plain.parent / "lenses" / name.partition(":")[0]
     path.parent.mkdir(exist_ok=True)
     if name in OPENCV:
@@ -367,7 +361,7 @@ def test_a_lens_file_of_another_program_is_read_and_the_folder_plays(plain: Path
     assert {0, 400, 500} >= set(np.unique(frame.proximity_depth).tolist())
 
 
-def test_a_camchain_of_both_cameras_gives_their_pose(plain: Path) -> None:
+def test_a_camchain_of_both_cameras_gives_their_pose(plain):
     path = plain.parent / "camchain.yaml"
     path.write_text(KALIBR.format("radtan"))
     found = describe_folder(plain, {"proximity": f"{path}:cam0", "tactile": f"{path}:cam1", "color": None}, "mm")
@@ -398,7 +392,7 @@ BAD_LENSES = {
 
 
 @pytest.mark.parametrize("name", BAD_LENSES)
-def test_a_lens_that_cannot_be_used_is_refused_by_name(plain: Path, name: str) -> None:
+def test_a_lens_that_cannot_be_used_is_refused_by_name(plain, name):
     text, sentence = BAD_LENSES[name]
     path = plain.parent / name
     path.write_text(text)

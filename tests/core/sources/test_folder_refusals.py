@@ -1,9 +1,6 @@
 """Unreadable folders of images are refused with one sentence that names the file and the value."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,11 +10,11 @@ from tactune.core.errors import SourceError
 from tactune.core.sources.folder import FolderSource
 
 
-def write(path: Path, *shape: int, dtype: type = np.uint16, value: int = 0) -> None:
+def write(path, *shape, dtype=np.uint16, value=0):
     cv2.imwrite(str(path), np.full(shape, value, dtype))
 
 
-def edit(path: Path, **changes: object) -> None:
+def edit(path, **changes):
     data = json.loads(path.read_text())
     for key, value in changes.items():
         if value is None:
@@ -59,7 +56,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_a_bad_recording_is_refused_in_one_sentence_when_it_is_opened(recording: Path, case: str) -> None:
+def test_a_bad_recording_is_refused_in_one_sentence_when_it_is_opened(recording, case):
     FolderSource(recording)
     spoil, sentence = BAD[case]
     spoil(recording)
@@ -68,7 +65,7 @@ def test_a_bad_recording_is_refused_in_one_sentence_when_it_is_opened(recording:
     assert "\n" not in str(caught.value)
 
 
-def test_a_later_bad_frame_is_told_when_it_is_read(recording: Path) -> None:
+def test_a_later_bad_frame_is_told_when_it_is_read(recording):
     (recording / "000001/proximity_color.png").write_bytes(b"oops")
     source = FolderSource(recording)
     assert source.next_frame() is not None

@@ -1,9 +1,6 @@
 """Folders of images: reading, and a lossless export."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -17,7 +14,7 @@ from tactune.core.sources.folder import FolderSource, export_folder
 # --- round trip ------------------------------------------------------------------------------------
 
 
-def test_an_export_gives_back_every_bit(tmp_path: Path) -> None:
+def test_an_export_gives_back_every_bit(tmp_path):
     frames = [
         make_frame(0),
         make_frame(1, tactile_color=None, truth=None),
@@ -39,7 +36,7 @@ def test_an_export_gives_back_every_bit(tmp_path: Path) -> None:
 # --- reading ---------------------------------------------------------------------------------------
 
 
-def test_one_frame_may_lie_beside_rig_json(recording: Path) -> None:
+def test_one_frame_may_lie_beside_rig_json(recording):
     single = recording / "000001"
     (recording / "rig.json").rename(single / "rig.json")
     (single / "frame.json").unlink()
@@ -50,7 +47,7 @@ def test_one_frame_may_lie_beside_rig_json(recording: Path) -> None:
     assert same_frame(source.read(0), make_frame(1, sequence=0, proximity_time_s=0.0, tactile_time_s=0.0))
 
 
-def test_numbered_frames_come_in_numeric_order_with_gaps(recording: Path) -> None:
+def test_numbered_frames_come_in_numeric_order_with_gaps(recording):
     (recording / "000000").rename(recording / "10")
     (recording / "000001").rename(recording / "9")
     (recording / "notes").mkdir()
@@ -60,12 +57,11 @@ def test_numbered_frames_come_in_numeric_order_with_gaps(recording: Path) -> Non
     assert source.read(1).proximity_time_s == source.read(1).tactile_time_s == pytest.approx(1 / 30)
     source.seek(1)
     last = source.next_frame()
-    assert last is not None
     assert last.sequence == 1
     assert source.next_frame() is None
 
 
-def test_the_real_pair_is_read_as_it_is(tmp_path: Path, shared_data: Path) -> None:
+def test_the_real_pair_is_read_as_it_is(tmp_path, shared_data):
     folder = shared_data / "real_pair"
     source = FolderSource(folder)
     frame = source.read(0)

@@ -1,10 +1,6 @@
 """Orbbec cameras by the SDK's own playback of recordings that were written without a camera."""
 
-from __future__ import annotations
-
 import inspect
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -27,35 +23,35 @@ COLORS = [np.full((480, 640, 3), (n, 2 * n, 3 * n), np.uint8) for n in range(COU
 class Played:
     """Recordings in place of the SDK's list of connected devices."""
 
-    def __init__(self, *paths: Path) -> None:
+    def __init__(self, *paths):
         self.paths = paths
         self._infos = [sdk.PlaybackDevice(str(path)).get_device_info() for path in paths]
 
-    def get_count(self) -> int:
+    def get_count(self):
         return len(self.paths)
 
-    def get_device_name_by_index(self, index: int) -> str:
+    def get_device_name_by_index(self, index):
         return str(self._infos[index].get_name())
 
-    def get_device_serial_number_by_index(self, index: int) -> str:
+    def get_device_serial_number_by_index(self, index):
         return str(self._infos[index].get_serial_number())
 
-    def get_device_connection_type_by_index(self, index: int) -> str:
+    def get_device_connection_type_by_index(self, index):
         return str(self._infos[index].get_connection_type())
 
-    def get_device_by_serial_number(self, serial: str) -> Any:
+    def get_device_by_serial_number(self, serial):
         serials = [info.get_serial_number() for info in self._infos]
         return sdk.PlaybackDevice(str(self.paths[serials.index(serial)]))
 
 
 @pytest.fixture
-def played(tmp_path: Path) -> Played:
+def played(tmp_path):
     for name in ("A1", "B2"):
         orbbec_bag.write_bag(tmp_path / f"{name}.bag", DEPTHS, COLORS, name)
     return Played(tmp_path / "A1.bag", tmp_path / "B2.bag")
 
 
-def test_a_camera_reports_its_lenses_and_its_images(played: Played) -> None:
+def test_a_camera_reports_its_lenses_and_its_images(played):
     driver = OrbbecDriver(lambda: played)
     first, _ = driver.devices()
     assert (first.model, first.serial, first.role, first.usb) == ("Femto Bolt(Playback)", "A1", "proximity", "3.0")
@@ -77,7 +73,7 @@ def test_a_camera_reports_its_lenses_and_its_images(played: Played) -> None:
         assert images.time_s == pytest.approx(1.7e9 + images.number / 30, abs=1e-5)
 
 
-def test_two_make_a_rig_in_the_roles_that_are_asked_for(played: Played) -> None:
+def test_two_make_a_rig_in_the_roles_that_are_asked_for(played):
     section = CamerasSection()
     for role, serial in (("proximity", "B2"), ("tactile", "A1")):
         section = section.model_copy(update={role: getattr(section, role).model_copy(update={"serial": serial})})
@@ -89,28 +85,27 @@ def test_two_make_a_rig_in_the_roles_that_are_asked_for(played: Played) -> None:
     ("model", "k1", "outcome"),
     [(3, 0.01, "brown_conrady"), (4, 0.01, "brown_conrady"), (0, 0.0, "none"), (1, 0.0, "none")],
 )
-def test_lens_models(model: int, k1: float, outcome: str, tmp_path: Path) -> None:
+def test_lens_models(model, k1, outcome, tmp_path):
     orbbec_bag.write_bag(tmp_path / "a.bag", DEPTHS, COLORS, "A1", model, k1)
     camera = OrbbecDriver(lambda: Played(tmp_path / "a.bag")).open("A1", "tactile")
     camera.close()
-    assert camera.calibration.color is not None
     assert camera.calibration.color.distortion == outcome
 
 
-def test_a_lens_whose_numbers_nobody_defines_is_refused(tmp_path: Path) -> None:
+def test_a_lens_whose_numbers_nobody_defines_is_refused(tmp_path):
     orbbec_bag.write_bag(tmp_path / "a.bag", DEPTHS, COLORS, "A1", 1, 0.01)
     with pytest.raises(SourceError, match=r"Femto Bolt.*\(serial A1\) reports a lens.*modified_brown_conrady"):
         OrbbecDriver(lambda: Played(tmp_path / "a.bag")).open("A1", "tactile")
 
 
-def test_what_is_not_there_is_told(played: Played, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_not_there_is_told(played, monkeypatch):
     with pytest.raises(SourceError, match="the serial C3 is not connected"):
         OrbbecDriver(lambda: played).open("C3", "tactile")
     monkeypatch.setattr(orbbec, "find_spec", lambda name: None)
     assert OrbbecDriver().devices() == []
 
 
-def test_the_options_are_properties_of_this_sdk() -> None:
+def test_the_options_are_properties_of_this_sdk():
     for number, _, _ in orbbec._OFFERED.values():
         assert hasattr(sdk.OBPropertyID, number)
     for kind in ("int", "bool"):
@@ -125,7 +120,7 @@ def test_the_options_are_properties_of_this_sdk() -> None:
     assert formats >= orbbec._COLORS.keys()
 
 
-def test_listing_writes_no_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_listing_writes_no_log(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert OrbbecDriver().devices() == []
     assert list(tmp_path.iterdir()) == []

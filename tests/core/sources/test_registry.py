@@ -1,10 +1,5 @@
 """Names of sources: what each name opens, and one clear sentence for an invalid name."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import pytest
 
 from tactune.core.errors import SourceError
@@ -22,12 +17,12 @@ from tactune.core.sources.simulator.sensors import DEFAULT_SENSOR
         ("octopus?seed=3&noise=0.5&sensor=worn", {"scene": "octopus", "seed": 3, "noise": 0.5, "sensor": "worn"}),
     ],
 )
-def test_simulator_names(rest: str, expected: dict[str, Any]) -> None:
+def test_simulator_names(rest, expected):
     plain = {"sensor": DEFAULT_SENSOR, "variant": Variant(), "cameras": "two"}
     assert source_options(read_name(rest)) == plain | expected
 
 
-def test_a_folder_is_opened_by_scheme_or_by_its_rig(recording: Path) -> None:
+def test_a_folder_is_opened_by_scheme_or_by_its_rig(recording):
     for name in (f"folder:{recording}", str(recording), str(recording / "rig.json")):
         with open_source(name) as source:
             assert isinstance(source, FolderSource)
@@ -50,9 +45,7 @@ def test_a_folder_is_opened_by_scheme_or_by_its_rig(recording: Path) -> None:
         ("sim:table", "scene is 'table'"),
     ],
 )
-def test_a_name_that_opens_nothing_is_answered_in_one_sentence(
-    name: str, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_name_that_opens_nothing_is_answered_in_one_sentence(name, sentence, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SourceError, match=sentence) as caught:
         open_source(name)

@@ -1,7 +1,5 @@
 """The membrane's contact problem, checked by independent conditions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

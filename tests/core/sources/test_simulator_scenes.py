@@ -1,7 +1,5 @@
 """The simulator's scenes: names, options, and their differences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The simulator's named sensors: measured amplitude, correlation and other errors are what each model says."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The simulator as a source: geometry, noise, determinism, cache, and the results of the shipped preset."""
 
-from __future__ import annotations
-
 import gc
 
 import numpy as np

@@ -1,14 +1,8 @@
 """Recordings of small images, and searches on them."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterator
-from pathlib import Path
-
 import cv2
 import pytest
 
-from commands import Finished
 from long_search import LongSearch
 from small_recordings import NoisyPress, small_rig
 from tactune.core.contact.kernels.threads import get_threads, set_threads
@@ -18,7 +12,7 @@ from tactune.core.sources.presets import load_preset
 
 
 @pytest.fixture(autouse=True)
-def _threads() -> Iterator[None]:
+def _threads():
     """Undo what a worker does to its thread and process, which are those of the tests here."""
     kernels, images = get_threads(), cv2.getNumThreads()
     yield
@@ -27,10 +21,10 @@ def _threads() -> Iterator[None]:
 
 
 @pytest.fixture
-def make_recording(tmp_path: Path) -> Callable[..., str]:
+def make_recording(tmp_path):
     """Write a recording and return its source's name."""
 
-    def make(name: str = "rec", *, seed: int = 0, frames: int = 3, width: int = 64, with_truth: bool = True) -> str:
+    def make(name="rec", *, seed=0, frames=3, width=64, with_truth=True):
         export_folder(NoisyPress(seed, small_rig(width), frames, with_truth), tmp_path / name)
         return f"folder:{tmp_path / name}"
 
@@ -38,12 +32,12 @@ def make_recording(tmp_path: Path) -> Callable[..., str]:
 
 
 @pytest.fixture
-def recording(make_recording: Callable[..., str]) -> str:
+def recording(make_recording):
     return make_recording()
 
 
 @pytest.fixture
-def tolerance_preset(tmp_path: Path) -> Path:
+def tolerance_preset(tmp_path):
     """Write the paper's preset with the tolerance test."""
     path = tmp_path / "tolerance.json"
     save_preset(load_preset("default").with_value("contact_test", "tolerance"), path)
@@ -51,12 +45,10 @@ def tolerance_preset(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def tune(
-    tactune: Callable[..., Finished], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, tolerance_preset: Path
-) -> Callable[..., Finished]:
+def tune(tactune, monkeypatch, tmp_path, tolerance_preset):
     """Run ``tactune tune`` in this process from the tolerance preset, in the folder ``work``."""
 
-    def run(*words: object) -> Finished:
+    def run(*words):
         (tmp_path / "work").mkdir(exist_ok=True)
         monkeypatch.chdir(tmp_path / "work")
         preset = [] if "-p" in words else ["-p", tolerance_preset]
@@ -67,5 +59,5 @@ def tune(
 
 
 @pytest.fixture
-def long_search(make_recording: Callable[..., str], tmp_path: Path, tolerance_preset: Path) -> LongSearch:
+def long_search(make_recording, tmp_path, tolerance_preset):
     return LongSearch(make_recording(frames=12), tmp_path, tolerance_preset)

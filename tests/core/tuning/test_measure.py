@@ -1,7 +1,5 @@
 """How a trial is measured: frames, truth, shared steps, times, failures."""
 
-from __future__ import annotations
-
 import time
 
 import pytest
@@ -11,16 +9,16 @@ from tactune.core.model.metrics import compare_with_truth
 from tactune.core.sources.folder import FolderSource
 from tactune.core.sources.presets import load_preset
 from tactune.core.tuning.measure import measure
-from tactune.core.tuning.plan import Plan, make_plan
+from tactune.core.tuning.plan import make_plan
 
 BASE = load_preset("default").with_value("contact_test", "tolerance")
 
 
-def plan_of(*sources: str) -> Plan:
+def plan_of(*sources):
     return make_plan(BASE, [], sources, objectives=["stability", "ms"])
 
 
-def figures_of(plan: Plan, *trials: dict[str, object]) -> list[dict[str, float]]:
+def figures_of(plan, *trials):
     """Measure trials whose parameters can be used."""
     measured = measure(plan, trials)
     assert not any(failure for _, failure in measured)
@@ -30,7 +28,7 @@ def figures_of(plan: Plan, *trials: dict[str, object]) -> list[dict[str, float]]
 def test_figures_are_means_over_frames_and_then_over_sources(make_recording, tmp_path):
     names = make_recording("one"), make_recording("other", seed=5, frames=2)
     (found,) = figures_of(plan_of(*names), {"tolerance.t": 0.007})
-    means: dict[str, list[float]] = {"iou": [], "rmse_mm": [], "points": []}
+    means = {"iou": [], "rmse_mm": [], "points": []}
     for name in ("one", "other"):
         source = FolderSource(tmp_path / name)
         pipeline = ContactPipeline(BASE.with_value("tolerance.t", 0.007), source.rig)

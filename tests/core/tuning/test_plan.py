@@ -1,7 +1,5 @@
 """The plan of a search: texts, ranges, grids, default ranges, and errors before the first trial."""
 
-from __future__ import annotations
-
 import pytest
 
 from tactune.core.errors import TactuneError
@@ -12,7 +10,7 @@ from tactune.core.tuning.plan import check_axes, default_axes, grid_of, parse_ax
 BASE = Preset().with_value("contact_test", "tolerance")
 
 
-def values(text: str) -> list[object]:
+def values(text):
     (axis,) = check_axes([parse_axis(text)], BASE)
     return [point[axis.path] for point in grid_of([axis])]
 

@@ -1,7 +1,5 @@
 """``tactune tune``: options, samplers, front, best preset, the file of trials, and errors in a sentence."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Searches in processes that are killed, or that run on a cluster: each trial counts once."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -57,7 +55,7 @@ def test_a_line_that_a_crash_cut_off_is_dropped(tune, recording, tmp_path):
     assert all(json.loads(line) for line in journal.read_text().splitlines())
 
 
-def wait_for_the_end_of(session: int) -> None:
+def wait_for_the_end_of(session):
     for _ in range(300):
         if not living(session):
             return
@@ -65,7 +63,7 @@ def wait_for_the_end_of(session: int) -> None:
     raise AssertionError(f"processes are left: {living(session)}")
 
 
-def living(session: int) -> list[str]:
+def living(session):
     """Return the processes of a session that have not ended."""
     found = []
     for folder in Path("/proc").glob("[0-9]*"):

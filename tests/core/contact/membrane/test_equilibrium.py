@@ -1,7 +1,5 @@
 """The obstacle problem of the membrane test: against other solvers and analytic solutions, and what always holds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -27,7 +25,7 @@ MEMBRANE = Preset().with_values({"contact_test": "membrane", "membrane.bias": Fa
 PLANE_M, BEHIND_M, UNIT_M = 0.3, 0.6, 1e-5
 
 
-def cells_of_gap(gap_m: np.ndarray, push_per_m: float | np.ndarray) -> Cells:
+def cells_of_gap(gap_m, push_per_m):
     """Return cells of 1 mm that face the camera, with an unknown frame and nothing beside the object."""
     gap_m = np.asarray(gap_m, np.float32)
     known = np.zeros(gap_m.shape, bool)
@@ -69,7 +67,7 @@ def test_the_membrane_beside_an_object_decides_at_its_border():
     assert not any((found & ~known).any() for found in touching.values())
 
 
-def random_cells(seed: int, size: int = 16) -> tuple[Cells, np.ndarray]:
+def random_cells(seed, size=16):
     rng = np.random.default_rng(seed)
     known = np.zeros((size, size), bool)
     known[1:-1, 1:-1] = rng.random((size - 2, size - 2)) > 0.1
@@ -81,9 +79,7 @@ def random_cells(seed: int, size: int = 16) -> tuple[Cells, np.ndarray]:
     return Cells(measured, share, share, over_window(share, 3), known, known, push, sides, facing, 3), rng
 
 
-def equations(
-    cells: Cells, inside: np.ndarray, trust_m: float, bias_m: float = 0.0
-) -> tuple[kernels.Equations, np.ndarray]:
+def equations(cells, inside, trust_m, bias_m=0.0):
     """Return the equations of some cells, and their loads."""
     size = int(inside.sum())
     places, links = np.empty(size, np.int32), np.empty((6, size), np.float32)
@@ -211,18 +207,18 @@ def test_beside_an_object_the_gap_is_that_of_its_tangent_plane_to_the_membrane(r
 
 
 @pytest.fixture(scope="module")
-def rig() -> Rig:
+def rig():
     """Two cameras in one place, so that pixels compare one by one."""
     lens = Intrinsics(width=320, height=240, fx=300.0, fy=300.0, cx=159.5, cy=119.5)
     camera = DepthCamera(intrinsics=lens, depth_unit_m=UNIT_M)
     return Rig(proximity=camera, tactile=camera, T_proximity_tactile=np.eye(4).tolist())
 
 
-def counts(depth_m: np.ndarray) -> np.ndarray:
+def counts(depth_m):
     return np.rint(depth_m / UNIT_M).astype(np.uint16)
 
 
-def pressed_bubble(rig: Rig, contact_m: float, ball_m: float, pull_per_m: float = 7.0) -> tuple[SensorFrame, float]:
+def pressed_bubble(rig, contact_m, ball_m, pull_per_m=7.0):
     """Return images of a bubble into which a ball presses, and the tangent of the ray at the edge of contact.
 
     Young-Laplace for a surface of revolution, with the slope angle psi: d(r sin psi) / dr = r p / T, so
@@ -237,7 +233,7 @@ def pressed_bubble(rig: Rig, contact_m: float, ball_m: float, pull_per_m: float 
     outside = PLANE_M + np.concatenate([[0.0], np.cumsum((slope[1:] + slope[:-1]) / 2 * np.diff(r))])
     inner = np.linspace(0, contact_m, 2000)[:-1]
 
-    def ball(x: np.ndarray) -> np.ndarray:
+    def ball(x):
         if not np.isfinite(ball_m):
             return np.full_like(x, PLANE_M)
         return PLANE_M + np.sqrt(ball_m**2 - contact_m**2) - np.sqrt(ball_m**2 - x**2)
@@ -267,7 +263,7 @@ def test_a_ball_in_a_bubble_touches_within_its_radius(rig, contact_m, ball_m):
     assert np.count_nonzero(expected & ~patch.mask) < 0.1 * np.count_nonzero(expected)
 
 
-def sphere_from_inside(rig: Rig, ball_m: float, centre_m: tuple[float, float, float]) -> np.ndarray:
+def sphere_from_inside(rig, ball_m, centre_m):
     """Depth of a sphere's far side along each pixel's ray."""
     rays = np.dstack([rig.tactile.intrinsics.rays(), np.ones(rig.tactile.intrinsics.shape)]).astype(float)
     centre = np.array(centre_m)

@@ -1,7 +1,5 @@
 """The bias that the membrane test finds in a frame: in firm contact by itself, elsewhere only with the rig's."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
@@ -11,9 +9,7 @@ import pytest
 from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.kernels.chain import Region
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.model.frames import SensorFrame
 from tactune.core.model.metrics import pixel_scores
-from tactune.core.preset import Preset
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.sensors import SENSORS
@@ -24,23 +20,23 @@ MEMBRANE = load_preset("simulator").with_values({"contact_test": "membrane", "al
 
 
 @cache
-def cup(sensor: str, press: str = "medium") -> SimulatorSource:
+def cup(sensor, press="medium"):
     return SimulatorSource("cup", seed=1, cells=CELLS, variant=Variant(press=press), sensor=sensor)
 
 
 @cache
-def hovering(gap_mm: float, sensor: str) -> SimulatorSource:
+def hovering(gap_mm, sensor):
     return SimulatorSource("cup", seed=1, cells=CELLS, variant=Variant(gap_mm=gap_mm), sensor=sensor)
 
 
-def farther(frame: SensorFrame, bias_m: float, unit_m: float) -> SensorFrame:
+def farther(frame, bias_m, unit_m):
     """Return a frame whose proximity camera reads farther by the bias, without its truth."""
     depth = frame.proximity_depth.astype(np.int32)
     moved = np.where((depth > 0) & (depth < 65535), depth + round(bias_m / unit_m), depth)
     return replace(frame, proximity_depth=moved.astype(np.uint16), truth=None)
 
 
-def noise(bias_m: float, sigma_m: float = 0.0003, origin: str = "prints", white_m: float = 0.001) -> dict:
+def noise(bias_m, sigma_m=0.0003, origin="prints", white_m=0.001):
     """Return noise about as large as that of the data sheets, with a part that neighbouring pixels share."""
     camera = {
         "white_m": white_m, "correlated_m": white_m / 2, "length_px": 2.4, "changing_share": 1.0, "distance_m": 0.3,
@@ -51,11 +47,11 @@ def noise(bias_m: float, sigma_m: float = 0.0003, origin: str = "prints", white_
     }  # fmt: skip
 
 
-def found_bias_m(preset: Preset, frame: SensorFrame, source: SimulatorSource) -> float:
+def found_bias_m(preset, frame, source):
     return ContactPipeline(preset, source.rig).process(frame).membrane.bias_m
 
 
-def true_bias_m(frame: SensorFrame, source: SimulatorSource) -> float:
+def true_bias_m(frame, source):
     """Return the mean difference of both depths in true contact, which the slow errors of the sensors also shift."""
     alignment = make_alignment(MEMBRANE.alignment, source.rig)
     width, height = source.rig.proximity.intrinsics.width, source.rig.proximity.intrinsics.height

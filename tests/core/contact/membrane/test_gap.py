@@ -1,7 +1,5 @@
 """The gap between membrane and object that the membrane test passes on with a patch."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tactune.core.contact.pipeline import ContactPipeline

@@ -1,7 +1,5 @@
 """The membrane test on simulated presses, and on images with little or nothing in them."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -70,13 +68,13 @@ def test_depth_that_is_missing_in_a_pattern_does_not_hide_firm_contact(hidden):
     assert patch.membrane.firm_m2 > 2 * FIRM_M2, "half of its area has depth, and tells the bias"
 
 
-def flat_rig(width: int, height: int) -> Rig:
+def flat_rig(width, height):
     lens = Intrinsics(width=width, height=height, fx=300.0, fy=300.0, cx=width / 2, cy=height / 2)
     camera = DepthCamera(intrinsics=lens, depth_unit_m=UNIT_M)
     return Rig(proximity=camera, tactile=camera, T_proximity_tactile=np.eye(4).tolist())
 
 
-def disc(width: int = 200, height: int = 120, radius_px: float = 30.0, lift_m: float = 0.0) -> SensorFrame:
+def disc(width=200, height=120, radius_px=30.0, lift_m=0.0):
     """A flat membrane and an object that leaves it by the square of the way beyond a disc."""
     v, u = np.mgrid[:height, :width]
     r = np.hypot(u - width // 2, v - height // 2)
@@ -124,7 +122,7 @@ def test_one_and_four_threads_and_a_used_pipeline_give_the_same_bits():
     source = SimulatorSource("cup", seed=1, cells=CELLS, variant=Variant(press="medium"), sensor="datasheet")
     first, second = (replace(source.read(index), truth=None) for index in (0, 1))
 
-    def patches(threads: int) -> list[bytes]:
+    def patches(threads):
         set_threads(threads)
         pipeline = ContactPipeline(MEMBRANE, source.rig)
         found = [pipeline.process(second), pipeline.process(first)]

@@ -1,9 +1,6 @@
-from __future__ import annotations
-
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
 from multiprocessing import resource_tracker
 from pathlib import Path
 
@@ -11,7 +8,7 @@ import pytest
 
 
 @pytest.fixture
-def nothing_left() -> Iterator[None]:
+def nothing_left():
     """Check that no process, thread, descriptor or shared-memory segment is left by a test."""
     resource_tracker.ensure_running()  # it lives as long as this process
     before = _open_things()
@@ -22,7 +19,7 @@ def nothing_left() -> Iterator[None]:
     assert not left
 
 
-def _open_things() -> Counter[str]:
+def _open_things():
     """Count this process's threads, descriptors, child processes and mappings of shared memory."""
     tasks = list(Path("/proc/self/task").iterdir())
     children = [number for task in tasks if task.exists() for number in (task / "children").read_text().split()]
@@ -35,10 +32,10 @@ def _open_things() -> Counter[str]:
 
 
 @pytest.fixture
-def until() -> Callable[[Callable[[], bool]], None]:
+def until():
     """Wait until something holds; generous, since machines are busy."""
 
-    def wait(holds: Callable[[], bool], seconds: float = 60.0) -> None:
+    def wait(holds, seconds=60.0):
         deadline_s = time.monotonic() + seconds
         while not holds():
             assert time.monotonic() < deadline_s, "it did not happen in time"

@@ -1,12 +1,8 @@
 """The capture process dies or hangs: the window stays responsive, reports it and continues."""
 
-from __future__ import annotations
-
 import os
 import signal
-from collections.abc import Callable, Iterator
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,10 +12,7 @@ from capture_sources import capture_pid, open_troubled
 from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.reading import SourceRequest
-from tactune.app.worker.recorder import RecordingEnd
-from tactune.app.worker.results import SourceState
 from tactune.core.preset import Preset
-from tactune.core.sources.base import FrameSource, Progress
 from tactune.core.sources.capture.source import ProcessSource
 from tactune.core.sources.registry import open_source
 from tactune.widgets.basics.messages import Message
@@ -28,22 +21,22 @@ from tactune.widgets.basics.messages import Message
 class Watched:
     """A window on a source in a process of its own."""
 
-    def __init__(self, window: MainWindow, folder: Path, opener: Callable[[Path, Progress], FrameSource]) -> None:
+    def __init__(self, window, folder, opener):
         self.window = window
         self.folder = folder
         self._opener = opener
-        self.source: ProcessSource | None = None
-        self.states: list[SourceState] = []
-        self.ends: list[RecordingEnd] = []
+        self.source = None
+        self.states = []
+        self.ends = []
         window.worker.stateChanged.connect(self.states.append)
         window.worker.recordingEnded.connect(self.ends.append)
         window.open_request(SourceRequest("watched", self._open))
 
-    def _open(self, progress: Callable[[float, str], None]) -> ProcessSource:
+    def _open(self, progress):
         self.source = ProcessSource(partial(self._opener, self.folder), progress)
         return self.source
 
-    def start_recording(self, qtbot) -> Path:
+    def start_recording(self, qtbot):
         """Start a recording and return its path when it has some frames."""
         path = self.folder / "session.mcap"
         recorder = self.window.worker.recorder
@@ -51,21 +44,18 @@ class Watched:
         qtbot.waitUntil(lambda: (status := recorder.status()) is not None and status.frames > 10)
         return path
 
-    def sentences(self) -> str:
+    def sentences(self):
         """All that the window says above its views at present."""
         return " ".join(message.sentence for message in self.window.findChildren(Message))
 
 
-Watch = Callable[[Callable[[Path, Progress], FrameSource]], Watched]
-
-
 @pytest.fixture
-def watch(qtbot, tmp_path: Path) -> Iterator[Watch]:
+def watch(qtbot, tmp_path):
     """Open a window on a source, wait for its first frame, and close it in the end."""
     preset = Preset.model_validate({"name": "tiny", "outliers": {"enabled": False}})
     window = MainWindow(preset, Settings(tmp_path / "window.json"), tmp_path, native_dialogs=False)
 
-    def make(opener: Callable[[Path, Progress], FrameSource]) -> Watched:
+    def make(opener):
         window.show()
         made = Watched(window, tmp_path, opener)
         qtbot.waitUntil(lambda: window.result is not None)
@@ -79,7 +69,7 @@ def watch(qtbot, tmp_path: Path) -> Iterator[Watch]:
     QApplication.processEvents()
 
 
-def test_the_window_stays_responsive_says_it_and_goes_on(qtbot, watch: Watch) -> None:
+def test_the_window_stays_responsive_says_it_and_goes_on(qtbot, watch):
     watched = watch(open_troubled)
     window, what = watched.window, "ended with status -9"
     path = watched.start_recording(qtbot)

@@ -1,12 +1,9 @@
 """A recording played live: in a loop, at its frame rate, with increasing time stamps."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from capture_sources import Troubled, make_frame, make_rig, recorded
-from fakes import FakeSource
 from tactune.core.errors import SourceError
 from tactune.core.sources.capture import live
 from tactune.core.sources.capture.live import LiveLoop
@@ -18,32 +15,32 @@ RIG = make_rig()
 class Clock:
     """Time that passes only where somebody sleeps or reads."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.now_s = 1000.0
 
-    def monotonic(self) -> float:
+    def monotonic(self):
         return self.now_s
 
-    def time(self) -> float:
+    def time(self):
         return self.now_s + 1.7e9
 
-    def sleep(self, seconds: float) -> None:
+    def sleep(self, seconds):
         assert seconds >= 0
         self.now_s += seconds
 
 
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+def clock(monkeypatch):
     made = Clock()
     monkeypatch.setattr(live, "time", made)
     return made
 
 
-def recording(count: int, rate_hz: float = 30.0) -> FakeSource:
+def recording(count, rate_hz=30.0):
     return recorded(RIG, [make_frame(RIG, number) for number in range(count)], rate_hz)
 
 
-def test_it_loops_in_time_and_without_drift(clock: Clock) -> None:
+def test_it_loops_in_time_and_without_drift(clock):
     source = LiveLoop(recording(7, 50.0))
     shown = []
     for _ in range(100):
@@ -64,7 +61,7 @@ def test_it_loops_in_time_and_without_drift(clock: Clock) -> None:
     assert source.length is None
 
 
-def test_frames_whose_time_has_passed_are_left_out(clock: Clock) -> None:
+def test_frames_whose_time_has_passed_are_left_out(clock):
     source = LiveLoop(recording(5, 10.0))
     assert source.next_frame().sequence == 0
     clock.sleep(0.75)
@@ -74,14 +71,14 @@ def test_frames_whose_time_has_passed_are_left_out(clock: Clock) -> None:
     assert source.health().dropped == 6
 
 
-def test_what_is_live_already_or_empty_is_refused(tmp_path) -> None:
+def test_what_is_live_already_or_empty_is_refused(tmp_path):
     with pytest.raises(SourceError, match="live:troubled: troubled is live already; leave out live:"):
         LiveLoop(Troubled(tmp_path, RIG))
     with pytest.raises(SourceError, match="there are no frames to play"):
         LiveLoop(recording(0))
 
 
-def test_a_folder_plays_live_by_name(nothing_left: None, tmp_path) -> None:
+def test_a_folder_plays_live_by_name(nothing_left, tmp_path):
     from tactune.core.sources.folder import export_folder
 
     export_folder(recording(3), tmp_path / "scene")
@@ -89,5 +86,4 @@ def test_a_folder_plays_live_by_name(nothing_left: None, tmp_path) -> None:
         assert source.name == f"live:folder:{tmp_path / 'scene'}"
         frames = [source.next_frame() for _ in range(8)]
     for frame in frames:
-        assert frame is not None
         assert np.array_equal(frame.tactile_depth, make_frame(RIG, frame.sequence % 3).tactile_depth)

@@ -1,12 +1,9 @@
 """The capture process ends whenever its parent ends; library users need no main guard."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -25,10 +22,9 @@ source = ProcessSource(partial(open_troubled, Path("/nonexistent")))
 source.next_frame()
 print(capture_pid(), flush=True)
 """
-Start = Callable[[str], tuple[subprocess.Popen[str], int]]
 
 
-def alive(pid: int) -> bool:
+def alive(pid):
     try:
         state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
     except OSError:
@@ -37,11 +33,11 @@ def alive(pid: int) -> bool:
 
 
 @pytest.fixture
-def start(tmp_path: Path) -> Iterator[Start]:
+def start(tmp_path):
     """Start a program that opens a source and does something more; return it and its capture process."""
     started = []
 
-    def run(more: str) -> tuple[subprocess.Popen[str], int]:
+    def run(more):
         program = tmp_path / "program.py"  # without a main guard
         program.write_text(OPEN + more)
         parent = subprocess.Popen(
@@ -66,7 +62,7 @@ def start(tmp_path: Path) -> Iterator[Start]:
     "more",
     ["", "del source", *(f"import os; os.kill(os.getpid(), signal.{name})" for name in ("SIGKILL", "SIGINT"))],
 )
-def test_the_process_ends_with_its_parent(start: Start, until: Callable[[Callable[[], bool]], None], more: str) -> None:
+def test_the_process_ends_with_its_parent(start, until, more):
     parent, pid = start(more)
     _, words = parent.communicate(timeout=300)
     assert words == "" or words.endswith("KeyboardInterrupt\n")
@@ -74,16 +70,14 @@ def test_the_process_ends_with_its_parent(start: Start, until: Callable[[Callabl
     until(lambda: not alive(pid))
 
 
-def test_a_process_that_hangs_is_ended_with_its_source(
-    start: Start, until: Callable[[Callable[[], bool]], None]
-) -> None:
+def test_a_process_that_hangs_is_ended_with_its_source(start, until):
     parent, pid = start("import os, signal; os.kill(capture_pid(), signal.SIGSTOP); source.close()")
     _, words = parent.communicate(timeout=300)
     assert words == ""
     assert not alive(pid)
 
 
-def test_ctrl_c_reaches_the_parent_only(start: Start) -> None:
+def test_ctrl_c_reaches_the_parent_only(start):
     parent, _ = start("""
 try:
     print("ready", flush=True)
@@ -98,7 +92,7 @@ except KeyboardInterrupt:
     assert (answer, words) == ("True \n", "")
 
 
-def test_the_process_loads_neither_a_window_nor_kernels_nor_a_driver() -> None:
+def test_the_process_loads_neither_a_window_nor_kernels_nor_a_driver():
     program = """
 import sys
 import tactune.core.sources.capture.child

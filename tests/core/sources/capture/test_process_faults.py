@@ -1,35 +1,28 @@
 """The capture process dies, hangs, fails or sends invalid data: the source reports it and recovers by itself."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal
-from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from capture_sources import capture_pid, make_frame, make_rig, open_troubled
 from tactune.core.errors import SourceError
-from tactune.core.model.frames import SensorFrame
 from tactune.core.sources.capture.source import ProcessSource
 
 #: All that a troubled source sends.
 MADE = [make_frame(make_rig(), number) for number in range(50)]
 
-Until = Callable[[Callable[[], bool]], None]
 
-
-def take(source: ProcessSource, count: int) -> list[SensorFrame]:
+def take(source, count):
     frames = [source.next_frame() for _ in range(count)]
     assert None not in frames
     return [frame for frame in frames if frame is not None]
 
 
-def is_whole(frame: SensorFrame) -> bool:
+def is_whole(frame):
     """Whether all images of a frame are those of one and the same number."""
     return any(
         np.array_equal(frame.proximity_depth, made.proximity_depth)
@@ -39,12 +32,12 @@ def is_whole(frame: SensorFrame) -> bool:
     )
 
 
-def kill(sent: signal.Signals) -> None:
+def kill(sent):
     os.kill(capture_pid(), sent)
 
 
-def order(words: str) -> Callable[[ProcessSource, Path], None]:
-    def give(source: ProcessSource, folder: Path) -> None:
+def order(words):
+    def give(source, folder):
         (folder / "new.txt").write_text(words)
         (folder / "new.txt").rename(folder / "orders.txt")
 
@@ -61,13 +54,7 @@ def order(words: str) -> Callable[[ProcessSource, Path], None]:
     ],
     ids=["killed", "stopped", "raise", "size"],
 )
-def test_it_is_told_and_mended(
-    nothing_left: None,
-    tmp_path: Path,
-    until: Until,
-    harm: Callable[[ProcessSource, Path], None],
-    what: str,
-) -> None:
+def test_it_is_told_and_mended(nothing_left, tmp_path, until, harm, what):
     with ProcessSource(partial(open_troubled, tmp_path)) as source:
         before = take(source, 30)
         source.set_option("tactile", "gain", 64.0)
@@ -93,9 +80,7 @@ def test_it_is_told_and_mended(
         assert source.options()[0].value == 64.0
 
 
-def test_a_source_that_cannot_be_opened_again_is_tried_until_it_can(
-    nothing_left: None, tmp_path: Path, until: Until
-) -> None:
+def test_a_source_that_cannot_be_opened_again_is_tried_until_it_can(nothing_left, tmp_path, until):
     with ProcessSource(partial(open_troubled, tmp_path)) as source:
         take(source, 3)
         (tmp_path / "refuse.txt").write_text("the tactile camera is not connected; plug it in")
@@ -110,7 +95,7 @@ def test_a_source_that_cannot_be_opened_again_is_tried_until_it_can(
         assert source.next_frame() is not None
 
 
-def test_another_rig_after_a_restart_ends_the_source(nothing_left: None, tmp_path: Path) -> None:
+def test_another_rig_after_a_restart_ends_the_source(nothing_left, tmp_path):
     with ProcessSource(partial(open_troubled, tmp_path)) as source:
         take(source, 3)
         (tmp_path / "rig.txt").write_text("24")

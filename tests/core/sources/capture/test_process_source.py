@@ -1,12 +1,8 @@
 """A source in a separate process gives the same frames, errors and replies as in this process."""
 
-from __future__ import annotations
-
 import gc
 import threading
-from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -22,7 +18,6 @@ from capture_sources import (
     same_frame,
 )
 from tactune.core.errors import MissingExtraError, SourceError
-from tactune.core.model.frames import Rig
 from tactune.core.sources.capture.protocol import create_memory, read_frame, write_frame
 from tactune.core.sources.capture.source import ProcessSource
 
@@ -31,9 +26,7 @@ rigs = st.builds(make_rig, sizes, sizes, st.none() | sizes)
 
 
 @given(rig=rigs, number=st.integers(0, 1000), color=st.booleans(), truth=st.booleans(), depth=st.booleans())
-def test_a_slot_gives_back_the_frame_that_was_put_in(
-    rig: Rig, number: int, color: bool, truth: bool, depth: bool
-) -> None:
+def test_a_slot_gives_back_the_frame_that_was_put_in(rig, number, color, truth, depth):
     frame = make_frame(rig, number, tactile_color=color, truth=truth, truth_depth=depth)
     memory = create_memory(rig)
     try:
@@ -50,15 +43,12 @@ def test_a_slot_gives_back_the_frame_that_was_put_in(
         assert not out.truth.contact.flags.writeable
 
 
-def test_a_slow_caller_of_a_live_source_gets_new_frames_and_the_number_of_lost_ones(
-    nothing_left: None, tmp_path: Path, until: Callable[[Callable[[], bool]], None]
-) -> None:
+def test_a_slow_caller_of_a_live_source_gets_new_frames_and_the_number_of_lost_ones(nothing_left, tmp_path, until):
     with ProcessSource(partial(open_troubled, tmp_path)) as source:
         first = source.next_frame()
         until(lambda: source.health().unmatched >= 6)  # one for each ten frames
         after = [source.next_frame() for _ in range(10)]
         numbers = [frame.sequence for frame in after if frame is not None]
-        assert first is not None
         assert numbers == sorted(set(numbers))
         missing = numbers[-1] - first.sequence - len(numbers)
         assert missing > 20
@@ -66,11 +56,11 @@ def test_a_slow_caller_of_a_live_source_gets_new_frames_and_the_number_of_lost_o
         assert numbers[1] - numbers[0] == 1
 
 
-def test_names_rate_untouched_frame_and_progress(nothing_left: None) -> None:
+def test_names_rate_untouched_frame_and_progress(nothing_left):
     rig = make_rig()
-    told: list[tuple[float, str]] = []
+    told = []
 
-    def progress(share: float, words: str) -> None:
+    def progress(share, words):
         assert threading.current_thread() is threading.main_thread()
         told.append((share, words))
 
@@ -84,14 +74,14 @@ def test_names_rate_untouched_frame_and_progress(nothing_left: None) -> None:
     assert (0.5, "half way") in told
 
 
-def test_the_last_frame_ends_the_source(nothing_left: None, tmp_path: Path) -> None:
+def test_the_last_frame_ends_the_source(nothing_left, tmp_path):
     (tmp_path / "orders.txt").write_text("end")
     with ProcessSource(partial(open_troubled, tmp_path)) as source:
         assert len(list(source)) <= 19
         assert source.next_frame() is None
 
 
-def test_options_go_through(nothing_left: None, tmp_path: Path) -> None:
+def test_options_go_through(nothing_left, tmp_path):
     with ProcessSource(partial(open_troubled, tmp_path)) as source:
         source.set_option("tactile", "gain", 32.0)
         (gain,) = source.options()
@@ -110,17 +100,15 @@ def test_options_go_through(nothing_left: None, tmp_path: Path) -> None:
         (lambda progress: None, SourceError, r"cannot be sent to the capture process .*use a function of a module"),
     ],
 )
-def test_what_cannot_be_opened_says_so_as_without_the_process(
-    nothing_left: None, opener: object, kind: type[Exception], sentence: str
-) -> None:
+def test_what_cannot_be_opened_says_so_as_without_the_process(nothing_left, opener, kind, sentence):
     with pytest.raises(kind, match=sentence) as caught:
-        ProcessSource(opener)  # type: ignore[arg-type]
+        ProcessSource(opener)
     assert type(caught.value) is kind
     assert "\n" not in str(caught.value)
 
 
-def test_opening_is_left_by_an_exception_of_the_progress(nothing_left: None) -> None:
-    def progress(share: float, words: str) -> None:
+def test_opening_is_left_by_an_exception_of_the_progress(nothing_left):
+    def progress(share, words):
         if words == "solving":
             raise KeyboardInterrupt
 
@@ -128,7 +116,7 @@ def test_opening_is_left_by_an_exception_of_the_progress(nothing_left: None) -> 
         ProcessSource(open_for_ever, progress)
 
 
-def test_closing_twice_and_using_a_closed_source(nothing_left: None, tmp_path: Path) -> None:
+def test_closing_twice_and_using_a_closed_source(nothing_left, tmp_path):
     source = ProcessSource(partial(open_troubled, tmp_path))
     assert source.next_frame() is not None
     source.close()
@@ -140,7 +128,7 @@ def test_closing_twice_and_using_a_closed_source(nothing_left: None, tmp_path: P
         source.options()
 
 
-def test_a_forgotten_source_ends_its_process(nothing_left: None, tmp_path: Path) -> None:
+def test_a_forgotten_source_ends_its_process(nothing_left, tmp_path):
     source = ProcessSource(partial(open_troubled, tmp_path))
     assert source.next_frame() is not None
     del source

@@ -3,8 +3,6 @@
 To check that memory grows by less than 1 MB per minute, run the script for 30 minutes.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -16,7 +14,7 @@ SCRIPT = Path(__file__).parents[4] / "scripts" / "soak.py"
 
 
 @pytest.mark.long
-def test_a_minute_of_capturing_recording_and_showing_leaves_nothing_behind() -> None:
+def test_a_minute_of_capturing_recording_and_showing_leaves_nothing_behind():
     done = subprocess.run(
         [sys.executable, SCRIPT, "--minutes", "1"],
         capture_output=True,

@@ -1,29 +1,23 @@
 """Software cameras that tests control."""
 
-from __future__ import annotations
-
 import queue
 import time
-from collections.abc import Callable, Iterator
 
 import pytest
-
-from tactune.core.model.frames import SensorFrame
-from tactune.core.sources.base import Health
 
 
 class Session:
     """Two software cameras, opened by the class that opens hardware, and the frames that came from them."""
 
-    def __init__(self, commands: queue.Queue, source) -> None:
+    def __init__(self, commands, source):
         self.source = source
-        self.frames: list[SensorFrame] = []
+        self.frames = []
         self._commands = commands
 
-    def order(self, command) -> None:
+    def order(self, command):
         self._commands.put(command)
 
-    def until(self, holds: Callable[[Health], bool], timeout_s: float = 60.0) -> Health:
+    def until(self, holds, timeout_s=60.0):
         """Read frames until the health is so."""
         deadline_s = time.monotonic() + timeout_s
         while not holds(health := self.source.health()):
@@ -31,7 +25,7 @@ class Session:
             self._read_one()
         return health
 
-    def read(self, count: int) -> list[SensorFrame]:
+    def read(self, count):
         """Read this number of further frames."""
         wanted = len(self.frames) + count
         deadline_s = time.monotonic() + 300
@@ -40,17 +34,17 @@ class Session:
             self._read_one()
         return self.frames[-count:]
 
-    def _read_one(self) -> None:
+    def _read_one(self):
         if self.source.wait(0.02):
             self.frames.append(self.source.next_frame())
 
 
 @pytest.fixture
-def session() -> Iterator[Session]:
+def session():
     pytest.importorskip("pyrealsense2", reason="the camera driver is not installed", exc_type=ImportError)
     from software_rig import open_software_rig
 
-    commands: queue.Queue = queue.Queue()
+    commands = queue.Queue()
     with open_software_rig(commands) as source:
         opened = Session(commands, source)
         opened.read(1)

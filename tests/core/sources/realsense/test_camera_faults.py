@@ -1,32 +1,29 @@
 """Messages and behaviour of the live source when a camera fails."""
 
-from __future__ import annotations
-
 import pytest
 
 pytest.importorskip("pyrealsense2", reason="the camera driver is not installed", exc_type=ImportError)
 
 from software_rig import Command, image_number
-from tactune.core.sources.base import Health
 from tactune.core.sources.cameras.realsense_camera import RealSenseCamera
 
 
-def state(health: Health, role: str) -> str:
+def state(health, role):
     return next(camera.state for camera in health.cameras if camera.role == role)
 
 
-def is_well(health: Health) -> bool:
+def is_well(health):
     return not health.stale and all(camera.state == "streaming" for camera in health.cameras)
 
 
-def numbers(frames) -> list[tuple[int, int]]:
+def numbers(frames):
     return [
         (image_number("proximity", frame.proximity_depth), image_number("tactile", frame.tactile_depth))
         for frame in frames
     ]
 
 
-def assert_right_pairs(session, count: int = 10) -> None:
+def assert_right_pairs(session, count=10):
     """Whatever happened, frames hold images of one moment, with numbers and times that rise."""
     session.read(count)
     assert all(proximity == tactile for proximity, tactile in numbers(session.frames))

@@ -1,7 +1,5 @@
 """Assignment of devices to roles, and the messages for ambiguous devices."""
 
-from __future__ import annotations
-
 import importlib
 import re
 
@@ -18,7 +16,7 @@ D405, D405_TOO = DeviceInfo("D405", "d1", "tactile"), DeviceInfo("D405", "d2", "
 D435 = DeviceInfo("D435I", "d3")
 
 
-def named(proximity: str = "", tactile: str = "") -> CamerasSection:
+def named(proximity="", tactile=""):
     return CamerasSection(proximity=CameraSection(serial=proximity), tactile=CameraSection(serial=tactile))
 
 
@@ -81,7 +79,7 @@ def test_which_drivers_know_the_l515():
     ],
 )
 def test_a_driver_that_cannot_be_loaded_is_one_sentence(error, kind, words, monkeypatch):
-    def refuse(name: str) -> None:
+    def refuse(name):
         assert name == "pyrealsense2"
         raise error
 

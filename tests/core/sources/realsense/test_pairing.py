@@ -1,7 +1,5 @@
 """Pairing by time, on plain numbers."""
 
-from __future__ import annotations
-
 import itertools
 
 from hypothesis import given
@@ -16,9 +14,9 @@ phases = st.floats(-0.5, 0.5).map(lambda share: share * PERIOD_S)
 jitters = st.lists(st.floats(-0.02, 0.02), min_size=2, max_size=40)
 
 
-def play(first: list[float], second: list[float], delays: list[float], patience_s: float = 1.0) -> list[tuple]:
+def play(first, second, delays, patience_s=1.0):
     """Let images arrive at their times plus a delay each; return the pairs' times and those who found nobody."""
-    pairer: Pairer[float] = Pairer(PERIOD_S, patience_s)
+    pairer = Pairer(PERIOD_S, patience_s)
     waits = itertools.cycle(delays)
     arrivals = []
     for stream, add in ((first, pairer.add_first), (second, pairer.add_second)):
@@ -36,7 +34,7 @@ def play(first: list[float], second: list[float], delays: list[float], patience_
     return [(one.item, other.item) for one, other in found]
 
 
-def nearest(time_s: float, stream: list[float]) -> float:
+def nearest(time_s, stream):
     return min(stream, key=lambda each: abs(each - time_s))
 
 

@@ -1,7 +1,5 @@
 """A pair of software devices through the class that opens hardware: pixels, lenses, options."""
 
-from __future__ import annotations
-
 import threading
 import time
 
@@ -68,11 +66,11 @@ def test_devices_are_described_without_being_started():
     assert (proximity.role, tactile.role, tactile.firmware) == ("proximity", "tactile", "05.12.14.100")
 
 
-def open_rig(rig: SoftwareRig) -> CameraSource:
+def open_rig(rig):
     return CameraSource([RealSenseDriver(rig.devices)])
 
 
-def options_of(source: CameraSource) -> dict[tuple[str, str], float]:
+def options_of(source):
     return {(option.camera, option.name): option.value for option in source.options()}
 
 

@@ -1,6 +1,3 @@
-from __future__ import annotations
-
-from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
 import pytest
@@ -9,7 +6,7 @@ from tactune.core.sources.realsense_files.source import BagSource
 
 
 @pytest.fixture
-def open_bag() -> Iterator[Callable[..., BagSource]]:
+def open_bag():
     """Opens recordings and closes them after the test."""
     with ExitStack() as stack:
         yield lambda path, progress=None: stack.enter_context(BagSource(path, progress))

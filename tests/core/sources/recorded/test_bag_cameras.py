@@ -1,10 +1,5 @@
 """Bags with one or two cameras: images, rig, pairing by time, colour."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -12,16 +7,14 @@ from scipy.spatial.transform import Rotation
 from bag_maker import D405, L515, Device, Images, color_images, depth_images, make_bag
 from tactune.core.sources.realsense_files.source import BagSource
 
-Opener = Callable[..., BagSource]
-
 
 @pytest.fixture
-def two_cameras(tmp_path: Path) -> Path:
+def two_cameras(tmp_path):
     return make_bag(tmp_path / "two.bag", D405, L515)
 
 
 @pytest.mark.parametrize("compress", [False, True])
-def test_two_cameras_are_read_pixel_for_pixel_in_any_order(tmp_path: Path, compress: bool) -> None:
+def test_two_cameras_are_read_pixel_for_pixel_in_any_order(tmp_path, compress):
     path = make_bag(tmp_path / "two.bag", D405, L515, compress=compress)
     with BagSource(path) as source:
         assert source.length == 3
@@ -47,9 +40,7 @@ def test_two_cameras_are_read_pixel_for_pixel_in_any_order(tmp_path: Path, compr
         ((None, None), [1, 2], [(1.0, 1.4), (2.0, 2.2)]),
     ],
 )
-def test_cameras_are_paired_on_a_clock_that_they_share(
-    open_bag: Opener, tmp_path: Path, clocks: tuple[str, str], expected: list[int], times_s: list[tuple[float, float]]
-) -> None:
+def test_cameras_are_paired_on_a_clock_that_they_share(open_bag, tmp_path, clocks, expected, times_s):
     proximity = depth_images(4, [1.0, 2.0], stamps_s=[50.0, 60.0], clock=clocks[0])
     tactile = depth_images(5, [0.4, 1.4, 2.2], stamps_s=[60.2, 70.0, 49.9], clock=clocks[1])
     path = make_bag(tmp_path / "two.bag", Device("L515", proximity), Device("D405", tactile))
@@ -61,13 +52,12 @@ def test_cameras_are_paired_on_a_clock_that_they_share(
         assert frame.skew_s == pytest.approx(tactile_s - proximity_s)
 
 
-def test_the_colour_cameras_pose_goes_by_way_of_the_reference(open_bag: Opener, tmp_path: Path) -> None:
+def test_the_colour_cameras_pose_goes_by_way_of_the_reference(open_bag, tmp_path):
     turn_depth, turn_color = Rotation.from_euler("xyz", [0.3, -0.2, 0.1]), Rotation.from_euler("xyz", [-0.1, 0.5, 0.2])
     depth = depth_images(4, [1.0], pose=(turn_depth, (0.01, 0.02, 0.03)))
     color = color_images(5, [1.0], pose=(turn_color, (-0.04, 0.05, 0.06)))
     two = Device("L515", depth, color), Device("D405", depth_images(5, [1.0]))
     source = open_bag(make_bag(tmp_path / "two.bag", *two))
-    assert source.rig.proximity_color is not None
     T_c_d = np.asarray(source.rig.proximity_color.T_color_depth)
     at_reference = np.array([0.3, -0.2, 0.7])
     in_depth = turn_depth.apply(at_reference) + np.array([0.01, 0.02, 0.03])
@@ -75,7 +65,7 @@ def test_the_colour_cameras_pose_goes_by_way_of_the_reference(open_bag: Opener, 
     np.testing.assert_allclose(T_c_d[:3, :3] @ in_depth + T_c_d[:3, 3], in_color, atol=1e-12)
 
 
-def test_tactile_colour_is_brought_to_tactile_depth_pixels(open_bag: Opener, tmp_path: Path) -> None:
+def test_tactile_colour_is_brought_to_tactile_depth_pixels(open_bag, tmp_path):
     depth = np.full((6, 8), 1000, np.uint16)
     depth[0, :] = 0
     depth[5, 3] = 65535
@@ -92,7 +82,7 @@ def test_tactile_colour_is_brought_to_tactile_depth_pixels(open_bag: Opener, tmp
     np.testing.assert_array_equal(frame.tactile_color, expected)
 
 
-def test_one_camera_is_a_tactile_camera(open_bag: Opener, tmp_path: Path) -> None:
+def test_one_camera_is_a_tactile_camera(open_bag, tmp_path):
     source = open_bag(make_bag(tmp_path / "one.bag", L515))
     assert source.health().ok
     assert not source.rig.has_proximity

@@ -1,19 +1,10 @@
 """Variants of librealsense's bags: lenses, colour and depth layouts, units."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
 from bag_maker import Device, color_images, depth_images, make_bag
 from tactune.core.model.intrinsics import Distortion
-from tactune.core.sources.realsense_files.source import BagSource
-
-Opener = Callable[..., BagSource]
 
 
 @pytest.mark.parametrize(
@@ -25,9 +16,7 @@ Opener = Callable[..., BagSource]
         ("Inverse Brown Conrady", Distortion.INVERSE_BROWN_CONRADY),
     ],
 )
-def test_lens_models_keep_their_names_and_coefficients(
-    open_bag: Opener, tmp_path: Path, model: str, expected: Distortion
-) -> None:
+def test_lens_models_keep_their_names_and_coefficients(open_bag, tmp_path, model, expected):
     depth = depth_images(4, [1.0], lens=model, D=(0.1, -0.2, 0.3, -0.4, 0.5))
     lens = open_bag(make_bag(tmp_path / "one.bag", Device("D435", depth))).rig.proximity.intrinsics
     assert lens.distortion is expected
@@ -36,7 +25,7 @@ def test_lens_models_keep_their_names_and_coefficients(
 
 @pytest.mark.parametrize(("encoding", "order"), [("rgb8", [0, 1, 2]), ("bgr8", [2, 1, 0])])
 @pytest.mark.parametrize("alpha", [False, True])
-def test_colour_orders(open_bag: Opener, tmp_path: Path, encoding: str, order: list[int], alpha: bool) -> None:
+def test_colour_orders(open_bag, tmp_path, encoding, order, alpha):
     rgb = color_images(7, [1.0]).images[0]
     stored = rgb[:, :, order]
     if alpha:
@@ -49,7 +38,7 @@ def test_colour_orders(open_bag: Opener, tmp_path: Path, encoding: str, order: l
 
 
 @pytest.mark.parametrize("changes", [{"padding": 6}, {"big_endian": True}, {"encoding": "16UC1"}])
-def test_depth_layouts(open_bag: Opener, tmp_path: Path, changes: dict[str, Any]) -> None:
+def test_depth_layouts(open_bag, tmp_path, changes):
     depth = depth_images(4, [1.0], **changes)
     frame = open_bag(make_bag(tmp_path / "one.bag", Device("L515", depth))).read(0)
     np.testing.assert_array_equal(frame.proximity_depth, depth.images[0])

@@ -1,11 +1,6 @@
 """Two recordings of one camera each as one source: names, clocks, pairs and errors."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,27 +10,26 @@ from tactune.core.errors import SourceError
 from tactune.core.sources.realsense_files.source import BagSource
 from tactune.core.sources.registry import open_source
 
-Opener = Callable[..., BagSource]
 EPOCH_S = 1_750_000_000.0
 RATE_S = 1 / 30
 
 
-def times(count: int, start: float = 0.0, step: float = RATE_S) -> list[float]:
+def times(count, start=0.0, step=RATE_S):
     return [start + step * index for index in range(count)]
 
 
-def two_files(tmp_path: Path, proximity: Any, tactile: Any) -> str:
+def two_files(tmp_path, proximity, tactile):
     first = make_bag(tmp_path / "first.bag", replace(L515, depth=proximity, serial="p1"))
     second = make_bag(tmp_path / "second.bag", replace(D405, depth=tactile, serial="t1"))
     return f"{first},{second}"
 
 
-def on_global_time(seed: int, stamps_s: list[float], recorded_s: list[float] | None = None) -> Any:
+def on_global_time(seed, stamps_s, recorded_s=None):
     return depth_images(seed, recorded_s or times(len(stamps_s)), stamps_s=stamps_s, clock="Global Time")
 
 
 @pytest.mark.parametrize("swapped", [False, True])
-def test_two_files_are_one_source_in_either_order(tmp_path: Path, swapped: bool) -> None:
+def test_two_files_are_one_source_in_either_order(tmp_path, swapped):
     tactile = make_bag(tmp_path / "d405.bag", replace(D405, serial="t1", depth=on_global_time(1, times(3, EPOCH_S))))
     proximity = make_bag(tmp_path / "l515.bag", replace(L515, depth=on_global_time(2, times(3, EPOCH_S + 0.004))))
     files = [tactile, proximity] if swapped else [proximity, tactile]
@@ -47,16 +41,13 @@ def test_two_files_are_one_source_in_either_order(tmp_path: Path, swapped: bool)
         assert source.health().message == ""
         source.seek(2)
         frame = source.next_frame()
-        assert frame is not None
         np.testing.assert_array_equal(frame.proximity_depth, on_global_time(2, times(3)).images[2])
         np.testing.assert_array_equal(frame.tactile_depth, on_global_time(1, times(3)).images[2])
         assert frame.skew_s == pytest.approx(-0.004, abs=1e-6)
         assert frame.proximity_time_s == pytest.approx(EPOCH_S + 0.004 + 2 * RATE_S, abs=1e-6)
 
 
-def test_the_stamps_pair_images_whose_recorders_were_started_at_different_moments(
-    open_bag: Opener, tmp_path: Path
-) -> None:
+def test_the_stamps_pair_images_whose_recorders_were_started_at_different_moments(open_bag, tmp_path):
     proximity = on_global_time(1, times(5, EPOCH_S))
     tactile = on_global_time(2, times(5, EPOCH_S + 2 * RATE_S + 0.003))
     source = open_bag(two_files(tmp_path, proximity, tactile))
@@ -71,7 +62,7 @@ def test_the_stamps_pair_images_whose_recorders_were_started_at_different_moment
 
 
 @pytest.mark.parametrize(("late_s", "expected"), [(0.016, 4), (-0.016, 4), (0.0175, 3), (-0.0175, 3)])
-def test_half_a_period_is_the_limit(open_bag: Opener, tmp_path: Path, late_s: float, expected: int) -> None:
+def test_half_a_period_is_the_limit(open_bag, tmp_path, late_s, expected):
     stamps = times(4, EPOCH_S)
     alone = [stamps[0], stamps[1] + late_s, *stamps[2:]]
     source = open_bag(two_files(tmp_path, on_global_time(1, stamps), on_global_time(2, alone)))
@@ -79,14 +70,14 @@ def test_half_a_period_is_the_limit(open_bag: Opener, tmp_path: Path, late_s: fl
     assert source.health().unmatched == 2 * (4 - expected)
 
 
-def test_clocks_that_cannot_be_compared_are_refused(tmp_path: Path) -> None:
+def test_clocks_that_cannot_be_compared_are_refused(tmp_path):
     proximity, tactile = depth_images(1, times(3)), on_global_time(2, times(3, EPOCH_S))
     sentence = r"clocks cannot be compared \(Hardware Clock and Global Time.*global time enabled"
     with pytest.raises(SourceError, match=sentence):
         BagSource(two_files(tmp_path, proximity, tactile))
 
 
-def test_first_images_on_the_cameras_own_clock_are_brought_to_the_others(open_bag: Opener, tmp_path: Path) -> None:
+def test_first_images_on_the_cameras_own_clock_are_brought_to_the_others(open_bag, tmp_path):
     stamps = times(5, EPOCH_S)
     clocks = ["Hardware Clock"] * 2 + ["Global Time"] * 3
     proximity = depth_images(1, times(5, 3.0), stamps_s=[1.5, 1.6, *stamps[2:]], clocks=clocks)
@@ -95,7 +86,7 @@ def test_first_images_on_the_cameras_own_clock_are_brought_to_the_others(open_ba
     assert [frame.proximity_time_s for frame in source] == pytest.approx(stamps, abs=1e-5)
 
 
-def test_the_same_camera_twice_is_refused(tmp_path: Path) -> None:
+def test_the_same_camera_twice_is_refused(tmp_path):
     path = make_bag(tmp_path / "a.bag", L515)
     copy = tmp_path / "b.bag"
     copy.write_bytes(path.read_bytes())

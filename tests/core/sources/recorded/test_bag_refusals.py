@@ -1,10 +1,6 @@
 """Incomplete or damaged bags are refused with one sentence."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -12,16 +8,14 @@ from bag_maker import D405, L515, Device, color_images, depth_images, make_bag
 from tactune.core.errors import SourceError
 from tactune.core.sources.realsense_files.source import BagSource
 
-Opener = Callable[..., BagSource]
-
 
 @pytest.fixture
-def two_cameras(tmp_path: Path) -> Path:
+def two_cameras(tmp_path):
     return make_bag(tmp_path / "two.bag", D405, L515)
 
 
 ONE = [1.0]
-BAD: dict[str, tuple[list[Device], str]] = {
+BAD = {
     "no depth": ([Device("L515", None, color_images(1, ONE))], "it holds no depth images"),
     "three cameras": (
         [D405, L515, replace(D405, name="D415")],
@@ -39,7 +33,7 @@ BAD: dict[str, tuple[list[Device], str]] = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_a_recording_that_lacks_something_is_refused_in_one_sentence(tmp_path: Path, case: str) -> None:
+def test_a_recording_that_lacks_something_is_refused_in_one_sentence(tmp_path, case):
     devices, sentence = BAD[case]
     path = make_bag(tmp_path / "bad.bag", *devices)
     with pytest.raises(SourceError, match=sentence) as caught:
@@ -57,15 +51,13 @@ def test_a_recording_that_lacks_something_is_refused_in_one_sentence(tmp_path: P
         (Device("L515", depth_images(1, ONE, missing_bytes=16)), "it has 80 bytes, too few for its size"),
     ],
 )
-def test_an_image_that_is_not_as_stated_is_refused(
-    open_bag: Opener, tmp_path: Path, device: Device, sentence: str
-) -> None:
+def test_an_image_that_is_not_as_stated_is_refused(open_bag, tmp_path, device, sentence):
     source = open_bag(make_bag(tmp_path / "bad.bag", device))
     with pytest.raises(SourceError, match=sentence):
         source.read(0)
 
 
-def test_a_closed_source_says_so(open_bag: Opener, two_cameras: Path) -> None:
+def test_a_closed_source_says_so(open_bag, two_cameras):
     source = open_bag(two_cameras)
     source.close()
     source.close()

@@ -1,9 +1,6 @@
 """Recordings are read like by librealsense's own player, pixel for pixel."""
 
-from __future__ import annotations
-
 import importlib.util
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
@@ -11,29 +8,25 @@ import numpy as np
 import pytest
 
 from librealsense_player import RATE_HZ, START_S, images, played
-from tactune.core.model.arrays import AnyArray
-from tactune.core.model.intrinsics import Intrinsics
-from tactune.core.sources.realsense_files.recording import Camera
-from tactune.core.sources.realsense_files.source import BagSource, open_recording
+from tactune.core.sources.realsense_files.source import open_recording
 
-Opener = Callable[..., BagSource]
 FIXTURES = Path(__file__).parents[3] / "data"
 needs_a_driver = pytest.mark.skipif(
     not importlib.util.find_spec("pyrealsense2"), reason="pyrealsense2 (extra realsense) is not installed"
 )
 
 
-def _assert_lens(ours: Intrinsics, lens: np.ndarray, model: str) -> None:
+def _assert_lens(ours, lens, model):
     assert [ours.width, ours.height, ours.fx, ours.fy, ours.cx, ours.cy, *ours.coefficients] == lens.tolist()
     assert ours.distortion.value == model
 
 
 @pytest.fixture
-def real_bag(shared_data: Path) -> Path:
+def real_bag(shared_data):
     return shared_data / "realsense_bag/single_depth_color_640x480.bag"
 
 
-def test_the_real_bag_is_what_is_known_of_it(open_bag: Opener, real_bag: Path) -> None:
+def test_the_real_bag_is_what_is_known_of_it(open_bag, real_bag):
     source = open_bag(real_bag)
     assert (source.rig.tactile.model, source.rig.tactile.serial) == ("Intel RealSense D435", "728612070259")
     assert source.rig.tactile.depth_unit_m == pytest.approx(0.001, rel=1e-6)
@@ -43,16 +36,15 @@ def test_the_real_bag_is_what_is_known_of_it(open_bag: Opener, real_bag: Path) -
     assert [int(frame.proximity_depth.sum(dtype=np.int64)) for frame in source] == [357542766, 358061319]
 
 
-def color_at(camera: Camera, index: int) -> AnyArray:
+def color_at(camera, index):
     """The colour image nearest to a depth image, in the colour camera's own pixels."""
-    assert camera.color is not None
     nearest = int(np.argmin(np.abs(camera.color.recorded_s - camera.depth.recorded_s[index])))
     return camera.image(camera.color, nearest)
 
 
 @needs_a_driver
 @pytest.mark.parametrize("which", ["real", "l515"])
-def test_a_recording_is_as_librealsense_plays_it(open_bag: Opener, real_bag: Path, tmp_path: Path, which: str) -> None:
+def test_a_recording_is_as_librealsense_plays_it(open_bag, real_bag, tmp_path, which):
     path = real_bag if which == "real" else FIXTURES / "l515_2.54.2.bag"
     source, theirs = open_bag(path), played(path, tmp_path / "played.npz")
     depth_ms, color_ms = theirs["Depth_times_ms"], theirs["Color_times_ms"]
@@ -67,7 +59,6 @@ def test_a_recording_is_as_librealsense_plays_it(open_bag: Opener, real_bag: Pat
             assert time_ms == pytest.approx(depth_ms[depth], abs=2e-3)
     lenses = camera.calibration.color_camera
     assert source.rig.tactile.depth_unit_m == theirs["unit_m"]
-    assert lenses is not None
     _assert_lens(source.rig.tactile.intrinsics, theirs["Depth_lens"], str(theirs["Depth_model"]))
     _assert_lens(lenses.intrinsics, theirs["Color_lens"], str(theirs["Color_model"]))
     T_c_d = np.asarray(lenses.T_color_depth)
@@ -78,7 +69,7 @@ def test_a_recording_is_as_librealsense_plays_it(open_bag: Opener, real_bag: Pat
 @pytest.mark.parametrize(
     ("name", "unit_m"), [("l515_2.54.2.bag", 0.00025), ("d405_2.58.4.db3", 0.0001), ("d405_2.59.1.db3", 0.0001)]
 )
-def test_recordings_of_three_versions_hold_what_was_sent(open_bag: Opener, name: str, unit_m: float) -> None:
+def test_recordings_of_three_versions_hold_what_was_sent(open_bag, name, unit_m):
     source = open_bag(FIXTURES / name)
     assert source.length == 3
     assert source.frame_rate_hz == 30.0
@@ -99,7 +90,7 @@ def test_recordings_of_three_versions_hold_what_was_sent(open_bag: Opener, name:
 
 
 @pytest.mark.parametrize("tactile", ["d405_2.58.4.db3", "d405_2.59.1.db3"])
-def test_a_bag_and_a_db3_are_one_source(open_bag: Opener, tactile: str) -> None:
+def test_a_bag_and_a_db3_are_one_source(open_bag, tactile):
     source = open_bag(f"{FIXTURES / tactile},{FIXTURES / 'l515_2.54.2.bag'}")
     assert source.length == 3
     assert source.health().message == ""

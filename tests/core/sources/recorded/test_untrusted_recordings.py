@@ -1,10 +1,7 @@
 """Damaged RealSense recordings: one sentence, or what is whole plays."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +17,7 @@ BAG, ZSTD_DB3, PNG_DB3 = (DATA / name for name in ("l515_2.54.2.bag", "d405_2.58
 SCRIPT = Path(bag_maker.__file__).with_name("fuzz_recordings.py")
 
 
-def test_random_damage_gives_frames_or_a_sentence(tmp_path: Path) -> None:
+def test_random_damage_gives_frames_or_a_sentence(tmp_path):
     made = [
         make_bag(tmp_path / "plain.bag", D405, L515),
         make_bag(tmp_path / "lz4.bag", D405, L515, compress=True),
@@ -35,7 +32,7 @@ def test_random_damage_gives_frames_or_a_sentence(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", [BAG, ZSTD_DB3, PNG_DB3], ids=lambda path: path.name)
-def test_a_file_cut_anywhere_is_refused_or_plays_what_is_whole(path: Path, tmp_path: Path) -> None:
+def test_a_file_cut_anywhere_is_refused_or_plays_what_is_whole(path, tmp_path):
     with BagSource(path) as source:
         frames = {frame.proximity_time_s: frame.proximity_depth for frame in source}
     whole, cut = path.read_bytes(), tmp_path / path.name
@@ -50,9 +47,7 @@ def test_a_file_cut_anywhere_is_refused_or_plays_what_is_whole(path: Path, tmp_p
 
 
 @pytest.mark.parametrize("has_index", [True, False])
-def test_a_bag_whose_recorder_was_killed_plays_up_to_its_last_whole_chunk(
-    tmp_path: Path, open_bag: Callable[..., BagSource], has_index: bool
-) -> None:
+def test_a_bag_whose_recorder_was_killed_plays_up_to_its_last_whole_chunk(tmp_path, open_bag, has_index):
     whole = make_bag(tmp_path / "whole.bag", D405, L515, compress=True).read_bytes()
     at = whole.index(b"index_pos=") + len(b"index_pos=")
     last_chunk = whole.rindex(b"compression=lz4", 0, whole.rindex(b"compression=lz4") - 400)

@@ -1,11 +1,7 @@
 """Live ROS 2 topics: found, read, paired; a publisher that goes and comes back; what is missing is named."""
 
-from __future__ import annotations
-
 import threading
 import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,18 +12,17 @@ from ros2_cameras import BASELINE_M, cameras, messages, topics_of, transforms
 from tactune.core import open_source
 from tactune.core.errors import SourceError
 from tactune.core.preset import CamerasSection
-from tactune.core.sources.base import FrameSource
 from tactune.core.sources.ros import search
 from tactune.core.sources.ros.live import open_topics
 
 WAIT_S = 60
 
 
-def untold(share: float, words: str) -> None:
+def untold(share, words):
     """Nobody is shown the progress."""
 
 
-def until(source: FrameSource, is_reached: Callable[[], bool]) -> None:
+def until(source, is_reached):
     """Wait; frames that come meanwhile are taken."""
     end_s = time.monotonic() + WAIT_S
     while not is_reached():
@@ -36,7 +31,7 @@ def until(source: FrameSource, is_reached: Callable[[], bool]) -> None:
             source.next_frame()
 
 
-def check_frames(source: FrameSource) -> None:
+def check_frames(source):
     """Frames hold the same moment of both cameras, and the colour of the same moment."""
     rig = source.rig
     assert (rig.proximity.model, rig.tactile.model, rig.proximity.depth_unit_m) == ("l515", "d405", 0.001)
@@ -45,7 +40,6 @@ def check_frames(source: FrameSource) -> None:
     whole = 0
     while whole < 10:  # on a busy computer an image may lose its colour
         frame = source.next_frame()
-        assert frame is not None
         if frame.tactile_color is None:
             continue
         whole += 1
@@ -57,7 +51,7 @@ def check_frames(source: FrameSource) -> None:
         assert np.array_equal(frame.proximity_depth[1:], ros2_cameras.DEPTH[1:])
 
 
-def test_two_cameras_are_found_and_survive_that_their_publisher_goes(domain: int) -> None:
+def test_two_cameras_are_found_and_survive_that_their_publisher_goes(domain):
     with cameras(domain) as publisher, open_source(f"ros2:?domain={domain}") as source:
         assert source.frame_rate_hz == 30.0
         check_frames(source)
@@ -72,7 +66,7 @@ def test_two_cameras_are_found_and_survive_that_their_publisher_goes(domain: int
 
 
 @pytest.mark.parametrize("chosen", ["", "?proximity.depth=/d405/depth/image_rect_raw"])
-def test_one_camera_is_a_tactile_one(chosen: str, domain: int) -> None:
+def test_one_camera_is_a_tactile_one(chosen, domain):
     with (
         cameras(domain, names=("d405",)),
         open_topics(f"?domain={domain}{chosen}", CamerasSection(), untold) as source,
@@ -81,7 +75,6 @@ def test_one_camera_is_a_tactile_one(chosen: str, domain: int) -> None:
         numbers = []
         for _ in range(8):
             frame = source.next_frame()
-            assert frame is not None
             assert np.array_equal(frame.proximity_depth, frame.tactile_depth)
             numbers.append(int(frame.tactile_depth[0, 0]))
         assert numbers == sorted(set(numbers))
@@ -89,7 +82,7 @@ def test_one_camera_is_a_tactile_one(chosen: str, domain: int) -> None:
 
 
 @pytest.fixture
-def from_fast_dds(fast_dds_program: Path, domain: int) -> Iterator[int]:
+def from_fast_dds(fast_dds_program, domain):
     """Publish by Fast DDS, images without repeats as sensor data are, and return the domain."""
     names = ros2_cameras.CAMERAS
     topics = {
@@ -98,7 +91,7 @@ def from_fast_dds(fast_dds_program: Path, domain: int) -> Iterator[int]:
     }
     publisher, ended = FastDdsPublisher(fast_dds_program, domain, topics), threading.Event()
 
-    def run() -> None:
+    def run():
         number, began_s = 0, time.time()
         publisher.send("/tf_static", transforms())
         while not ended.wait(max(0.0, began_s + number / 15 - time.time())):
@@ -114,13 +107,13 @@ def from_fast_dds(fast_dds_program: Path, domain: int) -> Iterator[int]:
     publisher.close()
 
 
-def test_cameras_that_fast_dds_publishes(from_fast_dds: int) -> None:
+def test_cameras_that_fast_dds_publishes(from_fast_dds):
     with open_source(f"ros2:?domain={from_fast_dds}&host=127.0.0.1") as source:
         check_frames(source)
         assert source.frame_rate_hz == 15.0
 
 
-def test_names_that_tell_no_role_are_listed_and_can_be_given(domain: int) -> None:
+def test_names_that_tell_no_role_are_listed_and_can_be_given(domain):
     chosen = ",".join(
         f"{slot}=/{name}" for slot, name in (
             ("proximity.depth", "a/depth/image_rect_raw"), ("proximity.color", "a/color/image_raw"),
@@ -133,7 +126,6 @@ def test_names_that_tell_no_role_are_listed_and_can_be_given(domain: int) -> Non
             open_topics(f"?domain={domain}", CamerasSection(), untold)
         with open_topics(f"?domain={domain}?{chosen}", CamerasSection(), untold) as source:
             frame = source.next_frame()
-            assert frame is not None
             assert frame.tactile_color is None
             assert source.rig.T_proximity_tactile is None
             assert "No chain of fixed transforms joins the frames 'a_optical'" in source.health().message
@@ -151,14 +143,12 @@ def test_names_that_tell_no_role_are_listed_and_can_be_given(domain: int) -> Non
         ("?domain={domain}", "nobody has published in ROS 2 domain"),
     ],
 )
-def test_what_cannot_be_opened_is_one_sentence(
-    rest: str, sentence: str, domain: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_opened_is_one_sentence(rest, sentence, domain, monkeypatch):
     monkeypatch.setattr(search, "_SEARCH_S", 0.2)
     with pytest.raises(SourceError, match=sentence):
         open_topics(rest.format(domain=domain), CamerasSection(), untold)
 
 
-def test_a_lens_that_is_unknown_is_named(domain: int) -> None:
+def test_a_lens_that_is_unknown_is_named(domain):
     with cameras(domain, model="spherical"), pytest.raises(SourceError, match=r"lens model 'spherical'.*known are"):
         open_topics(f"?domain={domain}", CamerasSection(), untold)

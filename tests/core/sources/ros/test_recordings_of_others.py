@@ -1,10 +1,5 @@
 """Recordings of other programs: containers, topics, encodings, lenses, transforms and pairing, each against NumPy."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import cv2
 import numpy as np
 import pytest
@@ -20,12 +15,12 @@ TWO = [depth(NEAR, "a_optical"), depth(TOUCH, "b_optical", 390), color("/l515/co
 RNG = np.random.default_rng(5)
 
 
-def first_frame(path: Path) -> Any:
+def first_frame(path):
     with open_source(str(path)) as source:
         return source.rig, source.next_frame(), source.health()
 
 
-def file_in(folder: Path) -> Path:
+def file_in(folder):
     return next(path for path in folder.iterdir() if path.name != "metadata.yaml")
 
 
@@ -42,7 +37,7 @@ def file_in(folder: Path) -> Path:
         ("ros1", lambda path: path),
     ],
 )
-def test_every_container_plays_the_same(tmp_path: Path, kind: str, opened: Any) -> None:
+def test_every_container_plays_the_same(tmp_path, kind, opened):
     path = opened(make_recording(tmp_path / ("take.bag" if kind == "ros1" else "take"), TWO, kind=kind))
     with open_source(str(path)) as source:
         assert source.health().ok, source.health()
@@ -66,7 +61,7 @@ def test_every_container_plays_the_same(tmp_path: Path, kind: str, opened: Any) 
         ("/prox/aligned_depth_to_color/image_raw", "/gel/depth/image_rect_raw", "/prox/color/image_raw"),
     ],
 )
-def test_names_of_other_drivers_are_guessed(tmp_path: Path, near: str, touch: str, rgb: str) -> None:
+def test_names_of_other_drivers_are_guessed(tmp_path, near, touch, rgb):
     infrared = color(f"{touch.rpartition('/depth')[0] or '/oak'}/infra1/image_rect_raw", "b_optical")
     streams = [depth(touch, "b_optical", 390), depth(near, "a_optical"), color(rgb, "c_optical"), infrared]
     _, frame, health = first_frame(make_recording(tmp_path / "take", streams))
@@ -74,7 +69,7 @@ def test_names_of_other_drivers_are_guessed(tmp_path: Path, near: str, touch: st
     assert (frame.proximity_color == 90).all(), health
 
 
-def test_names_that_do_not_tell_are_asked_for_and_the_answer_is_kept(tmp_path: Path) -> None:
+def test_names_that_do_not_tell_are_asked_for_and_the_answer_is_kept(tmp_path):
     path = make_recording(
         tmp_path / "take", [depth("/cam1/depth", "a_optical"), depth("/cam2/depth", "b_optical", 390)]
     )
@@ -89,7 +84,7 @@ def test_names_that_do_not_tell_are_asked_for_and_the_answer_is_kept(tmp_path: P
         first_frame(path)
 
 
-def test_only_images_half_a_period_apart_are_a_frame(tmp_path: Path) -> None:
+def test_only_images_half_a_period_apart_are_a_frame(tmp_path):
     late = depth(TOUCH, "b_optical", 390, stamps_s=(0.0, 0.1, 0.26, 0.36), late_s=0.5)
     near = depth(NEAR, "a_optical", stamps_s=(0.0, 0.1, 0.2, 0.3))
     with open_source(str(make_recording(tmp_path / "take", [near, late]))) as source:
@@ -107,7 +102,7 @@ DEPTHS = {
 
 @pytest.mark.parametrize("big_endian", [False, True])
 @pytest.mark.parametrize("encoding", DEPTHS)
-def test_depth_encodings(tmp_path: Path, encoding: str, big_endian: bool) -> None:
+def test_depth_encodings(tmp_path, encoding, big_endian):
     image = DEPTHS[encoding].copy()
     if encoding == "32FC1":
         image[0, :3] = np.nan, np.inf, -1
@@ -118,7 +113,7 @@ def test_depth_encodings(tmp_path: Path, encoding: str, big_endian: bool) -> Non
     assert np.abs(metres - expected).max() < 1e-4
 
 
-def packed(image: np.ndarray, metres: bool) -> bytes:
+def packed(image, metres):
     """Compress depth as image_transport does; metres as A / depth + B."""
     scale, offset = 100.0, 1.0
     counts = np.rint(scale / image + offset).astype(np.uint16) if metres else image
@@ -126,7 +121,7 @@ def packed(image: np.ndarray, metres: bool) -> bytes:
 
 
 @pytest.mark.parametrize("encoding", ["16UC1", "32FC1"])
-def test_compressed_depth(tmp_path: Path, encoding: str) -> None:
+def test_compressed_depth(tmp_path, encoding):
     data = packed(DEPTHS[encoding], encoding == "32FC1")
     topic = "/l515/depth/image_rect_raw/compressedDepth"
     near = depth(
@@ -145,18 +140,18 @@ RGB = np.kron(RNG.integers(40, 200, (H // 4, W // 4, 3)), np.ones((4, 4, 1))).as
 GREY = cv2.cvtColor(RGB, cv2.COLOR_RGB2GRAY)
 
 
-def luma_and_chroma() -> tuple[np.ndarray, ...]:
+def luma_and_chroma():
     """Y, U and V as video has them: 16 to 235, by ITU-R BT.601."""
     weights = np.array([[65.481, 128.553, 24.966], [-37.797, -74.203, 112.0], [112.0, -93.786, -18.214]])
     return tuple(np.rint(RGB @ weights.T / 255 + (16, 128, 128)).astype(np.uint8).transpose(2, 0, 1))
 
 
-def yuv(order: str) -> np.ndarray:
+def yuv(order):
     luma, u, v = luma_and_chroma()
     return np.dstack([luma, np.where(np.arange(W) % 2, v, u)][:: 1 if order == "yuyv" else -1])
 
 
-def planes(name: str) -> np.ndarray:
+def planes(name):
     luma, u, v = luma_and_chroma()
     pair = (v, u) if name == "nv21" else (u, v)
     step = 1 if name == "nv24" else 2
@@ -164,7 +159,7 @@ def planes(name: str) -> np.ndarray:
     return np.vstack([luma, chroma.reshape(-1, W)])
 
 
-def bayer(pattern: str) -> np.ndarray:
+def bayer(pattern):
     image = np.empty((H, W), np.uint8)
     for n, letter in enumerate(pattern):
         image[n // 2 :: 2, n % 2 :: 2] = RGB[n // 2 :: 2, n % 2 :: 2, "rgb".index(letter)]
@@ -183,7 +178,7 @@ COLORS = {
 
 
 @pytest.mark.parametrize("encoding", COLORS)
-def test_color_encodings(tmp_path: Path, encoding: str) -> None:
+def test_color_encodings(tmp_path, encoding):
     image = np.ascontiguousarray(COLORS[encoding])
     seen = color("/l515/color/image_raw", "c_optical", images=[image] * 3, encoding=encoding)
     _, frame, health = first_frame(make_recording(tmp_path / "take", [*TWO[:2], seen]))
@@ -196,7 +191,7 @@ def test_color_encodings(tmp_path: Path, encoding: str) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
-def test_compressed_color(tmp_path: Path, suffix: str) -> None:
+def test_compressed_color(tmp_path, suffix):
     data = cv2.imencode(suffix, RGB[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 100])[1].tobytes()
     seen = color(
         "/l515/color/image_raw/compressed", "c_optical", images=[data] * 3, encoding="rgb8; jpeg compressed bgr8"
@@ -219,7 +214,7 @@ def test_compressed_color(tmp_path: Path, suffix: str) -> None:
         ("none", (0.0,) * 5),
     ],
 )
-def test_lens_models_see_a_place_where_opencv_does(tmp_path: Path, model: str, d: tuple[float, ...]) -> None:
+def test_lens_models_see_a_place_where_opencv_does(tmp_path, model, d):
     """A bright spot is deprojected to the ray that OpenCV finds for its pixel."""
     image = np.full((H, W), 400, np.uint16)
     image[6:9, 24:27] = 500
@@ -233,14 +228,14 @@ def test_lens_models_see_a_place_where_opencv_does(tmp_path: Path, model: str, d
     assert rig.proximity.intrinsics.distortion in (Distortion.NONE, Distortion.BROWN_CONRADY)
 
 
-def test_unknown_lenses_are_named(tmp_path: Path) -> None:
+def test_unknown_lenses_are_named(tmp_path):
     for name, model, d in (("a", "kittens", (0.1,) * 5), ("b", "none", (0.1,) * 5), ("c", "plumb_bob", (np.nan,) * 5)):
         near = depth(NEAR, "a_optical", model=model, d=d)
         with pytest.raises(SourceError, match=rf"{NEAR}: its lens"):
             first_frame(make_recording(tmp_path / name, [near, TWO[1]]))
 
 
-def test_binning_region_and_the_first_filled_in_lens(tmp_path: Path) -> None:
+def test_binning_region_and_the_first_filled_in_lens(tmp_path):
     near = depth(NEAR, "a_optical", size=(W * 2 + 8, H * 2 + 4), roi=(8, 4, H * 2, W * 2), binning=2, empty_infos=2)
     rig, *_ = first_frame(make_recording(tmp_path / "take", [near, TWO[1]]))
     lens = rig.proximity.intrinsics
@@ -252,7 +247,7 @@ def test_binning_region_and_the_first_filled_in_lens(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("broken", [("rig", "b_link"), ("c_link", "c_optical")])
-def test_a_chain_that_is_broken_is_a_gap_not_a_pose(tmp_path: Path, broken: tuple[str, str]) -> None:
+def test_a_chain_that_is_broken_is_a_gap_not_a_pose(tmp_path, broken):
     transforms = tuple(each for each in CHAIN if each[:2] != broken)
     rig, frame, health = first_frame(make_recording(tmp_path / "take", TWO, transforms))
     assert (rig.T_proximity_tactile is None) == (broken == ("rig", "b_link"))
@@ -261,7 +256,7 @@ def test_a_chain_that_is_broken_is_a_gap_not_a_pose(tmp_path: Path, broken: tupl
 
 
 @pytest.mark.parametrize("streams", [[], [color("/l515/color/image_raw", "c_optical")]])
-def test_without_depth_it_lists_what_there_is(tmp_path: Path, streams: list[Any]) -> None:
+def test_without_depth_it_lists_what_there_is(tmp_path, streams):
     with pytest.raises(
         SourceError, match=r"no topic has depth images.*--topics.*(tf_static|color/image_raw)"
     ) as caught:
@@ -270,7 +265,7 @@ def test_without_depth_it_lists_what_there_is(tmp_path: Path, streams: list[Any]
 
 
 @pytest.mark.parametrize("frames", [("x_optical", "x_optical"), ("", "")])
-def test_drivers_left_with_the_same_or_no_frame_names_give_no_pose(tmp_path: Path, frames: tuple[str, str]) -> None:
+def test_drivers_left_with_the_same_or_no_frame_names_give_no_pose(tmp_path, frames):
     streams = [depth(NEAR, frames[0]), depth(TOUCH, frames[1], 390), color("/l515/color/image_raw", frames[0])]
     rig, frame, health = first_frame(make_recording(tmp_path / "take", streams))
     assert rig.T_proximity_tactile is None
@@ -278,9 +273,7 @@ def test_drivers_left_with_the_same_or_no_frame_names_give_no_pose(tmp_path: Pat
     assert frame.proximity_color.any() == bool(frames[0])  # no frame is not the same frame
 
 
-def test_topics_are_named_in_one_option_or_in_several_and_colour_follows_its_depth(
-    tmp_path: Path, tactune: Any
-) -> None:
+def test_topics_are_named_in_one_option_or_in_several_and_colour_follows_its_depth(tmp_path, tactune):
     names = ("/cam1/depth/image", "/cam2/depth/image", "/cam2/color/image_raw")
     streams = [depth(names[0], "b_optical"), depth(names[1], "a_optical", 390), color(names[2], "c_optical")]
     path = make_recording(tmp_path / "take", streams)
@@ -293,16 +286,16 @@ def test_topics_are_named_in_one_option_or_in_several_and_colour_follows_its_dep
         assert (frame.proximity_color == 90).all()
 
 
-def test_depth_of_the_proximity_camera_alone_is_told(tmp_path: Path) -> None:
+def test_depth_of_the_proximity_camera_alone_is_told(tmp_path):
     with pytest.raises(SourceError, match=r"proximity camera only.*--topics"):
         first_frame(make_recording(tmp_path / "take", [depth("/proximity/depth/image", "a_optical")]))
 
 
-def rvl(image: np.ndarray) -> bytes:
+def rvl(image):
     """Compress as the paper's own program does, one pixel after another."""
-    parts: list[int] = []
+    parts = []
 
-    def put(number: int) -> None:
+    def put(number):
         while number > 7:
             parts.append(number & 7 | 8)
             number >>= 3
@@ -325,7 +318,7 @@ def rvl(image: np.ndarray) -> bytes:
 
 
 @pytest.mark.parametrize("hole", [np.s_[:0], np.s_[:3], np.s_[5:9, 4:], np.s_[-2:], np.s_[::2, ::2]])
-def test_depth_compressed_as_rvl(tmp_path: Path, hole: Any) -> None:
+def test_depth_compressed_as_rvl(tmp_path, hole):
     image = RNG.integers(1, 65535, (H, W)).astype(np.uint16)
     image[hole] = 0
     topic, info = "/l515/depth/image_rect_raw/compressedDepth", "/l515/depth/camera_info"

@@ -1,17 +1,13 @@
 """Scenes of the simulator as evidence."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from functools import lru_cache
 
 import pytest
 
 from tactune.core.errors import AdviceError
-from tactune.core.preset import Preset
 from tactune.core.rig.untouched import untouched_frame
 from tactune.core.sources.registry import open_source
-from tactune.core.tuning.advice.proposal import Evidence, Example, Proposal
+from tactune.core.tuning.advice.proposal import Evidence, Example
 from tactune.core.tuning.advice.suggest import suggest_all
 
 
@@ -24,12 +20,10 @@ def scene(name):
 
 
 @pytest.fixture(scope="session")
-def evidence() -> Callable[..., Evidence]:
+def evidence():
     """Make evidence from a preset and a simulated scene."""
 
-    def make(
-        preset: Preset, name: str = "sim:cup?press=medium", *, untouched: bool = True, painted: bool = False
-    ) -> Evidence:
+    def make(preset, name="sim:cup?press=medium", *, untouched=True, painted=False):
         rig, frames, free = scene(name)
         examples = (Example(frames[-1], frames[-1].truth.contact),) if painted else ()
         return Evidence(preset, rig, frames, free if untouched else None, examples)
@@ -38,10 +32,10 @@ def evidence() -> Callable[..., Evidence]:
 
 
 @pytest.fixture(scope="session")
-def suggest() -> Callable[[str, Evidence], Proposal]:
+def suggest():
     """Make the proposal of one section; its refusal is raised."""
 
-    def make(section: str, shown: Evidence) -> Proposal:
+    def make(section, shown):
         found = suggest_all(shown, sections=(section,))
         if found.refusals:
             raise AdviceError(found.refusals[section])

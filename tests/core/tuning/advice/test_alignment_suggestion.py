@@ -1,7 +1,5 @@
 """The suggested depth offset: found on prints, in contact, or refused."""
 
-from __future__ import annotations
-
 import pytest
 
 from tactune.core.errors import AdviceError

@@ -1,7 +1,5 @@
 """Curves of missed and false contact, and the fields that follow from examples or from noise."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

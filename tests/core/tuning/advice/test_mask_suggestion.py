@@ -1,7 +1,5 @@
 """The suggested mask covers the prints and spares the rest, wherever it was learned."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Suggest all: it mends what was spoiled, says what it can't know, and computes sections one after the other."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
