@@ -15,7 +15,7 @@ import numpy as np
 from ..errors import SourceError, counted
 from ..model.arrays import Float64Array
 from ..model.loading import read_file
-from .ros_image import nearest_within, pairs, period_s
+from .cameras.pairing import nearest_within, pairs, period_s
 
 IMAGE_SUFFIXES: Final = (".png", ".tif", ".tiff", ".npy", ".pgm", ".jpg", ".jpeg", ".bmp")
 #: Files of these kinds are depth where no name says what they are.

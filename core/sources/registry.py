@@ -42,7 +42,7 @@ def _play_live(name: str, progress: Progress) -> FrameSource:
 
 
 def _open_bag(rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:
-    from .realsense_files.source import BagSource, is_realsense
+    from .realsense_files import BagSource, is_realsense
     from .ros.source import RosSource
 
     if split_topics(rest)[1] or not is_realsense(rest):
@@ -158,7 +158,7 @@ def open_source(name: str, progress: Progress | None = None, cameras: CamerasSec
 def topics_to_choose(name: str, progress: Progress | None = None) -> Inspection | None:
     """Return what there is to choose before another program's recording is opened; None if nothing."""
     from .mcap.source import is_ours
-    from .realsense_files.source import is_realsense
+    from .realsense_files import is_realsense
     from .ros.source import inspect_recording
 
     scheme, _, rest = name.partition(":")

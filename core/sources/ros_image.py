@@ -1,4 +1,4 @@
-"""Images of ROS messages from untrusted recordings: encodings, padded rows, byte order, damage, nearest times."""
+"""Images of ROS messages from untrusted recordings: encodings, padded rows, byte order, damage."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from ..errors import SourceError, TactuneError, foreign
-from ..model.arrays import AnyArray, Float64Array, IndexArray, Uint8Array, Uint16Array
+from ..model.arrays import AnyArray, Uint8Array, Uint16Array
 from ..model.loading import decode_image
 
 #: Bytes per pixel of each colour encoding and OpenCV's conversion to RGB; it names Bayer patterns by their second row.
@@ -238,38 +238,3 @@ def _decoded(data: Uint8Array) -> AnyArray:
         return decode_image(data.tobytes())
     except ValueError as error:
         raise DamagedFileError(str(error)) from error
-
-
-def nearest(times: AnyArray, candidates: AnyArray) -> IndexArray:
-    """Return for each time the index of the nearest candidate; the earlier of two that are as near."""
-    order = np.argsort(candidates, kind="stable")
-    ordered = candidates[order]
-    after = np.searchsorted(ordered, times).clip(1, max(len(ordered) - 1, 1))
-    before = after - 1
-    after = after.clip(max=len(ordered) - 1)
-    later_is_nearer = ordered[after] - times < times - ordered[before]
-    return order[np.where(later_is_nearer, after, before)]
-
-
-def period_s(times_s: Float64Array, rate_hz: float = 30.0) -> float:
-    """Return the median time between two images, seconds; with a single image, that of the nominal rate."""
-    usual = float(np.median(np.diff(np.sort(times_s)))) if len(times_s) > 1 else 0.0
-    return usual or 1.0 / (rate_hz if rate_hz > 0 else 30.0)
-
-
-def pairs(first_s: Float64Array, second_s: Float64Array, farthest_s: float) -> tuple[IndexArray, IndexArray]:
-    """Return the indices of images that are each other's nearest and at most ``farthest_s`` apart."""
-    partner = nearest(first_s, second_s)
-    is_mutual = nearest(second_s, first_s)[partner] == np.arange(len(first_s))
-    # Stamps are sums and products of decimal fractions: exactly half a period must still count.
-    is_near = np.abs(second_s[partner] - first_s) <= farthest_s * (1 + 1e-6)
-    chosen = np.flatnonzero(is_mutual & is_near)
-    return chosen, partner[chosen]
-
-
-def nearest_within(times_s: Float64Array, candidates_s: Float64Array, farthest_s: float) -> IndexArray:
-    """Return for each time the index of the nearest candidate, or -1 where that is farther away."""
-    if not len(candidates_s):
-        return np.full(len(times_s), -1)
-    partner = nearest(times_s, candidates_s)
-    return np.where(np.abs(candidates_s[partner] - times_s) <= farthest_s * (1 + 1e-6), partner, -1)

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from tactune.core.errors import SourceError
-from tactune.core.sources.realsense_files.source import BagSource
+from tactune.core.sources.realsense_files import BagSource
 
 _LARGEST_MEMORY = 3 * 2**30
 _NUMBERS = (0, 1, 255, 10**6, 2**31 - 1, 2**31, 2**32 - 1, 2**40, 2**63 - 1, 2**64 - 1)

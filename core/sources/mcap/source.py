@@ -21,7 +21,8 @@ from ...model.rig_file import parse_rig
 from ...preset import Preset
 from ...preset.file import preset_and_note
 from ..base import Health, Progress, SeekableSource
-from ..ros_image import DamagedFileError, RawImage, nearest, nearest_within, pairs, period_s
+from ..cameras.pairing import nearest, nearest_within, pairs, period_s
+from ..ros_image import DamagedFileError, RawImage
 from .messages import (
     FORMAT_VERSION,
     IMAGE,

@@ -95,6 +95,7 @@ class McapBag(Bag):
 
     def __init__(self, path: Path, progress: Progress | None) -> None:
         super().__init__()
+        self._lock = Lock()
         self._file = McapFile(path, progress)
         self.complete = self._file.complete
         self._encodings = {topic: encoding for topic, (_, encoding) in self._file.topics.items()}
@@ -112,7 +113,8 @@ class McapBag(Bag):
         return len(self._places.get(topic, ()))
 
     def raw(self, topic: str, index: int) -> memoryview:
-        return self._file.message(self._places[topic][index])
+        with self._lock:
+            return self._file.message(self._places[topic][index])
 
     def times_ns(self, topic: str) -> Int64Array:
         return self._places[topic][:, 0].astype(np.int64)

@@ -22,11 +22,12 @@ from ...model.frames import DepthCamera, Matrix4, camera_pose
 from ...preset import CamerasSection
 from ..base import CameraRole, FrameSource, Health, Progress
 from ..cameras.camera import Calibration, Camera, CameraDriver, DeviceInfo, Images
+from ..cameras.pairing import period_s
 from ..cameras.source import CameraSource
 from ..capture.source import ProcessSource
 from ..lens import Lens, camera_info_lens
 from ..mcap.messages import CAMERA_INFO, TYPES
-from ..ros_image import FLOAT_UNIT_M, RawImage, period_s
+from ..ros_image import FLOAT_UNIT_M, RawImage
 from .dds import Listener, Reader, Waiter, check_network, keep_freed_memory
 from .search import Found, find_topics
 from .source import COUNT_UNIT_M

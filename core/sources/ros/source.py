@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import closing, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -12,14 +12,16 @@ import cv2
 import numpy as np
 
 from ...errors import SourceError, foreign
-from ...model.arrays import AnyArray, Float64Array, IndexArray, Int64Array, Uint8Array, Uint16Array
+from ...model.arrays import AnyArray, Float64Array, IndexArray, Int64Array, Uint8Array
 from ...model.files import user_path
-from ...model.frames import DepthCamera, Rig, SensorFrame, camera_pose
-from ..base import Health, Progress, SeekableSource
+from ...model.frames import DepthCamera, Matrix4, camera_pose
+from ..base import Progress
 from ..cameras.camera import Calibration
+from ..cameras.pairing import nearest_within, period_s
 from ..lens import Lens, camera_info_lens
 from ..mcap.messages import matrix_of
-from ..ros_image import FLOAT_UNIT_M, RawImage, damage_told, nearest_within, pairs, period_s
+from ..recorded import RecordedCamera, RecordedSource
+from ..ros_image import FLOAT_UNIT_M, RawImage, damage_told
 from .bags import POSES, Bag, open_bag
 from .topics import (
     ImageTopic,
@@ -91,35 +93,6 @@ class Frames:
 
 
 @dataclass(frozen=True, eq=False)
-class _Stream:
-    topic: ImageTopic
-    lens: Lens
-    stamps_s: Float64Array
-
-    def read(self, bag: Bag, index: int) -> AnyArray:
-        """Return counts, uint16 (H, W), or RGB, uint8 (H, W, 3)."""
-        image = RawImage.of(bag.message(self.topic.name, index))
-        shape = self.topic.height, self.topic.width
-        return self.lens.rectify(image.depth(shape) if self.topic.kind == "depth" else image.color(shape))
-
-
-@dataclass(frozen=True, eq=False)
-class _Camera:
-    """The depth of one camera and, where it can be used, its colour with its partner of each depth image or -1."""
-
-    calibration: Calibration
-    depth: _Stream
-    color: _Stream | None
-    partners: IndexArray
-
-    def images(self, bag: Bag, index: int) -> tuple[Uint16Array, Uint8Array | None]:
-        depth = self.depth.read(bag, index)
-        if self.color is None or self.partners[index] < 0:
-            return depth, None
-        return depth, self.color.read(bag, int(self.partners[index]))
-
-
-@dataclass(frozen=True, eq=False)
 class Inspection:
     """What a person sees before the topics of a recording are chosen.
 
@@ -162,75 +135,73 @@ def _picture(bag: Bag, image: ImageTopic) -> Uint8Array:
     return np.asarray(cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-class RosSource(SeekableSource):
-    """A ROS bag of any program, with frames of depth images whose header stamps are half a period apart at most."""
+class RosSource(RecordedSource):
+    """A ROS bag of any program, with frames of depth images whose header stamps are half a period apart at most.
+
+    ``rest`` is the path, and behind a question mark the topics that a person chose, which are then kept beside it.
+    """
 
     def __init__(self, scheme: str, rest: str, progress: Progress | None = None) -> None:
         text, chosen = split_name(rest)
-        self._path = user_path(text)
+        path = user_path(text)
         name = f"{scheme}:{text}"
-        if not self._path.exists():
-            raise SourceError(f"{name}: there is no file {self._path}; check the path")
-        self._bag = open_bag(self._path, progress)
-        self._notes: list[str] = []
-        try:
-            with damage_told(self._path, "it is damaged"):
-                rig = self._set_up(chosen or load_topics(self._path), progress)
-            super().__init__(name, rig, len(self._first))
+        if not path.exists():
+            raise SourceError(f"{name}: there is no file {path}; check the path")
+        with ExitStack() as resources:
+            bag = open_bag(path, progress)
+            resources.callback(bag.close)
+            with damage_told(path, "it is damaged"):
+                found = _Cameras(path, bag, progress)
+                cameras, pose = found.choose(chosen or load_topics(path))
+            super().__init__(name, cameras, resources, found.lacks, pose)
             self.read(0)
-        except BaseException:
-            self._bag.close()
-            raise
+            self._resources = resources.pop_all()
         if chosen:
-            store_topics(self._path, chosen)
+            store_topics(path, chosen)
 
-    def _set_up(self, chosen: Topics, progress: Progress | None) -> Rig:
-        images = survey(self._bag)
-        frames = Frames(self._bag)
-        topics, gap = guess_topics(images, frames.joined)
+
+class _Cameras:
+    """Makes the cameras of a recording from its topics; ``lacks`` says what they lack."""
+
+    def __init__(self, path: Path, bag: Bag, progress: Progress | None) -> None:
+        self._path, self._bag, self._progress = path, bag, progress
+        self._images = {image.name: image for image in survey(bag)}
+        self._frames = Frames(bag)
+        self.lacks = [] if bag.complete else [f"{path.name} was cut off: it is shown up to its last whole part"]
+
+    def choose(self, chosen: Topics) -> tuple[list[RecordedCamera], Matrix4 | None]:
+        """Return the cameras on these topics, else on those that their names tell, and the pose between them."""
+        images = list(self._images.values())
+        topics, gap = guess_topics(images, self._frames.joined)
         if chosen:
-            topics, gap = complete_topics(chosen, topics, images, frames.joined)
+            topics, gap = complete_topics(chosen, topics, images, self._frames.joined)
         if gap:
             raise SourceError(
                 f"{self._path}: {gap}; name them with --topics proximity.depth=/topic,tactile.depth=/topic; "
                 f"{list_topics(images, self._bag.types)}"
             )
-        known = {image.name: image for image in images}
-        cameras = [
-            self._camera(role, topics, known, frames, progress)
-            for role in ("proximity", "tactile")
-            if f"{role}.depth" in topics
-        ]
-        self._main = cameras[0]
-        self._tactile = cameras[1] if len(cameras) == 2 else None
-        self._pair()
-        proximity = self._main.calibration
-        if self._tactile is None:
-            return Rig.of_one_camera(proximity.depth)
-        pose = frames.pose(self._main.depth.topic.frame, self._tactile.depth.topic.frame)
-        if pose is not None and not pose[:3, 3].any():  # two drivers that were left with the same frame names
-            self._notes.append(
-                f"both cameras are said to be at the same place (frames {self._main.depth.topic.frame} and "
-                f"{self._tactile.depth.topic.frame}), so the pose between them is unknown: calibrate the alignment"
+        roles = [role for role in ("proximity", "tactile") if f"{role}.depth" in topics]
+        cameras = [self._camera(role, topics) for role in roles]
+        if len(cameras) == 1:
+            return cameras, None
+        first, second = (self._images[topics[f"{role}.depth"]].frame for role in roles)
+        pose = self._frames.pose(first, second)
+        if pose is None:
+            self.lacks.append(
+                "the pose between the cameras is not in this recording (no chain of fixed transforms from "
+                f"{first or 'an unnamed frame'} to {second or 'an unnamed frame'}): calibrate the alignment"
             )
-            pose = None
-        elif pose is None:
-            self._notes.append(
-                "the pose between the cameras is not in this recording "
-                f"(no chain of fixed transforms from {self._main.depth.topic.frame or 'an unnamed frame'} to "
-                f"{self._tactile.depth.topic.frame or 'an unnamed frame'}): calibrate the alignment"
+            return cameras, None
+        if not pose[:3, 3].any():  # two drivers that were left with the same frame names
+            self.lacks.append(
+                f"both cameras are said to be at the same place (frames {first} and {second}), so the pose between "
+                "them is unknown: calibrate the alignment"
             )
-        return Rig(
-            proximity=proximity.depth,
-            tactile=self._tactile.calibration.depth,
-            proximity_color=proximity.color_camera,
-            T_proximity_tactile=None if pose is None else camera_pose(pose),
-        )
+            return cameras, None
+        return cameras, camera_pose(pose)
 
-    def _camera(
-        self, role: str, topics: Topics, known: dict[str, ImageTopic], frames: Frames, progress: Progress | None
-    ) -> _Camera:
-        image = self._image_topic(f"{role}.depth", topics[f"{role}.depth"], known)
+    def _camera(self, role: str, topics: Topics) -> RecordedCamera:
+        image = self._image_topic(f"{role}.depth", topics[f"{role}.depth"])
         if image.kind != "depth":
             raise SourceError(f"{self._path}: {image} has no depth; choose another as {role}.depth")
         lens_topic = topics.get(f"{role}.info", image.info)
@@ -239,130 +210,78 @@ class RosSource(SeekableSource):
                 f"{self._path}: the lens of {image.name} is missing (a topic camera_info); name it with "
                 f"--topics {role}.info=/topic"
             )
-        depth = self._stream(image, lens_topic, progress)
-        unit_m = FLOAT_UNIT_M if depth.topic.encoding == "32FC1" else COUNT_UNIT_M
-        model = foreign(depth.topic.camera.replace("/", " ") or role, 80)
-        info = DepthCamera(model=model, intrinsics=depth.lens.intrinsics, depth_unit_m=unit_m)
-        if f"{role}.color" not in topics:
-            return _Camera(Calibration(info), depth, None, np.empty(0, np.int64))
-        try:
-            color, pose = self._color(role, topics[f"{role}.color"], depth, known, frames, progress)
-        except _GapError as gap:
-            self._notes.append(f"the {role} colour is left out: {gap}")
-            return _Camera(Calibration(info), depth, None, np.empty(0, np.int64))
-        farthest_s = period_s(color.stamps_s) / 2
-        partners = nearest_within(depth.stamps_s, color.stamps_s, farthest_s)
-        if missing := int((partners < 0).sum()):
-            self._notes.append(f"{missing} images have no {role} colour within {farthest_s * 1e3:.0f} ms")
-        return _Camera(Calibration(info, color.lens.intrinsics, camera_pose(pose)), depth, color, partners)
+        lens, times_s = self._lens(image, lens_topic), self._stamps_s(image.name)
+        calibration = Calibration(
+            DepthCamera(
+                model=foreign(image.camera.replace("/", " ") or role, 80),
+                intrinsics=lens.intrinsics,
+                depth_unit_m=FLOAT_UNIT_M if image.encoding == "32FC1" else COUNT_UNIT_M,
+            )
+        )
+        color, partners = None, np.empty(0, np.int64)
+        if f"{role}.color" in topics:
+            try:
+                seen = self._image_topic(f"{role}.color", topics[f"{role}.color"])
+                color_lens, pose = self._color(seen, image, lens)
+                partners = self._partners(role, times_s, seen.name)
+                calibration = Calibration(calibration.depth, color_lens.intrinsics, camera_pose(pose))
+                color = partial(self._read, seen, color_lens)
+            except _GapError as gap:
+                self.lacks.append(f"the {role} colour is left out: {gap}")
+        depth = partial(self._read, image, lens)
+        return RecordedCamera(self._path, calibration, 1 / period_s(times_s), times_s, depth, color, partners)
 
-    def _color(
-        self,
-        role: str,
-        name: str,
-        depth: _Stream,
-        known: dict[str, ImageTopic],
-        frames: Frames,
-        progress: Progress | None,
-    ) -> tuple[_Stream, Float64Array]:
-        """Return the colour of a camera and the pose of its depth in it."""
-        image = self._image_topic(f"{role}.color", name, known)
-        ours, theirs = depth.topic.frame, image.frame
-        pose = frames.pose(theirs, ours)
+    def _color(self, color: ImageTopic, depth: ImageTopic, lens: Lens) -> tuple[Lens, Float64Array]:
+        """Return the lens of a camera's colour and the pose of its depth in it."""
+        pose = self._frames.pose(color.frame, depth.frame)
         if pose is None:
-            raise _GapError(f"no fixed transform joins its frame {theirs!r} to the frame of the depth, {ours!r}")
-        if image.info:
-            return self._stream(image, image.info, progress), pose
-        if ours == theirs and (image.width, image.height) == (depth.topic.width, depth.topic.height):
-            return _Stream(image, depth.lens, self._stamps_s(name, progress)), pose  # aligned to the depth
-        raise _GapError(f"{name} has no camera_info, so its lens is unknown")
+            raise _GapError(
+                f"no fixed transform joins its frame {color.frame!r} to the frame of the depth, {depth.frame!r}"
+            )
+        if color.info:
+            return self._lens(color, color.info), pose
+        if color.frame == depth.frame and (color.width, color.height) == (depth.width, depth.height):
+            return lens, pose  # aligned to the depth
+        raise _GapError(f"{color.name} has no camera_info, so its lens is unknown")
 
-    def _image_topic(self, slot: str, name: str, known: dict[str, ImageTopic]) -> ImageTopic:
-        if name not in known:
-            there = list_topics(list(known.values()), self._bag.types)
+    def _partners(self, role: str, times_s: Float64Array, topic: str) -> IndexArray:
+        """Return the colour image of each depth image, or -1."""
+        color_s = self._stamps_s(topic)
+        farthest_s = period_s(color_s) / 2
+        partners = nearest_within(times_s, color_s, farthest_s)
+        if missing := int((partners < 0).sum()):
+            self.lacks.append(f"{missing} images have no {role} colour within {farthest_s * 1e3:.0f} ms")
+        return partners
+
+    def _image_topic(self, slot: str, name: str) -> ImageTopic:
+        if name not in self._images:
+            there = list_topics(list(self._images.values()), self._bag.types)
             raise SourceError(f"{self._path} has no images on {name}, named as {slot}; {there}")
-        return known[name]
+        return self._images[name]
 
-    def _stream(self, image: ImageTopic, info: str, progress: Progress | None) -> _Stream:
+    def _lens(self, image: ImageTopic, topic: str) -> Lens:
+        """Return the lens of the first message that is filled in."""
         try:
-            lens = self._lens(info, (image.width, image.height))
+            for index in range(min(self._bag.count(topic), _TRIED_INFOS)):
+                lens = camera_info_lens(self._bag.message(topic, index), (image.width, image.height))
+                if lens is not None:
+                    return lens
         except SourceError as error:
             raise SourceError(f"{self._path}: {image.name}: {error}") from error
-        if lens is None:
-            raise SourceError(f"{self._path}: {info} states no lens: all its numbers are 0; name another topic")
-        return _Stream(image, lens, self._stamps_s(image.name, progress))
+        raise SourceError(f"{self._path}: {topic} states no lens: all its numbers are 0; name another topic")
 
-    def _lens(self, topic: str, size: tuple[int, int]) -> Lens | None:
-        """Return the lens of the first message that is filled in."""
-        for index in range(min(self._bag.count(topic), _TRIED_INFOS)):
-            if (lens := camera_info_lens(self._bag.message(topic, index), size)) is not None:
-                return lens
-        return None
-
-    def _stamps_s(self, topic: str, progress: Progress | None) -> Float64Array:
+    def _stamps_s(self, topic: str) -> Float64Array:
         count = self._bag.count(topic)
         stamps_ns: Int64Array = np.empty(count, np.int64)
         for index in range(count):
-            if progress is not None and index % 100 == 0:
-                progress(index / count, f"reading the time stamps of {topic}")
+            if self._progress is not None and index % 100 == 0:
+                self._progress(index / count, f"reading the time stamps of {topic}")
             stamps_ns[index] = self._bag.stamp_ns(topic, index)
         if count and not stamps_ns.any():
             raise SourceError(f"{self._path}: the images on {topic} have no time stamps in their headers")
         return np.asarray(stamps_ns * 1e-9, np.float64)
 
-    def _pair(self) -> None:
-        first = self._main.depth.stamps_s
-        self._unmatched = 0
-        if self._tactile is None:
-            self._first = self._second = np.argsort(first, kind="stable")
-            return
-        second = self._tactile.depth.stamps_s
-        farthest_s = min(period_s(first), period_s(second)) / 2
-        self._first, self._second = pairs(first, second, farthest_s)
-        self._unmatched = len(first) + len(second) - 2 * len(self._first)
-        if not len(self._first):
-            raise SourceError(
-                f"{self._path}: no image on {self._main.depth.topic.name} has one on "
-                f"{self._tactile.depth.topic.name} within {farthest_s * 1e3:.1f} ms by the stamps in their headers; "
-                "set the clocks of both cameras, or choose other topics"
-            )
-
-    @property
-    def frame_rate_hz(self) -> float:
-        return 1.0 / period_s(self._main.depth.stamps_s)
-
-    def health(self) -> Health:
-        lacks: Sequence[str] = list(self._notes)
-        if self._tactile is not None and self._main.color is None:
-            lacks = [*lacks, "this recording has no proximity colour: its image stays black"]
-        if not self._bag.complete:
-            lacks = [*lacks, f"{self._path.name} was cut off: it is shown up to its last whole part"]
-        if self._unmatched:
-            lacks = [*lacks, f"{self._unmatched} images without one of the other camera are left out"]
-        return Health(ok=not lacks, message="; ".join(lacks), unmatched=self._unmatched)
-
-    def close(self) -> None:
-        self._bag.close()
-
-    def read(self, index: int) -> SensorFrame:
-        first, second = int(self._first[index]), int(self._second[index])
-        with damage_told(self._path, f"frame {index} cannot be read"):
-            depth, color = self._main.images(self._bag, first)
-            if self._tactile is None:
-                aligned = None if color is None else self._main.calibration.color_on_depth(color, depth)
-                time_s = float(self._main.depth.stamps_s[first])
-                return SensorFrame.of_one_camera(index, depth, aligned, time_s)
-            tactile_depth, tactile_color = self._tactile.images(self._bag, second)
-            if tactile_color is not None:
-                tactile_color = self._tactile.calibration.color_on_depth(tactile_color, tactile_depth)
-        if color is None:
-            color = np.zeros((*self._rig.proximity_color_shape, 3), np.uint8)
-        return SensorFrame(
-            sequence=index,
-            proximity_depth=depth,
-            tactile_depth=tactile_depth,
-            proximity_color=color,
-            tactile_color=tactile_color,
-            proximity_time_s=float(self._main.depth.stamps_s[first]),
-            tactile_time_s=float(self._tactile.depth.stamps_s[second]),
-        )
+    def _read(self, topic: ImageTopic, lens: Lens, index: int) -> AnyArray:
+        """Return counts, uint16 (H, W), or RGB, uint8 (H, W, 3)."""
+        image, shape = RawImage.of(self._bag.message(topic.name, index)), (topic.height, topic.width)
+        return lens.rectify(image.depth(shape) if topic.kind == "depth" else image.color(shape))

@@ -2,7 +2,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from tactune.core.sources.realsense_files.source import BagSource
+from tactune.core.sources.realsense_files import BagSource
 
 
 @pytest.fixture

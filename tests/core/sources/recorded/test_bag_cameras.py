@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bag_maker import D405, L515, Device, Images, color_images, depth_images, make_bag
-from tactune.core.sources.realsense_files.source import BagSource
+from tactune.core.sources.realsense_files import BagSource
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 
 from bag_maker import D405, L515, depth_images, make_bag
 from tactune.core.errors import SourceError
-from tactune.core.sources.realsense_files.source import BagSource
+from tactune.core.sources.realsense_files import BagSource
 from tactune.core.sources.registry import open_source
 
 EPOCH_S = 1_750_000_000.0

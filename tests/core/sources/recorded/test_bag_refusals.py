@@ -6,7 +6,7 @@ import pytest
 
 from bag_maker import D405, L515, Device, color_images, depth_images, make_bag
 from tactune.core.errors import SourceError
-from tactune.core.sources.realsense_files.source import BagSource
+from tactune.core.sources.realsense_files import BagSource
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from librealsense_player import RATE_HZ, START_S, images, played
-from tactune.core.sources.realsense_files.source import open_recording
+from tactune.core.sources.realsense_files import open_recording
 
 FIXTURES = Path(__file__).parents[3] / "data"
 needs_a_driver = pytest.mark.skipif(

@@ -10,7 +10,7 @@ import pytest
 import bag_maker
 from bag_maker import D405, L515, make_bag
 from tactune.core.errors import SourceError
-from tactune.core.sources.realsense_files.source import BagSource
+from tactune.core.sources.realsense_files import BagSource
 
 DATA = Path(__file__).parents[3] / "data"
 BAG, ZSTD_DB3, PNG_DB3 = (DATA / name for name in ("l515_2.54.2.bag", "d405_2.58.4.db3", "d405_2.59.1.db3"))

@@ -1,0 +1,403 @@
+"""Recordings that librealsense writes, of one or two depth cameras, read without the camera driver.
+
+Up to 2.57 they are ROS 1 bags. From 2.58 on they are SQLite databases of ROS 2 bags, whose descriptions are strings of
+``key=value;``: 2.58 compresses every message with zstd and keeps images raw, 2.59 keeps images as PNG.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from ..errors import SourceError
+from ..model.arrays import AnyArray, Float64Array
+from ..model.files import recording_files, user_path
+from ..model.frames import DepthCamera, camera_pose
+from ..model.intrinsics import Distortion, Intrinsics
+from .base import Progress, part_of
+from .cameras.camera import Calibration
+from .cameras.pairing import nearest
+from .mcap.messages import IMAGE, TEXT, TYPES, matrix_of
+from .recorded import RecordedCamera, RecordedSource
+from .ros.bags import Bag, Ros1Bag, open_bag
+from .ros_image import DamagedFileError, RawImage, damage_told
+
+_STREAM = re.compile(r"(/device_(\d{1,4})/sensor_\d{1,4}/(Depth|Color)_\d{1,4})/image/data(/compressed(?:Depth)?)?")
+#: Stamps of one stream that are farther from each other, against the recorder's time, are of two clocks.
+_OTHER_CLOCK_S: Final = 1e6
+
+
+class BagSource(RecordedSource):
+    """A RealSense recording: one file with one or two depth cameras, or two files with one each.
+
+    The proximity camera is the L515, or the first device where there is none. Times are the images' stamps where both
+    cameras use one clock (global or system time), else, in one file, the recording times. A recording does not contain
+    the pose between the cameras: the preset must have it.
+    """
+
+    def __init__(self, name: Path | str, progress: Progress | None = None) -> None:
+        text = str(name)
+        paths = recording_files(text)
+        if not paths:
+            raise SourceError(f"bag:{text}: there is no file {user_path(text)}; check the path")
+        with ExitStack() as resources:
+            recordings = []
+            for number, path in enumerate(paths):
+                told = None if progress is None else part_of(progress, number, len(paths))
+                recordings.append(resources.enter_context(closing(open_recording(path, told))))
+            lacks = [
+                f"{recording.path.name} was not finished when it was recorded: it is shown up to its last whole part"
+                for recording in recordings
+                if not recording.bag.complete
+            ]
+            super().__init__(f"bag:{text}", _cameras(f"bag:{text}", recordings), resources, lacks)
+            self._resources = resources.pop_all()
+
+
+def is_realsense(text: str) -> bool:
+    """Whether a name is that of librealsense's recordings: two files, or topics that begin with a device's number."""
+    paths = recording_files(text)
+    if len(paths) != 1:
+        return True
+    with closing(open_bag(paths[0])) as bag:
+        return any(topic.startswith("/device_") for topic in bag.types)
+
+
+def _cameras(name: str, recordings: Sequence[RecordingFile]) -> list[RecordedCamera]:
+    """Return the proximity camera and, if there are two, the tactile one, with times on one clock."""
+    cameras = [camera for recording in recordings for camera in recording.cameras]
+    if len(cameras) > 2 or len(cameras) < len(recordings):
+        models = ", ".join(camera.info.model for camera in cameras)
+        raise SourceError(f"{name} has {len(cameras)} depth cameras ({models}); record one or two")
+    first, last = cameras[0].info, cameras[-1].info
+    if len(cameras) == 2 and first.serial == last.serial != "":
+        raise SourceError(
+            f"{name}: both recordings are of the same camera, {first.model} {first.serial}; "
+            "give the recording of the other camera as well"
+        )
+    cameras.sort(key=lambda camera: "L515" not in camera.info.model)
+    one, other = cameras[0].depth, cameras[-1].depth
+    times_s = _common_times(one, other, one_device=len(cameras) == 1)
+    if len(recordings) == 2 and times_s[0] is one.recorded_s:
+        raise SourceError(
+            f"{name}: the cameras' clocks cannot be compared ({one.clock or 'unknown'} and "
+            f"{other.clock or 'unknown'}); record both cameras with global time enabled"
+        )
+    return [camera.recorded(its_s) for camera, its_s in zip(cameras, times_s, strict=False)]
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """One image stream; all images of a recording have ``recorded_s`` on one clock.
+
+    ``clock`` is that of the images' own stamps, in librealsense's words, or empty. ``poses`` are 4 x 4, from a named
+    reference to the stream.
+    """
+
+    topic: str
+    images: str
+    intrinsics: Intrinsics
+    rate_hz: float
+    clock: str
+    stamps_s: Float64Array
+    recorded_s: Float64Array
+    poses: Mapping[str, Float64Array]
+
+
+def _common_times(first: Stream, second: Stream, *, one_device: bool) -> tuple[Float64Array, Float64Array]:
+    """Return both streams' own stamps in seconds if these are on one clock, else when they were recorded.
+
+    A camera's own clock counts for that camera alone.
+    """
+    if first.clock == second.clock != "" and (one_device or first.clock != "Hardware Clock"):
+        return first.stamps_s, second.stamps_s
+    return first.recorded_s, second.recorded_s
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """One device of a file: its depth stream and, where recorded, its colour stream."""
+
+    file: RecordingFile
+    calibration: Calibration
+    depth: Stream
+    color: Stream | None
+
+    @property
+    def info(self) -> DepthCamera:
+        return self.calibration.depth
+
+    def image(self, stream: Stream, index: int) -> AnyArray:
+        """Return raw counts, uint16 (H, W), or an RGB image, uint8 (H, W, 3)."""
+        raw, shape = self.file.image(stream.images, index), stream.intrinsics.shape
+        return raw.counts(shape) if stream is self.depth else raw.color(shape)
+
+    def recorded(self, times_s: Float64Array) -> RecordedCamera:
+        """Return the camera with the times of its depth images; each has the colour image nearest to it."""
+        depth, color, partners = self.depth, self.color, np.empty(0, np.int64)
+        if color is not None:
+            partners = nearest(*_common_times(depth, color, one_device=True))
+        return RecordedCamera(
+            self.file.path,
+            self.calibration,
+            depth.rate_hz,
+            times_s,
+            lambda index: self.image(depth, index),
+            None if color is None else lambda index: self.image(color, index),
+            partners,
+        )
+
+
+class Times(NamedTuple):
+    """When the images of a stream were recorded, their own stamps, and the clock of these, empty if unknown."""
+
+    recorded_ns: Sequence[int]
+    stamps_s: Sequence[float]
+    clock: str
+
+
+class RecordingFile(ABC):
+    """An open recording. A subclass reads what one version of librealsense writes."""
+
+    def __init__(self, path: Path, bag: Bag, progress: Progress | None) -> None:
+        self.path, self.bag, self.progress = path, bag, progress
+        self.cameras = self._find_cameras()
+
+    def close(self) -> None:
+        self.bag.close()
+
+    @abstractmethod
+    def image(self, topic: str, index: int) -> RawImage:
+        """Return an image by its number in the order of `_times`."""
+
+    @abstractmethod
+    def _names(self, topic: str) -> Mapping[str, str]:
+        """Return the names and values of a description."""
+
+    @abstractmethod
+    def _depth_unit_m(self, sensor: str) -> float | None:
+        """Return the depth unit of a sensor, or None if the recording does not say it."""
+
+    @abstractmethod
+    def _times(self, topics: Collection[tuple[str, str]]) -> Mapping[str, Times]:
+        """Return the times of streams, given and returned by their prefix; no image is decoded for this."""
+
+    @abstractmethod
+    def _lens(self, topic: str) -> tuple[dict[str, Any], float]:
+        """Return the fields of a stream's `Intrinsics` in the driver's words, and its rate, Hz."""
+
+    @abstractmethod
+    def _pose(self, topic: str) -> Float64Array:
+        """Return the 4 x 4 matrix of a pose."""
+
+    def _find_cameras(self) -> list[Camera]:
+        found: dict[tuple[int, str], tuple[str, str]] = {}
+        for topic in sorted(self.bag.types):
+            if match := _STREAM.fullmatch(topic):
+                found.setdefault((int(match[2]), match[3]), (match[1], topic))
+        times = self._times(found.values()) if any(kind == "Depth" for _, kind in found) else {}
+        streams = {key: self._stream(*pair, times[pair[0]]) for key, pair in found.items() if times}
+        return [
+            self._camera(number, stream, streams.get((number, "Color")))
+            for (number, kind), stream in sorted(streams.items())
+            if kind == "Depth"
+        ]
+
+    def _stream(self, topic: str, images: str, times: Times) -> Stream:
+        lens, rate_hz = self._lens(topic)
+        lens["distortion"] = Distortion(lens["distortion"].lower().replace(" ", "_"))
+        lens["coefficients"] = tuple(map(float, lens["coefficients"]))
+        recorded_s, stamps_s = np.array(times.recorded_ns) * 1e-9, np.array(times.stamps_s)
+        # The first images of a camera may be on its own clock, until the driver knows its offset to the computer's.
+        ahead_s = stamps_s - recorded_s
+        usual_s = np.median(ahead_s)
+        stamps_s = np.where(np.abs(ahead_s - usual_s) > _OTHER_CLOCK_S, recorded_s + usual_s, stamps_s)
+        prefix = f"{topic}/tf/"
+        poses = {name.removeprefix(prefix): self._pose(name) for name in self.bag.types if name.startswith(prefix)}
+        return Stream(topic, images, Intrinsics(**lens), rate_hz, times.clock, stamps_s, recorded_s, poses)
+
+    def _camera(self, number: int, depth: Stream, color: Stream | None) -> Camera:
+        unit_m = self._depth_unit_m(depth.topic.rpartition("/")[0])
+        if unit_m is None:
+            raise DamagedFileError("the depth unit is missing (topic …/option/Depth_Units/value)")
+        names = self._names(f"/device_{number}/info")
+        info = DepthCamera(
+            model=_plain(names.get("Name", "unknown")),
+            serial=_plain(names.get("Serial Number", "")),
+            intrinsics=depth.intrinsics,
+            depth_unit_m=unit_m,
+        )
+        if color is None:
+            return Camera(self, Calibration(info), depth, None)
+        common = color.poses.keys() & depth.poses.keys()
+        if not common:
+            raise DamagedFileError(f"the pose of {color.topic} to {depth.topic} is missing (topics such as …/tf/0)")
+        reference = min(common)
+        pose = camera_pose(color.poses[reference] @ np.linalg.inv(depth.poses[reference]))
+        return Camera(self, Calibration(info, color.intrinsics, pose), depth, color)
+
+
+def open_recording(path: Path, progress: Progress | None = None) -> RecordingFile:
+    bag = open_bag(path)
+    try:
+        with damage_told(path, "this is no readable RealSense recording"):
+            # Decided by content, because a .bag may have been renamed.
+            opened = (BagFile if isinstance(bag, Ros1Bag) else Db3File)(path, bag, progress)
+            if not opened.cameras:
+                raise DamagedFileError("it holds no depth images")
+            return opened
+    except BaseException:
+        bag.close()
+        raise
+
+
+class BagFile(RecordingFile):
+    """A ``.bag``, as librealsense writes it up to 2.57."""
+
+    bag: Ros1Bag
+
+    def image(self, topic: str, index: int) -> RawImage:
+        """Some versions append a list of metadata, which the library does not accept."""
+        message = self.bag.raw(topic, index)
+        _, at = _text(message, 12)
+        height, width = struct.unpack_from("<II", message, at)
+        encoding, at = _text(message, at + 8)
+        big_endian, step, size = struct.unpack_from("<BII", message, at)
+        at += 9
+        if size > len(message) - at:
+            raise DamagedFileError(f"it has {len(message) - at} bytes, too few for its size")
+        return RawImage(height, width, encoding, bool(big_endian), step, np.frombuffer(message, np.uint8, size, at))
+
+    def _names(self, topic: str) -> Mapping[str, str]:
+        return dict(_key_value(self.bag.raw(topic, index)) for index in range(self.bag.count(topic)))
+
+    def _depth_unit_m(self, sensor: str) -> float | None:
+        options = [f"{sensor}/option/{words}/value" for words in ("Depth Units", "Depth_Units")]
+        return next((float(self._first(option).data) for option in options if self.bag.count(option)), None)
+
+    def _lens(self, topic: str) -> tuple[dict[str, Any], float]:
+        if not self.bag.count(f"{topic}/info"):
+            raise DamagedFileError(f"the topic {topic}/info is missing")
+        (rate_hz,) = struct.unpack_from("<I", self.bag.raw(f"{topic}/info", 0))
+        lens: Any = self._first(f"{topic}/info/camera_info")
+        fx, _, cx, _, fy, cy, *_ = lens.K
+        size = {"width": lens.width, "height": lens.height, "fx": fx, "fy": fy, "cx": cx, "cy": cy}
+        return {**size, "distortion": lens.distortion_model, "coefficients": lens.D}, float(rate_hz)
+
+    def _pose(self, topic: str) -> Float64Array:
+        return matrix_of(self._first(topic))
+
+    def _times(self, topics: Collection[tuple[str, str]]) -> Mapping[str, Times]:
+        """Read the stamp of every image, in the order of the file, and the clock of the last one."""
+        stamps_s: dict[tuple[str, int], float] = {}
+        wanted = self.bag.in_order_of_file([images for _, images in topics])
+        for done, (images, index) in enumerate(wanted):
+            stamps_s[images, index] = self.bag.stamp_ns(images, index) * 1e-9
+            if self.progress is not None and done % 1000 == 0:
+                self.progress(done / len(wanted), f"indexing {self.path.name}")
+        times: dict[str, Times] = {}
+        for topic, images in topics:
+            about = f"{topic}/image/metadata"
+            # Cameras write two dozen facts for every image.
+            written_ns = self.bag.times_ns(about)
+            last = np.flatnonzero(written_ns == written_ns[-1:])
+            facts = dict(_key_value(self.bag.raw(about, int(index))) for index in last)
+            stamps = [stamps_s[images, index] for index in range(self.bag.count(images))]
+            times[topic] = Times(self.bag.times_ns(images).tolist(), stamps, facts.get("timestamp_domain", ""))
+        return times
+
+    def _first(self, topic: str) -> Any:
+        if not self.bag.count(topic):
+            raise DamagedFileError(f"the topic {topic} is missing")
+        return self.bag.message(topic, 0)
+
+
+class Db3File(RecordingFile):
+    """A ``.db3``, as librealsense writes it from 2.58 on."""
+
+    def image(self, topic: str, index: int) -> RawImage:
+        data = self.bag.raw(topic, index)
+        if topic.endswith("/image/data"):
+            return RawImage.of(TYPES.deserialize_cdr(data, IMAGE))
+        found: Any = TYPES.deserialize_cdr(data, "sensor_msgs/msg/CompressedImage")
+        found.format = "16UC1; compressedDepth png" if topic.endswith("Depth") else "png"
+        return RawImage.of(found)
+
+    def _names(self, topic: str) -> dict[str, str]:
+        """Return the merged key-value pairs of all messages of a string topic."""
+        facts: dict[str, str] = {}
+        for index in range(self.bag.count(topic)):
+            facts |= self._pairs(topic, index)
+        return facts
+
+    def _depth_unit_m(self, sensor: str) -> float | None:
+        unit = self._names(f"{sensor}/option/Depth_Units/value")
+        return _numbers({"unit": next(iter(unit))}, "unit")[0] if unit else None
+
+    def _lens(self, topic: str) -> tuple[dict[str, Any], float]:
+        info, lens = self._names(f"{topic}/info"), self._names(f"{topic}/camera_info")
+        keys = {"width": "width", "height": "height", "fx": "fx", "fy": "fy", "cx": "ppx", "cy": "ppy"}
+        values: dict[str, Any] = {key: _numbers(lens, theirs)[0] for key, theirs in keys.items()}
+        values |= {"distortion": lens.get("model", ""), "coefficients": _numbers(lens, "coeffs")}
+        return values, _numbers(info, "fps")[0]
+
+    def _pose(self, topic: str) -> Float64Array:
+        """Its rotation is written column by column."""
+        facts, matrix = self._names(topic), np.eye(4)
+        matrix[:3, :3] = np.reshape(_numbers(facts, "rotation"), (3, 3)).T
+        matrix[:3, 3] = _numbers(facts, "translation")
+        return matrix
+
+    def _times(self, topics: Collection[tuple[str, str]]) -> Mapping[str, Times]:
+        times: dict[str, Times] = {}
+        for done, (topic, images) in enumerate(topics, start=1):
+            about = f"{topic}/image/metadata"
+            written_ns, recorded_ns = self.bag.times_ns(about), self.bag.times_ns(images)
+            facts = {int(time_ns): self._pairs(about, index) for index, time_ns in enumerate(written_ns)}
+            stamps_s = [float(facts.get(int(time), {}).get("timestamp", "nan")) * 1e-3 for time in recorded_ns]
+            if not np.isfinite(stamps_s).all():
+                raise DamagedFileError(f"an image of {topic} has no time stamp")
+            clock = facts[int(recorded_ns[-1])].get("timestamp_domain", "")
+            times[topic] = Times(recorded_ns.tolist(), stamps_s, clock)
+            if self.progress is not None:
+                self.progress(done / len(topics), f"indexing {self.path.name}: stream {done} of {len(topics)}")
+        return times
+
+    def _pairs(self, topic: str, index: int) -> dict[str, str]:
+        """Return the ``key=value;key=value`` of a message; a part without a value is a key with an empty value."""
+        message: Any = TYPES.deserialize_cdr(self.bag.raw(topic, index), TEXT)
+        return {key: value for key, _, value in (part.partition("=") for part in message.data.split(";")) if key}
+
+
+def _text(message: memoryview, at: int) -> tuple[str, int]:
+    """Return a text in a message, and where it ends."""
+    (length,) = struct.unpack_from("<I", message, at)
+    end = at + 4 + length
+    return bytes(message[at + 4 : end]).decode(errors="replace"), end
+
+
+def _key_value(message: memoryview) -> tuple[str, str]:
+    key, at = _text(message, 0)
+    return key, _text(message, at)[0]
+
+
+def _numbers(facts: Mapping[str, str], key: str) -> tuple[float, ...]:
+    """Return the comma-separated numbers of a field, at the precision of the cameras."""
+    text = facts.get(key, "")
+    try:
+        return tuple(float(np.float32(float(part))) for part in text.split(","))
+    except ValueError as error:
+        raise DamagedFileError(f"{key} is {text[:40]!r}, which is no number") from error
+
+
+def _plain(text: str) -> str:
+    """Return a name from a file as one short printable line."""
+    return " ".join("".join(letter if letter.isprintable() else " " for letter in text).split())[:80]
