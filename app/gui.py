@@ -30,11 +30,7 @@ WAKE_MS = 200
 
 
 def run_gui(source: str, preset: str, screenshot: Path | None, after: int = 30) -> int:
-    """Open the main window on a source, run it until it is closed, and return the program's exit status.
-
-    With ``screenshot`` save a picture of it there once ``after`` frames have been processed, then end. Raise a
-    `TactuneError` where preset or picture fail.
-    """
+    """Open the window, run it until it is closed, or until a ``screenshot`` is saved; return the exit status."""
     path = Path(preset)
     start_preset, own = load_preset(preset), path.is_file() and path.suffix != ".mcap"
     application = make_application()
@@ -96,7 +92,6 @@ def _stop_on_interrupt(window: MainWindow, application: QApplication) -> None:
 
 
 def make_application() -> QApplication:
-    """Return the application with Tactune's name, icon and style."""
     existing = QApplication.instance()
     if isinstance(existing, QApplication):
         return existing

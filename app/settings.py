@@ -28,7 +28,6 @@ def default_data_folder() -> Path:
 
 
 def default_settings_file() -> Path:
-    """Return the file for window layout, theme and recent files."""
     return Path(platformdirs.user_config_dir("tactune")) / "window.json"
 
 

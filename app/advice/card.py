@@ -19,7 +19,6 @@ _TITLES = dict(SECTIONS)
 
 
 def section_title(section: str) -> str:
-    """Return the heading of a section in the parameter panel."""
     return _TITLES.get(section, section.replace("_", " ").capitalize())
 
 
@@ -67,7 +66,6 @@ class ProposalCard(QFrame):
         self._show_values()
 
     def _show_values(self) -> None:
-        """List the fields that change, with both values."""
         while (item := self._values.takeAt(0)) is not None:
             widget = item.widget()
             if widget is not None:

@@ -119,7 +119,6 @@ class SuggestWindow(QDialog):
 
     @property
     def busy(self) -> bool:
-        """Whether suggestions are being computed."""
         return self._job.busy
 
     @property
@@ -133,13 +132,11 @@ class SuggestWindow(QDialog):
         return Proposal(ALL, changes, f"Suggested {names}", "", "")
 
     def done(self, result: int) -> None:
-        """Stop measuring and end the comparison."""
         self._job.cancel()
         super().done(result)
         self._show_comparison()
 
     def close_down(self) -> None:
-        """Close the window; its jobs emit nothing any more."""
         self._document.undo_stack.indexChanged.disconnect(self._show_state)
         self.reject()
         self._job.stop()
@@ -276,7 +273,6 @@ class SuggestControl(QObject):
         self.examples.changed.connect(lambda _: self._outdate("The examples have changed"))
 
     def open(self, section: str) -> None:
-        """Make suggestions for a section, or for all, and show them."""
         context = self._context
         if context.result is None:
             context.messages.show_message("suggest", Severity.WARNING, _NO_FRAME, subject=SOURCE)

@@ -160,7 +160,6 @@ class ViewGrid(QWidget):
         self._layout.addWidget(self._empty, 0, 0)
 
     def shown(self) -> list[str]:
-        """Return the names of the visible views in order."""
         return list(self._shown)
 
     def show_views(self, names: Sequence[str]) -> None:

@@ -171,7 +171,6 @@ class Comparer:
         return fresh
 
     def _run(self, name: str, entrant: _Entrant, result: Result) -> None:
-        """Run a method on a frame and keep what it found."""
         if entrant.newest is result.frame:
             return
         entrant.found, entrant.mask = {"note": entrant.problem}, None

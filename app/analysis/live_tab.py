@@ -35,11 +35,7 @@ Row = tuple[Any, ...]
 
 
 class LiveTab(AnalysisTab):
-    """Works on the newest frame as often as possible; a frame that waits is replaced by a newer one.
-
-    A subclass adds its entries to `top` and its views to `column`, and says what it computes (`work`) and how it is
-    shown (`show_found`).
-    """
+    """Works on the newest frame; a subclass fills `top` and `column`, computes (`work`) and shows (`show_found`)."""
 
     #: Columns of the CSV.
     COLUMNS: tuple[str, ...] = ()
@@ -107,7 +103,6 @@ class LiveTab(AnalysisTab):
         self.again()
 
     def again(self, *_: object) -> None:
-        """Work on the shown frame once more."""
         if (result := self.result) is not None:
             work = self.work(result)
             self.job.start(lambda progress: (result, work(progress)))

@@ -134,7 +134,6 @@ class TiltTab(LiveTab):
             label.setText("")
 
     def _show(self) -> None:
-        """Draw the newest frame's plane and angles, alone or filtered."""
         if self._newest is None:
             return
         result, alone, filtered = self._newest
@@ -170,7 +169,6 @@ class TiltTab(LiveTab):
                 end.setData(times, angle + sign * sigma)
 
     def changeEvent(self, event: QEvent | None) -> None:
-        """Follow the theme."""
         super().changeEvent(event)
         if event is not None and event.type() == QEvent.Type.PaletteChange and hasattr(self, "cloud"):
             self._show()

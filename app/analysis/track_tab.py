@@ -57,7 +57,6 @@ class Model:
 
 
 def read_model(path: Path, progress: Progress) -> Model:
-    """Read a mesh; raises as `load_mesh` does."""
     progress(0.1, f"Reading {path.name}")
     mesh = load_mesh(path)
     progress(0.6, "Preparing the view")
@@ -281,7 +280,6 @@ class TrackTab(LiveTab):
         )
 
     def changeEvent(self, event: QEvent | None) -> None:
-        """Follow the theme."""
         super().changeEvent(event)
         if event is not None and event.type() == QEvent.Type.PaletteChange and hasattr(self, "pose"):
             self._show()

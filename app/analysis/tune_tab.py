@@ -136,11 +136,7 @@ class TuneRun(QObject):
 
 
 def frames_of(trim: Sequence[int] | None, length: int, count: int, index: int, has_truth: bool) -> range:
-    """Return the frames to search on, between the in and out marks ``trim``.
-
-    With truth they are spread evenly; without it they follow each other from the present frame ``index``, because
-    stability compares consecutive frames.
-    """
+    """Return the frames to search on within ``trim``: spread evenly with truth, else in a row, for stability."""
     first, end = trim or (0, length)
     count = min(count, end - first)
     if has_truth:
@@ -190,7 +186,6 @@ class TuneTab(AnalysisTab):
             self._update()
 
     def shut_down(self) -> None:
-        """End the search; its trials are kept."""
         self.run.shut_down()
 
     def _lay_out(self) -> None:
@@ -217,7 +212,6 @@ class TuneTab(AnalysisTab):
         vbox(self.status, (across, 1), within=self, margins=0)
 
     def _list_fields(self, preset: Preset) -> None:
-        """Offer the numbers of the preset's contact test; ticks stay."""
         self._axes = {axis.path: axis for axis in default_axes(preset)}
         layout = self._field_box.layout()
         assert layout is not None
@@ -299,7 +293,6 @@ class TuneTab(AnalysisTab):
     # The chosen trial
 
     def _changes(self) -> dict[str, Any]:
-        """Return what the chosen trial changes in the present preset."""
         trial, request = self.run.trials.get(self.plot.number), self.run.request
         if trial is None or request is None:
             return {}
@@ -307,7 +300,6 @@ class TuneTab(AnalysisTab):
         return {path: value for path, value in values.items() if value != self._document.preset.value(path)}
 
     def _preview(self, number: int) -> None:
-        """Compare the present preset with a trial in the main window."""
         self._update()
         comparison = self._context.comparison
         try:

@@ -140,7 +140,6 @@ class AnalysisWindow(QDialog):
             self.move(max(room.right() - self.width(), room.left()), max(room.bottom() - self.height(), room.top()))
 
     def open_on(self, name: str) -> None:
-        """Come to the front with one of the tabs."""
         self.tabs.setCurrentIndex(self._names.index(name))
         bring_up(self)
 
@@ -155,7 +154,6 @@ class AnalysisWindow(QDialog):
                 guarded(partial(tab.show_result, result))
 
     def shut_down(self) -> None:
-        """Close for good."""
         self._context.settings.set(_GEOMETRY, self.saveGeometry())
         for tab in self.made.values():
             guarded(tab.shut_down)
@@ -190,7 +188,6 @@ class AnalysisWindow(QDialog):
             self.show_newest()
 
     def showEvent(self, event: QShowEvent | None) -> None:
-        """Make the tab in front and give it the newest frame."""
         super().showEvent(event)
         self._current()
         self.show_newest()

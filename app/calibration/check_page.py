@@ -61,7 +61,6 @@ class CheckPage(QWidget):
         self._draw()
 
     def showEvent(self, event: QShowEvent | None) -> None:
-        """Redraw what changed while the page was hidden."""
         super().showEvent(event)
         self._draw()
 

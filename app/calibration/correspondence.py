@@ -89,11 +89,7 @@ class Overlay:
 
 
 def make_overlay(alignment: Alignment, rig: Rig, frame: SensorFrame, image: ImageChoice) -> Overlay:
-    """Warp the tactile image into a proximity image, colour onto colour or depth onto depth.
-
-    The membrane measured by the tactile camera is first projected into the proximity image and its holes are filled
-    from their surroundings. Every pixel is then projected back through the membrane's surface.
-    """
+    """Warp the tactile image, colour or depth, into a proximity image by way of the membrane's surface."""
     v, u = np.nonzero(valid_depth(frame.tactile_depth))
     raw_m = frame.tactile_depth[v, u] * rig.tactile.depth_unit_m
     depth_m = _splat(alignment.points_m(rig, np.column_stack([u, v, raw_m])), rig, image)

@@ -134,7 +134,6 @@ class Finder(QWidget):
         return self.job.busy
 
     def find_points(self) -> None:
-        """Search all snapshots, on another thread."""
         state, rig = self._session.state, self._session.rig
         self._searched = state.digests
         self.job.start(lambda progress: find_pairs(state.choices, state.snapshots, rig, progress))

@@ -75,7 +75,6 @@ class Fitter(QObject):
         return self.job.busy
 
     def refit(self) -> None:
-        """Fit again if any input of the fit has changed."""
         state, rig = self._session.state, self._session.rig
         asked = (state.complete_pairs, state.choices.model)
         if asked != self._asked:

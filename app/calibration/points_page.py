@@ -97,7 +97,6 @@ class PointsPage(QWidget):
     # Display
 
     def show_outcome(self, outcome: Outcome) -> None:
-        """Show a new fit: residuals, arrows, predicted partner."""
         self._outcome = outcome
         self.drop.setText(f"Remove {counted(len(outcome.rejected), 'rejected pair')}")
         self.drop.setVisible(bool(outcome.rejected))
@@ -215,7 +214,6 @@ class PointsPage(QWidget):
     # Actions
 
     def accept_ghost(self) -> None:
-        """Use the predicted pixel as the partner of the pending click."""
         if self.ghost is not None:
             side, place = self.ghost
             self._session.click(side, *place)

@@ -129,7 +129,6 @@ class QualityPage(QWidget):
         self._draw()
 
     def showEvent(self, event: QShowEvent | None) -> None:
-        """Redraw what changed while the page was hidden."""
         super().showEvent(event)
         self._draw()
 
@@ -151,7 +150,6 @@ class QualityPage(QWidget):
         self.warnings.setText("\n".join(f"Note: {words}" for words in report.warnings))
 
     def _draw(self) -> None:
-        """Draw the map if it is visible and out of date."""
         report, snapshot = self._outcome.report, self._session.state.snapshot
         self._show_marks()
         if not self.isVisible():

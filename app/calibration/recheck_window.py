@@ -80,7 +80,6 @@ class RecheckWindow(QDialog):
         self._job.start(lambda _: recheck_all(preset, preset_path, rig, frame))
 
     def closeEvent(self, event: QCloseEvent | None) -> None:
-        """Cancel running jobs."""
         self._job.stop()
         super().closeEvent(event)
 

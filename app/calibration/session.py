@@ -65,7 +65,6 @@ class SessionState:
 
     @property
     def pending(self) -> PointPair | None:
-        """The pair whose second click is missing."""
         return next((pair for pair in self.pairs if not pair.complete), None)
 
     @property
@@ -94,7 +93,6 @@ class SessionState:
         return max((int(pair.id) for pair in self.pairs), default=0) + 1
 
     def with_pair(self, pair: PointPair) -> SessionState:
-        """Replace the pair of the same id, or add it."""
         if any(old.id == pair.id for old in self.pairs):
             return replace(self, pairs=tuple(pair if old.id == pair.id else old for old in self.pairs))
         return replace(self, pairs=(*self.pairs, pair))
@@ -153,7 +151,6 @@ class Session(History[SessionState]):
         self.edit(text, self._state.with_choices(**values), gesture, tuple(values))
 
     def set_display(self, **values: Any) -> None:
-        """Change what is displayed, without an undo step."""
         after = self._state.with_choices(**values)
         if after != self._state:
             self.show(after)

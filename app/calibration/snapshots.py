@@ -39,10 +39,7 @@ def moved_m(before: SensorFrame, after: SensorFrame, unit_m: float) -> float:
 
 
 class Collector(QObject):
-    """Averages the current frame of a feed and the next ones into a snapshot, as long as the membrane stands still.
-
-    A recording is read frame by frame, because frames that play may be dropped; afterwards it goes on where it was.
-    """
+    """Averages a feed's next frames, also of a recording, into a snapshot while the membrane stands still."""
 
     progress = pyqtSignal(str)
     taken = pyqtSignal(object)

@@ -288,7 +288,6 @@ class CalibrationWizard(QDialog):
     # Files
 
     def import_points(self, path: Path) -> None:
-        """Add the pairs of a file, as one step."""
         try:
             points = read_points(path)
         except TactuneError as error:
@@ -299,7 +298,6 @@ class CalibrationWizard(QDialog):
         self.messages.show_message("file", Severity.INFO, f"{len(pairs)} pairs were read from {path}.")
 
     def export_points(self, path: Path) -> None:
-        """Write the complete pairs to a file."""
         try:
             write_points(path, self.session.state.complete_pairs)
         except TactuneError as error:
@@ -357,7 +355,6 @@ class CalibrationWizard(QDialog):
             )
 
     def _file_changed(self) -> None:
-        """Say that the alignment is in the file now."""
         if self._saved and not self._document.dirty:
             self.messages.show_message("saved", Severity.INFO, f"The preset was saved in {self._document.path}.")
 
@@ -375,7 +372,6 @@ class CalibrationWizard(QDialog):
         super().keyPressEvent(event)
 
     def closeEvent(self, event: QCloseEvent | None) -> None:
-        """Save the state and cancel running jobs."""
         self.collector.close()
         for job in (self.fitter.job, self.points.finder.job, self.quality.job, self.check.job):
             job.stop()
@@ -428,7 +424,6 @@ class CalibrationLauncher(QObject):
         bring_up(self.wizard)
 
     def open_recheck(self) -> None:
-        """Check the preset's alignment on the current frame."""
         context = self._context
         if context.result is None:
             context.messages.show_message("calibration", Severity.WARNING, _NO_FRAME, subject=SOURCE)
@@ -442,7 +437,6 @@ class CalibrationLauncher(QObject):
         self._check()
 
     def close(self) -> None:
-        """Close both windows; the wizard's state is saved."""
         for opened in (self.wizard, self.recheck):
             if opened is not None:
                 opened.close()

@@ -122,7 +122,6 @@ def with_topics(source: str, topics: list[str] | None) -> str:
 
 
 def refuse_existing(path: Path) -> None:
-    """Raise unless a new file can be written there."""
     from ...core.model.files import check_writable
 
     if path.exists():
@@ -131,7 +130,6 @@ def refuse_existing(path: Path) -> None:
 
 
 def warn(*sentences: str) -> None:
-    """Print sentences on standard error."""
     for sentence in sentences:
         typer.echo(f"tactune: {printable(sentence)}", err=True)
 
@@ -333,7 +331,6 @@ def average_frames(source: FrameSource) -> UntouchedAverage:
 
 
 def counted_out(frames: Iterable[SensorFrame], total: int, progress: CliProgress) -> Iterator[SensorFrame]:
-    """Yield frames and show their number."""
     for number, frame in enumerate(frames, start=1):
         yield frame
         progress.frames(number, total)

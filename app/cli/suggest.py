@@ -123,7 +123,6 @@ def check(
 
 
 def _recent_frames(source: FrameSource, last: int | None) -> tuple[SensorFrame, ...]:
-    """Return the frames up to the present one, which is the last."""
     first = 0 if last is None else max(last - _RECENT + 1, 0)
     if first:
         source.seek(first)

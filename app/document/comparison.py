@@ -75,11 +75,9 @@ class Comparison(QObject):
         return self._sides
 
     def show(self, a: Side, b: Side) -> None:
-        """Compare two presets in place of others."""
         self._set((a, b))
 
     def end(self) -> None:
-        """Show the present preset alone again."""
         self._set(None)
 
     def up_to_date(self, side: Side) -> Side:

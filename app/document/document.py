@@ -41,7 +41,6 @@ class UntouchedStore:
         return self.place if (self._folder / record.file).is_file() else path
 
     def tidy(self) -> None:
-        """Remove all but the newest untouched frames."""
         with suppress(OSError):
             files = sorted(self._folder.glob("untouched-*.npz"), key=lambda file: file.stat().st_mtime, reverse=True)
             for file in files[_KEPT:]:
@@ -181,7 +180,6 @@ def describe_edit(preset: Preset, paths: tuple[str, ...]) -> str:
 
 
 def field_title(path: str) -> str:
-    """Return the displayed title of a preset field, such as ``"Tolerance t"``."""
     with suppress(TypeError):  # a section, or a field of a type that the panel does not show
         return field_spec(Preset, path).title
     return path.rpartition(".")[2].replace("_", " ").capitalize()

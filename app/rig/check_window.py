@@ -151,7 +151,6 @@ class CheckWindow(QDialog):
         self.quality.show_result(result)
 
     def _end(self) -> None:
-        """Stop all measurements."""
         self.quality.stop()
         self.skew.close_down()
         self.noise.close_down()

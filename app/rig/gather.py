@@ -32,11 +32,7 @@ OTHER_TASK: Final = "Another window takes frames at present: cancel that first, 
 
 
 class Gather(QWidget):
-    """Base of panels that take frames, work on them, and put the result into the preset as one undo step.
-
-    A paused recording plays meanwhile and then stands at its frame again. A loop gives each frame once. Where a source
-    has or gives fewer frames than wanted, `min_frames` are enough.
-    """
+    """Base of panels that take frames, of a recording too, work on them, and change the preset as one undo step."""
 
     #: Number of different frames that are wanted, and the fewest that are enough.
     wanted, min_frames = 1, 1
@@ -108,11 +104,9 @@ class Gather(QWidget):
 
     @property
     def busy(self) -> bool:
-        """Whether frames are taken or worked on."""
         return self._taking or self._job.busy
 
     def begin(self) -> None:
-        """Take frames from the shown one on."""
         result, recorder = self._context.result, self._context.worker.recorder
         if self.busy:
             return
@@ -153,7 +147,6 @@ class Gather(QWidget):
             self._context.worker.play()
 
     def stop(self) -> None:
-        """Cancel."""
         was_busy = self.busy
         self._stop_taking()
         self._job.cancel()
@@ -162,7 +155,6 @@ class Gather(QWidget):
         self._show_busy()
 
     def close_down(self) -> None:
-        """Cancel for good."""
         self._stop_taking()
         self._job.stop()
         self._show_busy()

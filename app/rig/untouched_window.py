@@ -188,16 +188,13 @@ class UntouchedKeeper(QObject):
 
     @property
     def busy(self) -> bool:
-        """Whether the untouched frame is still being read."""
         return self._job.busy
 
     def source_opened(self, info: SourceInfo) -> None:
-        """Check whether this source contains the preset's untouched frame."""
         self._info = info
         self._look()
 
     def close(self) -> None:
-        """Stop permanently."""
         self._job.stop()
 
     def _look(self) -> None:

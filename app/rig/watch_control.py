@@ -36,11 +36,9 @@ class WatchControl(QObject):
 
     @property
     def busy(self) -> bool:
-        """Whether a look is running."""
         return self._job.busy
 
     def close(self) -> None:
-        """Stop permanently."""
         self._job.stop()
 
     def _forget(self) -> None:

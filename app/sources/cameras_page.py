@@ -79,7 +79,6 @@ class CamerasPage(SourcePage):
             self._look()
 
     def stop(self) -> None:
-        """End the search; one that hangs is abandoned."""
         self._search.stop()
 
     def _look(self) -> None:

@@ -127,7 +127,6 @@ class CameraPanel(QDialog):
             row.show_number(getattr(cameras, role).options.get(name, row.option.value))
 
     def set_options(self, options: tuple[CameraOption, ...], cameras: CamerasSection) -> None:
-        """Show the options that the devices report now."""
         before, self._options = self._options, options
         for role in _TITLES:
             present, former = ([each for each in some if each.camera == role] for some in (options, before))
@@ -183,7 +182,6 @@ class CameraControl(QObject):
         )
 
     def show_panel(self) -> None:
-        """Show the settings, or bring them to the front."""
         bring_up(self.panel)
 
     def close(self) -> None:

@@ -61,7 +61,6 @@ class OpenDialog(QDialog):
         return self.pages[self.tabs.currentIndex()]
 
     def start_on(self, index: int) -> None:
-        """Show a page and its choice."""
         with QSignalBlocker(self.tabs):
             self.tabs.setCurrentIndex(index)
         self._page_chosen()
@@ -70,7 +69,6 @@ class OpenDialog(QDialog):
         self.progress.show_share(share, words or "Opening…")
 
     def show_failure(self, sentence: str) -> None:
-        """Say why the source was not opened."""
         self._set_busy(False)
         self.note.say(sentence, error=True)
         self.name.setFocus()
@@ -84,7 +82,6 @@ class OpenDialog(QDialog):
             self._show_choice()
 
     def _show_choice(self) -> None:
-        """Show the name and the note of the page."""
         self.name.setText(self.page.name)
         self.note.say(self.page.note)
 
@@ -114,7 +111,6 @@ class OpenControl(QObject):
         context.worker.opened.connect(self._opened)
 
     def open(self) -> None:
-        """Ask for a source; cameras first if they are open."""
         result = self._context.result
         if self.dialog is None:
             self._make_dialog().start_on(

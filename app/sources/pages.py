@@ -22,11 +22,7 @@ _SIMULATOR = "sim:cup"
 
 
 class SourcePage(QWidget):
-    """Base of the pages: each offers sources of one kind.
-
-    ``name`` is that of the chosen source, as `open_source` takes it, empty if none is chosen; ``note`` a sentence about
-    the choice, or empty.
-    """
+    """Base of the pages: each offers sources of one kind, the chosen ``name`` and a ``note`` about it, or empty."""
 
     changed = pyqtSignal()  # name or note
     activated = pyqtSignal()  # open the choice
@@ -91,7 +87,6 @@ class FilesPage(SourcePage):
         self._selected(self.list.currentItem())
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Remove the selected source from the list."""
         item = self.list.currentItem()
         if event is None or event.key() != Qt.Key.Key_Delete or item is None:
             super().keyPressEvent(event)

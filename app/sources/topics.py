@@ -54,7 +54,6 @@ class TopicsDialog(QDialog):
         self._show()
 
     def _add(self, grid: QGridLayout, number: int, slot: str) -> None:
-        """Add a topic to choose, and below it its picture."""
         title, tip = _SLOTS[slot]
         choice, picture = ChoiceBox(), QLabel()
         choice.setAccessibleName(title.replace("&", ""))
@@ -89,7 +88,6 @@ class TopicsDialog(QDialog):
         return {slot: box.currentData() for slot, box in self.choices.items() if box.currentData()}
 
     def _show(self) -> None:
-        """Show the pictures of the chosen topics, and what is missing."""
         for slot, picture in self._pictures.items():
             topic = self.topics.get(slot, "")
             picture.setPixmap(self._pixmap(topic)) if topic else picture.setText("No image")

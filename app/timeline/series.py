@@ -166,5 +166,4 @@ class Series:
             column[found.index] = getattr(found, name)
 
     def seconds(self) -> Float64Array:
-        """Return the time of each frame since the first, by the frame rate."""
         return np.arange(len(self)) / self._rate_hz

@@ -52,7 +52,6 @@ class SeriesJob(QObject):
                 self._orders.send(None)
 
     def stop(self) -> None:
-        """End the process."""
         self._timer.stop()
         if self._orders is not None and self.process is not None:
             self._orders.close()
@@ -73,7 +72,6 @@ class SeriesJob(QObject):
         other.close()
 
     def _look(self) -> None:
-        """Pass on what the process has sent."""
         try:
             while self._timer.isActive() and self._orders is not None and self._orders.poll():
                 answer: Answer = self._orders.recv()

@@ -21,10 +21,7 @@ THEMES = ("system", "light", "dark")
 
 @dataclass(frozen=True)
 class Row:
-    """One action: its name in the code, text with its mnemonic, keys (several are parted by a comma), tip and icon.
-
-    ``checked`` is None for an action that is triggered, else the state at the first start.
-    """
+    """One action: name, text, keys (commas between), tip and icon; ``checked`` is None or the state at first."""
 
     name: str
     text: str

@@ -66,7 +66,6 @@ _RECORDS: Final[dict[str, Callable[[Any], str]]] = {
 
 
 def _value(path: str, preset: Preset) -> str:
-    """Return a value as the panel of parameters shows it."""
     value = preset.value(path)
     if path in _RECORDS:
         return "none" if value is None else _RECORDS[path](value)
@@ -175,7 +174,6 @@ class ComparisonPanel(QWidget):
         return {Shown.A: 1.0, Shown.B: 0.0}.get(self._mode, self._share)
 
     def move_wipe(self, share: float) -> None:
-        """Put the wipe at a share of the width, 0 to 1."""
         self._share = min(max(share, 0.0), 1.0)
         self.show_mode(Shown.WIPE)
 
@@ -190,7 +188,6 @@ class ComparisonPanel(QWidget):
         self._actions.compare.setChecked(running)
 
     def _start(self) -> None:
-        """Compare the saved preset with the present one."""
         self._comparison.show(self._comparison.saved, self._comparison.present)
 
     def _changed(self, sides: Sides | None) -> None:

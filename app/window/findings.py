@@ -49,7 +49,6 @@ class FindingsWindow(QDialog):
         self.resize(480, 460)
 
     def show_findings(self, findings: Sequence[tuple[Finding, ShownFinding]], examined: bool) -> None:
-        """Show these findings instead of the former ones; without any, say whether a frame was examined."""
         while (item := self._cards.takeAt(0)) is not None:
             widget = item.widget()
             if widget is not None:

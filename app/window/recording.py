@@ -76,11 +76,9 @@ class RecordingBar(QFrame):
 
     @property
     def running(self) -> bool:
-        """Whether a file is being written or finished."""
         return self._path is not None
 
     def use_folder(self, folder: Path) -> None:
-        """Store future recordings in this folder."""
         self._settings.set(_FOLDER, str(folder))
         self._messages.show_message("recording", Severity.INFO, f"New recordings will be written to {folder}.")
 

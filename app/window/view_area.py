@@ -145,12 +145,10 @@ class ViewArea(QWidget):
             self._any_view().zoom_to(points, _PATCH_FILL)
 
     def set_wipe(self, wipe: Wipe | None) -> None:
-        """Divide every view between two compared presets."""
         for view in self.views.values():
             view.set_wipe(wipe)
 
     def _show_compared(self, compared: ComparedFrame, theme: ThemeName) -> None:
-        """Show A left and B right of the wipe."""
         for name in compared.a.rendered.clouds:
             (left, why_left), (right, why_right) = (_shown(name, side) for side in (compared.a, compared.b))
             legend, other = (self._legend_of(name, side.rendered, theme) for side in (compared.a, compared.b))

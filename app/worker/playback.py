@@ -22,12 +22,10 @@ class PlaybackState:
 
     @property
     def seekable(self) -> bool:
-        """Whether stepping and seeking are possible."""
         return self.length is not None
 
     @property
     def at_end(self) -> bool:
-        """Whether the last frame of a recording has been shown."""
         return self.length is not None and self.index >= self.length - 1
 
 
@@ -54,7 +52,6 @@ class Playback:
 
     @property
     def period_s(self) -> float:
-        """Seconds from one frame to the next."""
         return 1.0 / (self._frame_rate_hz * self.speed)
 
     def start_source(self, length: int | None, frame_rate_hz: float) -> None:
@@ -95,7 +92,6 @@ class Playback:
         return following
 
     def step_index(self, by: int) -> int | None:
-        """Index of the frame ``by`` steps away; None if there is no such frame."""
         if self.length is None:
             return None
         target = self.index + by

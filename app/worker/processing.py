@@ -102,10 +102,7 @@ class FrameProcessor:
         compared: Sides | None = None,
         held: bool = False,
     ) -> Result:
-        """Return the patch and everything the window shows of a frame.
-
-        A frame that is ``held`` may stay on the screen although the recording plays, so all of it is drawn.
-        """
+        """Return the patch and what the window shows; of a frame that is ``held`` all is drawn, also while it plays."""
         self._present.find(frame, preset, info.rig, self._untouched(info, preset))
         finders = self._find_compared(frame, info, compared)
         started = time.perf_counter()
@@ -156,11 +153,7 @@ class FrameProcessor:
         return self._stored_untouched(info, preset) if preset.test.needs_untouched else None
 
     def _find_compared(self, frame: SensorFrame, info: SourceInfo, sides: Sides | None) -> list[PatchFinder]:
-        """Find the patches of compared presets; one that does not follow the present preset has its own pipeline.
-
-        A pipeline stays with its preset, also when the sides change places, because its cached steps and averaged
-        frames belong to it.
-        """
+        """Find the patches of compared presets; each keeps its own pipeline, for its cached steps and averages."""
         presets = [side.preset for side in sides or () if not side.follows]
         kept = [finder for finder in self._others if any(finder.preset is preset for preset in presets)]
         spare = [finder for finder in self._others if finder not in kept]

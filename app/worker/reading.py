@@ -54,11 +54,7 @@ def open_requested(
 
 
 class FrameReader:
-    """Owns an open recording; only its own thread touches it.
-
-    Reading one frame ahead uses a second core for the simulator's noise or for decoding images. After
-    a seek, the frame that was read ahead is dropped.
-    """
+    """Owns an open recording, and reads one frame ahead on its thread; a seek drops that frame."""
 
     def __init__(self, source: FrameSource) -> None:
         self.source = source
@@ -66,7 +62,6 @@ class FrameReader:
         self._ahead: tuple[int, Future[SensorFrame | None]] | None = None
 
     def read(self, index: int) -> SensorFrame | None:
-        """Return frame ``index`` of a recording; None at the end."""
         ahead, self._ahead = self._ahead, None
         if ahead is not None and ahead[0] == index:
             return ahead[1].result()

@@ -73,10 +73,7 @@ class Recorder:
                 ) from error
 
     def watch(self, see: Callable[[SensorFrame], object], failed: Callable[[str], object]) -> None:
-        """Pass every frame to ``see`` too, on the thread that reads it.
-
-        If ``see`` raises, ``failed`` gets the reason on the same thread and no more frames follow.
-        """
+        """Pass every frame to ``see`` too, on the thread that reads; if it raises, ``failed`` gets the reason."""
         self._watcher = _Watcher(see, failed)
 
     @property
@@ -120,7 +117,6 @@ class Recorder:
             thread.start()
 
     def close(self) -> None:
-        """Finish the file and wait until it is on the disk."""
         self.stop()
         with self._lock:
             finishing, self._finishing = self._finishing, []

@@ -87,11 +87,7 @@ def aligned_color(
     typical_m: float,
     stride: int = 1,
 ) -> Uint8Array:
-    """Return the proximity colour in every ``stride``-th proximity depth pixel: uint8 (h, w, 3).
-
-    A pixel without depth is looked up at the depth ``typical_m``, so its colour is slightly displaced;
-    pixels outside the colour camera's view are black.
-    """
+    """Return the proximity colour at every ``stride``-th depth pixel, (h, w, 3); black where it is not seen."""
     if rig.proximity_color is None:
         return frame.proximity_color[::stride, ::stride]
     return _colors_along(_rays_of_every(rig.proximity.intrinsics, stride), frame, rig, depth_m, valid, typical_m)
@@ -147,11 +143,7 @@ _SMALLEST_SPAN_M = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One frame with everything that decides how it is drawn.
-
-    ``depth_range_m`` are the ends of the depth colours along the proximity camera's axis, ``tactile_range_m`` those
-    along the tactile camera's axis; None stands for the same.
-    """
+    """One frame with everything that decides how it is drawn; a range that is None is the same as the other."""
 
     frame: SensorFrame
     patch: ContactPatch | None
@@ -408,10 +400,7 @@ def _relief(scene: Scene, contact: BoolArray) -> Uint8Array:
 
 
 def _over_relief(scene: Scene, rows: Uint8Array, within: BoolArray) -> Uint8Array:
-    """Return rows of a table whose lower half are the shades of the context and whose upper half are values.
-
-    ``rows`` from 0 to 127 are values, used where ``within``.
-    """
+    """Return rows of a table: shades of the context below, values 0 to 127 above, where ``within``."""
     shades = _relief(scene, within) >> 1
     return np.asarray(np.where(within, rows + np.uint8(VALUE_ROWS), np.minimum(shades, VALUE_ROWS - 1)), np.uint8)
 

@@ -141,18 +141,15 @@ class Worker(QThread):
         self._orders.put(lambda: setattr(self._playback, "speed", speed))
 
     def set_held(self, held: bool) -> None:
-        """Make a recording wait while its slider is dragged."""
         self._orders.put(lambda: setattr(self._playback, "held", held))
 
     def set_option(self, camera: CameraRole, name: str, value: float) -> None:
         self._orders.put(lambda: self._set_option(camera, name, value))
 
     def start_recording(self, path: Path) -> None:
-        """Record every frame of a live source into a file."""
         self._orders.put(lambda: self._start_recording(path))
 
     def stop_recording(self, reason: str = "") -> None:
-        """Finish the file; `recordingEnded` is emitted when that is done."""
         self._orders.put(lambda: self.recorder.stop(reason))
 
     def shut_down(self) -> None:

@@ -55,11 +55,7 @@ _STEPS = {
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """A fit whose uncertainty contains smooth errors.
-
-    ``probability`` is that of a smooth error, ``cause`` its most likely kind. ``cross_validated_px`` is the RMS
-    residual of regions under the fit of the other pairs, None if they determine no model.
-    """
+    """A fit with smooth errors in its uncertainty: their probability, likeliest cause and cross-validated residual."""
 
     fit: Fit
     probability: float = 0.0
@@ -93,11 +89,7 @@ class Agreement:
 
 
 def judge_agreement(fit: Fit, pairs: Float64Array, places: Float64Array, rig: Rig) -> Agreement:
-    """Compare the regions of a fit.
-
-    ``pairs`` (N, 3) are tactile u, v and depth (metres; nan if unknown) of all pairs of the fit, ``places`` (M, 3)
-    those of the membrane over which the alignment is judged.
-    """
+    """Compare regions of a fit with ``pairs`` (N, 3), and judge at ``places`` (M, 3): tactile u, v, depth (m)."""
     if fit.degrees <= 0:
         return Agreement(fit)
     pairs = pairs[fit.used]

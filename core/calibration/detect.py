@@ -138,12 +138,7 @@ def _crossing_near(gray: Uint8Array, u: float, v: float, radius: float) -> Snapp
 
 
 def _is_crossing(gray: Uint8Array, u: float, v: float) -> bool:
-    """Tell whether two edges or two lines cross at a place.
-
-    Circles around it alternate between dark and bright: twice where edges cross, four times where lines do. They look
-    the same turned by half, unlike those around the corner of an area or a place on its rim. Where edges cross, the
-    place itself is as bright as the mean, unlike the gap between two spots.
-    """
+    """Tell whether two edges or lines cross: circles alternate, and look the same turned by half."""
     angles = 2 * np.pi * np.arange(_SAMPLES) / _SAMPLES
     radii = np.array([[0.0], *([radius] for radius in _CIRCLES_PX)])
     columns, rows = u + radii * np.cos(angles), v + radii * np.sin(angles)

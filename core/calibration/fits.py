@@ -113,11 +113,7 @@ class Model(ABC):
 
 
 class HomographyModel(Model):
-    """The homography of one plane, to clicks in the depth image.
-
-    Theta holds the matrix without its lower right entry, 1, between coordinates with centroid 0 and mean distance
-    sqrt(2).
-    """
+    """The homography of one plane, between coordinates with centroid 0 and mean distance sqrt(2)."""
 
     name = "homography"
     sample = 4
@@ -270,10 +266,7 @@ class Fit:
         return self.alignment.pixels(self.model.rig, places)
 
     def sensitivity(self, places: npt.ArrayLike) -> Float64Array:
-        """Return the derivative (N, 2, P) of predicted proximity depth pixels by whitened parameters.
-
-        Whitened parameters have unit covariance, so ``J J^T`` is the covariance of the prediction.
-        """
+        """Return the derivative J (N, 2, P) of predictions by parameters of unit covariance: theirs is J J^T."""
         by_theta = derivative(lambda theta: self.model.alignment(theta).pixels(self.model.rig, places), self.theta)
         return np.asarray(by_theta @ np.linalg.cholesky(self.covariance))
 
@@ -356,10 +349,7 @@ def _fit_robustly(model: Model, use: BoolArray | None) -> Fit:
 
 
 def _volume(fit: Fit) -> float:
-    """Return the log evidence of a fit for what is not known before it: a unit information prior.
-
-    It makes pairs that no other pair confirms count little (Kass and Wasserman 1995).
-    """
+    """Return the log evidence of a fit under a unit information prior (Kass and Wasserman 1995)."""
     with np.errstate(all="ignore"):
         of_pairs = np.einsum("nmp,nmq->npq", fit.design, fit.design)
         share = fit.model.sample / len(of_pairs)

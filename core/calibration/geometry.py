@@ -17,11 +17,7 @@ _NEWTON_STEPS = 8
 
 
 def ray_seen(intrinsics: Intrinsics, pixels: npt.ArrayLike) -> Float64Array:
-    """Return ``(x / z, y / z)`` of the rays that `Intrinsics.project` takes to pixels (N, 2).
-
-    The pipeline *projects* into the tactile and the colour camera, so a click is the inverse of that projection,
-    also for lens models that librealsense cannot deproject.
-    """
+    """Return ``(x / z, y / z)`` of the rays that `Intrinsics.project` takes to pixels (N, 2), for every lens model."""
     pixels = np.asarray(pixels, np.float64)
     rays = intrinsics.normalise(pixels)
     if not intrinsics.has_distortion:

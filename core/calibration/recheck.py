@@ -26,11 +26,7 @@ _WORSE_FACTOR, _WORSE_PX = 1.2, 0.1
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """Alignment error in the current frame.
-
-    ``drift_px`` and ``drift_mm`` are the median distance between predicted and found places, ``tactile`` (N, 2) the
-    compared places, ``offsets_px`` (N, 2) found minus predicted proximity depth pixel.
-    """
+    """Alignment error in a frame: its median, the places compared, (N, 2), and found minus predicted pixel there."""
 
     drift_px: float
     drift_mm: float
@@ -75,10 +71,7 @@ def recheck(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
 
 
 def present_error_px(report: CalibrationReport, preset: Preset) -> float | None:
-    """Return the error of a preset's alignment at the pairs of a new calibration, beyond the noise of the clicks.
-
-    It is at least what the preset's own calibration expected. None without a present alignment or pairs with depth.
-    """
+    """Return a preset's error at new pairs beyond click noise, at least that expected before; None without pairs."""
     quality, rig = report.chosen, report.rig
     used = {pair.id for pair in quality.pairs if pair.used}
     points = PointArrays.of([pair for pair in report.pairs if pair.id in used and pair.tactile_depth_m is not None])

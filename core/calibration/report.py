@@ -35,11 +35,7 @@ _SUSPICIOUS, _CLICK_AGAIN_PX = 3.0, 1.0
 
 @dataclass(frozen=True)
 class PairQuality:
-    """One pair under a fit; False in ``used`` marks an outlier.
-
-    ``dx`` and ``dy`` are clicked minus predicted proximity pixel, ``residual_mm`` is across the line of sight (nan
-    without depth).
-    """
+    """One pair under a fit: clicked minus predicted proximity pixel, and that across the line of sight (mm, or nan)."""
 
     id: str
     used: bool = True
@@ -55,11 +51,7 @@ class PairQuality:
 
 @dataclass(frozen=True, eq=False)
 class ModelQuality:
-    """Quality of one model's fit.
-
-    ``rms_px`` is the RMS residual of the used pairs, None if the model fits exactly for lack of surplus ones. The
-    alignment error is that over the membrane, root mean square, from the click noise and smooth errors.
-    """
+    """Quality of one model's fit; ``rms_px`` is None where no pair is surplus, the error is that over the membrane."""
 
     model: ModelName
     fit: Fit
@@ -111,7 +103,6 @@ class DepthOffset:
     used: bool
 
     def words(self) -> str:
-        """Return it in one sentence."""
         size = minus(f"{1e3 * self.offset_m:+z.2f} ± {1e3 * self.sigma_m:.2f} mm")
         return f"Offset of the tactile depth: {size}, {'corrected' if self.used else 'not corrected'}."
 
@@ -147,7 +138,6 @@ class CalibrationReport:
 
     @property
     def rigid(self) -> Fit | None:
-        """The fitted pose."""
         return self.quality["rigid"].fit if "rigid" in self.quality else None
 
     @property

@@ -49,11 +49,7 @@ def take_snapshot(frames: Iterable[SensorFrame]) -> Snapshot:
 
 
 def _median_counts(stack: Uint16Array) -> Uint16Array:
-    """Return the median of raw depths (N, H, W) over N; 0 and 65535 are left out, and 0 is where nothing is left.
-
-    For an even number of values it is the mean of the two middle ones, because the lower one alone is too near. Where
-    these two belong to two surfaces, it is the nearer one.
-    """
+    """Return the median of (N, H, W) over N, without 0 and 65535; of two middle surfaces the nearer, else the mean."""
     valid = valid_depth(stack)
     ordered = np.sort(np.where(valid, stack, np.uint16(65535)), axis=0)
     count = valid.sum(axis=0)[None]

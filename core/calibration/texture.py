@@ -41,11 +41,7 @@ _MAX_RMS_PX = 4.0
 
 
 def match_texture(frames: Sequence[SensorFrame], rig: Rig) -> tuple[list[PointPair], float]:
-    """Propose pairs from the texture of both colour images over all frames, the best first, and their RMS residual.
-
-    There is one frame per inflation level, preferably an average. The rig's stated pose is the initial one; without it,
-    descriptors give one.
-    """
+    """Propose pairs, the best first, from texture of frames at several inflations, and their RMS residual."""
     for frame in frames:
         frame.check_against(rig)
         if frame.tactile_color is None:

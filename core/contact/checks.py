@@ -28,11 +28,7 @@ def homography_notes(preset: Preset) -> list[str]:
 
 
 def rig_in_use(preset: Preset, rig: Rig) -> Rig:
-    """Return the present rig with the lens distortion that the preset's calibration estimated.
-
-    A lens of the preset's rig replaces the present one if the present one has no distortion and nothing else differs;
-    `check_rig` says so.
-    """
+    """Return the present rig with lenses of the preset's calibration where it has no distortion itself."""
     made_for = preset.rig
     if made_for is None or not any(lens.has_distortion for lens in made_for.lenses()):
         return rig

@@ -33,10 +33,7 @@ _SAMPLE, _SAME_SHARE = 4000, 0.02
 
 @dataclass(frozen=True, eq=False)
 class ObjectMesh:
-    """The surface of an object in its own frame: vertices (N, 3), metres, and triangles (M, 3) of their numbers.
-
-    Triangles run counter-clockwise seen from outside. ``unit`` is that of the file, for messages.
-    """
+    """An object's surface: vertices (N, 3), m, and triangles (M, 3), counter-clockwise seen from outside."""
 
     vertices_m: Float64Array
     triangles: Int32Array
@@ -169,10 +166,7 @@ def load_meshes(path: Path | str, suffixes: Sequence[str]) -> list[Any]:
 def merge(
     parts: Sequence[tuple[Float64Array, AnyArray]], path: Path | str
 ) -> tuple[Float64Array, Int32Array, AnyArray]:
-    """Join meshes of a file: merge coincident vertices, drop triangles without area and unused vertices.
-
-    Returned are vertices (N, 3), triangles (M, 3), and the number of each vertex among those of all parts (N,).
-    """
+    """Join meshes; return vertices (N, 3) and triangles (M, 3) that are left, and which of all vertices they are."""
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     joined = np.concatenate([vertices for vertices, _ in parts])
     vertices, first, number = np.unique(joined, axis=0, return_index=True, return_inverse=True)

@@ -286,10 +286,7 @@ def pose_record(pose: PoseEstimate, error: PoseError | None = None) -> Record:
 
 @contextmanager
 def open_poses(path: Path) -> Iterator[Callable[[Mapping[str, Any]], None]]:
-    """Yield a function that writes a record of `pose_record` into a CSV file, which gets its name when this ends.
-
-    After a `TactuneError`, such as of an unplugged camera, the poses until then are kept.
-    """
+    """Yield a function that writes records of `pose_record` to a CSV, which keeps them also after a `TactuneError`."""
     rows, known = 0, False
     failure: TactuneError | None = None
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:

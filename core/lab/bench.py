@@ -93,11 +93,7 @@ def _simulated(scene: str, depth_m: float) -> BenchScene:
 def synthetic_scene(
     points: int, width: int = 640, height: int = 480, noise_m: float = 0.001, seed: int = 0
 ) -> BenchScene:
-    """Return a curved surface with about ``points`` proximity pixels of contact around the image centre.
-
-    In contact both cameras see the same paraboloid. Elsewhere the proximity camera sees a surface 25 mm behind the
-    membrane. The rig is that of the simulator, scaled to the image size. The tactile noise is a third of ``noise_m``.
-    """
+    """Return a paraboloid with about ``points`` px of contact, 25 mm in front of what else is seen."""
     rig = _scaled_rig(width, height)
     random = np.random.default_rng(seed)
     camera = rig.proximity.intrinsics

@@ -117,10 +117,7 @@ class MembraneMesh:
 
 
 def sample_depth(counts: Uint16Array, pixels: Float64Array, spacing_px: float, factor_m: float) -> Float64Array:
-    """Return mean counts in squares of half the node spacing around pixels (N, 2), without false matches.
-
-    A false match differs by more than `_FALSE_MATCH_M` from the mean of a square three times as wide.
-    """
+    """Return mean counts in squares around pixels (N, 2), without false matches."""
     width_px = 2 * max(1, round(spacing_px / 4)) + 1
     depth, valid = counts.astype(np.float32), valid_depth(counts)
     near = _box_mean(depth, valid, 3 * width_px, 0.0)

@@ -86,11 +86,7 @@ _STARTS = (0.5, 0.01, 0.99)
 
 
 class MembraneView:
-    """Maps tactile measurements to proximity pixels by the membrane's own depth.
-
-    For each proximity ray the point is sought whose expected tactile depth is the measured one,
-    ``z <- z + (measured - expected)``, which converges everywhere but at steep folds.
-    """
+    """Maps tactile measurements to proximity pixels: ``z <- z + (measured - expected)`` along each proximity ray."""
 
     def __init__(self, section: AlignmentSection, rig: Rig) -> None:
         self._T_p_t = tactile_pose(section, rig)

@@ -297,11 +297,7 @@ class _Piece:
 
 
 def order_dots(pixels: Float64Array, linked: Linked = lambda a, b: True) -> DotLattice:
-    """Find rows and columns.
-
-    A piece starts at a dot with eight symmetric neighbours. It then grows by the dot nearest to its predicted place;
-    the prediction is the mean step between ordered dots nearby. Growth passes around missing dots.
-    """
+    """Find rows and columns: a piece grows from a dot with symmetric neighbours by the best predicted one."""
     cells, piece = np.zeros((len(pixels), 2), np.int64), np.full(len(pixels), -1, np.int64)
     free = np.ones(len(pixels), bool)
     axes: list[tuple[Float64Array, Float64Array]] = []

@@ -31,11 +31,7 @@ class PointCloud:
 
 @lru_cache(maxsize=8)
 def ray_table(intrinsics: Intrinsics) -> Float32Array:
-    """Return the camera's rays ``(x / z, y / z)``, float32, shape (H, W, 2), made once and read-only.
-
-    Pixels beyond the fold of the lens model see nothing, as a rule in the corners. Their rays are held at its rim.
-    `SourceError` if most pixels see nothing.
-    """
+    """Return the rays ``(x / z, y / z)``, float32 (H, W, 2), made once; beyond the lens's fold those of its rim."""
     table = intrinsics.rays()
     folded = ~np.isfinite(table).all(axis=2)
     if folded.mean() > _MAX_FOLDED:

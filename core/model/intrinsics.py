@@ -81,11 +81,7 @@ class Intrinsics(BaseModel):
         return np.stack([x, y], axis=1)
 
     def rays(self) -> Float32Array:
-        """Return ``(x / z, y / z)`` of every pixel: float32, shape (H, W, 2).
-
-        A point is its ray times its depth, so distortion takes no time per frame. Pixels beyond the fold of the lens
-        model, where no ray leads to, are nan.
-        """
+        """Return ``(x / z, y / z)`` of every pixel: float32, (H, W, 2); nan beyond the fold of the lens model."""
         v, u = np.mgrid[: self.height, : self.width]
         pixels = np.stack([u.ravel(), v.ravel()], axis=1)
         with np.errstate(all="ignore"):

@@ -17,10 +17,7 @@ from .frames import Rig
 
 
 class Provenance(IntEnum):
-    """The verdict on one proximity pixel, in the order in which the tests are made.
-
-    RIM, used by the membrane test only, comes last so that the numbers of the others stay the same.
-    """
+    """The verdict on one proximity pixel, in the order of the tests; RIM, of the membrane test, came last."""
 
     NO_PROXIMITY_DEPTH = 0
     OUTSIDE_REGION = 1
@@ -69,7 +66,6 @@ class Lazy(Generic[T]):
         self._lock = threading.Lock()
 
     def get(self) -> T:
-        """Return the value."""
         with self._lock:
             if self._compute is not None:
                 self._value = self._compute()

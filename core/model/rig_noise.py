@@ -53,11 +53,7 @@ class CameraNoise(Section):
         return math.hypot(self.white_m, self.correlated_m)
 
     def density_m4(self, focal_px: float) -> float:
-        """Return the noise power per area at low spatial frequency, m^4.
-
-        The variance of the mean over an area is the density divided by the area, where the area is large compared with
-        the correlation length. ``focal_px`` is the camera's focal length.
-        """
+        """Return the noise power per area at low spatial frequency, m^4: the variance of a mean times its area."""
         pixel_m = self.distance_m / focal_px
         shared_m2 = 4.0 * math.pi * (self.length_px * pixel_m) ** 2
         return (self.white_m * pixel_m) ** 2 + self.correlated_m**2 * shared_m2

@@ -14,11 +14,7 @@ _DECIMAL_COMMA: Final = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
 
 
 def parse_table(data: bytes, texts: Collection[str] = ()) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Return the names of the columns in lower case, and each row that has any value, with its line in the file.
-
-    A comma in a number is a decimal comma, where no number of the file has a point; columns named in ``texts`` have no
-    numbers. Empty columns at the right are left out. `ValueError` for what is no table: a clause that names the line.
-    """
+    """Return the columns' lower-case names, and each row with its line; decimal commas if no number has a point."""
     text = _decoded(data)
     first = next((line for line in text.splitlines() if line.strip()), "")
     if stated := re.fullmatch(r"\"?sep=(.)\"?\s*", first):  # Excel's own first line

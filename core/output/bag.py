@@ -41,10 +41,7 @@ _CHUNK_BYTES: Final = 2**40
 
 
 class Bag:
-    """A new ROS 2 bag in MCAP with the rig and the preset inside. One call of `write` is one chunk.
-
-    LZ4 takes 5 ms for a frame of four 640 x 480 images and leaves 75 % of its bytes.
-    """
+    """A new ROS 2 bag in MCAP with the rig and the preset inside. One call of `write` is one chunk."""
 
     def __init__(
         self,

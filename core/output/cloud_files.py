@@ -28,16 +28,7 @@ _CSV_FORMATS: Final = {"f4": "%.9g", "f8": "%.17g"}
 
 
 def patch_cloud(patch: ContactPatch, frame: SensorFrame, rig: Rig) -> PointCloud:
-    """Return a patch's points with their colours and attributes.
-
-    Returns
-    -------
-    PointCloud
-        Colours of the proximity colour image, black where its camera does not see the point, and the
-        attributes ``relative_difference`` (float32) and ``u``, ``v`` (uint16, proximity pixels). The difference is
-        that of the pixel's own two depths: nan where one is missing, and large on a flying pixel, where the
-        membrane test takes contact and the point from the pixels around it.
-    """
+    """Return a patch's points, their colours (or black), pixels ``u``, ``v`` and their own relative difference."""
     pixels = np.flatnonzero(patch.mask)
     colors, _ = colors_at(patch.points, pixels, frame.proximity_color, rig)
     v, u = np.divmod(pixels, patch.mask.shape[1])
@@ -50,12 +41,7 @@ def patch_cloud(patch: ContactPatch, frame: SensorFrame, rig: Rig) -> PointCloud
 
 
 def write_cloud(path: Path | str, cloud: PointCloud) -> None:
-    """Write a cloud in the format of the path's suffix; the file appears whole or not at all.
-
-    ``.npz`` and ``.ply`` keep every bit of points, colours and attributes (8 to 32 bit integers and floats; bool
-    becomes uint8). ``.csv`` has a header ``x_m,y_m,z_m,red,green,blue,…`` and digits enough to give the same numbers
-    back.
-    """
+    """Write a cloud without loss in the format of the path's suffix; the file appears whole or not at all."""
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:

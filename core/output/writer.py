@@ -46,10 +46,7 @@ _SYNC_EVERY_S = 2.0
 
 @dataclass(frozen=True)
 class RecordingStatus:
-    """State of a recording: frames in the file, its size in bytes and its length in seconds, as a player shows it.
-
-    ``dropped`` counts frames that found the queue full or came after an error; ``error`` is a sentence, or empty.
-    """
+    """State of a recording; ``dropped`` frames found the queue full or came after an error, a sentence or empty."""
 
     path: Path
     frames: int

@@ -237,10 +237,7 @@ class WatchReport:
 
 
 class Watch:
-    """Compares a rig with the untouched frame while it is used, whenever nothing touches the membrane.
-
-    No single frame decides: a change is told once `LOOKS` successive looks agree, and withdrawn in the same way.
-    """
+    """Compares a rig with the untouched frame at intervals; a change is told or withdrawn once `LOOKS` looks agree."""
 
     def __init__(self, preset: Preset, rig: Rig, untouched: SensorFrame | None) -> None:
         if untouched is None:

@@ -311,11 +311,7 @@ def _fixed_autocovariances(
 def _residual_autocovariances(
     surface: Float32Array, divisor: Float32Array, good: BoolArray, tile_px: int
 ) -> Float64Array:
-    """Return the autocovariances of the residual of a quadratic surface, one row for each of the smoothest windows.
-
-    The smoothest half is chosen by the curvature of the fitted surface, of which the residual is independent. The fit
-    is repeated without outliers.
-    """
+    """Return the autocovariances of a quadratic's residual, a row for each of the smoothest half of the windows."""
     basis = _quadratics(tile_px).reshape(-1, 6)
     windows = []
     step = tile_px // 2

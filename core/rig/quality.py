@@ -66,11 +66,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class CameraQuality:
-    """Depth quality of one camera in a region of its own pixels; nan for unknown values.
-
-    The fill rate is the share of pixels with depth. The plane is fitted to the points: its distance from the camera,
-    the angle between its normal and the optical axis, and the root mean square distance of the points from it.
-    """
+    """Depth quality of one camera in a region: share of pixels with depth, and a plane's place, angle and residual."""
 
     role: CameraRole
     model: str

@@ -76,7 +76,6 @@ class Skew:
 
     @property
     def sentence(self) -> str:
-        """The result in words."""
         delay = minus(f"{1e3 * self.delay_s:+.1f}") + f" ± {1e3 * self.uncertainty_s:.1f} ms"
         doubt = "" if self.significant else ", too little to compensate"
         return f"Time stamps for the same moment, tactile minus proximity: {delay}{doubt}."
@@ -132,11 +131,7 @@ def measure_skew(
 
 
 def _resampled(proximity: _Series, tactile: _Series) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Return the delays (K,), and on a fine grid of M times the changes of both depths.
-
-    Those of the proximity depth and its powers have shape (M, 4), a constant first; those of the tactile depth (K, M),
-    a row for each delay, nan where it is unknown.
-    """
+    """Return delays (K,), and on M times changes of the proximity depth's powers (M, 4) and of the tactile's (K, M)."""
     reach = round(MAX_DELAY_S / _STEP_S)
     delays_s: Float64Array = np.arange(-reach, reach + 1, dtype=np.float64) * _STEP_S
     half = _CHANGE_OVER_S / 2

@@ -60,11 +60,7 @@ def average_untouched(frames: Iterable[SensorFrame]) -> UntouchedAverage:
 
 
 def save_untouched(frame: SensorFrame, frames: int, preset_path: Path) -> UntouchedRecord:
-    """Write an average of ``frames`` frames beside a preset file and return its record for the preset.
-
-    The file's name is its content's hash, so no file of another preset in the same folder is overwritten. Save the
-    preset afterwards: preset and untouched frame on disk then match at any moment. Raises an `ExportError`.
-    """
+    """Write an average beside a preset file, named by its content, and return its record for the preset."""
     sha256 = content_hash(frame)
     record = UntouchedRecord(file=f"untouched-{sha256[:12]}.npz", sha256=sha256, frames=frames)
     with atomic_path(preset_path.parent / record.file) as temporary:

@@ -144,11 +144,7 @@ class FolderSource(SeekableSource):
 def export_folder(
     source: FrameSource, path: Path | str, frames: int | None = None, progress: Progress | None = None
 ) -> int:
-    """Write at most ``frames`` of a source, from its present position, as a folder of images; return how many.
-
-    Everything goes to a temporary folder beside ``path``, which gets its name only when it is complete; ``path`` must
-    not exist yet, or be empty.
-    """
+    """Write at most ``frames`` of a source, from its present position, as a new folder, whole or not at all."""
     target = Path.cwd() / user_path(path)
     if frames is None and source.length is None:
         raise ExportError(f"{source.name} is live and has no end; say how many frames to export")

@@ -40,10 +40,7 @@ _RATE_HZ: Final = 30.0
 
 @dataclass(frozen=True)
 class FrameFiles:
-    """The images of one frame, by slot, such as ``proximity_depth``; and its times in seconds, where names state them.
-
-    ``folder`` has ``frame.json`` and the truth of a frame in our own layout.
-    """
+    """The images of one frame by slot, and its times; our own ``folder`` has ``frame.json`` and truth."""
 
     images: dict[str, Path]
     folder: Path | None = None

@@ -38,10 +38,7 @@ _COUNTS = (4, 5, 8, 12, 14)
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """A lens without distortion or with Brown-Conrady's, and the table that rectifies the images of other models.
-
-    ``table`` has the column and row in the camera's image of each rectified pixel: float32, (H, W, 2).
-    """
+    """A lens without or with Brown-Conrady's distortion; ``table`` (H, W, 2) of column, row rectifies other models."""
 
     intrinsics: Intrinsics
     table: Float32Array | None = None
@@ -111,11 +108,7 @@ def _intrinsics(values: dict[str, Any]) -> Intrinsics:
 
 
 def camera_info_lens(message: Any, size: tuple[int, int] | None = None) -> Lens | None:
-    """Return the lens of a ``sensor_msgs/CameraInfo``, of ROS 1 or 2, binning and region of interest applied.
-
-    None if the driver had not filled it in yet. ``size``, width and height in pixels, is that of the images;
-    `SourceError` if the message is about others.
-    """
+    """Return the lens of a ``CameraInfo`` for images of a size, cropped and binned; None if it is not filled in yet."""
     k = _field(message, "k")
     if not k[0] or not k[4]:  # focal lengths
         return None

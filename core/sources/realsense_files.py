@@ -113,10 +113,7 @@ class Stream:
 
 
 def _common_times(first: Stream, second: Stream, *, one_device: bool) -> tuple[Float64Array, Float64Array]:
-    """Return both streams' own stamps in seconds if these are on one clock, else when they were recorded.
-
-    A camera's own clock counts for that camera alone.
-    """
+    """Return both streams' own stamps, s, if they are on one clock, else when they were recorded."""
     if first.clock == second.clock != "" and (one_device or first.clock != "Hardware Clock"):
         return first.stamps_s, second.stamps_s
     return first.recorded_s, second.recorded_s

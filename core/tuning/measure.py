@@ -165,11 +165,7 @@ class Workers:
     count: int
 
     def submit(self, work: Callable[..., Any], *arguments: object) -> Future[Any]:
-        """Submit a batch.
-
-        The executor may start a process for it, which inherits that Ctrl+C is held back. Otherwise a Ctrl+C would end
-        it with a traceback while it still imports.
-        """
+        """Submit a batch; Ctrl+C is held back, since a process started for it would end with a traceback."""
         if not hasattr(signal, "pthread_sigmask"):  # Windows
             return self.executor.submit(work, *arguments)
         usual = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))

@@ -120,11 +120,7 @@ def plain_value(preset: Preset, path: str) -> Any:
 
 
 def default_axes(preset: Preset) -> tuple[Axis, ...]:
-    """Return the numbers of the preset's contact test over their sliders' ranges, the present values included.
-
-    The number of averaged frames is left out: it trades time resolution, which no objective sees. So are sections that
-    are turned off.
-    """
+    """Return the numbers of the preset's contact test over their sliders, without averaging and what is off."""
     axes: list[Axis] = []
     for section, model in preset.test.sections.items():
         if not getattr(getattr(preset, section), "enabled", True):

@@ -93,11 +93,7 @@ class Study:
         return list(trials.values()), front
 
     def run(self, workers: Workers, stopped: Callable[[], bool] = lambda: False) -> Iterator[int]:
-        """Measure trials until the plan's number is reached; yield the number that is measured each time it grows.
-
-        Close the iterator or let ``stopped`` return True to cancel. Trials that have been counted are in the file.
-        Raises a `TactuneError` if a batch cannot be measured, the workers are gone, or the disk is full.
-        """
+        """Measure trials until the plan's number is reached or ``stopped``; yield how many are measured."""
         with self._told():
             yield from self._measure(workers, stopped)
 

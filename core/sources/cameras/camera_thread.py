@@ -22,11 +22,7 @@ _READ_S: Final = 0.05
 
 
 class CameraThread:
-    """One camera of the rig on a thread of its own; the device is found again by its serial number.
-
-    ``stored`` are the preset's camera options; ``take`` is called with the role, the images and their arrival by
-    ``time.monotonic``, on this thread.
-    """
+    """One camera on a thread of its own, which finds it again by its serial number and calls ``take`` with images."""
 
     def __init__(
         self,

@@ -65,10 +65,7 @@ def choose(
     hint: str = "",
     roles: Sequence[CameraRole] = ("proximity", "tactile"),
 ) -> dict[CameraRole, DeviceInfo]:
-    """Decide which device gets which role: by serial number where the preset names one, else by `DeviceInfo.role`.
-
-    ``hint`` is the reason why a driver may not list a camera. `SourceError` if one is missing, or several would fit.
-    """
+    """Give each role a device, by the preset's serial numbers or by `DeviceInfo.role`, if that is clear."""
     if not devices:
         note = f"; note that {hint}" if hint else ""
         raise SourceError(

@@ -50,10 +50,7 @@ _OFFERED: Final = {
 
 
 class OrbbecDriver(CameraDriver):
-    """The cameras of Orbbec; none where the SDK is not installed, since it is for the owners of such a camera.
-
-    ``query`` returns the SDK's list of devices; by default of those that are connected.
-    """
+    """The cameras of Orbbec, of which ``query`` lists those connected; none where the SDK is not installed."""
 
     title = "Orbbec"
 

@@ -54,10 +54,7 @@ class _Stream(NamedTuple):
 
 
 class RealSenseCamera(Camera):
-    """Depth and colour of one device, which the driver pairs by time.
-
-    The sensors are opened directly, without the driver's pipeline, which waits for devices by itself.
-    """
+    """Depth and colour of one device, without the driver's pipeline, which waits for devices by itself."""
 
     def __init__(self, driver: Any, device: Any, info: DeviceInfo, role: CameraRole) -> None:
         self._driver = driver

@@ -205,11 +205,7 @@ class Listener(Participant):
         super().close()
 
     def read(self, topic: str, kind: str) -> Reader:
-        """Begin to receive a topic, by the reliability that its publishers offer.
-
-        Sensor data are often offered without repeats, to which a reader that wants them would not be connected; where
-        they are offered, a lost part of a large image is repeated.
-        """
+        """Begin to receive a topic with repeats where its publishers offer them: else it would not be connected."""
         offers = [each.qos[Policy.Reliability] for each in self._published() if each.topic_name == f"rt{topic}"]
         is_repeated = bool(offers) and all(isinstance(offer, Policy.Reliability.Reliable) for offer in offers)
         is_kept = kind == TRANSFORMS
@@ -246,10 +242,7 @@ class Waiter:
 
 
 def keep_freed_memory() -> None:
-    """Let this process keep the memory of a message for the next one.
-
-    Otherwise giving pages back and getting them again takes half of the time in which images are received.
-    """
+    """Keep the memory of a message for the next one: giving it back takes half of the time of receiving images."""
     with suppress(OSError, AttributeError):  # not the GNU C library
         for parameter in (_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD):
             ctypes.CDLL(None).mallopt(parameter, _KEPT_BYTES)

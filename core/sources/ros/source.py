@@ -94,11 +94,7 @@ class Frames:
 
 @dataclass(frozen=True, eq=False)
 class Inspection:
-    """What a person sees before the topics of a recording are chosen.
-
-    ``guess`` is empty and ``gap`` a clause where the names do not tell the topics; ``pictures`` has a small image of
-    each topic whose middle image can be shown, RGB uint8 (H, W, 3).
-    """
+    """What a person chooses from: topics, pictures (RGB), and a guess or the clause that says why there is none."""
 
     images: tuple[ImageTopic, ...]
     guess: Topics

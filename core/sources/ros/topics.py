@@ -112,11 +112,7 @@ def _info_of(topic: str, frame: str, infos: set[str], frames: Mapping[str, str])
 
 
 def guess_topics(images: Sequence[ImageTopic], joined: Callable[[str, str], bool]) -> tuple[Topics, str]:
-    """Return the topics of a rig and, where the names do not tell them, a clause that says what is missing.
-
-    ``joined`` tells whether the recording knows the pose between two frames: only then an image in another frame than
-    the depth can be used as its colour.
-    """
+    """Return the topics of a rig, or a clause about what is missing; colour must be ``joined`` to its depth's frame."""
     cameras: defaultdict[str, list[ImageTopic]] = defaultdict(list)
     for image in images:
         cameras[image.camera].append(image)

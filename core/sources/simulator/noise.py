@@ -306,10 +306,7 @@ def _tof_errors(
 
 
 def _smooth_field(rng: np.random.Generator, sigma_px: float, width: int) -> Float32Array:
-    """Return white noise through a Gaussian window, of variance 1, (2^n, 2^n + width).
-
-    It wraps around after 2^n rows and columns; further columns repeat the first, so that a row of an image never does.
-    """
+    """Return white noise through a Gaussian window, of variance 1, that wraps around, (2^n, 2^n + width)."""
     margin = int(4 * sigma_px) + 1
     white = np.pad(rng.standard_normal((_FIELD, _FIELD), dtype=np.float32), margin, mode="wrap")
     field = cv2.GaussianBlur(white, (0, 0), sigma_px)[margin:-margin, margin:-margin]

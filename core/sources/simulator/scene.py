@@ -142,10 +142,7 @@ class Press:
         return z
 
     def states(self) -> Iterator[tuple[float, Float64Array, MembraneState]]:
-        """Solve the steps of the path in turn; yield depth, pose and equilibrium of the steps that are drawn.
-
-        Steps before the first drawn one only lead there and are solved on a coarse mesh.
-        """
+        """Solve the path; yield depth, pose and state of drawn steps; those before the first on a coarse mesh."""
         way, drawn = self.scene.way, self.scene.drawn
         before, held = self._led_to(drawn[0])
         for number in range(drawn[0], len(way)):

@@ -19,11 +19,7 @@ from ...preset import Preset
 
 @dataclass(frozen=True)
 class Proposal:
-    """A change of some preset fields of one section, or of ``"all"``.
-
-    ``changes`` has the new values by dotted path; it is empty if the present values already follow from the evidence.
-    ``label`` is short enough for a button; ``evidence`` says what was measured, ``expected`` what it will change.
-    """
+    """A change of fields of one section, or of ``"all"``: new values by path, label, evidence, expected effect."""
 
     section: str
     changes: Mapping[str, Any]
@@ -38,11 +34,7 @@ class Proposal:
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that is wrong with the present frame or preset, as a sentence with its number.
-
-    ``name`` is that of its check, ``field`` the path beside which it is shown. ``action`` names the window's action
-    that helps where no proposal mends it.
-    """
+    """Something wrong with frame or preset in a sentence, the field beside which it is shown, and what helps."""
 
     name: str
     field: str
