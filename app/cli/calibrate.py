@@ -15,6 +15,7 @@ from .common import (
     average_frames,
     find_rig,
     open_with_progress,
+    say,
     warn,
 )
 
@@ -63,7 +64,7 @@ def calibrate(
     if as_json:
         typer.echo(json.dumps(report.to_json(), indent=2, allow_nan=False))
     else:
-        typer.echo(report.words() + ("" if out is None else f"\nwrote {out}"))
+        say(report.words() + ("" if out is None else f"\nwrote {out}"))
 
 
 def recheck(
@@ -103,7 +104,7 @@ def recheck(
             warn(f"the membrane was not checked: {error}")
     if not found:
         raise CalibrationError(f"nothing of {preset} could be checked on {opened.name}; see the warnings above")
-    typer.echo("\n".join(found))
+    say("\n".join(found))
     if not all(found.values()):
         raise typer.Exit(DRIFTED_STATUS)
 
@@ -144,4 +145,4 @@ def create_rig(
     found = describe_folder(folder, options, unit, (int(board[1]), int(board[2])))
     warn(*found.warnings)
     write_rig(folder, found.rig, found.forms)
-    typer.echo("\n".join([*found.notes, f"wrote {folder / 'rig.json'}"]))
+    say("\n".join([*found.notes, f"wrote {folder / 'rig.json'}"]))

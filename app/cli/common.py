@@ -129,9 +129,14 @@ def refuse_existing(path: Path) -> None:
     check_writable(path)
 
 
+def say(text: str, *, err: bool = False) -> None:
+    """Print text on standard output or error, without the control characters that names may hold."""
+    typer.echo(printable(text), err=err)
+
+
 def warn(*sentences: str) -> None:
     for sentence in sentences:
-        typer.echo(f"tactune: {printable(sentence)}", err=True)
+        say(f"tactune: {sentence}", err=True)
 
 
 def tell_notes(preset: Preset) -> None:
@@ -139,7 +144,7 @@ def tell_notes(preset: Preset) -> None:
     from ...core.contact.checks import preset_notes
 
     for sentence in preset_notes(preset):
-        typer.echo(f"note: {sentence}", err=True)
+        say(f"note: {sentence}", err=True)
 
 
 class CliProgress(Progress):
@@ -167,11 +172,13 @@ class CliProgress(Progress):
         if 0 < share < 1 and not self._announced:
             self._announced = True
             warn(f"{what} ...")
-        self.update(self._shown, description=what, completed=round(100 * share), total=100, visible=share < 1)
+        self.update(
+            self._shown, description=printable(what), completed=round(100 * share), total=100, visible=share < 1
+        )
 
     def frames(self, done: int, total: int | None, what: str = "frames") -> None:
         """Show the number of frames done, and the total where it is known."""
-        self.update(self._shown, description=what, completed=done, total=total, visible=True)
+        self.update(self._shown, description=printable(what), completed=done, total=total, visible=True)
 
 
 @contextmanager

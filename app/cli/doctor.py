@@ -7,7 +7,7 @@ import typer
 from ...core.errors import as_sentence, counted
 from ..doctor.checks import State
 from ..sources.list_devices import ask_driver
-from .common import CliProgress, warn
+from .common import CliProgress, say, warn
 
 #: Exit status of ``devices`` if no camera is connected.
 NONE_STATUS = 1
@@ -23,13 +23,13 @@ def devices() -> None:
     answer = ask_driver()
     for device in answer["devices"]:
         about = [("serial", "serial"), ("firmware", "firmware"), ("USB", "usb")]
-        typer.echo(", ".join([device["model"], *(f"{word} {device.get(key) or 'unknown'}" for word, key in about)]))
+        say(", ".join([device["model"], *(f"{word} {device.get(key) or 'unknown'}" for word, key in about)]))
         if device.get("problem"):
-            typer.echo(f"  {as_sentence(device['problem'])}")
+            say(f"  {as_sentence(device['problem'])}")
     for note in filter(None, [answer.get("hint"), *answer.get("problems", [])]):
-        typer.echo(as_sentence(note))
+        say(as_sentence(note))
     if not answer["devices"]:
-        typer.echo("No camera is connected: plug both into USB 3 ports; tactune doctor finds other causes.")
+        say("No camera is connected: plug both into USB 3 ports; tactune doctor finds other causes.")
         raise typer.Exit(NONE_STATUS)
 
 
@@ -41,7 +41,7 @@ def doctor() -> None:
     from ..doctor.computer import check_computer, report
 
     lines = check_computer()
-    typer.echo(report(lines))
+    say(report(lines))
     if any(line.state is State.FAIL for line in lines):
         raise typer.Exit(FAILED_STATUS)
 
@@ -52,6 +52,6 @@ def warmup() -> None:
 
     with CliProgress() as progress:
         result = warm_up(progress.preparing)
-    typer.echo(f"compiled {counted(result.compiled, 'kernel')}, loaded {result.loaded}")
+    say(f"compiled {counted(result.compiled, 'kernel')}, loaded {result.loaded}")
     if not result.folders:
         warn("no cache folder is writable, so every start compiles again; set NUMBA_CACHE_DIR to a writable folder")

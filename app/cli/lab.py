@@ -21,6 +21,7 @@ from .common import (
     default_preset,
     number_of_frames,
     open_with_progress,
+    say,
     table_text,
     warn,
 )
@@ -92,7 +93,7 @@ def table(
         for press in measure_table(plan):
             done += 1
             cells += press
-            typer.echo(f"{done}/{plan.presses} {cell_line(press)}", err=True)
+            say(f"{done}/{plan.presses} {cell_line(press)}", err=True)
         times = time_table(plan)
     except KeyboardInterrupt:
         warn(f"{done} of {counted(plan.presses, 'press')} are kept in {plan.work}; the same command goes on from there")
@@ -101,7 +102,7 @@ def table(
         write_csv(csv_file, [asdict(cell) for cell in cells])
     order = {name: place for place, name in enumerate(plan.methods)}
     cells.sort(key=lambda cell: order[cell.method])
-    typer.echo(table_text(cells, times))
+    say(table_text(cells, times))
 
 
 def _names(text: str) -> tuple[str, ...]:
@@ -165,7 +166,7 @@ def strain(
     if csv_file is not None:
         names = dict.fromkeys(name for record in records for name in record)
         write_csv(csv_file, [names | record for record in records])
-    typer.echo(table_text(records))
+    say(table_text(records))
 
 
 def _strain_record(frame: SensorFrame, displacement_m: float, measured: StrainMeasurement) -> Record:
@@ -268,11 +269,11 @@ def scan(
         raise SourceError(f"{source} has no frame {frame}; check --frame and the source")
     if csv_file is not None:
         write_csv(csv_file, records)
-    typer.echo(f"painted contact: {truth.area_mm2:.0f} mm2")
+    say(f"painted contact: {truth.area_mm2:.0f} mm2")
     if refined is not None:
         end = "" if refined.converged else ", not converged"
-        typer.echo(f"ICP: {1e3 * refined.rmse_m:.3f} mm over {counted(refined.pairs, 'pair')}{end}")
-    typer.echo(table_text(records))
+        say(f"ICP: {1e3 * refined.rmse_m:.3f} mm over {counted(refined.pairs, 'pair')}{end}")
+    say(table_text(records))
 
 
 def _finds(names: tuple[str, ...], preset: Preset, origin: str, source: FrameSource) -> dict[str, Find]:
@@ -344,8 +345,8 @@ def bench(
             engines = list(lab_bench.ENGINES)
             rows = lab_bench.compare_engines(lab_bench.scene_names(), engines, _ROUNDS, progress.preparing)
     if not gate:
-        typer.echo(f"{head}\n\n{lab_bench.rows_text(rows)}")
+        say(f"{head}\n\n{lab_bench.rows_text(rows)}")
         return
-    typer.echo("\n".join([head, *map(str, checks)]))
+    say("\n".join([head, *map(str, checks)]))
     if not all(check.holds for check in checks):
         raise typer.Exit(1)

@@ -18,7 +18,7 @@ from typer.core import TyperGroup
 
 from ...core.errors import MissingExtraError, TactuneError, foreign
 from .calibrate import calibrate, create_rig, recheck
-from .common import SOURCE, PresetOption, SourceOption, default_preset
+from .common import SOURCE, PresetOption, SourceOption, default_preset, say, warn
 from .doctor import devices, doctor, warmup
 from .lab import lab_commands
 from .preset import preset_commands
@@ -94,11 +94,11 @@ def main() -> int:
     try:
         commands(prog_name="tactune")
     except TactuneError as error:
-        typer.echo(f"tactune: {error}", err=True)
+        warn(str(error))
         return USAGE_STATUS
     except OSError as error:
         where = f"{foreign(error.filename)}: " if error.filename else ""
-        typer.echo(f"tactune: {where}{error.strerror or error}; check the path, its permissions and the disk", err=True)
+        warn(f"{where}{error.strerror or error}; check the path, its permissions and the disk")
         return USAGE_STATUS
     except SystemExit as end:
         return int(end.code or 0)
@@ -113,7 +113,7 @@ def _start(
     show_version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
 ) -> None:
     if show_version:
-        typer.echo(f"tactune {version('tactune')}")
+        say(f"tactune {version('tactune')}")
     elif context.invoked_subcommand is None:
         raise typer.Exit(_open_window(SOURCE, None, None))
 

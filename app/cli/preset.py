@@ -21,6 +21,7 @@ from .common import (
     open_with_progress,
     parse_settings,
     refuse_existing,
+    say,
     tell_notes,
     warn,
 )
@@ -74,7 +75,7 @@ def new(
     if start is not None and preset.untouched is not None:
         copy_untouched(preset.untouched, Path(start), out)
     save_preset(preset, out, exclusive=True)
-    typer.echo(f"wrote {out}")
+    say(f"wrote {out}")
     if base.rig is not None and base.rig != made_for:
         warn(f"cameras and alignment are those of {start}, made for another rig; calibrate again")
     tell_notes(preset)
@@ -97,7 +98,7 @@ def validate(preset: Annotated[str, typer.Argument(metavar="FILE", help="A prese
     loaded, older = load_preset_and_note(preset)
     cameras = () if loaded.rig is None else loaded.rig.cameras
     made_for = " and ".join(f"{camera.model} {camera.serial}".strip() for camera in cameras) or "any rig"
-    typer.echo(f"{preset}: good, preset {loaded.name!r} for {made_for}" + (f", {older}" if older else ""))
+    say(f"{preset}: good, preset {loaded.name!r} for {made_for}" + (f", {older}" if older else ""))
     tell_notes(loaded)
 
 
@@ -128,8 +129,8 @@ def capture_untouched(
             _refuse_contact(chosen, opened.rig, captured.frame)
     record = save_untouched(captured.frame, captured.frames, preset)
     save_preset(chosen.model_copy(update={"untouched": record, "modified": now()}), preset)
-    typer.echo(f"averaged {counted(captured.frames, 'frame')} of {opened.name}")
-    typer.echo(f"wrote {preset.parent / record.file}, named in {preset}")
+    say(f"averaged {counted(captured.frames, 'frame')} of {opened.name}")
+    say(f"wrote {preset.parent / record.file}, named in {preset}")
 
 
 @preset_commands.command("measure-rig", short_help="Measure the cameras' noise and bias.")
@@ -167,12 +168,12 @@ def measure_rig(
         noise = measure_noise(frames, opened.rig, chosen, found.frame, progress.preparing)
     if len(frames) < _MEASURED:
         warn(f"the source has only {len(frames)} of the {_MEASURED} frames to measure")
-    typer.echo("\n".join(describe(noise)))
+    say("\n".join(describe(noise)))
     if target is None:
         warn("nothing was written; add --out FILE, or --preset with a preset file, to keep the measurement")
         return
     save_changed(chosen.model_copy(update={"noise": noise}), origin, target)
-    typer.echo(f"wrote {target}")
+    say(f"wrote {target}")
 
 
 @preset_commands.command()

@@ -18,6 +18,7 @@ from .common import (
     number_of_frames,
     open_with_progress,
     refuse_existing,
+    say,
     stop_on_signals,
     warn,
     with_topics,
@@ -69,7 +70,7 @@ def record(
         if status.dropped:
             warn(f"{counted(status.dropped, 'frame')} dropped, because the disk was too slow; record to a faster one")
         size = f"{status.seconds:.1f} s, {status.bytes / 1e6:.1f} MB"
-        typer.echo(f"recorded {counted(status.frames, 'frame')} of {opened.name}, {size}, into {out}")
+        say(f"recorded {counted(status.frames, 'frame')} of {opened.name}, {size}, into {out}")
 
 
 #: What ``convert`` writes, by the ends of names; anything else is a folder of images.
@@ -137,8 +138,8 @@ def _convert_calibration(source: str, target: Path, kind: str, preset: str | Non
         raise PresetError(f"the preset {source} serves any rig and names none; give a recording, and --preset {source}")
     export_calibration(target, kind, rig, chosen, exclusive=True)
     own = chosen.alignment.rigid.T_proximity_tactile is not None
-    typer.echo(f"wrote the pose of {f'the preset {chosen.name}' if own else 'the rig, which no preset replaces'}")
-    typer.echo(f"wrote {target}")
+    say(f"wrote the pose of {f'the preset {chosen.name}' if own else 'the rig, which no preset replaces'}")
+    say(f"wrote {target}")
 
 
 def _convert_recording(source: str, target: Path, kind: str, preset: str | None, frames: int | None) -> None:
@@ -174,7 +175,7 @@ def _convert_recording(source: str, target: Path, kind: str, preset: str | None,
             warn(opened.health().message)
         if isinstance(opened, McapSource) and opened.has_poses:
             warn(f"the poses of the object in {opened.name} were not written; tactune track computes them again")
-    typer.echo(f"wrote {counted(count, 'frame')} of {opened.name} to {target}")
+    say(f"wrote {counted(count, 'frame')} of {opened.name} to {target}")
 
 
 def _untouched(preset: Preset | None, origin: str | None, source: FrameSource) -> SensorFrame | None:

@@ -30,6 +30,7 @@ from .common import (
     number_of_frames,
     open_pipeline,
     parse_settings,
+    say,
     stop_on_signals,
     tell_of_stop,
     warn,
@@ -110,11 +111,11 @@ def run(
         ):
             done, records = _process(opened, pipeline, frames, save, stopped, truth, look, json_lines, tilt)
         if records:
-            typer.echo("\n".join(_summary(records, opened.name, chosen.name)))
+            say("\n".join(_summary(records, opened.name, chosen.name)))
             if out is not None:
-                typer.echo(f"wrote {out}")
+                say(f"wrote {out}")
             if frames is not None and done < frames and not stopped.is_set():
-                typer.echo(f"{opened.name} ended after {done} of the {frames} frames asked for")
+                say(f"{opened.name} ended after {done} of the {frames} frames asked for")
         if stopped.is_set():
             tell_of_stop(opened, done, frames)
 

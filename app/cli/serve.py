@@ -20,6 +20,7 @@ from .common import (
     default_preset,
     live_frames,
     open_with_progress,
+    say,
     stop_on_signals,
     untouched_for,
     warn,
@@ -79,7 +80,7 @@ def serve(
         from ...core.output.foxglove import save_layout
 
         save_layout(layout)
-        typer.echo(f"wrote {layout}; in Foxglove: Layouts, Import from file")
+        say(f"wrote {layout}; in Foxglove: Layouts, Import from file")
         if not (foxglove or ros2):
             return
     if not (foxglove or ros2):
@@ -102,12 +103,12 @@ def serve(
             warm_up_if_needed(progress.preparing, chosen)
         with stop_on_signals() as stopped:
             for output in publisher.status():
-                typer.echo(f"{output.sink.name}: {output.sink.place}")
+                say(f"{output.sink.name}: {output.sink.place}")
             if connections.warning:
                 warn(connections.warning)
             pipeline = ContactPipeline(chosen, playing.rig, untouched_for(chosen, origin, opened))
             count = _publish(playing, pipeline, publisher, tilt, poses, frames, stopped)
-        typer.echo(f"published {counted(count, 'frame')} of {playing.name}")
+        say(f"published {counted(count, 'frame')} of {playing.name}")
 
 
 def _publish(

@@ -18,6 +18,7 @@ from .common import (
     default_preset,
     open_pipeline,
     open_with_progress,
+    say,
     warn,
 )
 from .preset import check_target, save_changed
@@ -80,12 +81,12 @@ def suggest(
     if not proposals.parts:
         raise AdviceError("; ".join(proposals.refusals.values()))
     for part in proposals.parts:
-        typer.echo(f"{part.section}: {part.label}")
-        typer.echo("\n".join([f"  {part.evidence}", f"  {part.expected}", *_as_options(part.changes)]))
+        say(f"{part.section}: {part.label}")
+        say("\n".join([f"  {part.evidence}", f"  {part.expected}", *_as_options(part.changes)]))
     warn(*proposals.refusals.values())
     if out is not None:
         save_changed(proposals.merged.apply(chosen), origin, out)
-        typer.echo(f"wrote {out}")
+        say(f"wrote {out}")
 
 
 def check(
@@ -111,13 +112,13 @@ def check(
         patches = [pipeline.process(each) for each in frames]
         findings = Examiner(opened.rig).findings(frames[-1], patches[-1], chosen, stored.frame)
     for finding in findings:
-        typer.echo(f"{finding.field}: {finding.sentence}")
+        say(f"{finding.field}: {finding.sentence}")
         if finding.proposal is not None:
-            typer.echo("\n".join([f"  {finding.proposal.evidence}", *_as_options(finding.proposal.changes)]))
+            say("\n".join([f"  {finding.proposal.evidence}", *_as_options(finding.proposal.changes)]))
         elif finding.action == "measure_noise":
-            typer.echo("  measure the rig: tactune preset measure-rig")
+            say("  measure the rig: tactune preset measure-rig")
     if not findings:
-        typer.echo("no findings")
+        say("no findings")
     else:
         raise typer.Exit(FOUND_STATUS)
 

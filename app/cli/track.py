@@ -25,6 +25,7 @@ from .common import (
     live_frames,
     number_of_frames,
     open_pipeline,
+    say,
     stop_on_signals,
     tell_of_stop,
     warn,
@@ -105,13 +106,13 @@ def track(
         if truth and not errors:
             warn(f"{opened.name} knows no true pose, or the object was lost in every frame; the errors are empty")
         if done:
-            typer.echo(f"{counted(done, 'frame')} of {opened.name}, object {shape.name}: pose known in {known}")
+            say(f"{counted(done, 'frame')} of {opened.name}, object {shape.name}: pose known in {known}")
             if errors:
                 rms_mm = 1e3 * math.sqrt(fmean(error.position_m**2 for error in errors))
                 rms_deg = math.degrees(math.sqrt(fmean(error.angle_rad**2 for error in errors)))
-                typer.echo(f"error in determined directions: {rms_mm:.2f} mm and {rms_deg:.2f} degrees RMS")
+                say(f"error in determined directions: {rms_mm:.2f} mm and {rms_deg:.2f} degrees RMS")
             if out is not None:
-                typer.echo(f"wrote {out}")
+                say(f"wrote {out}")
         if stopped.is_set():
             tell_of_stop(opened, done, frames)
 

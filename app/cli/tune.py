@@ -15,6 +15,7 @@ from .common import (
     INTERRUPTED_STATUS,
     CliProgress,
     default_preset,
+    say,
     stop_on_signals,
     table_text,
     warn,
@@ -132,7 +133,7 @@ def tune(
         if best.untouched is not None and base_file is not None:
             copy_untouched(best.untouched, base_file, out)
         save_preset(best, out, exclusive=not out.exists())
-        typer.echo(f"wrote {out}: trial {front[0].number}", err=True)
+        say(f"wrote {out}: trial {front[0].number}", err=True)
 
 
 def _check_out(path: Path, base_file: Path | None) -> None:
@@ -159,7 +160,7 @@ def _search(study: Study, workers: Workers, progress: CliProgress, as_json: bool
     """Run the search with progress; after Ctrl+C, say how to continue."""
     plan = study.plan
     if as_json:
-        _say({"trials": plan.trials, "objectives": plan.objectives, "study": str(study.path)})
+        _print_json({"trials": plan.trials, "objectives": plan.objectives, "study": str(study.path)})
     said: set[int] = set()
     with stop_on_signals() as stopped:
         for done in study.run(workers, stopped.is_set):
@@ -169,8 +170,8 @@ def _search(study: Study, workers: Workers, progress: CliProgress, as_json: bool
                 for trial in trials:
                     if trial.number not in said:
                         said.add(trial.number)
-                        _say(vars(trial))
-                _say({"front": [trial.number for trial in front]})
+                        _print_json(vars(trial))
+                _print_json({"front": [trial.number for trial in front]})
     if stopped.is_set():
         warn(
             f"{len(study.results()[0])} of {counted(plan.trials, 'trial')} are kept in {study.path}; "
@@ -179,25 +180,25 @@ def _search(study: Study, workers: Workers, progress: CliProgress, as_json: bool
         raise typer.Exit(INTERRUPTED_STATUS)
 
 
-def _say(document: dict[str, Any]) -> None:
+def _print_json(document: dict[str, Any]) -> None:
     typer.echo(json.dumps(document, allow_nan=False))
 
 
 def _print_front(plan: Plan, found: Sequence[Trial], front: Sequence[Trial]) -> None:
     """Print the trials that no other beats, and the present preset."""
-    typer.echo(f"Not beaten by any of {counted(len(found), 'trial')}:")
+    say(f"Not beaten by any of {counted(len(found), 'trial')}:")
     present = [trial for trial in found if trial.present and not trial.failure and trial not in front]
     rows = []
     for trial in [*front, *present]:
         number = f"{trial.number}{' (present)' if trial.present else ''}"
         figures = {name: trial.figures[name] for name in plan.objectives}
         rows.append({"trial": number, **figures, **{axis.path: trial.values[axis.path] for axis in plan.axes}})
-    typer.echo(table_text(rows))
+    say(table_text(rows))
     for axis in plan.axes:
         best, given = front[0].values[axis.path], axis.values or (axis.low, axis.high)
         numbers = sorted(value for value in given if type(value) in (int, float))
         if len(numbers) > 1 and best in (numbers[0], numbers[-1]):
             end = "smallest" if best == numbers[0] else "largest"
-            typer.echo(f"The best {axis.path}, {best:g}, is the {end} one that was allowed.")
+            say(f"The best {axis.path}, {best:g}, is the {end} one that was allowed.")
     if failed := [trial for trial in found if trial.failure]:
         warn(f"{counted(len(failed), 'trial')} failed, such as: {failed[0].failure}")

@@ -237,9 +237,9 @@ def _left_out(basis: Float64Array, residuals: Float64Array, divisions: list[Inde
             values, vectors = np.linalg.eigh(np.eye(own.shape[1]) - own.T @ own)
             if values[0] < 1.0 / _MAX_CONDITION:
                 break
-            # (I - Q Q^T)^-1 = I + Q (I - Q^T Q)^-1 Q^T
-            inverse = np.eye(len(own)) + (own @ vectors / values) @ (own @ vectors).T
-            squares += float(((inverse @ residuals[label == region].ravel()) ** 2).sum())
+            rest = residuals[label == region].ravel()
+            rest = rest + own @ vectors @ (vectors.T @ (own.T @ rest) / values)  # I + Q (I - Q^T Q)^-1 Q^T
+            squares += float(rest @ rest)
         else:
             return float(np.sqrt(squares / len(residuals)))
     return None

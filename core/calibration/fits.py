@@ -42,6 +42,8 @@ _THETA_STEP = 1e-6
 #: Thresholds for OpenCV's proposals, in units of the stated noise of a residual.
 _THRESHOLDS = (3.0, 6.0, 12.0)
 _ITERATIONS, _CONFIDENCE = 2000, 0.9999
+#: OpenCV's proposals use at most about this many pairs, evenly chosen.
+_PROPOSING = 1000
 #: How often the inliers of a proposal are fitted and chosen again.
 _ROUNDS = 3
 #: Weight of the stated noise beside the observed one, in degrees of freedom.
@@ -68,6 +70,7 @@ class Model(ABC):
     def __init__(self, points: PointArrays, rig: Rig, names: Sequence[str], sigma_px: float) -> None:
         self.points, self.rig, self.sigma_px = points, rig, sigma_px
         self.names = names or [str(number) for number in range(1, len(points) + 1)]
+        self.proposing = np.arange(0, len(points), -(-len(points) // _PROPOSING))
         low, high = points.proximity.min(axis=0), points.proximity.max(axis=0)
         sides = 1.1 * np.maximum(high - low, 1e-12)
         #: Area over which wrong pairs are distributed, pixels squared.
@@ -79,7 +82,7 @@ class Model(ABC):
 
     @abstractmethod
     def proposals(self, noise_px: float) -> list[Float64Array]:
-        """Return thetas by OpenCV, the fit to all pairs first."""
+        """Return thetas by OpenCV, the fit to all that it uses first."""
 
     def prior(self, theta: Float64Array) -> Float64Array:
         """Return whitened residuals of what is known beforehand."""
@@ -128,7 +131,7 @@ class HomographyModel(Model):
         return Alignment(homography=H / H[2, 2] if abs(H[2, 2]) > 1e-12 * np.abs(H[2]).max() else H)
 
     def proposals(self, noise_px: float) -> list[Float64Array]:
-        tactile, proximity = self.points.tactile, self.points.proximity
+        tactile, proximity = self.points.tactile[self.proposing], self.points.proximity[self.proposing]
         found = [cv2.findHomography(tactile, proximity, 0)[0]]
         for kind, factor in product((cv2.USAC_MAGSAC, cv2.RANSAC), _THRESHOLDS if len(tactile) > self.sample else ()):
             limits = (factor * noise_px, None, _ITERATIONS, _CONFIDENCE)
@@ -167,15 +170,16 @@ class RigidModel(Model):
     def proposals(self, noise_px: float) -> list[Float64Array]:
         # clicks in colour are taken to be at the tactile distance, which is exact enough for a proposal
         clicked = clicks_in_depth(self.rig, self.points.proximity, self.points.in_color, self.space)
-        rays, focal = ray_seen(self.rig.proximity.intrinsics, clicked), self.rig.proximity.intrinsics.fx
+        space, rays = self.space[self.proposing], ray_seen(self.rig.proximity.intrinsics, clicked)[self.proposing]
+        focal = self.rig.proximity.intrinsics.fx
         found = []
         try:
-            all_pairs, turn, shift = cv2.solvePnP(self.space, rays, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
+            all_pairs, turn, shift = cv2.solvePnP(space, rays, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
             found += [(turn, shift)] if all_pairs else []
             tries = product((cv2.SOLVEPNP_SQPNP, cv2.SOLVEPNP_AP3P), _THRESHOLDS)
             for kind, factor in tries if len(rays) > self.sample + 1 else ():
                 some, turn, shift, _ = cv2.solvePnPRansac(
-                    self.space, rays, np.eye(3), None, iterationsCount=_ITERATIONS, confidence=_CONFIDENCE,
+                    space, rays, np.eye(3), None, iterationsCount=_ITERATIONS, confidence=_CONFIDENCE,
                     reprojectionError=factor * noise_px / focal, flags=kind,
                 )  # fmt: skip
                 found += [(turn, shift)] if some else []

@@ -182,7 +182,7 @@ def _camera(draft: _Draft, role: str, option: str | None, kind: str, size: tuple
         fit = fit_lens(Path(how), *draft.corners, size)
         rejected = f"; rejected: {', '.join(fit.refused)}" if fit.refused else ""
         draft.warnings.append(
-            f"{how}: {fit.used} pictures, {fit.rms_px:.2f} px RMS, fx ± {fit.focal_sd_px:.1f} px{rejected}"
+            f"{how}: {fit.used} pictures, {fit.rms_px:.2f} px RMS, fx and fy ± {fit.focal_sd_px:.1f} px{rejected}"
         )
         return _Camera(model, Lens(fit.intrinsics), {})
     return _of_file(draft, said, model, how, size)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
-from ..errors import CalibrationError
+from ..errors import CalibrationError, foreign
 from ..model.alignment import PointPair
 from ..model.arrays import BoolArray, Float64Array
 from ..model.files import atomic_path
@@ -67,7 +67,9 @@ def read_points(path: Path | str) -> list[PointPair]:
             raise CalibrationError(f"{where}: there are not {len(header)} values as in the header; correct the row")
         pair = _pair(dict(zip(header, row, strict=True)), where)
         if pair.id in pairs:
-            raise CalibrationError(f"{where}: id {pair.id!r} is taken by an earlier row; give each pair its own")
+            raise CalibrationError(
+                f"{where}: id {foreign(pair.id, 40)!r} is taken by an earlier row; give each pair its own"
+            )
         pairs[pair.id] = pair
     return list(pairs.values())
 
@@ -77,9 +79,9 @@ def _check_header(header: list[str], path: Path | str) -> None:
     unknown = [name for name in header if name not in (*_REQUIRED, *_OPTIONAL, _IGNORED)]
     twice = [name for name in header if header.count(name) > 1]
     if twice:
-        raise CalibrationError(f"{path}: the header has the column {twice[0]!r} twice; remove one")
+        raise CalibrationError(f"{path}: the header has the column {foreign(twice[0], 40)!r} twice; remove one")
     if missing or unknown:
-        what = f"lacks the column {missing[0]}" if missing else f"has the column {unknown[0]!r}"
+        what = f"lacks the column {missing[0]}" if missing else f"has the column {foreign(unknown[0], 40)!r}"
         raise CalibrationError(f"{path}: the header {what}; it should be {','.join(_REQUIRED)}")
 
 
@@ -93,7 +95,7 @@ def _pair(fields: dict[str, str], where: str) -> PointPair:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         raise CalibrationError(
-            f"{where}: {first['loc'][0]} is {first['input']!r} ({first['msg']}); correct the row"
+            f"{where}: {first['loc'][0]} is {foreign(first['input'], 80)!r} ({first['msg']}); correct the row"
         ) from error
 
 

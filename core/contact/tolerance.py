@@ -30,7 +30,8 @@ class ToleranceSection(Section):
         float,
         described(
             "Tolerance t",
-            "A pixel is in contact where both distances agree within this share of the distance.",
+            "A pixel is in contact where |dp - dt| <= t |dp|: dt is the tactile depth, dp that of the proximity point "
+            "after its move into the tactile camera's frame.",
             unit="share",
             scale="log",
             slider=(0.001, 0.3),
@@ -84,7 +85,11 @@ class OutlierSection(Section):
 
 
 class ToleranceTest(ContactTest):
-    """``|dp - dt| <= t |dp|``, pixel by pixel."""
+    """``|dp - dt| <= t |dp|``, pixel by pixel.
+
+    dt is the tactile depth; dp is the z of the proximity point after its move into the tactile camera's frame,
+    ``(T_tactile_proximity p)_z``, and with a homography the proximity depth itself.
+    """
 
     name = "tolerance"
     sections = {"tolerance": ToleranceSection, "outliers": OutlierSection}

@@ -30,6 +30,13 @@ _MAX_PIXELS: Final = 2**24
 #: Limit of what an archive of arrays unpacks to, beyond 8 times its own size.
 _MAX_UNPACKED_BYTES: Final = 200_000_000
 _PNG_START: Final = b"\x89PNG\r\n\x1a\n"
+#: The parts of a PNG that hold its pixels, and the bits that each of its types of colour may have.
+_PNG_PARTS: Final = (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")
+_PNG_BITS: Final = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
+#: The mark at the end of a JPEG, behind which cameras may pad this many bytes.
+_JPEG_START: Final = b"\xff\xd8\xff"
+_JPEG_END: Final = b"\xff\xd9"
+_JPEG_PADDING: Final = 4096
 
 #: CPython 3.11 fails if two threads parse literals at the same time, as NumPy does for the header of each array.
 _parsing = threading.Lock()
@@ -64,8 +71,10 @@ def parse_json(text: str | bytes) -> Any:
         return json.loads(text, object_pairs_hook=_unique)
     except json.JSONDecodeError as error:
         raise ValueError(f"not valid JSON (line {error.lineno}, column {error.colno}: {error.msg})") from error
-    except (UnicodeDecodeError, RecursionError) as error:
-        raise ValueError(f"not valid JSON ({error})") from error
+    except UnicodeDecodeError as error:
+        raise ValueError(f"not valid JSON (byte {error.start} is no UTF-8)") from error
+    except RecursionError as error:
+        raise ValueError("not valid JSON (it is nested too deep)") from error
 
 
 def read_json(path: Path | str) -> Any:
@@ -119,10 +128,12 @@ def decode_image(data: bytes, *, gray: bool = False) -> AnyArray:
     """
     import cv2  # on demand: presets and patches need no images
 
+    # OpenCV's libraries would complain on the terminal, and return something
     if data.startswith(_PNG_START):
         image_size(data)
-        if not _checksums_are_right(data):  # OpenCV would complain on the terminal, and return something
-            raise ValueError("its checksums are wrong")
+        data = _pixels_of_png(data)
+    elif data.startswith(_JPEG_START) and _JPEG_END not in data[-_JPEG_PADDING:]:
+        raise ValueError("it is cut off")
     image = None
     with suppress(cv2.error):
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE if gray else cv2.IMREAD_UNCHANGED)
@@ -142,16 +153,28 @@ def image_size(data: bytes) -> tuple[int, int]:
     return width, height
 
 
-def _checksums_are_right(png: bytes) -> bool:
-    view, at = memoryview(png), len(_PNG_START)
-    while at + 12 <= len(png):
+def _pixels_of_png(png: bytes) -> bytes:
+    """Return a PNG without profiles, times and notes; `ValueError` if it is cut off or its header cannot be."""
+    parts, at, view = [_PNG_START], len(_PNG_START), memoryview(png)
+    names: list[bytes] = []
+    while not names or names[-1] != b"IEND":
         end = at + 8 + int.from_bytes(view[at : at + 4])
-        if zlib.crc32(view[at + 4 : end]) != int.from_bytes(view[end : end + 4]) or end + 4 > len(png):
-            return False
-        if png[at + 4 : at + 8] == b"IEND":
-            return True
+        name = png[at + 4 : at + 8]
+        if end + 4 > len(png) or zlib.crc32(view[at + 4 : end]) != int.from_bytes(view[end : end + 4]):
+            raise ValueError("its checksums are wrong")
+        if name in _PNG_PARTS:
+            names.append(name)
+            parts.append(png[at : end + 4])
+        elif name[:1].isupper():
+            raise ValueError(f"its part {foreign(name.decode('latin1'))} is unknown")
         at = end + 4
-    return False
+    bits, color = png[24:26]
+    before = names[: names.index(b"IDAT")] if b"IDAT" in names else []
+    if before[:1] != [b"IHDR"] or names.count(b"IHDR") > 1 or bits not in _PNG_BITS.get(color, ()):
+        raise ValueError("its header is damaged")
+    if color == 3 and b"PLTE" not in before:
+        raise ValueError("its palette is missing")
+    return b"".join(parts)
 
 
 _ARRAYS = ("proximity_depth", "tactile_depth", "proximity_color", "tactile_color")

@@ -23,7 +23,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from ..errors import SourceError
+from ..errors import SourceError, foreign
 from .frames import DepthCamera, Rig
 from .intrinsics import Intrinsics
 from .loading import read_json
@@ -112,7 +112,7 @@ def validation_sentence(error: ValidationError, origin: str, what: str) -> str:
     """Return a message about the first error, with the path of the field as in the file; ``what`` has the fields."""
     details = error.errors(include_url=False)
     first = details[0]
-    where = ".".join(str(part) for part in first["loc"] if part != "intrinsics") or what
+    where = foreign(".".join(str(part) for part in first["loc"] if part != "intrinsics"), 120) or what
     more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
     if first["type"] == "missing":
         return f"{origin}: {where} is missing{more}; add it"

@@ -102,7 +102,7 @@ def choose_lens(lenses: Sequence[StatedLens], role: str, size: tuple[int, int]) 
     named = named or [lens for lens in lenses if words[0] in lens.name]
     fitting = named or [lens for lens in lenses if lens.size in (None, size)] or list(lenses)
     if len(fitting) > 1:
-        path, names = lenses[0].path, [lens.name.split(" ")[0] for lens in lenses]
+        path, names = lenses[0].path, [foreign(lens.name.split(" ")[0], 40) for lens in lenses[:4]]
         raise SourceError(
             f"{path} has {len(lenses)} cameras ({', '.join(names)}); name the one of {role}, as in {path}:{names[0]}"
         )
@@ -197,7 +197,9 @@ def _camera(path: Path, name: str, given: _Fields) -> StatedLens | None:
         return None
     family = str(fields.get("camera_model", "pinhole"))  # Kalibr's; others than pinhole give the numbers other meanings
     if family.lower() != "pinhole":
-        raise SourceError(f"{path}: the camera model {foreign(family, 40)!r} of {name} is unknown; known is pinhole")
+        raise SourceError(
+            f"{path}: the camera model {foreign(family, 40)!r} of {foreign(name, 40)} is unknown; known is pinhole"
+        )
     coefficients = next((_flat(fields[key]) for key in _COEFFICIENTS if fields.get(key) is not None), ())
     fisheye = str(fields.get("fisheye_model", fields.get("fisheye", 0))).lower() not in ("0", "false", "none")
     model = str(fields.get("distortion_model") or fields.get("distortion") or ("fisheye" if fisheye else "opencv"))
@@ -208,7 +210,7 @@ def _camera(path: Path, name: str, given: _Fields) -> StatedLens | None:
     try:
         pose = None if turned is None else camera_pose(np.array(_flat(turned)).reshape(4, 4))
     except ValueError as error:
-        raise SourceError(f"{path}: T_cn_cnm1 of {name}: {error}") from error
+        raise SourceError(f"{path}: T_cn_cnm1 of {foreign(name, 40)}: {foreign(error, 120)}") from error
     return StatedLens(
         path,
         label,

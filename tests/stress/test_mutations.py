@@ -17,6 +17,7 @@ pytestmark = pytest.mark.long
 VALUES = (
     *("null", "[]", "{}", '""', '"x"', "true", "-1", "0", "1e300", "-1e300", "NaN", "Infinity", "1" * 400, "0.5"),
     *("[[[[]]]]", "9223372036854775808", '"\\u0000"', '"../../x"', "[1e999]", "[" * 100_000 + "]" * 100_000),
+    *(f'"\\u001b[31m{"wxyz" * 2000}"', f"\x1b[31m{'wxyz ' * 2000}"),
 )
 
 
@@ -37,7 +38,8 @@ def is_read(read, folder, what):
     try:
         return read(folder) is not False
     except TactuneError as error:
-        assert "\n" not in str(error), what
+        assert str(error).isprintable(), what
+        assert str(error).count("wxyz") < 100, f"{what}: a message prints the whole value"
         return False
     except Exception as error:
         raise AssertionError(f"{what}: {type(error).__name__}: {error}") from error

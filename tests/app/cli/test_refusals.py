@@ -1,5 +1,6 @@
 """What a command cannot do is one sentence that names it, exit status 2, and no file."""
 
+import json
 from importlib import resources
 from pathlib import Path
 
@@ -74,3 +75,27 @@ def test_it_is_one_sentence_and_writes_nothing(tactune, recording, tmp_path, wor
     assert named in tactune(*words.split()).sentence
     assert list(out.iterdir()) == []
     assert {path: path.read_bytes() for path in before} == before
+
+
+LONG = "\x1b[31m" + "wxyz" * 2000
+POINTS = "id,enabled,proximity_u,proximity_v,tactile_u,tactile_v,tactile_depth_m\n1,1,1,1,1,"
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        ("preset new --out OUT --rig FILE", json.dumps({LONG: 1})),
+        ("preset validate FILE", json.dumps({LONG: 1, "schema": LONG})),
+        ("calibrate --rig IN --points FILE", f"{LONG},enabled\n1,1\n"),
+        ("calibrate --rig IN --points FILE", f"{POINTS}{LONG},1\n"),
+    ],
+)
+def test_a_message_prints_little_of_a_file_and_no_control_characters(tactune, recording, tmp_path, words, text):
+    file = tmp_path / "\x1b[2J" / "a.json"
+    file.parent.mkdir()
+    file.write_text(text)
+    for place, path in (("FILE", file), ("OUT", tmp_path / "out.json"), ("IN", recording)):
+        words = words.replace(place, str(path))
+    said = tactune(*words.split()).sentence
+    assert said.strip().isprintable()
+    assert said.count("wxyz") < 50
