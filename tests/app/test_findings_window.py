@@ -16,6 +16,7 @@ from tactune.app.worker.results import CloudName
 from tactune.core.preset import Preset
 
 WIDTH, HEIGHT = 160, 120
+RIG = tiny_rig(WIDTH, HEIGHT)
 
 
 def disagreeing_frame(index, rig):
@@ -30,22 +31,11 @@ def disagreeing_frame(index, rig):
     )
 
 
-class OtherSource(FakeSource):
-    """A recording whose frames are made by a function of index and rig."""
-
-    def __init__(self, make, name):
-        super().__init__(rig=tiny_rig(WIDTH, HEIGHT))
-        self.make, self.name = make, name
-
-    def read(self, index):
-        return self.make(index, self.rig)
-
-
 @pytest.fixture
 def window(qtbot, window):
     """A window that stands still on cameras that disagree."""
     window.document.new(Preset(name="tiny", contact_test="tolerance").with_values({"tolerance.t": 0.02}))
-    show_source(qtbot, window, OtherSource(disagreeing_frame, "disagreeing"), 3)
+    show_source(qtbot, window, FakeSource(rig=RIG, make=disagreeing_frame, name="disagreeing"), 3)
     qtbot.waitUntil(window.status.findings.isVisible)
     return window
 
@@ -119,7 +109,7 @@ def hovering_frame(index, rig):
 
 def test_hovering_tells_the_gap_of_the_membrane(make_window, qtbot):
     window = make_window(Preset(name="tiny").with_value("membrane.bias", False))
-    show_source(qtbot, window, OtherSource(hovering_frame, "hovering"), 0)
+    show_source(qtbot, window, FakeSource(rig=RIG, make=hovering_frame, name="hovering"), 0)
     pane = window.strip.panes["difference"]
     QTest.mouseMove(pane.view.viewport(), image_position(pane, WIDTH // 2, HEIGHT // 2).toPoint())
     qtbot.waitUntil(lambda: "outside the edge of contact" in window.strip.readout.text())

@@ -14,7 +14,6 @@ from tactune.widgets.basics.colormaps import patch_lut
 from tactune.widgets.basics.theme import theme_name
 
 LEFT = Qt.MouseButton.LeftButton
-CONTROL = Qt.KeyboardModifier.ControlModifier
 
 
 def test_shows_every_part_of_a_frame(window):

@@ -10,8 +10,6 @@ from hands import press, show_source
 from tactune.app.window import recording
 from tactune.core.sources.registry import open_source
 
-LEFT = Qt.MouseButton.LeftButton
-
 
 @pytest.fixture
 def folder(tmp_path):

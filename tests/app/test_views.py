@@ -17,19 +17,13 @@ LEFT = Qt.MouseButton.LeftButton
 PATCH, TACTILE, PROXIMITY = CloudName.PATCH, CloudName.TACTILE, CloudName.PROXIMITY
 
 
-class WallSource(FakeSource):
+def before_a_wall(index, rig):
     """A disc on the membrane in front of a wall at 2 m; past the membrane's edge the tactile camera sees 3 m."""
-
-    def __init__(self):
-        super().__init__()
-        self.name = "wall"
-
-    def read(self, index):
-        frame = tiny_frame(index, self.rig)
-        proximity, tactile = frame.proximity_depth.copy(), frame.tactile_depth.copy()
-        proximity[proximity > 1.05 * proximity.min()] = round(2.0 / self.rig.proximity.depth_unit_m)
-        tactile[:, :5] = round(3.0 / self.rig.tactile.depth_unit_m)
-        return replace(frame, proximity_depth=proximity, tactile_depth=tactile)
+    frame = tiny_frame(index, rig)
+    proximity, tactile = frame.proximity_depth.copy(), frame.tactile_depth.copy()
+    proximity[proximity > 1.05 * proximity.min()] = round(2.0 / rig.proximity.depth_unit_m)
+    tactile[:, :5] = round(3.0 / rig.tactile.depth_unit_m)
+    return replace(frame, proximity_depth=proximity, tactile_depth=tactile)
 
 
 def canvas(window, name):
@@ -63,7 +57,7 @@ def shows_all(window):
 
 
 def test_the_membrane_is_framed_not_the_wall_behind_and_frames_do_not_move_the_camera(window, qtbot):
-    show_source(qtbot, window, WallSource(), 3)
+    show_source(qtbot, window, FakeSource(make=before_a_wall), 3)
     for key in (None, Qt.Key.Key_V, Qt.Key.Key_T, Qt.Key.Key_R):
         if key is not None:
             QTest.keyClick(window, key)

@@ -72,7 +72,7 @@ def recording(tmp_path):
     """Two frames with everything that a recording can hold."""
     frames = [folder_scenes.make_frame(seed) for seed in (0, 1, 9)]
     path = tmp_path / "recording"
-    export_folder(folder_scenes.ListSource(frames[:2], untouched=frames[2]), path)
+    export_folder(folder_scenes.list_source(frames[:2], untouched=frames[2]), path)
     return path
 
 

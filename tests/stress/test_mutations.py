@@ -7,7 +7,7 @@ import re
 import pytest
 
 from attacks import bounded
-from fuzz_recordings import damaged
+from damage import damaged
 from kinds import KINDS
 from tactune.core.errors import TactuneError
 

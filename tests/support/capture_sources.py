@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
+import folder_scenes
 from fakes import FakeSource
 from tactune.core.errors import MissingExtraError, SourceError
 from tactune.core.model.frames import ColorCamera, DepthCamera, GroundTruth, Rig, SensorFrame
@@ -30,15 +29,15 @@ def capture_pid() -> int:
     return pid
 
 
-def make_rig(proximity: Size = (16, 12), tactile: Size = (20, 14), color: Size | None = None, serial: str = "1") -> Rig:
-    """A rig whose images have these widths and heights."""
+def make_rig(proximity: Size = (16, 12), tactile: Size = (20, 14), color: Size | None = None) -> Rig:
+    """A rig whose images have these widths and heights, with lenses that a window can draw."""
 
     def lens(size: Size) -> Intrinsics:
         return Intrinsics(width=size[0], height=size[1], fx=50, fy=50, cx=3, cy=3)
 
     return Rig(
-        proximity=DepthCamera(model="L515", serial=f"p{serial}", intrinsics=lens(proximity), depth_unit_m=0.00025),
-        tactile=DepthCamera(model="D405", serial=f"t{serial}", intrinsics=lens(tactile), depth_unit_m=0.0001),
+        proximity=DepthCamera(model="L515", serial="p1", intrinsics=lens(proximity), depth_unit_m=0.00025),
+        tactile=DepthCamera(model="D405", serial="t1", intrinsics=lens(tactile), depth_unit_m=0.0001),
         proximity_color=ColorCamera(intrinsics=lens(color), T_color_depth=POSE) if color else None,
     )
 
@@ -47,25 +46,16 @@ def make_frame(
     rig: Rig, number: int, *, tactile_color: bool = False, truth: bool = False, truth_depth: bool = False
 ) -> SensorFrame:
     """Frame ``number``: random images that differ from those of any other number."""
-    rng = np.random.default_rng(number)
-    proximity, tactile = rig.proximity.intrinsics.shape, rig.tactile.intrinsics.shape
-    depth = rng.random(proximity, np.float32)
-    depth[rng.random(proximity) < 0.1] = np.nan
-    return SensorFrame(
-        sequence=number,
-        proximity_depth=rng.integers(0, 65536, proximity, np.uint16),
-        tactile_depth=rng.integers(0, 65536, tactile, np.uint16),
-        proximity_color=rng.integers(0, 256, (*rig.proximity_color_shape, 3), np.uint8),
-        tactile_color=rng.integers(0, 256, (*tactile, 3), np.uint8) if tactile_color else None,
-        proximity_time_s=number / 30 + 0.1,
-        tactile_time_s=number / 30 + 0.1021,
-        truth=GroundTruth(
-            rng.random(proximity) < 0.5,
-            depth if truth_depth else None,
-            T_proximity_object=POSE if truth_depth else None,
-        )
-        if truth
-        else None,
+    time_s = number / 30 + 0.1
+    made = folder_scenes.make_frame(
+        number, rig, sequence=number, proximity_time_s=time_s, tactile_time_s=time_s + 0.0021
+    )
+    assert made.truth is not None
+    depth_m, pose = (made.truth.depth_m, POSE) if truth_depth else (None, None)
+    return replace(
+        made,
+        tactile_color=made.tactile_color if tactile_color else None,
+        truth=GroundTruth(made.truth.contact, depth_m, T_proximity_object=pose) if truth else None,
     )
 
 

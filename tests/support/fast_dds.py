@@ -10,10 +10,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from mcap.records import Schema
-from mcap_ros2.decoder import DecoderFactory
-
-from tactune.core.output.messages import definition
+from ros_messages import decoded
 from tactune.core.output.publisher import LIVE_TOPICS
 
 WAIT_S = 60
@@ -84,10 +81,7 @@ class FastDds:
 
     def decoded(self, topic: str) -> Any:
         """Return the latest message, decoded by the ROS 2 decoder of MCAP."""
-        schema = Schema(1, definition(LIVE_TOPICS[topic]).encode(), "ros2msg", LIVE_TOPICS[topic])
-        decode = DecoderFactory().decoder_for("cdr", schema)
-        assert decode is not None
-        return decode(self.latest[topic])
+        return decoded(LIVE_TOPICS[topic], self.latest[topic])
 
     def __enter__(self) -> FastDds:
         return self

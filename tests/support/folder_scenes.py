@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from fakes import FakeSource
 from tactune.core.model.frames import ColorCamera, DepthCamera, GroundTruth, Rig, SensorFrame
 from tactune.core.model.intrinsics import Distortion, Intrinsics
-from tactune.core.sources.base import FrameSource, SeekableSource
 
 UNIT_M = 0.00025
 POSE = ((0.0, -1.0, 0.0, 0.04), (1.0, 0.0, 0.0, -0.01), (0.0, 0.0, 1.0, 0.1 / 3), (0.0, 0.0, 0.0, 1.0))
@@ -50,26 +50,6 @@ def make_frame(seed: int, rig: Rig = RIG, **changes: object) -> SensorFrame:
     return SensorFrame(**(values | changes))  # type: ignore[arg-type]
 
 
-class ListSource(SeekableSource):
-    def __init__(self, frames: list[SensorFrame], rig: Rig = RIG, untouched: SensorFrame | None = None) -> None:
-        super().__init__("list", rig, len(frames))
-        self.frames = frames
-        self._untouched = untouched
-
-    def read(self, index: int) -> SensorFrame:
-        return self.frames[index]
-
-    def untouched(self) -> SensorFrame | None:
-        return self._untouched
-
-
-class LiveSource(FrameSource):
-    name = "live"
-    rig = RIG  # type: ignore[assignment]
-
-    def __init__(self) -> None:
-        self._given = 0
-
-    def next_frame(self) -> SensorFrame | None:
-        self._given += 1
-        return make_frame(self._given)
+def list_source(frames: list[SensorFrame], rig: Rig = RIG, untouched: SensorFrame | None = None) -> FakeSource:
+    """Return a recording of these frames."""
+    return FakeSource(rig=rig, frames=frames, name="list", untouched=untouched)

@@ -23,7 +23,7 @@ from PyQt6.QtGui import QImage
 from PyQt6.QtWidgets import QApplication, QWidget
 
 from bag_maker import D405, L515, make_bag
-from folder_scenes import RIG, ListSource, make_frame
+from folder_scenes import RIG, list_source, make_frame
 from tactune.app.analysis.live_tab import write_picture
 from tactune.app.calibration.keeping import Keeper
 from tactune.app.calibration.session import Session, SessionState, Snapshot
@@ -379,9 +379,9 @@ KINDS: dict[str, Kind] = {
     "untouched frame": Kind(write_untouched, read_untouched),
     "rig": Kind(lambda f, n: write_rig(fresh(f), RIG), read_rigs, 600, new=lambda f, n: write_rig(f / "new", RIG)),
     "folder": Kind(
-        lambda f, n: export_folder(ListSource(FRAMES), fresh(f)),
+        lambda f, n: export_folder(list_source(FRAMES), fresh(f)),
         play_all,
-        new=lambda f, n: export_folder(ListSource(FRAMES[n:]), f / "new"),
+        new=lambda f, n: export_folder(list_source(FRAMES[n:]), f / "new"),
     ),
     "foreign folder": Kind(foreign_folder, play, ours=False),
     "folder of arrays": Kind(npy_folder, play, ours=False),
@@ -395,10 +395,10 @@ KINDS: dict[str, Kind] = {
         new=lambda f, n: export_calibration(f / "new.urdf", "urdf", RIG, exclusive=True),
     ),
     "HDF5": Kind(
-        lambda f, n: export_hdf5(ListSource(FRAMES), f / "a.h5"),
+        lambda f, n: export_hdf5(list_source(FRAMES), f / "a.h5"),
         read_hdf5,
         0,
-        new=lambda f, n: export_hdf5(ListSource(FRAMES[n:]), f / "new.h5", exclusive=True),
+        new=lambda f, n: export_hdf5(list_source(FRAMES[n:]), f / "new.h5", exclusive=True),
     ),
     "recording": Kind(
         lambda f, n: record(fresh(f, ".mcap"), 0),
@@ -408,10 +408,10 @@ KINDS: dict[str, Kind] = {
         new=lambda f, n: record(f / "new.mcap", n),
     ),
     "converted recording": Kind(
-        lambda f, n: export_mcap(ListSource(FRAMES[n:]), f / "a.mcap"),
+        lambda f, n: export_mcap(list_source(FRAMES[n:]), f / "a.mcap"),
         play_all,
         100,
-        new=lambda f, n: export_mcap(ListSource(FRAMES[n:]), f / "new.mcap", exclusive=True),
+        new=lambda f, n: export_mcap(list_source(FRAMES[n:]), f / "new.mcap", exclusive=True),
     ),
     "patches": Kind(
         lambda f, n: write_patches(fresh(f, ".mcap"), n), grows=True, new=lambda f, n: write_patches(f / "new.mcap", n)

@@ -10,9 +10,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from fakes import FakeSource
 from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
-from tactune.core.sources.base import FrameSource, SeekableSource
+from tactune.core.sources.base import FrameSource
 
 WIDTH, HEIGHT = 160, 120
 BASELINE_M = 0.040
@@ -77,15 +78,9 @@ def wall_frame(rig: Rig, index: int, step_m: float = 0.0, bias_m: float = 0.004)
     return SensorFrame(index, proximity, tactile, color, proximity_time_s=index / 30, tactile_time_s=index / 30)
 
 
-class Wall(SeekableSource):
+def wall_source(rig: Rig, length: int = 30, **options: float) -> FakeSource:
     """A recording of the wall."""
-
-    def __init__(self, rig: Rig, length: int = 30, step_m: float = 0.0, bias_m: float = 0.004) -> None:
-        super().__init__("wall", rig, length)
-        self._step_m, self._bias_m = step_m, bias_m
-
-    def read(self, index: int) -> SensorFrame:
-        return wall_frame(self.rig, index, self._step_m, self._bias_m)
+    return FakeSource(length, rig, make=lambda index, rig: wall_frame(rig, index, **options), name="wall")
 
 
 class WallCameras(FrameSource):

@@ -11,7 +11,6 @@ from tactune.widgets.basics.overlays import Wipe
 from tactune.widgets.clouds.cloud_view import CloudView
 from tactune.widgets.images.image_strip import ImageStrip, RenderedStrip
 
-LEFT = Qt.MouseButton.LeftButton
 #: Width of what the wipe paints beside its line, in pixels, and height of the names above.
 GRIP, NAMES = 10, 40
 

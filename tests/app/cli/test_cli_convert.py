@@ -3,7 +3,6 @@
 from xml.etree import ElementTree
 
 import h5py
-import pytest
 
 from tactune.core.sources.lens_files import read_lenses
 
@@ -17,18 +16,3 @@ def test_a_recording_becomes_hdf5_and_its_calibration_urdf(tactune, recording, t
     assert ElementTree.parse(tmp_path / "a.urdf").getroot().tag == "robot"
     assert tactune("convert", "simulator", tmp_path / "b.yaml", "--to", "kalibr").status == 0
     assert len(read_lenses(tmp_path / "b.yaml")) == 3
-
-
-@pytest.mark.parametrize(
-    ("source", "target", "sentence"),
-    [
-        ("sim:cup", "a.yaml", "--to ros"),
-        ("sim:cup", "a.bag", "read only"),
-        ("default", "a.urdf", "names none"),
-        ("nowhere", "a.urdf", "no source"),
-    ],
-)
-def test_what_cannot_be_written_is_refused(tactune, tmp_path, source, target, sentence):
-    refused = tactune("convert", source, tmp_path / target)
-    assert refused.status == 2 and sentence in refused.err
-    assert not list(tmp_path.iterdir())

@@ -4,7 +4,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from side_by_side import HEIGHT, PRINT_MASK, WIDTH, Wall, rig
+from side_by_side import HEIGHT, PRINT_MASK, WIDTH, rig, wall_source
 from tactune.core.preset import Preset
 from tactune.core.preset.file import save_preset
 from tactune.core.rig.untouched import load_untouched
@@ -18,7 +18,7 @@ LAST_YEAR = datetime(2025, 6, 1, tzinfo=UTC)
 
 @pytest.fixture
 def wall(tmp_path, rig):
-    export_folder(Wall(rig, 14), tmp_path / "wall")
+    export_folder(wall_source(rig, 14), tmp_path / "wall")
     return tmp_path / "wall"
 
 
@@ -45,7 +45,7 @@ def test_noise_and_bias_are_said_and_stored(tactune, wall, mine):
 
 def test_a_shipped_preset_is_measured_into_another_file(tactune, rig, tmp_path):
     wall = tmp_path / "apart"  # the proximity camera looks through the membrane at something 60 mm behind
-    export_folder(Wall(rig, 14, bias_m=0.060), wall)
+    export_folder(wall_source(rig, 14, bias_m=0.060), wall)
     out = tmp_path / "measured.json"
     finished = tactune("preset", "measure-rig", "--source", wall, "--out", out)
     assert finished.status == 0

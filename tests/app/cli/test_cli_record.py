@@ -12,6 +12,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from capture_sources import same_frame
+from ros_messages import points_of
 from tactune.core import ContactPipeline, load_preset, open_source
 from tactune.core.sources.mcap.source import McapSource
 
@@ -93,7 +94,6 @@ def test_patches_go_into_one_bag_with_the_stamps_of_their_frames(tmp_path, recor
     done = tactune("run", "--source", recording, "--preset", "default", "--out", out)
     assert done.status == 0
     assert f"wrote {out}\n" in done.out
-    clouds = []
     with out.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         clouds = [(channel.topic, message, cloud) for _, channel, message, cloud in reader.iter_decoded_messages()]
@@ -104,8 +104,8 @@ def test_patches_go_into_one_bag_with_the_stamps_of_their_frames(tmp_path, recor
             stamp = cloud.header.stamp
             assert stamp.sec * 10**9 + stamp.nanosec == round(frame.proximity_time_s * 1e9)
             assert message.sequence == frame.sequence
-            points = np.frombuffer(cloud.data, np.float32).reshape(-1, 3)
-            np.testing.assert_array_equal(points, pipeline.process(frame).points)
+            assert cloud.header.frame_id == "proximity_depth_optical_frame" and cloud.is_dense
+            np.testing.assert_array_equal(points_of(cloud)[0], pipeline.process(frame).points)
     assert len(clouds[-1][2].data) > 0
     assert "patches.mcap is already there" in tactune("run", "-s", recording, "--out", out).sentence
     assert "its topics are /contact/patch" in tactune("run", "-s", out, "--json").sentence

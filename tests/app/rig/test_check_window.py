@@ -7,7 +7,7 @@ from PyQt6.QtTest import QTest
 
 from fakes import FakeSource
 from hands import LEFT, show_source
-from side_by_side import HEIGHT, PRINT_MASK, WIDTH, Wall, WallCameras, counts
+from side_by_side import HEIGHT, PRINT_MASK, WIDTH, WallCameras, counts, wall_source
 from tactune.app.rig import gather
 from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
@@ -73,7 +73,7 @@ def wait(qtbot, condition):
 
 
 def test_the_quality_of_a_wall_is_what_was_put_in(open_checks, rig, qtbot):
-    main = open_checks(Wall(rig, 60))
+    main = open_checks(wall_source(rig, 60))
     tab = main.checks.window.quality
     wait(qtbot, lambda: tab.quality is not None)
     near, _ = tab.quality
@@ -94,7 +94,7 @@ def test_the_quality_of_a_wall_is_what_was_put_in(open_checks, rig, qtbot):
 
 
 def test_noise_and_bias_are_measured_used_and_undone(open_checks, rig, qtbot):
-    main = open_checks(Wall(rig))
+    main = open_checks(wall_source(rig))
     tab = bring(qtbot, main, "noise")
     assert "not measured" in tab.stored.text()
     tab.wanted = 20
@@ -112,7 +112,7 @@ def test_noise_and_bias_are_measured_used_and_undone(open_checks, rig, qtbot):
 
 
 def test_what_cannot_be_measured_is_said(open_checks, rig, qtbot):
-    main = open_checks(Wall(rig, length=2000, step_m=0.001))  # it does not come back to its first place
+    main = open_checks(wall_source(rig, length=2000, step_m=0.001))  # it does not come back to its first place
     tab = bring(qtbot, main, "noise")
     tab.wanted = 20
     QTest.mouseClick(tab.start, LEFT)

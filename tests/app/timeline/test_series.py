@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fakes import FakeSource
+from fakes import FakeSource, tiny_frame
 from tactune.app.timeline.series import Series, time_series, visiting_order
 from tactune.app.timeline.series_job import SeriesJob
 from tactune.core import ContactPipeline
@@ -16,17 +16,15 @@ from tactune.core.sources.folder import export_folder
 PRESET = Preset(contact_test="tolerance").with_values({"tolerance.t": 0.03, "outliers.enabled": False})
 
 
-class KnownSource(FakeSource):
-    """Knows the truth: the right half of the image is in contact."""
-
-    def read(self, index):
-        contact = np.zeros(self.rig.proximity.intrinsics.shape, np.bool_)
-        contact[:, contact.shape[1] // 2 :] = True
-        return replace(super().read(index), truth=GroundTruth(contact))
+def known_frame(index, rig):
+    """A frame with its truth: the right half of the image is in contact."""
+    contact = np.zeros(rig.proximity.intrinsics.shape, np.bool_)
+    contact[:, contact.shape[1] // 2 :] = True
+    return replace(tiny_frame(index, rig), truth=GroundTruth(contact))
 
 
 def test_the_series_is_the_pipelines_and_a_damaged_frame_a_gap():
-    source = KnownSource(8, broken=frozenset({3}))
+    source = FakeSource(8, broken={3}, make=known_frame)
     series = Series(source.length, source.frame_rate_hz)
     for values in time_series(source, PRESET, visiting_order(8, PRESET)):
         series.put(values)

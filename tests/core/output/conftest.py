@@ -6,6 +6,7 @@ import pytest
 
 import capture_sources
 import folder_scenes
+from tactune.core import ContactPipeline, load_preset, open_source
 from tactune.core.output import SessionWriter
 
 
@@ -49,3 +50,14 @@ def record():
 def same_frame():
     """Whether two frames have the same bits; a recording does not hold the object's true pose."""
     return partial(capture_sources.same_frame, pose=False)
+
+
+@pytest.fixture(scope="session")
+def processed():
+    """A frame, its patch and the preset."""
+    preset = load_preset("simulator")
+    with open_source("sim:cup") as source:
+        source.seek(40)
+        frame = source.next_frame()
+        assert frame is not None
+        return frame, ContactPipeline(preset, source.rig).process(frame), preset

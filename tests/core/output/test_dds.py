@@ -13,27 +13,16 @@ import numpy as np
 import pytest
 
 from fast_dds import FastDds
-from tactune.core import ContactPipeline, load_preset, open_source
+from ros_messages import points_of
 from tactune.core.errors import PublishError
 from tactune.core.output.dds import DdsSink
 from tactune.core.output.publisher import LIVE_TOPICS, Publisher
 
-SUPPORT = Path(__file__).resolve().parents[2] / "support"
 PERIOD_S = 1 / 30
 
 #: Pose of the object and its covariance.
 POSE = np.eye(4), np.diag(np.arange(1.0, 7.0))
 POSE[0][:3, 3] = 0.1, -0.02, 0.3
-
-
-@pytest.fixture(scope="module")
-def processed():
-    preset = load_preset("simulator")
-    with open_source("sim:cup") as source:
-        source.seek(40)
-        frame = source.next_frame()
-        assert frame is not None
-        return frame, ContactPipeline(preset, source.rig).process(frame), preset
 
 
 @contextmanager
@@ -55,10 +44,6 @@ def published(processed, *sinks):
         finally:
             ended.set()
             thread.join()
-
-
-def points_of(cloud):
-    return np.frombuffer(bytes(cloud.data), "<f4").reshape(cloud.height, cloud.width, 3)
 
 
 @pytest.mark.long

@@ -11,7 +11,7 @@ import pytest
 from ruamel.yaml import YAML
 from scipy.spatial.transform import Rotation
 
-from folder_scenes import RIG, ListSource, make_frame
+from folder_scenes import RIG, list_source, make_frame
 from tactune.core.errors import TactuneError
 from tactune.core.model.frames import Rig, SensorFrame
 from tactune.core.model.intrinsics import Distortion
@@ -127,7 +127,7 @@ def test_h5py_reads_every_image_time_and_unit(tmp_path):
     frames = [make_frame(0), make_frame(1, tactile_color=None, truth=None), make_frame(2)]
     untouched = make_frame(9)
     told = []
-    source = ListSource(frames, untouched=untouched)
+    source = list_source(frames, untouched=untouched)
     assert export_hdf5(source, tmp_path / "a.h5", progress=lambda share, _: told.append(share)) == 3
     assert told[-1] == 1.0
     with h5py.File(tmp_path / "a.h5") as file:
@@ -150,14 +150,14 @@ def test_h5py_reads_every_image_time_and_unit(tmp_path):
 def test_an_exclusive_export_as_hdf5_replaces_no_file(tmp_path):
     (tmp_path / "a.h5").write_text("mine")
     with pytest.raises(TactuneError, match="already there"):
-        export_hdf5(ListSource([make_frame(0)]), tmp_path / "a.h5", exclusive=True)
+        export_hdf5(list_source([make_frame(0)]), tmp_path / "a.h5", exclusive=True)
     assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
 
 
 def test_one_camera_alone_is_the_tactile_one(tmp_path):
     rig = Rig.of_one_camera(RIG.proximity)
     frame = SensorFrame.of_one_camera(0, make_frame(0).proximity_depth, None, 0.0)
-    export_hdf5(ListSource([frame], rig), tmp_path / "a.h5")
+    export_hdf5(list_source([frame], rig), tmp_path / "a.h5")
     with h5py.File(tmp_path / "a.h5") as file:
         assert "proximity" not in file
         np.testing.assert_array_equal(file["tactile/depth"][0], frame.tactile_depth)

@@ -7,7 +7,6 @@ from mcap_ros2.decoder import DecoderFactory
 from scipy.spatial.transform import Rotation
 
 from tactune.core import load_preset
-from tactune.core.output.bag import PatchWriter
 from tactune.core.preset.file import preset_json
 
 TYPES = {
@@ -46,7 +45,7 @@ def decode(path):
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
         for schema, channel, message, decoded in reader.iter_decoded_messages():
             assert (schema.encoding, channel.message_encoding) == ("ros2msg", "cdr")
-            assert schema.name == TYPES.get(channel.topic, "sensor_msgs/msg/PointCloud2")
+            assert schema.name == TYPES[channel.topic]
             found.setdefault(channel.topic, []).append((message, decoded))
     return found
 
@@ -114,27 +113,3 @@ def test_static_transforms_are_the_factory_poses(path, rig):
     np.testing.assert_allclose(poses["tactile_depth_optical_frame"], rig.T_proximity_tactile, atol=1e-12)
     T_depth_color = np.linalg.inv(rig.proximity_color.T_color_depth)
     np.testing.assert_allclose(poses["proximity_color_optical_frame"], T_depth_color, atol=1e-12)
-
-
-def test_patches_are_point_clouds_of_the_same_time(tmp_path, rig):
-    clouds = [
-        np.random.default_rng(seed).normal(size=(count, 3)).astype(np.float32) for seed, count in enumerate((5, 0, 2))
-    ]
-    with PatchWriter(tmp_path / "patches.mcap", rig, load_preset("default"), 30.0) as writer:
-        for index, points in enumerate(clouds):
-            writer.write(points, 10 + index, 1.7e9 + index / 30)
-    found = decode(tmp_path / "patches.mcap")
-    assert list(found) == ["/contact/patch"]
-    for index, (points, (message, cloud)) in enumerate(zip(clouds, found["/contact/patch"], strict=True)):
-        assert message.sequence == 10 + index
-        assert stamp_ns(cloud) == round((1.7e9 + index / 30) * 1e9)
-        assert cloud.header.frame_id == "proximity_depth_optical_frame"
-        assert [(field.name, field.offset, field.datatype, field.count) for field in cloud.fields] == [
-            ("x", 0, 7, 1),
-            ("y", 4, 7, 1),
-            ("z", 8, 7, 1),
-        ]
-        assert (cloud.height, cloud.width, cloud.point_step, cloud.row_step) == (1, len(points), 12, points.nbytes)
-        assert not cloud.is_bigendian
-        assert cloud.is_dense
-        assert bytes(cloud.data) == points.tobytes()

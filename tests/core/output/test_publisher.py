@@ -5,49 +5,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mcap.records import Schema
-from mcap_ros2.decoder import DecoderFactory
 
-from tactune.core import ContactPipeline, load_preset, open_source
+from ros_messages import decoded, points_of
 from tactune.core.errors import PublishError
 from tactune.core.estimation.tilt import Tilt
 from tactune.core.model.clouds import deproject
 from tactune.core.model.patch import ContactPatch, Lazy
-from tactune.core.output.messages import definition
 from tactune.core.output.publisher import LIVE_TOPICS, Publisher, SinkStatus, frame_messages, pose_messages
 
 WAIT_S = 60
 
 
-def decoded(message):
-    schema = Schema(1, definition(message.type).encode(), "ros2msg", message.type)
-    decode = DecoderFactory().decoder_for("cdr", schema)
-    assert decode is not None
-    return decode(message.data)
-
-
-def points_of(cloud):
-    assert [(field.name, field.offset, field.datatype, field.count) for field in cloud.fields] == [
-        ("x", 0, 7, 1),
-        ("y", 4, 7, 1),
-        ("z", 8, 7, 1),
-    ]
-    assert (cloud.point_step, cloud.row_step, cloud.is_bigendian) == (12, 12 * cloud.width, False)
-    return np.frombuffer(bytes(cloud.data), "<f4").reshape(cloud.height, cloud.width, 3)
-
-
 TURN = ((0.0, -1.0, 0.0, 0.1), (1.0, 0.0, 0.0, 0.2), (0.0, 0.0, 1.0, 0.3), (0.0, 0.0, 0.0, 1.0))
 TILT = Tilt(0, 0.0, 9, roll_rad=0.1, roll_sigma_rad=0.01, axis_rad=-0.5, axis_sigma_rad=0.05)
-
-
-@pytest.fixture(scope="module")
-def processed():
-    preset = load_preset("simulator")
-    with open_source("sim:cup") as source:
-        source.seek(40)
-        frame = source.next_frame()
-        assert frame is not None
-        return frame, ContactPipeline(preset, source.rig).process(frame), preset
 
 
 def test_every_topic_arrives_bit_for_bit(processed):
@@ -56,7 +26,7 @@ def test_every_topic_arrives_bit_for_bit(processed):
     built = frame_messages(frame, patch, preset, 5 * 10**9, Lazy(TILT.record))
     posed = pose_messages(np.array(TURN), covariance, built.stamp_ns)
     found = [of.get(topic) for of in (built, posed) for topic in of.builders]
-    seen = {message.topic: decoded(message) for message in found if message is not None}
+    seen = {message.topic: decoded(message.type, message.data) for message in found if message is not None}
     assert seen.keys() == LIVE_TOPICS.keys()
 
     assert len(patch.points) > 1000
@@ -167,7 +137,7 @@ def test_a_pose_that_comes_later_has_the_stamp_of_its_frame(processed):
         assert publisher.status()[0].sent == 2
     [pose] = [message for message in sink.messages if message.topic == "/object/pose"]
     assert pose.stamp_ns == sink.messages[0].stamp_ns
-    assert decoded(pose).pose.pose.position.y == 0.2
+    assert decoded(pose.type, pose.data).pose.pose.position.y == 0.2
 
 
 def test_nothing_is_built_for_nobody(processed):

@@ -40,7 +40,6 @@ def reports(watch, frames, start=0):
     [
         (Drift(), "fine", "tactile", 0.0, "as in the untouched frame"),
         (Drift("tactile", (0.0006, 0, 0)), "camera", "tactile", 0.0006, "The tactile camera has moved by 0.6 mm"),
-        (Drift("tactile", turn_deg=(0, 2, 0)), "camera", "tactile", 0.010, "The tactile camera has moved by"),
         (Drift("proximity", (0, 0.001, 0)), "camera", "proximity", 0.001, "The proximity camera has moved by"),
         (Drift(apex_m=0.0076), "inflation", "inflation", 0.0070, "farther out"),
     ],

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fakes import FakeSource
 from rigs import one_place_rig
 from tactune.core.calibration.snapshots import content_hash
 from tactune.core.errors import CalibrationError, PresetError
@@ -15,7 +16,6 @@ from tactune.core.output import SessionWriter
 from tactune.core.preset import Preset, UntouchedRecord
 from tactune.core.preset.file import save_preset
 from tactune.core.rig.untouched import average_untouched, copy_untouched, find_untouched, load_untouched, save_untouched
-from tactune.core.sources.base import FrameSource
 from tactune.core.sources.mcap.source import McapSource
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
@@ -43,20 +43,9 @@ def dented(frame, counts, size):
     return replace(frame, tactile_depth=depth)
 
 
-class Still(FrameSource):
+def still(untouched=None, rig=RIG):
     """A source whose own untouched frame can be chosen."""
-
-    name = "still"
-    rig = RIG
-
-    def __init__(self, untouched=None):
-        self._untouched = untouched
-
-    def next_frame(self):
-        return untouched_image(0)
-
-    def untouched(self):
-        return self._untouched
+    return FakeSource(rig=rig, untouched=untouched)
 
 
 @pytest.fixture
@@ -148,7 +137,7 @@ def test_a_file_that_is_none_is_refused_in_words(kept, content, said):
 
 def test_the_presets_own_untouched_frame_comes_before_the_sources(kept):
     path, preset, frame = kept
-    found = find_untouched(preset, path, Still(untouched_image(7)))
+    found = find_untouched(preset, path, still(untouched_image(7)))
     assert found.frame is not None
     assert content_hash(found.frame) == content_hash(frame)
     assert not found.warnings
@@ -158,25 +147,23 @@ def test_a_missing_untouched_frame_is_a_warning_and_the_sources_is_taken(kept):
     path, preset, _ = kept
     (path.parent / record_of(preset).file).unlink()
     others = untouched_image(7)
-    found = find_untouched(preset, path, Still(others))
+    found = find_untouched(preset, path, still(others))
     assert found.frame is others
     (sentence,) = found.warnings
     assert "missing" in sentence
-    assert find_untouched(preset, path, Still()).frame is None
+    assert find_untouched(preset, path, still()).frame is None
 
 
 def test_an_untouched_frame_of_another_rig_is_not_used(kept):
     path, preset, _ = kept
-    source = Still()
     wide = RIG.proximity.model_copy(update={"intrinsics": RIG.proximity.intrinsics.model_copy(update={"width": 200})})
-    source.rig = RIG.model_copy(update={"proximity": wide})
-    found = find_untouched(preset, path, source)
+    found = find_untouched(preset, path, still(rig=RIG.model_copy(update={"proximity": wide})))
     assert found.frame is None
     assert "200 x 96" in found.warnings[0]
 
 
 def test_without_one_the_source_is_asked():
-    assert find_untouched(Preset(), None, Still()).frame is None
+    assert find_untouched(Preset(), None, still()).frame is None
     with open_source("sim:cup?press=medium&sensor=datasheet") as source:
         found = find_untouched(Preset(), "simulator", source).frame
         free = found.tactile_depth[200:280, 280:360].mean() - source.read(0).tactile_depth[200:280, 280:360].mean()

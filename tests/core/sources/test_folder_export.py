@@ -2,13 +2,13 @@
 
 import pytest
 
-from folder_scenes import ListSource, make_frame
+from folder_scenes import list_source, make_frame
 from tactune.core.errors import ExportError
 from tactune.core.sources.folder import FolderSource, export_folder
 
 
 def test_export_starts_at_the_position_and_stops_after_so_many_frames(tmp_path):
-    source = ListSource([make_frame(seed) for seed in range(5)])
+    source = list_source([make_frame(seed) for seed in range(5)])
     source.seek(1)
     told = []
     assert export_folder(source, tmp_path / "out", frames=3, progress=lambda share, _: told.append(share)) == 3
@@ -23,15 +23,15 @@ def test_an_export_overwrites_nothing(tmp_path):
     target.mkdir()
     (target / "notes.txt").write_text("mine")
     with pytest.raises(ExportError, match=r"out is already there and not an empty folder; choose another name"):
-        export_folder(ListSource([make_frame(0)]), target)
+        export_folder(list_source([make_frame(0)]), target)
     assert [path.name for path in target.iterdir()] == ["notes.txt"]
     (target / "notes.txt").unlink()
-    export_folder(ListSource([make_frame(0)]), target)
+    export_folder(list_source([make_frame(0)]), target)
     assert FolderSource(target).length == 1
     with pytest.raises(ExportError, match="already there"):
-        export_folder(ListSource([make_frame(0)]), "/")
+        export_folder(list_source([make_frame(0)]), "/")
     file = tmp_path / "file"
     file.write_text("mine")
     with pytest.raises(ExportError, match="already there"):
-        export_folder(ListSource([make_frame(0)]), file)
+        export_folder(list_source([make_frame(0)]), file)
     assert file.read_text() == "mine"

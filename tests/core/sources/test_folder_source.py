@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from capture_sources import same_frame
-from folder_scenes import RIG, ListSource, make_frame
+from folder_scenes import RIG, list_source, make_frame
 from tactune.core.model.frames import GroundTruth
 from tactune.core.sources.folder import FolderSource, export_folder
 
@@ -21,7 +21,7 @@ def test_an_export_gives_back_every_bit(tmp_path):
         make_frame(2, truth=GroundTruth(np.zeros((5, 7), bool))),
     ]
     untouched = make_frame(3, sequence=4, truth=None)
-    assert export_folder(ListSource(frames, untouched=untouched), tmp_path / "out") == 3
+    assert export_folder(list_source(frames, untouched=untouched), tmp_path / "out") == 3
     with FolderSource(tmp_path / "out") as source:
         assert source.rig == RIG
         assert source.length == 3

@@ -8,11 +8,9 @@ import pytest
 from tactune.core.sources.simulator.noise import STEREO_BASELINE_M, NoiseModel
 from tactune.core.sources.simulator.render import CLEAN_UNIT_M, EDGE_FLAG
 from tactune.core.sources.simulator.scene import CleanState, simulator_rig
-from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.sensors import SENSORS
 
 RIG = simulator_rig()
-MEDIUM = Variant(press="medium")
 #: A wall at 0.3 m that faces both cameras.
 WALL = np.full((480, 640), round(0.3 / CLEAN_UNIT_M), dtype=np.uint16)
 #: The default and a coarse one, and the others in the long run.

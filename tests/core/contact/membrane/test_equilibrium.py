@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
+from rigs import one_place_rig
 from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.kernels import cells as cell_kernels
 from tactune.core.contact.kernels import equilibrium as kernels
@@ -15,8 +16,7 @@ from tactune.core.contact.membrane.equilibrium import Cells, cells_of, free_curv
 from tactune.core.contact.membrane.steps import differences_at, membrane_image
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.contact.pixels import Pixels, Workspace
-from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
-from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
 
 SIDE_M, COUNT = 0.001, 61
@@ -209,9 +209,7 @@ def test_beside_an_object_the_gap_is_that_of_its_tangent_plane_to_the_membrane(r
 @pytest.fixture(scope="module")
 def rig():
     """Two cameras in one place, so that pixels compare one by one."""
-    lens = Intrinsics(width=320, height=240, fx=300.0, fy=300.0, cx=159.5, cy=119.5)
-    camera = DepthCamera(intrinsics=lens, depth_unit_m=UNIT_M)
-    return Rig(proximity=camera, tactile=camera, T_proximity_tactile=np.eye(4).tolist())
+    return one_place_rig(320, 240, 300.0, UNIT_M, UNIT_M)
 
 
 def counts(depth_m):

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rigs import one_place_rig
 from tactune.core.contact.kernels.threads import set_threads
 from tactune.core.contact.membrane.bias import FIRM_M2
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
-from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.model.frames import SensorFrame
 from tactune.core.model.metrics import symmetric_rmse_m, truth_cloud
 from tactune.core.model.patch import Provenance
 from tactune.core.preset import Preset
@@ -68,12 +68,6 @@ def test_depth_that_is_missing_in_a_pattern_does_not_hide_firm_contact(hidden):
     assert patch.membrane.firm_m2 > 2 * FIRM_M2, "half of its area has depth, and tells the bias"
 
 
-def flat_rig(width, height):
-    lens = Intrinsics(width=width, height=height, fx=300.0, fy=300.0, cx=width / 2, cy=height / 2)
-    camera = DepthCamera(intrinsics=lens, depth_unit_m=UNIT_M)
-    return Rig(proximity=camera, tactile=camera, T_proximity_tactile=np.eye(4).tolist())
-
-
 def disc(width=200, height=120, radius_px=30.0, lift_m=0.0):
     """A flat membrane and an object that leaves it by the square of the way beyond a disc."""
     v, u = np.mgrid[:height, :width]
@@ -90,7 +84,7 @@ PLAIN = Preset().with_values({"contact_test": "membrane", "membrane.min_area_mm2
 @pytest.mark.parametrize("count", [0, 65535])
 def test_a_pixel_without_depth_does_not_enlarge_a_contact(count):
     """65535 counts would be an area of 2980 mm2 at the 16 m that they stand for."""
-    unit_m, rig, frame = 0.00025, flat_rig(200, 120), disc(radius_px=6.0)
+    unit_m, rig, frame = 0.00025, one_place_rig(200, 120, 300.0, UNIT_M, UNIT_M), disc(radius_px=6.0)
     rig = rig.model_copy(update={"proximity": rig.proximity.model_copy(update={"depth_unit_m": unit_m})})
     depth = np.rint(frame.proximity_depth * (UNIT_M / unit_m)).astype(np.uint16)
     depth[60, 100] = count
@@ -104,7 +98,7 @@ def test_a_pixel_without_depth_does_not_enlarge_a_contact(count):
     ("proximity", "tactile"), [(0, None), (65535, None), (None, 0), (None, 65535), (0, 0), (65535, 65535)]
 )
 def test_images_without_depth_have_no_contact(bias, proximity, tactile):
-    rig, frame = flat_rig(200, 120), disc()
+    rig, frame = one_place_rig(200, 120, 300.0, UNIT_M, UNIT_M), disc()
     images = {
         name: np.full_like(getattr(frame, name), value)
         for name, value in (("proximity_depth", proximity), ("tactile_depth", tactile))

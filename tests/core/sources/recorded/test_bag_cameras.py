@@ -8,11 +8,6 @@ from bag_maker import D405, L515, Device, Images, color_images, depth_images, ma
 from tactune.core.sources.realsense_files import BagSource
 
 
-@pytest.fixture
-def two_cameras(tmp_path):
-    return make_bag(tmp_path / "two.bag", D405, L515)
-
-
 @pytest.mark.parametrize("compress", [False, True])
 def test_two_cameras_are_read_pixel_for_pixel_in_any_order(tmp_path, compress):
     path = make_bag(tmp_path / "two.bag", D405, L515, compress=compress)

@@ -1,0 +1,29 @@
+"""Live ROS 2 messages, decoded by the decoder of MCAP."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from mcap.records import Schema
+from mcap_ros2.decoder import DecoderFactory
+
+from tactune.core.output.messages import definition
+
+
+def decoded(kind: str, data: bytes) -> Any:
+    """Return a message of this type."""
+    decode = DecoderFactory().decoder_for("cdr", Schema(1, definition(kind).encode(), "ros2msg", kind))
+    assert decode is not None
+    return decode(data)
+
+
+def points_of(cloud: Any) -> np.ndarray[Any, Any]:
+    """Return the points of a cloud, float32 (height, width, 3), and check how it describes them."""
+    assert [(field.name, field.offset, field.datatype, field.count) for field in cloud.fields] == [
+        ("x", 0, 7, 1),
+        ("y", 4, 7, 1),
+        ("z", 8, 7, 1),
+    ]
+    assert (cloud.point_step, cloud.row_step, cloud.is_bigendian) == (12, 12 * cloud.width, False)
+    return np.frombuffer(bytes(cloud.data), "<f4").reshape(cloud.height, cloud.width, 3)
