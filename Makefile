@@ -44,8 +44,8 @@ release: setup  ## audit the locked packages, then build wheel and sdist into di
 	@scripts/audit.sh && .venv/bin/python -m build --no-isolation --outdir dist
 
 lock: setup  ## write requirements.lock from the ranges in pyproject.toml
-	@.venv/bin/uv pip compile pyproject.toml --quiet --all-extras --generate-hashes --python-version 3.11 \
-	  --python-platform x86_64-manylinux_2_31 --no-emit-index-url --no-header --output-file requirements.lock
+	@.venv/bin/uv pip compile pyproject.toml --quiet --all-extras --generate-hashes --universal --python-version 3.11 \
+	  --no-emit-index-url --no-header --output-file requirements.lock
 
 clean:  ## remove .venv and everything that was made
 	rm -rf .venv .realsense-newest .typing app/guide out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parent.parent
 VENV = ROOT / ".venv"
 VENV_PYTHON = VENV / "bin" / "python"
 LOCK = ROOT / "requirements.lock"
-LOCKED_PYTHON = (3, 11)
+LOCKED_PYTHONS = ((3, 11), (3, 12), (3, 13))
 LOCKED_MACHINE = ("Linux", "x86_64")
 TYPED_FOLDERS = ("core", "widgets", "app", "presets")
 
@@ -180,14 +180,15 @@ def install_packages() -> None:
     found = output_of(VENV_PYTHON, "-c", "import sys; print(*sys.version_info[:2])")
     python = tuple(int(part) for part in found.split())
     machine = (platform.system(), platform.machine())
-    if python == LOCKED_PYTHON and machine == LOCKED_MACHINE:
+    if python in LOCKED_PYTHONS and machine == LOCKED_MACHINE:
         print("Installing the locked packages into .venv (once; about 1 GB to download) ...", flush=True)
         locked = ["--require-hashes", "--no-deps", "--only-binary", ":all:", "--requirement", str(LOCK)]
         pip("install", *locked, what="the locked packages")
     else:
         print(
-            f"The lock is for Python 3.11 on Linux x86-64; on Python {'.'.join(map(str, python))}, {platform.system()} "
-            f"{platform.machine()} the newest versions that pyproject.toml allows are installed instead ...",
+            f"The lock is for Python 3.11 to 3.13 on Linux x86-64; on Python {'.'.join(map(str, python))}, "
+            f"{platform.system()} {platform.machine()} the newest versions that pyproject.toml allows are installed "
+            "instead ...",
             flush=True,
         )
         extras = "gui,realsense,dev" if machine == LOCKED_MACHINE else "gui,dev"

@@ -55,3 +55,21 @@ print(sorted({name.partition(".")[0] for name in sys.modules} & {"PyQt6", "pyqtg
     done = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert done.stdout == "[]\n"
+
+
+def test_foxglove_needs_no_package_of_ros():
+    program = """
+import sys
+sys.modules["cyclonedds"] = None  # as where it is not installed
+from tactune.core.output.connections import Connections
+from tactune.core.output.publisher import Publisher
+with Publisher(Connections(foxglove=True, port=0).make_sinks()) as publisher:
+    print(publisher.status()[0].sink.name)
+try:
+    Connections(ros2=True).make_sinks()
+except Exception as error:
+    print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True, text=True)
+    first, second = done.stdout.splitlines()
+    assert first == "Foxglove" and "ROS 2 needs cyclonedds" in second

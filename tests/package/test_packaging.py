@@ -24,14 +24,29 @@ def test_every_folder_with_code_is_a_package_and_listed(pyproject):
     assert [folder for folder in with_code if not (ROOT / folder / "__init__.py").is_file()] == []
 
 
-def test_the_lock_holds_what_pyproject_allows(pyproject):
-    locked = dict(re.findall(r"^([a-z0-9-]+)==(\S+)", (ROOT / "requirements.lock").read_text(), re.MULTILINE))
+@pytest.mark.parametrize("python", ["3.11", "3.12", "3.13"])
+def test_the_lock_holds_what_pyproject_allows(pyproject, python):
+    environment = {"python_version": python, "python_full_version": f"{python}.1"}
+    environment |= {"sys_platform": "linux", "platform_machine": "x86_64"}
+
+    def holds(requirement):
+        return not requirement.marker or requirement.marker.evaluate(environment)
+
+    lines = re.findall(r"^([a-z0-9-]+==[^\\\n]+)", (ROOT / "requirements.lock").read_text(), re.MULTILINE)
+    found = [it for it in map(Requirement, lines) if holds(it)]
+    locked = {it.name: str(it.specifier).removeprefix("==") for it in found}
+    assert len(locked) == len(found)
     project = pyproject["project"]
     wanted = [
         *project["dependencies"],
         *(line for extra in project["optional-dependencies"].values() for line in extra),
     ]
-    environment = {"python_version": "3.11", "sys_platform": "linux", "platform_machine": "x86_64"}
     for requirement in map(Requirement, wanted):
-        if requirement.name != project["name"] and (not requirement.marker or requirement.marker.evaluate(environment)):
+        if requirement.name != project["name"] and holds(requirement):
             assert requirement.specifier.contains(locked[canonicalize_name(requirement.name)]), str(requirement)
+
+
+def test_everything_for_foxglove_has_a_wheel_for_arm(pyproject):
+    environment = {"python_version": "3.11", "sys_platform": "linux", "platform_machine": "aarch64"}
+    live = map(Requirement, pyproject["project"]["optional-dependencies"]["live"])
+    assert [it.name for it in live if not it.marker or it.marker.evaluate(environment)] == ["foxglove-sdk"]

@@ -35,7 +35,10 @@ try:
     from cyclonedds.sub import DataReader
     from cyclonedds.topic import Sample, Topic
 except ImportError as missing:
-    raise MissingExtraError("ROS 2 needs cyclonedds: install it with pip install 'tactune[live]'") from missing
+    raise MissingExtraError(
+        "ROS 2 needs cyclonedds: install it with pip install 'tactune[live]'; on Linux on ARM, where it has no wheel, "
+        "install Cyclone DDS 11 first, then cyclonedds by pip; Foxglove works without it"
+    ) from missing
 
 #: Largest domain id whose ports exist.
 MAX_DOMAIN: Final = 232
