@@ -2,31 +2,97 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from PyQt6.QtCore import QObject
+from PyQt6.QtCore import QObject, pyqtSignal
 from PyQt6.QtGui import QKeySequence, QShortcut
-from PyQt6.QtWidgets import QCheckBox, QDialog, QFrame, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QCheckBox, QDialog, QFrame, QGridLayout, QLabel, QVBoxLayout, QWidget
 
 from ...core.errors import PresetError, TactuneError, as_sentence
 from ...core.preset import Preset
 from ...core.sources.base import part_of
 from ...core.tuning.advice.proposal import Evidence, Example, Proposal
 from ...core.tuning.advice.suggest import AllProposals, suggest_all
-from ...widgets.basics.controls import ProgressBar, push_button, wrapped_label
+from ...widgets.basics.controls import NoteLabel, ProgressBar, push_button, wrapped_label
 from ...widgets.basics.dialogs import bring_up
+from ...widgets.basics.fields import field_spec
 from ...widgets.basics.layouts import STRETCH, hbox, scrolling, vbox
 from ...widgets.basics.messages import Severity
+from ...widgets.parameters.parameter_panel import SECTIONS
 from ..context import SOURCE, Context
 from ..document.comparison import PRESENT, Side
 from ..worker.jobs import Job, Progress
 from ..worker.results import Result, SourceInfo
-from .card import ProposalCard, section_title
 from .examples import ExampleHistory, ExampleKeeper, ExamplesWindow
+
+_TITLES = dict(SECTIONS)
+
+
+def section_title(section: str) -> str:
+    return _TITLES.get(section, section.replace("_", " ").capitalize())
+
+
+class ProposalCard(QFrame):
+    """Shows a proposal, which can be left out."""
+
+    changed = pyqtSignal()  # it was ticked or unticked
+
+    def __init__(self, proposal: Proposal, preset: Preset) -> None:
+        super().__init__()
+        self.proposal, self._preset = proposal, preset
+        self.setFrameShape(QFrame.Shape.StyledPanel)
+        self.take = QCheckBox(section_title(proposal.section))
+        self.take.setToolTip(f"Take this suggestion for {section_title(proposal.section).lower()}, or leave it")
+        self.take.setChecked(bool(proposal.changes))
+        self.take.setEnabled(bool(proposal.changes))
+        bold = self.take.font()
+        bold.setBold(True)
+        self.take.setFont(bold)
+        self.label = NoteLabel(proposal.label)
+        self.evidence, self.expected = NoteLabel(proposal.evidence), NoteLabel(proposal.expected)
+        self._values = QGridLayout()
+        self._values.setHorizontalSpacing(16)
+        self._values.setVerticalSpacing(4)
+        self._values.setColumnStretch(3, 1)
+        column = QVBoxLayout(self)
+        column.setSpacing(4)
+        head = hbox(self.take, (self.label, 1))
+        column.addLayout(head)
+        for widget in (self.evidence, self.expected):
+            column.addWidget(widget)
+        column.addLayout(self._values)
+        self.take.toggled.connect(self.changed)
+        self._show_values()
+
+    @property
+    def changes(self) -> Mapping[str, Any]:
+        """What the proposal changes in the present preset; nothing if it is left out."""
+        if not self.take.isChecked():
+            return {}
+        return {path: value for path, value in self.proposal.changes.items() if value != self._preset.value(path)}
+
+    def show_preset(self, preset: Preset) -> None:
+        self._preset = preset
+        self._show_values()
+
+    def _show_values(self) -> None:
+        while (item := self._values.takeAt(0)) is not None:
+            widget = item.widget()
+            if widget is not None:
+                widget.deleteLater()
+        for line, (path, value) in enumerate(self.proposal.changes.items()):
+            spec = field_spec(Preset, path)
+            now = self._preset.value(path)
+            arrow = "unchanged" if now == value else f"→ {spec.describe(value)}"
+            for place, text in enumerate((spec.title, spec.describe(now), arrow)):
+                label = QLabel(text)
+                label.setToolTip(spec.tooltip)
+                self._values.addWidget(label, line, place)
+
 
 #: Stands for every section, as in `Proposal.section`.
 ALL: Final = "all"

@@ -20,7 +20,7 @@ from ..context import Context
 from ..worker.jobs import Progress, Work
 from ..worker.results import Result
 from .compare_work import TRUTH, Comparer, Comparison, Outcome, method_color
-from .live_tab import LiveTab, Row
+from .tab import LiveTab, Row
 
 _CHOSEN: Final = "compare/methods"
 _AT_FIRST: Final = "fusion-rigid,fusion-membrane,proximity-only,tactile-only,mechanics"

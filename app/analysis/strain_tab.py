@@ -35,7 +35,7 @@ from ..calibration.pictures import pack_rgb
 from ..context import Context
 from ..worker.jobs import Progress, Work
 from ..worker.results import Result
-from .live_tab import LiveTab, Row
+from .tab import LiveTab, Row
 
 _SPACING: Final = "strain/spacing_mm"
 _MAX_AVERAGED: Final = 30

@@ -1,15 +1,27 @@
-"""What an analysis tab is, and how another package adds one."""
+"""What an analysis tab is, and the base of those that work on the newest frame on another thread."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import csv
+import io
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Final
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
 
-from PyQt6.QtWidgets import QWidget
+from PyQt6.QtGui import QImage
+from PyQt6.QtWidgets import QHBoxLayout, QVBoxLayout, QWidget
 
+from ...core.errors import ExportError, TactuneError, as_sentence, counted
+from ...core.model.files import atomic_path
+from ...core.rig.untouched import FoundUntouched
+from ...widgets.basics.controls import ElidedLabel, push_button
+from ...widgets.basics.layouts import hbox, vbox
+from ...widgets.basics.messages import Messages, Severity
 from ..context import Context
-from ..worker.results import Result
+from ..worker.jobs import Job, JobRow, Progress, Work
+from ..worker.results import RateMeter, Result
 
 #: The entry-point group for tabs of other packages: each entry names a `TabKind`.
 TABS: Final = "tactune.tabs"
@@ -38,3 +50,184 @@ class TabKind:
     tip: str  # one sentence that says what the tab is for
     make: Callable[[Context], AnalysisTab]  # called when the tab is first looked at
     shortcut: str = ""  # such as "F7"
+
+
+WAITING: Final = "Waiting for a frame: open a source in the main window."
+NO_UNTOUCHED: Final = (
+    "Needs an untouched frame, which this source does not have. "
+    "Capture it while nothing touches the membrane: Ctrl+Shift+R"
+)
+#: Rows of the newest frames that are kept: an hour at 30 frames/s.
+_MAX_ROWS: Final = 108_000
+
+Row = tuple[Any, ...]
+
+
+class LiveTab(AnalysisTab):
+    """Works on the newest frame; a subclass fills `top` and `column`, computes (`work`) and shows (`show_found`)."""
+
+    #: Columns of the CSV.
+    COLUMNS: tuple[str, ...] = ()
+    #: Name of the exported file without its suffix.
+    EXPORT = "frames"
+
+    def __init__(self, context: Context) -> None:
+        super().__init__()
+        self.context, self.settings = context, context.settings
+        self.result: Result | None = None
+        #: What was found last; None before the first frame of a source.
+        self.found: Any = None
+        #: The rows of the source's frames by frame number, the newest last.
+        self.rows: dict[int, Row] = {}
+        self.rate = RateMeter()
+        self._untouched: tuple[object, FoundUntouched] | None = None
+        self.job, self._writing = Job(self), Job(self)
+        self.job.done.connect(self._done)
+        self.job.failed.connect(partial(self._complain, "work"))
+        self._writing.done.connect(lambda sentence: self.messages.show_message("done", Severity.INFO, sentence))
+        self._writing.failed.connect(partial(self._complain, "export"))
+        self.status, self.messages, self.working = ElidedLabel(WAITING), Messages(self), JobRow(self.job)
+        self.reset = push_button("&Reset", "Remove the rows of all frames; they can be brought back")
+        self.export = push_button("&Export…", "Save the numbers of all frames as CSV (Ctrl+E); frames count from 0")
+        self.export.setShortcut("Ctrl+E")
+        self.reset.clicked.connect(self._reset)
+        self.export.clicked.connect(self._ask_where)
+        self.top = QHBoxLayout()
+        self.column = QVBoxLayout()
+        state = hbox((self.status, 1), self.working, self.reset, self.export)
+        vbox(self.top, state, (self.column, 1), within=self, margins=0)
+        self._offer()
+
+    # What a tab says of itself
+
+    def work(self, result: Result) -> Work:
+        """Return the work on a frame with the present entries; it runs on another thread."""
+        raise NotImplementedError
+
+    def show_found(self, result: Result, found: Any) -> Row | None:
+        """Show what the work has found, and return the frame's row of `COLUMNS`; None for none."""
+        raise NotImplementedError
+
+    def begin(self, result: Result) -> None:
+        """Forget the former source; `rows` are empty."""
+
+    def rows_changed(self) -> None:
+        """Show `rows`, after they were removed or brought back."""
+
+    def picture(self) -> QWidget | None:
+        """Return what the export shows as a picture beside the CSV; None for the CSV alone."""
+        return None
+
+    # Frames
+
+    def show_result(self, result: Result) -> None:
+        former, self.result = self.result, result
+        if former is None or result.source is not former.source:
+            self.job.cancel()
+            self.messages.clear("reset")  # its rows belong to the former source
+            self.rows, self.found = {}, None
+            self.begin(result)
+            self.rows_changed()
+            self._offer()
+        self.again()
+
+    def again(self, *_: object) -> None:
+        if (result := self.result) is not None:
+            work = self.work(result)
+            self.job.start(lambda progress: (result, work(progress)))
+
+    def untouched(self, result: Result, home: Path | None, progress: Progress) -> FoundUntouched:
+        """Return the untouched frame for a result, or None and warnings; it is searched once for each source."""
+        key = result.source.name, id(result.source), result.preset.untouched, home
+        if self._untouched is None or self._untouched[0] != key:
+            try:
+                found = result.source.find_untouched(result.preset, home, progress)
+                if found.frame is None:
+                    found = FoundUntouched(None, (*found.warnings, f"{NO_UNTOUCHED}."))
+            except TactuneError as error:  # cancelled, too: the next frame does not begin anew
+                found = FoundUntouched(None, (as_sentence(f"No untouched frame: {error}"),))
+            self._untouched = key, found
+        return self._untouched[1]
+
+    def shut_down(self) -> None:
+        self.job.stop()
+        self._writing.stop()
+
+    def _done(self, done: tuple[Result, Any]) -> None:
+        result, found = done
+        if self.result is None or result.source is not self.result.source:
+            return
+        if result.frame.sequence not in self.rows:
+            self.rate.tick()
+        self.found = found
+        self.status.setText(f"Frame {result.frame_number} of {result.source.name}")
+        row = self.show_found(result, found)
+        self.rows.pop(result.frame.sequence, None)  # as in a loop, the newest is the last
+        if row is not None:
+            self.rows[result.frame.sequence] = row
+            if len(self.rows) > _MAX_ROWS:
+                del self.rows[next(iter(self.rows))]
+            self.rows_changed()
+        self._offer()
+
+    # Rows
+
+    def _offer(self) -> None:
+        for button in (self.reset, self.export):
+            button.setEnabled(bool(self.rows))
+
+    def _reset(self) -> None:
+        rows, self.rows = self.rows, {}
+        self.rows_changed()
+        self._offer()
+
+        def bring_back() -> None:
+            self.rows = rows | self.rows
+            self.rows_changed()
+            self._offer()
+
+        sentence = f"The curve of {counted(len(rows), 'frame')} was removed."
+        self.messages.show_message("reset", Severity.INFO, sentence, [("Bring it back", bring_back)])
+
+    def _ask_where(self) -> None:
+        pictured = self.picture() is not None
+        filters = [*(["PNG picture, CSV beside it (*.png)"] if pictured else []), "Table (*.csv)"]
+        name = f"{self.EXPORT}{'.png' if pictured else '.csv'}"
+        self.context.dialogs.over(self.window() or self).save_file("export", "Export", name, filters, self.save_to)
+
+    def save_to(self, path: Path) -> None:
+        """Write the rows as CSV, on another thread; into a .png the picture, with the CSV beside it."""
+        widget = self.picture() if path.suffix.lower() != ".csv" else None
+        picture = None if widget is None else widget.grab().toImage()
+        text = rows_as_csv(self.COLUMNS, self.rows.values())
+        self._writing.start(lambda _: write_picture(picture, text, path, "The numbers were"))
+
+    def _complain(self, key: str, sentence: str) -> None:
+        if sentence:
+            self.messages.show_message(key, Severity.ERROR, as_sentence(sentence))
+
+
+def rows_as_csv(columns: Iterable[str], rows: Iterable[Row]) -> str:
+    """Return a CSV with a line for each row, in the order of the rows' first column; None is left empty."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    ordered: list[Row] = sorted(rows, key=lambda row: row[0])
+    writer.writerows(ordered)
+    return text.getvalue()
+
+
+def write_picture(picture: QImage | None, numbers: str, path: Path, what: str) -> str:
+    """Write ``path`` as PNG and the numbers as CSV beside it; without a picture only these. Return a sentence."""
+    beside = path if picture is None else path.with_suffix(".csv")
+    if picture is None:
+        with atomic_path(path) as temporary:
+            temporary.write_text(numbers, encoding="utf-8")
+        return f"{what} written to {path}."
+    new = not path.exists()
+    # The picture gets its name first: a table without its picture would be refused the next time.
+    with atomic_path(beside, exclusive=new) as table, atomic_path(path, exclusive=new) as temporary:
+        table.write_text(numbers, encoding="utf-8")
+        if not picture.save(str(temporary), "PNG"):
+            raise ExportError(f"cannot write the picture {path}; choose another place")
+    return f"{what} written to {path} and {beside.name}."

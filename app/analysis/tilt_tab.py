@@ -23,7 +23,7 @@ from ...widgets.plots.plot import Plot
 from ..context import Context
 from ..worker.jobs import Work
 from ..worker.results import Result
-from .live_tab import LiveTab, Row
+from .tab import LiveTab, Row
 
 _NOT_DETERMINED = f"no tilt, as of a line or a dot (standard deviation above {math.degrees(MAX_SIGMA_RAD):.0f}°)"
 _ROLL_RGB, _PITCH_RGB = (235, 60, 40), (40, 150, 255)

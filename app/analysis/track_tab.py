@@ -19,8 +19,7 @@ from ...core.errors import MissingExtraError, as_sentence, minus
 from ...core.estimation.object_mesh import SUFFIXES, ObjectMesh, import_open3d, load_mesh, simulated_mesh
 from ...core.estimation.pose import PoseError, PoseEstimate, PoseTracker, pose_error, pose_record
 from ...core.model.arrays import Float64Array, Uint8Array
-from ...core.sources.simulator.names import read_name, source_options
-from ...core.sources.simulator.scenes import resolve_scene
+from ...core.sources.simulator.scenes import read_name, resolve_scene, source_options
 from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_ROW, patch_lut
 from ...widgets.basics.controls import choice_button, push_button, wrapped_label
 from ...widgets.basics.layouts import STRETCH, hbox, splitter, vbox
@@ -31,7 +30,7 @@ from ...widgets.clouds.cloud_view import CloudView
 from ..context import Context
 from ..worker.jobs import Job, JobRow, Progress, Work
 from ..worker.results import Result
-from .live_tab import LiveTab, Row
+from .tab import LiveTab, Row
 
 _FILTER: Final = f"Meshes ({' '.join(f'*{suffix}' for suffix in SUFFIXES)})"
 _MODEL_RGB: Final = (24, 120, 230)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from ...core.lab.single_camera import Find
     from ...core.lab.strain import StrainMeasurement
     from ...core.lab.table import Cell
-    from ...core.model.frames import Matrix4, SensorFrame
+    from ...core.model.frames import SensorFrame
     from ...core.preset import Preset
     from ...core.sources import FrameSource
 
@@ -197,13 +197,9 @@ def scan(
         Path, typer.Option(metavar="FILE", help="The object's painted scan: .ply or .obj, coloured or textured.")
     ],
     transform: Annotated[
-        Path | None,
+        Path,
         typer.Option(metavar="FILE", help='Pose of the scan: JSON {"T_proximity_scan": 4 x 4}, or four lines of four.'),
-    ] = None,
-    pairs: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.csv", help="Or point pairs picked on both; a wrong header says which columns."),
-    ] = None,
+    ],
     refine: Annotated[
         bool, typer.Option("--refine", help="Refine the pose by ICP to the first method's patch in the first frame.")
     ] = False,
@@ -236,7 +232,7 @@ def scan(
     settings, unit_m = _paint(paint or []), UNITS_M[unit]
     names = () if not methods else _names(methods) or method_names()
     check_methods(names)
-    pose = _start_pose(transform, pairs, unit_m)
+    pose = lab_scan.load_transform(transform)
     origin = preset or default_preset(source)
     chosen = load_preset(origin)
     loaded = lab_scan.load_scan(scan, unit_m)
@@ -310,14 +306,6 @@ def _paint(words: list[str]) -> PaintSettings:
     settings = PaintSettings(**values)
     settings.color_range()
     return settings
-
-
-def _start_pose(transform: Path | None, pairs: Path | None, unit_m: float) -> Matrix4:
-    from ...core.lab.scan import load_transform, pose_from_pairs, read_pairs
-
-    if (transform is None) == (pairs is None):
-        raise TactuneError("give the pose of the scan: either --transform FILE or --pairs FILE.csv")
-    return load_transform(transform) if transform is not None else pose_from_pairs(*read_pairs(pairs, unit_m))  # type: ignore[arg-type]
 
 
 # Speed

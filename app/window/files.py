@@ -13,8 +13,8 @@ from ...core.preset import Preset, now
 from ...core.sources.presets import load_preset
 from ...widgets.basics.messages import Severity
 from ..context import SOURCE, TASK, Context
-from ..document.recovery import Autosave, UnsavedWork, unsaved_work
-from ..sources.paths import recording_name
+from ..document.keeping import Autosave, UnsavedWork, unsaved_work
+from ..sources.pages import recording_name
 from .actions import Actions
 
 PRESET_FILTER = "Presets (*.json)"

@@ -29,7 +29,7 @@ from ..analysis.window import AnalysisLauncher
 from ..calibration.wizard import CalibrationLauncher
 from ..context import SOURCE, TASK, Context
 from ..document.document import Document
-from ..document.recovery import Autosave
+from ..document.keeping import Autosave
 from ..rig.check_window import CameraChecks
 from ..rig.untouched_window import UntouchedControls
 from ..rig.watch_control import WatchControl

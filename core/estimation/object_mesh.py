@@ -187,7 +187,7 @@ def triangle_areas(vertices: Float64Array, triangles: AnyArray) -> Float64Array:
 
 def simulated_mesh(scene: Scene, name: str) -> ObjectMesh:
     """Return the mesh of the object of a simulator's scene, in the frame of its true pose."""
-    from ..sources.simulator.object_surface import object_surface  # on demand: it compiles the objects
+    from ..sources.simulator.objects import object_surface  # on demand: it compiles the objects
 
     vertices, quads = object_surface(scene.pressed.kind, _SIMULATED_SIDE_M)
     triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]).astype(np.int32)

@@ -28,11 +28,10 @@ from ..model.files import user_path
 from ..model.frames import Matrix4, rigid_transform
 from ..model.loading import parse_json, read_file
 from ..model.metrics import nearest_distances
-from ..model.tables import parse_table
 from ..preset import MaskSection
 
 SUFFIXES: Final = (".ply", ".obj")
-#: Largest file of pairs or of a pose.
+#: Largest file of a pose.
 _FILE_BYTES: Final = 10_000_000
 #: Plausible sizes of an object that a hand-sized sensor can touch.
 _MIN_SIZE_M, _MAX_SIZE_M = 0.002, 1.0
@@ -54,11 +53,6 @@ _ICP_POINTS: Final = 20_000
 _ICP_REACH_M: Final = 0.010
 _CONVERGED_M: Final = 1e-7
 _MIN_PAIRS: Final = 3
-#: Points count as collinear if their spread across the line is below this share of the spread along it.
-_ON_A_LINE: Final = 0.02
-#: Size ratio between object and patch beyond which the unit must be wrong.
-_OTHER_UNIT: Final = 3.0
-HEADER: Final = ("scan_x", "scan_y", "scan_z", "patch_x_m", "patch_y_m", "patch_z_m")
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,27 +197,6 @@ def surface_points(scan: Scan, contact: BoolArray, spacing_m: float = SPACING_M)
 # Pose and scores
 
 
-def pose_from_pairs(object_points: npt.ArrayLike, patch_points: npt.ArrayLike) -> Matrix4:
-    """Fit ``T_proximity_object`` to corresponding points, (N, 3) in metres each, by least squares (Kabsch 1976)."""
-    mesh, patch = np.asarray(object_points, np.float64), np.asarray(patch_points, np.float64)
-    if len(mesh) < _MIN_PAIRS:
-        raise CalibrationError(f"a pose needs at least {_MIN_PAIRS} pairs of points, not {len(mesh)}; pick more")
-    spreads = []
-    for points, where in ((mesh, "object"), (patch, "patch")):
-        along, across, _ = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-        if across <= _ON_A_LINE * along:
-            raise CalibrationError(
-                f"the points on the {where} lie at one place or on one line, which leaves a rotation open; pick others"
-            )
-        spreads.append(along)
-    ratio = spreads[0] / spreads[1]
-    if not 1 / _OTHER_UNIT < ratio < _OTHER_UNIT:
-        raise CalibrationError(
-            f"the points lie {ratio:.3g} times as far apart on the object as on the patch; check the object's unit"
-        )
-    return _fit_pose(mesh, patch)
-
-
 def _fit_pose(points: Float64Array, targets: Float64Array) -> Matrix4:
     """Return the pose that takes points to targets, (N, 3) each, with the least squared distance."""
     start, end = points.mean(axis=0), targets.mean(axis=0)
@@ -241,49 +214,20 @@ def transformed(pose: Matrix4, points: npt.ArrayLike) -> Float64Array:
 
 def load_transform(path: Path | str) -> Matrix4:
     """Read a rigid transform in metres: JSON ``{"T_proximity_scan": 4 x 4}``, or four lines of four numbers."""
-    text = read_text(path)
     try:
+        text = read_file(user_path(path), _FILE_BYTES).decode("utf-8-sig")
         if text.lstrip().startswith("{"):
             return rigid_transform(parse_json(text)["T_proximity_scan"])
         lines = [line.replace(",", " ").split() for line in text.splitlines() if line.strip()]
         return rigid_transform([[float(word) for word in line] for line in lines])
+    except OSError as error:
+        raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
     except (ValueError, TypeError, KeyError) as error:
         detail = " ".join(str(error).split())
         raise SourceError(
             f'{path} holds no pose ({detail}); it is JSON {{"T_proximity_scan": 4 x 4}} or '
             "four lines of four numbers, metres"
         ) from error
-
-
-def read_text(path: Path | str) -> str:
-    """Return the text of a small file; raises a `SourceError`."""
-    try:
-        return _read_small(path).decode("utf-8-sig")
-    except ValueError as error:
-        raise SourceError(f"{path} is no text file; write it as text") from error
-
-
-def _read_small(path: Path | str) -> bytes:
-    path = user_path(path)
-    try:
-        return read_file(path, _FILE_BYTES)
-    except OSError as error:
-        raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
-
-
-def read_pairs(path: Path | str, unit_m: float = 1.0) -> tuple[Float64Array, Float64Array]:
-    """Read point pairs for `pose_from_pairs` from a CSV file with the columns of `HEADER`; both in metres, (N, 3)."""
-    try:
-        header, rows = parse_table(_read_small(path))
-        if sorted(header) != sorted(HEADER):
-            raise SourceError(f"{path} lacks the header {','.join(HEADER)}; put it into the first line")
-        table = np.array([row for _, row in rows], np.float64).reshape(-1, len(HEADER))
-        table = table[:, [header.index(name) for name in HEADER]]
-    except ValueError as error:
-        raise SourceError(f"{path} has a line that is no pair; each is six numbers") from error
-    if not np.isfinite(table).all():
-        raise SourceError(f"{path} has a number that is not finite; each line is six finite numbers")
-    return table[:, :3] * unit_m, table[:, 3:]
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -23,12 +22,12 @@ from typing import Any, Self
 
 import numpy as np
 
-from ..errors import ExportError, MissingExtraError
+from ..errors import MissingExtraError
 from ..model.files import atomic_path, remove_leftovers
 from ..model.frames import Rig, SensorFrame
 from ..model.intrinsics import Intrinsics
 from ..model.rig_file import rig_to_json
-from ..sources.base import FrameSource, Progress
+from ..sources.base import FrameSource, Progress, frames_to_write
 
 
 def export_hdf5(
@@ -45,23 +44,15 @@ def export_hdf5(
         import h5py
     except ImportError as error:
         raise MissingExtraError('HDF5 needs h5py: pip install "tactune[export]"') from error
-    if frames is None and source.length is None:
-        raise ExportError(f"{source.name} is live and has no end; record it, or say how many frames to convert")
-    left = None if source.length is None else source.length - source.position
-    total = min(count for count in (left, frames) if count is not None)
     untouched = source.untouched() if untouched is None else untouched
     remove_leftovers(Path(path).parent, Path(path).name)
     with atomic_path(path, exclusive=exclusive) as temporary:
         with _Disk(temporary) as disk, h5py.File(disk, "w") as file:
             count = 0
-            for count, frame in enumerate(itertools.islice(source, total), start=1):
+            for count, frame in enumerate(frames_to_write(source, frames, progress), start=1):
                 frame.check_against(source.rig)
                 _append(file, source.rig, frame, count - 1)
                 disk.check()
-                if progress is not None:
-                    progress(count / total, f"frame {count} of {total}")
-            if count == 0:
-                raise ExportError(f"{source.name} has no frames left to export; seek to the first one")
             if untouched is not None:
                 _append(file.create_group("untouched"), source.rig, untouched, 0)
             _describe(file, source.rig, source.frame_rate_hz)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import threading
 import time
 from collections import deque
@@ -19,7 +18,7 @@ from ..model.frames import Rig, SensorFrame
 from ..model.loading import untouched_bytes
 from ..model.rig_file import json_text, rig_to_json
 from ..preset import Preset
-from ..sources.base import FrameSource, Progress
+from ..sources.base import FrameSource, Progress, frames_to_write
 from ..sources.mcap.messages import CAMERA_INFO, IMAGE, TEXT, TRANSFORMS, UNTOUCHED_NAME, Topic
 from .bag import Bag, Message
 from .messages import (
@@ -267,10 +266,6 @@ def export_mcap(
     exclusive: bool = False,
 ) -> int:
     """Write at most ``frames`` of a source, from its present position, whole or not at all; return how many."""
-    if frames is None and source.length is None:
-        raise ExportError(f"{source.name} is live and has no end; record it, or say how many frames to convert")
-    left = None if source.length is None else source.length - source.position
-    total = min(count for count in (left, frames) if count is not None)
     remove_leftovers(Path(path).parent, Path(path).name)
     with atomic_path(path, exclusive=exclusive) as temporary:
         try:
@@ -281,11 +276,9 @@ def export_mcap(
                 frame_rate_hz=source.frame_rate_hz,
                 untouched=source.untouched() if untouched is None else untouched,
             ) as writer:
-                for count, frame in enumerate(itertools.islice(source, total), start=1):
+                for frame in frames_to_write(source, frames, progress):
                     if not writer.put(frame, wait=True):
                         break
-                    if progress is not None:
-                        progress(count / total, f"frame {count} of {total}")
             status = writer.status()
             if status.error:
                 raise ExportError(status.error)

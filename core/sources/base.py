@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Self
 
-from ..errors import SourceError
+from ..errors import ExportError, SourceError
 from ..model.files import recording_files, user_path
 from ..model.frames import Rig, SensorFrame
 
@@ -22,6 +23,21 @@ Progress = Callable[[float, str], None]
 def part_of(progress: Progress, number: int, count: int) -> Progress:
     """Return the progress of one of several equal parts of a task, counted from 0."""
     return lambda share, words: progress((number + share) / count, words)
+
+
+def frames_to_write(source: FrameSource, frames: int | None, progress: Progress | None) -> Iterator[SensorFrame]:
+    """Yield at most ``frames`` of a source, from its present position; `ExportError` if there are none or no end."""
+    left = None if source.length is None else source.length - source.position
+    total = min((count for count in (left, frames) if count is not None), default=None)
+    if total is None:
+        raise ExportError(f"{source.name} is live and has no end; record it, or say how many frames to convert")
+    count = 0
+    for count, frame in enumerate(itertools.islice(source, total), start=1):
+        yield frame
+        if progress is not None:
+            progress(count / total, f"frame {count} of {total}")
+    if count == 0:
+        raise ExportError(f"{source.name} has no frames left to export; seek to the first one")
 
 
 def split_topics(name: str) -> tuple[str, str]:

@@ -22,6 +22,7 @@ import io
 import os
 import secrets
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -36,7 +37,7 @@ from ..model.files import remove_leftovers, user_path
 from ..model.frames import MAX_TIME_S, GroundTruth, Rig, SensorFrame, note_number
 from ..model.loading import parse_npy, read_file
 from ..model.rig_file import json_text, read_json_object, rig_to_json, validation_sentence
-from .base import FrameSource, Health, Progress, SeekableSource, SourceKind
+from .base import FrameSource, Health, Progress, SeekableSource, SourceKind, frames_to_write
 from .folder_images import check_size, load_folder_rig, read_color, read_depth, read_image
 from .folder_layout import FrameFiles, find_frames, own_images
 
@@ -146,15 +147,13 @@ def export_folder(
 ) -> int:
     """Write at most ``frames`` of a source, from its present position, as a new folder, whole or not at all."""
     target = Path.cwd() / user_path(path)
-    if frames is None and source.length is None:
-        raise ExportError(f"{source.name} is live and has no end; say how many frames to export")
     temporary = target.parent / f".{target.name}-{secrets.token_hex(4)}.partial"
     try:
         if target.exists() and (not target.is_dir() or any(target.iterdir())):
             raise ExportError(f"{target} is already there and not an empty folder; choose another name or remove it")
         remove_leftovers(target.parent, f"{target.name}.partial")
         temporary.mkdir(parents=True)
-        count = _write_recording(source, temporary, frames, progress)
+        count = _write_recording(source, temporary, frames_to_write(source, frames, progress))
         if target.exists():
             target.rmdir()
         temporary.rename(target)
@@ -206,23 +205,16 @@ def _read_metres(path: Path, shape: tuple[int, int]) -> Float32Array:
     return depth
 
 
-def _write_recording(source: FrameSource, folder: Path, frames: int | None, progress: Progress | None) -> int:
-    left = None if source.length is None else source.length - source.position
-    total = min(count for count in (left, frames) if count is not None)
+def _write_recording(source: FrameSource, folder: Path, frames: Iterator[SensorFrame]) -> int:
     _write_file(folder / "rig.json", json_text(rig_to_json(source.rig)))
     untouched = source.untouched()
     if untouched is not None:
         _write_frame(folder / "untouched", untouched, source.rig)
     count = 0
     seen: set[int] = set()
-    while count < total and (frame := source.next_frame()) is not None:
+    for count, frame in enumerate(frames, start=1):
         note_number(seen, frame)
-        _write_frame(folder / f"{count:06d}", frame, source.rig)
-        count += 1
-        if progress is not None:
-            progress(count / total, f"frame {count} of {total}")
-    if count == 0:
-        raise ExportError(f"{source.name} has no frames left to export; seek to the first one")
+        _write_frame(folder / f"{count - 1:06d}", frame, source.rig)
     return count
 
 

@@ -19,7 +19,7 @@ from hands import (
     tolerance_slider,
     type_path,
 )
-from tactune.app.document.recovery import Autosave
+from tactune.app.document.keeping import Autosave
 from tactune.core.sources.presets import load_preset
 
 

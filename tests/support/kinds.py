@@ -24,12 +24,11 @@ from PyQt6.QtWidgets import QApplication, QWidget
 
 from bag_maker import D405, L515, make_bag
 from folder_scenes import RIG, list_source, make_frame
-from tactune.app.analysis.live_tab import write_picture
+from tactune.app.analysis.tab import write_picture
 from tactune.app.calibration.keeping import Keeper
 from tactune.app.calibration.session import Session, SessionState, Snapshot
 from tactune.app.document.document import Document
-from tactune.app.document.keeping import KeptState
-from tactune.app.document.recovery import Autosave, unsaved_work
+from tactune.app.document.keeping import Autosave, KeptState, unsaved_work
 from tactune.app.settings import Settings
 from tactune.core import ContactPipeline, open_source
 from tactune.core.calibration.points import read_points as read_pairs
@@ -40,7 +39,6 @@ from tactune.core.estimation.object_mesh import load_mesh
 from tactune.core.estimation.pose import open_poses
 from tactune.core.lab import table
 from tactune.core.lab.scan import load_scan, load_transform
-from tactune.core.lab.scan import read_pairs as read_scan_pairs
 from tactune.core.model.alignment import PointPair
 from tactune.core.model.clouds import PointCloud
 from tactune.core.model.files import write_csv
@@ -268,7 +266,6 @@ def read_settings(folder: Path) -> bool:
 
 # Files of other programs
 
-SCAN_PAIRS = "scan_x,scan_y,scan_z,patch_x_m,patch_y_m,patch_z_m\n1,2,3,0.1,0.2,0.3\n4,5,6,0.1,0.3,0.2\n"
 OBJ = "v 0 0 0 1 0 0\nv .1 0 0 0 1 0\nv 0 .1 0 0 0 1\nv 0 0 .1 1 1 1\nf 1 2 3\nf 1 2 4\nf 2 3 4\nf 1 3 4\n"
 TEXTURED = "mtllib a.mtl\nv 0 0 0\nv .1 0 0\nv 0 .1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl a\nf 1/1 2/2 3/3\n"
 
@@ -437,7 +434,6 @@ KINDS: dict[str, Kind] = {
     "unsaved preset": Kind(autosave, lambda f: len(unsaved_work(f)) == len(list(f.glob("unsaved-*.json")))),
     "calibration": Kind(calibrate, restore_calibration, keeps_state=True),
     "settings": Kind(remember, read_settings, silent=True),
-    "scan's pairs": Kind(text("a.csv", SCAN_PAIRS), lambda f: read_scan_pairs(f / "a.csv"), ours=False),
     "scan": Kind(text("a.obj", OBJ), lambda f: load_scan(f / "a.obj"), 200, ours=False),
     "textured scan": Kind(textured, lambda f: load_scan(f / "a.obj"), ours=False),
     "mesh": Kind(text("a.obj", OBJ), lambda f: load_mesh(f / "a.obj"), 100, ours=False),

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from tactune.core.lab.scan import transformed
 from tactune.core.model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array
 from tactune.core.model.frames import GroundTruth, Matrix4, Rig
-from tactune.core.sources.simulator.object_surface import object_surface, to_surface
+from tactune.core.sources.simulator.objects import object_surface, to_surface
 from tactune.core.sources.simulator.source import SimulatorSource
 
 #: Thermochromic paint, touched and not, RGB.

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def _open(rest: str, progress: Progress | None, cameras: CamerasSection | None) -> FrameSource:
-    from .names import read_name, source_options  # not above: it compiles kernels' modules
+    from .scenes import read_name, source_options  # not above: it compiles kernels' modules
     from .source import SimulatorSource
 
     return SimulatorSource(progress=progress, **source_options(read_name(rest)))

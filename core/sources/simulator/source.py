@@ -29,11 +29,10 @@ from ...model.metrics import truth_cloud
 from ..base import Progress, SeekableSource
 from .membrane import Membrane
 from .mesh import MembraneDesign
-from .names import name_values, write_name
 from .noise import NoiseModel
 from .render import CLEAN_UNIT_M, CONTACT_FLAG
 from .scene import CleanState, Press, PressFacts, simulator_rig
-from .scenes import Scene, Variant, resolve_scene
+from .scenes import Scene, Variant, name_values, resolve_scene, write_name
 from .sensors import DEFAULT_SENSOR, SENSORS
 
 #: The tactile camera's exposure begins this much after the proximity camera's, seconds.

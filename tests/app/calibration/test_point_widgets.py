@@ -10,7 +10,7 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
 from pairs import pair_at
-from tactune.app.calibration.point_table import PointRow, PointTable
+from tactune.app.calibration.points_page import PointRow, PointTable
 from tactune.core.calibration.report import PairQuality
 from tactune.widgets.images.marks import Mark
 from tactune.widgets.images.point_image import PointImage

@@ -4,7 +4,7 @@ import pytest
 from PyQt6.QtCore import QTimer
 
 from tactune.app.document.document import Document
-from tactune.app.document.recovery import Autosave, unsaved_work
+from tactune.app.document.keeping import Autosave, unsaved_work
 
 
 @pytest.fixture

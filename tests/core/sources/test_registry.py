@@ -5,8 +5,7 @@ import pytest
 from tactune.core.errors import SourceError
 from tactune.core.sources.folder import FolderSource
 from tactune.core.sources.registry import open_source
-from tactune.core.sources.simulator.names import read_name, source_options
-from tactune.core.sources.simulator.scenes import Variant
+from tactune.core.sources.simulator.scenes import Variant, read_name, source_options
 from tactune.core.sources.simulator.sensors import DEFAULT_SENSOR
 
 

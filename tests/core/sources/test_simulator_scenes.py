@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from tactune.core.errors import SourceError
-from tactune.core.sources.simulator.names import read_name, write_name
 from tactune.core.sources.simulator.scene import RIM_M
 from tactune.core.sources.simulator.scenes import (
     MEMBRANES,
     STANDARD,
     TRAY_ROLLS_DEG,
     Variant,
+    read_name,
+    write_name,
 )
 from tactune.core.sources.simulator.source import SimulatorSource
 

@@ -5,7 +5,7 @@ import pytest
 pytest.importorskip("pyrealsense2", reason="the camera driver is not installed", exc_type=ImportError)
 
 from software_rig import Command, image_number
-from tactune.core.sources.cameras.realsense_camera import RealSenseCamera
+from tactune.core.sources.cameras.realsense import RealSenseCamera
 
 
 def state(health, role):

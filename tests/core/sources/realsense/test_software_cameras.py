@@ -133,7 +133,7 @@ def test_a_device_in_use_is_said_to_be():
 
 
 def test_a_missing_mode_is_said_with_those_that_are_there(monkeypatch):
-    monkeypatch.setattr("tactune.core.sources.cameras.realsense_camera.WIDTH", 1280)
+    monkeypatch.setattr("tactune.core.sources.cameras.realsense.WIDTH", 1280)
     with pytest.raises(SourceError, match=r"no depth stream of 1280 x 480.*depth 320 x 240 at 30 Hz, depth 640"):
         open_rig(SoftwareRig())
 
@@ -170,7 +170,7 @@ def test_a_driver_that_does_not_come_back_is_told_where_frames_are_asked_for(ses
     released = threading.Event()
     monkeypatch.setattr("tactune.core.sources.cameras.source.HUNG_S", 0.5)
     monkeypatch.setattr(
-        "tactune.core.sources.cameras.realsense_camera.RealSenseCamera.read", lambda *_: released.wait() and None
+        "tactune.core.sources.cameras.realsense.RealSenseCamera.read", lambda *_: released.wait() and None
     )
     try:
         with pytest.raises(SourceError, match=r"driver does not come back from the (L515|D405)"):
