@@ -321,11 +321,7 @@ def bench(
     """Measure run time and error beside NumPy, OpenCV and Open3D; with --gate check the promised speed."""
     from ...core.lab import bench as lab_bench
 
-    facts = lab_bench.machine_facts()
-    if "open3d" not in facts["packages"]:
-        raise TactuneError("the benchmark compares with open3d, which is not installed: pip install 'tactune[lab]'")
-    head = f"{facts['processor']}, {facts['cores']} cores; "
-    head += ", ".join(f"{name} {number}" for name, number in facts["packages"].items())
+    head = lab_bench.machine_words()
     with CliProgress() as progress:
         if gate:
             checks = lab_bench.run_gate(_ROUNDS, progress.preparing)

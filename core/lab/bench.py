@@ -14,6 +14,7 @@ import random
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from importlib.metadata import PackageNotFoundError, version
@@ -27,7 +28,7 @@ from ..contact.alignment import tactile_pose
 from ..contact.outliers.grid import Grid
 from ..contact.outliers.statistical import statistical_inliers
 from ..contact.pipeline import ContactPipeline
-from ..errors import TactuneError
+from ..errors import MissingExtraError, TactuneError
 from ..model.arrays import AnyArray, BoolArray, Float64Array, IndexArray, Uint16Array
 from ..model.clouds import nearest_pixels
 from ..model.frames import DepthCamera, GroundTruth, Rig, SensorFrame
@@ -486,20 +487,17 @@ def bandwidth_bytes_per_s(size_bytes: int = 256 << 20) -> float:
     return 2 * sum(part.nbytes for part in parts) / best_s
 
 
-def machine_facts() -> dict[str, Any]:
-    """Return processor, cores, system and the versions of the compared packages."""
+def machine_words() -> str:
+    """Return processor, cores and the versions of the compared packages; `MissingExtraError` without Open3D."""
     packages: dict[str, str] = {}
     for name in ("numpy", "numba", "scipy", "opencv-contrib-python-headless", "open3d"):
-        try:
+        with suppress(PackageNotFoundError):
             packages[name] = version(name)
-        except PackageNotFoundError:
-            continue
+    if "open3d" not in packages:
+        raise MissingExtraError(
+            "the benchmark compares with open3d, which is not installed: pip install 'tactune[lab]'"
+        )
     lines = _CPU_FACTS.read_text().splitlines() if _CPU_FACTS.exists() else []
     named = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), "")
-    return {
-        "processor": named or platform.processor() or platform.machine(),
-        "cores": os.cpu_count() or 1,
-        "system": f"{platform.system()} {platform.release()}",
-        "python": platform.python_version(),
-        "packages": packages,
-    }
+    processor = named or platform.processor() or platform.machine()
+    return ", ".join([processor, f"{os.cpu_count() or 1} cores", *(f"{name} {it}" for name, it in packages.items())])

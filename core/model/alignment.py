@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
-from .frames import Matrix4, camera_pose
+from .frames import CameraPose
 from .sections import Section, described, stored
 
 Row3 = tuple[float, float, float]
@@ -115,7 +115,7 @@ class RigidAlignment(Section):
     """The tactile camera's pose in the proximity depth frame; null means the rig's own pose."""
 
     T_proximity_tactile: Annotated[
-        Matrix4 | None,
+        CameraPose | None,
         described(
             "Pose",
             "Pose of the tactile camera in the proximity depth frame (4 x 4, metres). "
@@ -124,11 +124,6 @@ class RigidAlignment(Section):
             advanced=True,
         ),
     ] = None
-
-    @field_validator("T_proximity_tactile", mode="before")
-    @classmethod
-    def _is_rigid(cls, value: Any) -> Matrix4 | None:
-        return None if value is None else camera_pose(value)
 
 
 class HomographyAlignment(Section):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Final
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from ..errors import FrameError
 from .arrays import BoolArray, Float32Array, Uint8Array, Uint16Array
@@ -66,6 +66,10 @@ def camera_pose(matrix: Any) -> Matrix4:
     return pose
 
 
+#: A field that holds such a pose.
+CameraPose = Annotated[Matrix4, BeforeValidator(camera_pose)]
+
+
 class _Frozen(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -83,12 +87,7 @@ class ColorCamera(_Frozen):
     """A colour camera beside a depth camera; ``T_color_depth`` transforms points from the depth frame to its frame."""
 
     intrinsics: Intrinsics
-    T_color_depth: Matrix4
-
-    @field_validator("T_color_depth", mode="before")
-    @classmethod
-    def _is_rigid(cls, value: Any) -> Matrix4:
-        return camera_pose(value)
+    T_color_depth: CameraPose
 
 
 #: Model of the stand-in for the proximity camera of a rig that has a tactile camera only.
@@ -105,12 +104,7 @@ class Rig(_Frozen):
     proximity: DepthCamera
     tactile: DepthCamera
     proximity_color: ColorCamera | None = None
-    T_proximity_tactile: Matrix4 | None = None
-
-    @field_validator("T_proximity_tactile", mode="before")
-    @classmethod
-    def _is_rigid(cls, value: Any) -> Matrix4 | None:
-        return None if value is None else camera_pose(value)
+    T_proximity_tactile: CameraPose | None = None
 
     @classmethod
     def of_one_camera(cls, tactile: DepthCamera) -> Rig:

@@ -41,28 +41,26 @@ def _play_live(name: str, progress: Progress) -> FrameSource:
         raise
 
 
-def _open_bag(rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:
-    from .realsense_files import BagSource, is_realsense
-    from .ros.source import RosSource
+def _open_recording(scheme: str, rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:
+    if split_topics(rest)[1] or _is_of_others(scheme, rest):
+        from .ros.source import RosSource
 
-    if split_topics(rest)[1] or not is_realsense(rest):
-        return RosSource("bag", rest, progress)
-    return BagSource(rest, progress)
+        return RosSource(scheme, rest, progress)
+    if scheme == "bag":
+        from .realsense_files import BagSource
 
+        return BagSource(rest, progress)
+    from .mcap.source import McapSource
 
-def _open_mcap(rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:
-    from .mcap.source import McapSource, is_ours
-    from .ros.source import RosSource
-
-    if split_topics(rest)[1] or not is_ours(rest):
-        return RosSource("mcap", rest, progress)
     return McapSource(rest, progress)
 
 
-def _open_ros_folder(rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:
-    from .ros.source import RosSource
+def _is_of_others(scheme: str, rest: str) -> bool:
+    """Whether a recording is a ROS program's, neither librealsense's nor Tactune's own."""
+    from .mcap.source import is_ours
+    from .realsense_files import is_realsense
 
-    return RosSource("rosbag", rest, progress)
+    return scheme == "rosbag" or not (is_realsense(rest) if scheme == "bag" else is_ours(rest))
 
 
 def _open_ros2(rest: str, progress: Progress | None, cameras: CamerasSection | None) -> FrameSource:
@@ -78,7 +76,7 @@ _BAG = SourceKind(
     needs="file",
     pattern="*.bag *.db3",
     files=2,
-    open=_open_bag,
+    open=partial(_open_recording, "bag"),
 )
 _ROS_FOLDER = SourceKind(
     scheme="rosbag",
@@ -86,7 +84,7 @@ _ROS_FOLDER = SourceKind(
     form="rosbag:PATH",
     needs="folder",
     pattern="metadata.yaml",
-    open=_open_ros_folder,
+    open=partial(_open_recording, "rosbag"),
 )
 _MCAP = SourceKind(
     scheme="mcap",
@@ -94,7 +92,7 @@ _MCAP = SourceKind(
     form="mcap:PATH",
     needs="file",
     pattern="*.mcap",
-    open=_open_mcap,
+    open=partial(_open_recording, "mcap"),
 )
 _ROS2 = SourceKind(
     scheme="ros2",
@@ -157,8 +155,6 @@ def open_source(name: str, progress: Progress | None = None, cameras: CamerasSec
 
 def topics_to_choose(name: str, progress: Progress | None = None) -> Inspection | None:
     """Return what there is to choose before another program's recording is opened; None if nothing."""
-    from .mcap.source import is_ours
-    from .realsense_files import is_realsense
     from .ros.source import inspect_recording
 
     scheme, _, rest = name.partition(":")
@@ -167,7 +163,7 @@ def topics_to_choose(name: str, progress: Progress | None = None) -> Inspection 
         scheme = kind.scheme
     if split_topics(rest)[1] or not path_exists(rest) or scheme not in ("bag", "mcap", "rosbag"):
         return None
-    if (scheme == "bag" and is_realsense(rest)) or (scheme == "mcap" and is_ours(rest)):
+    if not _is_of_others(scheme, rest):
         return None
     return inspect_recording(user_path(rest), progress)
 
