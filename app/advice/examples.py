@@ -21,7 +21,7 @@ from ...widgets.images.marks import RegionItem
 from ..calibration.pictures import picture
 from ..calibration.session import rig_key
 from ..context import Context
-from ..document.history import History
+from ..document.document import History
 from ..document.keeping import KeptState
 
 #: Left, top, width, height in proximity pixels.

@@ -15,7 +15,7 @@ from ...core.calibration.snapshots import depth_under
 from ...core.errors import counted
 from ...core.model.alignment import PointPair, Side
 from ...core.model.frames import Rig, SensorFrame
-from ..document.history import History
+from ..document.document import History
 
 ImageChoice = Literal["color", "depth"]
 Target = Literal["texture", "chessboard"]

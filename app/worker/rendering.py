@@ -177,8 +177,9 @@ class Renderer:
         """Return the wanted images; without a patch, only those that need none."""
         if wanted.words or rig is not self._rig:
             self.measure(frame, preset, rig)
-        scene = self._scene(frame, patch, preset, rig, wanted)
-        depth_range_m, tactile_range_m = scene.depth_range_m, scene.tactile_range_m or scene.depth_range_m
+        depth_range_m, tactile_range_m = (self._ranges_m.get(role, (0.0, 1.0)) for role in ("proximity", "tactile"))
+        theme: ThemeName = "dark" if wanted.dark else "light"
+        scene = Scene(frame, patch, preset, rig, wanted.color_by, theme, depth_range_m, tactile_range_m)
         clouds = {
             name: self._shared(name, self._with_count(name, _VIEWS[name](scene), wanted.words))
             for name in CloudName
@@ -250,18 +251,6 @@ class Renderer:
             near, far = max(ends_m[0] - _NEARER * span_m, 0.0), ends_m[1] + _FARTHER * span_m
             before = self._ranges_m.get(camera, (near, far))
             self._ranges_m[camera] = min(near, before[0]), max(far, before[1])
-
-    def _scene(
-        self,
-        frame: SensorFrame,
-        patch: ContactPatch | None,
-        preset: Preset,
-        rig: Rig,
-        wanted: Wanted,
-    ) -> Scene:
-        theme: ThemeName = "dark" if wanted.dark else "light"
-        along_proximity, along_tactile = (self._ranges_m.get(role, (0.0, 1.0)) for role in ("proximity", "tactile"))
-        return Scene(frame, patch, preset, rig, wanted.color_by, theme, along_proximity, along_tactile)
 
 
 def _quantiles(sample: Float32Array, *shares: float) -> tuple[float, ...]:

@@ -105,40 +105,32 @@ class FolderSource(SeekableSource):
 
     def _frame(self, files: FrameFiles, stamp: _Stamp) -> SensorFrame:
         rig, images, where = self._rig, files.images, files.folder or self._path
-        if not rig.has_proximity:
-            return self._one_camera(files, stamp)
-        for slot in ("proximity_depth", "tactile_depth"):
+        if not rig.has_proximity:  # the only camera, whatever its files are called
+            images = {slot.replace("proximity", "tactile"): path for slot, path in images.items()}
+            if not self._shows_color:
+                images.pop("tactile_color", None)
+        for slot in ("proximity_depth", "tactile_depth") if rig.has_proximity else ("tactile_depth",):
             if slot not in images:
                 raise SourceError(f"{where} has no {slot}.png, and no .tif, .npy or .pgm of that name; add it")
-        tactile_shape, color_shape = rig.tactile.intrinsics.shape, rig.proximity_color_shape
-        color, tactile_color = images.get("proximity_color"), images.get("tactile_color")
-        form, tactile_form, color_form = (self._forms[name] for name in ("proximity", "tactile", "proximity_color"))
+        truth = None if files.folder is None else _read_truth(files.folder, rig)
+        depth = read_depth(images["tactile_depth"], rig.tactile, self._forms["tactile"])
+        color = None
+        if "tactile_color" in images:
+            color = read_color(images["tactile_color"], rig.tactile.intrinsics.shape, self._forms["tactile"])
+        if not rig.has_proximity:
+            return SensorFrame.of_one_camera(stamp.sequence, depth, color, stamp.tactile_time_s, truth)
+        seen, shape = images.get("proximity_color"), rig.proximity_color_shape
         return SensorFrame(
             sequence=stamp.sequence,
-            proximity_depth=read_depth(images["proximity_depth"], rig.proximity, form),
-            tactile_depth=read_depth(images["tactile_depth"], rig.tactile, tactile_form),
-            proximity_color=np.zeros((*color_shape, 3), np.uint8)
-            if color is None
-            else read_color(color, color_shape, color_form),
-            tactile_color=None if tactile_color is None else read_color(tactile_color, tactile_shape, tactile_form),
+            proximity_depth=read_depth(images["proximity_depth"], rig.proximity, self._forms["proximity"]),
+            tactile_depth=depth,
+            proximity_color=np.zeros((*shape, 3), np.uint8)
+            if seen is None
+            else read_color(seen, shape, self._forms["proximity_color"]),
+            tactile_color=color,
             proximity_time_s=stamp.proximity_time_s,
             tactile_time_s=stamp.tactile_time_s,
-            truth=None if files.folder is None else _read_truth(files.folder, rig),
-        )
-
-    def _one_camera(self, files: FrameFiles, stamp: _Stamp) -> SensorFrame:
-        """Return a frame of the only camera, whatever its files are called."""
-        camera, form, where = self._rig.tactile, self._forms["tactile"], files.folder or self._path
-        images = {slot.replace("proximity", "tactile"): path for slot, path in files.images.items()}
-        if "tactile_depth" not in images:
-            raise SourceError(f"{where} has no tactile_depth.png, and no .tif, .npy or .pgm of that name; add it")
-        color = images.get("tactile_color") if self._shows_color else None
-        return SensorFrame.of_one_camera(
-            stamp.sequence,
-            read_depth(images["tactile_depth"], camera, form),
-            None if color is None else read_color(color, camera.intrinsics.shape, form),
-            stamp.tactile_time_s,
-            None if files.folder is None else _read_truth(files.folder, self._rig),
+            truth=truth,
         )
 
 

@@ -133,33 +133,27 @@ class McapSource(SeekableSource):
         self._file.close()
 
     def read(self, index: int) -> SensorFrame:
-        proximity, tactile = self._rig.proximity.intrinsics.shape, self._rig.tactile.intrinsics.shape
-        if not self._rig.has_proximity:
-            return self._read_one_camera(index, tactile)
-        depth, depth_time_s = self._required(Topic.PROXIMITY_DEPTH, index, proximity)
-        tactile_depth, tactile_time_s = self._required(Topic.TACTILE_DEPTH, index, tactile)
-        sequence = index
+        rig, sequence, time_s = self._rig, index, 0.0
+        tactile_depth, tactile_time_s = self._required(Topic.TACTILE_DEPTH, index, rig.tactile.intrinsics.shape)
+        tactile_color = self._optional(Topic.TACTILE_COLOR, index, rig.tactile.intrinsics.shape)
+        if rig.has_proximity:
+            depth, time_s = self._required(Topic.PROXIMITY_DEPTH, index, rig.proximity.intrinsics.shape)
         if (place := self._place(Topic.FRAME, index)) is not None:
-            sequence, depth_time_s, tactile_time_s = self._frame_record(place)
-        color = self._optional(Topic.PROXIMITY_COLOR, index, self._rig.proximity_color_shape)
+            sequence, time_s, tactile_time_s = self._frame_record(place)
+        truth = self._truth(index)
+        if not rig.has_proximity:
+            return SensorFrame.of_one_camera(sequence, tactile_depth, tactile_color, tactile_time_s, truth)
+        color = self._optional(Topic.PROXIMITY_COLOR, index, rig.proximity_color_shape)
         return SensorFrame(
             sequence=sequence,
             proximity_depth=depth,
             tactile_depth=tactile_depth,
-            proximity_color=np.zeros((*self._rig.proximity_color_shape, 3), np.uint8) if color is None else color,
-            tactile_color=self._optional(Topic.TACTILE_COLOR, index, tactile),
-            proximity_time_s=depth_time_s,
+            proximity_color=np.zeros((*rig.proximity_color_shape, 3), np.uint8) if color is None else color,
+            tactile_color=tactile_color,
+            proximity_time_s=time_s,
             tactile_time_s=tactile_time_s,
-            truth=self._truth(index),
+            truth=truth,
         )
-
-    def _read_one_camera(self, index: int, shape: tuple[int, int]) -> SensorFrame:
-        depth, time_s = self._required(Topic.TACTILE_DEPTH, index, shape)
-        sequence = index
-        if (place := self._place(Topic.FRAME, index)) is not None:
-            sequence, _, time_s = self._frame_record(place)
-        color = self._optional(Topic.TACTILE_COLOR, index, shape)
-        return SensorFrame.of_one_camera(sequence, depth, color, time_s, self._truth(index))
 
     def _check_topics(self, places: dict[Topic, Uint64Array]) -> None:
         topics = self._file.topics
