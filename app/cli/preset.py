@@ -185,11 +185,14 @@ def schema() -> None:
 
 
 def _refuse_contact(preset: Preset, rig: Rig, membrane: SensorFrame) -> None:
-    """Raise if the preset finds contact; without a mask prints would count as contact, so nothing is known."""
+    """Raise if the preset finds contact.
+
+    Without a mask prints would count as contact, and some tests find it by this very frame, so nothing is known.
+    """
     from ...core.contact.pipeline import ContactPipeline
     from ...core.warmup import warm_up_if_needed
 
-    if not preset.mask.enabled:
+    if not preset.mask.enabled or preset.test.needs_untouched or not rig.has_proximity:
         return
     with CliProgress() as progress:
         warm_up_if_needed(progress.preparing)

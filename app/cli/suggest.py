@@ -16,7 +16,6 @@ from .common import (
     PresetOption,
     SourceOption,
     default_preset,
-    open_pipeline,
     open_with_progress,
     say,
     warn,
@@ -26,6 +25,7 @@ from .preset import check_target, save_changed
 if TYPE_CHECKING:
     from ...core.model.frames import SensorFrame
     from ...core.sources import FrameSource
+    from ...core.tuning.advice.proposal import Finding
 
 #: Exit status of ``check`` if there are findings.
 FOUND_STATUS = 1
@@ -45,8 +45,8 @@ def suggest(
         list[str] | None,
         typer.Option(
             metavar="SECTION",
-            help="mask, contact_test, alignment, tolerance, outliers or membrane; may be repeated. Default: all that "
-            "the contact test reads.",
+            help="mask, contact_test, alignment, tolerance, outliers, membrane or dent; may be repeated. Default: all "
+            "that the contact test reads.",
         ),
     ] = None,
     frame: FrameOption = None,
@@ -99,18 +99,26 @@ def check(
 
     The same as Findings in the window. The stored untouched frame of the preset or the recording is used too.
     """
+    from ...core.contact.pipeline import ContactPipeline
     from ...core.rig.untouched import kept_untouched
     from ...core.sources.presets import load_preset
-    from ...core.tuning.advice.findings import Examiner
+    from ...core.tuning.advice.findings import Examiner, unusable_test
+    from ...core.warmup import warm_up_if_needed
 
     origin = preset or default_preset(source)
     chosen = load_preset(origin)
-    with open_pipeline(source, chosen, origin) as (opened, pipeline):
-        frames = _recent_frames(opened, frame)
+    with open_with_progress(source, chosen) as opened:
         stored = kept_untouched(chosen, origin, opened)
         warn(*stored.warnings)
-        patches = [pipeline.process(each) for each in frames]
-        findings = Examiner(opened.rig).findings(frames[-1], patches[-1], chosen, stored.frame)
+        unusable = unusable_test(chosen, opened.rig, stored.frame)
+        if unusable is not None:
+            findings: tuple[Finding, ...] = (unusable,)
+        else:
+            with CliProgress() as progress:
+                warm_up_if_needed(progress.preparing, chosen)
+            pipeline, frames = ContactPipeline(chosen, opened.rig, stored.frame), _recent_frames(opened, frame)
+            patches = [pipeline.process(each) for each in frames]
+            findings = Examiner(opened.rig).findings(frames[-1], patches[-1], chosen, stored.frame)
     for finding in findings:
         say(f"{finding.field}: {finding.sentence}")
         if finding.proposal is not None:

@@ -26,9 +26,11 @@ from .quality_tab import QualityTab
 
 _NOISE_INTRO: Final = (
     "Hold the sensor and what it sees still. The noise is measured from the differences of successive frames and from "
-    "the mean frame on smooth surfaces. The bias is measured on prints of the mask's colour, which both cameras see, "
-    "and where an object is pressed firmly into the membrane (10 cm² or more). The "
-    "simulator removes its object for this."
+    "the mean frame on smooth surfaces. The simulator removes its object for this."
+)
+_BIAS_INTRO: Final = (
+    " The bias is measured on prints of the mask's colour, which both cameras see, and where an object is pressed "
+    "firmly into the membrane (10 cm² or more)."
 )
 #: Duration of the measurement of the skew, seconds.
 _WATCHED_S: Final = 6.0
@@ -51,8 +53,8 @@ class NoiseTab(Gather):
         self.stored.setAccessibleName("Noise and bias in the preset")
         title = QLabel("In the preset")
         make_verdict(title)
-        intro = wrapped_label(_NOISE_INTRO)
-        vbox(intro, 8, self.row(), self.sentence, 8, title, self.stored, STRETCH, within=self)
+        self.intro = wrapped_label(_NOISE_INTRO + _BIAS_INTRO)
+        vbox(self.intro, 8, self.row(), self.sentence, 8, title, self.stored, STRETCH, within=self)
         self._document.presetChanged.connect(self._show_stored)
         self._show_stored()
         self._show_busy()
@@ -148,6 +150,8 @@ class CheckWindow(QDialog):
         if self.tabs.isTabEnabled(_SKEW) != two:
             self.tabs.setTabEnabled(_SKEW, two)
             self.tabs.setTabToolTip(_SKEW, _SKEW_TIP if two else "This rig has one camera: there is no delay")
+            self.tabs.setTabText(self.tabs.indexOf(self.noise), "&Noise and bias" if two else "&Noise")
+            self.noise.intro.setText(_NOISE_INTRO + (_BIAS_INTRO if two else ""))
         self.quality.show_result(result)
 
     def _end(self) -> None:

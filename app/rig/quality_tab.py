@@ -29,9 +29,7 @@ _INTERVAL_S = 0.4
 #: Share of the image's width and height, as in librealsense's depth quality tool.
 _START_SHARE = 0.4
 _WAITING = "Waiting for a frame: open a source in the main window, and let it play."
-_INTRO = (
-    "Point both cameras at a flat target and drag the rectangle onto it; the fill rate is valid on any scene at rest."
-)
+_INTRO = "Point {} at a flat target and drag the rectangle onto it; the fill rate is valid on any scene at rest."
 _MARKS = {Verdict.GOOD: "●", Verdict.FAIR: "▲", Verdict.POOR: "■", Verdict.UNKNOWN: "○"}
 
 
@@ -62,6 +60,7 @@ class QualityTab(QWidget):
         self.lines = {name: wrapped_label(selectable=True) for name in self.panes}
         self.region: Rectangle = (0, 0, 2, 2)
         self.status = wrapped_label(_WAITING)
+        self.intro = wrapped_label(_INTRO.format("both cameras"))
         grid = QGridLayout()
         for column, (name, pane) in enumerate(self.panes.items()):
             self.lines[name].setTextFormat(Qt.TextFormat.RichText)
@@ -71,7 +70,7 @@ class QualityTab(QWidget):
             pane.resized.connect(self._fit)
             pane.doubleClicked.connect(self._fit)
         grid.setRowStretch(0, 1)
-        vbox(wrapped_label(_INTRO), (grid, 1), self.status, within=self)
+        vbox(self.intro, (grid, 1), self.status, within=self)
         self.region_item.edited.connect(lambda region, _: self.set_region(region))
 
     def show_result(self, result: Result) -> None:
@@ -107,6 +106,7 @@ class QualityTab(QWidget):
             line.clear()
         self.status.clear()
         two = result.source.rig.has_proximity
+        self.intro.setText(_INTRO.format("both cameras" if two else "the camera"))
         for part in (self.panes["tactile"], self.lines["tactile"]):  # one camera: the first pane is the tactile's
             part.setVisible(two)
         self.panes["proximity"].title.setText("Proximity depth" if two else "Tactile depth")

@@ -39,6 +39,8 @@ class Drift:
 def recheck(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
     """Compare a preset's alignment with a current frame, by matching places of the membrane in the colour images."""
     frame.check_against(rig)
+    if not rig.has_proximity:
+        raise CalibrationError("the rig has one camera, so there is no alignment")
     if frame.tactile_color is None:
         raise CalibrationError(
             f"frame {frame.sequence} has no tactile colour image to compare; use a source that has one"

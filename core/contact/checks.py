@@ -65,22 +65,26 @@ def _lens_difference(made_for: Intrinsics, found: Intrinsics) -> str:
     return ""
 
 
+def check_test(preset: Preset, rig: Rig) -> None:
+    """Raise `RigMismatchError` if the contact test needs a camera that the rig does not have."""
+    if preset.test.needs_proximity and not rig.has_proximity:
+        raise RigMismatchError(
+            f"the contact test {preset.contact_test} compares two cameras, and this rig has a tactile camera only; "
+            "choose the contact test dent (contact_test=dent)"
+        )
+
+
 def check_rig(preset: Preset, rig: Rig) -> list[str]:
     """Return how the rig differs from the preset's; `RigMismatchError` if sizes do, or the region is outside."""
     name, made_for, used = f"Preset {preset.name!r}", preset.rig, rig_in_use(preset, rig)
     warnings = []
-    if preset.test.needs_proximity and not rig.has_proximity:
-        raise RigMismatchError(
-            f"the contact test {preset.contact_test} compares two cameras, and this rig has a tactile camera only; "
-            "choose the contact test dent"
-        )
     if used is not rig:
         warnings.append(
             f"{name} contains lens distortion that the source does not state; the preset's is used. "
             "Calibrate again if the source removes distortion itself."
         )
     if made_for is not None:
-        for role in ("proximity", "tactile"):
+        for role in ("proximity", "tactile") if rig.has_proximity else ("tactile",):
             before, now = getattr(made_for, role), getattr(used, role)
             if before.intrinsics.shape != now.intrinsics.shape:
                 raise RigMismatchError(
@@ -101,7 +105,7 @@ def check_rig(preset: Preset, rig: Rig) -> list[str]:
         if color is not None and color_now is not None:
             same_color = not _lens_difference(color.intrinsics, color_now.intrinsics)
             same_color &= np.allclose(color.T_color_depth, color_now.T_color_depth, atol=1e-5)
-        if not same_color:
+        if rig.has_proximity and not same_color:
             warnings.append(f"{name} was made for another colour camera or another pose of it; check the mask.")
     left, top, _, _ = preset.region.rectangle
     camera = rig.proximity

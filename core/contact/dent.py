@@ -1,8 +1,8 @@
 """The dent test, for rigs with a tactile camera only: the membrane has moved towards the camera since it was untouched.
 
 The change of the tactile depth since the untouched frame is averaged over a few pixels. A dent is where it exceeds a
-length, and what the measured noise explains. The rim of a dent does not touch the object, so its area is an upper
-limit of the contact.
+length, and what the measured noise explains. The skin around a contact moves too, the less the farther away it is, so
+only what moved by more than a share of the deepest movement of its dent counts as contact.
 """
 
 from __future__ import annotations
@@ -12,17 +12,19 @@ from typing import TYPE_CHECKING, Annotated, Final
 import numpy as np
 
 from ..errors import RigMismatchError
-from ..model.arrays import BoolArray, Float32Array, Uint8Array
+from ..model.arrays import BoolArray, Float32Array, IndexArray, Uint8Array, Uint16Array
+from ..model.clouds import valid_depth
 from ..model.frames import SensorFrame
 from ..model.patch import NO_CANDIDATES, Candidates, Found, Provenance
 from ..model.sections import Section, described
 from .contact_test import MASK_REASON, PIXEL_FIELDS, BiasLimits, ContactTest, DropReason, Steps
 
 if TYPE_CHECKING:
+    from ..model.rig_noise import RigNoise
     from ..preset import Preset
 
 #: Side of the square over which the change is averaged, pixels.
-_SIDE_PX: Final = 7
+_SIDE_PX: Final = 11
 #: The change exceeds the noise by this many standard deviations.
 _SIGMAS: Final = 4.0
 
@@ -42,12 +44,23 @@ class DentSection(Section):
             step=0.0005,
             limits=(0.0, 0.1),
         ),
-    ] = 0.005
+    ] = 0.004
+    share: Annotated[
+        float,
+        described(
+            "Share of the deepest",
+            "Contact is where a dent is deeper than this share of its deepest point. A larger value gives a smaller "
+            "patch. 0 counts the whole dent.",
+            slider=(0.0, 0.95),
+            step=0.01,
+            limits=(0.0, 1.0),
+        ),
+    ] = 0.6
     min_area_mm2: Annotated[
         float,
         described(
             "Smallest dent area",
-            "Connected groups of dented pixels with a smaller area are dropped. 0 keeps all.",
+            "Connected groups of pixels with a smaller area are dropped. 0 keeps all.",
             unit="mm2",
             slider=(0.0, 500.0),
             step=5.0,
@@ -61,9 +74,13 @@ class DentTest(ContactTest):
 
     name = "dent"
     sections = {"dent": DentSection}
-    steps = {"dent": (*PIXEL_FIELDS, "dent.limit_m", "noise"), "clusters": ("dent.min_area_mm2",)}
+    steps = {
+        "change": PIXEL_FIELDS,
+        "dent": ("dent.limit_m", "dent.share", "noise"),
+        "clusters": ("dent.min_area_mm2",),
+    }
     summary = "the membrane has moved towards the camera since the untouched frame; for rigs with one camera."
-    note = "Compares with the untouched frame. The rim of a dent counts, so the area is an upper limit."
+    note = "Compares with the untouched frame. The rim of a dent moves too, so the area is an estimate."
     near_words = "are dented"
     looser_words = "lower the smallest dent"
     drop_reasons = {
@@ -81,11 +98,14 @@ class DentTest(ContactTest):
                 f"preset {preset.name!r} uses the contact test dent, which compares with the untouched frame, and "
                 "there is none; capture it while nothing touches the membrane"
             )
+        if due("change"):
+            self._seen = pixels.candidates(frame, np.inf)
+            self._moved_m = self._movement_m(pixels.untouched.tactile_depth, frame.tactile_depth)
         if due("dent"):
-            seen = pixels.candidates(frame, np.inf)
-            dented = (self._change_m(frame) > self._limit_m(preset)).reshape(-1)
-            keep = dented[seen.pixels]
-            self._dented, self._dent = Candidates(seen.pixels[keep], seen.points[keep]), dented
+            dent = self._moved_m > dent_limit_m(preset)
+            self._dent, deepest = dent.reshape(-1), _deepest(dent, self._moved_m, preset.dent.share).reshape(-1)
+            keep = deepest[self._tactile_pixels(self._seen.pixels, frame)]
+            self._dented = Candidates(self._seen.pixels[keep], self._seen.points[keep])
         if due("clusters"):
             from .outliers.clusters import without_small_clusters  # loads kernels
 
@@ -93,31 +113,45 @@ class DentTest(ContactTest):
             if len(self._dented):
                 camera = pixels.rig.proximity.intrinsics
                 self._contact = without_small_clusters(self._dented, camera, preset.dent.min_area_mm2)
-        dented, large, contact = self._dent, self._dented, self._contact
-        return Found(contact, lambda: _provenance(pixels.classify(frame), dented, large, contact))
+        groups = self._seen, self._dented, self._contact
+        dent = self._dent
+        return Found(self._contact, lambda: self._provenance(frame, dent, *groups))
 
-    def _change_m(self, frame: SensorFrame) -> Float32Array:
-        """Return the movement towards the camera, averaged over a square: float32 (H, W); nan where it is unknown."""
+    def _provenance(
+        self, frame: SensorFrame, dent: BoolArray, seen: Candidates, dented: Candidates, contact: Candidates
+    ) -> Uint8Array:
+        """Return the verdict on each pixel: those of `Pixels.classify`, then those of the steps."""
+        image = self.pixels.classify(frame)
+        verdicts = image.reshape(-1)
+        known = np.flatnonzero(verdicts == Provenance.CONTACT)
+        inside = dent[self._tactile_pixels(known, frame)]
+        verdicts[known] = np.where(inside, Provenance.MASKED, Provenance.OUTSIDE_TOLERANCE)
+        unmasked = seen.pixels[verdicts[seen.pixels] == Provenance.MASKED]
+        verdicts[unmasked] = Provenance.RIM
+        verdicts[dented.pixels] = Provenance.SMALL_CLUSTER
+        verdicts[contact.pixels] = Provenance.CONTACT
+        return image
+
+    def _movement_m(self, before: Uint16Array, now: Uint16Array) -> Float32Array:
+        """Return the movement towards the camera, averaged over a square: float32 (H, W); 0 where it is unknown."""
         import cv2  # on demand: presets and patches need no images
 
-        pixels = self.pixels
-        assert pixels.untouched is not None
-        now = pixels.aligned(frame).measured_m
-        before = pixels.alignment.align(frame.proximity_depth, pixels.untouched.tactile_depth, pixels.region).measured_m
-        change = before - now
-        known = np.isfinite(change)
-        share = cv2.blur(known.astype(np.float32), (_SIDE_PX, _SIDE_PX))
-        mean = cv2.blur(np.where(known, change, np.float32(0)), (_SIDE_PX, _SIDE_PX))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(np.where(known & (share > 0.5), mean / share, np.nan), np.float32)
+        known = valid_depth(before) & valid_depth(now)
+        counts = np.where(known, before.astype(np.float32) - now, np.float32(0))
+        sums, share = (np.asarray(cv2.blur(each, (_SIDE_PX, _SIDE_PX))) for each in (counts, known.astype(np.float32)))
+        mean = np.divide(sums, share, out=np.zeros(known.shape, np.float32), where=known & (share > 0.5))
+        return np.asarray(mean * self.pixels.alignment.tables.tactile_unit_m, np.float32)
 
-    def _limit_m(self, preset: Preset) -> float:
-        """Return the length that a dent must exceed: the preset's, or what the noise of two frames explains."""
-        if preset.noise is None or preset.noise.tactile is None:
-            return preset.dent.limit_m
-        camera = preset.noise.tactile
-        single = np.hypot(camera.white_m / _SIDE_PX, camera.correlated_m)
-        return max(preset.dent.limit_m, float(_SIGMAS * np.sqrt(2) * single))
+    def _tactile_pixels(self, pixels: IndexArray, frame: SensorFrame) -> IndexArray:
+        """Return the flat tactile pixel of each flat proximity pixel that has depth."""
+        rig = self.pixels.rig
+        if not rig.has_proximity:  # both images are the same
+            return pixels
+        depth_m = frame.proximity_depth.reshape(-1)[pixels] * np.float32(rig.proximity.depth_unit_m)
+        height, width = rig.tactile.intrinsics.shape
+        u, v = self.pixels.alignment.tactile_pixels(pixels, depth_m, rig)
+        column, row = (np.rint(part).clip(0, size - 1).astype(np.intp) for part, size in ((u, width), (v, height)))
+        return np.asarray(row * width + column)
 
     @classmethod
     def accepted_share(cls, preset: Preset, distance_m: float) -> float:
@@ -130,11 +164,24 @@ class DentTest(ContactTest):
         return BiasLimits(float("inf"), float("inf"), "the dent test compares no two cameras")
 
 
-def _provenance(verdicts: Uint8Array, dented: BoolArray, large: Candidates, contact: Candidates) -> Uint8Array:
-    """Write the verdicts of the steps over those of `Pixels.classify`."""
-    pixels = verdicts.reshape(-1)
-    seen = pixels == Provenance.CONTACT
-    pixels[seen] = np.where(dented[seen], Provenance.MASKED, Provenance.OUTSIDE_TOLERANCE)
-    pixels[large.pixels] = Provenance.SMALL_CLUSTER
-    pixels[contact.pixels] = Provenance.CONTACT
-    return verdicts
+def dent_limit_m(preset: Preset) -> float:
+    """Return the length that a dent must exceed: the preset's, or what the measured noise explains."""
+    return max(preset.dent.limit_m, noise_limit_m(preset.noise) if preset.noise is not None else 0.0)
+
+
+def noise_limit_m(noise: RigNoise) -> float:
+    """Return the largest movement that noise explains where the membrane is at rest: its fixed part cancels."""
+    tactile = noise.tactile
+    changing = 2.0 * tactile.changing_share  # of the variances of two frames
+    return float(_SIGMAS * np.sqrt(changing) * np.hypot(tactile.white_m / _SIDE_PX, tactile.correlated_m))
+
+
+def _deepest(dented: BoolArray, moved_m: Float32Array, share: float) -> BoolArray:
+    """Return where each connected dent is deeper than a share of its deepest point."""
+    import cv2
+
+    count, image = cv2.connectedComponents(dented.view(np.uint8), connectivity=8)
+    dents = np.asarray(image, np.intp)
+    deepest_m = np.zeros(count, np.float32)
+    np.maximum.at(deepest_m, dents[dented], moved_m[dented])
+    return np.asarray(dented & (moved_m > share * deepest_m[dents]))

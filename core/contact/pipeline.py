@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from ..model.frames import Rig, SensorFrame
 from ..model.patch import ContactPatch, Lazy
 from .alignment import make_alignment
-from .checks import check_rig, rig_in_use
+from .checks import check_rig, check_test, rig_in_use
 from .contact_test import ContactTest, Steps
 from .membrane.average import AveragedDepth
 from .pixels import Pixels, Workspace
@@ -62,6 +62,7 @@ class ContactPipeline:
         self._start(preset, rig_in_use(preset, rig))
 
     def _start(self, preset: Preset, rig: Rig) -> None:
+        check_test(preset, rig)
         self.warnings, self._alignment = check_rig(preset, self._recording_rig), make_alignment(preset.alignment, rig)
         self.rig, self.preset = rig, preset
         self._workspace, self._memory = Workspace(rig), _Memory()
@@ -81,6 +82,7 @@ class ContactPipeline:
         if rig != self.rig:  # other lenses: nothing computed so far can be kept
             self._start(preset, rig)
             return
+        check_test(preset, rig)
         warnings = check_rig(preset, self._recording_rig)
         if preset.alignment.geometry != self.preset.alignment.geometry:
             self._alignment = make_alignment(preset.alignment, rig)

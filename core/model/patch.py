@@ -17,7 +17,7 @@ from .frames import Rig
 
 
 class Provenance(IntEnum):
-    """The verdict on one proximity pixel, in the order of the tests; RIM, of the membrane test, came last."""
+    """The verdict on one proximity pixel, in the order of the tests; RIM, not of all tests, came last."""
 
     NO_PROXIMITY_DEPTH = 0
     OUTSIDE_REGION = 1
@@ -51,7 +51,7 @@ _EXPLANATIONS = {
     Provenance.OUTLIER: "Dropped: the point lies unusually far from its neighbours, or has too few.",
     Provenance.SMALL_CLUSTER: "Dropped: its connected group is smaller than the smallest cluster kept.",
     Provenance.CONTACT: "Kept: the membrane touches the object here.",
-    Provenance.RIM: "Dropped: near the object, but a membrane in equilibrium has left it; contact ends further in.",
+    Provenance.RIM: "Dropped: beside the contact, where the membrane has left the object; contact ends further in.",
 }
 
 

@@ -245,7 +245,7 @@ class Watch:
         untouched.check_against(rig)
         self._preset, self._rig, self._untouched = preset, rig, untouched
         # One look must not depend on earlier ones.
-        self._pipeline = ContactPipeline(preset.with_value("membrane.frames", 1), rig)
+        self._pipeline = ContactPipeline(preset.with_value("membrane.frames", 1), rig, untouched)
         self._area_mm2 = self._pipeline.process(untouched).area_mm2
         self._verdicts: list[Verdict] = []
         self._next_s = -np.inf

@@ -32,6 +32,7 @@ from ..model.frames import Rig, SensorFrame
 from ..model.metrics import TruthTree, pixel_scores, true_contact
 from ..model.patch import ContactPatch
 from ..preset import Preset
+from ..rig.untouched import untouched_frame
 from ..sources.base import SeekableSource
 from ..warmup import warm_up
 from .plan import Plan, TuneError, open_recording
@@ -59,7 +60,8 @@ def measure(plan: Plan, trials: Sequence[dict[str, Any]]) -> list[Measured]:
     runs = [_Run(plan.base, values) for values in trials]
     for clip in plan.clips:
         source = _source(clip.source)
-        shared = ContactPipeline(plan.base, source.rig)
+        untouched = untouched_frame(source) if plan.base.test.needs_untouched else None
+        shared = ContactPipeline(plan.base, source.rig, untouched)
         for run in runs:
             run.attempt(run.begin, shared, source.rig)
         for frame in map(source.read, clip.frames):

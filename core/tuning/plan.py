@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
-from ..contact.checks import check_rig
+from ..contact.checks import check_rig, check_test
 from ..errors import TactuneError
 from ..preset import Preset
 from ..preset.preset import json_or_word, set_path
@@ -219,6 +219,7 @@ def make_plan(
 
 def _inspect(source: str, frames: slice, preset: Preset, opener: Callable[[str], FrameSource]) -> Clip:
     with open_recording(source, opener) as opened:
+        check_test(preset, opened.rig)
         check_rig(preset, opened.rig)
         if not (chosen := range(opened.length)[frames]):
             raise TuneError(f"{source} has {opened.length} frames, none of them chosen; choose others with --frames")

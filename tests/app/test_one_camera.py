@@ -94,6 +94,7 @@ def test_the_check_of_cameras_has_no_second_camera(make_window, qtbot, preset, u
     assert not opened.quality.panes["tactile"].isVisible()
     assert "Fill rate" in opened.quality.lines["proximity"].text()
     assert not opened.tabs.isTabEnabled(opened.tabs.indexOf(opened.skew))
+    assert "both cameras" not in opened.quality.intro.text() + opened.noise.intro.text()
     show_source(qtbot, window, FakeSource(), 3)
     qtbot.waitUntil(lambda: opened.tabs.isTabEnabled(opened.tabs.indexOf(opened.skew)))
     qtbot.waitUntil(opened.quality.panes["tactile"].isVisible)

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from ...contact.dent import noise_limit_m
 from ...contact.pipeline import ContactPipeline
 from ...errors import AdviceError, counted
 from ...model.arrays import Float64Array
@@ -38,6 +39,7 @@ _NAMES: Final = {
     "membrane.gap_m": "largest gap",
     "membrane.trust_m": "equilibrium length",
     "membrane.min_area_mm2": "smallest contact",
+    "dent.limit_m": "smallest dent",
 }
 #: The value chosen among equally good ones, where it is not the default of the field: the paper keeps all clusters, the
 #: shipped preset `simulator` drops those below this area.
@@ -65,6 +67,21 @@ def suggest_fields(section: str, evidence: Evidence, progress: Progress) -> Prop
         f"The difference of both depths has a noise of {1e3 * sigma_m:.1f} mm at {1e3 * distance_m:.0f} mm distance; t "
         f"covers {_T_SIGMAS:g} standard deviations. This is weaker than examples with marked contact.",
         "Nearly all contact passes, and no larger gap than noise requires.",
+    )
+
+
+def suggest_dent(evidence: Evidence, progress: Progress) -> Proposal:
+    """Propose the smallest dent that the measured noise allows, rounded up to 0.1 mm."""
+    noise = evidence.preset.noise
+    if noise is None:
+        raise AdviceError("dent: the noise of the camera tells the smallest dent; measure it (Check cameras)")
+    limit_m = noise_limit_m(noise)
+    return _proposal(
+        evidence,
+        "dent",
+        {"dent.limit_m": max(math.ceil(1e4 * limit_m), 1) / 1e4},
+        f"Noise explains movements up to {1e3 * limit_m:.1f} mm of a membrane at rest.",
+        "Nothing but noise is left out.",
     )
 
 

@@ -19,7 +19,7 @@ from ...model.clouds import valid_depth
 from ...preset import CONTACT_TESTS, Preset
 from ...rig.bias import MeasuredBias, depth_differences, pressed_bias, print_bias, scene_bias
 from ...sources.base import Progress, part_of
-from .fields import suggest_fields
+from .fields import suggest_dent, suggest_fields
 from .mask import suggest_mask
 from .proposal import Evidence, Proposal
 
@@ -30,8 +30,15 @@ _CERTAIN, _SMALLEST_M = 3.0, 0.0005
 
 
 def suggest_contact_test(evidence: Evidence, progress: Progress) -> Proposal:
-    """Propose the membrane test where an inflated membrane is seen, else the tolerance test."""
+    """Propose the membrane test where an inflated membrane is seen, else the tolerance test; dent for one camera."""
     preset, rig, frame = evidence.preset, evidence.rig, evidence.untouched or evidence.frame
+    if not rig.has_proximity:
+        return _propose_test(
+            preset,
+            "dent",
+            "The other contact tests compare two cameras, and this rig has one.",
+            "Contact is where the membrane has moved since the untouched frame.",
+        )
     if preset.alignment.model != "rigid":
         raise AdviceError(
             "contact test: the membrane test needs the rigid alignment, and this preset uses a homography; choose "
@@ -61,6 +68,10 @@ def suggest_contact_test(evidence: Evidence, progress: Progress) -> Proposal:
         )
         test = "membrane"
         expected = "Contact ends where a membrane in equilibrium leaves the object; tolerance and outliers are ignored."
+    return _propose_test(preset, test, why, expected)
+
+
+def _propose_test(preset: Preset, test: str, why: str, expected: str) -> Proposal:
     if preset.contact_test == test:
         return Proposal("contact_test", {}, f"Keep the {test} test", why, "Nothing changes.")
     return Proposal("contact_test", {"contact_test": test}, f"Contact test: {test}", why, expected)
@@ -157,7 +168,10 @@ _SUGGEST: Final[dict[str, Callable[[Evidence, Progress], Proposal]]] = {
     "tolerance": partial(suggest_fields, "tolerance"),
     "outliers": partial(suggest_fields, "outliers"),
     "membrane": partial(suggest_fields, "membrane"),
+    "dent": suggest_dent,
 }
+#: Sections that a rig with one camera does not need.
+_OF_TWO_CAMERAS: Final = ("mask", "alignment")
 #: Sections of the preset that can be suggested, in the order in which they depend on each other.
 SECTIONS: Final = tuple(_SUGGEST)
 
@@ -186,8 +200,8 @@ def suggest_all(
     progress : callable, optional
         Called with the finished share, 0 to 1, and a description. What it raises ends the computation.
     sections : collection of str, optional
-        Some of ``"mask"``, ``"contact_test"``, ``"alignment"``, ``"tolerance"``, ``"outliers"`` and ``"membrane"``;
-        default: all that the contact test reads, which may itself be proposed.
+        Some of ``"mask"``, ``"contact_test"``, ``"alignment"``, ``"tolerance"``, ``"outliers"``, ``"membrane"`` and
+        ``"dent"``; default: all that the contact test reads, which may itself be proposed.
 
     Returns
     -------
@@ -209,7 +223,7 @@ def suggest_all(
         )
     present, parts, refusals = evidence.preset, [], {}
     for number, section in enumerate(SECTIONS):
-        if section not in (_read_sections(evidence.preset) if sections is None else sections):
+        if section not in (_read_sections(evidence) if sections is None else sections):
             continue
         try:
             proposal = _suggest(section, evidence, part_of(progress, number, len(SECTIONS)))
@@ -233,18 +247,23 @@ def suggest_all(
 
 def _suggest(section: str, evidence: Evidence, progress: Progress) -> Proposal:
     """Make a proposal, and say how it changes the patch of the present frame."""
+    if section in _OF_TWO_CAMERAS and not evidence.rig.has_proximity:
+        raise AdviceError(f"{section}: it serves to compare two cameras, and this rig has one")
     proposal = _SUGGEST[section](evidence, progress)
-    if not proposal.changes:
+    after_it = proposal.apply(evidence.preset)
+    compared = evidence.rig.has_proximity or not evidence.preset.test.needs_proximity
+    if not proposal.changes or not compared or (after_it.test.needs_untouched and evidence.untouched is None):
         return proposal
-    pipeline = ContactPipeline(evidence.preset, evidence.rig)
+    pipeline = ContactPipeline(evidence.preset, evidence.rig, evidence.untouched)
     before = pipeline.process(evidence.frame).area_mm2
-    pipeline.update(proposal.apply(evidence.preset))
+    pipeline.update(after_it)
     after = pipeline.process(evidence.frame).area_mm2
     words = f"The patch of the present frame changes from {before / 100:.1f} to {after / 100:.1f} cm²."
     return replace(proposal, expected=f"{proposal.expected} {words}")
 
 
-def _read_sections(preset: Preset) -> set[str]:
-    """Return the sections that the preset's contact test reads."""
+def _read_sections(evidence: Evidence) -> set[str]:
+    """Return the sections that the preset's contact test reads on this rig."""
     of_tests = {name for test in CONTACT_TESTS.values() for name in test.sections}
-    return set(SECTIONS) - of_tests | set(preset.test.sections)
+    unread = of_tests if evidence.rig.has_proximity else of_tests | set(_OF_TWO_CAMERAS)
+    return set(SECTIONS) - unread | set(evidence.preset.test.sections)

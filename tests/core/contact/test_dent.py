@@ -70,7 +70,7 @@ def test_steps_are_cached_and_a_change_of_the_limit_finds_more(pressed):
     rig, frame, untouched = pressed
     pipeline = ContactPipeline(DENT, rig, untouched)
     first = pipeline.process(frame)
-    assert pipeline.process(frame).stage_ms == {"dent": 0.0, "clusters": 0.0}
+    assert pipeline.process(frame).stage_ms == {"change": 0.0, "dent": 0.0, "clusters": 0.0}
     pipeline.update(DENT.with_value("dent.limit_m", 0.001))
     assert len(pipeline.process(frame).points) > len(first.points)
     fresh = ContactPipeline(DENT, rig, untouched).process(frame)
@@ -81,8 +81,14 @@ def test_steps_are_cached_and_a_change_of_the_limit_finds_more(pressed):
 def test_the_true_contact_is_dented_and_what_hovers_is_not(name):
     with open_source(f"sim:{name}&cameras=tactile") as source:
         frame, untouched = source.next_frame(), untouched_frame(source)
-    dented = ContactPipeline(DENT, source.rig, untouched).process(frame).mask
-    assert (dented & frame.truth.contact).sum() > 0.9 * frame.truth.contact.sum()
+    contact = frame.truth.contact
+
+    def overlap(share):
+        found = ContactPipeline(DENT.with_value("dent.share", share), source.rig, untouched).process(frame).mask
+        assert share or (found & contact).sum() > 0.9 * contact.sum()
+        return (found & contact).sum() / (found | contact).sum()
+
+    assert overlap(0.6) > 1.7 * overlap(0.0)
     with open_source("sim:cup?gap=5&cameras=tactile") as hovering:
         away = hovering.next_frame()
         assert away is not None
