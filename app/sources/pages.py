@@ -20,7 +20,9 @@ from ..settings import Settings
 def recording_name(paths: list[Path]) -> str:
     """Return the name of the source that opens a folder, a file, or two files of two cameras."""
     if len(paths) == 1 and paths[0].is_dir():
-        return f"folder:{paths[0]}"
+        name = str(paths[0])
+        folders = [kind for kind in source_kinds() if kind.needs == "folder" and kind.claim(name) is not None]
+        return f"{folders[0].scheme if folders else 'folder'}:{name}"
     kinds = {path: _kind_of(path) for path in paths}
     kind = kinds[paths[0]]
     if kind is None or set(kinds.values()) != {kind}:

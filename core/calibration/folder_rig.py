@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,7 +15,6 @@ from ..errors import CalibrationError, SourceError, foreign
 from ..model.arrays import AnyArray
 from ..model.clouds import valid_depth
 from ..model.frames import MAX_UNIT_M, Matrix4, Rig
-from ..model.intrinsics import Intrinsics
 from ..sources.folder_images import read_image, read_values
 from ..sources.folder_layout import Layout, find_frames
 from ..sources.lens import Lens, make_lens
@@ -68,6 +67,7 @@ class _Camera:
     lens: Lens
     form: dict[str, Any]
     unit_m: float | None = None
+    T_color_depth: Matrix4 | None = None
 
 
 def describe_folder(
@@ -108,7 +108,8 @@ def describe_folder(
         _check_only_color(draft, cameras[roles[0]])
         cameras, forms = {"tactile": cameras[roles[0]]}, {"tactile": forms[roles[0]]}
     elif (color := _color(draft, options, cameras["proximity"])) is not None:
-        cameras["proximity_color"] = color.lens.intrinsics.model_dump(mode="json")
+        lens = color.lens.intrinsics.model_dump(mode="json")
+        cameras["proximity_color"] = lens | {"T_color_depth": color.T_color_depth}
         forms["proximity_color"] = color.form
     pose = _pose(draft, roles)
     return FolderRig(make_rig(cameras, pose), forms, tuple(draft.notes), tuple(draft.warnings))
@@ -125,11 +126,11 @@ def _check_only_color(draft: _Draft, depth: dict[str, Any]) -> None:
 
 
 def _color(draft: _Draft, options: dict[str, str | None], depth: dict[str, Any]) -> _Camera | None:
-    """Return the colour camera beside the proximity depth; None where colour is taken as aligned, or there is none."""
+    """Return the colour camera beside the proximity depth; None where colour is taken as aligned, or is left out."""
     if "proximity_color" not in draft.layout.slots:
         draft.warnings.append("the folder has no proximity colour: its image stays black")
         return None
-    option = options.get("color")
+    option, proximity = options.get("color"), options.get("proximity") or ""
     image = read_image(draft.first("proximity_color"))
     size = image.shape[1], image.shape[0]
     if option is None and size == (depth["width"], depth["height"]):
@@ -139,15 +140,16 @@ def _color(draft: _Draft, options: dict[str, str | None], depth: dict[str, Any])
                 "lens of the colour camera with --color"
             )
         return None
-    if option is None:
-        proximity = options.get("proximity") or ""
-        model, _, how = proximity.partition("=")
-        option = proximity if how == "camera" else model if model in MODELS else None
-    found = _camera(draft, "color", option, "colour", size)
-    draft.warnings.append(
-        "the pose of the colour camera is unknown: it is written as that of the depth camera, so colours are shifted "
-        "by some pixels; correct T_color_depth in rig.json"
-    )
+    option = option or (proximity if proximity.endswith("=camera") else None)
+    found = None if option is None else _camera(draft, "color", option, "colour", size)
+    if found is not None and found.T_color_depth is None:
+        found = replace(found, T_color_depth=_stated_pose(draft, "colour", "proximity"))
+    if found is None or found.T_color_depth is None:
+        draft.warnings.append(
+            "the pose of the colour camera is unknown, so its images are left out; give --color and --proximity one "
+            "camchain of both, or write proximity_color with T_color_depth into rig.json"
+        )
+        return None
     return found
 
 
@@ -174,8 +176,7 @@ def _camera(draft: _Draft, role: str, option: str | None, kind: str, size: tuple
         )
         return _Camera(model, Lens(nominal_lens(*size, MODELS[_known(model)].views_deg[kind])), {})
     if how == "camera":
-        lens, unit_m = _connected(model, kind, size)
-        return _Camera(model, Lens(lens), {}, unit_m)
+        return _connected(model, kind, size)
     if re.fullmatch(r"[^,]*(,[^,]*){3}", how):
         return _Camera(model, _typed(option, how, size), {})
     if Path(how).is_dir():
@@ -237,16 +238,17 @@ def _typed(option: str, how: str, size: tuple[int, int]) -> Lens:
         raise CalibrationError(f"{foreign(option, 80)!r}: {error}") from error
 
 
-def _connected(model: str, kind: str, size: tuple[int, int]) -> tuple[Intrinsics, float]:
-    """Return the lens that a connected camera states for its images, and its depth unit in metres."""
+def _connected(model: str, kind: str, size: tuple[int, int]) -> _Camera:
+    """Return what a connected camera states for its images."""
     from ..sources.cameras.drivers import camera_drivers, connected_devices
 
     for driver, device in connected_devices(camera_drivers()[0])[0]:
         if model in device.model:
             with closing(driver.open(device.serial, device.role or "proximity")) as camera:
-                lens = camera.calibration.depth.intrinsics if kind == "depth" else camera.calibration.color
+                stated = camera.calibration
+            lens = stated.depth.intrinsics if kind == "depth" else stated.color
             if lens is not None and (lens.width, lens.height) == size:
-                return lens, camera.calibration.depth.depth_unit_m
+                return _Camera(model, Lens(lens), {}, stated.depth.depth_unit_m, stated.T_color_depth)
     raise CalibrationError(
         f"no connected {model} states a {kind} lens for {size[0]} x {size[1]} pixels; tactune devices"
     )
@@ -333,10 +335,18 @@ def _unit(
 def _pose(draft: _Draft, roles: list[str]) -> Matrix4 | None:
     if len(roles) == 1:
         return None
-    if len(draft.stated) >= 2 and all(role in draft.stated for role in roles):
-        (proximity, lenses), (tactile, others) = (draft.stated[role] for role in roles)
-        if lenses == others and (pose := pose_between(proximity, tactile, lenses)) is not None:
-            draft.notes.append(f"pose of the cameras from {proximity.path}")
-            return pose
-    draft.warnings.append("the pose between the cameras is unknown: calibrate the alignment")
-    return None
+    pose = _stated_pose(draft, "proximity", "tactile")
+    if pose is None:
+        draft.warnings.append("the pose between the cameras is unknown: calibrate the alignment")
+    return pose
+
+
+def _stated_pose(draft: _Draft, first: str, second: str) -> Matrix4 | None:
+    """Return ``T_first_second`` if one file states both cameras and their pose."""
+    if first not in draft.stated or second not in draft.stated:
+        return None
+    (one, lenses), (other, others) = draft.stated[first], draft.stated[second]
+    pose = pose_between(one, other, lenses) if lenses == others else None
+    if pose is not None:
+        draft.notes.append(f"pose of {first} and {second} from {one.path}")
+    return pose

@@ -74,10 +74,8 @@ def check_lens(lens: Intrinsics, camera: str) -> None:
 
 
 def make_rig(cameras: Mapping[str, dict[str, Any]], pose: Matrix4 | None = None) -> Rig:
-    """Return the rig of cameras as ``rig.json`` describes them, by its keys; colour and depth camera stand together."""
+    """Return the rig of cameras as ``rig.json`` describes them, by its keys."""
     data: dict[str, Any] = dict(cameras)
-    if "proximity_color" in data:
-        data["proximity_color"] = data["proximity_color"] | {"T_color_depth": np.eye(4).tolist()}
     if pose is not None:
         data["T_proximity_tactile"] = pose
     rig = parse_rig(data, "rig.json")

@@ -230,7 +230,7 @@ class SourceKind:
     needs : {"nothing", "folder", "file"}
         What the user must choose to open a source.
     pattern : str
-        File names that it opens, such as ``"*.bag *.db3"``, or the file that makes a folder one, such as
+        File names that it opens, such as ``"*.bag *.db3"``, or those one of which makes a folder one, such as
         ``"rig.json"``; empty if it opens none.
     files : int
         How many files, with commas between them, may make one source.
@@ -252,8 +252,8 @@ class SourceKind:
             fits = all(any(file.match(each) for each in self.pattern.split()) for file in files)
             return name if 0 < len(files) <= self.files and fits else None
         if self.needs == "folder" and self.pattern:
-            if (path / self.pattern).is_file():
-                return name
-            if path.name == self.pattern and path.is_file():
+            if path.is_dir():
+                return name if any(any(path.glob(each)) for each in self.pattern.split()) else None
+            if path.name == self.pattern.split()[0] and path.is_file():
                 return str(path.parent)
         return None

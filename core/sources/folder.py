@@ -71,9 +71,11 @@ class FolderSource(SeekableSource):
             raise SourceError(f"{self._path} has two frames of the same sequence in frame.json; correct it")
         super().__init__(name, rig, len(self._stamps))
         first = self._layout.frames[0].images
-        color = first.get("tactile_color") or first.get("proximity_color")
-        #: The colour of the only camera is shown if it has the size of the depth.
-        self._shows_color = color is not None and read_image(color).shape[:2] == rig.tactile.intrinsics.shape
+        color, shape = first.get("proximity_color"), rig.proximity_color_shape
+        if not rig.has_proximity:
+            color = first.get("tactile_color") or color
+        #: Colour of another size than the rig says is left out.
+        self._shows_color = color is not None and read_image(color).shape[:2] == shape
         self.read(0)
 
     @property
@@ -94,11 +96,10 @@ class FolderSource(SeekableSource):
         return self._frame(files, _read_stamp(files, 0))
 
     def health(self) -> Health:
-        slots, lacks = self._layout.slots, []
-        if not self._rig.has_proximity and not self._shows_color:
-            lacks.append("this folder has no colour of the size of the depth: its image stays black")
-        if self._rig.has_proximity and "proximity_color" not in slots:
-            lacks.append("this folder has no proximity colour: its image stays black")
+        lacks = []
+        if not self._shows_color:
+            camera = "proximity " if self._rig.has_proximity else ""
+            lacks.append(f"this folder has no {camera}colour of the size that rig.json says: its image stays black")
         if self._layout.unmatched:
             lacks.append(f"{self._layout.unmatched} images without one of the other camera are left out")
         return Health(ok=not lacks, message="; ".join(lacks), unmatched=self._layout.unmatched)
@@ -107,8 +108,9 @@ class FolderSource(SeekableSource):
         rig, images, where = self._rig, files.images, files.folder or self._path
         if not rig.has_proximity:  # the only camera, whatever its files are called
             images = {slot.replace("proximity", "tactile"): path for slot, path in images.items()}
-            if not self._shows_color:
-                images.pop("tactile_color", None)
+        if not self._shows_color:
+            hidden = "proximity_color" if rig.has_proximity else "tactile_color"
+            images = {slot: path for slot, path in images.items() if slot != hidden}
         for slot in ("proximity_depth", "tactile_depth") if rig.has_proximity else ("tactile_depth",):
             if slot not in images:
                 raise SourceError(f"{where} has no {slot}.png, and no .tif, .npy or .pgm of that name; add it")

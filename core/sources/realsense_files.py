@@ -63,11 +63,11 @@ class BagSource(RecordedSource):
 
 
 def is_realsense(text: str) -> bool:
-    """Whether a name is that of librealsense's recordings: two files, or topics that begin with a device's number."""
+    """Whether a name is that of librealsense's recordings: their topics begin with a device's number."""
     paths = recording_files(text)
-    if len(paths) != 1:
-        return True
-    with closing(open_bag(paths[0])) as bag:
+    if not paths:
+        return True  # it is told that there is none
+    with closing(open_bag(paths[:1])) as bag:
         return any(topic.startswith("/device_") for topic in bag.types)
 
 
@@ -243,7 +243,7 @@ class RecordingFile(ABC):
 
 
 def open_recording(path: Path, progress: Progress | None = None) -> RecordingFile:
-    bag = open_bag(path)
+    bag = open_bag([path])
     try:
         with damage_told(path, "this is no readable RealSense recording"):
             # Decided by content, because a .bag may have been renamed.

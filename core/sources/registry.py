@@ -83,15 +83,16 @@ _ROS_FOLDER = SourceKind(
     title="Folder of ros2 bag record",
     form="rosbag:PATH",
     needs="folder",
-    pattern="metadata.yaml",
+    pattern="metadata.yaml *_0.mcap *_0.db3 *_0.mcap.zstd *_0.db3.zstd",
     open=partial(_open_recording, "rosbag"),
 )
 _MCAP = SourceKind(
     scheme="mcap",
     title="Tactune or ROS recording",
-    form="mcap:PATH",
+    form="mcap:PATH[,PATH]",
     needs="file",
     pattern="*.mcap",
+    files=2,
     open=partial(_open_recording, "mcap"),
 )
 _ROS2 = SourceKind(
@@ -161,11 +162,15 @@ def topics_to_choose(name: str, progress: Progress | None = None) -> Inspection 
     if _kind(scheme) is None:
         kind, rest = _guess(name)
         scheme = kind.scheme
-    if split_topics(rest)[1] or not path_exists(rest) or scheme not in ("bag", "mcap", "rosbag"):
+    if (
+        split_topics(rest)[1]
+        or not (path_exists(rest) or recording_files(rest))
+        or scheme not in ("bag", "mcap", "rosbag")
+    ):
         return None
     if not _is_of_others(scheme, rest):
         return None
-    return inspect_recording(user_path(rest), progress)
+    return inspect_recording(rest, progress)
 
 
 def opens_by_name(name: str) -> bool:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import sqlite3
 import struct
@@ -39,6 +40,8 @@ else:
     from backports import zstd
 
 METADATA: Final = "metadata.yaml"
+#: Endings of the files in a folder of ``ros2 bag record``.
+BAG_ENDINGS: Final = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 SQLITE_MAGIC: Final = b"SQLite format 3\x00"
 ROS1_MAGIC: Final = b"#ROSBAG V"
 _ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
@@ -283,15 +286,14 @@ class _Unfinished(Reader):
 class SplitBag(Bag):
     """The files of one recording, one after another, which ``ros2 bag record`` writes into a folder."""
 
-    def __init__(self, folder: Path, progress: Progress | None) -> None:
+    def __init__(self, paths: Sequence[Path], progress: Progress | None) -> None:
         super().__init__()
         self._resources = ExitStack()
         self._parts: list[Bag] = []
-        paths = _parts_of(folder)
         try:
             for number, path in enumerate(paths):
                 told = None if progress is None else part_of(progress, number, len(paths))
-                part = open_bag(self._plain(path), told)
+                part = open_bag([self._plain(path)], told)
                 self._resources.callback(part.close)
                 self._parts.append(part)
                 self.types |= part.types
@@ -330,13 +332,17 @@ class SplitBag(Bag):
         return folder / path.stem
 
 
-def open_bag(path: Path, progress: Progress | None = None) -> Bag:
-    """Open a file by its content, or the folder of ``ros2 bag record``; `SourceError` says what is wrong."""
-    if path.name == METADATA:
-        path = path.parent
+def open_bag(paths: Sequence[Path], progress: Progress | None = None) -> Bag:
+    """Open a file by its content, the folder of ``ros2 bag record``, or the files of one recording.
+
+    `SourceError` says what is wrong.
+    """
+    path = paths[0].parent if paths[0].name == METADATA else paths[0]
     with damage_told(path, "this is no readable ROS recording"):
         if path.is_dir():
-            return SplitBag(path, progress)
+            return SplitBag(_parts_of(path), progress)
+        if len(paths) > 1:
+            return SplitBag(sorted(paths, key=_number), progress)
         with path.open("rb") as file:
             start = file.read(32)
         if start.startswith(SQLITE_MAGIC):
@@ -350,6 +356,14 @@ def open_bag(path: Path, progress: Progress | None = None) -> Bag:
 
 def _parts_of(folder: Path) -> list[Path]:
     """Return the files of a recording in the order of time."""
+    if not (folder / METADATA).exists():  # a recorder that was killed writes none
+        paths = sorted((path for ending in BAG_ENDINGS for path in folder.glob(f"*{ending}")), key=_number)
+        if len(names := {re.sub(r"(_\d+)?\..*", "", path.name) for path in paths}) != 1:
+            raise SourceError(
+                f"{folder} has no {METADATA} and files of {len(names)} recordings "
+                f"({', '.join(foreign(name, 40) for name in sorted(names)[:4])}); choose the files of one"
+            )
+        return paths
     try:
         about = YAML(typ="safe").load((folder / METADATA).read_text("utf-8"))["rosbag2_bagfile_information"]
         paths = [folder / PurePath(name).name for name in about["relative_file_paths"]]
@@ -362,6 +376,12 @@ def _parts_of(folder: Path) -> list[Path]:
     if not paths:
         raise SourceError(f"{folder / METADATA} names no file; choose the files of the recording")
     return paths
+
+
+def _number(path: Path) -> tuple[int, str]:
+    """Return what puts the files of a recording, ``NAME_0.mcap`` and so on, in order."""
+    found = re.search(r"_(\d+)\.", path.name)
+    return int(found[1]) if found else 0, path.name
 
 
 def _long_name(kind: str) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...errors import SourceError, foreign
 from ...model.arrays import AnyArray, Float64Array, IndexArray, Int64Array, Uint8Array
-from ...model.files import user_path
+from ...model.files import recording_files, user_path
 from ...model.frames import DepthCamera, Matrix4, camera_pose
 from ..base import Progress
 from ..cameras.camera import Calibration
@@ -102,11 +102,13 @@ class Inspection:
     pictures: dict[str, Uint8Array]
 
 
-def inspect_recording(path: Path, progress: Progress | None = None) -> Inspection | None:
+def inspect_recording(text: str, progress: Progress | None = None) -> Inspection | None:
     """Return what there is to choose from; None where the topics have been chosen before."""
+    paths = _paths(text)
+    path = paths[0]
     if load_topics(path):
         return None
-    with closing(open_bag(path, progress)) as bag, damage_told(path, "it is damaged"):
+    with closing(open_bag(paths, progress)) as bag, damage_told(path, "it is damaged"):
         images, frames = survey(bag), Frames(bag)
         guess, gap = guess_topics(images, lambda a, b: frames.pose(a, b) is not None)
         pictures = {}
@@ -139,12 +141,12 @@ class RosSource(RecordedSource):
 
     def __init__(self, scheme: str, rest: str, progress: Progress | None = None) -> None:
         text, chosen = split_name(rest)
-        path = user_path(text)
-        name = f"{scheme}:{text}"
+        paths = _paths(text)
+        path, name = paths[0], f"{scheme}:{text}"
         if not path.exists():
             raise SourceError(f"{name}: there is no file {path}; check the path")
         with ExitStack() as resources:
-            bag = open_bag(path, progress)
+            bag = open_bag(paths, progress)
             resources.callback(bag.close)
             with damage_told(path, "it is damaged"):
                 found = _Cameras(path, bag, progress)
@@ -154,6 +156,11 @@ class RosSource(RecordedSource):
             self._resources = resources.pop_all()
         if chosen:
             store_topics(path, chosen)
+
+
+def _paths(text: str) -> tuple[Path, ...]:
+    """Return the file, the folder, or the two files that a name means."""
+    return recording_files(text) or (user_path(text),)
 
 
 class _Cameras:

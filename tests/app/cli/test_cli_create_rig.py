@@ -36,7 +36,8 @@ def test_what_is_assumed_is_said(tactune, bare):
     assert unknown.status == 2 and "lens of the tactile camera is unknown" in unknown.err
     done = tactune("create-rig", bare, "--proximity", "D435=60,61,31.5,23.5", "--tactile", "D405", "--unit", "mm")
     assert done.status == 0
-    assert "the colour lens of the D435 is the maker's" in done.err
+    assert "the pose of the colour camera is unknown, so its images are left out" in done.err
+    assert load_rig(bare / "rig.json").proximity_color is None
     assert "the depth lens of the D405 is the maker's" in done.err
     assert "depth lens of the D435" not in done.err
 

@@ -51,6 +51,25 @@ def test_every_container_plays_the_same(tmp_path, kind, opened):
             assert frame.proximity_time_s == frame.tactile_time_s == pytest.approx(1000 + 0.1 * n)
 
 
+@pytest.mark.parametrize("kind", ["mcap", "sqlite", "file"])
+def test_split_files_open_without_metadata_as_a_folder_or_as_two_paths(tmp_path, kind):
+    folder = tmp_path / "split"
+    folder.mkdir()
+    parts = []
+    for number, name in ((0, "drive_0"), (1, "drive_1")):
+        file = file_in(make_recording(tmp_path / f"part{number}", TWO, kind=kind, start_s=1000 + number))
+        parts.append(file.rename(folder / f"{name}{''.join(file.suffixes)}"))
+    names = [str(folder)] + ([f"{parts[1]},{parts[0]}"] if kind != "file" else [])
+    for name in names:
+        with open_source(name) as source:
+            assert [frame.proximity_time_s for frame in source] == pytest.approx(
+                [1000, 1000.1, 1000.2, 1001, 1001.1, 1001.2]
+            )
+    parts[1].rename(folder / f"walk_0{''.join(parts[1].suffixes)}")
+    with pytest.raises(SourceError, match=r"files of 2 recordings \(drive, walk\); choose the files of one"):
+        open_source(str(folder))
+
+
 @pytest.mark.parametrize(
     ("near", "touch", "rgb"),
     [
