@@ -1,19 +1,22 @@
-"""Which topics of a ROS recording the rig's images are on: asked once, with a picture of each topic."""
+"""What foreign images do not say by themselves, asked before they are opened: topics of a recording, with pictures."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 from PyQt6.QtCore import QObject, QSize, Qt
 from PyQt6.QtGui import QIcon, QImage, QPixmap
 from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QGridLayout, QLabel, QPushButton, QWidget
 
 from ...core.errors import as_sentence
-from ...core.sources.registry import topics_to_choose
+from ...core.sources.registry import images_without_rig, topics_to_choose
 from ...core.sources.ros.source import Inspection
 from ...widgets.basics.controls import ChoiceBox, NoteLabel, caption, dialog_buttons, wrapped_label
+from ...widgets.basics.dialogs import Dialogs
 from ...widgets.basics.layouts import STRETCH, vbox
 from ..worker.jobs import Job
+from .folder_rig import FolderRigDialog
 
 _SLOTS = {
     "proximity.depth": ("&Proximity depth", "The camera that looks through the membrane at the object"),
@@ -25,7 +28,7 @@ _SLOTS = {
     "tactile.color": ("Tactile c&olour", "Colour of the same camera; it may be missing"),
 }
 #: Schemes of sources that have no topics to ask for.
-WITHOUT_TOPICS = ("sim", "live", "folder", "cameras", "realsense", "ros2")
+WITHOUT_TOPICS = ("sim", "live", "cameras", "realsense", "ros2")
 _NONE = "none"
 _PICTURE_SIZE, _ICON_SIZE = QSize(160, 120), QSize(48, 36)
 
@@ -104,38 +107,52 @@ class TopicsDialog(QDialog):
 
 
 class TopicsControl(QObject):
-    """Looks into a recording before it is opened, and asks for its topics where nobody has chosen them yet."""
+    """Looks into a recording before it is opened, and asks for its topics or its rig where these are unknown."""
 
-    def __init__(self, parent: QWidget, use: Callable[[str], object], give_up: Callable[[str, str], object]) -> None:
+    def __init__(
+        self,
+        parent: QWidget,
+        dialogs: Dialogs,
+        use: Callable[[str], object],
+        give_up: Callable[[str, str], object],
+    ) -> None:
         super().__init__(parent)
-        self._window, self._use, self._give_up = parent, use, give_up
+        self._window, self._dialogs, self._use, self._give_up = parent, dialogs, use, give_up
         self._name = ""
         self._job = Job(self)
         self._job.done.connect(self._ask)
         self._job.failed.connect(lambda _: self._use(self._name))  # opening it tells what is wrong
-        self.dialog: TopicsDialog | None = None
+        self.dialog: TopicsDialog | FolderRigDialog | None = None
 
     def open(self, name: str) -> None:
         """Call ``use`` with the name, topics added; or ``give_up`` with it and a sentence."""
         self._name = name
-        self._job.start(lambda progress: topics_to_choose(name, progress))
+        self._job.start(lambda progress: images_without_rig(name) or topics_to_choose(name, progress))
 
     def close(self) -> None:
         self._job.stop()
 
-    def _ask(self, found: Inspection | None) -> None:
+    def _ask(self, found: Inspection | tuple[Path, tuple[str, ...]] | None) -> None:
+        if isinstance(found, tuple):
+            self._show(FolderRigDialog(*found, self._dialogs, self._window))
+            return
         if found is None or not any(image.kind == "depth" for image in found.images):
             self._use(self._name)
             return
-        self.dialog = TopicsDialog(self._name, found, self._window)
-        self.dialog.finished.connect(self._answered)
-        self.dialog.open()
+        self._show(TopicsDialog(self._name, found, self._window))
+
+    def _show(self, dialog: TopicsDialog | FolderRigDialog) -> None:
+        self.dialog = dialog
+        dialog.finished.connect(self._answered)
+        dialog.open()
 
     def _answered(self, code: int) -> None:
         dialog, self.dialog = self.dialog, None
         if dialog is None:
             return
-        if code == QDialog.DialogCode.Accepted:
+        if isinstance(dialog, FolderRigDialog):
+            self._use(self._name) if code else self._give_up(self._name, "The folder has no rig, and was not opened.")
+        elif code == QDialog.DialogCode.Accepted:
             self._use(f"{self._name}?{','.join(f'{slot}={topic}' for slot, topic in dialog.topics.items())}")
         else:
             self._give_up(self._name, "No topics were chosen; the recording was not opened.")

@@ -115,7 +115,7 @@ class MainWindow(QMainWindow):
         self.calibration = CalibrationLauncher(self.context)
         self.cameras = CameraControl(self.context)
         self.sources = OpenControl(self.context)
-        self.topics = TopicsControl(self, self.open_named, self._open_failed)
+        self.topics = TopicsControl(self, self.dialogs, self.open_named, self._open_failed)
         self.checks = CameraChecks(self.context)
         self.untouched = UntouchedControls(self.context)
         self.watch = WatchControl(

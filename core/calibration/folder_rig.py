@@ -137,7 +137,7 @@ def _color(draft: _Draft, options: dict[str, str | None], depth: dict[str, Any])
         if draft.layout.name not in ("TUM", "BOP"):
             draft.warnings.append(
                 "the proximity colour has the size of the depth and is taken as aligned to it; if it is not, give the "
-                "lens of the colour camera with --color"
+                "lens of the colour camera (--color)"
             )
         return None
     option = option or (proximity if proximity.endswith("=camera") else None)
@@ -146,8 +146,8 @@ def _color(draft: _Draft, options: dict[str, str | None], depth: dict[str, Any])
         found = replace(found, T_color_depth=_stated_pose(draft, "colour", "proximity"))
     if found is None or found.T_color_depth is None:
         draft.warnings.append(
-            "the pose of the colour camera is unknown, so its images are left out; give --color and --proximity one "
-            "camchain of both, or write proximity_color with T_color_depth into rig.json"
+            "the pose of the colour camera is unknown, so its images are left out; state one camchain as the lens "
+            "of both (--color, --proximity), or write proximity_color with T_color_depth into rig.json"
         )
         return None
     return found
@@ -160,9 +160,9 @@ def _camera(draft: _Draft, role: str, option: str | None, kind: str, size: tuple
         path = None if role == "color" else next((path for each in beside for path in each if path.is_file()), None)
         if path is None:
             raise CalibrationError(
-                f"the lens of the {role} camera is unknown; give --{role} [MODEL=]FILE, a camera_info.yaml, Kalibr's "
-                f"or OpenCV's file or K.txt, --{role} [MODEL=]fx,fy,cx,cy in px, or --{role} "
-                f"{'|'.join(MODELS)} for the maker's values"
+                f"the lens of the {role} camera is unknown; state it as a file (a camera_info.yaml, Kalibr's or "
+                f"OpenCV's file, K.txt), as fx,fy,cx,cy in px, or as {', '.join(MODELS)} for the maker's values "
+                f"(--{role})"
             )
         option = str(path)
     model, equals, how = option.partition("=")
@@ -277,8 +277,8 @@ def _units(text: str | None) -> dict[str, float]:
             unit_m = 1 / unit_m
         if role.strip() not in ("proximity", "tactile") or not 1e-7 <= unit_m <= 1:
             raise CalibrationError(
-                f"--unit is {foreign(text, 60)!r}; write mm, metres per count such as 0.00025 or 1/5000, or one for "
-                "each camera, as in proximity=mm,tactile=0.0001"
+                f"the unit (--unit) is {foreign(text, 60)!r}; write mm, metres per count such as 0.00025 "
+                "or 1/5000, or one for each camera, as in proximity=mm,tactile=0.0001"
             )
         units[role.strip()] = unit_m
     return units
@@ -292,7 +292,7 @@ def _unit(
     counts_per_m = draft.layout.counts_per_m
     assumed = False
     if given_m is not None:
-        unit_m, why = given_m, "given with --unit"
+        unit_m, why = given_m, "given"
     elif camera.unit_m is not None:
         unit_m, why = camera.unit_m, "stated with the lens"
     elif is_float:
@@ -303,13 +303,13 @@ def _unit(
         unit_m, why, assumed = MODELS[camera.model].depth_unit_m, f"that of the {camera.model}", True
     else:
         raise CalibrationError(
-            f"the unit of the {role} depth is unknown: {draft.first(f'{role}_depth').name} holds counts; give "
-            f"--unit mm, or metres per count, such as --unit {role}=0.00025"
+            f"the unit of the {role} depth is unknown: {draft.first(f'{role}_depth').name} holds counts; state it "
+            f"as mm, or as metres per count such as {role}=0.00025 (--unit)"
         )
     if not is_float and unit_m > MAX_UNIT_M:
         raise CalibrationError(
-            f"--unit says {unit_m:g} m for {role}, whose images hold whole counts; a count is at most "
-            f"{MAX_UNIT_M * 1e3:g} mm, such as --unit mm"
+            f"the unit says {unit_m:g} m for {role}, whose images hold whole counts; a count is at most "
+            f"{MAX_UNIT_M * 1e3:g} mm, such as mm (--unit)"
         )
     known = (image > 0) if is_float else valid_depth(image)
     half_m = float(np.median(image[known])) * unit_m if known.any() else float("nan")
@@ -320,15 +320,15 @@ def _unit(
     if assumed and known.any() and not is_plausible:
         raise CalibrationError(
             f"the unit of the {role} depth is unknown: with the {unit_m * 1e3:g} mm that a {camera.model} sends, "
-            f"{doubt}; state the unit with --unit, such as --unit mm"
+            f"{doubt}; state it, such as mm (--unit)"
         )
     if assumed:
         draft.warnings.append(
             f"the unit of the {role} depth is assumed: a {camera.model} sends {unit_m * 1e3:g} mm, and a program that "
-            "saved the images may have converted it; state it with --unit, such as --unit mm"
+            "saved the images may have converted it; state it, such as mm (--unit)"
         )
     elif not is_plausible:
-        draft.warnings.append(f"the unit of the {role} depth is implausible: {doubt}; check --unit")
+        draft.warnings.append(f"the unit of the {role} depth is implausible: {doubt}; check it (--unit)")
     return (FLOAT_UNIT_M, {} if unit_m == 1 else {"value_m": unit_m}) if is_float else (unit_m, {})
 
 

@@ -13,6 +13,7 @@ from ..errors import SourceError, foreign
 from ..model.files import path_exists, recording_files, user_path
 from ..model.plugins import added_by_others
 from .base import FrameSource, Progress, SourceKind, split_topics
+from .folder_layout import find_frames
 
 if TYPE_CHECKING:
     from ..preset import CamerasSection
@@ -171,6 +172,21 @@ def topics_to_choose(name: str, progress: Progress | None = None) -> Inspection 
     if not _is_of_others(scheme, rest):
         return None
     return inspect_recording(rest, progress)
+
+
+def images_without_rig(name: str) -> tuple[Path, tuple[str, ...]] | None:
+    """Return the folder that a name means and the slots of its images, if it has no ``rig.json``; else None."""
+    scheme, _, rest = name.partition(":")
+    path = user_path(rest if scheme == "folder" else name)
+    if (_kind(scheme) is not None and scheme != "folder") or not path.is_dir():
+        return None
+    kinds = (kind for kind in source_kinds() if kind.needs == "folder")
+    if any(kind.claim(str(path)) is not None for kind in kinds):
+        return None
+    try:
+        return path, find_frames(path).slots
+    except SourceError:  # opening it tells what it lacks
+        return None
 
 
 def opens_by_name(name: str) -> bool:

@@ -1,5 +1,7 @@
 """Opening a recording of another program: its topics are shown with pictures, chosen once, and kept."""
 
+import cv2
+import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
@@ -7,6 +9,7 @@ from PyQt6.QtWidgets import QDialogButtonBox
 
 from hands import LEFT
 from ros_maker import color, depth, make_recording
+from tactune.app.sources.folder_rig import FolderRigDialog
 from tactune.core.sources.ros.topics import load_topics, store_topics
 
 
@@ -75,3 +78,42 @@ def test_cancel_opens_nothing_and_says_so(window, qtbot, asked):
     store_topics(path, {"tactile.depth": "/nowhere"})
     window.open_source(str(path))
     qtbot.waitUntil(lambda: any("/nowhere" in each for each in window.messages.sentences()))
+
+
+def test_a_folder_of_images_without_a_rig_is_asked_for_lens_and_unit(window, qtbot, tmp_path):
+    folder = tmp_path / "images"
+    for name in ("proximity", "tactile"):
+        (folder / name).mkdir(parents=True)
+        for index in range(2):
+            cv2.imwrite(str(folder / name / f"depth_{index}.png"), np.full((24, 32), 400, np.uint16))
+    (folder / "proximity" / "K.txt").write_text("30 0 15.5 0 31 11.5 0 0 1")
+    window.open_source(str(folder))
+    qtbot.waitUntil(lambda: isinstance(window.topics.dialog, FolderRigDialog))
+    dialog = window.topics.dialog
+    assert list(dialog.lenses) == ["proximity", "tactile"]
+    open_button = dialog.buttons.button(QDialogButtonBox.StandardButton.Open)
+    qtbot.waitUntil(lambda: "unit of the proximity depth is unknown" in dialog.note.text())
+    assert "--" not in dialog.note.text() and not open_button.isEnabled()
+    dialog.unit.setFocus()
+    QTest.keyClicks(dialog.unit, "mm")
+    qtbot.waitUntil(lambda: "lens of the tactile camera is unknown" in dialog.note.text())
+    dialog.lenses["tactile"].setFocus()
+    QTest.keyClicks(dialog.lenses["tactile"], "40,41,15,12")
+    qtbot.waitUntil(open_button.isEnabled)
+    assert "pose between the cameras is unknown" in dialog.about.text()
+    press(dialog, QDialogButtonBox.StandardButton.Open)
+    qtbot.waitUntil(lambda: window.result is not None and window.result.source.name == f"folder:{folder}")
+    rig = window.result.source.rig
+    assert (rig.proximity.intrinsics.fy, rig.tactile.intrinsics.fx, rig.tactile.depth_unit_m) == (31, 40, 0.001)
+    assert (folder / "rig.json").is_file() and window.topics.dialog is None
+
+
+def test_a_folder_whose_rig_nobody_states_is_not_opened(window, qtbot, tmp_path):
+    (tmp_path / "depth").mkdir()
+    cv2.imwrite(str(tmp_path / "depth/1.png"), np.full((24, 32), 400, np.uint16))
+    window.open_source(f"folder:{tmp_path}")
+    qtbot.waitUntil(lambda: isinstance(window.topics.dialog, FolderRigDialog))
+    assert list(window.topics.dialog.lenses) == ["tactile"]
+    QTest.keyClick(window.topics.dialog, Qt.Key.Key_Escape)
+    qtbot.waitUntil(lambda: window.topics.dialog is None)
+    assert not (tmp_path / "rig.json").exists()

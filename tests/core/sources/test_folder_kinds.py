@@ -240,7 +240,7 @@ UNITS = {  # unit, proximity, tactile: unit of both in metres or what refuses it
     "implausible": (None, f"L515={LENS}", f"D405={LENS}", r"below 0\.1 m.*--unit", None),
     "no model": (None, LENS, LENS, "unit of the proximity depth is unknown.*--unit", None),
     "one of two": ("tactile=mm", LENS, LENS, "unit of the proximity depth is unknown", None),
-    "nonsense": ("inch", LENS, LENS, "--unit is 'inch'", None),
+    "nonsense": ("inch", LENS, LENS, "is 'inch'", None),
     "metres for counts": ("m", LENS, LENS, "whole counts", None),
     "no lens": ("mm", None, LENS, "lens of the proximity camera is unknown", None),
 }
