@@ -81,7 +81,7 @@ def parse(data: bytes | memoryview, message_type: str, origin: Path) -> Any:
     try:
         return TYPES.deserialize_cdr(data, message_type)
     except Exception as error:  # the library checks with whatever Python raises
-        raise SourceError(f"{origin} has a message that is no {message_type}; record it again") from error
+        raise SourceError(f"{origin} has a message that is no {message_type}; copy the recording again") from error
 
 
 def matrix_of(transform: Any) -> Float64Array:

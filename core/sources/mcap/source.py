@@ -14,7 +14,7 @@ import numpy as np
 
 from ...errors import PresetError, SourceError
 from ...model.arrays import AnyArray, Float64Array, IndexArray, Int64Array, Uint64Array
-from ...model.files import user_path
+from ...model.files import recording_files, user_path
 from ...model.frames import GroundTruth, Rig, SensorFrame
 from ...model.loading import parse_json, parse_untouched
 from ...model.rig_file import parse_rig
@@ -170,7 +170,7 @@ class McapSource(SeekableSource):
                 kind, encoding = topics[topic]
                 raise SourceError(
                     f"{self._path}: {topic} has messages of the type {kind} in {encoding}, but {expected} in cdr is "
-                    "needed; record it again"
+                    "needed; name the topics of its images with --topics tactile.depth=/topic"
                 )
 
     def _pair_by_stamps(self, places: dict[Topic, Uint64Array]) -> dict[Topic, IndexArray]:
@@ -215,7 +215,9 @@ class McapSource(SeekableSource):
         try:
             return int(data["sequence"]), float(data["proximity_time_s"]), float(data["tactile_time_s"])
         except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise SourceError(f"{self._path}: a message of {Topic.FRAME} is damaged; record it again") from error
+            raise SourceError(
+                f"{self._path}: a message of {Topic.FRAME} is damaged; copy the recording again"
+            ) from error
 
     def _truth(self, index: int) -> GroundTruth | None:
         shape = self._rig.proximity.intrinsics.shape
@@ -230,7 +232,7 @@ class McapSource(SeekableSource):
     def _required(self, topic: Topic, index: int, shape: tuple[int, int]) -> tuple[AnyArray, float]:
         place = self._place(topic, index)
         if place is None:
-            raise SourceError(f"{self._path}: frame {index} has no image on {topic}; record it again")
+            raise SourceError(f"{self._path}: frame {index} has no image on {topic}; copy the recording again")
         return self._image(topic, place, shape)
 
     def _optional(self, topic: Topic, index: int, shape: tuple[int, int]) -> AnyArray | None:
@@ -255,16 +257,16 @@ class McapSource(SeekableSource):
         except ValueError:
             value = None
         if not isinstance(value, dict):
-            raise SourceError(f"{self._path}: {what} is no JSON object; copy or record it again")
+            raise SourceError(f"{self._path}: {what} is no JSON object; copy the recording again")
         return value
 
 
 def is_ours(text: str) -> bool:
     """Whether a file of this name says its rig, as Tactune's recordings and copies of them do."""
-    path = user_path(text)
-    if not path.is_file():
-        return True  # it is told that there is none
-    with closing(McapFile(path)) as file:
+    paths = recording_files(text)
+    if len(paths) != 1:
+        return not paths  # it is told that there is none
+    with closing(McapFile(paths[0])) as file:
         return file.attachment(RIG_NAME) is not None or Topic.RIG in file.topics or not file.topics
 
 
