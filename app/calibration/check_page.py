@@ -8,7 +8,7 @@ from PyQt6.QtWidgets import QButtonGroup, QLabel, QSlider, QWidget
 
 from ...core.calibration import CalibrationReport
 from ...core.calibration.geometry import Alignment
-from ...core.calibration.recheck import present_error_px
+from ...core.calibration.recheck import compare_alignments
 from ...core.contact.checks import rig_in_use
 from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import AlignmentSection
@@ -35,7 +35,7 @@ class CheckPage(QWidget):
         self.image = PointImage("Tactile image over proximity image")
         self.image.set_loupe_wanted(False)
         self.errors = wrapped_label()
-        self.errors.setToolTip("Over the membrane; that of the preset's present alignment is judged by the pairs")
+        self.errors.setToolTip("Over the membrane; both alignments are compared at pairs that neither was fitted to")
         self.share = QSlider(Qt.Orientation.Horizontal)
         self.share.setRange(0, 100)
         self.share.setValue(50)
@@ -70,10 +70,10 @@ class CheckPage(QWidget):
         report, preset, snapshot = self._outcome.report, self._document.preset, self._session.state.snapshot
         self.errors.setText("")
         if report is not None:
-            new, present = report.chosen, present_error_px(report, preset)
+            new, compared = report.chosen, compare_alignments(report, preset)
             words = f"Expected alignment error: <b>{at_least(new.alignment_px, 'px')}, "
-            words += f"{at_least(new.alignment_mm, 'mm')}</b> new"
-            self.errors.setText(words + ("" if present is None else f"; {at_least(present, 'px')} present"))
+            words += f"{at_least(new.alignment_mm, 'mm')}</b>."
+            self.errors.setText(words + ("" if compared is None else f" {compared.sentence}"))
         wanted = report if self.which.checkedId() == 0 else preset.alignment
         if wanted is None:
             self._show_none("No calibration yet: click at least four pairs on the page Points")

@@ -14,7 +14,7 @@ from PyQt6.QtGui import QCloseEvent, QKeyEvent, QKeySequence, QShortcut
 from PyQt6.QtWidgets import QButtonGroup, QDialog, QStackedWidget, QWidget
 
 from ...core.calibration import CalibrationReport, read_points, write_points
-from ...core.calibration.recheck import is_worse, present_error_px
+from ...core.calibration.recheck import compare_alignments, is_worse
 from ...core.calibration.report import grade
 from ...core.errors import TactuneError, counted
 from ...core.model.alignment import SnapshotRecord
@@ -313,12 +313,15 @@ class CalibrationWizard(QDialog):
         if not is_worse(report, self._document.preset):
             self._save(report)
             return
-        new, present = report.chosen.alignment_px, present_error_px(report, self._document.preset) or 0.0
+        preset = self._document.preset
+        compared, record = compare_alignments(report, preset), preset.alignment.calibration
+        words = f"Expected alignment error: {at_least(report.chosen.alignment_px, 'px')} new"
+        words += f", {at_least(record.quality.alignment_px, 'px')} present." if record is not None else "."
+        words += f" {compared.sentence}" if compared is not None else ""
         self._dialogs.ask(
             "Replace the alignment",
             "The new calibration is worse than the present alignment.",
-            f"Expected alignment error: {at_least(new, 'px')} new, {at_least(present, 'px')} present, judged by the "
-            "pairs. Click the pairs with the largest residuals again, or add pairs.",
+            f"{words} Click the pairs with the largest residuals again, or add pairs.",
             "Replace anyway",
             partial(self._save, report),
         )

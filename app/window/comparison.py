@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtWidgets import QButtonGroup, QComboBox, QGridLayout, QLabel, QSizePolicy, QWidget
 
@@ -32,6 +33,8 @@ from .frame_presenter import FramePresenter
 STEP: Final = 0.05
 #: Interval between updates of the numbers while frames play, in seconds.
 INTERVAL_S: Final = 0.2
+#: Number of frames from which times are compared.
+LEAST_TIMED: Final = 5
 
 
 class Shown(StrEnum):
@@ -53,7 +56,7 @@ _NUMBERS: Final = {
     "": "",
     "Area": "Area of the patch, projected along the optical axis",
     "Points": "Points of the patch",
-    "Time": "Time of the contact test on this frame; a cached step counts as when it was last computed",
+    "Time": "Median time of the contact test on recent frames, while they play; ≈ where no difference shows",
     "Not in the other": "Area that only this preset finds",
     "IoU of the patches": "Intersection over union of both patches: 1 if they cover the same pixels",
 }
@@ -229,12 +232,12 @@ class ComparisonPanel(QWidget):
         overlap, sides = compared.overlap, (compared.a, compared.b)
         alone = (None, None) if overlap is None else (overlap.only_a_mm2, overlap.only_b_mm2)
         agreement = "–" if overlap is None else f"{overlap.iou:.3f}"
+        times = compared_times(compared.a.times_ms, compared.b.times_ms)
         for column, (side, area_mm2) in enumerate(zip(sides, alone, strict=True)):
-            texts = {"Not in the other": _square_cm(area_mm2), "IoU of the patches": agreement}
+            texts = {"Not in the other": _square_cm(area_mm2), "IoU of the patches": agreement, "Time": times[column]}
             if side.patch is not None:
                 texts["Area"] = _square_cm(side.area_mm2)
                 texts["Points"] = f"{len(side.patch.points):,}"
-                texts["Time"] = f"{side.ms:.1f} ms"
             for name in [*_NUMBERS][1:]:
                 self.numbers[name, column].setText(texts.get(name, "–"))
         problems = [f"{letter}: {side.problem}" for letter, side in zip("AB", sides, strict=True) if side.problem]
@@ -280,6 +283,16 @@ class ComparisonPanel(QWidget):
             self._context.messages.show_message("comparison", Severity.ERROR, str(error), subject=TASK)
             return
         self._comparison.show(*((sides[0], side) if index else (side, sides[1])))
+
+
+def compared_times(a_ms: Sequence[float], b_ms: Sequence[float]) -> tuple[str, str]:
+    """Return the median times of two presets; one time for both where the middle halves of their times overlap."""
+    if min(len(a_ms), len(b_ms)) < LEAST_TIMED:
+        return "–", "–"
+    (a_low, a, a_high), (b_low, b, b_high) = (np.percentile(ms, (25, 50, 75)) for ms in (a_ms, b_ms))
+    if a_low <= b_high and b_low <= a_high:
+        return (f"≈ {(a + b) / 2:.1f} ms",) * 2
+    return f"{a:.1f} ms", f"{b:.1f} ms"
 
 
 def _load(name: str, place: Path | str) -> Side:

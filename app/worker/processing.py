@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -22,6 +23,8 @@ from .results import ComparedFrame, ComparedSide, Rendered, Result, SourceInfo, 
 COUNTING_INTERVAL_S = 0.2
 #: Shortest time between two drawings of the images while frames play, seconds. The views show every frame.
 STRIP_INTERVAL_S = 0.06
+#: Number of frames whose times are kept for a comparison.
+TIMED_FRAMES = 30
 
 
 class PatchFinder:
@@ -39,12 +42,8 @@ class PatchFinder:
         self._pipeline: ContactPipeline | None = None
         self._untouched: SensorFrame | None = None
         self._frame: SensorFrame | None = None
-        self._step_ms: dict[str, float] = {}
-
-    @property
-    def ms(self) -> float:
-        """Milliseconds of all steps on this frame; a cached step counts as when it was last computed."""
-        return sum(self._step_ms.values())
+        #: Milliseconds of recent frames; not of the first, for which tables are made.
+        self.times_ms: deque[float] = deque(maxlen=TIMED_FRAMES)
 
     def find(self, frame: SensorFrame, preset: Preset, rig: Rig, untouched: SensorFrame | None = None) -> None:
         """Find the patch, or say why this preset cannot be used with this rig; ``untouched`` is the preset's frame."""
@@ -53,19 +52,22 @@ class PatchFinder:
         if self.waiting:
             self.patch, self.problem, self.warnings = None, "", ()
             return
+        kept = True
         try:
             if self._pipeline is None or untouched is not self._untouched:
-                self._pipeline, self._untouched = ContactPipeline(preset, rig, untouched), untouched
+                self._pipeline, self._untouched, kept = ContactPipeline(preset, rig, untouched), untouched, False
             elif self._pipeline.preset is not preset:
                 self._pipeline.update(preset)
+                kept = False
             self.warnings = tuple(self._pipeline.warnings)
             self.patch, self.problem = self._pipeline.process(frame), ""
         except TactuneError as error:
             self._pipeline, self.patch, self.problem, self.warnings = None, None, str(error), ()
             return
-        stages = self.patch.stage_ms
-        cached = self._step_ms if frame is self._frame else {}
-        self._step_ms = {step: ms or cached.get(step, 0.0) for step, ms in stages.items()}
+        if not kept:
+            self.times_ms.clear()
+        elif frame is not self._frame:
+            self.times_ms.append(sum(self.patch.stage_ms.values()))
         self._frame = frame
 
 
@@ -179,7 +181,7 @@ class FrameProcessor:
         a, b = (
             ComparedSide(
                 replace(side, preset=finder.preset), finder.patch, finder.problem,
-                finder.patch.area_mm2 if finder.patch is not None else 0.0, finder.ms,
+                finder.patch.area_mm2 if finder.patch is not None else 0.0, tuple(finder.times_ms),
                 self._render(finder, frame, rig, wanted if side.follows else uncounted),
             )
             for side, finder in zip(sides, finders, strict=True)

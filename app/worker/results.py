@@ -168,13 +168,13 @@ class SourceState:
 
 @dataclass(frozen=True, eq=False)
 class ComparedSide:
-    """One of two compared presets on one frame; cached steps count with the time that they took."""
+    """One of two compared presets on one frame; ``times_ms`` are those of recent frames, without the first."""
 
     side: Side
     patch: ContactPatch | None
     problem: str
     area_mm2: float
-    ms: float
+    times_ms: tuple[float, ...]
     rendered: Rendered
 
 

@@ -104,7 +104,7 @@ def judge_agreement(fit: Fit, pairs: Float64Array, places: Float64Array, rig: Ri
     kinds = _weigh(shapes(pairs), rows, basis, rest, residuals.shape, fit.degrees)
     observed = float(rest @ rest) / fit.degrees
     noise = (1.0 - sum(kind.weight for kind in kinds)) * observed + sum(kind.weight * kind.noise for kind in kinds)
-    crossed = _left_out(basis.reshape(design.shape), rest.reshape(residuals.shape), _regions(pairs))
+    crossed = _left_out(basis.reshape(design.shape), rest.reshape(residuals.shape), regions_of(pairs))
     of_clicks = Agreement(
         fit=fit,
         probability=sum(kind.weight for kind in kinds if kind.cause in _STEPS),
@@ -120,6 +120,15 @@ def judge_agreement(fit: Fit, pairs: Float64Array, places: Float64Array, rig: Ri
     )
     both = (replace(of_clicks, field_is_true=True), of_clicks)
     return max(both, key=lambda one: float((one.sensitivity(places) ** 2).sum()))
+
+
+def held_out_px(fit: Fit) -> Float64Array:
+    """Return the residual (N, 2) of each used pair under the fit of the others, pixels."""
+    design = fit.design[fit.used] @ np.linalg.cholesky(fit.stated_covariance)
+    basis = np.linalg.qr(design.reshape(-1, design.shape[2]))[0].reshape(design.shape)
+    residuals = fit.whitened_residuals()[fit.used, :, None]
+    without = np.linalg.solve(np.eye(2) - basis @ basis.transpose(0, 2, 1), residuals)
+    return np.asarray(np.linalg.solve(fit.whitening[fit.used], without)[:, :, 0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +231,7 @@ def _variance_component(visible: Float64Array, rest: Float64Array, degrees: int)
     return -0.5 * (degrees * np.log(noise * degrees / max(total, 1e-300)) + np.log(growth).sum(axis=1)), noise
 
 
-def _regions(pairs: Float64Array) -> list[IndexArray]:
+def regions_of(pairs: Float64Array) -> list[IndexArray]:
     """Return the number of each pair's region: quarters of the image, or single pairs."""
     u, v = pairs[:, :2].T
     return [2 * (u > np.median(u)).astype(np.intp) + (v > np.median(v)), np.arange(len(pairs))]

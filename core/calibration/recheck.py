@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import stdtrit
 
 from ..contact.checks import rig_in_use
-from ..errors import CalibrationError, RigMismatchError
+from ..errors import CalibrationError, RigMismatchError, minus
+from ..model.alignment import PointPair
 from ..model.arrays import Float64Array
 from ..model.frames import Rig, SensorFrame
 from ..preset import AlignmentSection, Preset
+from .agreement import held_out_px, regions_of
 from .geometry import Alignment, clicks_in_depth
 from .points import PointArrays
 from .quality import millimetres_per_pixel
@@ -20,7 +23,10 @@ from .texture import measure_pairs
 #: Drift above which to calibrate again, pixels; or the calibration's own 95 % bound, if larger.
 RECALIBRATE_PX = 1.0
 _MIN_FOUND = 4
-#: A new calibration is worse if its error exceeds the present one's by this factor, and by this many pixels.
+#: A comparison needs pairs in this many quarters of the image, and this many pairs.
+_MIN_REGIONS, _MIN_COMPARED = 3, 6
+#: A new calibration is worse if its residuals, or else its expected error, exceed the present one's by this factor; the
+#: expected error also by this many pixels.
 _WORSE_FACTOR, _WORSE_PX = 1.2, 0.1
 
 
@@ -72,27 +78,88 @@ def recheck(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
     )
 
 
-def present_error_px(report: CalibrationReport, preset: Preset) -> float | None:
-    """Return a preset's error at new pairs beyond click noise, at least that expected before; None without pairs."""
+@dataclass(frozen=True)
+class Comparison:
+    """A new alignment beside a preset's present one, at ``pairs`` pairs that neither was fitted to.
+
+    ``new_px`` and ``present_px`` are the RMS residuals there, with the clicks' noise; ``better_px`` is by how much the
+    new one is smaller, with the half width of its 95 % interval. ``verdict`` is "better", "worse" or "equal".
+    """
+
+    pairs: int
+    new_px: float
+    present_px: float
+    better_px: float
+    half_width_px: float
+    verdict: str
+
+    @property
+    def sentence(self) -> str:
+        """The residuals, their difference and what follows from it."""
+        words = {
+            "better": "The new alignment is better",
+            "worse": "The new alignment is worse than the present one",
+            "equal": "There is no difference that these points can show",
+        }
+        return (
+            f"{words[self.verdict]}: {self.new_px:.2f} px new, {self.present_px:.2f} px present at {self.pairs} pairs "
+            f"that neither was fitted to; difference {minus(f'{self.better_px:+z.2f}')} ± {self.half_width_px:.2f} px."
+        )
+
+
+def compare_alignments(report: CalibrationReport, preset: Preset) -> Comparison | None:
+    """Compare a new calibration with a preset's alignment by the same pairs, each held out from both.
+
+    The new alignment predicts each pair from the others; pairs of the present alignment's own calibration do not count.
+    The differences of the squared residuals in the quarters of the image give the interval, since neighbouring pairs
+    share errors. A better one also differs by more than its own 95 % bound: what lies within it, the pairs cannot tell
+    from the truth. A worse one has residuals larger by a fifth or more. None where there is no present alignment, or
+    too few such pairs.
+    """
     quality, rig = report.chosen, report.rig
-    used = {pair.id for pair in quality.pairs if pair.used}
-    points = PointArrays.of([pair for pair in report.pairs if pair.id in used and pair.tactile_depth_m is not None])
+    fit = quality.fit
     try:
-        alignment, pose = Alignment.of_preset(preset.alignment, rig), _pose(preset.alignment, rig)
+        present = Alignment.of_preset(preset.alignment, rig)
     except RigMismatchError:
         return None
-    if not len(points):
+    if fit.degrees <= 0:
         return None
-    squared = float((_offsets(points, alignment, pose, rig) ** 2).sum(axis=1).mean())
-    noise = 0.0 if quality.rms_px is None else quality.rms_px**2 * 2 * len(used) / quality.fit.degrees
     record = preset.alignment.calibration
-    return max(float(np.sqrt(max(squared - noise, 0.0))), 0.0 if record is None else record.quality.alignment_px)
+    seen = set() if record is None else {_clicks(pair) for pair in record.points if pair.enabled}
+    fitted = {pair.id for pair in report.pairs if _clicks(pair) in seen}
+    points, names = fit.model.points.keep(fit.used), np.array(fit.model.names)[fit.used]
+    before = points.proximity - present.pixels(rig, points.places, points.in_color)
+    usable = np.isfinite(before).all(axis=1) & ~np.isin(names, list(fitted))
+    new, old = ((residuals[usable] ** 2).sum(axis=1) for residuals in (held_out_px(fit), before))
+    if len(new) < _MIN_COMPARED:
+        return None
+    region = regions_of(points.places[usable])[0]
+    regions = [region == one for one in np.unique(region)]
+    if len(regions) < _MIN_REGIONS:
+        return None
+    new_px, old_px = (float(np.sqrt(squares.mean())) for squares in (new, old))
+    gains = np.array([(old - new)[own].mean() for own in regions])
+    error = float(stdtrit(len(gains) - 1, 0.975) * gains.std(ddof=1) / np.sqrt(len(gains)))
+    better, half = old_px - new_px, error / max(new_px + old_px, 1e-9)  # a^2 - b^2 = (a - b)(a + b)
+    shifts = present.pixels(rig, points.places) - fit.predict(points.places)
+    apart = float(np.sqrt(np.nanmean((shifts**2).sum(axis=1))))
+    verdict = "worse" if better < -half and new_px > _WORSE_FACTOR * old_px else "equal"
+    if better > half and apart > quality.alignment_bound_95_px:
+        verdict = "better"
+    return Comparison(len(new), new_px, old_px, better, half, verdict)
 
 
 def is_worse(report: CalibrationReport, preset: Preset) -> bool:
-    """Whether a new calibration is clearly worse than a preset's alignment."""
-    present = present_error_px(report, preset)
-    return present is not None and report.chosen.alignment_px > max(_WORSE_FACTOR * present, present + _WORSE_PX)
+    """Whether a new calibration is worse than a preset's alignment, or is expected to be where pairs tell nothing."""
+    compared, record = compare_alignments(report, preset), preset.alignment.calibration
+    if compared is not None and compared.verdict != "equal":
+        return compared.verdict == "worse"
+    expected = None if record is None else record.quality.alignment_px
+    return expected is not None and report.chosen.alignment_px > max(_WORSE_FACTOR * expected, expected + _WORSE_PX)
+
+
+def _clicks(pair: PointPair) -> tuple[object, ...]:
+    return pair.proximity, pair.proximity_image, pair.tactile
 
 
 def _pose(section: AlignmentSection, rig: Rig) -> Alignment:

@@ -267,7 +267,7 @@ def test_the_check_page_shows_both_alignments(open_wizard, scene, frames, feed, 
     qtbot.waitUntil(lambda: "No calibration yet" in page.image.notice.text())
     wizard.session.edit("all", with_pairs(scene, frames, feed))
     qtbot.waitUntil(lambda: page.image.notice.text() == "")
-    assert "new" in page.errors.text() and "present" in page.errors.text()
+    assert "px new" in page.errors.text() and "px present" in page.errors.text()
     shown = page.image.grab().toImage()
     QTest.keyClick(page.share, Qt.Key.Key_End)
     assert page.image.grab().toImage() != shown

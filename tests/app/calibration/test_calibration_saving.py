@@ -11,7 +11,6 @@ from tactune.core.sources.presets import load_preset
 LEFT = Qt.MouseButton.LeftButton
 CONTROL = Qt.KeyboardModifier.ControlModifier
 SAVE = 3
-GEOMETRY = "alignment.rigid.T_proximity_tactile"
 
 
 def fitted(qtbot, wizard, state):
@@ -28,11 +27,13 @@ def careless(state, sigma_px=2.5):
 
 
 def test_a_worse_calibration_asks_before_it_replaces_a_better_one(open_wizard, scene, frames, feed, document, qtbot):
-    document.edit(GEOMETRY, scene.T_p_t.tolist())
-    before = document.preset.alignment
     wizard = open_wizard()
-    fitted(qtbot, wizard, careless(with_pairs(scene, frames, feed, dots=range(0, 63, 16))))
+    fitted(qtbot, wizard, careless(with_pairs(scene, frames, feed), sigma_px=0.3))
     wizard.go_to(SAVE)
+    with qtbot.waitSignal(wizard.fileSaveRequested):
+        QTest.mouseClick(wizard.save, LEFT)
+    before = document.preset.alignment
+    fitted(qtbot, wizard, careless(with_pairs(scene, frames, feed, dots=range(0, 63, 16))))
     assert wizard.steps.button(SAVE).text().endswith("!")
     QTest.mouseClick(wizard.save, LEFT)
     words = answer_question(qtbot, "Cancel")

@@ -7,7 +7,7 @@ from simulated_clicks import ClickNoise, judged_places, make_clicks
 from tactune.core.calibration import calibrate
 from tactune.core.calibration.geometry import Alignment
 from tactune.core.calibration.quality import PROXIMITY_NOISE_M, TACTILE_NOISE_M, patch_effect
-from tactune.core.calibration.recheck import is_worse, present_error_px
+from tactune.core.calibration.recheck import compare_alignments, is_worse
 from tactune.core.contact import pipeline as pipeline_module
 from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.pipeline import ContactPipeline
@@ -216,14 +216,51 @@ def test_the_record_alone_makes_the_pipeline_repeat_nothing(rig, usual, monkeypa
     assert len(made) == 2
 
 
-def test_the_present_alignment_is_judged_by_the_new_pairs(rig):
-    report = calibrate(clicked(rig, 40), rig, "rigid")
+def preset_of(pose):
+    return Preset().with_value("alignment.rigid.T_proximity_tactile", np.asarray(pose).tolist())
+
+
+def bent(pairs):
+    """Pairs whose depths share a smooth error of 3 mm."""
+    return [
+        changed(pair, tactile_depth_m=pair.tactile_depth_m + 0.003 * np.sin(pair.tactile_u / 150)) for pair in pairs
+    ]
+
+
+@pytest.mark.parametrize("make", [list, bent])
+@pytest.mark.parametrize("count", [12, 40])
+def test_a_new_alignment_is_not_better_than_the_true_one(rig, count, make):
+    """It fits its own pairs better, as every fit does, and shares their errors."""
+    verdicts = []
+    for seed in range(8):
+        compared = compare_alignments(
+            calibrate(make(clicked(rig, count, seed)), rig, "rigid"), preset_of(rig.T_proximity_tactile)
+        )
+        verdicts.append(compared.verdict)
+        assert compared.half_width_px > 0
+    assert "better" not in verdicts and verdicts.count("equal") >= 5
+
+
+def test_an_alignment_that_has_moved_is_told_from_a_new_one(rig):
+    report = calibrate(clicked(rig, 24), rig, "rigid")
     moved = np.array(rig.T_proximity_tactile)
     moved[0, 3] += 0.004
-    present = Preset().with_value("alignment.rigid.T_proximity_tactile", moved.tolist())
-    assert present_error_px(report, present) == pytest.approx(4e-3 * rig.proximity.intrinsics.fx / 0.29, rel=0.2)
-    assert not is_worse(report, present)
+    compared = compare_alignments(report, preset_of(moved))
+    assert compared.verdict == "better" and not is_worse(report, preset_of(moved))
+    assert compared.better_px == pytest.approx(4e-3 * rig.proximity.intrinsics.fx / 0.29, rel=0.35)
+
+
+def test_a_homography_is_worse_than_the_true_pose_off_its_plane(rig):
+    report, present = calibrate(clicked(rig, 40), rig, "homography"), preset_of(rig.T_proximity_tactile)
+    assert compare_alignments(report, present).verdict == "worse"
+    assert is_worse(report, present)
+
+
+def test_pairs_that_the_present_alignment_was_fitted_to_tell_nothing(rig):
+    report = calibrate(clicked(rig, 40), rig, "rigid")
     saved = report.apply_to(Preset())
-    assert present_error_px(report, saved) == pytest.approx(report.chosen.alignment_px, abs=0.3)
+    assert compare_alignments(report, saved) is None
     assert not is_worse(report, saved)
+    more = [*clicked(rig, 40), *(changed(pair, id=f"new {pair.id}") for pair in clicked(rig, 20, seed=1))]
+    assert compare_alignments(calibrate(more, rig, "rigid"), saved).pairs == 20
     assert is_worse(calibrate(clicked(rig, 8, noise=ClickNoise(1.5, 1.5, 0.001)), rig, "rigid"), saved)
