@@ -97,6 +97,14 @@ def default_preset(source: str) -> str:
     return "simulator" if plain.partition(":")[0] == "sim" else "default"
 
 
+def chosen_preset(preset: str | None, source: str) -> tuple[Preset, str]:
+    """Return the preset that ``--preset`` names, else the source's default, and its origin."""
+    from ...core.sources.presets import load_preset
+
+    origin = preset or default_preset(source)
+    return load_preset(origin), origin
+
+
 def table_text(records: Sequence[Mapping[str, object]]) -> str:
     """Return records as lines of text under their keys."""
     names = list(dict.fromkeys(name for record in records for name in record))

@@ -18,7 +18,7 @@ from .common import (
     FrameCount,
     PresetOption,
     SourceOption,
-    default_preset,
+    chosen_preset,
     number_of_frames,
     open_with_progress,
     say,
@@ -134,13 +134,11 @@ def strain(
     """
     from ...core.lab.strain import StrainError, average_still, check_spacing, indentation_m, measure_strain
     from ...core.rig.untouched import kept_untouched
-    from ...core.sources.presets import load_preset
 
     if csv_file is not None:
         check_writable(csv_file)
     check_spacing(spacing_mm / 1e3)
-    origin = preset or default_preset(source)
-    chosen = load_preset(origin)
+    chosen, origin = chosen_preset(preset, source)
     records: list[Record] = []
     latest: deque[SensorFrame] = deque(maxlen=average)
     with open_with_progress(source, chosen) as opened, CliProgress() as progress:
@@ -225,7 +223,6 @@ def scan(
     """
     from ...core.lab import scan as lab_scan
     from ...core.lab.methods import check_methods, method_names, patch_area_mm2
-    from ...core.sources.presets import load_preset
 
     if csv_file is not None:
         check_writable(csv_file)
@@ -233,8 +230,7 @@ def scan(
     names = () if not methods else _names(methods) or method_names()
     check_methods(names)
     pose = lab_scan.load_transform(transform)
-    origin = preset or default_preset(source)
-    chosen = load_preset(origin)
+    chosen, origin = chosen_preset(preset, source)
     loaded = lab_scan.load_scan(scan, unit_m)
     contact = lab_scan.painted_contact(loaded, settings)
     if not contact.any():

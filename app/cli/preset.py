@@ -15,8 +15,8 @@ from .common import (
     SetOption,
     UntouchedSource,
     average_frames,
+    chosen_preset,
     counted_out,
-    default_preset,
     find_rig,
     open_with_progress,
     parse_settings,
@@ -153,13 +153,11 @@ def measure_rig(
     """
     from ...core.rig.noise import describe, measure_noise
     from ...core.rig.untouched import find_untouched, frames_to_average
-    from ...core.sources.presets import load_preset
 
-    origin = preset or default_preset(source)
     target = out or (None if preset is None else Path(preset))
     if target is not None:
         check_target(target, preset)
-    chosen = load_preset(origin)
+    chosen, origin = chosen_preset(preset, source)
     with open_with_progress(source, chosen) as opened, CliProgress() as progress:
         found = find_untouched(chosen, origin, opened, progress.preparing)
         with frames_to_average(opened, _MEASURED, progress.preparing) as shown:

@@ -25,7 +25,7 @@ from .common import (
     SourceOption,
     TopicsOption,
     TruthOption,
-    default_preset,
+    chosen_preset,
     live_frames,
     number_of_frames,
     open_pipeline,
@@ -95,11 +95,10 @@ def run(
         )
     if estimate is not None and not json_lines:
         raise typer.BadParameter("--estimate is printed with --json; add it")
-    from ...core.sources.presets import load_preset
 
     source = with_topics(source, topics)
-    origin = preset or default_preset(source)
-    chosen = load_preset(origin).with_values(parse_settings(settings))
+    chosen, origin = chosen_preset(preset, source)
+    chosen = chosen.with_values(parse_settings(settings))
     if out is not None and out.suffix != MCAP_SUFFIX:
         out.mkdir(parents=True, exist_ok=True)  # before anything is computed
     with open_pipeline(source, chosen, origin) as (opened, pipeline):

@@ -17,7 +17,7 @@ from .common import (
     PresetOption,
     SourceOption,
     TopicsOption,
-    default_preset,
+    chosen_preset,
     live_frames,
     open_with_progress,
     say,
@@ -73,7 +73,6 @@ def serve(
     from ...core.output.connections import Connections
     from ...core.output.publisher import Publisher
     from ...core.sources.capture.live import LiveLoop
-    from ...core.sources.presets import load_preset
     from ...core.warmup import warm_up_if_needed
 
     if layout is not None:
@@ -86,8 +85,7 @@ def serve(
     if not (foxglove or ros2):
         raise typer.BadParameter("give --foxglove or --ros2; nothing is published unless it is asked for")
     source = with_topics(source, topics)
-    origin = preset or default_preset(source)
-    chosen = load_preset(origin)
+    chosen, origin = chosen_preset(preset, source)
     connections = Connections(foxglove, ros2, host, port, domain, namespace)
     with (
         Publisher(connections.make_sinks()) as publisher,  # a taken port is told before cameras start

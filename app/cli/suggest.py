@@ -15,7 +15,7 @@ from .common import (
     CliProgress,
     PresetOption,
     SourceOption,
-    default_preset,
+    chosen_preset,
     open_with_progress,
     say,
     warn,
@@ -60,15 +60,13 @@ def suggest(
     is written without --out.
     """
     from ...core.rig.untouched import find_untouched
-    from ...core.sources.presets import load_preset
     from ...core.tuning.advice.proposal import Evidence
     from ...core.tuning.advice.suggest import suggest_all
     from ...core.warmup import warm_up_if_needed
 
-    origin = preset or default_preset(source)
     if out is not None:
         check_target(out, preset)
-    chosen = load_preset(origin)
+    chosen, origin = chosen_preset(preset, source)
     with open_with_progress(source, chosen) as opened:
         frames = _recent_frames(opened, frame)
         with CliProgress() as progress:
@@ -101,12 +99,10 @@ def check(
     """
     from ...core.contact.pipeline import ContactPipeline
     from ...core.rig.untouched import kept_untouched
-    from ...core.sources.presets import load_preset
     from ...core.tuning.advice.findings import Examiner, unusable_test
     from ...core.warmup import warm_up_if_needed
 
-    origin = preset or default_preset(source)
-    chosen = load_preset(origin)
+    chosen, origin = chosen_preset(preset, source)
     with open_with_progress(source, chosen) as opened:
         stored = kept_untouched(chosen, origin, opened)
         warn(*stored.warnings)

@@ -21,7 +21,7 @@ from .common import (
     PresetOption,
     SourceOption,
     TruthOption,
-    default_preset,
+    chosen_preset,
     live_frames,
     number_of_frames,
     open_pipeline,
@@ -68,14 +68,12 @@ def track(
     The object is searched for in the first patch that is large enough.
     """
     from ...core.estimation.pose import PoseTracker, pose_error, pose_record
-    from ...core.sources.presets import load_preset
 
     if out is None and not truth:
         raise typer.BadParameter("give --out FILE for the poses, or --truth for a comparison")
     if out is not None and out.suffix.lower() not in SUFFIXES:
         raise ExportError(f"{out} has the suffix {out.suffix!r}; choose one of {', '.join(SUFFIXES)}")
-    origin = preset or default_preset(source)
-    chosen = load_preset(origin)
+    chosen, origin = chosen_preset(preset, source)
     errors: list[PoseError] = []
     done = known = 0
     with open_pipeline(source, chosen, origin) as (opened, pipeline):

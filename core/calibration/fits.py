@@ -190,11 +190,7 @@ class RigidModel(Model):
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fitted model with its statistics.
-
-    ``used`` (N,) are the inliers, ``whitening`` (N, 2, 2) makes each pair's residual one of unit noise, ``cost`` is the
-    squared length of the inliers' whitened residuals, ``degrees`` the number of measurements minus that of parameters.
-    """
+    """A fitted model: inliers ``used`` (N,), ``whitening`` (N, 2, 2) to unit noise, ``cost`` of whitened inliers."""
 
     model: Model
     theta: Float64Array

@@ -76,20 +76,11 @@ def describe_folder(
     unit: str | None = None,
     corners: tuple[int, int] = (9, 6),
 ) -> FolderRig:
-    """Return the rig of a folder of images.
+    """Return the rig of a folder of images in any layout that `find_frames` knows.
 
-    Parameters
-    ----------
-    folder : Path
-        Images in any layout that `find_frames` knows.
-    options : dict
-        ``proximity``, ``tactile`` and ``color``: ``[MODEL=]LENS``, where the lens is a file, a folder with pictures of
-        a chessboard, ``camera``, ``fx,fy,cx,cy``, or left out for the maker's; None where files beside the images
-        state it.
-    unit : str, optional
-        Length of a depth count: ``mm``, metres, ``1/5000``, or ``proximity=…,tactile=…``.
-    corners : tuple of int
-        Inner corners of the chessboard.
+    ``options`` are ``[MODEL=]LENS`` of ``proximity``, ``tactile`` and ``color``: a file, a folder with pictures of a
+    chessboard with these inner ``corners``, ``camera``, ``fx,fy,cx,cy``, or left out for the maker's; None where files
+    beside the images state it. ``unit`` is that of a count: ``mm``, metres, ``1/5000``, ``proximity=…,tactile=…``.
     """
     draft = _Draft(find_frames(folder), folder, corners)
     roles = [role for role in ("proximity", "tactile") if f"{role}_depth" in draft.layout.slots]

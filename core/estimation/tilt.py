@@ -236,11 +236,7 @@ _USUAL_TACTILE: Final = _DepthNoise(0.0003, 0.0011, 6.0, 0.5, 0.285, power=2)
 
 @dataclass(frozen=True)
 class _Cells:
-    """Sums over square cells of the image: those with points, shape (K,), of a grid of ``rows`` x ``columns``.
-
-    ``place`` is the flat number of a cell in the grid; ``x``, ``y`` and ``inverse_m`` are means of x / z, y / z and
-    1 / z of its points.
-    """
+    """Cells with points, (K,), of a grid: flat number ``place``, and the means of x / z, y / z and 1 / z there."""
 
     rows: int
     columns: int
@@ -279,10 +275,7 @@ class _Cells:
 
 
 def _plane_fit(cells: _Cells, weights: Float64Array, focal_px: float) -> tuple[Float64Array, Float64Array]:
-    """Return the matrix of weighted least squares, shape (3, K): a, b, c are the matrix times the inverse depths.
-
-    Also return the covariance of a, b, c from what the points do not tell, shape (3, 3): large along a line of points.
-    """
+    """Return (3, K), which takes inverse depths to a, b, c, and the covariance that the points leave, (3, 3)."""
     share = weights / weights.sum()
     (x, mean_x, scale_x), (y, mean_y, scale_y) = (
         _normalised(values, share, cells.size_px / focal_px) for values in (cells.x, cells.y)

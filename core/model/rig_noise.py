@@ -16,11 +16,7 @@ _Noise = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class CameraNoise(Section):
-    """Depth noise of one camera: a part that differs from pixel to pixel, and a part that neighbours share.
-
-    The shared part is white noise through a Gaussian window of sigma ``length_px``, so two pixels at a distance of d
-    pixels correlate with exp(-d^2 / (4 length_px^2)).
-    """
+    """Depth noise: a part of single pixels, and one that pixels d px apart share by exp(-d^2 / (4 length_px^2))."""
 
     white_m: Annotated[
         _Noise, stored("White noise", "Standard deviation of the part that differs from pixel to pixel.", unit="m")

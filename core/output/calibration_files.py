@@ -35,22 +35,7 @@ class _Camera:
 def export_calibration(
     path: Path, kind: str, rig: Rig, preset: Preset | None = None, *, exclusive: bool = False
 ) -> None:
-    """Write lenses and poses of a rig's cameras; the calibrated pose of a preset replaces the rig's own.
-
-    Parameters
-    ----------
-    path : Path
-        One that is there is replaced, or refused if ``exclusive``.
-    kind : str
-        One of `CALIBRATIONS`.
-
-    Raises
-    ------
-    ExportError
-        The format cannot hold a lens, or the rig has no pose.
-    RigMismatchError
-        The pose of the cameras is unknown.
-    """
+    """Write lenses and poses of a rig as one of `CALIBRATIONS`; a preset's calibrated pose replaces the rig's own."""
     cameras = list(_cameras(rig, preset))
     text = _WRITERS[kind](cameras)
     with atomic_path(path, exclusive=exclusive) as temporary:

@@ -69,11 +69,7 @@ class MembraneDrift:
 
 
 def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouched: SensorFrame) -> MembraneDrift:
-    """Compare the present untouched membrane with the untouched frame.
-
-    Raises a `CalibrationError` if they have too few pixels with tactile depth in common, a `FrameError` if one is of
-    another rig, and a `RigMismatchError` if neither preset nor rig has the pose between the cameras.
-    """
+    """Compare the present membrane with the untouched frame; `CalibrationError` if too little is seen in both."""
     rig = rig_in_use(preset, rig)
     for one in (frame, untouched):
         one.check_against(rig)

@@ -345,11 +345,7 @@ def _fit_noise(
     frames: int = 1,
     lengths_px: tuple[float, float] = (0.0, np.inf),
 ) -> tuple[Float64Array, float]:
-    """Return the variances of four parts, m^2, and the correlation length, pixels, that fit best.
-
-    The parts are white and correlated noise that changes, then white and correlated noise that stays. The mean of N
-    frames still contains 1 / N of what changes. ``lengths_px`` are the shortest and longest length that are tried.
-    """
+    """Return the variances, m^2, of white and correlated noise that changes, then that stays, and the length, px."""
     best: tuple[float, Float64Array, float] = (np.inf, np.zeros(4), 0.0)
     values, errors = changing if fixed is None else (np.concatenate(both) for both in zip(changing, fixed, strict=True))
     used = np.isfinite(values) & (errors > 0)

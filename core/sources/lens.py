@@ -52,23 +52,10 @@ class Lens:
 
 
 def make_lens(model: str, coefficients: Sequence[float], camera_matrix: Sequence[float], size: tuple[int, int]) -> Lens:
-    """Return a lens.
+    """Return a lens of K row by row (9 numbers) and a size (width, height), pixels.
 
-    Parameters
-    ----------
-    model : str
-        Name of the distortion model, in any spelling of ROS, Kalibr or OpenCV.
-    coefficients : sequence of float
-        In OpenCV's order: k1, k2, p1, p2, k3, k4, k5, k6, s1 to s4, tx, ty; k1 to k4 of a fisheye.
-    camera_matrix : sequence of float
-        K row by row, 9 numbers, pixels.
-    size : tuple of int
-        Width and height, pixels.
-
-    Raises
-    ------
-    SourceError
-        The model is unknown, or the numbers are no lens; a clause for the end of a sentence.
+    ``model`` is a distortion model as ROS, Kalibr or OpenCV spell it; ``coefficients`` are in OpenCV's order: k1,
+    k2, p1, p2, k3 to k6, s1 to s4, tx, ty, or k1 to k4 of a fisheye. `SourceError` is a clause for a sentence's end.
     """
     name = model.strip().lower().replace("-", "_").replace(" ", "_")
     d = np.array(coefficients, np.float64)

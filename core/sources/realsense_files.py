@@ -96,11 +96,7 @@ def _cameras(name: str, recordings: Sequence[RecordingFile]) -> list[RecordedCam
 
 @dataclass(frozen=True, eq=False)
 class Stream:
-    """One image stream; all images of a recording have ``recorded_s`` on one clock.
-
-    ``clock`` is that of the images' own stamps, in librealsense's words, or empty. ``poses`` are 4 x 4, from a named
-    reference to the stream.
-    """
+    """One image stream with both times; ``clock`` is that of the stamps or empty, ``poses`` (4, 4) by reference."""
 
     topic: str
     images: str

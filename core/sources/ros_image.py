@@ -109,10 +109,7 @@ class RawImage:
         return self.channel(shape, ("mono16", "16UC1"), np.dtype(np.uint16), copy=copy)
 
     def depth(self, shape: tuple[int, int], *, copy: bool = True) -> Uint16Array:
-        """Return counts: uint16, shape (H, W). Those of an image in metres have `FLOAT_UNIT_M`; 0 is no depth.
-
-        Without ``copy`` the array may be the message's own memory, which cannot be written.
-        """
+        """Return counts, uint16 (H, W), metres in `FLOAT_UNIT_M`; without ``copy`` maybe memory that is read only."""
         if self.encoding != "32FC1":
             return self.counts(shape, copy=copy)
         counts = self.channel(shape, ("32FC1",), np.dtype(np.float32)) / FLOAT_UNIT_M

@@ -134,10 +134,7 @@ def _picture(bag: Bag, image: ImageTopic) -> Uint8Array:
 
 
 class RosSource(RecordedSource):
-    """A ROS bag of any program, with frames of depth images whose header stamps are half a period apart at most.
-
-    ``rest`` is the path, and behind a question mark the topics that a person chose, which are then kept beside it.
-    """
+    """A ROS bag of any program; ``rest`` is its path, and behind a question mark topics, which are kept beside it."""
 
     def __init__(self, scheme: str, rest: str, progress: Progress | None = None) -> None:
         text, chosen = split_name(rest)
