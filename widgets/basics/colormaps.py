@@ -116,10 +116,7 @@ def difference_index(relative_difference: Float32Array, limit: float = DIFFERENC
 
 @cache
 def difference_lut(t: float = 0.03, limit: float = DIFFERENCE_LIMIT) -> Uint8Array:
-    """Return the colours of relative differences: uint8 (256, 4).
-
-    Within ``t`` lies one pale tint of the contact colour; outside, a calm map: ochre where tactile depth is smaller.
-    """
+    """Return the colours of relative differences: one pale tint within ``t``, ochre where tactile is smaller."""
     relative = (np.arange(256) - 128.0) * (limit / 127.0)
     beyond = np.clip((np.abs(relative) - t) / max(limit - t, 1e-9), 0.0, 1.0)
     away = _DIFFERENCE_STARTS + (_DIFFERENCE_ENDS - _DIFFERENCE_STARTS) * beyond

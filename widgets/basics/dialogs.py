@@ -36,10 +36,7 @@ class Memory(Protocol):
 
 
 class Dialogs:
-    """Opens dialogs over a window; ``native`` uses the operating system's file dialogs.
-
-    File dialogs start in the folder that was last used for their ``kind``, such as ``"preset"``.
-    """
+    """Opens dialogs over a window; those for files start in the folder last used for their ``kind``."""
 
     def __init__(self, parent: QWidget | None, memory: Memory, native: bool = True) -> None:
         self._parent, self._memory, self._native = parent, memory, native

@@ -16,10 +16,7 @@ _FOLDER = Path(__file__).parents[1] / "icons"
 
 
 def icon(name: str, color: str = "") -> QIcon:
-    """Return an icon that follows the theme: a file in ``widgets/icons``, named as in its set.
-
-    ``color`` is a field of `ThemeColors`; empty: the text colour of buttons, or its disabled shade.
-    """
+    """Return a file of ``widgets/icons`` that follows the theme, in a colour of `ThemeColors` or that of buttons."""
     _svg(name)
     return QIcon(_ThemeIcon(name, color))
 

@@ -58,10 +58,7 @@ def splitter(
 
 
 def scrolling(content: QWidget, min_width: int = 0) -> QScrollArea:
-    """Return an area without a frame that is as wide as its content and scrolls it up and down.
-
-    With ``min_width``, pixels, it is at least so wide and shows the whole width of its content.
-    """
+    """Return an area without a frame that scrolls up and down, as wide as its content or ``min_width`` px."""
     scroll = QScrollArea()
     scroll.setWidget(content)
     scroll.setWidgetResizable(True)

@@ -16,10 +16,7 @@ _VEIL_ALPHA = 150
 
 
 class Notice(QWidget):
-    """Words on a plate in the middle of a view, with a button below where one is offered; hidden without words.
-
-    ``warns`` is for a picture that is old: it is dimmed, and the plate lies at the top in the colour of warnings.
-    """
+    """Words on a plate over a view, with a button if one is offered; ``warns`` dims a picture that is old."""
 
     def __init__(self, over: QWidget, *, warns: bool = False) -> None:
         super().__init__(over)
@@ -86,10 +83,7 @@ _LINE, _PLATE = QColor(255, 255, 255), QColor(0, 0, 0, 165)
 
 @dataclass(frozen=True)
 class Wipe:
-    """A vertical line at the same share of the width in every view, and the names of both sides.
-
-    ``share`` is the part of the width left of the line: 1 shows only the left side, 0 only the right one.
-    """
+    """A line at the same share of the width in every view, 1 shows only the left side, and the names of both sides."""
 
     share: float
     left: str

@@ -198,7 +198,6 @@ class RecordTable(QTableView):
         return self._model.given
 
     def set_records(self, records: Sequence[Any]) -> None:
-        """Show these records; the selection stays with their keys."""
         self._model.show(records, lambda new, old: list(map(self._key, new)) == list(map(self._key, old)))
 
     def selected_keys(self) -> tuple[Any, ...]:

@@ -182,10 +182,7 @@ class _TipWrapper(QObject):
 
 
 class _FocusRing(QObject):
-    """Draws a frame of 2 px around the widget that has the keyboard's focus, once it came there by a key.
-
-    A click needs no ring: who clicks knows where.
-    """
+    """Draws a frame of 2 px around the widget with the focus, once it came there by a key: who clicks knows where."""
 
     def __init__(self, application: QApplication) -> None:
         super().__init__(application)

@@ -254,10 +254,7 @@ class SoftwareRenderer:
 
 
 def _overlaps_thinned(cloud: DepthCloud, look: Look) -> bool:
-    """Return whether the points of every other row and column still overlap on the screen.
-
-    Judged by neighbouring pixels in the middle of the image, at the far end of the cloud's colour scale.
-    """
+    """Return whether every other row and column still overlaps, judged in the middle at the far end of the colours."""
     height, width = cloud.depth.shape
     if min(height, width) < 2:  # free points, in no order
         return False
@@ -276,10 +273,7 @@ def _packed(table: Uint8Array) -> npt.NDArray[np.uint32]:
 
 
 class CloudCanvas(QWidget):
-    """Shows a cloud, or two at a wipe, with axes and a mark; redraws only what changed.
-
-    Its view sets the attributes and calls ``update``.
-    """
+    """Shows a cloud, or two at a wipe, with axes and a mark, as its view sets them; redraws only what changed."""
 
     resized = pyqtSignal()
 

@@ -17,10 +17,7 @@ _MAX_LINES = 4
 
 
 class CloudHeader(QWidget):
-    """Title on the left, number of points on the right, without the word where both do not fit.
-
-    Painted without labels, whose layout would repeat its work through the whole window for every frame.
-    """
+    """Title and number of points, painted: labels would repeat their layout through the window for every frame."""
 
     def __init__(self, title: str) -> None:
         super().__init__()

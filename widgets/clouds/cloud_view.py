@@ -160,7 +160,6 @@ class CloudView(QWidget):
         self._canvas.update()
 
     def set_legend(self, entries: list[tuple[str, QColor]]) -> None:
-        """Set the legend, the most important entry first."""
         self.legend_line.setValue(entries)
 
     def legend(self) -> list[tuple[str, QColor]]:
@@ -236,7 +235,6 @@ class CloudView(QWidget):
         self.set_camera(self.camera().framing(points, *self._size(), fill))
 
     def look_from(self, viewpoint: Viewpoint) -> None:
-        """Turn to a named viewpoint and frame the cloud."""
         if viewpoint == "reset":
             self._look_for_focus()
         self._frame(self.camera().looking_from(viewpoint), steered=viewpoint != "reset")
@@ -391,7 +389,6 @@ class CloudView(QWidget):
         self.set_camera(self.camera().orbited(right, up))
 
     def _zoom(self, factor: float, at: QPointF | None = None) -> None:
-        """Zoom about a place of the canvas, or about its middle."""
         at = at or QPointF(self._canvas.width() / 2, self._canvas.height() / 2)
         self.set_camera(self.camera().zoomed(factor, (at.x(), at.y()), *self._size()))
 

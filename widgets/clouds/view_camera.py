@@ -101,7 +101,6 @@ class ViewCamera:
         return replace(self.panned(dx, dy, width, height), distance=distance)
 
     def looking_from(self, viewpoint: Viewpoint) -> Self:
-        """Turn to a named viewpoint around the same target."""
         azimuth, elevation = VIEWPOINTS[viewpoint]
         return replace(self, azimuth=azimuth, elevation=elevation)
 

@@ -32,10 +32,7 @@ _CHROMATIC_VALUE = 25
 
 
 def new_ranges(rgb: Uint8Array, present: MaskSection, mode: Mode) -> MaskSection:
-    """Return the ranges of a sample, uint8 (h, w, 3) RGB: those of nine tenths of its pixels, and a margin.
-
-    set: these. expand: the smallest ranges that cover them and the present ones.
-    """
+    """Return the ranges of nine tenths of a sample, (h, w, 3) RGB, and a margin; expanded, with the present ones."""
     hsv = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2HSV).reshape(-1, 3).astype(np.int64)
     fresh = MaskSection(
         hue=_hue_range(hsv),

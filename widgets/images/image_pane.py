@@ -221,7 +221,6 @@ class ImagePane(QWidget):
         return 0 <= u < self._size[0] and 0 <= v < self._size[1]
 
     def scale(self) -> float:
-        """Return the screen pixels per image pixel."""
         width = self.box.viewRect().width()
         return float(self.box.width() * self.devicePixelRatioF() / width) if width > 0 else 1.0
 

@@ -44,13 +44,11 @@ class _Banner(QFrame):
         self.hide()
 
     def show_words(self, words: str) -> None:
-        """Show what to click, or hide with an empty text."""
         self.text.setText(words)
         self.setAccessibleName(words)
         self.setVisible(bool(words))
 
     def place(self, left: int, width: int) -> None:
-        """Stand at the top of the parent."""
         if not self.isHidden():
             self.setGeometry(left, 0, width, max(self.heightForWidth(width), self.sizeHint().height()))
             self.raise_()
@@ -126,14 +124,12 @@ class ImageStrip(QWidget):
         return bool(line.isVisible() and u > line.value())
 
     def set_two_cameras(self, two: bool) -> None:
-        """Show the images that compare two cameras, or leave them out."""
         if two != self._two_cameras:
             self._two_cameras = two
             self.panes["tactile"].title.setText(PANES["tactile"] if two else "Tactile depth")
             self.show_panes()
 
     def show_panes(self) -> None:
-        """Show all images that the cameras give."""
         for name, pane in self.panes.items():
             pane.setVisible(self._two_cameras or name not in _OF_TWO_CAMERAS)
         self._check_hint()
@@ -233,7 +229,6 @@ class ImageStrip(QWidget):
         self.banner.place(left, self.width() - left - 4)
 
     def _zoom(self, factor: float) -> None:
-        """Zoom about the crosshair, or about the centre."""
         self._fitted = False
         box = self.panes["color"].box
         box.scaleBy((factor, factor), center=self._pixel if self._pixel != (-1, -1) else None)

@@ -80,7 +80,6 @@ class MarkLayer(QWidget):
         self.update()
 
     def set_ghost(self, place: tuple[float, float] | None) -> None:
-        """Offer a predicted position, or none."""
         self.ghost = place
         self.update()
 

@@ -33,11 +33,7 @@ _KERNEL = np.ones((5, 5), np.uint8)  # a rim of two pixels: one alone gets lost 
 
 @dataclass(frozen=True, eq=False)
 class StripImages:
-    """One frame's images, (H, W) of every ``stride``-th proximity pixel; nan where there is no depth.
-
-    ``mask_overlay`` is where the colour is tinted as masked, ``relative`` is (dp - dt) / dp, ``size`` is width and
-    height of the whole image.
-    """
+    """One frame's images at every ``stride``-th pixel, nan without depth; ``relative`` is (dp - dt) / dp."""
 
     color: Uint8Array
     mask_overlay: BoolArray | None
@@ -53,10 +49,7 @@ class StripImages:
 
 @dataclass(frozen=True, eq=False)
 class RenderedStrip:
-    """The strip's panes, uint8 (h, w, 4) as ``QImage.Format_RGB32``: colour, both depths, relative difference.
-
-    ``size`` is width and height of the whole image. ``masked_share`` is left to the caller; None without a mask.
-    """
+    """The strip's panes, (h, w, 4) as ``QImage.Format_RGB32``; ``size`` is that of the whole image."""
 
     panes: tuple[Uint8Array, ...]
     size: tuple[int, int]

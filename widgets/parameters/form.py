@@ -144,7 +144,6 @@ class ParameterRow(QObject):
         self.message.setVisible(bool(sentence))
 
     def _update_reset(self) -> None:
-        """Show the reset button only where it would change something."""
         wanted = self._is_shown and self.widget.isEnabled() and self.differs()
         if not wanted and self.reset.hasFocus():
             self.tab_stops[0].setFocus()
@@ -162,10 +161,7 @@ class ParameterRow(QObject):
 
 
 class Form(QWidget):
-    """Rows for fields, such as those of a pydantic model that `section_fields` yields.
-
-    Advanced ones are behind a fold, which opens when one of its values begins to differ from the default.
-    """
+    """Rows for fields; advanced ones are behind a fold, which opens when a value begins to differ from the default."""
 
     edited = pyqtSignal(str, object, int)  # path, value, gesture
 

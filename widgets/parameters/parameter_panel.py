@@ -181,7 +181,6 @@ class ParameterPanel(QScrollArea):
             section.set_collapsed(name in names)
 
     def set_two_cameras(self, two: bool) -> None:
-        """Show the alignment of two cameras, or leave it out."""
         self.sections["alignment"].setVisible(two)
 
     def enable_measuring(self, enabled: bool) -> None:
@@ -299,7 +298,6 @@ class ParameterPanel(QScrollArea):
         return self.rows[path].editor.value()
 
     def _refresh(self) -> None:
-        """Bring everything that depends on other values up to date."""
         for name, form in self.forms.items():
             enabled = form.rows.get(f"{name}.enabled")
             for row in form.rows.values():

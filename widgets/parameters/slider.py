@@ -33,10 +33,7 @@ Values = tuple[float, ...]
 
 @dataclass(frozen=True)
 class Scale:
-    """A slider's travel from ``low`` to ``high``; positions are fractions 0 to 1.
-
-    Linear scales snap to steps from ``low``, logarithmic ones to a hundredth of a decade and three digits.
-    """
+    """A slider's travel, ``low`` to ``high``; linear ones snap to steps, logarithmic ones to 0.01 decades."""
 
     low: float
     high: float

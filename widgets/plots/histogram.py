@@ -21,10 +21,7 @@ from .plot import Plot
 
 @dataclass(frozen=True)
 class Quantity:
-    """What a histogram counts; a value times ``factor`` is what the axis shows, in ``unit``.
-
-    ``limits`` is the range in which the limit can be dragged. ``symmetric``: the limit holds on both sides of zero.
-    """
+    """What is counted, shown times ``factor`` in ``unit``; ``limits`` is where the limit can be dragged."""
 
     name: str
     caption: str

@@ -30,10 +30,7 @@ class _Axis(pg.AxisItem):  # type: ignore[misc]
 
 
 class Plot(pg.PlotWidget):  # type: ignore[misc]  # pyqtgraph has no types
-    """A plot without menu and buttons that follows the theme; only if ``movable`` the mouse moves and scales it.
-
-    ``unit`` is written behind the numbers of the lower axis.
-    """
+    """A plot without menu and buttons that follows the theme; only if ``movable`` the mouse moves and scales it."""
 
     def __init__(self, bottom: str = "", left: str = "", *, movable: bool = False, unit: str = "") -> None:
         self._recolor: Callable[[ThemeColors], object] | None = None

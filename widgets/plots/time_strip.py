@@ -149,7 +149,6 @@ class TimeStrip(QWidget):
         self._box.sigResized.connect(lambda: self._text.setPos(self._box.width() - 2, -3))
 
     def add_buttons(self, actions: Sequence[QAction]) -> None:
-        """Put buttons for actions below the choice of the curve."""
         for action in actions:
             self._buttons.insertWidget(self._buttons.count() - 1, action_button(action))
 
@@ -162,10 +161,7 @@ class TimeStrip(QWidget):
         self.curve_box.setCurrentIndex(max(0, self.curve_box.findData(key)))
 
     def set_series(self, seconds: Float64Array, values: Mapping[str, Float64Array], computed: BoolArray) -> None:
-        """Show the frames of a recording: ``seconds`` since the first one, and ``values`` by the keys of `CURVES`.
-
-        Values are nan where unknown.
-        """
+        """Show a recording: ``seconds`` since the first frame, and ``values`` by the keys of `CURVES`, or nan."""
         whole = self._live or len(seconds) != len(self._seconds) or self._box.viewRange()[0] == [0.0, self._end_s()]
         self._live = False
         self._seconds, self._values, self._computed = seconds, values, computed
