@@ -269,12 +269,10 @@ def open_pipeline(name: str, preset: Preset, origin: str) -> Iterator[tuple[Fram
 
 
 def untouched_for(preset: Preset, origin: str, source: FrameSource) -> SensorFrame | None:
-    """Return the untouched frame if the contact test compares with it; warn of one that cannot be used."""
-    from ...core.rig.untouched import find_untouched
+    """Return the untouched frame that is kept, or that the contact test needs; warn of one that cannot be used."""
+    from ...core.rig.untouched import find_untouched, kept_untouched
 
-    if not preset.test.needs_untouched:
-        return None
-    found = find_untouched(preset, origin, source)
+    found = (find_untouched if preset.test.needs_untouched else kept_untouched)(preset, origin, source)
     warn(*found.warnings)
     return found.frame
 

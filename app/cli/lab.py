@@ -17,16 +17,19 @@ from .common import (
     CliProgress,
     FrameCount,
     PresetOption,
+    SetOption,
     SourceOption,
     chosen_preset,
     number_of_frames,
     open_with_progress,
+    parse_settings,
     say,
     table_text,
     warn,
 )
 
 if TYPE_CHECKING:
+    from ...core.lab.faults import Outcome
     from ...core.lab.scan import PaintSettings
     from ...core.lab.single_camera import Find
     from ...core.lab.strain import StrainMeasurement
@@ -103,6 +106,29 @@ def table(
     order = {name: place for place, name in enumerate(plan.methods)}
     cells.sort(key=lambda cell: order[cell.method])
     say(table_text(cells, times))
+
+
+@lab_commands.command(short_help="What breaks after a rig was measured, and whether the patch says so.")
+def faults(
+    *,
+    sensor: Annotated[str, typer.Option(metavar="NAME", help="Sensor of the simulator.")] = "l515-d405",
+    held_out: Annotated[
+        bool, typer.Option("--held-out", help="Use objects and a membrane that nothing was developed on.")
+    ] = False,
+    settings: SetOption = None,
+) -> None:
+    """Lay twelve faults over simulated touches and hovers, and count wrong patches that carry no doubt."""
+    from ...core.lab.faults import faults_text, try_faults
+    from ...core.sources.presets import load_preset
+    from ...core.sources.simulator.scenes import read_name, source_options
+
+    source_options({**read_name(""), "sensor": sensor})  # refuses an unknown sensor
+    preset = load_preset("simulator").with_values(parse_settings(settings))
+    outcomes: list[Outcome] = []
+    for fault in try_faults(preset, sensor, held_out=held_out):
+        outcomes += fault
+        typer.echo(fault[0].fault, err=True)
+    typer.echo(faults_text(outcomes))
 
 
 def _names(text: str) -> tuple[str, ...]:

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from ...core.preset import Preset
     from ...core.rig.drift import WatchReport
     from ...core.sources import FrameSource
+    from ...core.tuning.advice.proposal import Finding
 
     SavePatch = Callable[[ContactPatch, SensorFrame], None]
     Estimator = Callable[[ContactPatch, SensorFrame], Tilt]
@@ -53,6 +54,8 @@ Record = dict[str, Any]
 
 #: Suffix of recordings and of bags of patches.
 MCAP_SUFFIX = ".mcap"
+#: Frames are examined for findings once in this many; the others carry those of the last one.
+_EXAMINED_EVERY = 15
 #: Keys that ``--truth`` adds to a record beside ``touched``, with their units.
 TRUTH_KEYS = {"iou": "", "precision": "", "recall": "", "rmse_mm": " mm"}
 
@@ -154,8 +157,12 @@ def _process(
     tilt: Estimator | None,
 ) -> tuple[int, list[Record]]:
     """Process and save up to ``frames`` frames; return their number and, unless printed as lines, their records."""
+    from ...core.tuning.advice.findings import Examiner
+
     records: list[Record] = []
     done, scored = 0, False
+    examiner = Examiner(source.rig)
+    found: tuple[Finding, ...] = ()
     total = number_of_frames(source, frames)
     with CliProgress(quiet=json_lines) as progress:
         for frame in live_frames(source, total, stopped):
@@ -169,6 +176,9 @@ def _process(
             look(frame)
             save(patch, frame)
             if json_lines:
+                if done % _EXAMINED_EVERY == 0:
+                    found = examiner.findings(frame, patch, pipeline.preset, pipeline.untouched)
+                record["findings"] = [finding.sentence for finding in found]
                 typer.echo(json.dumps(record, allow_nan=False))
             else:
                 records.append(record)
@@ -202,6 +212,11 @@ def _patch_record(patch: ContactPatch, frame: SensorFrame) -> Record:
         "points": len(patch.points),
         "area_mm2": finite_or_none(patch.area_mm2),
         "centroid_m": patch.centroid_m,
+        **patch.doubt.record(),
+        "contacts": [
+            {"area_mm2": contact.area_mm2, "centroid_m": contact.centroid_m, **contact.doubt.record()}
+            for contact in patch.contacts
+        ],
         "averaged_frames": patch.averaged_frames,
         "stage_ms": {stage: round(ms, 4) for stage, ms in patch.stage_ms.items()},
         "time_s": finite_or_none(frame.proximity_time_s),

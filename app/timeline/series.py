@@ -86,7 +86,7 @@ def time_series(
     source: FrameSource, preset: Preset, order: Iterable[int], home: Path | None = None
 ) -> Iterator[FrameValues]:
     """Yield the values of frame after frame; a frame that cannot be read or processed has nan for all of them."""
-    untouched = kept_untouched(preset, home, source).frame if preset.test.needs_untouched else None
+    untouched = kept_untouched(preset, home, source).frame
     pipeline = ContactPipeline(preset, source.rig, untouched)
     for index in order:
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 from PyQt6.QtCore import Qt
@@ -82,7 +83,7 @@ class FrameStatus(QStatusBar):
             button.hide()
             self.addPermanentWidget(button)
         self._rate = self._number("000 fps", "Frames per second drawn")
-        self._area = self._number("patch 0000.0 cm²", "Area of the patch, projected along the optical axis")
+        self._area = self._number("patch 0000.0 cm², touches 100 %", "")
 
     def show_source(self, info: SourceInfo) -> None:
         rig = info.rig
@@ -111,7 +112,7 @@ class FrameStatus(QStatusBar):
     def show_result(self, result: Result) -> None:
         """Count a frame as shown. The area is that of the views; the other numbers wait for `INTERVAL_S`."""
         self._shown_rate.tick()
-        self._area.setText("" if result.patch is None else f"patch {result.area_mm2 / 100:.1f} cm²")
+        self._show_patch(result)
         now = time.perf_counter()
         running = result.playback.playing
         if running and now - self._last_s < INTERVAL_S:
@@ -120,6 +121,20 @@ class FrameStatus(QStatusBar):
         shown_fps = self._shown_rate.rate()
         self._rate.setText(f"{shown_fps:.0f} fps" if running else "")
         self.details.show_result(result, shown_fps)
+
+    def _show_patch(self, result: Result) -> None:
+        words = "" if result.patch is None else f"patch {result.area_mm2 / 100:.1f} cm²"
+        tip = "Area of the patch, projected along the optical axis"
+        if result.patch is not None and len(result.patch.points):
+            doubt = result.patch.doubt
+            words += f", touches {100 * doubt.touch_probability:.0f} %"
+            tip += ", and the probability that the membrane touches there"
+            if math.isfinite(doubt.boundary_error_mm):
+                tip += f". Expected error of the boundary: {doubt.boundary_error_mm:.1f} mm"
+            if doubt.reasons:
+                tip += f". Doubt: {', '.join(doubt.reasons)}"
+        self._area.setText(words)
+        self._area.setToolTip(f"{tip}.")
 
     def _show_words(self) -> None:
         playback = self._playback

@@ -45,7 +45,7 @@ _PATCH_FILL = 0.6
 _NO_DEPTH = "This camera measured no depth in this frame"
 _NO_POSE = "The tactile camera's pose is not known: calibrate (Ctrl+K), or open a preset that has one"
 _COLOR_TIPS = {
-    ColorBy.CONTACT: "Depth in the camera views; contact in its own colour in the patch",
+    ColorBy.CONTACT: "Depth in the camera views; contact in its own colour in the patch, hatched where doubtful",
     ColorBy.PROVENANCE: "Proximity: why each point was kept or dropped. Patch: what the last steps dropped",
 }
 

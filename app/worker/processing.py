@@ -105,7 +105,7 @@ class FrameProcessor:
         held: bool = False,
     ) -> Result:
         """Return the patch and what the window shows; of a frame that is ``held`` all is drawn, also while it plays."""
-        self._present.find(frame, preset, info.rig, self._untouched(info, preset))
+        self._present.find(frame, preset, info.rig, self._stored_untouched(info, preset))
         finders = self._find_compared(frame, info, compared)
         started = time.perf_counter()
         if self._present.waiting and not self._processed:  # the images' kernels are compiled after the first picture
@@ -151,9 +151,6 @@ class FrameProcessor:
         self._strip_s = now_s
         return wanted
 
-    def _untouched(self, info: SourceInfo, preset: Preset) -> SensorFrame | None:
-        return self._stored_untouched(info, preset) if preset.test.needs_untouched else None
-
     def _find_compared(self, frame: SensorFrame, info: SourceInfo, sides: Sides | None) -> list[PatchFinder]:
         """Find the patches of compared presets; each keeps its own pipeline, for its cached steps and averages."""
         presets = [side.preset for side in sides or () if not side.follows]
@@ -165,7 +162,7 @@ class FrameProcessor:
                 kept[-1].preset = preset
         self._others = kept
         for finder in kept:
-            finder.find(frame, finder.preset, info.rig, self._untouched(info, finder.preset))
+            finder.find(frame, finder.preset, info.rig, self._stored_untouched(info, finder.preset))
         return [
             self._present if side.follows else next(finder for finder in kept if finder.preset is side.preset)
             for side in sides or ()

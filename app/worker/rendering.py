@@ -17,7 +17,7 @@ from ...core.model.arrays import BoolArray, Float32Array, IndexArray, Uint8Array
 from ...core.model.clouds import ray_table, valid_depth
 from ...core.model.frames import Rig, SensorFrame
 from ...core.model.intrinsics import Intrinsics
-from ...core.model.patch import Provenance
+from ...core.model.patch import SURE, Provenance
 from ...core.preset import Preset
 from ...core.tuning.advice.findings import depth_missing
 from ...widgets.basics.colormaps import (
@@ -134,6 +134,8 @@ GAP_HISTOGRAM_BINS = 50
 GAP_HISTOGRAM_LIMIT_M = 0.0005
 _IDENTITY = np.eye(4)
 _SAMPLE = 6
+#: Width of the stripes over doubtful contact, with the gap between two, pixels.
+_STRIPE_PX = 6
 #: The depth colours span these shares of the membrane's depth, extended by these shares of the span
 #: on the near and far side: objects are behind the membrane.
 _ENDS = (0.01, 0.99)
@@ -324,11 +326,25 @@ def patch_view(scene: Scene) -> DepthCloud | None:
     if patch is None:
         return None
     if scene.color_by is ColorBy.CONTACT:
-        index, lut = _relief(scene, patch.mask), patch_lut(scene.theme)
+        index, lut = _relief(scene, patch.mask & ~hatching(patch)), patch_lut(scene.theme)
     else:
         late = np.isin(patch.provenance, LATE_VERDICTS)
         index, lut = _over_relief(scene, patch.provenance, late), patch_provenance_lut(scene.theme)
     return replace(_proximity_cloud(scene, index, lut, count=len(patch.points)), depth=_depth_with_patch(scene, patch))
+
+
+def hatching(patch: ContactPatch) -> BoolArray:
+    """Return the stripes of the image that are left out of doubtful contact, bool (H, W)."""
+    height, width = patch.rig.proximity.intrinsics.shape
+    stripes = np.zeros((height, width), np.bool_)
+    pixels = np.flatnonzero(patch.mask)
+    for contact in patch.contacts:
+        if contact.doubt.touch_probability < SURE:
+            stripes.reshape(-1)[pixels[contact.members]] = True
+    if stripes.any():
+        v, u = np.ogrid[:height, :width]
+        stripes &= (u + v) % _STRIPE_PX < _STRIPE_PX // 2
+    return stripes
 
 
 _VIEWS: dict[CloudName, Callable[[Scene], DepthCloud | None]] = {

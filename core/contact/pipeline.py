@@ -14,6 +14,7 @@ from ..model.patch import ContactPatch, Lazy
 from .alignment import make_alignment
 from .checks import check_rig, check_test, rig_in_use
 from .contact_test import ContactTest, Steps
+from .doubt import Judge
 from .membrane.average import AveragedDepth
 from .pixels import Pixels, Workspace
 
@@ -40,7 +41,8 @@ class ContactPipeline:
     rig : Rig
         The rig that records the frames; a lens distortion that the preset's calibration estimated is added to it.
     untouched : SensorFrame, optional
-        The untouched membrane, for a contact test that compares with it.
+        The untouched membrane, for a contact test that compares with it, for the doubt about contact, and to find the
+        prints again in other light.
 
     Raises
     ------
@@ -53,12 +55,13 @@ class ContactPipeline:
         With the preset's lens distortion.
     preset : Preset
         The current one; change it with `update`.
+    untouched : SensorFrame or None
     warnings : list of str
         Sentences on differences between the preset's rig and this one.
     """
 
     def __init__(self, preset: Preset, rig: Rig, untouched: SensorFrame | None = None) -> None:
-        self._recording_rig, self._untouched = rig, untouched
+        self._recording_rig, self.untouched = rig, untouched
         self._start(preset, rig_in_use(preset, rig))
 
     def _start(self, preset: Preset, rig: Rig) -> None:
@@ -105,7 +108,7 @@ class ContactPipeline:
         first_key = self._keys[next(iter(steps))]
         if first_key != self._test_key:
             self._test: ContactTest = preset.test(
-                Pixels(preset, self.rig, self._alignment, self._workspace, self._untouched)
+                Pixels(preset, self.rig, self._alignment, self._workspace, self.untouched)
             )
             self._test_key = first_key
             for name in steps:  # the test that was replaced kept their results
@@ -142,6 +145,7 @@ class ContactPipeline:
             mask=Lazy(lambda: found.contact.mask(self.rig.proximity.intrinsics.shape)),
             averaged_frames=self._average.count if self._average is not None else 1,
             membrane=found.membrane,
+            doubt_of=Judge(test.pixels).doubts(frame, self.preset, found.membrane),
         )
         return memory.patch
 

@@ -28,6 +28,7 @@ from .outliers.grid import Grid
 
 if TYPE_CHECKING:
     from ..preset import Preset
+    from .light import Light
 
 #: Below this number of image tiles, one thread is faster than several.
 MAX_TILES_ALONE: Final = 300
@@ -109,6 +110,11 @@ class Pixels:
         self._rays = _ray_planes(rig.proximity.intrinsics)
         self._lookup = color_lookup_of(rig)
         self._hsv = hsv_limits(preset.mask) if preset.mask.enabled else _NO_LIMITS
+        self.light: Light | None = None
+        if untouched is not None and preset.mask.enabled and rig.has_proximity:
+            from .light import Light  # loads OpenCV, which a preset without an untouched frame does not need
+
+            self.light = Light(untouched.proximity_color, preset.mask)
 
     def aligned(self, frame: SensorFrame) -> AlignedDepth:
         """Return both depths for every pixel of the region; nan elsewhere."""
@@ -120,8 +126,9 @@ class Pixels:
         return kernels.PixelTest(self.alignment.tables, self.region, limits, self._rays)
 
     def color_test(self, frame: SensorFrame) -> kernels.ColorTest:
-        """Return the colour mask of a frame, for kernels."""
-        return kernels.ColorTest(self._lookup, kernels.flat(frame.proximity_color, 3 * LANES), self._hsv)
+        """Return the colour mask of a frame, for kernels: its colours are those in the untouched frame's light."""
+        image = frame.proximity_color if self.light is None else self.light.as_before(frame.proximity_color)
+        return kernels.ColorTest(self._lookup, kernels.flat(image, 3 * LANES), self._hsv)
 
     def candidates(self, frame: SensorFrame, tolerance: float) -> Candidates:
         """Return the pixels whose depths agree within a tolerance and whose colour is not the mask's."""

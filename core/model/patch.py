@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from functools import cached_property
-from typing import Final, Generic, TypeVar
+from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from .arrays import BoolArray, Float32Array, IndexArray, Uint8Array
 from .clouds import pixel_areas_m2
+from .files import finite_or_none
 from .frames import Rig
 
 
@@ -106,6 +108,32 @@ class Candidates:
 NO_CANDIDATES: Final = Candidates(np.empty(0, np.intp), np.empty((0, 3), np.float32))
 
 
+#: A contact is doubtful below this probability that the membrane touches.
+SURE: Final = 0.9
+
+
+class Doubt(NamedTuple):
+    """How sure a contact or a patch is."""
+
+    touch_probability: float  # That the membrane touches there
+    boundary_error_mm: float  # Expected error of its boundary; nan if the contact test cannot tell
+    reasons: tuple[str, ...] = ()  # What is wrong, in words
+
+    def record(self) -> dict[str, Any]:
+        """Return the doubt for JSON; None for a number that is not known."""
+        error_mm = finite_or_none(self.boundary_error_mm)
+        return {
+            "touch_probability": round(self.touch_probability, 4),
+            "boundary_error_mm": None if error_mm is None else round(error_mm, 3),
+            "doubt": list(self.reasons),
+        }
+
+
+_NO_DOUBT: Final = Doubt(1.0, math.nan)
+#: Tells the doubt about one contact of a frame.
+DoubtOf = Callable[[Candidates], Doubt]
+
+
 @dataclass(frozen=True)
 class Contact:
     """One connected part of a patch."""
@@ -113,6 +141,16 @@ class Contact:
     area_mm2: float  # Projected on the plane across the optical axis
     centroid_m: tuple[float, float, float]  # Mean of its points, metres, proximity depth frame
     pixel: tuple[int, int]  # Column and row of its point nearest to the centroid
+    doubt: Doubt
+    members: IndexArray = field(repr=False, compare=False)  # Which points of the patch are its own
+
+
+class Boundary(NamedTuple):
+    """What the membrane test knows of the boundary of contact."""
+
+    error_m: float  # Expected error; nan without contact
+    unseen_share: float  # That borders on cells without depth
+    noise_ratio: float  # Noise in contact as a multiple of what was measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +160,9 @@ class MembraneFacts:
     bias_m: float  # Proximity less tactile depth on the same surface, as the test subtracted it, metres
     firm_m2: float  # Area of firm contact that proves the bias; 0 if it follows from the rig or from prints
     bias_known: bool  # Whether firm contact, the measured rig or prints tell the bias; without them it is assumed
+    bias_seen: bool  # Whether prints tell it in this frame
+    bias_sigma_m: float  # Its standard deviation
+    bias_change_m: float  # What prints read beyond the rig's measured bias; 0 where they agree, or without prints
     curvature_per_m: float  # Twice the mean curvature of the free membrane as measured; nan if it cannot be measured
     used_curvature_per_m: float  # The one that the test used
     #: (H, W): The membrane's gap to the object in equilibrium, along the normal; nan where it is not computed.
@@ -129,6 +170,7 @@ class MembraneFacts:
     #: (N,): Proximity less tactile depth as measured at each point, less ``bias_m``; nan where one is missing.
     difference_m: Lazy[Float32Array]
     tactile_weight: float  # In the depth of the points, 0 to 1; the proximity depth has the rest
+    boundary: Lazy[Boundary]
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,6 +204,7 @@ class ContactPatch:
         Number of frames over which depth was averaged, this one included.
     membrane : MembraneFacts or None
         None for another contact test, and where both depths are nowhere near each other.
+    doubt_of : DoubtOf
     """
 
     def __init__(
@@ -176,6 +219,7 @@ class ContactPatch:
         mask: Lazy[BoolArray] | None = None,
         averaged_frames: int = 1,
         membrane: MembraneFacts | None = None,
+        doubt_of: DoubtOf = lambda contact: _NO_DOUBT,
     ) -> None:
         self.sequence = sequence
         self._points = points
@@ -187,12 +231,13 @@ class ContactPatch:
         self._provenance = provenance
         self._aligned = aligned
         self._mask = mask
+        self._doubt_of = doubt_of
 
     def again(self, sequence: int, stage_ms: Mapping[str, float], skipped: tuple[str, ...]) -> ContactPatch:
         """Return the same patch as the result of another call."""
         return ContactPatch(
             sequence, self._points, self._provenance, self._aligned, self.rig, stage_ms, skipped, self._mask,
-            self.averaged_frames, self.membrane,
+            self.averaged_frames, self.membrane, self._doubt_of,
         )  # fmt: skip
 
     @property
@@ -236,7 +281,7 @@ class ContactPatch:
         import cv2
 
         count, image = cv2.connectedComponents(self.mask.view(np.uint8), connectivity=8)
-        labels = image[self.mask] - 1
+        labels, pixels = image[self.mask] - 1, np.flatnonzero(self.mask)
         areas_mm2 = 1e6 * pixel_areas_m2(self.points[:, 2], self.rig.proximity.intrinsics)
         total_mm2, size = (np.bincount(labels, weights, count - 1) for weights in (areas_mm2, None))
         sums = np.stack([np.bincount(labels, self.points[:, axis], count - 1) for axis in range(3)], axis=1)
@@ -245,10 +290,33 @@ class ContactPatch:
         nearest = np.lexsort((away, labels))[np.cumsum(size) - size]
         v, u = (rows[nearest] for rows in np.nonzero(self.mask))
         return tuple(
-            Contact(float(total_mm2[i]), (float(x), float(y), float(z)), (int(u[i]), int(v[i])))
+            Contact(
+                float(total_mm2[i]), (float(x), float(y), float(z)), (int(u[i]), int(v[i])),
+                self._doubt_of(Candidates(pixels[own], self.points[own])), own,
+            )
             for i in np.argsort(-total_mm2, kind="stable")
-            for x, y, z in [centroids[i]]
+            for (x, y, z), own in [(centroids[i], np.flatnonzero(labels == i))]
+        )  # fmt: skip
+
+    @cached_property
+    def doubt(self) -> Doubt:
+        """The doubt about the patch: that of its surest contact, their mean boundary error and all their reasons."""
+        if not self.contacts:
+            return Doubt(0.0, math.nan)
+        doubts, areas = [each.doubt for each in self.contacts], [each.area_mm2 for each in self.contacts]
+        return Doubt(
+            max(each.touch_probability for each in doubts),
+            float(np.average([each.boundary_error_mm for each in doubts], weights=areas)),
+            tuple(dict.fromkeys(reason for each in doubts for reason in each.reasons)),
         )
+
+    def doubt_by_point(self) -> dict[str, Float32Array]:
+        """Return the numbers of the `Doubt` about each point's contact by name, float32 (N,)."""
+        doubts = {name: np.zeros(len(self.points), np.float32) for name in Doubt._fields[:2]}
+        for contact in self.contacts:
+            for name, values in doubts.items():
+                values[contact.members] = getattr(contact.doubt, name)
+        return doubts
 
     @cached_property
     def centroid_m(self) -> tuple[float, float, float] | None:

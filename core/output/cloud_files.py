@@ -28,7 +28,7 @@ _CSV_FORMATS: Final = {"f4": "%.9g", "f8": "%.17g"}
 
 
 def patch_cloud(patch: ContactPatch, frame: SensorFrame, rig: Rig) -> PointCloud:
-    """Return a patch's points, their colours (or black), pixels ``u``, ``v`` and their own relative difference."""
+    """Return a patch's points, their colours (or black), pixels ``u``, ``v``, relative difference and doubt."""
     pixels = np.flatnonzero(patch.mask)
     colors, _ = colors_at(patch.points, pixels, frame.proximity_color, rig)
     v, u = np.divmod(pixels, patch.mask.shape[1])
@@ -36,6 +36,7 @@ def patch_cloud(patch: ContactPatch, frame: SensorFrame, rig: Rig) -> PointCloud
         "relative_difference": patch.relative_difference.ravel()[pixels],
         "u": u.astype(np.uint16),
         "v": v.astype(np.uint16),
+        **patch.doubt_by_point(),
     }
     return PointCloud(patch.points, colors, attributes)
 

@@ -23,7 +23,7 @@ from ..errors import RigMismatchError
 from ..model.arrays import AnyArray, Float64Array, Uint16Array
 from ..model.clouds import deproject_image
 from ..model.frames import DepthCamera, SensorFrame
-from ..model.patch import Lazy
+from ..model.patch import Doubt, Lazy
 from ..model.rig_file import json_text, rig_to_json
 from ..preset import Preset
 from ..sources.mcap.messages import (
@@ -45,6 +45,7 @@ _IMAGES: Final = (Topic.PROXIMITY_DEPTH, Topic.PROXIMITY_COLOR, Topic.TACTILE_DE
 LIVE_TOPICS: Final[Mapping[str, str]] = {
     Topic.PATCH: POINT_CLOUD,
     Topic.AREA: NUMBER,
+    Topic.DOUBT: DIAGNOSTICS,
     Topic.TILT: VECTOR,
     Topic.TILT_SIGMA: VECTOR,
     **POSE_TOPICS,
@@ -159,6 +160,11 @@ def pose_messages(pose: Float64Array, covariance: Float64Array, stamp_ns: int) -
     return Messages({topic: partial(parts.get, topic) for topic in parts}, stamp_ns)
 
 
+def doubt_values(doubt: Doubt) -> dict[str, str]:
+    """Return the doubt about a patch as words, with the names of `Doubt.record`."""
+    return {name: ", ".join(value) if isinstance(value, list) else str(value) for name, value in doubt.record().items()}
+
+
 def frame_messages(
     frame: SensorFrame,
     patch: ContactPatch,
@@ -203,6 +209,7 @@ def frame_messages(
     builders: dict[str, Callable[[], bytes | None]] = {
         Topic.PATCH: lambda: messages.point_cloud(patch.points, stamp_ns),
         Topic.AREA: lambda: messages.number(patch.area_mm2),
+        Topic.DOUBT: lambda: messages.diagnostics("contact", doubt_values(patch.doubt), stamp_ns),
         Topic.TILT: lambda: angles(""),
         Topic.TILT_SIGMA: lambda: angles("_sigma"),
         Topic.STATIC_TRANSFORMS: transforms,

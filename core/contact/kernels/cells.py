@@ -21,6 +21,8 @@ _MIN_AREA: Final = 1e-3  # Points that spread along one direction only tell no p
 _MAX_STEPS, _LAST_STEP_M = 5, np.float32(0.0005)
 _SATURATED: Final = 65535
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+#: Smallest share of a cell that stands for all of it.
+_MIN_SEEN: Final = np.float32(0.25)
 _MIN_FACING, _MIN_TURN = np.float32(0.25), 0.25
 
 
@@ -30,6 +32,7 @@ class DifferenceWindow(NamedTuple):
     differences: Float32Array  # (H, W): Proximity minus tactile depth, metres
     usable: BoolArray  # (H, W): Where both depths count
     excluded: BoolArray  # (H, W): Outside the region or range
+    unseen: BoolArray  # (H, W): Without one of both depths
     counts: Uint16Array  # (H, W): Raw proximity depth
     unit_m: np.float32  # Metres of a count
     bias_m: np.float32  # Subtracted from the proximity depth
@@ -42,7 +45,8 @@ class CellSums(NamedTuple):
 
     differences: Float32Array  # Mean difference
     excluded: Float32Array  # Excluded share
-    #: (H, W, 4): Mean x, y and z, metres, times the share of the pixels that take part, and that share.
+    unseen: Float32Array  # Share without one of both depths
+    #: (H, W, 4): Mean x, y and z, metres, times the share of the seen pixels that take part, and that share.
     points: Float32Array
 
 
@@ -87,21 +91,24 @@ def average_cells(window: Any, side: Any, step: Any, rays: Any, frame: Any, out:
 
     One pixel of ``step`` x ``step`` is read, in all rows and columns, so a pattern without depth does not hide a cell;
     that number divides ``side``, or ``step`` is 1. ``rays`` are the window's `RayWindow`, ``out`` are `CellSums`, whose
-    frame of ``frame`` cells is left as it is. The last cells may reach beyond the images.
+    frame of ``frame`` cells is left as it is. The last cells may reach beyond the images. The seen pixels of a cell
+    stand for all, if they are a quarter of it: depth that is missing here and there hides no cell.
     """
-    means, left_out, points = out
-    differences, usable, excluded, counts, unit_m, bias_m, centre_m, limit_m = window
+    means, left_out, holes, points = out
+    differences, usable, excluded, unseen, counts, unit_m, bias_m, centre_m, limit_m = window
     table, top, left = rays
     width, pixels, stride = usable.shape[1], np.float32((side // step) ** 2), step * step
     for row in range(first, last):
         to = row + frame
         means[to, frame : means.shape[1] - frame], left_out[to, frame : means.shape[1] - frame] = _ZERO, _ZERO
-        points[to, frame : means.shape[1] - frame] = _ZERO
+        points[to, frame : means.shape[1] - frame], holes[to, frame : means.shape[1] - frame] = _ZERO, _ZERO
         for v in range(side * row, min(side * row + side, usable.shape[0])):
             column, in_cell = frame, 0
             for u in range((v * step + v // step) % stride, width, stride):
                 if excluded[v, u]:
                     left_out[to, column] += _ONE
+                if unseen[v, u]:
+                    holes[to, column] += _ONE
                 if usable[v, u] and abs(differences[v, u] - centre_m) < limit_m:
                     z = np.float32(counts[v, u]) * unit_m - bias_m
                     means[to, column] += differences[v, u]
@@ -116,8 +123,10 @@ def average_cells(window: Any, side: Any, step: Any, rays: Any, frame: Any, out:
         for column in range(frame, means.shape[1] - frame):
             means[to, column] /= max(points[to, column, 3], _ONE)
             left_out[to, column] /= pixels
+            holes[to, column] /= pixels
+            seen = max(_ONE - holes[to, column], _MIN_SEEN) * pixels
             for part in range(4):
-                points[to, column, part] /= pixels
+                points[to, column, part] /= seen
 
 
 @inline

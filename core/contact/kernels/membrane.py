@@ -25,8 +25,8 @@ from .simd import LANES, absolute, bits, flags, float_scratch, floats, int_scrat
 BLOCK_PX: Final = 8
 
 #: States of pixels, as `find_differences` writes them. The colour of masked ones is the mask's; excluded ones lie
-#: outside the region or range.
-TAKES_NO_PART, USABLE, MASKED, EXCLUDED = range(4)
+#: outside the region or range; unseen ones have no proximity or no tactile depth.
+TAKES_NO_PART, USABLE, MASKED, EXCLUDED, UNSEEN = range(5)
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 _MIN_DIVISOR = np.float32(1e-6)
 _float_vector, _int_vector = float_scratch(LANES), int_scratch(LANES)
@@ -73,6 +73,7 @@ def _considered(count: Any, depth: Any, column: Any, in_row: Any, test: Any) -> 
 def _compare(place: Any, depth: Any, valid: Any, state: Any, images: Any, test: Any, color: Any, largest_m: Any) -> Any:
     """Return the differences of the ``valid`` lanes, 0 where too large, and the states with USABLE and MASKED set."""
     dp, _, dt, has_dt = both_depths(place, depth, valid, images.tactile, test.alignment)
+    state = where(valid & ~has_dt, ints(np.int32(UNSEEN)), state)
     near = has_dt & (absolute(dp - dt) < floats(largest_m))
     difference = where(near, dp - dt, floats(_ZERO))
     state = where(near, ints(np.int32(USABLE)), state)
@@ -104,6 +105,7 @@ def find_differences(
             column = lane_columns(u, before)
             considered = _considered(count, depth, column, row_in_region, test)
             state = where(considered, ints(np.int32(TAKES_NO_PART)), ints(np.int32(EXCLUDED)))
+            state = where(considered & ~is_depth(count), ints(np.int32(UNSEEN)), state)
             difference = floats(_ZERO)
             valid = considered & is_depth(count) & (column >= ints(np.int32(u)))
             if tiles[v // TILE_ROWS, u // LANES] and bits(valid) != 0:

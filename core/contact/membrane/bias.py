@@ -38,7 +38,7 @@ _SAME_M: Final = 0.004
 #: Step between rows and columns that are read where every pixel is not needed. It is odd, so depth that is missing in
 #: every second or fourth row or column does not hide the rest.
 _STRIDE_PX: Final = 5
-_SOME: Final = (slice(None, None, _STRIDE_PX),) * 2
+SOME: Final = (slice(None, None, _STRIDE_PX),) * 2
 #: Bin width of the histogram of differences, metres, and sigma of its smoothing, bins.
 _BIN_M, _SMOOTH_BINS = 0.0005, 1.5
 #: Contact is firm from this area on: its bias is measured without the rig's.
@@ -58,7 +58,12 @@ _USUAL_SIGMA_M: Final = 0.005
 _MIN_NOISE_M4: Final = 1e-11
 #: Systematic error of a bias measured on prints, metres, and fewest pixels on prints that tell it.
 _PRINT_SIGMA_M: Final = 0.0003
-_MIN_PRINT_PIXELS: Final = 200
+_MIN_PRINT_PIXELS: Final = 40
+#: Standard deviation of what a bias drifts after it was measured, metres.
+_DRIFT_SIGMA_M: Final = 0.0007
+#: On prints most differences agree with their most frequent one within this number of standard deviations of a pixel;
+#: where fewer than the second share do, the proximity camera looks through the mask's colour.
+_PRINT_SIGMAS, _MIN_AGREEING = 2.5, 0.5
 #: A measured bias without firm contact is raised by this share of its standard deviation, which is limited, metres: to
 #: miss a contact is a larger error than to show it too wide.
 _LEAN: Final = 0.4
@@ -93,6 +98,9 @@ class FrameBias:
     bias_m: float = 0.0  # Bias of the differences, beyond the `Differences.bias_m` that was subtracted
     firm_m2: float = 0.0  # Area of the firm contact that it was measured in; 0 if it follows from the rig's bias
     known: bool = True  # Whether firm contact, the measured rig or prints tell it
+    seen: bool = False  # Whether prints tell it in this frame
+    sigma_m: float = 0.0  # Its standard deviation
+    change_m: float = 0.0  # By how much prints disagree with the rig's bias; 0 if they agree or there are none
 
 
 def rig_bias(noise: RigNoise | None, rig: Rig) -> RigBias:
@@ -126,18 +134,20 @@ def frame_bias(
         limits_m = centre_m, _NEAR_M
         return None if part is None else cells_of(part, membrane, COARSE_CELL_PX, _SHAPE_PX, free_per_m, limits_m, rig)
 
-    prior = _with_prints(known, differences, rig)
-    start_m = most_frequent_m(differences.difference_m[_SOME][differences.usable[_SOME]]) + _START_ABOVE_M
+    prior, change_m = _with_prints(known, differences, rig)
+    seen, change_m = change_m is not None, change_m or 0.0
+    start_m = most_frequent_m(differences.difference_m[SOME][differences.usable[SOME]]) + _START_ABOVE_M
     near = _near(differences, start_m)
     if (cells := cells_near(near, start_m)) is not None:
         bias_m, area_m2 = _joint(cells, start_m, None)
         agrees = abs(bias_m - prior.mean_m) < _DISAGREE * math.sqrt(prior.sigma_m**2 + _variance_m2(known, FIRM_M2))
         proved = area_m2 >= (FIRM_M2 if agrees else _REPLACING * FIRM_M2)
         if proved and abs(bias_m + differences.bias_m) <= LARGEST_BIAS_M:
+            variance = _variance_m2(known, area_m2)
             if agrees:
-                variance = _variance_m2(known, area_m2)
-                bias_m = (bias_m / variance + prior.mean_m / prior.sigma_m**2) / (1 / variance + 1 / prior.sigma_m**2)
-            return FrameBias(bias_m, area_m2), near
+                weight, variance = variance, 1 / (1 / variance + 1 / prior.sigma_m**2)
+                bias_m = variance * (bias_m / weight + prior.mean_m / prior.sigma_m**2)
+            return FrameBias(bias_m, area_m2, True, seen, math.sqrt(variance), change_m), near
     bias_m = prior.mean_m
     if near is None or abs(bias_m - start_m) > _SAME_M:
         near = _near(differences, bias_m)
@@ -145,17 +155,33 @@ def frame_bias(
         bias_m += _LEAN * min(prior.sigma_m, _MAX_LEAN_SIGMA_M)
     elif (cells := cells_near(near, bias_m)) is not None:
         bias_m, _ = _joint(cells, bias_m, prior)
-    return FrameBias(bias_m, known=prior.measured), near
+    return FrameBias(bias_m, 0.0, prior.measured, seen, prior.sigma_m, change_m), near
 
 
-def _with_prints(known: RigBias, differences: Differences, rig: Rig) -> RigBias:
-    """Return the bias relative to that of the differences; from prints, and as measured, if the rig was not."""
-    prints, depth = differences.on_prints_m, differences.counts[_SOME]
-    if known.measured or len(prints) < _MIN_PRINT_PIXELS or not depth.any():
-        return replace(known, mean_m=known.mean_m - differences.bias_m)
+def _with_prints(known: RigBias, differences: Differences, rig: Rig) -> tuple[RigBias, float | None]:
+    """Return the bias relative to that of the differences, from the rig and from prints, and how far they disagree.
+
+    Both are combined by their variances. Where they disagree for certain, the bias has changed, and prints count alone.
+    Without prints the second is None.
+    """
+    rigs = replace(known, mean_m=known.mean_m - differences.bias_m)
+    prints, depth = differences.on_prints_m, differences.counts[SOME]
+    if len(prints) < _MIN_PRINT_PIXELS or not depth.any():
+        return rigs, None
+    centre_m = most_frequent_m(prints)
+    agreeing = prints[np.abs(prints - np.float32(centre_m)) < _PRINT_SIGMAS * known.pixel_sigma_m]
+    if len(agreeing) < max(_MIN_AGREEING * len(prints), _MIN_PRINT_PIXELS):
+        return rigs, None
     pixel_m = float(np.median(differences.depth_m(depth[depth > 0]))) / rig.proximity.intrinsics.fx
-    sigma_m = math.sqrt(known.noise_m4 / (len(prints) * pixel_m**2)) + _PRINT_SIGMA_M
-    return replace(known, mean_m=float(np.median(prints)), sigma_m=sigma_m, measured=True)
+    sigma_m = math.sqrt(known.noise_m4 / (len(agreeing) * (_STRIDE_PX * pixel_m) ** 2)) + _PRINT_SIGMA_M
+    mean_m = float(np.median(agreeing))
+    change_m = mean_m - rigs.mean_m
+    if not known.measured or abs(change_m) > _DISAGREE * math.hypot(sigma_m, known.sigma_m):
+        return replace(rigs, mean_m=mean_m, sigma_m=sigma_m, measured=True), change_m if known.measured else 0.0
+    rig_sigma_m = math.hypot(known.sigma_m, _DRIFT_SIGMA_M)
+    weight = rig_sigma_m**2 / (rig_sigma_m**2 + sigma_m**2)
+    both_m = rig_sigma_m * sigma_m / math.hypot(rig_sigma_m, sigma_m)
+    return replace(rigs, mean_m=rigs.mean_m + weight * change_m, sigma_m=both_m), 0.0
 
 
 def most_frequent_m(differences_m: Float32Array) -> float:
@@ -172,7 +198,7 @@ def most_frequent_m(differences_m: Float32Array) -> float:
 
 def _near(differences: Differences, centre_m: float) -> Differences | None:
     """Return the part of the differences with all pixels near a difference; None without any."""
-    near = differences.usable[_SOME] & (np.abs(differences.difference_m[_SOME] - np.float32(centre_m)) < _NEAR_M)
+    near = differences.usable[SOME] & (np.abs(differences.difference_m[SOME] - np.float32(centre_m)) < _NEAR_M)
     if (box := surroundings(near, 2)) is None:
         return None
     grid = math.lcm(COARSE_CELL_PX, CELL_PX)  # so that the cells are the same wherever the part begins

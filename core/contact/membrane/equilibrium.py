@@ -53,8 +53,9 @@ class Differences:
     unit_m: np.float32  # Metres of a count
     usable: BoolArray  # Has both depths, less than the largest difference between them, and not the mask's colour
     excluded: BoolArray  # Outside the region or range
+    unseen: BoolArray  # Without one of both depths
     bias_m: float  # The bias that was subtracted from the proximity depth before it was aligned
-    #: (N,): The differences of pixels with the mask's colour; empty where the rig's bias was measured.
+    #: (N,): The differences of some pixels with the mask's colour.
     on_prints_m: Float32Array
 
     def depth_m(self, counts: Uint16Array) -> Float32Array:
@@ -79,6 +80,7 @@ class Differences:
             counts=self.counts[part].copy(),
             usable=self.usable[part].copy(),
             excluded=self.excluded[part].copy(),
+            unseen=self.unseen[part].copy(),
         )
 
 
@@ -123,7 +125,8 @@ class Cells:
 
     #: Mean difference of both depths along the ray. Beside the object: that of its tangent plane and the membrane.
     difference_m: Float32Array
-    share: Float32Array  # Share of pixels that take part
+    share: Float32Array  # Share of the seen pixels that take part
+    unseen: Float32Array  # Share of the pixels without one of both depths
     #: Of the difference in the obstacle problem: that share; beside the object 1 where the membrane is seen.
     weight: Float32Array
     near_share: Float32Array  # That share averaged over the window of the first guess, from `over_window`
@@ -160,17 +163,16 @@ def cells_of(
     if min(height, width) < 3 * size_px:
         return None
     shape = -(-height // size_px) + 2 * FRAME, -(-width // size_px) + 2 * FRAME
-    sums = cell_kernels.CellSums(
-        np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros((*shape, 4), np.float32)
-    )
+    means, excluded, unseen = np.zeros((3, *shape), np.float32)
+    sums = cell_kernels.CellSums(means, excluded, unseen, np.zeros((*shape, 4), np.float32))
     window = cell_kernels.DifferenceWindow(
-        differences.difference_m, differences.usable, differences.excluded, differences.counts, differences.unit_m,
-        np.float32(differences.bias_m), np.float32(near_m[0]), np.float32(near_m[1]),
+        differences.difference_m, differences.usable, differences.excluded, differences.unseen, differences.counts,
+        differences.unit_m, np.float32(differences.bias_m), np.float32(near_m[0]), np.float32(near_m[1]),
     )  # fmt: skip
     rays = RayWindow(ray_table(camera), *differences.corner)
     step = 2 if size_px % 4 == 0 else 1  # neighbours share noise, so every fourth pixel is enough for large cells
     in_parallel(partial(cell_kernels.average_cells, window, size_px, step, rays, FRAME, sums), shape[0] - 2 * FRAME)
-    difference, excluded, points = sums
+    difference, excluded, unseen, points = sums
     share, known = points[..., 3].copy(), np.zeros(shape, np.bool_)
     known[INNER] = ((over_window(share, size_px) > _MIN_SHARE) & (excluded < _MAX_EXCLUDED))[INNER]
     share *= known
@@ -193,7 +195,7 @@ def cells_of(
     cell_kernels.continue_beside(known, excluded, points, surface, grid, membrane, limits, reach, beside)
     push[linked & ~known] = free_per_m
     near = over_window(share, size_px)
-    return Cells(difference, share, weight, near, known, linked, push, surface.sides, surface.facing, size_px)
+    return Cells(difference, share, unseen, weight, near, known, linked, push, surface.sides, surface.facing, size_px)
 
 
 def over_window(image: Float32Array, size_px: int) -> Float32Array:

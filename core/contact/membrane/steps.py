@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
@@ -13,7 +13,7 @@ import numpy as np
 from ...model.arrays import BoolArray, Float32Array, Uint8Array
 from ...model.clouds import ray_table
 from ...model.frames import Rig, SensorFrame
-from ...model.patch import Candidates, Lazy, MembraneFacts, Provenance
+from ...model.patch import Boundary, Candidates, Lazy, MembraneFacts, Provenance
 from ..alignment import make_alignment
 from ..kernels import membrane as kernels
 from ..kernels.cells import MembraneImage
@@ -22,7 +22,7 @@ from ..kernels.simd import LANES
 from ..kernels.threads import ROWS, in_parallel
 from ..outliers.clusters import in_large_cluster
 from ..pixels import MAX_TILES_ALONE, Pixels, Workspace, depth_images
-from .bias import COARSE_CELL_PX, FrameBias, RigBias, frame_bias, rig_bias
+from .bias import COARSE_CELL_PX, SOME, FrameBias, RigBias, frame_bias, rig_bias
 from .equilibrium import (
     CELL_PX,
     FAR_M,
@@ -49,7 +49,10 @@ _ALIGN_ANEW_M: Final = 0.001
 #: A measured gap is certainly larger than the largest gap if it exceeds it by this number of standard deviations of the
 #: noise, and by the errors of the model, metres.
 _CERTAIN, _MODEL_ERROR_M = 3.0, 0.0003
-_NOTHING: Final = np.empty(0, np.float32)
+#: Error of the boundary as a multiple of how far the bias's error moves it; where all of it borders on cells without
+#: depth, and at least, metres. A cell has no depth where this share has none; and the residual of cells in contact as a
+#: multiple of a pixel's noise.
+_PER_STRIP, _UNSEEN_ERROR_M, _BOUNDARY_FLOOR_M, _MAX_UNSEEN, _USUAL_RESIDUAL = 1.1, 0.007, 0.0007, 0.9, 0.85
 #: A membrane is not nearer to the camera, metres.
 _NEAREST_M: Final = 0.1
 #: Sigma of the Gaussian window over which the depth of the points is averaged, pixels, and its reach.
@@ -95,8 +98,9 @@ def differences_at(
         np.float32(pixels.rig.proximity.depth_unit_m),
         state == kernels.USABLE,
         state == kernels.EXCLUDED,
+        state == kernels.UNSEEN,
         bias_m,
-        _NOTHING if known.measured else difference[state == kernels.MASKED],
+        difference[SOME][state[SOME] == kernels.MASKED],
     )
     return None if _too_few(found, section.min_area_mm2, pixels.rig) else found
 
@@ -152,7 +156,7 @@ def measure(found: Differences, frame: SensorFrame, preset: Preset, pixels: Pixe
         bias, near = frame_bias(found, membrane, known, free_per_m, rig)
         if abs(bias.bias_m) > _ALIGN_ANEW_M:
             again = differences_at(frame, pixels, section, known, bias.bias_m)
-            firm, bias, near = bias.firm_m2 > 0, FrameBias(known=bias.known), again
+            firm, bias, near = bias.firm_m2 > 0, replace(bias, bias_m=0.0, firm_m2=0.0), again
             if again is not None and firm:
                 refined, its_near = frame_bias(again, membrane, known, free_per_m, rig)
                 if refined.firm_m2 > 0:
@@ -229,7 +233,9 @@ def surface_points(contact: BoolArray, measured: Measured, pixels: Pixels) -> Ca
     return workspace.collect([slice(0, count)])
 
 
-def facts(measured: Measured, cells: Cells, solution: Equilibrium, contact: Candidates, rig: Rig) -> MembraneFacts:
+def facts(
+    measured: Measured, cells: Cells, solution: Equilibrium, gap_m: float, contact: Candidates, rig: Rig
+) -> MembraneFacts:
     """Return what was measured besides contact, for messages."""
     differences, bias, shape = measured.differences, measured.bias, rig.proximity.intrinsics.shape
 
@@ -250,12 +256,42 @@ def facts(measured: Measured, cells: Cells, solution: Equilibrium, contact: Cand
         bias_m=differences.bias_m + bias.bias_m,
         firm_m2=bias.firm_m2,
         bias_known=bias.known,
+        bias_seen=bias.seen,
+        bias_sigma_m=bias.sigma_m,
+        bias_change_m=bias.change_m,
         curvature_per_m=measured.curvature_per_m,
         used_curvature_per_m=measured.free_per_m,
         gap_m=Lazy(gap_image),
         difference_m=Lazy(differences_of_contact),
         tactile_weight=measured.known.tactile_weight,
+        boundary=Lazy(lambda: boundary_of(cells, solution, gap_m, measured)),
     )
+
+
+def boundary_of(cells: Cells, solution: Equilibrium, gap_m: float, measured: Measured) -> Boundary:
+    """Return what is known of the boundary of contact.
+
+    An error of the bias moves it to where the gap is larger by as much. The other terms, and how they add up, fit the
+    errors in ``tactune lab faults``.
+    """
+    areas, known = cells.sides_m[0] * cells.sides_m[1], measured.known
+    touching = solution.gap_m <= gap_m
+    around, missing = _neighbours(touching), _neighbours(cells.unseen <= _MAX_UNSEEN)
+    border = touching & ~around.all(axis=0)
+    count = int(np.count_nonzero(border))
+    if count == 0:
+        return Boundary(math.nan, 0.0, 1.0)
+    nearly = (solution.gap_m <= gap_m + measured.bias.sigma_m) & ~touching
+    strip_m = float(areas[nearly].sum()) / (count * math.sqrt(float(np.median(areas[border]))))
+    unseen = int(np.count_nonzero(border & ~missing.all(axis=0))) / count
+    noise = float(np.std(solution.residual_m[touching])) / (_USUAL_RESIDUAL * known.pixel_sigma_m)
+    error_m = math.hypot(_PER_STRIP * strip_m, _UNSEEN_ERROR_M * unseen, _BOUNDARY_FLOOR_M) * max(noise, 1.0) ** 1.5
+    return Boundary(error_m, unseen, noise)
+
+
+def _neighbours(image: BoolArray) -> BoolArray:
+    """Return the four neighbours of each cell of an image, (4, H, W)."""
+    return np.stack([np.roll(image, step, axis) for axis in (0, 1) for step in (-1, 1)])
 
 
 def classify(frame: SensorFrame, preset: Preset, pixels: Pixels) -> Uint8Array:

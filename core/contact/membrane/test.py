@@ -92,7 +92,7 @@ class MembraneTest(ContactTest):
         return Found(
             contact,
             lambda: steps.provenance(frame, preset, pixels, measured, cells, solution, touching, large, contact),
-            membrane=steps.facts(measured, cells, solution, contact, pixels.rig),
+            membrane=steps.facts(measured, cells, solution, section.gap_m, contact, pixels.rig),
         )
 
     @classmethod

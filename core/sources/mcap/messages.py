@@ -55,6 +55,7 @@ class Topic(StrEnum):
     TRUTH_DEPTH = "/truth/depth/image"
     PATCH = "/contact/patch"
     AREA = "/contact/area_mm2"
+    DOUBT = "/contact/doubt"
     TILT = "/contact/tilt"
     TILT_SIGMA = "/contact/tilt_sigma"
     PROXIMITY_CLOUD = "/proximity/points"

@@ -74,6 +74,7 @@ class _TofErrors(NamedTuple):
     level: float  # factor on all errors
     unit_m: float
     scale: float
+    prints_reflect: bool
     flying_share: float  # of the pixels at a depth step: they mix both sides
     bias_m: Float32Array  # (H, W)
     white_sigma_m: Float32Array  # table
@@ -163,7 +164,7 @@ def _measure_tof(random: _Random, images: _TofImages, errors: _TofErrors, drift_
                 continue
             z = behind[v, u] * CLEAN_UNIT_M
             growth = 1.0 - TOF_DISTANCE_SHARE + TOF_DISTANCE_SHARE * z / _NAMED_AT_M
-            if level > 0.0 and images.flags[v, u] & REFLECTIVE_FLAG:
+            if level > 0.0 and errors.prints_reflect and images.flags[v, u] & REFLECTIVE_FLAG:
                 # The membrane's prints hide what is behind them.
                 z = images.membrane[v, u] * CLEAN_UNIT_M
                 cosine, growth = np.uint8(255), 1.0
@@ -296,6 +297,7 @@ def _tof_errors(
         level=level,
         unit_m=camera.depth_unit_m,
         scale=1.0 + level * (sensor.tof_scale - 1.0),
+        prints_reflect=sensor.prints_reflect,
         flying_share=min(sensor.tof_flying_share * level, 1.0),
         bias_m=bias_m,
         white_sigma_m=(level * sensor.tof_white_m * growth).astype(np.float32),

@@ -34,6 +34,8 @@ class SensorModel:
     tof_flying_share: float = 0.0
     tof_dropout_share: float = 0.0
     tof_grazing_dropout_share: float = 0.0
+    # Whether prints on the membrane reflect infrared, so that what is behind them is not seen.
+    prints_reflect: bool = True
     # Stereo: noise of the disparity that neighbours share, a part of which stays, and noise of each pixel and frame.
     stereo_correlated_px: float = 0.0
     stereo_length_px: float = 2.4

@@ -10,7 +10,7 @@ import hashlib
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from copy import deepcopy
+from copy import copy, deepcopy
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
@@ -33,7 +33,7 @@ from .noise import NoiseModel
 from .render import CLEAN_UNIT_M, CONTACT_FLAG
 from .scene import CleanState, Press, PressFacts, simulator_rig
 from .scenes import Scene, Variant, name_values, resolve_scene, write_name
-from .sensors import DEFAULT_SENSOR, SENSORS
+from .sensors import DEFAULT_SENSOR, SENSORS, SensorModel
 
 #: The tactile camera's exposure begins this much after the proximity camera's, seconds.
 _SKEW_S: Final = 0.0021
@@ -86,7 +86,8 @@ class SimulatorSource(SeekableSource):
         rig = self._both if cameras == "two" else Rig.of_one_camera(self._both.tactile)
         super().__init__(name, rig, len(self.scene.frames))
         self._solved = self._solve(self.scene, progress or (lambda share, words: None))
-        self._noise = NoiseModel(self._both, seed, noise, SENSORS[sensor])
+        self.sensor = SENSORS[sensor]
+        self._noise = NoiseModel(self._both, seed, noise, self.sensor)
         self._made_of = (scene, seed, noise, cells, variant, sensor, cameras)
 
     def with_object_away(self, progress: Progress | None = None) -> SimulatorSource:
@@ -94,6 +95,13 @@ class SimulatorSource(SeekableSource):
         scene, seed, noise, cells, variant, sensor, cameras = self._made_of
         away = replace(variant, press="none", side=Variant.side, gap_mm=0.0)
         return SimulatorSource(scene, seed + _OTHER_SEEDS, noise, progress, cells, away, sensor, cameras)
+
+    def with_sensor(self, sensor: SensorModel) -> SimulatorSource:
+        """Return the same scene, seen by cameras with other errors but with the same random numbers."""
+        other = copy(self)
+        other.sensor = sensor
+        other._noise = _noise_of(self._both, self._made_of[1], self._made_of[2], sensor)
+        return other
 
     def facts(self, index: int) -> PressFacts:
         """Return depth of the press, strain and true object pose of a frame."""
@@ -170,6 +178,12 @@ class SimulatorSource(SeekableSource):
             return SolvedScene([future.result() for future in drawn], facts)
         finally:
             pool.shutdown(cancel_futures=True)
+
+
+@lru_cache(maxsize=2)
+def _noise_of(rig: Rig, seed: int, level: float, sensor: SensorModel) -> NoiseModel:
+    """Return the noise model of many sources with the same seed; making one takes a second."""
+    return NoiseModel(rig, seed, level, sensor)
 
 
 @lru_cache(maxsize=8)

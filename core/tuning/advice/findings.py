@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final
 
 import cv2
 import numpy as np
 
+from ...contact.doubt import LOST_PRINTS
 from ...contact.membrane.bias import rig_bias
 from ...contact.membrane.equilibrium import LIMITS_PER_M, measured_curvature_per_m
 from ...contact.membrane.steps import firm_contact_bias
@@ -206,6 +208,28 @@ def prints(it: Situation) -> Finding | None:
     return Finding("prints", "mask.enabled", sentence, proposal)
 
 
+def changed_bias(it: Situation) -> Finding | None:
+    """Prints read another bias than the rig had when it was measured."""
+    facts = it.patch.membrane
+    if facts is None or facts.bias_change_m == 0.0:
+        return None
+    change = minus(f"{1e3 * facts.bias_change_m:+.1f} mm")
+    sentence = f"The bias has changed by {change} since it was measured; what the prints read now is used."
+    return Finding("changed_bias", "membrane.bias", sentence, action="measure_noise")
+
+
+def lost_prints(it: Situation) -> Finding | None:
+    """The mask covers fewer prints than in the untouched frame, and no other light explains it."""
+    if LOST_PRINTS not in it.patch.doubt.reasons:
+        return None
+    sentence = "The mask covers less than half of the prints that it covers in the untouched frame."
+    proposal = None
+    with suppress(AdviceError, FrameError, RigMismatchError):
+        found, _ = find_prints(Evidence(it.preset, it.rig, (it.frame,)))
+        proposal = found if found.changes else None
+    return Finding("lost_prints", "mask.hue", sentence, proposal)
+
+
 def unknown_bias(it: Situation) -> Finding | None:
     """Contact is too small to tell the bias from a gap, on a rig whose bias was not measured."""
     facts = it.patch.membrane
@@ -270,7 +294,7 @@ def false_contact(it: Situation) -> Finding | None:
 
 #: The checks in the order in which their findings are shown: causes before consequences.
 CHECKS: Final[tuple[Callable[[Situation], Finding | None], ...]] = (
-    no_depth, covering_mask, peak, prints, unknown_bias, bulge, false_contact,
+    no_depth, covering_mask, peak, changed_bias, prints, lost_prints, unknown_bias, bulge, false_contact,
 )  # fmt: skip
 
 

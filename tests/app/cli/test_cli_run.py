@@ -49,7 +49,10 @@ def test_json_lines_say_what_the_patch_is(tactune, recording):
     assert finished.status == 0
     assert [line["sequence"] for line in lines] == [0, 1, 2, 3]
     numbers = {"sequence", "time_s", "points", "area_mm2", "centroid_m", "averaged_frames"}
-    assert set(lines[0]) == numbers | {"stage_ms"}
+    doubt = {"touch_probability", "boundary_error_mm", "doubt"}
+    assert set(lines[0]) == numbers | doubt | {"stage_ms", "contacts", "findings"}
+    for contact in lines[-1]["contacts"]:
+        assert set(contact) == doubt | {"area_mm2", "centroid_m"}
     assert lines[0]["points"] == 0
     assert lines[0]["centroid_m"] is None
     assert lines[0]["area_mm2"] == 0

@@ -34,6 +34,7 @@ def cells_of_gap(gap_m, push_per_m):
     return Cells(
         difference_m=gap_m,
         share=share,
+        unseen=np.zeros_like(share),
         weight=share,
         near_share=over_window(share, 3),
         known=known,
@@ -76,7 +77,8 @@ def random_cells(seed, size=16):
     sides = rng.uniform(0.0008, 0.0015, (2, size, size)).astype(np.float32)
     push = rng.uniform(5, 300, (size, size)).astype(np.float32)
     facing = rng.uniform(0.6, 1.0, (size, size)).astype(np.float32)
-    return Cells(measured, share, share, over_window(share, 3), known, known, push, sides, facing, 3), rng
+    unseen = np.zeros_like(share)
+    return Cells(measured, share, unseen, share, over_window(share, 3), known, known, push, sides, facing, 3), rng
 
 
 def equations(cells, inside, trust_m, bias_m=0.0):
@@ -126,14 +128,15 @@ def test_a_cell_is_the_mean_of_the_pixels_that_take_part():
     rng = np.random.default_rng(1)
     differences, counts = rng.uniform(0.1, 0.3, (7, 10)).astype(np.float32), rng.integers(1, 65535, (7, 10), np.uint16)
     usable, excluded = rng.random((7, 10)) > 0.4, rng.random((7, 10)) > 0.7
+    unseen = ~usable & (rng.random((7, 10)) > 0.5)
     rays = rng.uniform(-0.5, 0.5, (12, 16, 2)).astype(np.float32)
     frame = 2
     shape = 3 + 2 * frame, 4 + 2 * frame
-    sums = cell_kernels.CellSums(
-        np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros((*shape, 4), np.float32)
-    )
+    sums = cell_kernels.CellSums(*np.zeros((3, *shape), np.float32), np.zeros((*shape, 4), np.float32))
     unit_m, bias_m, centre_m, limit_m = np.float32([1e-5, 0.003, 0.2, 0.08])
-    window = cell_kernels.DifferenceWindow(differences, usable, excluded, counts, unit_m, bias_m, centre_m, limit_m)
+    window = cell_kernels.DifferenceWindow(
+        differences, usable, excluded, unseen, counts, unit_m, bias_m, centre_m, limit_m
+    )
     cell_kernels.average_cells(window, 3, 1, RayWindow(rays, 3, 4), frame, sums, 0, 3)
     for row, column in np.ndindex(3, 4):
         box = np.s_[3 * row : 3 * row + 3, 3 * column : 3 * column + 3]
@@ -143,8 +146,10 @@ def test_a_cell_is_the_mean_of_the_pixels_that_take_part():
         assert sums.differences[place] == pytest.approx(differences[box][part].mean() if part.any() else 0, rel=1e-5)
         assert sums.excluded[place] == pytest.approx(excluded[box].sum() / 9, rel=1e-5)
         points = [(ray[..., 0] * z * part).sum(), (ray[..., 1] * z * part).sum(), (z * part).sum(), part.sum()]
-        # shares of nine pixels, also of the last cells, which reach beyond the image
-        np.testing.assert_allclose(sums.points[place], np.array(points) / 9, rtol=1e-5)
+        assert sums.unseen[place] == pytest.approx(unseen[box].sum() / 9, rel=1e-5)
+        # shares of the seen ones of nine pixels, also of the last cells, which reach beyond the image
+        seen = max(9 - unseen[box].sum(), 9 / 4)
+        np.testing.assert_allclose(sums.points[place], np.array(points) / seen, rtol=1e-5)
     assert not sums.points[:frame].any()
     assert not sums.points[:, :frame].any()
 

@@ -1,0 +1,148 @@
+"""How sure a patch is: for each contact the probability that it touches, the error of its boundary, and the reasons.
+
+The probability begins with what is known of the bias between the cameras, since with a wrong bias a hovering object
+passes for contact. Then the untouched frame is heard: a touch dents the membrane, by at least what its area lifts
+against the pressure. Reasons for doubt are named in words.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from ..model.arrays import Float32Array, Uint16Array
+from ..model.clouds import pixel_areas_m2, valid_depth
+from ..model.frames import SensorFrame
+from ..model.patch import Candidates, Doubt, DoubtOf, Lazy, MembraneFacts
+from .membrane.bias import rig_bias
+from .membrane.equilibrium import LIMITS_PER_M, USUAL_PER_M
+
+if TYPE_CHECKING:
+    from ..preset import Preset
+    from .pixels import Pixels
+
+#: Probability that what a test calls contact touches if the bias is seen on prints in the frame, if it was measured
+#: before, if firm contact alone tells it, and if it is unknown.
+_SEEN, _MEASURED, _FIRM, _UNKNOWN = 0.98, 0.96, 0.8, 0.6
+#: Factors on the odds for each thing that is wrong.
+_WRONG_ODDS: Final = 0.15
+#: Most points of a contact that are looked up, and step between the tactile pixels that tell how the rest has moved.
+_MAX_POINTS, _STEP_PX = 400, 16
+#: Reach of the membrane around a contact as a multiple of its radius: its logarithm is the dent of a flat contact.
+_REACH: Final = 8.0
+#: Largest expected dent, metres: a large contact need not be a deep one.
+_MAX_DENT_M: Final = 0.002
+#: Standard deviation of a dent that no averaging reduces, metres, and share of the movement elsewhere that adds to it.
+_DENT_FLOOR_M, _MOVED_SHARE = 0.0003, 0.5
+#: Largest evidence of one dent, natural logarithm of odds.
+_MAX_EVIDENCE: Final = 4.0
+LOST_PRINTS: Final = "prints gone from the mask"
+#: Prints are gone from the mask if it covers less than this share of what it covers in the untouched frame.
+_FEWER_PRINTS: Final = 0.5
+#: Contact of less area is as likely an error beside a larger one, m^2.
+_SMALL_M2: Final = 15e-6
+#: There is too little depth, or more noise than measured, beyond these values of `Boundary`.
+_MANY_UNSEEN, _NOISIER = 0.2, 1.35
+#: A dent is missing, and said to be, from this evidence on.
+_MISSING: Final = -1.0
+
+
+class Judge:
+    """Says how sure the patches of one rig are; with an untouched frame it knows how far the membrane has moved."""
+
+    def __init__(self, pixels: Pixels) -> None:
+        self._pixels = pixels
+
+    def doubts(self, frame: SensorFrame, preset: Preset, facts: MembraneFacts | None) -> DoubtOf:
+        """Return a function that tells the `Doubt` about one contact of a frame."""
+        whole = Lazy(lambda: self._whole_frame(frame, preset, facts))
+        noise_m4 = rig_bias(preset.noise, self._pixels.rig).noise_m4
+
+        def doubt_of(contact: Candidates) -> Doubt:
+            odds, reasons, boundary_mm = whole.get()
+            area_m2 = float(pixel_areas_m2(contact.points[:, 2], self._pixels.rig.proximity.intrinsics).sum())
+            odds += math.log(area_m2 / (area_m2 + _SMALL_M2))
+            evidence = self._dent_evidence(contact, area_m2, frame, facts, noise_m4)
+            if evidence < _MISSING:
+                reasons = (*reasons, "no dent")
+            return Doubt(1 / (1 + math.exp(-odds - evidence)), boundary_mm, reasons)
+
+        return doubt_of
+
+    def _whole_frame(
+        self, frame: SensorFrame, preset: Preset, facts: MembraneFacts | None
+    ) -> tuple[float, tuple[str, ...], float]:
+        """Return the logarithm of the odds before any dent is seen, reasons for doubt, and the boundary error, mm."""
+        reasons = []
+        seen = facts is not None and facts.bias_seen
+        measured = rig_bias(preset.noise, self._pixels.rig).measured
+        firm = facts is not None and facts.firm_m2 > 0.0
+        probability = _SEEN if seen else _MEASURED if measured else _FIRM if firm else _UNKNOWN
+        if not (seen or measured):
+            reasons.append("bias unknown")
+        wrong = []
+        if facts is not None and not LIMITS_PER_M[0] <= facts.curvature_per_m <= LIMITS_PER_M[1]:
+            wrong.append("outside the model")
+        light = self._pixels.light
+        if light is not None and light.covered(frame.proximity_color) < _FEWER_PRINTS:
+            wrong.append(LOST_PRINTS)
+        odds = math.log(probability / (1 - probability)) + len(wrong) * math.log(_WRONG_ODDS)
+        if facts is None:
+            return odds, (*reasons, *wrong), math.nan
+        boundary = facts.boundary.get()
+        if boundary.unseen_share > _MANY_UNSEEN:
+            reasons.append("too little depth")
+        if boundary.noise_ratio > _NOISIER:
+            reasons.append("more noise than measured")
+        return odds, (*reasons, *wrong), 1e3 * boundary.error_m
+
+    def _dent_evidence(
+        self, contact: Candidates, area_m2: float, frame: SensorFrame, facts: MembraneFacts | None, noise_m4: float
+    ) -> float:
+        """Return the logarithm of how much likelier the measured dent is of a touched membrane than of another one.
+
+        A flat contact of area A dents a membrane of twice the mean curvature c by A c ln(R / r) / (2 pi) at least,
+        where r is its radius and R the membrane's: the force is p A, the tension p / c.
+        """
+        dent_m, elsewhere_m = self._dent_m(contact, frame.tactile_depth)
+        if math.isnan(dent_m):
+            return 0.0
+        curved = USUAL_PER_M if facts is None else facts.used_curvature_per_m
+        expected_m = min(area_m2 * curved * math.log(_REACH) / (2 * math.pi), _MAX_DENT_M)
+        elsewhere_m = 0.0 if math.isnan(elsewhere_m) else elsewhere_m
+        sigma_m2 = noise_m4 / area_m2 + _DENT_FLOOR_M**2 + (_MOVED_SHARE * elsewhere_m) ** 2
+        evidence = (dent_m - elsewhere_m - expected_m / 2) * expected_m / sigma_m2
+        return min(max(evidence, -_MAX_EVIDENCE), _MAX_EVIDENCE)
+
+    def _dent_m(self, contact: Candidates, tactile: Uint16Array) -> tuple[float, float]:
+        """Return how far the membrane in contact has moved towards the camera, and how far elsewhere; nan if unseen.
+
+        Elsewhere is outside the box around the contact in the tactile image.
+        """
+        pixels = self._pixels
+        if pixels.untouched is None:
+            return math.nan, math.nan
+        some = np.s_[:: max(len(contact) // _MAX_POINTS, 1)]
+        where = pixels.alignment.tactile_pixels(contact.pixels[some], contact.points[some, 2], pixels.rig)
+        height, width = tactile.shape
+        u, v = np.rint(np.nan_to_num(where, nan=-1.0)).astype(np.int64)
+        seen = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+        if not seen.any():
+            return math.nan, math.nan
+        u, v, before = u[seen], v[seen], pixels.untouched.tactile_depth
+        grid = np.s_[_STEP_PX // 2 :: _STEP_PX, _STEP_PX // 2 :: _STEP_PX]
+        elsewhere = self._moved_m(before[grid], tactile[grid])
+        top, bottom, left, right = (int(side) // _STEP_PX for side in (v.min(), v.max(), u.min(), u.max()))
+        elsewhere[top : bottom + 1, left : right + 1] = np.nan
+        return _median(self._moved_m(before[v, u], tactile[v, u])), _median(elsewhere)
+
+    def _moved_m(self, before: Uint16Array, now: Uint16Array) -> Float32Array:
+        moved = (before.astype(np.float32) - now) * np.float32(self._pixels.alignment.tables.tactile_unit_m)
+        return np.asarray(np.where(valid_depth(before) & valid_depth(now), moved, np.float32(np.nan)))
+
+
+def _median(values: Float32Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else math.nan

@@ -1,0 +1,136 @@
+"""The doubt of a patch: what makes it rise and fall, and what the test does where an assumption breaks."""
+
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.lab import faults
+from tactune.core.model.metrics import pixel_scores
+from tactune.core.model.patch import SURE
+from tactune.core.output.cloud_files import patch_cloud
+from tactune.core.rig.noise import measure_noise
+from tactune.core.rig.untouched import average_untouched
+from tactune.core.sources.presets import load_preset
+from tactune.core.sources.simulator.scenes import Variant
+from tactune.core.sources.simulator.source import SimulatorSource
+from tactune.core.tuning.advice.findings import Examiner
+
+CELLS = (60, 36)
+TOUCH, HOVER = Variant("medium"), Variant(gap_mm=4.0)
+
+
+@pytest.fixture(scope="module")
+def rig():
+    """A preset with the measured rig, an untouched frame, a touch and a hover."""
+    sources = [SimulatorSource("cup", cells=CELLS, variant=variant) for variant in (TOUCH, HOVER)]
+    away = sources[0].with_object_away()
+    frames = list(islice(away, 20))
+    preset = load_preset("simulator").with_value("mask.value", (110, 255))
+    preset = preset.model_copy(update={"noise": measure_noise(frames, away.rig, preset)})
+    return preset, average_untouched(frames[:15]).frame, *sources
+
+
+def test_a_touch_that_dents_the_membrane_is_sure_and_one_that_does_not_is_doubted(rig):
+    preset, untouched, touch, _ = rig
+    frame = touch.read(0)
+    doubt = ContactPipeline(preset, touch.rig, untouched).process(frame).doubt
+    assert doubt.touch_probability > SURE
+    assert doubt.reasons == ()
+    assert 0 < doubt.boundary_error_mm < 10
+    still = ContactPipeline(preset, touch.rig, frame).process(frame).doubt  # as if it had looked like this untouched
+    assert still.touch_probability < SURE
+    assert still.reasons == ("no dent",)
+
+
+@pytest.mark.parametrize("drift_m", [0.0015, -0.0015])
+def test_prints_follow_a_bias_that_drifts_after_the_rig_was_measured(rig, drift_m):
+    preset, untouched, *sources = rig
+    for source in sources:
+        sensor = source.sensor
+        drifted = source.with_sensor(replace(sensor, tof_offset_m=sensor.tof_offset_m + drift_m)).read(0)
+        pipeline = ContactPipeline(preset, source.rig, untouched)
+        patch = pipeline.process(drifted)
+        assert bool(len(patch.points)) == bool(source.scene.name.startswith("cup-medium"))
+        if len(patch.points):
+            change_m = patch.membrane.bias_change_m
+            assert change_m == pytest.approx(drift_m, abs=0.0007) or change_m == 0.0
+            found = {finding.name for finding in Examiner(source.rig).findings(drifted, patch, preset, untouched)}
+            assert ("changed_bias" in found) == (change_m != 0.0)
+
+
+def test_prints_are_found_again_in_half_of_the_light(rig):
+    preset, untouched, touch, _ = rig
+    frame = touch.read(0)
+    dark = replace(frame, proximity_color=frame.proximity_color // 2)
+    bright, relit, blind = (
+        ContactPipeline(preset, touch.rig, known).process(each)
+        for each, known in ((frame, untouched), (dark, untouched), (dark, None))
+    )
+    assert pixel_scores(relit.mask, bright.mask).iou > 0.97
+    assert not blind.membrane.bias_seen
+    assert relit.membrane.bias_seen
+
+
+def test_prints_that_no_light_explains_are_said_to_be_gone(rig):
+    preset, untouched, touch, _ = rig
+    grey = replace(touch.read(0), proximity_color=np.full_like(touch.read(0).proximity_color, 128))
+    patch = ContactPipeline(preset, touch.rig, untouched).process(grey)
+    assert "prints gone from the mask" in patch.doubt.reasons
+    found = Examiner(touch.rig).findings(grey, patch, preset, untouched)
+    assert "lost_prints" in {finding.name for finding in found}
+
+
+def test_a_third_of_the_depth_missing_at_random_leaves_the_patch(rig):
+    preset, untouched, touch, _ = rig
+    frame, rng = touch.read(0), np.random.default_rng(0)
+    images = (frame.proximity_depth, frame.tactile_depth)
+    holes = [np.where(rng.random(image.shape) < 0.3, 0, image).astype(np.uint16) for image in images]
+    pipeline = ContactPipeline(preset, touch.rig, untouched)
+    whole, spoilt = (
+        pipeline.process(each).mask
+        for each in (frame, replace(frame, proximity_depth=holes[0], tactile_depth=holes[1]))
+    )
+    assert pixel_scores(spoilt, whole).iou > 0.8
+
+
+def test_every_point_and_record_carries_the_doubt_about_its_contact(rig):
+    preset, untouched, touch, _ = rig
+    frame = touch.read(0)
+    patch = ContactPipeline(preset, touch.rig, untouched).process(frame)
+    stated = patch_cloud(patch, frame, touch.rig).attributes["touch_probability"]
+    assert sum(len(contact.members) for contact in patch.contacts) == len(patch.points)
+    for contact in patch.contacts:
+        np.testing.assert_allclose(stated[contact.members], contact.doubt.touch_probability, rtol=1e-6)
+    assert patch.doubt.record().keys() == {"touch_probability", "boundary_error_mm", "doubt"}
+
+
+def test_an_unknown_bias_is_a_reason_for_doubt(rig):
+    preset, _, touch, _ = rig
+    bare = preset.with_value("mask.enabled", False).model_copy(update={"noise": None})
+    doubt = ContactPipeline(bare, touch.rig).process(touch.read(0)).doubt
+    assert doubt.reasons == ("bias unknown",)
+    assert doubt.touch_probability < SURE
+
+
+def test_the_table_of_faults_counts_what_is_wrong_without_a_word(monkeypatch):
+    chosen = [faults.Trial("cup", variant, 0) for variant in (TOUCH, HOVER)]
+    monkeypatch.setattr(faults, "trials", lambda *_: chosen)
+    monkeypatch.setattr(faults, "_CELLS", CELLS)
+    monkeypatch.setattr(faults, "FAULTS", {name: faults.FAULTS[name] for name in ("none", "no-prints")})
+    (touch, hover), _ = found = list(faults.try_faults(load_preset("simulator")))
+    assert touch.claimed
+    assert touch.error_mm < 4
+    assert not hover.claimed
+    wrong = replace(touch, error_mm=9.0, probability=1.0, stated_mm=0.5)
+    silent, line = (faults.faults_text([*found[0], extra]).splitlines()[1].split() for extra in (wrong, touch))
+    assert int(silent[-1]) == int(line[-1]) + 1
+
+
+def test_the_distance_of_two_boundaries_is_that_of_shifted_squares():
+    mask = np.zeros((60, 80), bool)
+    mask[20:40, 20:40] = True
+    assert faults.boundary_distance_px(mask, mask) == 0
+    assert 0 < faults.boundary_distance_px(mask, np.roll(mask, 3, axis=1)) <= 3
