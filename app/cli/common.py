@@ -185,7 +185,6 @@ class CliProgress(Progress):
         )
 
     def frames(self, done: int, total: int | None, what: str = "frames") -> None:
-        """Show the number of frames done, and the total where it is known."""
         self.update(self._shown, description=printable(what), completed=done, total=total, visible=True)
 
 

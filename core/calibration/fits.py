@@ -396,7 +396,6 @@ def _solve(model: Model, start: Float64Array, used: BoolArray) -> Fit | None:
 
 
 def _no_agreement(model: Model, fit: Fit | None = None) -> CalibrationError:
-    """Return the error for pairs that agree on no model."""
     count = len(model.points)
     found = f"the {count} pairs agree on no {model.name}: none explains them better than chance"
     if fit is not None and not fit.used.all():

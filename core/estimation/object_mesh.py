@@ -180,7 +180,6 @@ def merge(
 
 
 def triangle_areas(vertices: Float64Array, triangles: AnyArray) -> Float64Array:
-    """Return the area of each triangle in the square of the vertices' unit."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
 

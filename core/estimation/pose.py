@@ -144,7 +144,6 @@ class PoseTracker:
 
     @property
     def started(self) -> bool:
-        """Whether there is a pose to track from."""
         return self._pose is not None
 
     def is_enough(self, patch: ContactPatch) -> bool:

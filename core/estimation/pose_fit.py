@@ -298,7 +298,6 @@ class Search:
         return self._best(starts, off_centre_m if pose is None else self._away_from(pose))
 
     def near(self, pose: Float64Array) -> Fit:
-        """Search around a pose."""
         random, radius_m = np.random.default_rng(0), self.mesh.radius_m
         starts = [pose]
         for share in _NEAR_SHARES:

@@ -65,7 +65,6 @@ class Scan:
 
     @cached_property
     def areas_m2(self) -> Float64Array:
-        """Area of each triangle, float64, shape (M,)."""
         return triangle_areas(self.vertices_m, self.triangles)
 
 
@@ -207,7 +206,6 @@ def _fit_pose(points: Float64Array, targets: Float64Array) -> Matrix4:
 
 
 def transformed(pose: Matrix4, points: npt.ArrayLike) -> Float64Array:
-    """Transform points, (N, 3), by a pose."""
     matrix = np.asarray(pose)
     return np.asarray(np.asarray(points, np.float64).reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3])
 

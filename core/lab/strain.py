@@ -93,7 +93,6 @@ class StrainMeasurement:
 
 
 def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -> StrainMeasurement:
-    """Measure strain from the grid of dots in a frame."""
     check_spacing(spacing_m)
     frame.check_against(rig)
     if frame.tactile_color is None or frame.tactile_color.shape[:2] != frame.tactile_depth.shape:

@@ -70,7 +70,6 @@ class Scene:
     membrane: str = "standard"
 
     def source(self, seed: int) -> str:
-        """Return the name of the source."""
         side = f"&side={self.side}" if self.side else ""
         return f"sim:{self.object}?press={self.press}{side}&membrane={self.membrane}&sensor={self.sensor}&seed={seed}"
 
@@ -110,7 +109,6 @@ class Plan:
 
 
 def table_methods() -> tuple[str, ...]:
-    """Return the names of all methods of the table."""
     first, *others = method_names()
     return (first, BEST_T, *others)
 
@@ -354,7 +352,6 @@ def mean_rmse_mm(cells: Iterable[Cell]) -> float:
 
 
 def cell_line(cells: Sequence[Cell]) -> str:
-    """Return the cells of one press as a line of text."""
     first = cells[0]
     where = " ".join(filter(None, (first.sensor, first.membrane, first.object, first.press, first.side)))
     rmses = ", ".join(f"{cell.method} {_number(cell.rmse_mm, 2)}" for cell in cells)

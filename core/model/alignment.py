@@ -74,7 +74,6 @@ class PointPair(_Record):
         return self.proximity is not None and self.tactile is not None
 
     def place(self, side: Side) -> Place | None:
-        """Return one side."""
         return self.proximity if side == "proximity" else self.tactile
 
 

@@ -190,7 +190,6 @@ def frame_arrays(frame: SensorFrame) -> dict[str, Any]:
 
 
 def untouched_bytes(frame: SensorFrame) -> bytes:
-    """Return a frame as the bytes of an ``.npz``."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **frame_arrays(frame))
     return buffer.getvalue()

@@ -133,7 +133,6 @@ def _quick_tree(points: Float64Array) -> cKDTree:
 
 
 def nearest_distances(tree: cKDTree, points: Float64Array) -> Float64Array:
-    """Return the distance of each point to the nearest one of a tree."""
     return np.asarray(tree.query(points)[0], np.float64)
 
 

@@ -154,7 +154,6 @@ class _Truth:
 
 
 def _mean(numbers: Sequence[float], default: float) -> float:
-    """Return the mean of the finite numbers, or else the default."""
     known = [number for number in numbers if math.isfinite(number)]
     return fmean(known) if known else default
 

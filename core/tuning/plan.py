@@ -67,7 +67,6 @@ class Axis:
         return round(rounded) if self.whole else rounded
 
     def holds(self, value: Any) -> bool:
-        """Return whether a plain value belongs to this axis."""
         return value in self.values if self.values else self.low <= value <= self.high
 
 

@@ -63,7 +63,6 @@ class MembraneTest(ContactTest):
     _contact: Candidates
 
     def find(self, frame: SensorFrame, preset: Preset, due: Steps) -> Found:
-        """Return the contact in a frame."""
         from . import steps
         from .bias import rig_bias
         from .equilibrium import settle

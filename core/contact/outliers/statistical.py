@@ -45,7 +45,6 @@ _RUNS, _COMPARED = 192, 16
 
 
 def without_outliers(candidates: Candidates, grid: Grid, k: int, ratio: float) -> Candidates:
-    """Return the candidates without statistical outliers."""
     return keep(candidates, statistical_inliers(candidates.points, candidates.pixels, grid, k, ratio))
 
 

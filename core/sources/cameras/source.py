@@ -159,7 +159,6 @@ class CameraSource(FrameSource):
         self._close_feeds()
 
     def _add(self, role: CameraRole, images: Images, arrival_s: float) -> None:
-        """Take the images of one camera, on its thread."""
         with self._changed:
             if not self._rig.has_proximity:
                 alone = Timed(images.time_s, arrival_s, images)

@@ -438,7 +438,6 @@ def _beside(nodes: BoolArray, cells: tuple[int, int]) -> BoolArray:
 
 @compiled
 def _lay(thing: _Object, nodes: Float64Array, chosen: BoolArray) -> None:
-    """Move the chosen nodes onto the object."""
     for n in range(nodes.shape[0]):
         if not chosen[n]:
             continue

@@ -125,7 +125,6 @@ class Press:
         self._touch_z = self._first_touch()
 
     def pose(self, step: Step) -> Float64Array:
-        """Return the object's pose, (3, 4), at one step of the scene's path."""
         x, y = self.pressed.offset_m
         origin = x + step.x_m, y + step.y_m, self._touch_z - step.depth_m
         return object_pose(turn(step.turn_deg) @ self._rotation, origin)

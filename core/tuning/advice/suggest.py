@@ -103,7 +103,6 @@ def suggest_alignment(evidence: Evidence, progress: Progress) -> Proposal:
 
 
 def propose_alignment(evidence: Evidence, bias: MeasuredBias) -> Proposal:
-    """Return the proposal that follows from a measured bias."""
     preset, section = evidence.preset, evidence.preset.alignment
     counts = evidence.frame.tactile_depth[valid_depth(evidence.frame.tactile_depth)]
     raw_m = float(np.median(counts)) * evidence.rig.tactile.depth_unit_m if len(counts) else 0.0
