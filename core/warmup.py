@@ -12,10 +12,11 @@ from .contact.kernels.chain import classify_rows, find_candidates
 from .contact.kernels.colors import color_lookup
 from .contact.kernels.compiling import Compiled, compiled_so_far, counting_compiled, is_kept
 from .contact.kernels.membrane import add_to_means, collect_points, find_differences
+from .contact.masking import in_hsv_range
 from .contact.outliers.point_search import search_all
 from .contact.outliers.row_search import search_rows
 from .contact.pipeline import ContactPipeline
-from .contact.pixels import colors_at, in_hsv_range
+from .contact.pixels import colors_at
 from .model.frames import ColorCamera, DepthCamera, Rig, SensorFrame
 from .model.intrinsics import Intrinsics
 from .preset import Preset

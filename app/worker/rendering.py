@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 
 from ...core.contact.alignment import tactile_pose
+from ...core.contact.masking import in_hsv_range, masked_share
 from ...core.contact.pipeline import ContactPatch
-from ...core.contact.pixels import colors_at, in_hsv_range, masked_share
+from ...core.contact.pixels import colors_at
 from ...core.errors import TactuneError
 from ...core.model.arrays import BoolArray, Float32Array, IndexArray, Uint8Array, Uint16Array
 from ...core.model.clouds import ray_table, valid_depth

@@ -15,38 +15,24 @@ from ..model.clouds import ray_table
 from ..model.frames import Rig, SensorFrame
 from ..model.intrinsics import Intrinsics
 from ..model.patch import NO_CANDIDATES, AlignedDepth, Candidates
-from ..model.sections import MaskSection, RegionSection
+from ..model.sections import RegionSection
 from .alignment import AlignmentModel
 from .kernels import chain as kernels
-from .kernels.chain import ColorLookup, flat
+from .kernels.chain import ColorLookup
 from .kernels.coarse import CoarseTest
-from .kernels.colors import color_lookup, colors_in_range, hsv_limits
+from .kernels.colors import color_lookup, hsv_limits
 from .kernels.lenses import lens_parameters
 from .kernels.simd import LANES
 from .kernels.threads import ROWS, in_parallel
+from .masking import Light
 from .outliers.grid import Grid
 
 if TYPE_CHECKING:
     from ..preset import Preset
-    from .light import Light
 
 #: Below this number of image tiles, one thread is faster than several.
 MAX_TILES_ALONE: Final = 300
 _NO_LIMITS = np.empty(0, np.int64)
-
-
-def in_hsv_range(colors: Uint8Array, section: MaskSection) -> BoolArray:
-    """Return which RGB colours (..., 3) lie in the mask's range of OpenCV's HSV; a low hue above the high wraps."""
-    inside = np.empty(colors.shape[:-1], bool)
-    colors_in_range(flat(colors, 3 * LANES), hsv_limits(section), inside.reshape(-1))
-    return inside
-
-
-def masked_share(image: Uint8Array, section: MaskSection) -> float:
-    """Return the share of a colour image (H, W, 3) that the mask covers, of large images from every n-th pixel."""
-    step = max(1, len(image) // 120)
-    masked = in_hsv_range(np.ascontiguousarray(image[::step, ::step]), section)
-    return float(np.count_nonzero(masked) / masked.size)
 
 
 def colors_at(points: Float32Array, pixels: IndexArray, image: Uint8Array, rig: Rig) -> tuple[Uint8Array, BoolArray]:
@@ -112,8 +98,6 @@ class Pixels:
         self._hsv = hsv_limits(preset.mask) if preset.mask.enabled else _NO_LIMITS
         self.light: Light | None = None
         if untouched is not None and preset.mask.enabled and rig.has_proximity:
-            from .light import Light  # loads OpenCV, which a preset without an untouched frame does not need
-
             self.light = Light(untouched.proximity_color, preset.mask)
 
     def aligned(self, frame: SensorFrame) -> AlignedDepth:

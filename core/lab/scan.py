@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from ..contact.pixels import in_hsv_range
+from ..contact.masking import in_hsv_range
 from ..errors import CalibrationError, MissingExtraError, SourceError, TactuneError
 from ..estimation.object_mesh import load_meshes, merge, triangle_areas
 from ..model.arrays import AnyArray, BoolArray, Float64Array, Int32Array, Uint8Array

@@ -15,8 +15,9 @@ import numpy as np
 
 from ..contact.alignment import make_alignment
 from ..contact.checks import rig_in_use
+from ..contact.masking import in_hsv_range
 from ..contact.membrane.bias import most_frequent_m
-from ..contact.pixels import colors_at, in_hsv_range, region_bounds
+from ..contact.pixels import colors_at, region_bounds
 from ..model.arrays import Float32Array, spread
 from ..model.clouds import deproject, pixel_areas_m2, valid_depth
 from ..model.frames import Rig, SensorFrame

@@ -12,11 +12,11 @@ import cv2
 import numpy as np
 
 from ...contact.doubt import LOST_PRINTS
+from ...contact.masking import masked_share
 from ...contact.membrane.bias import rig_bias
 from ...contact.membrane.equilibrium import LIMITS_PER_M, measured_curvature_per_m
 from ...contact.membrane.steps import firm_contact_bias
 from ...contact.pipeline import ContactPipeline
-from ...contact.pixels import masked_share
 from ...errors import AdviceError, FrameError, RigMismatchError, TactuneError, counted, minus
 from ...model.clouds import valid_depth
 from ...model.frames import Rig, SensorFrame

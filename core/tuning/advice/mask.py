@@ -8,8 +8,9 @@ from typing import Final
 import cv2
 import numpy as np
 
+from ...contact.masking import in_hsv_range
 from ...contact.membrane.bias import most_frequent_m
-from ...contact.pixels import colors_at, in_hsv_range
+from ...contact.pixels import colors_at
 from ...errors import AdviceError
 from ...model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array
 from ...model.clouds import ray_table

@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 
 from rigs import one_place_rig
 from tactune.core.contact.alignment import make_alignment
+from tactune.core.contact.masking import in_hsv_range
 from tactune.core.contact.membrane.bias import rig_bias
 from tactune.core.contact.membrane.steps import classify, differences_at
 from tactune.core.contact.membrane.test import MembraneTest
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.contact.pixels import Pixels, Workspace, colors_at, in_hsv_range
+from tactune.core.contact.pixels import Pixels, Workspace, colors_at
 from tactune.core.model.clouds import ray_table
 from tactune.core.model.frames import SensorFrame
 from tactune.core.model.patch import Provenance

@@ -18,7 +18,8 @@ from tactune.core.contact.kernels import compiling
 from tactune.core.contact.kernels.chain import TILE_ROWS
 from tactune.core.contact.kernels.coarse import tile_grid
 from tactune.core.contact.kernels.simd import LANES
-from tactune.core.contact.pixels import Pixels, Workspace, depth_images, in_hsv_range
+from tactune.core.contact.masking import in_hsv_range
+from tactune.core.contact.pixels import Pixels, Workspace, depth_images
 from tactune.core.model.patch import Provenance
 from tactune.core.preset import MaskSection, Preset
 

@@ -32,7 +32,7 @@ def test_kernels_are_kept_where_the_environment_says(tmp_path):
     program = """
 from tactune.core.contact.kernels.compiling import compiled_so_far, is_kept
 from tactune.core.contact.kernels.colors import colors_in_range
-from tactune.core.contact.pixels import in_hsv_range
+from tactune.core.contact.masking import in_hsv_range
 print(is_compiled(), is_kept(colors_in_range))
 in_hsv_range(np.zeros((2, 3), np.uint8), Preset().mask)
 print(compiled_so_far())

@@ -6,8 +6,8 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from tactune.core.contact.masking import masked_share
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.contact.pixels import masked_share
 from tactune.core.preset import CameraNoise, RigNoise, now
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source

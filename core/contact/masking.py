@@ -1,15 +1,16 @@
-"""Light that has changed since the untouched frame: the prints of the membrane tell by how much."""
+"""The mask's colours, and light that has changed since the untouched frame: the prints tell by how much."""
 
 from __future__ import annotations
 
 import math
 
-import cv2
 import numpy as np
 
-from ..model.arrays import Uint8Array
+from ..model.arrays import BoolArray, Uint8Array
 from ..model.sections import MaskSection
-from .pixels import in_hsv_range, masked_share
+from .kernels.chain import flat
+from .kernels.colors import colors_in_range, hsv_limits
+from .kernels.simd import LANES
 
 #: Most pixels on prints that are compared, and smallest share of the image that prints cover.
 _MAX_SAMPLES, _MIN_SHARE = 2000, 0.005
@@ -18,6 +19,20 @@ _DARK, _BRIGHT = 20, 245
 #: The light has changed if a channel has, by more than this share, and the mask covers less than a share of the prints;
 #: it is understood if the mask then covers more, but not more than this multiple of them.
 _CHANGED, _FEWER_PRINTS, _MORE_PRINTS = 0.1, 0.7, 1.5
+
+
+def in_hsv_range(colors: Uint8Array, section: MaskSection) -> BoolArray:
+    """Return which RGB colours (..., 3) lie in the mask's range of OpenCV's HSV; a low hue above the high wraps."""
+    inside = np.empty(colors.shape[:-1], bool)
+    colors_in_range(flat(colors, 3 * LANES), hsv_limits(section), inside.reshape(-1))
+    return inside
+
+
+def masked_share(image: Uint8Array, section: MaskSection) -> float:
+    """Return the share of a colour image (H, W, 3) that the mask covers, of large images from every n-th pixel."""
+    step = max(1, len(image) // 120)
+    masked = in_hsv_range(np.ascontiguousarray(image[::step, ::step]), section)
+    return float(np.count_nonzero(masked) / masked.size)
 
 
 class Light:
@@ -50,6 +65,8 @@ class Light:
         ratios = np.median(image.reshape(-1, 3)[self._places] / self._colors, axis=0)
         if not ((ratios > 0) & np.isfinite(ratios)).all() or (np.abs(ratios - 1) < _CHANGED).all():
             return image
+        import cv2  # on demand: the light is usually the same
+
         raw = masked_share(image, self._mask)
         if raw > _FEWER_PRINTS * self.share:
             return image  # the mask was tuned in this light
