@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import typer
 
-from ...core.errors import as_sentence, counted
+from ...core.errors import TactuneError, as_sentence, counted
 from ..doctor.checks import State
 from ..sources.list_devices import ask_driver
 from .common import CliProgress, say, warn
+
+if TYPE_CHECKING:
+    from ...core.sources.ros.topics import ImageTopic
 
 #: Exit status of ``devices`` if no camera is connected.
 NONE_STATUS = 1
@@ -16,10 +21,13 @@ FAILED_STATUS = 1
 
 
 def devices() -> None:
-    """List the connected cameras: model, serial number, firmware and USB version.
+    """List the connected cameras: model, serial number, firmware and USB version; and live ROS 2 topics of depth.
 
     Exit status 0 if a camera is connected, 1 if none is, 2 if the camera driver is missing or fails.
     """
+    topics = _ros2_topics()
+    for topic in topics:
+        typer.echo(f"{topic.name}, {topic.width} x {topic.height}, {topic.encoding}: a camera of ros2:")
     answer = ask_driver()
     for device in answer["devices"]:
         about = [("serial", "serial"), ("firmware", "firmware"), ("USB", "usb")]
@@ -28,9 +36,19 @@ def devices() -> None:
             say(f"  {as_sentence(device['problem'])}")
     for note in filter(None, [answer.get("hint"), *answer.get("problems", [])]):
         say(as_sentence(note))
-    if not answer["devices"]:
+    if not answer["devices"] and not topics:
         say("No camera is connected: plug both into USB 3 ports; tactune doctor finds other causes.")
         raise typer.Exit(NONE_STATUS)
+
+
+def _ros2_topics() -> list[ImageTopic]:
+    """Return the live depth topics; none without the extra ``live``."""
+    try:
+        from ...core.sources.ros.live import cameras_here
+
+        return cameras_here()
+    except TactuneError:
+        return []
 
 
 def doctor() -> None:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from PyQt6.QtCore import QSignalBlocker, Qt
+from PyQt6.QtCore import QSignalBlocker
 from PyQt6.QtWidgets import QComboBox, QFormLayout, QHeaderView, QTreeWidget, QTreeWidgetItem
 
 from ...core.errors import as_sentence
 from ...core.preset import CamerasSection
 from ...widgets.basics.controls import caption, push_button
-from ...widgets.basics.layouts import vbox
+from ...widgets.basics.layouts import STRETCH, hbox, vbox
 from ..worker.jobs import Job
 from .list_devices import ask_driver
 from .pages import SourcePage
@@ -24,10 +24,17 @@ _NONE = (
     "No RealSense camera was found. Plug both cameras into USB 3 ports and press Refresh. If they are plugged in, "
     "run tactune doctor: it reports what is missing and the remedy."
 )
-_ONE = "Only one camera was found, but two are needed. Plug in the other one and press Refresh."
+_ONE = (
+    "Only one camera was found. Plug in the other one and press Refresh, or choose no proximity camera for a rig "
+    "with a tactile camera only."
+)
+_WHICH = "Choose the tactile camera."
 _SAME = "The same camera is chosen twice: choose another one for one role."
 _ANY = "by its model"
 _PROBLEM_COLUMN = 4
+_ROS2 = "ros2:"
+#: Data of the entry for no proximity camera.
+_ALONE = "none"
 
 
 class CamerasPage(SourcePage):
@@ -54,13 +61,13 @@ class CamerasPage(SourcePage):
         )
         self.tactile = _combo("Tactile camera", "Sees the membrane itself: the D405 (visible light, stereo)")
         self.refresh = push_button("Re&fresh", "Search for cameras again (F5)", shortcut="F5")
+        self.topics = push_button("Open &ROS 2 topics", f"Open {_ROS2}, the cameras whose ROS 2 drivers publish now")
         form = QFormLayout()
         form.addRow(caption("&Proximity camera", self.proximity), self.proximity)
         form.addRow(caption("&Tactile camera", self.tactile), self.tactile)
-        layout = vbox((self.list, 1), within=self, margins=8)
-        layout.addWidget(self.refresh, 0, Qt.AlignmentFlag.AlignLeft)
-        layout.addLayout(form)
+        vbox((self.list, 1), hbox(self.refresh, self.topics, STRETCH), form, within=self, margins=8)
         self.refresh.clicked.connect(self._look)
+        self.topics.clicked.connect(self._open_topics)
         self.proximity.currentIndexChanged.connect(self._check)
         self.tactile.currentIndexChanged.connect(self._check)
         self.list.itemActivated.connect(lambda _: self.activated.emit())
@@ -70,9 +77,10 @@ class CamerasPage(SourcePage):
     @property
     def serials(self) -> tuple[str, str] | None:
         """Serial numbers of the proximity and the tactile camera, empty for *by its model*; None without a choice."""
-        if not self.name:
+        if not self.name.startswith(CAMERAS):
             return None
-        return self.proximity.currentData() or "", self.tactile.currentData() or ""
+        proximity = self.proximity.currentData()
+        return "" if proximity in (None, _ALONE) else proximity, self.tactile.currentData() or ""
 
     def come_up(self) -> None:
         if not self._has_searched:
@@ -80,6 +88,10 @@ class CamerasPage(SourcePage):
 
     def stop(self) -> None:
         self._search.stop()
+
+    def _open_topics(self) -> None:
+        self._choose(_ROS2)
+        self.activated.emit()
 
     def _look(self) -> None:
         self._has_searched = True
@@ -112,6 +124,8 @@ class CamerasPage(SourcePage):
         """Offer all cameras. Select the one chosen before, else one of a suitable kind."""
         combo.clear()
         combo.addItem(_ANY, "")
+        if through:
+            combo.addItem("none: a tactile camera only", _ALONE)
         for camera in self._found:
             combo.addItem(f"{camera['model']} (serial {camera['serial']})", camera["serial"])
         fitting = [camera["serial"] for camera in self._found if (camera.get("role") == "proximity") == through]
@@ -125,15 +139,17 @@ class CamerasPage(SourcePage):
     def _check(self) -> None:
         """Say what is wrong with the choice; only a valid one has a name."""
         first, second = self.proximity.currentData(), self.tactile.currentData()
-        problem = ""
+        problem, alone = "", first == _ALONE
         if not self._found:
             problem = _NONE
+        elif alone:
+            problem = "" if second else _WHICH
         elif len(self._found) == 1:
             problem = _ONE
         elif first and first == second:
             problem = _SAME
-        said = problem or f"{len(self._found)} cameras were found."
-        name = f"{CAMERAS}{first},{second}" if first and second else CAMERAS
+        said = problem or ("A rig with a tactile camera only." if alone else f"{len(self._found)} cameras were found.")
+        name = f"{CAMERAS}{'' if alone else first},{second}" if first and second else CAMERAS
         self._choose("" if problem else name, f"{said} {as_sentence(self._hint)}" if self._hint else said)
 
 

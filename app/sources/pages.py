@@ -148,3 +148,5 @@ class FilesPage(SourcePage):
             self._choose(recording_name(paths))
         except SourceError as error:
             self._choose("", str(error))
+        else:
+            self.activated.emit()

@@ -63,6 +63,8 @@ def make_lens(model: str, coefficients: Sequence[float], camera_matrix: Sequence
     if k.size != 9 or not np.isfinite(k).all() or not np.isfinite(d).all():
         raise SourceError(f"its lens has numbers that are missing or not finite ({foreign(model, 40)})")
     k = k.reshape(3, 3)
+    if abs(k[0, 1]) > 1e-6 * abs(k[0, 0]):
+        raise SourceError(f"its K has a skew of {k[0, 1]:g}, which no lens here has")
     pinhole = {"fx": k[0, 0], "fy": k[1, 1], "cx": k[0, 2], "cy": k[1, 2], "width": size[0], "height": size[1]}
     if name in _FISHEYE:
         if d.size > 4:
@@ -94,12 +96,16 @@ def _intrinsics(values: dict[str, Any]) -> Intrinsics:
         raise SourceError(f"its lens cannot be used: {first['loc'][0]} is {float(first['input']):g}") from error
 
 
-def camera_info_lens(message: Any, size: tuple[int, int] | None = None) -> Lens | None:
-    """Return the lens of a ``CameraInfo`` for images of a size, cropped and binned; None if it is not filled in yet."""
-    k = _field(message, "k")
+def camera_info_lens(message: Any, size: tuple[int, int] | None = None, *, is_rectified: bool = False) -> Lens | None:
+    """Return the lens of a ``CameraInfo`` for images of a size, cropped and binned; None if it is not filled in yet.
+
+    K and D describe raw images; those that image_pipeline has rectified have the lens P, and no distortion.
+    """
+    k, p = _field(message, "k"), np.array(_field(message, "p"), np.float64)
     if not k[0] or not k[4]:  # focal lengths
         return None
-    matrix: Float64Array = np.array(k, np.float64).reshape(3, 3)
+    by_p = is_rectified and p.size == 12 and p[0] > 0
+    matrix: Float64Array = p.reshape(3, 4)[:, :3].copy() if by_p else np.array(k, np.float64).reshape(3, 3)
     roi, binning = message.roi, (max(1, message.binning_x), max(1, message.binning_y))
     width, height = roi.width or message.width, roi.height or message.height
     stated = width // binning[0], height // binning[1]
@@ -111,7 +117,8 @@ def camera_info_lens(message: Any, size: tuple[int, int] | None = None) -> Lens 
     matrix[1, 2] -= roi.y_offset
     matrix[0] /= binning[0]
     matrix[1] /= binning[1]
-    return make_lens(message.distortion_model, _field(message, "d"), matrix.ravel().tolist(), stated)
+    model, d = ("none", ()) if by_p else (message.distortion_model, _field(message, "d"))
+    return make_lens(model, d, matrix.ravel().tolist(), stated)
 
 
 def _field(message: Any, name: str) -> Any:

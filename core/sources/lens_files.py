@@ -234,8 +234,6 @@ def _whole_matrix(numbers: Sequence[float]) -> Float64Array:
         matrix = matrix.T  # Open3D's, column by column
     if matrix[1, 0] or matrix[2].tolist() != [0, 0, 1]:
         raise ValueError("its matrix is no K: the last row must be 0 0 1")
-    if abs(matrix[0, 1]) > 1e-6 * abs(matrix[0, 0]):
-        raise ValueError(f"its K has a skew of {matrix[0, 1]:g}, which no lens here has")
     return matrix
 
 

@@ -72,6 +72,26 @@ def test_the_cameras_are_listed_and_guessed_by_their_model(window, finding, qtbo
     assert window.document.preset.cameras.proximity.serial == ""
 
 
+def test_a_tactile_camera_alone_and_ros_2_topics_are_opened_from_the_page(window, finding, qtbot):
+    finding(D405)
+    asked = []
+    window.context.sourceRequested.connect(asked.append)
+    dialog = chooser(window, qtbot)
+    assert dialog.note.text().startswith("Only one camera was found") and not open_button(dialog).isEnabled()
+    dialog.page.proximity.setFocus()
+    QTest.keyClicks(dialog.page.proximity, "none")
+    assert dialog.name.text() == "cameras:,d002"
+    QTest.mouseClick(open_button(dialog), LEFT)
+    qtbot.waitUntil(lambda: asked == ["cameras:,d002"])
+    QTest.keyClick(dialog, Qt.Key.Key_Escape)
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow)
+    dialog = chooser(window, qtbot)
+    QTest.mouseClick(dialog.page.topics, LEFT)
+    qtbot.waitUntil(lambda: asked[1:] == ["ros2:"])
+    assert window.document.preset.cameras.tactile.serial == "d002"
+
+
 def test_one_camera_twice_cannot_be_opened(window, finding, qtbot):
     finding(L515, D405)
     dialog = chooser(window, qtbot)

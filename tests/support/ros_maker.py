@@ -39,6 +39,7 @@ class Stream:
     model: str = "plumb_bob"
     d: tuple[float, ...] = (0.0,) * 5
     k: tuple[float, ...] = (30.0, 0.0, 15.5, 0.0, 30.0, 11.5, 0.0, 0.0, 1.0)
+    p: tuple[float, ...] = (0.0,) * 12
     size: tuple[int, int] = (W, H)
     binning: int = 0
     roi: tuple[int, int, int, int] = (0, 0, 0, 0)  # x, y, height, width
@@ -124,7 +125,7 @@ class _Messages:
         )
 
     def info(self, header: Any, stream: Stream, *, empty: bool) -> Any:
-        k, p = np.zeros(9) if empty else np.array(stream.k), np.zeros(12)
+        k, p = np.zeros(9) if empty else np.array(stream.k), np.array(stream.p)
         size, d = (stream.size[1], stream.size[0]), np.array(stream.d, np.float64)
         roi = self.types["sensor_msgs/msg/RegionOfInterest"](*stream.roi, False)
         return self.types["sensor_msgs/msg/CameraInfo"](

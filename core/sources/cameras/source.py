@@ -28,10 +28,11 @@ _MAX_WAITING: Final = 60
 _PATIENCE_S: Final = 1.0
 
 
-def open_cameras(cameras: CamerasSection, progress: Progress) -> FrameSource:
+def open_cameras(cameras: CamerasSection, progress: Progress, *, roles: Sequence[CameraRole]) -> FrameSource:
     """Open the cameras of all installed drivers; picklable."""
     drivers, problems = camera_drivers()
-    return CameraSource(drivers, cameras, progress, problems)
+    name = "" if "proximity" in roles else f"{SCHEME}:,{cameras.tactile.serial}"
+    return CameraSource(drivers, cameras, progress, problems, name=name, roles=roles)
 
 
 class CameraSource(FrameSource):

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import sqlite3
 import struct
 import sys
@@ -44,8 +43,11 @@ METADATA: Final = "metadata.yaml"
 BAG_ENDINGS: Final = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 SQLITE_MAGIC: Final = b"SQLite format 3\x00"
 ROS1_MAGIC: Final = b"#ROSBAG V"
+_BLOCK_BYTES: Final = 1 << 20
 _ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 _CACHED_CHUNKS: Final = 4
+#: A message unpacks to at most the first number of bytes, a file to that and the second number for each of its bytes.
+_MAX_UNPACKED_BYTES, _MAX_RATIO = 200_000_000, 200
 #: Types of poses, of which the library knows ROS 2's only.
 POSES: Final = (TRANSFORMS, "tf/msg/tfMessage")
 _ROS1 = get_typestore(Stores.ROS1_NOETIC)
@@ -156,7 +158,13 @@ class SqliteBag(Bag):
         if not found or not isinstance(found[0][0], bytes):
             raise DamagedFileError(f"message {index} of {topic} is missing")
         data = found[0][0]
-        return memoryview(zstd.decompress(data) if data.startswith(_ZSTD_MAGIC) else data)
+        if not data.startswith(_ZSTD_MAGIC):
+            return memoryview(data)
+        unpacker = zstd.ZstdDecompressor()
+        plain = unpacker.decompress(data, _MAX_UNPACKED_BYTES)
+        if not unpacker.eof:
+            raise DamagedFileError(f"message {index} of {topic} is cut off, or unpacks to far too much")
+        return memoryview(plain)
 
     def times_ns(self, topic: str) -> Int64Array:
         return np.array([time_ns for time_ns, _ in self._rows.get(topic, ())], np.int64)
@@ -328,7 +336,12 @@ class SplitBag(Bag):
             return path
         folder = Path(self._resources.enter_context(tempfile.TemporaryDirectory(prefix="tactune-")))
         with zstd.open(path, "rb") as packed, (folder / path.stem).open("wb") as plain:
-            shutil.copyfileobj(packed, plain)
+            left = _MAX_UNPACKED_BYTES + _MAX_RATIO * path.stat().st_size
+            while block := packed.read(_BLOCK_BYTES):
+                left -= len(block)
+                if left < 0:
+                    raise DamagedFileError(f"{path.name} unpacks to far too much for its size")
+                plain.write(block)
         return folder / path.stem
 
 

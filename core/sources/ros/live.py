@@ -9,6 +9,7 @@ import os
 import struct
 import time
 from collections import deque
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from typing import Any, Final, NamedTuple
@@ -29,9 +30,9 @@ from ..lens import Lens, camera_info_lens
 from ..mcap.messages import CAMERA_INFO, TYPES
 from ..ros_image import FLOAT_UNIT_M, RawImage
 from .dds import Listener, Reader, Waiter, check_network, keep_freed_memory
-from .search import Found, find_topics
+from .search import Found, depth_topics, find_topics
 from .source import COUNT_UNIT_M
-from .topics import Topics, split_name
+from .topics import ImageTopic, Topics, split_name
 
 _ANY_NETWORK: Final = "0.0.0.0"  # noqa: S104  # ROS 2 listens to all
 #: Longest wait for a lens and the first images of a camera, seconds; below that after which a driver counts as hung.
@@ -46,6 +47,17 @@ def open_in_process(rest: str, progress: Progress | None, cameras: CamerasSectio
     """Open topics by the text after the scheme, such as ``?domain=3``."""
     _read_name(rest)
     return ProcessSource(partial(open_topics, rest, cameras or CamerasSection()), progress)
+
+
+def cameras_here() -> list[ImageTopic]:
+    """Return the depth topics that are published in the domain of ``ros2:``; `SourceError` if it cannot be heard."""
+    domain, host, _ = _read_name("")
+    try:
+        listener = Listener(domain, host)
+    except ValueError as error:
+        raise SourceError(f"ros2: {error}") from error
+    with closing(listener):
+        return depth_topics(listener)
 
 
 def open_topics(rest: str, cameras: CamerasSection, progress: Progress) -> FrameSource:
@@ -173,7 +185,7 @@ class _Stream:
     def __init__(self, listener: Listener, found: Found, slot: str) -> None:
         image = found.images[found.topics[slot]]
         self.topic, self.frame, self.is_metres = image.name, image.frame, image.encoding == "32FC1"
-        self.shape = image.height, image.width
+        self.shape, self.is_rectified = (image.height, image.width), image.is_rectified
         self.kind = found.types[image.name]
         self.reader = listener.read(image.name, self.kind)
         self.waiting: deque[_Message] = deque()
@@ -190,7 +202,8 @@ class _Stream:
         """Return the lens; None until a message that is filled in has come."""
         if self._infos is not None:
             for data in self._infos.take():
-                self._lens = camera_info_lens(TYPES.deserialize_cdr(data, CAMERA_INFO), self.shape[::-1])
+                info = TYPES.deserialize_cdr(data, CAMERA_INFO)
+                self._lens = camera_info_lens(info, self.shape[::-1], is_rectified=self.is_rectified)
                 if self._lens is not None:
                     self._infos = None
                     break

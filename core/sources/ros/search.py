@@ -22,6 +22,8 @@ from .topics import COMPRESSED, ImageTopic, Topics, guess_topics, list_topics, s
 _SEARCH_S: Final = 6.0
 _SETTLED_S: Final = 1.0
 _POLL_S: Final = 0.05
+#: How long `depth_topics` listens, seconds: images come at least every 0.2 s.
+_LOOK_S: Final = 2.0
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,15 @@ def find_topics(name: str, listener: Listener, chosen: Topics, progress: Progres
         f"proximity.depth=/topic,tactile.depth=/topic; {list_topics(list(found.images.values()), heard.types)}"
         + (f"; without messages so far: {', '.join(silent[:8])}" if silent else "")
     )
+
+
+def depth_topics(listener: Listener) -> list[ImageTopic]:
+    """Return the topics of depth images that come now."""
+    heard, end_s = _Heard(listener), time.monotonic() + _LOOK_S
+    while time.monotonic() < end_s:
+        heard.listen()
+        time.sleep(_POLL_S)
+    return [image for image in survey(heard) if image.kind == "depth"]
 
 
 class _Heard(Bag):

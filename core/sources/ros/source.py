@@ -198,7 +198,11 @@ class _Cameras:
                 "them is unknown: calibrate the alignment"
             )
             return cameras, None
-        return cameras, camera_pose(pose)
+        try:
+            return cameras, camera_pose(pose)
+        except ValueError as error:
+            self.lacks.append(f"the pose between {first} and {second} is not used: {error}")
+            return cameras, None
 
     def _camera(self, role: str, topics: Topics) -> RecordedCamera:
         image = self._image_topic(f"{role}.depth", topics[f"{role}.depth"])
@@ -263,7 +267,8 @@ class _Cameras:
         """Return the lens of the first message that is filled in."""
         try:
             for index in range(min(self._bag.count(topic), _TRIED_INFOS)):
-                lens = camera_info_lens(self._bag.message(topic, index), (image.width, image.height))
+                info, size = self._bag.message(topic, index), (image.width, image.height)
+                lens = camera_info_lens(info, size, is_rectified=image.is_rectified)
                 if lens is not None:
                     return lens
         except SourceError as error:

@@ -56,6 +56,11 @@ class ImageTopic:
         return frozenset(re.split(r"[/_]", self.name))
 
     @property
+    def is_rectified(self) -> bool:
+        """Whether the name says that image_pipeline, or the camera, has removed the distortion."""
+        return not self.words.isdisjoint(("rect", "rectified"))
+
+    @property
     def camera(self) -> str:
         """The part of the name that is the camera's, such as ``camera`` or ``left/d405``."""
         parts = ("_".join(w for w in part.split("_") if w not in _STREAM_WORDS) for part in self.name.split("/"))

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ros_maker import CHAIN, H, W, color, depth, make_recording
+from ros_maker import CHAIN, NONE, H, W, color, depth, make_recording
 from tactune.core import open_source
 from tactune.core.errors import SourceError
 from tactune.core.model.intrinsics import Distortion
@@ -247,11 +247,28 @@ def test_lens_models_see_a_place_where_opencv_does(tmp_path, model, d):
     assert rig.proximity.intrinsics.distortion in (Distortion.NONE, Distortion.BROWN_CONRADY)
 
 
+def test_rectified_images_have_the_lens_p_and_raw_ones_k_with_its_distortion(tmp_path):
+    lens = {"d": (0.2, 0.0, 0.0, 0.0, 0.0), "p": (28.0, 0.0, 15.0, 0.0, 0.0, 29.0, 11.0, 0.0, 0.0, 0.0, 1.0, 0.0)}
+    for name, expected in (("image_rect", (28, 29, 15, 11, 0)), ("image_raw", (30, 30, 15.5, 11.5, 0.2))):
+        near = depth(f"/l515/depth/{name}", "a_optical", **lens)
+        found = first_frame(make_recording(tmp_path / name, [near, TWO[1]]))[0].proximity.intrinsics
+        assert (found.fx, found.fy, found.cx, found.cy, found.coefficients[0]) == expected
+
+
+def test_a_pose_that_cannot_be_one_is_a_gap(tmp_path):
+    far = (("rig", "a_optical", (0, 0, 0), NONE), ("rig", "b_optical", (50.0, 0, 0), NONE))
+    rig, _, health = first_frame(make_recording(tmp_path / "take", TWO[:2], transforms=far))
+    assert rig.T_proximity_tactile is None and "is it in mm?" in health.message
+
+
 def test_unknown_lenses_are_named(tmp_path):
     for name, model, d in (("a", "kittens", (0.1,) * 5), ("b", "none", (0.1,) * 5), ("c", "plumb_bob", (np.nan,) * 5)):
         near = depth(NEAR, "a_optical", model=model, d=d)
         with pytest.raises(SourceError, match=rf"{NEAR}: its lens"):
             first_frame(make_recording(tmp_path / name, [near, TWO[1]]))
+    near = depth(NEAR, "a_optical", k=(30.0, 0.5, 15.5, 0.0, 30.0, 11.5, 0.0, 0.0, 1.0))
+    with pytest.raises(SourceError, match=r"its K has a skew of 0\.5"):
+        first_frame(make_recording(tmp_path / "d", [near, TWO[1]]))
 
 
 def test_binning_region_and_the_first_filled_in_lens(tmp_path):
