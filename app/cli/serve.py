@@ -57,6 +57,15 @@ def serve(
         ),
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, metavar="PORT", help="Port of --foxglove; 0: any.")] = 8765,
+    clients: Annotated[int, typer.Option(min=1, metavar="N", help="Most clients of --foxglove at a time.")] = 16,
+    origins: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--origin",
+            metavar="URL",
+            help="A web page that --foxglove lets in, as https://app.foxglove.dev; others not.",
+        ),
+    ] = None,
     domain: Annotated[
         int, typer.Option(min=0, max=232, metavar="N", envvar="ROS_DOMAIN_ID", help="ROS 2 domain id.")
     ] = 0,
@@ -86,7 +95,7 @@ def serve(
         raise typer.BadParameter("give --foxglove or --ros2; nothing is published unless it is asked for")
     source = with_topics(source, topics)
     chosen, origin = chosen_preset(preset, source)
-    connections = Connections(foxglove, ros2, host, port, domain, namespace)
+    connections = Connections(foxglove, ros2, host, port, domain, namespace, clients, tuple(origins or ()))
     with (
         Publisher(connections.make_sinks()) as publisher,  # a taken port is told before cameras start
         open_with_progress(source, chosen) as opened,

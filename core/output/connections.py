@@ -23,6 +23,8 @@ class Connections:
     port: int = FOXGLOVE_PORT
     domain: int = 0
     namespace: str = "tactune"
+    max_clients: int = 16
+    origins: tuple[str, ...] = ()
 
     @property
     def warning(self) -> str:
@@ -37,7 +39,7 @@ class Connections:
         if self.foxglove:
             from .foxglove import FoxgloveSink
 
-            sinks.append(FoxgloveSink(self.host, self.port))
+            sinks.append(FoxgloveSink(self.host, self.port, self.max_clients, self.origins))
         if self.ros2:
             from .dds import DdsSink
 

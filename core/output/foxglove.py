@@ -6,21 +6,40 @@ those of recordings and of ROS 2.
 
 from __future__ import annotations
 
+import asyncio
 import importlib.resources
+import json
 import logging
+import struct
 import threading
-from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
+from concurrent.futures import Future
+from contextlib import suppress
+from http import HTTPStatus
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
-from ..errors import MissingExtraError, PublishError
+from ..errors import MissingExtraError, PublishError, foreign
 from ..model.files import atomic_path
+from ..model.loading import parse_json
 from .messages import definition
 from .publisher import LiveMessage, SinkStatus
 
 if TYPE_CHECKING:
-    from foxglove.websocket import ChannelView, Client, WebSocketServer
+    from websockets.asyncio.server import ServerConnection
+    from websockets.http11 import Request, Response
+
+#: Names of the protocol in its newer and its older clients; the messages used here are equal.
+PROTOCOLS: Final = ("foxglove.sdk.v1", "foxglove.websocket.v1")
+#: Clients at one time, unless told otherwise.
+MAX_CLIENTS: Final = 16
+#: A message of a client is a list of channels.
+_MAX_RECEIVED: Final = 2**16
+#: A client that takes longer to answer is gone, and one that takes longer to say goodbye is not waited for, seconds.
+_ANSWER_S, _GOODBYE_S = 60.0, 1.0
+_MESSAGE_DATA: Final = 1
+
+_log = logging.getLogger(__name__)
 
 
 def save_layout(path: Path) -> None:
@@ -30,75 +49,185 @@ def save_layout(path: Path) -> None:
         temporary.write_bytes(layout.read_bytes())
 
 
-class FoxgloveSink:
-    """A `Sink` that Foxglove clients connect to; port 0 is any free one."""
+class _Client:
+    """A client: its subscriptions, and the newest message of each topic that it was not sent yet."""
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, connection: ServerConnection) -> None:
+        self.connection = connection
+        self.subscriptions: dict[int, str] = {}
+        self.waiting: dict[str, LiveMessage] = {}
+        self.has_waiting = asyncio.Event()
+
+    async def send_on(self) -> None:
+        """Send what waits until the client is gone; a slow one gets fewer frames, and only this task waits for it."""
+        from websockets.exceptions import ConnectionClosed
+
+        with suppress(ConnectionClosed):
+            while True:
+                await self.has_waiting.wait()
+                self.has_waiting.clear()
+                taken, self.waiting = self.waiting, {}
+                for number, topic in list(self.subscriptions.items()):
+                    if (message := taken.get(topic)) is not None:
+                        head = struct.pack("<BIQ", _MESSAGE_DATA, number, message.stamp_ns)
+                        await self.connection.send(head + message.data)
+
+
+class FoxgloveSink:
+    """A `Sink` that Foxglove clients connect to; port 0 is any free one.
+
+    At most ``max_clients`` connect at a time. Web pages are refused, but those of ``origins``, such as
+    ``"https://app.foxglove.dev"``: any page that is open on this computer can reach a local server.
+    """
+
+    def __init__(
+        self, host: str, port: int, max_clients: int = MAX_CLIENTS, origins: Collection[str] = frozenset()
+    ) -> None:
         self._host, self._port = host, port
-        self._server: WebSocketServer | None = None
-        self._context: Any = None  # channels live only as long as it
-        self._channels: dict[str, Any] = {}
-        self._lock = threading.Lock()
-        self._subscriptions: Counter[tuple[int, str]] = Counter()
+        self._max_clients, self._origins = max_clients, frozenset(origins)
+        self._topics: list[str] = []
+        self._advertised = ""
+        self._clients: set[_Client] = set()
+        self._connected = 0
+        self._wanted: frozenset[str] = frozenset()
+        self._loop: asyncio.AbstractEventLoop
+        self._closing = asyncio.Event()
+        self._thread: threading.Thread | None = None
 
     def start(self, topics: Mapping[str, str]) -> None:
         try:
-            import foxglove
+            import websockets.asyncio.server  # noqa: F401  # only to say that it is missing
         except ImportError as error:
-            raise MissingExtraError(
-                "Foxglove needs foxglove-sdk: install it with pip install 'tactune[live]'"
-            ) from error
-        logging.getLogger("foxglove").addHandler(logging.NullHandler())  # a client that vanishes is no news on stderr
-        listener: Any = self  # the protocol also asks for what servers without these abilities call
-        context = self._context = foxglove.Context()
-        for topic, kind in topics.items():
-            schema = foxglove.Schema(name=kind, encoding="ros2msg", data=definition(kind).encode())
-            self._channels[topic] = foxglove.Channel(topic, message_encoding="cdr", schema=schema, context=context)
+            raise MissingExtraError("Foxglove needs websockets: install it with pip install 'tactune[live]'") from error
+        logging.getLogger("websockets").addHandler(logging.NullHandler())  # a client that vanishes is no news
+        self._topics = list(topics)
+        channels = [
+            {
+                "id": number,
+                "topic": topic,
+                "encoding": "cdr",
+                "schemaName": kind,
+                "schema": definition(kind),
+                "schemaEncoding": "ros2msg",
+            }
+            for number, (topic, kind) in enumerate(topics.items())
+        ]
+        self._advertised = json.dumps({"op": "advertise", "channels": channels})
+        started: Future[int] = Future()
+        self._thread = threading.Thread(target=self._run, args=(started,), name="Foxglove", daemon=True)
+        self._thread.start()
         try:
-            self._server = foxglove.start_server(
-                name="Tactune",
-                host=self._host,
-                port=self._port,
-                server_listener=listener,
-                context=context,
-                message_backlog_size=len(topics),  # a slow client is at most one frame behind
-            )
-        except (RuntimeError, OverflowError) as error:
+            self._port = started.result()
+        except (OSError, OverflowError) as error:
+            self._thread.join()
+            self._thread = None
+            reason = str(error).rpartition(": ")[2]
             raise PublishError(
-                f"Foxglove cannot listen on {self._host}, port {self._port} ({str(error).rpartition(': ')[2]}); "
+                f"Foxglove cannot listen on {self._host}, port {self._port} ({reason[:1].upper()}{reason[1:]}); "
                 "end the program that listens there, or choose another port and an address of this computer"
             ) from error
-        self._port = self._server.port
 
     def wanted(self) -> Collection[str]:
-        with self._lock:
-            return frozenset(topic for _, topic in self._subscriptions)
+        return self._wanted
 
     def send(self, messages: Sequence[LiveMessage]) -> None:
-        for message in messages:
-            self._channels[message.topic].log(message.data, log_time=message.stamp_ns)
+        self._loop.call_soon_threadsafe(self._offer, messages)
 
     def close(self) -> None:
-        if self._server is not None:
-            self._server.stop()
-            self._server = None
-            for channel in self._channels.values():
-                channel.close()
+        if self._thread is not None:
+            self._loop.call_soon_threadsafe(self._closing.set)
+            self._thread.join()
+            self._thread = None
 
     def status(self) -> SinkStatus:
         """Return the state; a client counts once it listens to a topic."""
         host = f"[{self._host}]" if ":" in self._host else self._host
-        with self._lock:
-            clients = len({client for client, _ in self._subscriptions})
-        return SinkStatus("Foxglove", f"ws://{host}:{self._port}", clients)
+        return SinkStatus("Foxglove", f"ws://{host}:{self._port}", self._connected)
 
-    # What the server calls, on its own threads
+    # On the server's own thread
 
-    def on_subscribe(self, client: Client, channel: ChannelView) -> None:
-        with self._lock:
-            self._subscriptions[client.id, channel.topic] += 1
+    def _run(self, started: Future[int]) -> None:
+        try:
+            with asyncio.Runner() as runner:
+                self._loop = runner.get_loop()
+                runner.run(self._listen(started))
+        except Exception as error:
+            if started.done():
+                raise
+            started.set_exception(error)
 
-    def on_unsubscribe(self, client: Client, channel: ChannelView) -> None:
-        with self._lock:
-            self._subscriptions[client.id, channel.topic] -= 1
-            self._subscriptions = +self._subscriptions  # without those at 0
+    async def _listen(self, started: Future[int]) -> None:
+        from websockets.asyncio.server import serve
+
+        async with serve(
+            self._attend,
+            self._host,
+            self._port,
+            subprotocols=[*PROTOCOLS],  # type: ignore[list-item]
+            process_request=self._admit,
+            compression=None,
+            max_size=_MAX_RECEIVED,
+            ping_timeout=_ANSWER_S,
+            close_timeout=_GOODBYE_S,
+        ) as server:
+            started.set_result(next(iter(server.sockets)).getsockname()[1])
+            await self._closing.wait()
+
+    def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Refuse web pages that are not allowed, and clients beyond the largest number."""
+        for origin in request.headers.get_all("Origin"):
+            if origin.startswith(("http:", "https:", "null")) and origin not in self._origins:
+                page = foreign(origin, 100)
+                _log.warning("Foxglove: the web page %s was refused; --origin %s lets it in", page, page)
+                return connection.respond(HTTPStatus.FORBIDDEN, f"Tactune refuses this web page; see --origin {page}\n")
+        if len(self._clients) >= self._max_clients:
+            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, f"{self._max_clients} clients are connected\n")
+        return None
+
+    async def _attend(self, connection: ServerConnection) -> None:
+        from websockets.exceptions import ConnectionClosed
+
+        if len(self._clients) >= self._max_clients:  # many may be admitted at the same moment
+            return
+        client = _Client(connection)
+        self._clients.add(client)
+        sending = asyncio.ensure_future(client.send_on())
+        try:
+            info = {"op": "serverInfo", "name": "Tactune", "capabilities": [], "supportedEncodings": [], "metadata": {}}
+            await connection.send(json.dumps(info))
+            await connection.send(self._advertised)
+            async for text in connection:
+                self._obey(client, text)
+        except ConnectionClosed:
+            pass
+        finally:
+            sending.cancel()
+            self._clients.discard(client)
+            self._count()
+
+    def _obey(self, client: _Client, text: str | bytes) -> None:
+        """Subscribe or unsubscribe as a client asks; what it says else means nothing here."""
+        try:
+            asked: Any = parse_json(text)
+            if asked["op"] == "subscribe":
+                for each in asked["subscriptions"]:
+                    number, channel = int(each["id"]), int(each["channelId"])
+                    if 0 <= number < 2**32 and 0 <= channel < len(self._topics):
+                        client.subscriptions[number] = self._topics[channel]
+            elif asked["op"] == "unsubscribe":
+                for number in asked["subscriptionIds"]:
+                    client.subscriptions.pop(int(number), None)
+        except (ValueError, TypeError, KeyError, OverflowError):
+            return
+        self._count()
+
+    def _count(self) -> None:
+        self._wanted = frozenset(topic for client in self._clients for topic in client.subscriptions.values())
+        self._connected = sum(bool(client.subscriptions) for client in self._clients)
+
+    def _offer(self, messages: Sequence[LiveMessage]) -> None:
+        for client in self._clients:
+            wanted = set(client.subscriptions.values())
+            client.waiting.update({message.topic: message for message in messages if message.topic in wanted})
+            if client.waiting:
+                client.has_waiting.set()

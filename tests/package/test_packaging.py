@@ -49,4 +49,4 @@ def test_the_lock_holds_what_pyproject_allows(pyproject, python):
 def test_everything_for_foxglove_has_a_wheel_for_arm(pyproject):
     environment = {"python_version": "3.11", "sys_platform": "linux", "platform_machine": "aarch64"}
     live = map(Requirement, pyproject["project"]["optional-dependencies"]["live"])
-    assert [it.name for it in live if not it.marker or it.marker.evaluate(environment)] == ["foxglove-sdk"]
+    assert [it.name for it in live if not it.marker or it.marker.evaluate(environment)] == ["websockets"]
