@@ -47,12 +47,12 @@ print(compiled_so_far())
 MEMBRANE = {
     "mark_tiles", "ranges_of_tiles", "spread", "find_differences", "block_points", "bulges", "average_cells",
     "measure_cells", "extrapolate", "continue_beside", "guess_gaps", "mark_inside", "link_cells", "settle",
-    "mark_large", "root", "collect_points",
+    "mark_large", "root", "collect_points", "colors_in_range",
 }  # fmt: skip
 AVERAGE = {"forget_moved", "add_to_means"}
 TOLERANCE = {
     "mark_tiles", "ranges_of_tiles", "spread", "find_candidates", "lay", "clear", "search_rows", "search_points",
-    "search_all", "part_coordinates", "compare", "compact", "mark_large", "root",
+    "search_all", "part_coordinates", "compare", "compact", "mark_large", "root", "colors_in_range",
 }  # fmt: skip
 
 
