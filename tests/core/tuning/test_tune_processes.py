@@ -7,7 +7,6 @@ import time
 from pathlib import Path
 
 import pytest
-from distributed import LocalCluster
 
 from long_search import LIMIT_S, POINTS, front_of, trials_of
 from tactune.core.tuning.measure import local_workers
@@ -79,6 +78,8 @@ def living(session):
 def test_a_dask_cluster_gives_the_front_of_this_computer(tune, recording):
     words = ("-s", recording, "--set", "tolerance.t=0.004,0.009,0.014,0.02", "--objective", "iou", "--json")
     here = front_of(tune(*words, "--study", "here.log").out)
+    from distributed import LocalCluster
+
     with LocalCluster(n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address=None) as cluster:
         done = tune(*words, "--study", "there.log", "--scheduler", cluster.scheduler_address)
     assert done.status == 0, done.err
@@ -87,6 +88,8 @@ def test_a_dask_cluster_gives_the_front_of_this_computer(tune, recording):
 
 @pytest.mark.long
 def test_a_scheduler_without_workers_is_said_in_a_sentence(tune, recording):
+    from distributed import LocalCluster
+
     with LocalCluster(n_workers=0, host="127.0.0.1", dashboard_address=None) as cluster:
         finished = tune("-s", recording, "--scheduler", cluster.scheduler_address)
     assert "no Dask scheduler with a worker answers" in finished.sentence
