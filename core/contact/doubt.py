@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from .pixels import Pixels
 
 #: Probability that what a test calls contact touches if the bias is seen on prints in the frame, if it was measured
-#: before, if firm contact alone tells it, and if it is unknown.
+#: before or there is none, if firm contact alone tells it, and if it is unknown.
 _SEEN, _MEASURED, _FIRM, _UNKNOWN = 0.98, 0.96, 0.8, 0.6
 #: Factors on the odds for each thing that is wrong.
 _WRONG_ODDS: Final = 0.15
@@ -77,7 +77,7 @@ class Judge:
         """Return the logarithm of the odds before any dent is seen, reasons for doubt, and the boundary error, mm."""
         reasons = []
         seen = facts is not None and facts.bias_seen
-        measured = rig_bias(preset.noise, self._pixels.rig).measured
+        measured = not preset.test.needs_proximity or rig_bias(preset.noise, self._pixels.rig).measured
         firm = facts is not None and facts.firm_m2 > 0.0
         probability = _SEEN if seen else _MEASURED if measured else _FIRM if firm else _UNKNOWN
         if not (seen or measured):

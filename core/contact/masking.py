@@ -13,7 +13,7 @@ from .kernels.colors import colors_in_range, hsv_limits
 from .kernels.simd import LANES
 
 #: Most pixels on prints that are compared, and smallest share of the image that prints cover.
-_MAX_SAMPLES, _MIN_SHARE = 2000, 0.005
+_MAX_SAMPLES, _MIN_SHARE = 500, 0.005
 #: Brightness of pixels that are not saturated and tell a ratio.
 _DARK, _BRIGHT = 20, 245
 #: The light has changed if a channel has, by more than this share, and the mask covers less than a share of the prints;

@@ -48,6 +48,8 @@ class ContactPipeline:
     ------
     RigMismatchError
         The preset was made for images of another size, or neither it nor the rig has a pose.
+    FrameError
+        The untouched frame does not have the rig's size.
 
     Attributes
     ----------
@@ -61,6 +63,8 @@ class ContactPipeline:
     """
 
     def __init__(self, preset: Preset, rig: Rig, untouched: SensorFrame | None = None) -> None:
+        if untouched is not None:
+            untouched.check_against(rig)
         self._recording_rig, self.untouched = rig, untouched
         self._start(preset, rig_in_use(preset, rig))
 

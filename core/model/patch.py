@@ -281,14 +281,15 @@ class ContactPatch:
         import cv2
 
         count, image = cv2.connectedComponents(self.mask.view(np.uint8), connectivity=8)
-        labels, pixels = image[self.mask] - 1, np.flatnonzero(self.mask)
+        pixels = np.flatnonzero(self.mask)
+        labels = image.reshape(-1)[pixels] - 1
         areas_mm2 = 1e6 * pixel_areas_m2(self.points[:, 2], self.rig.proximity.intrinsics)
         total_mm2, size = (np.bincount(labels, weights, count - 1) for weights in (areas_mm2, None))
         sums = np.stack([np.bincount(labels, self.points[:, axis], count - 1) for axis in range(3)], axis=1)
         centroids = sums / size[:, None]
         away = ((self.points - centroids[labels]) ** 2).sum(axis=1)
         nearest = np.lexsort((away, labels))[np.cumsum(size) - size]
-        v, u = (rows[nearest] for rows in np.nonzero(self.mask))
+        v, u = np.divmod(pixels[nearest], image.shape[1])
         return tuple(
             Contact(
                 float(total_mm2[i]), (float(x), float(y), float(z)), (int(u[i]), int(v[i])),

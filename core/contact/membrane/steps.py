@@ -53,6 +53,8 @@ _CERTAIN, _MODEL_ERROR_M = 3.0, 0.0003
 #: depth, and at least, metres. A cell has no depth where this share has none; and the residual of cells in contact as a
 #: multiple of a pixel's noise.
 _PER_STRIP, _UNSEEN_ERROR_M, _BOUNDARY_FLOOR_M, _MAX_UNSEEN, _USUAL_RESIDUAL = 1.1, 0.007, 0.0007, 0.9, 0.85
+#: A cell and its four neighbours.
+_CROSS: Final = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
 #: A membrane is not nearer to the camera, metres.
 _NEAREST_M: Final = 0.1
 #: Sigma of the Gaussian window over which the depth of the points is averaged, pixels, and its reach.
@@ -274,24 +276,21 @@ def boundary_of(cells: Cells, solution: Equilibrium, gap_m: float, measured: Mea
     An error of the bias moves it to where the gap is larger by as much. The other terms, and how they add up, fit the
     errors in ``tactune lab faults``.
     """
+    import cv2
+
     areas, known = cells.sides_m[0] * cells.sides_m[1], measured.known
     touching = solution.gap_m <= gap_m
-    around, missing = _neighbours(touching), _neighbours(cells.unseen <= _MAX_UNSEEN)
-    border = touching & ~around.all(axis=0)
+    inside, seen = (cv2.erode(each.view(np.uint8), _CROSS) > 0 for each in (touching, cells.unseen <= _MAX_UNSEEN))
+    border = touching & ~inside
     count = int(np.count_nonzero(border))
     if count == 0:
         return Boundary(math.nan, 0.0, 1.0)
     nearly = (solution.gap_m <= gap_m + measured.bias.sigma_m) & ~touching
     strip_m = float(areas[nearly].sum()) / (count * math.sqrt(float(np.median(areas[border]))))
-    unseen = int(np.count_nonzero(border & ~missing.all(axis=0))) / count
+    unseen = int(np.count_nonzero(border & ~seen)) / count
     noise = float(np.std(solution.residual_m[touching])) / (_USUAL_RESIDUAL * known.pixel_sigma_m)
     error_m = math.hypot(_PER_STRIP * strip_m, _UNSEEN_ERROR_M * unseen, _BOUNDARY_FLOOR_M) * max(noise, 1.0) ** 1.5
     return Boundary(error_m, unseen, noise)
-
-
-def _neighbours(image: BoolArray) -> BoolArray:
-    """Return the four neighbours of each cell of an image, (4, H, W)."""
-    return np.stack([np.roll(image, step, axis) for axis in (0, 1) for step in (-1, 1)])
 
 
 def classify(frame: SensorFrame, preset: Preset, pixels: Pixels) -> Uint8Array:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.errors import FrameError
 from tactune.core.lab import faults
 from tactune.core.model.metrics import pixel_scores
 from tactune.core.model.patch import SURE
@@ -134,3 +135,10 @@ def test_the_distance_of_two_boundaries_is_that_of_shifted_squares():
     mask[20:40, 20:40] = True
     assert faults.boundary_distance_px(mask, mask) == 0
     assert 0 < faults.boundary_distance_px(mask, np.roll(mask, 3, axis=1)) <= 3
+
+
+def test_an_untouched_frame_of_another_rig_is_refused(rig):
+    preset, untouched, touch, _ = rig
+    small = replace(untouched, tactile_depth=untouched.tactile_depth[::2, ::2])
+    with pytest.raises(FrameError, match="tactile_depth is 320 x 240"):
+        ContactPipeline(preset, touch.rig, small)
