@@ -122,7 +122,12 @@ def kept_untouched(preset: Preset | None, preset_path: Path | str | None, source
             return FoundUntouched(frame)
         except (PresetError, FrameError) as error:
             warnings = (f"the preset's own untouched frame is not used: {error}",)
-    return FoundUntouched(source.untouched(), warnings)
+    try:
+        if (own := source.untouched()) is not None:
+            own.check_against(source.rig)
+        return FoundUntouched(own, warnings)
+    except (SourceError, FrameError) as error:
+        return FoundUntouched(None, (*warnings, f"the untouched frame of {source.name} is not used: {error}"))
 
 
 def untouched_frame(source: FrameSource, progress: Progress | None = None) -> SensorFrame | None:
