@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QLabel
 
 from fakes import tiny_frame, tiny_rig
 from tactune.app.window.status import FrameStatus
@@ -13,6 +14,7 @@ from tactune.app.window.toolbar import FrameNumber
 from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.processing import FrameProcessor
 from tactune.app.worker.results import SourceInfo, SourceState, Wanted
+from tactune.core.model.patch import Doubt
 from tactune.core.preset import Preset
 
 TIMES = {"average": 2.0, "fusion": 2.5, "equilibrium": 6.6, "edge": 0.4, "clusters": 0.8, "points": 0.5}
@@ -34,8 +36,19 @@ def bar(qtbot):
 
 
 def give(bar, result, times=TIMES, **changes):
-    patch = SimpleNamespace(points=result.patch.points, averaged_frames=1, stage_ms=times)
+    patch = SimpleNamespace(
+        points=result.patch.points, averaged_frames=1, stage_ms=times, doubt=Doubt(0.6, 2.34, ("no dent",))
+    )
     bar.show_result(replace(result, patch=patch, **changes))
+
+
+def test_the_patch_states_how_sure_it_is_and_why(bar, result):
+    give(bar, result)
+    (label,) = (each for each in bar.findChildren(QLabel) if each.text().startswith("patch"))
+    assert label.text().endswith("touches 60 %")
+    assert "2.3 mm" in label.toolTip()
+    assert "no dent" in label.toolTip()
+    assert label.fontMetrics().horizontalAdvance(label.text()) <= label.width()
 
 
 def test_the_panel_names_the_times_of_the_stages_that_took_time(bar, result):
