@@ -125,9 +125,8 @@ class FrameStatus(QStatusBar):
     def _show_patch(self, result: Result) -> None:
         words = "" if result.patch is None else f"patch {result.area_mm2 / 100:.1f} cm²"
         tip = "Area of the patch, projected along the optical axis"
-        if result.patch is not None and len(result.patch.points):
-            doubt = result.patch.doubt
-            words += f", touches {100 * doubt.touch_probability:.0f} %"
+        if (doubt := result.doubt) is not None and result.area_mm2 > 0:
+            words += f", touches {math.floor(100 * doubt.touch_probability)} %"  # never 90 for what is hatched
             tip += ", and the probability that the membrane touches there"
             if math.isfinite(doubt.boundary_error_mm):
                 tip += f". Expected error of the boundary: {doubt.boundary_error_mm:.1f} mm"

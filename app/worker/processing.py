@@ -128,6 +128,7 @@ class FrameProcessor:
             preset=preset,
             patch=patch,
             area_mm2=patch.area_mm2 if patch is not None else 0.0,
+            doubt=patch.doubt if patch is not None else None,
             rendered=rendered,
             playback=playback,
             problem=self._present.problem,

@@ -14,7 +14,7 @@ from ...core.errors import PresetError, SourceError
 from ...core.model.arrays import Float64Array, Int64Array
 from ...core.model.frames import Rig, SensorFrame
 from ...core.model.metrics import PatchOverlap
-from ...core.model.patch import Provenance
+from ...core.model.patch import Doubt, Provenance
 from ...core.preset import Preset
 from ...core.rig.untouched import FoundUntouched, find_untouched
 from ...core.sources.base import FrameSource, Health, Progress
@@ -202,6 +202,7 @@ class Result:
     preset: Preset
     patch: ContactPatch | None
     area_mm2: float
+    doubt: Doubt | None  # of the patch
     rendered: Rendered
     playback: PlaybackState
     problem: str = ""

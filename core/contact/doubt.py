@@ -28,8 +28,10 @@ if TYPE_CHECKING:
 _SEEN, _MEASURED, _FIRM, _UNKNOWN = 0.98, 0.96, 0.8, 0.6
 #: Factors on the odds for each thing that is wrong.
 _WRONG_ODDS: Final = 0.15
-#: Most points of a contact that are looked up, and step between the tactile pixels that tell how the rest has moved.
-_MAX_POINTS, _STEP_PX = 400, 16
+#: Fewest points of a contact that tell a dent, most that are looked up, and step between the tactile pixels that tell
+#: how the rest has moved.
+_FEWEST_POINTS, _MAX_POINTS, _STEP_PX = 20, 400, 16
+_GRID: Final = (slice(_STEP_PX // 2, None, _STEP_PX),) * 2
 #: Reach of the membrane around a contact as a multiple of its radius: its logarithm is the dent of a flat contact.
 _REACH: Final = 8.0
 #: Largest expected dent, metres: a large contact need not be a deep one.
@@ -58,13 +60,18 @@ class Judge:
     def doubts(self, frame: SensorFrame, preset: Preset, facts: MembraneFacts | None) -> DoubtOf:
         """Return a function that tells the `Doubt` about one contact of a frame."""
         whole = Lazy(lambda: self._whole_frame(frame, preset, facts))
+        moved = Lazy(lambda: self._moved_everywhere_m(frame.tactile_depth))
         noise_m4 = rig_bias(preset.noise, self._pixels.rig).noise_m4
 
         def doubt_of(contact: Candidates) -> Doubt:
             odds, reasons, boundary_mm = whole.get()
+            if not len(contact):
+                return Doubt(0.0, math.nan, reasons)
             area_m2 = float(pixel_areas_m2(contact.points[:, 2], self._pixels.rig.proximity.intrinsics).sum())
             odds += math.log(area_m2 / (area_m2 + _SMALL_M2))
-            evidence = self._dent_evidence(contact, area_m2, frame, facts, noise_m4)
+            evidence = 0.0
+            if len(contact) >= _FEWEST_POINTS and self._pixels.untouched is not None:
+                evidence = self._dent_evidence(contact, area_m2, frame, facts, noise_m4, moved.get())
             if evidence < _MISSING:
                 reasons = (*reasons, "no dent")
             return Doubt(1 / (1 + math.exp(-odds - evidence)), boundary_mm, reasons)
@@ -77,11 +84,11 @@ class Judge:
         """Return the logarithm of the odds before any dent is seen, reasons for doubt, and the boundary error, mm."""
         reasons = []
         seen = facts is not None and facts.bias_seen
-        measured = not preset.test.needs_proximity or rig_bias(preset.noise, self._pixels.rig).measured
         firm = facts is not None and facts.firm_m2 > 0.0
+        measured, not_corrected = self._bias_measured(frame, preset)
         probability = _SEEN if seen else _MEASURED if measured else _FIRM if firm else _UNKNOWN
         if not (seen or measured):
-            reasons.append("bias unknown")
+            reasons.append("bias not corrected" if not_corrected else "bias unknown")
         wrong = []
         if facts is not None and not LIMITS_PER_M[0] <= facts.curvature_per_m <= LIMITS_PER_M[1]:
             wrong.append("outside the model")
@@ -98,15 +105,32 @@ class Judge:
             reasons.append("more noise than measured")
         return odds, (*reasons, *wrong), 1e3 * boundary.error_m
 
+    def _bias_measured(self, frame: SensorFrame, preset: Preset) -> tuple[bool, bool]:
+        """Return whether the bias is known before a frame is seen, and whether it is known but not corrected."""
+        known = rig_bias(preset.noise, self._pixels.rig)
+        corrects = preset.contact_test == "membrane" and preset.membrane.bias
+        if corrects or not preset.test.needs_proximity:
+            return known.measured or not preset.test.needs_proximity, False
+        counts = frame.tactile_depth[_GRID]
+        distance_m = _median(np.where(valid_depth(counts), counts * self._tactile_unit_m, np.float32(np.nan)))
+        harmless = abs(known.mean_m) <= preset.test.bias_limits(preset, distance_m).good_m
+        return known.measured and harmless, known.measured and not harmless
+
     def _dent_evidence(
-        self, contact: Candidates, area_m2: float, frame: SensorFrame, facts: MembraneFacts | None, noise_m4: float
+        self,
+        contact: Candidates,
+        area_m2: float,
+        frame: SensorFrame,
+        facts: MembraneFacts | None,
+        noise_m4: float,
+        everywhere_m: Float32Array,
     ) -> float:
         """Return the logarithm of how much likelier the measured dent is of a touched membrane than of another one.
 
         A flat contact of area A dents a membrane of twice the mean curvature c by A c ln(R / r) / (2 pi) at least,
         where r is its radius and R the membrane's: the force is p A, the tension p / c.
         """
-        dent_m, elsewhere_m = self._dent_m(contact, frame.tactile_depth)
+        dent_m, elsewhere_m = self._dent_m(contact, frame.tactile_depth, everywhere_m)
         if math.isnan(dent_m):
             return 0.0
         curved = USUAL_PER_M if facts is None else facts.used_curvature_per_m
@@ -116,14 +140,13 @@ class Judge:
         evidence = (dent_m - elsewhere_m - expected_m / 2) * expected_m / sigma_m2
         return min(max(evidence, -_MAX_EVIDENCE), _MAX_EVIDENCE)
 
-    def _dent_m(self, contact: Candidates, tactile: Uint16Array) -> tuple[float, float]:
+    def _dent_m(self, contact: Candidates, tactile: Uint16Array, everywhere_m: Float32Array) -> tuple[float, float]:
         """Return how far the membrane in contact has moved towards the camera, and how far elsewhere; nan if unseen.
 
         Elsewhere is outside the box around the contact in the tactile image.
         """
         pixels = self._pixels
-        if pixels.untouched is None:
-            return math.nan, math.nan
+        assert pixels.untouched is not None
         some = np.s_[:: max(len(contact) // _MAX_POINTS, 1)]
         where = pixels.alignment.tactile_pixels(contact.pixels[some], contact.points[some, 2], pixels.rig)
         height, width = tactile.shape
@@ -131,16 +154,23 @@ class Judge:
         seen = (u >= 0) & (u < width) & (v >= 0) & (v < height)
         if not seen.any():
             return math.nan, math.nan
-        u, v, before = u[seen], v[seen], pixels.untouched.tactile_depth
-        grid = np.s_[_STEP_PX // 2 :: _STEP_PX, _STEP_PX // 2 :: _STEP_PX]
-        elsewhere = self._moved_m(before[grid], tactile[grid])
+        u, v, elsewhere_m = u[seen], v[seen], everywhere_m.copy()
         top, bottom, left, right = (int(side) // _STEP_PX for side in (v.min(), v.max(), u.min(), u.max()))
-        elsewhere[top : bottom + 1, left : right + 1] = np.nan
-        return _median(self._moved_m(before[v, u], tactile[v, u])), _median(elsewhere)
+        elsewhere_m[top : bottom + 1, left : right + 1] = np.nan
+        return _median(self._moved_m(pixels.untouched.tactile_depth[v, u], tactile[v, u])), _median(elsewhere_m)
+
+    def _moved_everywhere_m(self, tactile: Uint16Array) -> Float32Array:
+        """Return the movement towards the camera in every `_STEP_PX`-th row and column; there is an untouched frame."""
+        assert self._pixels.untouched is not None
+        return self._moved_m(self._pixels.untouched.tactile_depth[_GRID], tactile[_GRID])
 
     def _moved_m(self, before: Uint16Array, now: Uint16Array) -> Float32Array:
-        moved = (before.astype(np.float32) - now) * np.float32(self._pixels.alignment.tables.tactile_unit_m)
+        moved = (before.astype(np.float32) - now) * self._tactile_unit_m
         return np.asarray(np.where(valid_depth(before) & valid_depth(now), moved, np.float32(np.nan)))
+
+    @property
+    def _tactile_unit_m(self) -> np.float32:
+        return np.float32(self._pixels.alignment.tables.tactile_unit_m)
 
 
 def _median(values: Float32Array) -> float:

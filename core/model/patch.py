@@ -233,11 +233,13 @@ class ContactPatch:
         self._mask = mask
         self._doubt_of = doubt_of
 
-    def again(self, sequence: int, stage_ms: Mapping[str, float], skipped: tuple[str, ...]) -> ContactPatch:
-        """Return the same patch as the result of another call."""
+    def again(
+        self, sequence: int, stage_ms: Mapping[str, float], skipped: tuple[str, ...], doubt_of: DoubtOf
+    ) -> ContactPatch:
+        """Return the same patch as the result of another call, with the doubt under the present preset."""
         return ContactPatch(
             sequence, self._points, self._provenance, self._aligned, self.rig, stage_ms, skipped, self._mask,
-            self.averaged_frames, self.membrane, self._doubt_of,
+            self.averaged_frames, self.membrane, doubt_of,
         )  # fmt: skip
 
     @property
@@ -290,20 +292,21 @@ class ContactPatch:
         away = ((self.points - centroids[labels]) ** 2).sum(axis=1)
         nearest = np.lexsort((away, labels))[np.cumsum(size) - size]
         v, u = np.divmod(pixels[nearest], image.shape[1])
+        members = np.split(np.argsort(labels, kind="stable"), np.cumsum(size)[:-1])
         return tuple(
             Contact(
                 float(total_mm2[i]), (float(x), float(y), float(z)), (int(u[i]), int(v[i])),
                 self._doubt_of(Candidates(pixels[own], self.points[own])), own,
             )
             for i in np.argsort(-total_mm2, kind="stable")
-            for (x, y, z), own in [(centroids[i], np.flatnonzero(labels == i))]
+            for (x, y, z), own in [(centroids[i], members[i])]
         )  # fmt: skip
 
     @cached_property
     def doubt(self) -> Doubt:
         """The doubt about the patch: that of its surest contact, their mean boundary error and all their reasons."""
         if not self.contacts:
-            return Doubt(0.0, math.nan)
+            return self._doubt_of(NO_CANDIDATES)
         doubts, areas = [each.doubt for each in self.contacts], [each.area_mm2 for each in self.contacts]
         return Doubt(
             max(each.touch_probability for each in doubts),

@@ -39,7 +39,7 @@ class Connections:
         if self.foxglove:
             from .foxglove import FoxgloveSink
 
-            sinks.append(FoxgloveSink(self.host, self.port, self.max_clients, self.origins))
+            sinks.append(FoxgloveSink(self.host or LOOPBACK, self.port, self.max_clients, self.origins))
         if self.ros2:
             from .dds import DdsSink
 

@@ -38,6 +38,8 @@ _MAX_RECEIVED: Final = 2**16
 #: A client that takes longer to answer is gone, and one that takes longer to say goodbye is not waited for, seconds.
 _ANSWER_S, _GOODBYE_S = 60.0, 1.0
 _MESSAGE_DATA: Final = 1
+#: Subscriptions of a client to one topic, on the average: each gets a copy of every message.
+_MAX_PER_TOPIC: Final = 4
 
 _log = logging.getLogger(__name__)
 
@@ -118,7 +120,7 @@ class FoxgloveSink:
         self._thread.start()
         try:
             self._port = started.result()
-        except (OSError, OverflowError) as error:
+        except (OSError, OverflowError, ValueError) as error:
             self._thread.join()
             self._thread = None
             reason = str(error).rpartition(": ")[2]
@@ -212,13 +214,14 @@ class FoxgloveSink:
             if asked["op"] == "subscribe":
                 for each in asked["subscriptions"]:
                     number, channel = int(each["id"]), int(each["channelId"])
-                    if 0 <= number < 2**32 and 0 <= channel < len(self._topics):
+                    full = len(client.subscriptions) >= _MAX_PER_TOPIC * len(self._topics)
+                    if 0 <= number < 2**32 and 0 <= channel < len(self._topics) and not full:
                         client.subscriptions[number] = self._topics[channel]
             elif asked["op"] == "unsubscribe":
                 for number in asked["subscriptionIds"]:
                     client.subscriptions.pop(int(number), None)
         except (ValueError, TypeError, KeyError, OverflowError):
-            return
+            pass  # what was understood before it counts
         self._count()
 
     def _count(self) -> None:

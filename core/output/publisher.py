@@ -161,8 +161,12 @@ def pose_messages(pose: Float64Array, covariance: Float64Array, stamp_ns: int) -
 
 
 def doubt_values(doubt: Doubt) -> dict[str, str]:
-    """Return the doubt about a patch as words, with the names of `Doubt.record`."""
-    return {name: ", ".join(value) if isinstance(value, list) else str(value) for name, value in doubt.record().items()}
+    """Return the doubt about a patch as text, with the names of `Doubt.record`."""
+    return {
+        "touch_probability": f"{doubt.touch_probability:.4f}",
+        "boundary_error_mm": f"{doubt.boundary_error_mm:.3f}",  # nan where it is not known
+        "doubt": ", ".join(doubt.reasons),
+    }
 
 
 def frame_messages(

@@ -36,14 +36,12 @@ def bar(qtbot):
 
 
 def give(bar, result, times=TIMES, **changes):
-    patch = SimpleNamespace(
-        points=result.patch.points, averaged_frames=1, stage_ms=times, doubt=Doubt(0.6, 2.34, ("no dent",))
-    )
+    patch = SimpleNamespace(points=result.patch.points, averaged_frames=1, stage_ms=times)
     bar.show_result(replace(result, patch=patch, **changes))
 
 
 def test_the_patch_states_how_sure_it_is_and_why(bar, result):
-    give(bar, result)
+    give(bar, result, area_mm2=300.0, doubt=Doubt(0.609, 2.34, ("no dent",)))
     (label,) = (each for each in bar.findChildren(QLabel) if each.text().startswith("patch"))
     assert label.text().endswith("touches 60 %")
     assert "2.3 mm" in label.toolTip()

@@ -54,8 +54,8 @@ _REPLACING: Final = 2.0
 #: the bias, metres.
 _USUAL_NOISE_M4: Final = 1.23e-10
 _USUAL_SIGMA_M: Final = 0.005
-#: Lower limit of the noise power, for errors of the model, m^4.
-_MIN_NOISE_M4: Final = 1e-11
+#: Lower limits of the noise power, m^4, and of a pixel's standard deviation, metres, for errors of the model.
+_MIN_NOISE_M4, _MIN_PIXEL_SIGMA_M = 1e-11, 0.0001
 #: Systematic error of a bias measured on prints, metres, and fewest pixels on prints that tell it.
 _PRINT_SIGMA_M: Final = 0.0003
 _MIN_PRINT_PIXELS: Final = 40
@@ -113,7 +113,7 @@ def rig_bias(noise: RigNoise | None, rig: Rig) -> RigBias:
     measured = noise.bias_from != "unknown"
     weight = (proximity + _MIN_NOISE_M4 / 2) / (proximity + tactile + _MIN_NOISE_M4)
     gap_sigma_m = math.hypot(_after_window_m(noise.proximity), _after_window_m(noise.tactile))
-    pixel_sigma_m = math.hypot(noise.proximity.total_m, noise.tactile.total_m)
+    pixel_sigma_m = max(math.hypot(noise.proximity.total_m, noise.tactile.total_m), _MIN_PIXEL_SIGMA_M)
     sigma_m = max(noise.bias_sigma_m, _PRINT_SIGMA_M)
     return RigBias(noise.bias_m, sigma_m, power, measured, weight, gap_sigma_m, pixel_sigma_m)
 
@@ -147,6 +147,8 @@ def frame_bias(
             if agrees:
                 weight, variance = variance, 1 / (1 / variance + 1 / prior.sigma_m**2)
                 bias_m = variance * (bias_m / weight + prior.mean_m / prior.sigma_m**2)
+            else:  # contact speaks against the prints, too
+                seen, change_m = False, 0.0
             return FrameBias(bias_m, area_m2, True, seen, math.sqrt(variance), change_m), near
     bias_m = prior.mean_m
     if near is None or abs(bias_m - start_m) > _SAME_M:

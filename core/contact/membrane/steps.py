@@ -151,7 +151,7 @@ def measure(found: Differences, frame: SensorFrame, preset: Preset, pixels: Pixe
     rig, section = pixels.rig, preset.membrane
     curvature_per_m = measured_curvature_per_m(frame, preset.alignment, rig)
     free_per_m = usable_curvature_per_m(curvature_per_m)
-    bias = FrameBias()
+    bias = FrameBias(known=False, sigma_m=math.hypot(known.mean_m, known.sigma_m))  # unless it is corrected
     near: Differences | None = found
     if section.bias:
         membrane = membrane_image(frame, pixels)
@@ -288,7 +288,7 @@ def boundary_of(cells: Cells, solution: Equilibrium, gap_m: float, measured: Mea
     nearly = (solution.gap_m <= gap_m + measured.bias.sigma_m) & ~touching
     strip_m = float(areas[nearly].sum()) / (count * math.sqrt(float(np.median(areas[border]))))
     unseen = int(np.count_nonzero(border & ~seen)) / count
-    noise = float(np.std(solution.residual_m[touching])) / (_USUAL_RESIDUAL * known.pixel_sigma_m)
+    noise = float(np.std(solution.residual_m[touching & (cells.share > 0)])) / (_USUAL_RESIDUAL * known.pixel_sigma_m)
     error_m = math.hypot(_PER_STRIP * strip_m, _UNSEEN_ERROR_M * unseen, _BOUNDARY_FLOOR_M) * max(noise, 1.0) ** 1.5
     return Boundary(error_m, unseen, noise)
 
