@@ -15,7 +15,7 @@ import numpy as np
 from ..model.arrays import Float32Array, Uint16Array
 from ..model.clouds import pixel_areas_m2, valid_depth
 from ..model.frames import SensorFrame
-from ..model.patch import Candidates, Doubt, DoubtOf, Lazy, MembraneFacts
+from ..model.patch import Boundary, Candidates, Doubt, DoubtOf, Lazy, MembraneFacts
 from .membrane.bias import rig_bias
 from .membrane.equilibrium import LIMITS_PER_M, USUAL_PER_M
 
@@ -95,14 +95,12 @@ class Judge:
         light = self._pixels.light
         if light is not None and light.covered(frame.proximity_color) < _FEWER_PRINTS:
             wrong.append(LOST_PRINTS)
-        odds = math.log(probability / (1 - probability)) + len(wrong) * math.log(_WRONG_ODDS)
-        if facts is None:
-            return odds, (*reasons, *wrong), math.nan
-        boundary = facts.boundary.get()
+        boundary = Boundary(math.nan, 0.0, 1.0) if facts is None else facts.boundary.get()
+        if boundary.noise_ratio > _NOISIER:
+            wrong.append("more noise than measured")
         if boundary.unseen_share > _MANY_UNSEEN:
             reasons.append("too little depth")
-        if boundary.noise_ratio > _NOISIER:
-            reasons.append("more noise than measured")
+        odds = math.log(probability / (1 - probability)) + len(wrong) * math.log(_WRONG_ODDS)
         return odds, (*reasons, *wrong), 1e3 * boundary.error_m
 
     def _bias_measured(self, frame: SensorFrame, preset: Preset) -> tuple[bool, bool]:
