@@ -107,7 +107,7 @@ def run(
     with open_pipeline(source, chosen, origin) as (opened, pipeline):
         tilt = make_tilt(estimate, chosen, opened.rig)
         with (
-            _drift_watch(watch, chosen, origin, opened) as look,
+            _drift_watch(watch, pipeline, origin, opened) as look,
             stop_on_signals() as stopped,
             _patch_output(out, opened, chosen) as save,
         ):
@@ -258,7 +258,7 @@ def _summary(records: list[Record], source: str, preset: str) -> list[str]:
 
 
 @contextmanager
-def _drift_watch(watching: bool, preset: Preset, origin: str, source: FrameSource) -> Iterator[Look]:
+def _drift_watch(watching: bool, pipeline: ContactPipeline, origin: str, source: FrameSource) -> Iterator[Look]:
     """Yield a function that looks once in ten seconds of the source's time whether something has moved, and warns.
 
     A look takes longer than a frame. A live source does not wait for it; a recording does, so its result is the same
@@ -270,9 +270,9 @@ def _drift_watch(watching: bool, preset: Preset, origin: str, source: FrameSourc
     from ...core.rig.drift import Watch
     from ...core.rig.untouched import find_untouched
 
-    found = find_untouched(preset, origin, source)
+    found = find_untouched(pipeline.preset, origin, source)
     warn(*found.warnings)
-    watch = Watch(preset, source.rig, found.frame)
+    watch = Watch(pipeline.preset, source.rig, found.frame)
     remedy = f" Check with: tactune recheck --preset {quote(origin)} --source {quote(source.name)}"
     running: Future[WatchReport | None] | None = None
 
@@ -284,6 +284,7 @@ def _drift_watch(watching: bool, preset: Preset, origin: str, source: FrameSourc
         if running is None or (source.length is None and not running.done()):
             return
         report, running = running.result(), None
+        pipeline.cameras_moved = watch.told == "camera"
         if report is not None:
             warn(f"{report.time_s:.1f} s: {report.sentence}{remedy if report.state == 'told' else ''}")
 

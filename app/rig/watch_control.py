@@ -44,6 +44,7 @@ class WatchControl(QObject):
     def _forget(self) -> None:
         self._key = None
         self._job.stop()
+        self._context.worker.set_cameras_moved(False)
         self._context.messages.clear(_KEY)
 
     def _look(self) -> None:
@@ -71,6 +72,7 @@ class WatchControl(QObject):
     def _tell(self, report: WatchReport | None) -> None:
         if report is None:
             return
+        self._context.worker.set_cameras_moved(report.verdict == "camera" and report.state == "told")
         if report.state == "withdrawn":
             self._context.messages.clear(_KEY)
         else:

@@ -42,6 +42,8 @@ class PatchFinder:
         self._pipeline: ContactPipeline | None = None
         self._untouched: SensorFrame | None = None
         self._frame: SensorFrame | None = None
+        #: Whether a check for drift found that a camera has moved.
+        self.cameras_moved = False
         #: Milliseconds of recent frames; not of the first, for which tables are made.
         self.times_ms: deque[float] = deque(maxlen=TIMED_FRAMES)
 
@@ -60,6 +62,7 @@ class PatchFinder:
                 self._pipeline.update(preset)
                 kept = False
             self.warnings = tuple(self._pipeline.warnings)
+            self._pipeline.cameras_moved = self.cameras_moved
             self.patch, self.problem = self._pipeline.process(frame), ""
         except TactuneError as error:
             self._pipeline, self.patch, self.problem, self.warnings = None, None, str(error), ()
@@ -85,6 +88,9 @@ class FrameProcessor:
         self._others: list[PatchFinder] = []
         self._processed = 0
         self._counted_s, self._strip_s = -COUNTING_INTERVAL_S, -STRIP_INTERVAL_S
+
+    def set_cameras_moved(self, moved: bool) -> None:
+        self._present.cameras_moved = moved
 
     def forget(self) -> None:
         self._present, self._others = PatchFinder(self._missing), []

@@ -143,6 +143,10 @@ class Worker(QThread):
     def set_held(self, held: bool) -> None:
         self._orders.put(lambda: setattr(self._playback, "held", held))
 
+    def set_cameras_moved(self, moved: bool) -> None:
+        """Say in the doubt about patches that a check for drift found a moved camera, until another source is open."""
+        self._orders.put(lambda: self._processor.set_cameras_moved(moved))
+
     def set_option(self, camera: CameraRole, name: str, value: float) -> None:
         self._orders.put(lambda: self._set_option(camera, name, value))
 

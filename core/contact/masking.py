@@ -48,6 +48,7 @@ class Light:
 
     def __init__(self, image: Uint8Array, mask: MaskSection) -> None:
         self._mask = mask
+        self._last = image, image  # the newest image and what was made of it
         #: Share of the image that prints cover; nan without enough of them.
         self.share = masked_share(image, mask) if mask.enabled else 0.0
         if self.share < _MIN_SHARE:
@@ -62,6 +63,11 @@ class Light:
         """Return an image in the light of the untouched frame; the image itself if the light is about the same."""
         if math.isnan(self.share) or image.size == 0 or len(self._places) == 0:
             return image
+        if self._last[0] is not image:
+            self._last = image, self._relit(image)
+        return self._last[1]
+
+    def _relit(self, image: Uint8Array) -> Uint8Array:
         ratios = np.median(image.reshape(-1, 3)[self._places] / self._colors, axis=0)
         if not ((ratios > 0) & np.isfinite(ratios)).all() or (np.abs(ratios - 1) < _CHANGED).all():
             return image

@@ -58,6 +58,8 @@ class ContactPipeline:
     preset : Preset
         The current one; change it with `update`.
     untouched : SensorFrame or None
+    cameras_moved : bool
+        Whether a check for drift found that a camera has moved: the patches' doubt then says so. Set it at any time.
     warnings : list of str
         Sentences on differences between the preset's rig and this one.
     """
@@ -65,7 +67,7 @@ class ContactPipeline:
     def __init__(self, preset: Preset, rig: Rig, untouched: SensorFrame | None = None) -> None:
         if untouched is not None:
             untouched.check_against(rig)
-        self._recording_rig, self.untouched = rig, untouched
+        self._recording_rig, self.untouched, self.cameras_moved = rig, untouched, False
         self._start(preset, rig_in_use(preset, rig))
 
     def _start(self, preset: Preset, rig: Rig) -> None:
@@ -136,7 +138,7 @@ class ContactPipeline:
             frame = memory.averaged or frame
         found = test.find(frame, self.preset, due)
         due.finish()
-        doubt_of = Judge(test.pixels).doubts(frame, self.preset, found.membrane)
+        doubt_of = Judge(test.pixels, self.cameras_moved).doubts(frame, self.preset, found.membrane)
         if memory.patch is not None and not due.stale:
             return memory.patch.again(frame.sequence, due.ms, (UNCHANGED,), doubt_of)
         memory.patch = ContactPatch(

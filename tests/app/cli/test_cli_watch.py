@@ -1,5 +1,6 @@
 """``tactune run --watch``: the check for drift without a window."""
 
+import json
 import shlex
 
 import pytest
@@ -17,8 +18,10 @@ def moved(tmp_path_factory):
 
 
 def test_a_moved_camera_is_logged_once_with_its_number_and_the_re_check(tactune, moved):
-    finished = tactune("run", "--source", moved, "--watch")
+    finished = tactune("run", "--source", moved, "--watch", "--json")
     assert finished.status == 0
+    said = ["cameras moved" in json.loads(line)["doubt"] for line in finished.out.splitlines()]
+    assert not any(said[:4]) and said[-1]
     [line] = [line for line in finished.err.splitlines() if "moved" in line and "has moved" in line]
     assert "The tactile camera has moved by 2.0 mm" in line
     advised = tactune(*shlex.split(line.partition("Check with: tactune ")[2]))
