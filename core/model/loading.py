@@ -12,7 +12,6 @@ import os
 import stat
 import threading
 import zipfile
-import zlib
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -29,14 +28,9 @@ MAX_JSON_BYTES: Final = 12_000_000
 _MAX_PIXELS: Final = 2**24
 #: Limit of what an archive of arrays unpacks to, beyond 8 times its own size.
 _MAX_UNPACKED_BYTES: Final = 200_000_000
-_PNG_START: Final = b"\x89PNG\r\n\x1a\n"
-#: The parts of a PNG that hold its pixels, and the bits that each of its types of colour may have.
-_PNG_PARTS: Final = (b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND")
-_PNG_BITS: Final = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
-#: The mark at the end of a JPEG, behind which cameras may pad this many bytes.
-_JPEG_START: Final = b"\xff\xd8\xff"
-_JPEG_END: Final = b"\xff\xd9"
-_JPEG_PADDING: Final = 4096
+#: How PNG, JPEG and TIFF begin, and the modes of Pillow that need no conversion.
+_BY_PILLOW: Final = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"II*\0", b"MM\0*")
+_PLAIN_MODES: Final = ("L", "I;16", "I;16B", "I", "F", "RGB", "RGBA")
 
 #: CPython 3.11 fails if two threads parse literals at the same time, as NumPy does for the header of each array.
 _parsing = threading.Lock()
@@ -122,59 +116,46 @@ def _load(data: bytes) -> Any:
 
 
 def decode_image(data: bytes, *, gray: bool = False) -> AnyArray:
-    """Return a PNG, JPEG or BMP image as OpenCV does: shape (rows, columns) or (rows, columns, channels), BGR.
+    """Return a PNG, JPEG, TIFF, BMP or PGM image: shape (rows, columns) or (rows, columns, channels), BGR.
 
     `ValueError` if it is none of these, is damaged, or claims far more pixels than its bytes can hold.
     """
     import cv2  # on demand: presets and patches need no images
 
-    # OpenCV's libraries would complain on the terminal, and return something
-    if data.startswith(_PNG_START):
-        image_size(data)
-        data = _pixels_of_png(data)
-    elif data.startswith(_JPEG_START) and _JPEG_END not in data[-_JPEG_PADDING:]:
-        raise ValueError("it is cut off")
-    image = None
-    with suppress(cv2.error):
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE if gray else cv2.IMREAD_UNCHANGED)
-    if image is None:
-        raise ValueError("it is no image, or damaged")
-    return np.asarray(image)
+    if not data.startswith(_BY_PILLOW):
+        image = None
+        with suppress(cv2.error):
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE if gray else cv2.IMREAD_UNCHANGED)
+        if image is None:
+            raise ValueError("it is no image, or damaged")
+        return np.asarray(image)
+    pixels = _pillow_pixels(data)
+    if pixels.ndim == 2:
+        return (pixels >> 8).astype(np.uint8) if gray and pixels.dtype == np.uint16 else pixels
+    if gray:
+        return np.asarray(cv2.cvtColor(pixels[..., :3], cv2.COLOR_RGB2GRAY))
+    return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR if pixels.shape[2] == 3 else cv2.COLOR_RGBA2BGRA))
 
 
-def image_size(data: bytes) -> tuple[int, int]:
-    """Return width and height of an image, of a PNG as its header claims them; `ValueError` as `decode_image`."""
-    if not data.startswith(_PNG_START):
-        height, width = decode_image(data, gray=True).shape
-        return width, height
-    width, height = (int.from_bytes(data[at : at + 4]) for at in (16, 20))
-    if not 0 < width * height <= _MAX_PIXELS + 8 * len(data):
-        raise ValueError(f"it claims {width} x {height} pixels in {len(data)} bytes")
-    return width, height
+def _pillow_pixels(data: bytes) -> AnyArray:
+    """Return an image, RGB or RGBA if it has colour. For damage, OpenCV's libraries would write to the terminal."""
+    from PIL import Image
 
-
-def _pixels_of_png(png: bytes) -> bytes:
-    """Return a PNG without profiles, times and notes; `ValueError` if it is cut off or its header cannot be."""
-    parts, at, view = [_PNG_START], len(_PNG_START), memoryview(png)
-    names: list[bytes] = []
-    while not names or names[-1] != b"IEND":
-        end = at + 8 + int.from_bytes(view[at : at + 4])
-        name = png[at + 4 : at + 8]
-        if end + 4 > len(png) or zlib.crc32(view[at + 4 : end]) != int.from_bytes(view[end : end + 4]):
-            raise ValueError("its checksums are wrong")
-        if name in _PNG_PARTS:
-            names.append(name)
-            parts.append(png[at : end + 4])
-        elif name[:1].isupper():
-            raise ValueError(f"its part {foreign(name.decode('latin1'))} is unknown")
-        at = end + 4
-    bits, color = png[24:26]
-    before = names[: names.index(b"IDAT")] if b"IDAT" in names else []
-    if before[:1] != [b"IHDR"] or names.count(b"IHDR") > 1 or bits not in _PNG_BITS.get(color, ()):
-        raise ValueError("its header is damaged")
-    if color == 3 and b"PLTE" not in before:
-        raise ValueError("its palette is missing")
-    return b"".join(parts)
+    try:
+        with Image.open(io.BytesIO(data)) as image:
+            width, height = image.size
+            if width * height > _MAX_PIXELS + 8 * len(data):
+                raise ValueError(f"it claims {width} x {height} pixels in {len(data)} bytes")
+            if image.mode == "1":
+                return np.asarray(image.convert("L"))
+            if image.mode not in _PLAIN_MODES:
+                has_alpha = image.mode.lower().endswith("a") or "transparency" in image.info
+                return np.asarray(image.convert("RGBA" if has_alpha else "RGB"))
+            pixels = np.asarray(image)
+            return np.asarray(pixels, pixels.dtype.newbyteorder("="))
+    except Exception as error:  # Pillow raises a dozen kinds
+        sized = isinstance(error, ValueError) and str(error).startswith("it claims")
+        raise ValueError(str(error) if sized else "it is damaged") from error
 
 
 _ARRAYS = ("proximity_depth", "tactile_depth", "proximity_color", "tactile_color")
