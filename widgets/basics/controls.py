@@ -78,6 +78,16 @@ def action_button(action: QAction) -> QToolButton:
     return button
 
 
+def text_button(action: QAction) -> QToolButton:
+    """Return a button with icon and text of an action; a shorter text later does not make it narrower."""
+    button = QToolButton()
+    button.setDefaultAction(action)
+    button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
+    button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+    button.setMinimumWidth(button.sizeHint().width())
+    return button
+
+
 class FoldButton(QToolButton):
     """The button above something that folds: an arrow and a title over the whole width."""
 

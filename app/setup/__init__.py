@@ -1,0 +1,1 @@
+"""Setting up a rig: cameras or a recording, untouched frame, alignment, noise."""
