@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -31,7 +30,6 @@ from .frames_page import FramesPage
 from .keeping import Keeper
 from .points_page import PointsPage
 from .quality_page import QualityPage
-from .recheck_window import RecheckWindow
 from .session import Session, SessionState
 from .snapshots import Collector
 
@@ -397,14 +395,13 @@ _NO_FRAME = "There is no frame to calibrate on yet: open a source first."
 
 
 class CalibrationLauncher(QObject):
-    """Opens at most one wizard and one re-check window, and passes frames to them."""
+    """Opens at most one wizard, and passes frames to it."""
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._context = context
         self._feed: FrameFeed | None = None
         self.wizard: CalibrationWizard | None = None
-        self.recheck: RecheckWindow | None = None
         context.frameShown.connect(self._frame_shown)
 
     def open_wizard(self) -> None:
@@ -426,33 +423,13 @@ class CalibrationLauncher(QObject):
             self.wizard.finished.connect(self._wizard_closed)
         bring_up(self.wizard)
 
-    def open_recheck(self) -> None:
-        context = self._context
-        if context.result is None:
-            context.messages.show_message("calibration", Severity.WARNING, _NO_FRAME, subject=SOURCE)
-            return
-        if self.recheck is None:
-            self.recheck = RecheckWindow(context.window)
-            self.recheck.again.clicked.connect(self._check)
-            self.recheck.calibrate.clicked.connect(self.open_wizard)
-        self.recheck.show()
-        self.recheck.raise_()
-        self._check()
-
     def close(self) -> None:
-        for opened in (self.wizard, self.recheck):
-            if opened is not None:
-                opened.close()
+        if self.wizard is not None:
+            self.wizard.close()
 
     def _frame_shown(self) -> None:
         if self._feed is not None and self._context.result is not None:
             self._feed.show_result(self._context.result)
-
-    def _check(self) -> None:
-        document, result = self._context.document, self._context.result
-        if self.recheck is not None and result is not None:
-            frame = replace(result.frame, sequence=result.frame_number)  # errors name frames by their numbers
-            self.recheck.check(document.preset, result.source.rig, frame, document.untouched_home)
 
     def _wizard_closed(self) -> None:
         if self.wizard is not None:

@@ -1,4 +1,4 @@
-"""The commands ``tactune calibrate``, ``tactune recheck`` and ``tactune preset create-rig``."""
+"""The commands ``tactune calibrate``, ``tactune check`` and ``tactune preset create-rig``."""
 
 from __future__ import annotations
 
@@ -9,17 +9,19 @@ from typing import Annotated, Literal
 
 import typer
 
-from ...core.errors import CalibrationError, FrameError
+from ...core.errors import CalibrationError
 from .common import (
+    PresetOption,
     UntouchedSource,
     average_frames,
+    chosen_preset,
     find_rig,
     open_with_progress,
     say,
     warn,
 )
 
-#: Exit status of ``recheck`` after a drift.
+#: Exit status of ``check`` after a drift.
 DRIFTED_STATUS = 1
 _LENS_HELP = (
     "Lens of the {} camera, perhaps with its model: [MODEL=]FILE of ROS, Kalibr (FILE:cam0) or OpenCV, or K.txt, "
@@ -67,45 +69,31 @@ def calibrate(
         say(report.words() + ("" if out is None else f"\nwrote {out}"))
 
 
-def recheck(
+def check(
     *,
     source: UntouchedSource,
-    preset: Annotated[str, typer.Option("--preset", "-p", metavar="FILE|NAME", help="The preset to check.")],
+    preset: PresetOption = None,
 ) -> None:
     """Check whether the cameras have moved or the membrane's inflation has changed since the preset was made.
 
-    The alignment is compared with both colour images, the membrane with the preset's untouched frame. Exit status 0
-    if every check that could be made passes, 1 after a drift, 2 if nothing could be checked or the untouched frame that
-    the preset names is missing. A warning names each check that could not be made. The simulator removes its object for
-    this.
+    For a robot's start. The alignment is compared with both colour images, the membrane with the preset's untouched
+    frame. Prints one line. Exit status: 0 if all that could be checked is still good; 1 after a drift; 2 if nothing
+    could be checked, something touches the membrane, or the preset's untouched frame is missing. A warning names what
+    was not checked. The simulator removes its object for this.
     """
-    from ...core.calibration.recheck import recheck as recheck_alignment
-    from ...core.rig.drift import compare_with_untouched
+    from ...core.rig.check import check_rig
     from ...core.rig.untouched import load_untouched
-    from ...core.sources.presets import load_preset
 
-    checked = load_preset(preset)
-    untouched = None if checked.untouched is None else load_untouched(checked.untouched, Path(preset))
+    checked, origin = chosen_preset(preset, source)
+    if checked.untouched is not None:
+        load_untouched(checked.untouched, Path(origin))  # if it is missing, before the source is opened
     with open_with_progress(source, checked) as opened:
-        now, rig = average_frames(opened).frame, opened.rig
-    found: dict[str, bool] = {}  # whether all is well, by the sentence that says so
-    try:
-        drift = recheck_alignment(checked, rig, now)
-        found[drift.sentence] = not drift.recalibrate
-    except CalibrationError as error:
-        warn(f"the alignment was not checked: {error}")
-    if untouched is None:
-        warn(f"the membrane was not checked: {preset} has no untouched frame; see tactune preset capture-untouched")
-    else:
-        try:
-            membrane = compare_with_untouched(checked, rig, now, untouched)
-            found[membrane.sentence] = membrane.verdict == "fine"
-        except (CalibrationError, FrameError) as error:
-            warn(f"the membrane was not checked: {error}")
-    if not found:
-        raise CalibrationError(f"nothing of {preset} could be checked on {opened.name}; see the warnings above")
-    say("\n".join(found))
-    if not all(found.values()):
+        found = check_rig(checked, Path(origin), opened.rig, average_frames(opened).frame)
+    if found.state == "unknown":
+        raise CalibrationError(found.sentence)
+    warn(*found.unchecked)
+    say(found.sentence)
+    if found.state == "drifted":
         raise typer.Exit(DRIFTED_STATUS)
 
 

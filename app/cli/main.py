@@ -17,7 +17,7 @@ import typer
 from typer.core import TyperGroup
 
 from ...core.errors import MissingExtraError, TactuneError, foreign
-from .calibrate import calibrate, create_rig, recheck
+from .calibrate import calibrate, check, create_rig
 from .common import SOURCE, PresetOption, SourceOption, default_preset, say, warn
 from .doctor import devices, doctor, warmup
 from .lab import lab_commands
@@ -25,7 +25,7 @@ from .preset import preset_commands
 from .record import convert, record
 from .run import run
 from .serve import serve
-from .suggest import check, suggest
+from .suggest import findings, suggest
 from .track import track
 from .tune import tune
 
@@ -34,7 +34,7 @@ USAGE_STATUS = 2
 #: The commands as the help lists them.
 GROUPS = {
     "Every day": ("gui", "run", "calibrate", "record", "convert", "devices", "doctor"),
-    "Robot": ("serve", "track", "recheck", "warmup", "preset"),
+    "Robot": ("serve", "track", "check", "warmup", "preset"),
     "Lab": ("tune", "lab"),
 }
 
@@ -70,11 +70,11 @@ commands.command(short_help="List the connected cameras.")(devices)
 commands.command(short_help="Check this computer: packages, camera driver, USB, Qt, memory.")(doctor)
 commands.command(short_help="Publish contact patches live for Foxglove and ROS 2.")(serve)
 commands.command(short_help="Track the pose of a known object by its contact patches.")(track)
-commands.command(short_help="Check whether the cameras or the membrane have changed.")(recheck)
+commands.command(short_help="Check whether the cameras or the membrane have changed.")(check)
 commands.command(short_help="Compile in advance, so that a robot's first frame is fast.")(warmup)
 commands.command(short_help="Search for preset values with the best error and run time.")(tune)
 preset_commands.command(short_help="Suggest values, with the evidence for each.")(suggest)
-preset_commands.command(short_help="Say what is wrong with a preset on a frame.")(check)
+preset_commands.command(short_help="Say what is wrong with a preset on a frame.")(findings)
 preset_commands.command("create-rig", short_help="Write the rig.json of a folder of images.")(create_rig)
 commands.command("create-rig", hidden=True)(create_rig)  # the name by which scripts know it
 commands.add_typer(preset_commands, name="preset", short_help="Make, show, check and improve presets and rigs.")

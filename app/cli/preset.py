@@ -113,7 +113,7 @@ def capture_untouched(
 ) -> None:
     """Average frames of the untouched membrane and store them with a preset.
 
-    Some methods and ``tactune recheck`` compare with it. It is a file beside the preset. Frames in which the preset
+    Some methods and ``tactune check`` compare with it. It is a file beside the preset. Frames in which the preset
     finds contact are refused. The simulator removes its object for this.
     """
     from ...core.preset import now

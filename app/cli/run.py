@@ -273,7 +273,7 @@ def _drift_watch(watching: bool, pipeline: ContactPipeline, origin: str, source:
     found = find_untouched(pipeline.preset, origin, source)
     warn(*found.warnings)
     watch = Watch(pipeline.preset, source.rig, found.frame)
-    remedy = f" Check with: tactune recheck --preset {quote(origin)} --source {quote(source.name)}"
+    remedy = f" Check with: tactune check --preset {quote(origin)} --source {quote(source.name)}"
     running: Future[WatchReport | None] | None = None
 
     def look(frame: SensorFrame) -> None:

@@ -1,4 +1,4 @@
-"""The commands ``tactune preset suggest`` and ``check``: proposals for a preset, and what is wrong with it."""
+"""The commands ``tactune preset suggest`` and ``findings``: proposals for a preset, and what is wrong with it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from ...core.sources import FrameSource
     from ...core.tuning.advice.proposal import Finding
 
-#: Exit status of ``check`` if there are findings.
+#: Exit status of ``findings`` if there are findings.
 FOUND_STATUS = 1
 #: Number of frames up to the present one.
 _RECENT = 4
@@ -87,7 +87,7 @@ def suggest(
         say(f"wrote {out}")
 
 
-def check(
+def findings(
     *,
     source: SourceOption,
     preset: PresetOption = None,
@@ -108,20 +108,20 @@ def check(
         warn(*stored.warnings)
         unusable = unusable_test(chosen, opened.rig, stored.frame)
         if unusable is not None:
-            findings: tuple[Finding, ...] = (unusable,)
+            found: tuple[Finding, ...] = (unusable,)
         else:
             with CliProgress() as progress:
                 warm_up_if_needed(progress.preparing, chosen)
             pipeline, frames = ContactPipeline(chosen, opened.rig, stored.frame), _recent_frames(opened, frame)
             patches = [pipeline.process(each) for each in frames]
-            findings = Examiner(opened.rig).findings(frames[-1], patches[-1], chosen, stored.frame)
-    for finding in findings:
+            found = Examiner(opened.rig).findings(frames[-1], patches[-1], chosen, stored.frame)
+    for finding in found:
         say(f"{finding.field}: {finding.sentence}")
         if finding.proposal is not None:
             say("\n".join([f"  {finding.proposal.evidence}", *_as_options(finding.proposal.changes)]))
         elif finding.action == "measure_noise":
             say("  measure the rig: tactune preset measure-rig")
-    if not findings:
+    if not found:
         say("no findings")
     else:
         raise typer.Exit(FOUND_STATUS)

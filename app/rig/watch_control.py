@@ -1,32 +1,54 @@
-"""The check for drift while a live source runs: it tells what changed, and offers the re-check."""
+"""The check for drift: once when a source opens, then at intervals while it is live; and the window that shows it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 
 from PyQt6.QtCore import QObject
 from PyQt6.QtGui import QAction
 
-from ...core.rig.drift import INTERVAL_S, Watch, WatchReport
-from ...widgets.basics.messages import Severity
-from ..context import Context
+from ...core.calibration.recheck import Drift
+from ...core.errors import as_sentence
+from ...core.rig.check import RigCheck, check_alignment
+from ...core.rig.drift import LOOKS, Watch, WatchReport
+from ...widgets.basics.dialogs import bring_up
+from ...widgets.basics.messages import Offer, Severity
+from ..context import SOURCE, Context
 from ..worker.jobs import Job
+from .drift_window import DriftWindow
 from .untouched_window import UntouchedKeeper
 
 _KEY = "watch"
+_NO_FRAME = "There is no frame to check yet: open a source first."
 
 
 class WatchControl(QObject):
-    """Looks at one frame in ten seconds of a live source, on another thread, while its action is ticked."""
+    """Looks at single frames of the source on another thread, while its action is ticked.
 
-    def __init__(self, context: Context, keeper: UntouchedKeeper, action: QAction, recheck: Callable[[], None]) -> None:
+    The first looks follow each other quickly: the first one at which nothing touches the membrane says whether the rig
+    is still good. A recording gets these looks only.
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        keeper: UntouchedKeeper,
+        action: QAction,
+        calibrate: Callable[[], None],
+        capture: Callable[[], None],
+    ) -> None:
         super().__init__(context)
-        self._context, self._keeper, self._action, self._recheck = context, keeper, action, recheck
+        self._context, self._keeper, self._action = context, keeper, action
+        self._calibrate, self._capture = calibrate, capture
+        self.window: DriftWindow | None = None
+        #: What the first look at the untouched membrane found; None before it.
+        self.first: RigCheck | None = None
         self._watch: Callable[[], Watch] | None = None
         self._key: object = None
         self._next_s = float("-inf")
-        self._failed = False
+        self._looks, self._failed = 0, False
         self._job = Job(self)
         self._job.done.connect(self._tell)
         self._job.failed.connect(self._fail)
@@ -38,11 +60,31 @@ class WatchControl(QObject):
     def busy(self) -> bool:
         return self._job.busy
 
+    def open(self) -> None:
+        """Check the frame on the screen in a window of its own."""
+        context = self._context
+        if context.result is None:
+            context.messages.show_message("check", Severity.WARNING, _NO_FRAME, subject=SOURCE)
+            return
+        if self.window is None:
+            self.window = DriftWindow(context.window, self._calibrate, self._capture)
+            self.window.again.clicked.connect(self._check)
+        bring_up(self.window)
+        self._check()
+
     def close(self) -> None:
         self._job.stop()
+        if self.window is not None:
+            self.window.close()
+
+    def _check(self) -> None:
+        document, result = self._context.document, self._context.result
+        if self.window is not None and result is not None:
+            frame = replace(result.frame, sequence=result.frame_number)  # errors name frames by their numbers
+            self.window.check(document.preset, document.untouched_home, result.source.rig, frame)
 
     def _forget(self) -> None:
-        self._key = None
+        self._key = self.first = None
         self._job.stop()
         self._context.worker.set_cameras_moved(False)
         self._context.messages.clear(_KEY)
@@ -50,36 +92,58 @@ class WatchControl(QObject):
     def _look(self) -> None:
         """Look at the shown frame if that is due."""
         result, untouched = self._context.result, self._keeper.frame
-        if result is None or result.source.length is not None or not self._action.isChecked():
+        if result is None or untouched is None or not self._action.isChecked():
             return
-        if untouched is None or self._keeper.busy or self._job.busy:
+        if self._keeper.busy or self._job.busy:
             return
-        preset, rig = self._context.document.preset, result.source.rig
+        preset, rig, live = self._context.document.preset, result.source.rig, result.source.length is None
         # The other fields only decide what counts as touched; changing them must not forget earlier looks.
         key = (untouched, preset.alignment, result.source)
         if key != self._key:
             self._forget()
-            self._key, self._next_s, self._failed = key, float("-inf"), False
+            self._key, self._next_s, self._looks, self._failed = key, float("-inf"), 0, False
             self._watch = cache(lambda: Watch(preset, rig, untouched))  # made on the thread of the job
-        time_s = result.frame.proximity_time_s
-        if self._failed or self._next_s - INTERVAL_S <= time_s < self._next_s:
-            return
-        self._next_s = time_s + INTERVAL_S
-        watch, frame = self._watch, result.frame
+        frame, watch, first = result.frame, self._watch, self.first is None
+        time_s = frame.proximity_time_s
         assert watch is not None
-        self._job.start(lambda _: watch().look(frame, time_s))
+        if self._failed or (not live and (self._looks >= LOOKS or not first)):
+            return
+        if self._looks and not watch().due(time_s):
+            return
+        self._looks += 1
 
-    def _tell(self, report: WatchReport | None) -> None:
+        def look(_: object) -> tuple[WatchReport | None, RigCheck | None]:
+            report, membrane = watch().look(frame, time_s), watch().drift
+            if not first or membrane is None:
+                return report, None
+            return report, RigCheck(check_alignment(preset, rig, frame), membrane)
+
+        self._job.start(look)
+
+    def _tell(self, found: tuple[WatchReport | None, RigCheck | None]) -> None:
+        report, first = found
+        messages = self._context.messages
+        if first is not None:
+            self.first = first
+            if first.state == "good":
+                messages.show_message(_KEY, Severity.INFO, as_sentence(first.sentence), subject=SOURCE)
+            elif isinstance(first.alignment, Drift) and first.alignment.recalibrate:
+                self._warn(first.alignment.sentence, ("calibrate",))
         if report is None:
             return
         self._context.worker.set_cameras_moved(report.verdict == "camera" and report.state == "told")
         if report.state == "withdrawn":
-            self._context.messages.clear(_KEY)
+            messages.clear(_KEY)
         else:
-            result = self._context.result
-            two = result is not None and result.source.rig.has_proximity
-            offers = [("Re-check…", self._recheck)] if two else []
-            self._context.messages.show_message(_KEY, Severity.WARNING, report.sentence, offers)
+            self._warn(report.sentence, report.remedies)
+
+    def _warn(self, sentence: str, remedies: tuple[str, ...]) -> None:
+        mends: dict[str, Offer] = {
+            "calibrate": ("Calibrate…", self._calibrate),
+            "capture": ("Capture untouched frame…", self._capture),
+        }
+        offers = [("Show…", self.open), *(mends[remedy] for remedy in remedies)]
+        self._context.messages.show_message(_KEY, Severity.WARNING, sentence, offers)
 
     def _fail(self, sentence: str) -> None:
         self._failed = True  # the same untouched frame would fail again

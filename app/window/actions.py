@@ -117,7 +117,7 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
     ),
     "&Calibration": (
         Row("calibrate", "&Calibrate…", "Ctrl+K", "Align both cameras by clicked points", "crosshairs-gps"),
-        Row("recheck", "&Re-check calibration", "Ctrl+Shift+K", "Check the alignment on this frame"),
+        Row("check_drift", "Check for &drift…", "Ctrl+Shift+K", "Check alignment and membrane on this frame"),
         Row("watch_drift", "&Watch for drift", tip="Warn when a camera moved or the pressure changed", checked=True),
         Row("check_cameras", "C&heck cameras…", "F6", "Depth quality, noise, skew and bias of both cameras"),
         Row("measure_noise", "&Measure noise and bias…", tip="Measure both cameras' noise and bias, for the preset"),
@@ -141,7 +141,7 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
 
 
 #: What a rig with a tactile camera only does not have, and why.
-_OF_TWO_CAMERAS: Final = ("calibrate", "recheck", "show_proximity")
+_OF_TWO_CAMERAS: Final = ("calibrate", "show_proximity")
 ONE_CAMERA: Final = "This rig has a tactile camera only; this needs two cameras"
 
 

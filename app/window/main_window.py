@@ -119,7 +119,11 @@ class MainWindow(QMainWindow):
         self.checks = CameraChecks(self.context)
         self.untouched = UntouchedControls(self.context)
         self.watch = WatchControl(
-            self.context, self.untouched.keeper, self.actions_.watch_drift, self.calibration.open_recheck
+            self.context,
+            self.untouched.keeper,
+            self.actions_.watch_drift,
+            calibrate=self.calibration.open_wizard,
+            capture=self.untouched.open,
         )
         self.suggest = SuggestControl(self.context)
         shared = [getattr(self.actions_, name) for name in _SHARED_ACTIONS]
@@ -235,7 +239,7 @@ class MainWindow(QMainWindow):
         flows.connect_actions(actions)
         actions.export.triggered.connect(lambda _: self.export.ask())
         actions.calibrate.triggered.connect(self.calibration.open_wizard)
-        actions.recheck.triggered.connect(self.calibration.open_recheck)
+        actions.check_drift.triggered.connect(self.watch.open)
         actions.check_cameras.triggered.connect(self.checks.open)
         actions.measure_noise.triggered.connect(self.checks.open_noise)
         actions.findings.triggered.connect(self.findings.open)
@@ -317,7 +321,7 @@ class MainWindow(QMainWindow):
 
     def _enable_measuring(self, enabled: bool) -> None:
         actions = self.actions_
-        for action in (actions.record, actions.calibrate, actions.recheck, actions.suggest_all):
+        for action in (actions.record, actions.calibrate, actions.check_drift, actions.suggest_all):
             action.setEnabled(enabled)
         if not enabled:
             actions.export.setEnabled(False)  # enabled with the first frame

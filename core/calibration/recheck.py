@@ -66,7 +66,10 @@ def recheck(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
     drift = float(np.median(lengths))
     drift_mm = float(np.median(lengths * millimetres_per_pixel(points.tactile_depth_m, rig)))
     limit = max(RECALIBRATE_PX, record.quality.alignment_bound_95_px if record else 0.0)
-    measured = f"The alignment is off by {drift:.2f} px ({drift_mm:.2f} mm), median of {len(points)} places"
+    measured = (
+        f"The alignment is off by {drift:.2f} px ({drift_mm:.2f} mm){_way(offsets, drift)}, "
+        f"median of {len(points)} places"
+    )
     advice = f"calibrate again, {limit:.1f} px would still be good" if drift > limit else "no need to calibrate again"
     return Drift(
         drift_px=drift,
@@ -165,6 +168,14 @@ def _clicks(pair: PointPair) -> tuple[object, ...]:
 def _pose(section: AlignmentSection, rig: Rig) -> Alignment:
     """Return the pose of a preset or its rig, also where the preset aligns by a homography."""
     return Alignment.of_preset(section.model_copy(update={"model": "rigid"}), rig)
+
+
+def _way(offsets: Float64Array, drift: float) -> str:
+    """Return which way the offsets, (N, 2), point in the proximity image; empty where they do not agree."""
+    x, y = np.median(offsets, axis=0)
+    sides = [("right" if x > 0 else "left", abs(x)), ("down" if y > 0 else "up", abs(y))]
+    named = [name for name, part in sides if part > 0.4 * np.hypot(x, y)]
+    return f" to the {' and '.join(named)} in the proximity image" if np.hypot(x, y) > drift / 2 else ""
 
 
 def _offsets(points: PointArrays, alignment: Alignment, pose: Alignment, rig: Rig) -> Float64Array:

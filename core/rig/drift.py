@@ -29,11 +29,13 @@ from ..preset import Preset
 #: frame. Largest harmless shift of the texture, which is measured ten times as exactly.
 LIMIT_M: Final = 0.001
 SHIFT_LIMIT_M: Final = 0.0004
-#: Seconds from one look of a `Watch` to the next, and the looks that must agree.
+#: Seconds from one look of a `Watch` to the next, and between its first looks; and the looks that must agree.
 INTERVAL_S: Final = 10.0
+_FIRST_INTERVAL_S: Final = 1.0
 LOOKS: Final = 3
 
 Verdict = Literal["fine", "inflation", "camera", "touched"]
+Remedy = Literal["calibrate", "capture"]
 
 #: Touch: a residual that neither pressure nor pose explains, above this depth in more than this share of the membrane.
 _DENT_M, _DENT_SHARE = 0.003, 0.02
@@ -67,6 +69,11 @@ class MembraneDrift:
     verdict: Verdict
     sentence: str
 
+    @property
+    def largest_m(self) -> float:
+        """The largest of the motions and the change of inflation, metres."""
+        return max(*self.moved_m.values(), abs(self.inflation_m))
+
 
 def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouched: SensorFrame) -> MembraneDrift:
     """Compare the present membrane with the untouched frame; `CalibrationError` if too little is seen in both."""
@@ -87,30 +94,36 @@ def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouch
     plane = fitted[0] + fitted[1] * x + fitted[2] * y
     dented = float(np.mean(np.abs(change - plane - inflation_m * bulge) > _DENT_M))
 
-    planes_m = {"tactile": _rms(plane)}
-    shifts: dict[str, float | None] = {}
+    planes = {"tactile": plane}
+    shifts: dict[str, Float64Array | None] = {}
     if rig.has_proximity:
-        if (proximity_m := _proximity_moved(preset, rig, frame, untouched, inflation_m)) is not None:
-            planes_m["proximity"] = proximity_m
+        proximity = _proximity_plane(preset, rig, frame, untouched, inflation_m)
+        if proximity is not None:
+            planes["proximity"] = proximity
         shifts["proximity"] = _shift_px(untouched.proximity_color, frame.proximity_color)
     distance_m = float(np.median(before))
     metres_a_px = {"proximity": distance_m / color_lens(rig).fx, "tactile": distance_m / rig.tactile.intrinsics.fx}
     if untouched.tactile_color is not None and frame.tactile_color is not None:
         shifts["tactile"] = _shift_px(untouched.tactile_color, frame.tactile_color)
     shift_m = {
-        name: max(shift * metres_a_px[name] - _PRESSURE_SHIFT * abs(inflation_m), 0.0)
+        name: max(_rms(shift) * metres_a_px[name] - _PRESSURE_SHIFT * abs(inflation_m), 0.0)
         for name, shift in shifts.items()
         if shift is not None
     }
-    verdict, sentence = _judge(planes_m, shift_m, inflation_m, dented, rig.has_proximity)
+    planes_m = {name: _rms(seen) for name, seen in planes.items()}
+    ways = {
+        name: _way(planes.get(name), None if shift_m.get(name, 0.0) < planes_m.get(name, 0.0) else shifts.get(name))
+        for name in {**planes_m, **shift_m}
+    }
+    verdict, sentence = _judge(planes_m, shift_m, ways, inflation_m, dented, rig.has_proximity)
     moved_m = {name: max(planes_m.get(name, 0.0), shift_m.get(name, 0.0)) for name in {**planes_m, **shift_m}}
     return MembraneDrift(moved_m, shift_m, inflation_m, verdict, sentence)
 
 
-def _proximity_moved(
+def _proximity_plane(
     preset: Preset, rig: Rig, frame: SensorFrame, untouched: SensorFrame, inflation_m: float
-) -> float | None:
-    """Return the RMS of the planar change where the proximity camera sees the membrane, less inflation that shows."""
+) -> Float64Array | None:
+    """Return the planar change where the proximity camera sees the membrane, less inflation that shows."""
     height, width = rig.proximity.intrinsics.shape
     aligned = make_alignment(preset.alignment, rig).align(
         untouched.proximity_depth, untouched.tactile_depth, Region(0, 0, width, height)
@@ -128,7 +141,7 @@ def _proximity_moved(
     bulge = (before - rim) / (apex - rim) if inflation_m else np.zeros_like(before)
     # A tactile camera that moved along its axis looks like inflation, too: the smaller of both motions counts.
     columns = np.column_stack([np.ones_like(x), x, y])
-    return min(_rms(columns @ _fit(of_camera, columns)) for of_camera in (change - inflation_m * bulge, change))
+    return min((columns @ _fit(of_camera, columns) for of_camera in (change - inflation_m * bulge, change)), key=_rms)
 
 
 def _changes(
@@ -153,12 +166,26 @@ def _fit(change: Float64Array, columns: Float64Array) -> Float64Array:
     return fitted
 
 
-def _rms(plane: Float64Array) -> float:
-    return float(np.sqrt(np.mean(plane**2)))
+def _rms(change: Float64Array) -> float:
+    """Return the root mean square of numbers, (M,), or of the lengths of vectors, (M, 2)."""
+    return float(np.sqrt(np.sum(change**2) / len(change)))
 
 
-def _shift_px(before: Uint8Array, now: Uint8Array) -> float | None:
-    """Return the RMS shift of the texture by a similarity that most of it follows, pixels; None without enough."""
+def _way(plane: Float64Array | None, shift: Float64Array | None) -> str:
+    """Return which way a camera moved, from its image's shift, (M, 2), or else from the depth's planar change, (M,)."""
+    if shift is not None:
+        x, y = shift.mean(axis=0)
+        length = float(np.hypot(x, y))
+        sides = [("left" if x > 0 else "right", abs(x)), ("up" if y > 0 else "down", abs(y))]
+        named = [name for name, part in sides if part > 0.4 * length]  # the image moves against the camera
+        return f" to the {' and '.join(named)} of its image" if length > _rms(shift) / 2 else ", turned about its axis,"
+    assert plane is not None
+    mean = float(plane.mean())
+    return f" {'away from' if mean > 0 else 'towards'} the membrane" if abs(mean) > _rms(plane) / 2 else ", turned,"
+
+
+def _shift_px(before: Uint8Array, now: Uint8Array) -> Float64Array | None:
+    """Return the shifts of the texture by a similarity that most of it follows, pixels, (M, 2); None without enough."""
     first, second = _local_contrast(before), _local_contrast(now)
     corners = cv2.goodFeaturesToTrack(first, _MAX_PLACES, 0.05, _APART_PX, blockSize=_WINDOW_PX)
     if corners is None or len(corners) < _MIN_PLACES:
@@ -174,7 +201,7 @@ def _shift_px(before: Uint8Array, now: Uint8Array) -> float | None:
     if similarity is None or inliers.sum() < max(_MIN_PLACES, len(before_px) / 2):
         return None
     moved = before_px @ similarity[:, :2].T + similarity[:, 2] - before_px
-    return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
+    return np.asarray(moved, np.float64)
 
 
 def _tracked(first: Uint8Array, second: Uint8Array, places: Float32Array) -> tuple[Float32Array, BoolArray]:
@@ -191,7 +218,12 @@ def _local_contrast(color: Uint8Array) -> Uint8Array:
 
 
 def _judge(
-    planes_m: dict[str, float], shift_m: dict[str, float], inflation_m: float, dented: float, two_cameras: bool
+    planes_m: dict[str, float],
+    shift_m: dict[str, float],
+    ways: dict[str, str],
+    inflation_m: float,
+    dented: float,
+    two_cameras: bool,
 ) -> tuple[Verdict, str]:
     if dented > _DENT_SHARE and shift_m.get("tactile", 0.0) < _FAR_M:
         return "touched", (
@@ -204,10 +236,10 @@ def _judge(
         if plane_m > LIMIT_M or texture_m > SHIFT_LIMIT_M:
             moved[name] = max(plane_m, texture_m)
     if moved:
-        by = " and ".join(f"{1e3 * metres:.1f} mm" for metres in moved.values())
+        by = " and ".join(f"{1e3 * metres:.1f} mm{ways[name]}" for name, metres in moved.items())
         cameras = f"The {next(iter(moved))} camera has" if len(moved) == 1 else "Both cameras have"
         return "camera", (
-            f"{cameras} moved by {by}, or drifted with temperature; "
+            f"{cameras} moved by {by} or drifted with temperature; "
             f"{'calibrate again, then ' if two_cameras else ''}capture the untouched frame again."
         )
     if abs(inflation_m) > LIMIT_M:
@@ -230,6 +262,7 @@ class WatchReport:
     state: Literal["told", "withdrawn"]
     time_s: float
     sentence: str
+    remedies: tuple[Remedy, ...]
 
 
 class Watch:
@@ -244,7 +277,7 @@ class Watch:
         self._pipeline = ContactPipeline(preset.with_value("membrane.frames", 1), rig, untouched)
         self._area_mm2 = self._pipeline.process(untouched).area_mm2
         self._verdicts: list[Verdict] = []
-        self._next_s = -np.inf
+        self._next_s, self._looks = -np.inf, 0
         #: The change that has been told and not withdrawn; "fine" if there is none.
         self.told: Verdict = "fine"
         #: What the newest look measured; None while something touches.
@@ -256,7 +289,8 @@ class Watch:
 
     def look(self, frame: SensorFrame, time_s: float) -> WatchReport | None:
         """Measure one frame, taken at ``time_s`` by any clock, and return what it decides."""
-        self._next_s = time_s + INTERVAL_S
+        self._looks += 1
+        self._next_s = time_s + (INTERVAL_S if self._looks > LOOKS else _FIRST_INTERVAL_S)
         frame.check_against(self._rig)
         self.drift = None
         try:
@@ -272,5 +306,7 @@ class Watch:
             return None
         before, self.told = self.told, drift.verdict
         if drift.verdict == "fine":
-            return WatchReport(before, "withdrawn", time_s, drift.sentence)
-        return WatchReport(drift.verdict, "told", time_s, drift.sentence)
+            return WatchReport(before, "withdrawn", time_s, drift.sentence, ())
+        realign = drift.verdict == "camera" and self._rig.has_proximity
+        remedies: tuple[Remedy, ...] = ("calibrate", "capture") if realign else ("capture",)
+        return WatchReport(drift.verdict, "told", time_s, drift.sentence, remedies)

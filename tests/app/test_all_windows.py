@@ -36,7 +36,7 @@ from tactune.widgets.basics.controls import ElidedLabel
 SMALL = QSize(1008, 660)
 ACTIONS = (
     "calibrate",
-    "recheck",
+    "check_drift",
     "check_cameras",
     "findings",
     "open_source",

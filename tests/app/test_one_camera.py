@@ -67,7 +67,7 @@ def test_views_and_actions_of_two_cameras_go_and_come_back(window, qtbot, untouc
     assert not window.views.views[CloudName.PROXIMITY].isVisible()
     assert [name for name, pane in strip.panes.items() if pane.isVisible()] == ["color", "tactile"]
     assert not window.panel.sections["alignment"].isVisible()
-    for action in (actions.calibrate, actions.recheck, actions.show_proximity):
+    for action in (actions.calibrate, actions.show_proximity):
         assert not action.isEnabled()
         assert "tactile camera only" in action.toolTip()
 
@@ -80,7 +80,7 @@ def test_views_and_actions_of_two_cameras_go_and_come_back(window, qtbot, untouc
     assert window.views.views[CloudName.PROXIMITY].isVisible()
     assert all(pane.isVisible() for pane in strip.panes.values())
     assert window.panel.sections["alignment"].isVisible()
-    for action in (actions.calibrate, actions.recheck, actions.show_proximity):
+    for action in (actions.calibrate, actions.show_proximity):
         assert action.isEnabled()
         assert "tactile camera only" not in action.toolTip()
 

@@ -1,13 +1,15 @@
-"""The check for drift in the window: one message with its number for a live source, and the re-check one click away."""
+"""The check for drift in the window: one message with its number, and what mends it one click away."""
 
 from dataclasses import replace
 
 import pytest
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QPushButton
 
 from drifted import Drift
 from drifting import AVERAGED, drifted, untouched
 from fakes import FakeCameras
-from hands import press, show_source
+from hands import LEFT, press, show_source
 from tactune.core.preset.file import save_preset
 from tactune.core.rig.drift import LOOKS
 from tactune.core.rig.untouched import save_untouched
@@ -71,19 +73,35 @@ def look(qtbot, window, cameras, count):
     qtbot.waitUntil(lambda: not window.watch.busy, timeout=60_000)
 
 
-def test_a_moved_camera_is_told_and_the_button_opens_the_re_check(window, moving, qtbot):
-    look(qtbot, window, moving, 3)
-    assert window.messages.message(KEY) is None
+def test_a_moved_camera_is_told_and_its_buttons_mend_and_show_it(window, moving, qtbot):
+    look(qtbot, window, moving, 1)
+    assert window.watch.first.state == "good"
+    note = window.messages.message(KEY).sentence
+    assert "Still good" in note and " px, membrane moved by " in note
+    look(qtbot, window, moving, 2)
     moving.move()
     look(qtbot, window, moving, LOOKS - 1)
-    assert window.messages.message(KEY) is None
+    assert window.messages.message(KEY).sentence == note
     look(qtbot, window, moving, 1)
     message = window.messages.message(KEY)
     assert "The tactile camera has moved by 2.0 mm" in message.sentence
-    press(message, "Re-check…")
+    assert {"Calibrate…", "Capture untouched frame…"} <= {button.text() for button in message.findChildren(QPushButton)}
+    press(message, "Show…")
     assert window.messages.message(KEY) is None
-    qtbot.waitUntil(lambda: window.calibration.recheck is not None and window.calibration.recheck.isVisible())
-    window.calibration.recheck.close()
+    shown = window.watch.window
+    qtbot.waitUntil(lambda: shown.isVisible() and shown.found is not None and shown.found.state == "drifted")
+    assert "The tactile camera has moved" in shown.sentence.text()
+    QTest.mouseClick(shown.calibrate, LEFT)
+    qtbot.waitUntil(lambda: window.calibration.wizard is not None)
+    window.calibration.wizard.close()
+    shown.close()
+
+
+def test_a_camera_that_moved_overnight_is_told_after_the_first_looks(window, moving, qtbot):
+    moving.move()
+    look(qtbot, window, moving, LOOKS)
+    assert window.watch.first.state == "drifted"
+    assert "The tactile camera has moved by 2.0 mm" in window.messages.message(KEY).sentence
 
 
 def test_it_is_switched_off_and_stays_off(window, moving, make_window, qtbot):

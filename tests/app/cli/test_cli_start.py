@@ -38,7 +38,7 @@ def test_the_tab_key_completes_commands():
     done = subprocess.run(
         [sys.executable, "-m", "tactune.app"], capture_output=True, text=True, env=os.environ | words, check=False
     )
-    assert done.stdout.split() == ["record", "recheck"]
+    assert done.stdout.split() == ["record"]
 
 
 def test_help_imports_nothing_heavy():

@@ -1,4 +1,4 @@
-"""``tactune preset capture-untouched``, the users of the untouched frame, and ``tactune recheck``."""
+"""``tactune preset capture-untouched``, the users of the untouched frame, and ``tactune check``."""
 
 from datetime import UTC, datetime
 
@@ -57,11 +57,19 @@ def test_a_touched_membrane_is_no_untouched_frame_where_the_mask_hides_the_print
     assert load_preset(mine).untouched is not None
 
 
-def test_recheck_says_that_all_holds_or_ends_with_1_after_a_drift(tactune, recording, captured):
-    finished = tactune("recheck", "--source", recording, "--preset", captured)
-    assert finished.status == 0
-    assert "alignment was not checked" in finished.err, "the recording has no tactile colour"
-    assert len(finished.out.splitlines()) == 1
+def test_check_is_one_line_and_a_status(tactune, recording, captured):
+    words = ("check", "--source", recording, "--preset", captured)
+    good = tactune(*words)
+    assert good.status == 0
+    assert "alignment was not checked" in good.err, "the recording has no tactile colour"
+    assert good.out.splitlines() == ["still good: membrane moved by 0.0 mm"]
     set_tactile_depth(recording, 3025)
-    moved = tactune("recheck", "--source", recording, "--preset", captured)
-    assert moved.status == 1 and "The tactile camera has moved" in moved.out
+    moved = tactune(*words)
+    assert moved.status == 1 and len(moved.out.splitlines()) == 1
+    assert "The tactile camera has moved by 2.5 mm away from the membrane" in moved.out
+    (captured.parent / load_preset(captured).untouched.file).unlink()
+    assert tactune(*words).status == 2
+
+
+def test_check_knows_nothing_of_a_membrane_without_an_untouched_frame(tactune, recording, mine):
+    assert "no untouched frame" in tactune("check", "--source", recording, "--preset", mine).sentence

@@ -97,15 +97,15 @@ def test_without_a_source_the_window_says_so(qtbot, make_window):
     assert window.messages.message("untouched") is not None
 
 
-def test_the_recheck_compares_the_membrane_with_the_untouched_frame(qtbot, window):
+def test_the_check_for_drift_compares_the_membrane_with_the_untouched_frame(qtbot, window):
     capture(qtbot, window).close()
     qtbot.waitUntil(lambda: at_rest(window, 3))
-    window.actions_.recheck.trigger()
-    check = window.calibration.recheck
-    qtbot.waitUntil(lambda: "is as in the untouched frame" in check.membrane.text())
+    window.actions_.check_drift.trigger()
+    check = window.watch.window
+    qtbot.waitUntil(lambda: check.found is not None and check.found.state == "good")
     window.document.undo_stack.undo()
     QTest.mouseClick(check.again, LEFT)
-    qtbot.waitUntil(lambda: "has no untouched frame" in check.membrane.text())
+    qtbot.waitUntil(lambda: "has no untouched frame" in check.sentence.text())
 
 
 def test_the_simulator_takes_its_object_away(qtbot, make_window):
