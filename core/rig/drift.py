@@ -290,7 +290,7 @@ class Watch:
     def look(self, frame: SensorFrame, time_s: float) -> WatchReport | None:
         """Measure one frame, taken at ``time_s`` by any clock, and return what it decides."""
         self._looks += 1
-        self._next_s = time_s + (INTERVAL_S if self._looks > LOOKS else _FIRST_INTERVAL_S)
+        self._next_s = time_s + (INTERVAL_S if self._looks >= LOOKS else _FIRST_INTERVAL_S)
         frame.check_against(self._rig)
         self.drift = None
         try:

@@ -97,9 +97,12 @@ def test_a_moved_camera_is_told_and_its_buttons_mend_and_show_it(window, moving,
     shown.close()
 
 
-def test_a_camera_that_moved_overnight_is_told_after_the_first_looks(window, moving, qtbot):
-    moving.move()
-    look(qtbot, window, moving, LOOKS)
+def test_a_camera_that_moved_overnight_is_told_after_the_first_looks(window, qtbot):
+    cameras = MovedCameras()
+    cameras.move()
+    cameras.release()
+    show_source(qtbot, window, cameras)
+    look(qtbot, window, cameras, LOOKS)
     assert window.watch.first.state == "drifted"
     assert "The tactile camera has moved by 2.0 mm" in window.messages.message(KEY).sentence
 
