@@ -20,7 +20,6 @@ from PIL import Image
 from PyQt6.QtCore import QBuffer, QIODevice, Qt
 from PyQt6.QtWidgets import QWidget
 
-from tactune.app.analysis.compare_tab import CompareTab
 from tactune.app.calibration.wizard import CalibrationWizard
 from tactune.app.gui import make_application
 from tactune.app.settings import Settings
@@ -174,20 +173,6 @@ def quality() -> None:
         save(wizard, "quality")
 
 
-def compare() -> None:
-    """The patches of all methods beside the truth."""
-    with opened() as window:
-        window.analysis.open("compare")
-        analysis = window.analysis.window
-        assert analysis is not None
-        analysis.resize(1280, 860)
-        tab = analysis.findChild(CompareTab)
-        assert tab is not None
-        wait(lambda: tab.rows, "comparison")
-        settle(2.0)
-        save(analysis, "compare")
-
-
 PICTURES: dict[str, Callable[[], None]] = {
     "window": window,
     "mask": mask,
@@ -196,7 +181,6 @@ PICTURES: dict[str, Callable[[], None]] = {
     "suggestions": suggestions,
     "wizard-points": wizard_points,
     "quality": quality,
-    "compare": compare,
 }
 
 

@@ -1,1 +1,1 @@
-"""The window that judges contact patches: methods side by side, ground truth, strain."""
+"""The window that judges contact patches: tilt, pose, search."""

@@ -10,12 +10,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from PyQt6.QtGui import QImage
 from PyQt6.QtWidgets import QHBoxLayout, QVBoxLayout, QWidget
 
-from ...core.errors import ExportError, TactuneError, as_sentence, counted
+from ...core.errors import as_sentence, counted
 from ...core.model.files import atomic_path
-from ...core.rig.untouched import FoundUntouched
 from ...widgets.basics.controls import ElidedLabel, push_button
 from ...widgets.basics.layouts import hbox, vbox
 from ...widgets.basics.messages import Messages, Severity
@@ -53,10 +51,6 @@ class TabKind:
 
 
 WAITING: Final = "Waiting for a frame: open a source in the main window."
-NO_UNTOUCHED: Final = (
-    "Needs an untouched frame, which this source does not have. "
-    "Capture it while nothing touches the membrane: Ctrl+Shift+R"
-)
 #: Rows of the newest frames that are kept: an hour at 30 frames/s.
 _MAX_ROWS: Final = 108_000
 
@@ -80,7 +74,6 @@ class LiveTab(AnalysisTab):
         #: The rows of the source's frames by frame number, the newest last.
         self.rows: dict[int, Row] = {}
         self.rate = RateMeter()
-        self._untouched: tuple[object, FoundUntouched] | None = None
         self.job, self._writing = Job(self), Job(self)
         self.job.done.connect(self._done)
         self.job.failed.connect(partial(self._complain, "work"))
@@ -114,10 +107,6 @@ class LiveTab(AnalysisTab):
     def rows_changed(self) -> None:
         """Show `rows`, after they were removed or brought back."""
 
-    def picture(self) -> QWidget | None:
-        """Return what the export shows as a picture beside the CSV; None for the CSV alone."""
-        return None
-
     # Frames
 
     def show_result(self, result: Result) -> None:
@@ -135,19 +124,6 @@ class LiveTab(AnalysisTab):
         if (result := self.result) is not None:
             work = self.work(result)
             self.job.start(lambda progress: (result, work(progress)))
-
-    def untouched(self, result: Result, home: Path | None, progress: Progress) -> FoundUntouched:
-        """Return the untouched frame for a result, or None and warnings; it is searched once for each source."""
-        key = result.source.name, id(result.source), result.preset.untouched, home
-        if self._untouched is None or self._untouched[0] != key:
-            try:
-                found = result.source.find_untouched(result.preset, home, progress)
-                if found.frame is None:
-                    found = FoundUntouched(None, (*found.warnings, f"{NO_UNTOUCHED}."))
-            except TactuneError as error:  # cancelled, too: the next frame does not begin anew
-                found = FoundUntouched(None, (as_sentence(f"No untouched frame: {error}"),))
-            self._untouched = key, found
-        return self._untouched[1]
 
     def shut_down(self) -> None:
         self.job.stop()
@@ -190,17 +166,19 @@ class LiveTab(AnalysisTab):
         self.messages.show_message("reset", Severity.INFO, sentence, [("Bring it back", bring_back)])
 
     def _ask_where(self) -> None:
-        pictured = self.picture() is not None
-        filters = [*(["PNG picture, CSV beside it (*.png)"] if pictured else []), "Table (*.csv)"]
-        name = f"{self.EXPORT}{'.png' if pictured else '.csv'}"
-        self.context.dialogs.over(self.window() or self).save_file("export", "Export", name, filters, self.save_to)
+        dialogs = self.context.dialogs.over(self.window() or self)
+        dialogs.save_file("export", "Export", f"{self.EXPORT}.csv", ["Table (*.csv)"], self.save_to)
 
     def save_to(self, path: Path) -> None:
-        """Write the rows as CSV, on another thread; into a .png the picture, with the CSV beside it."""
-        widget = self.picture() if path.suffix.lower() != ".csv" else None
-        picture = None if widget is None else widget.grab().toImage()
+        """Write the rows as CSV, on another thread."""
         text = rows_as_csv(self.COLUMNS, self.rows.values())
-        self._writing.start(lambda _: write_picture(picture, text, path, "The numbers were"))
+
+        def write(_: Progress) -> str:
+            with atomic_path(path) as temporary:
+                temporary.write_text(text, encoding="utf-8")
+            return f"The numbers were written to {path}."
+
+        self._writing.start(write)
 
     def _complain(self, key: str, sentence: str) -> None:
         if sentence:
@@ -215,19 +193,3 @@ def rows_as_csv(columns: Iterable[str], rows: Iterable[Row]) -> str:
     ordered: list[Row] = sorted(rows, key=lambda row: row[0])
     writer.writerows(ordered)
     return text.getvalue()
-
-
-def write_picture(picture: QImage | None, numbers: str, path: Path, what: str) -> str:
-    """Write ``path`` as PNG and the numbers as CSV beside it; without a picture only these. Return a sentence."""
-    beside = path if picture is None else path.with_suffix(".csv")
-    if picture is None:
-        with atomic_path(path) as temporary:
-            temporary.write_text(numbers, encoding="utf-8")
-        return f"{what} written to {path}."
-    new = not path.exists()
-    # The picture gets its name first: a table without its picture would be refused the next time.
-    with atomic_path(beside, exclusive=new) as table, atomic_path(path, exclusive=new) as temporary:
-        table.write_text(numbers, encoding="utf-8")
-        if not picture.save(str(temporary), "PNG"):
-            raise ExportError(f"cannot write the picture {path}; choose another place")
-    return f"{what} written to {path} and {beside.name}."

@@ -26,18 +26,6 @@ _GEOMETRY = "analysis/geometry"
 # a tab's class is imported when the tab is first looked at: the main window starts without it
 
 
-def _compare(context: Context) -> AnalysisTab:
-    from .compare_tab import CompareTab
-
-    return CompareTab(context)
-
-
-def _strain(context: Context) -> AnalysisTab:
-    from .strain_tab import StrainTab
-
-    return StrainTab(context)
-
-
 def _tilt(context: Context) -> AnalysisTab:
     from .tilt_tab import TiltTab
 
@@ -58,8 +46,6 @@ def _tune(context: Context) -> AnalysisTab:
 
 #: Our own tabs by name; other packages add theirs by entry points.
 _OWN: Final = {
-    "compare": TabKind("&Compare methods", "Run several contact methods on the current frame", _compare, "F7"),
-    "strain": TabKind("Membrane &strain", "Membrane strain from a printed dot grid", _strain, "Ctrl+T"),
     "tilt": TabKind("T&ilt", "Roll and pitch of the contact patch, with standard deviations", _tilt, "Shift+F8"),
     "track": TabKind("Trac&k an object", "Pose of an object of known shape, tracked by its patches", _track, "Ctrl+F8"),
     "tune": TabKind("Tun&e", "Search for preset values with less error and less time", _tune, "Shift+F7"),

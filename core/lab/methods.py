@@ -1,13 +1,12 @@
 """The methods that are compared: settings of the contact pipeline, and rivals as plain functions.
 
 A rival is a function from a preset, a rig and a frame of the untouched membrane to the function that finds the contact
-patch of a frame. The first line of its docstring is its tooltip. Another package adds one by an entry point of the
+patch of a frame. Another package adds one by an entry point of the
 group ``tactune.methods``.
 """
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
@@ -35,13 +34,6 @@ PIPELINES: Final[dict[str, dict[str, Any]]] = {
     "fusion-homography": {"contact_test": "tolerance", "alignment.model": "homography"},
     MEMBRANE: {"contact_test": "membrane", "alignment.model": "rigid", "membrane.frames": 1},
     AVERAGED: {"contact_test": "membrane", "alignment.model": "rigid", "membrane.frames": 15},
-}
-_PIPELINE_TIPS: Final = {
-    STRAIGHT: "As published: aligned by a homography, tolerance 0.03",
-    "fusion-rigid": "Contact where both cameras measure the same distance, aligned by the tactile camera's pose",
-    "fusion-homography": "Contact where both cameras measure the same distance, aligned by a homography",
-    MEMBRANE: "Both cameras: where a membrane in equilibrium of tension and pressure touches the object",
-    AVERAGED: "fusion-membrane on the mean of up to 15 frames while the membrane is still",
 }
 
 _GROUP: Final = "tactune.methods"
@@ -87,13 +79,6 @@ def method_names() -> tuple[str, ...]:
 def method_problems() -> dict[str, str]:
     """Return one sentence for each method of another package that cannot be loaded."""
     return _added()[1]
-
-
-def method_tip(name: str) -> str:
-    """Return one sentence that says what a method does."""
-    if name in _PIPELINE_TIPS:
-        return _PIPELINE_TIPS[name]
-    return (inspect.getdoc(rivals()[name]) or name).partition("\n")[0].removesuffix(".")
 
 
 def check_methods(names: Sequence[str], known: Sequence[str] | None = None) -> None:

@@ -87,9 +87,6 @@ class StrainMeasurement:
     #: Along the rows, the direction nearer to the image's u axis, and along the columns.
     length: AxisStrain
     width: AxisStrain
-    #: Grid cells: the four dots of each in order around it, (K, 4), and mean strain along length and width, (K, 2).
-    cells: Int64Array
-    cell_strain: Float64Array
 
 
 def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -> StrainMeasurement:
@@ -109,8 +106,7 @@ def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -
     for axis, name in zip(axes, ("length", "width"), strict=True):
         if len(axis.pairs) == 0:
             raise StrainError(f"frame {frame.sequence}: no neighbouring dots along the {name} have depth")
-    length, width = axes
-    return StrainMeasurement(pixels, length, width, *_cells(length, width))
+    return StrainMeasurement(pixels, *axes)
 
 
 def check_spacing(spacing_m: float) -> None:
@@ -240,20 +236,6 @@ def _axis_strain(lattice: DotLattice, axis: int, points_m: Float64Array, spacing
         np.median([known[at] for step in around if (at := tuple(place + step)) in known]) for place in places
     ]  # fmt: skip
     return AxisStrain(pairs, np.array(smooth, np.float64))
-
-
-def _cells(length: AxisStrain, width: AxisStrain) -> tuple[Int64Array, Float64Array]:
-    """Return the grid cells whose four sides are measured: their corners, and their mean strains."""
-    along, across = (
-        {(int(a), int(b)): float(strain) for (a, b), strain in zip(axis.pairs, axis.strain, strict=True)}
-        for axis in (length, width)
-    )
-    below = dict(across.keys())
-    corners = [
-        (a, b, below[b], below[a]) for a, b in along if a in below and b in below and (below[a], below[b]) in along
-    ]
-    strain = [((along[a, b] + along[d, c]) / 2, (across[a, d] + across[b, c]) / 2) for a, b, c, d in corners]
-    return np.array(corners, np.int64).reshape(-1, 4), np.array(strain, np.float64).reshape(-1, 2)
 
 
 # Rows and columns: region growing from seeds along local lattice vectors

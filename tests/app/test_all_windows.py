@@ -48,7 +48,7 @@ ACTIONS = (
     "publish",
 )
 #: The window of the analyses has its tabs as pages.
-NAMES = ("main", *ACTIONS, "compare")
+NAMES = ("main", *ACTIONS, "tilt")
 #: What needs a tooltip, too; over a view or an image one would be in the way.
 CONTROLS = (QAbstractButton, QComboBox, QLineEdit, QAbstractSpinBox, QAbstractSlider, QAbstractItemView)
 #: Buttons whose words say all.

@@ -16,7 +16,7 @@ from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.reading import SourceRequest
 from tactune.core.errors import SourceError
-from tactune.core.lab.methods import make_method, method_names, method_tip
+from tactune.core.lab.methods import make_method, method_names
 from tactune.core.model.plugins import added_by_others
 from tactune.core.preset import Preset
 from tactune.core.sources.cameras.drivers import camera_drivers
@@ -109,7 +109,6 @@ def test_the_method_stands_beside_our_own(found):
     frame = source.next_frame()
     assert frame is not None
     assert {"nearest", "mechanics"} <= set(method_names())
-    assert "nearest" in method_tip("nearest")
     patch = make_method("nearest", Preset(), source.rig, frame)(frame)
     assert len(patch.points) == np.count_nonzero(patch.mask) > 0
 

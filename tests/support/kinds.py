@@ -19,12 +19,10 @@ import cv2
 import h5py
 import numpy as np
 from PyQt6.QtCore import QCoreApplication, Qt
-from PyQt6.QtGui import QImage
 from PyQt6.QtWidgets import QApplication, QWidget
 
 from bag_maker import D405, L515, make_bag
 from folder_scenes import RIG, list_source, make_frame
-from tactune.app.analysis.tab import write_picture
 from tactune.app.calibration.keeping import Keeper
 from tactune.app.calibration.session import Session, SessionState, Snapshot
 from tactune.app.document.document import Document
@@ -356,7 +354,6 @@ def read_camchain(folder: Path) -> None:
         lens.lens(lens.size or (7, 5))
 
 
-PICTURE = QImage(64, 64, QImage.Format.Format_RGB32)
 POINTS = [PAIR.model_copy(update={"id": str(k)}) for k in range(50)]
 SCENE = table.Scene("cup", "low")
 CELL = table.Cell("usual", "standard", "cup", "low", "", 0, "straight", rmse_mm=0.5)
@@ -421,7 +418,6 @@ KINDS: dict[str, Kind] = {
         text("a.json", json.dumps({"T_proximity_scan": POSE})), lambda f: load_transform(f / "a.json"), 400, ours=False
     ),
     "poses": Kind(write_poses),
-    "picture": Kind(lambda f, n: write_picture(PICTURE, f"{n}\n" * 999, f / "a.png", "It was")),
     "layout": Kind(lambda f, n: save_layout(f / "a.json")),
     "table.csv": Kind(lambda f, n: write_csv(f / "a.csv", [{"a": n}] * 999)),
     "table cell": Kind(

@@ -13,7 +13,6 @@ from PyQt6.QtWidgets import (
     QProgressBar,
     QPushButton,
     QSizePolicy,
-    QSpinBox,
     QToolButton,
     QWidget,
 )
@@ -211,17 +210,6 @@ class ElidedLabel(QLabel):
 
 
 # Entries and tables
-
-
-def frame_count(most: int, tip: str, value: int = 1) -> QSpinBox:
-    box = QSpinBox()
-    box.setRange(1, most)
-    box.setValue(value)
-    box.setSuffix(" frames")
-    box.setSpecialValueText("1 frame")
-    box.setAccessibleName("Frames to average")
-    box.setToolTip(tip)
-    return box
 
 
 class ChoiceBox(QComboBox):

@@ -37,7 +37,6 @@ class Column:
     ticked: Callable[[Any], bool | None] | None = None
     hint: Callable[[Any], str] | None = None
     color: Callable[[Any], str] | None = None
-    swatch: Callable[[Any], QColor] | None = None
     sample: str = ""
     stretch: bool = False
 
@@ -119,8 +118,6 @@ class _Model(QAbstractTableModel):
             answer = (column.hint(record) if column.hint is not None else "") or column.tip
         elif role == _Role.ForegroundRole and column.color is not None and column.color(record):
             answer = QColor(getattr(theme_colors(), column.color(record)))
-        elif role == _Role.DecorationRole and column.swatch is not None:
-            answer = column.swatch(record)
         elif role == _Role.BackgroundRole and self._marked is not None and self._marked(record):
             answer = _MARKED[theme_name()]
         return answer
@@ -224,11 +221,6 @@ class RecordTable(QTableView):
         lines += [[column.text(record) for column in self._model.columns] for record in records]
         copy_text("\n".join("\t".join(line) for line in lines))
         self.copied.emit(len(records))
-
-    def full_height(self) -> int:
-        across, down = self.horizontalHeader(), self.verticalHeader()
-        assert across is not None and down is not None
-        return across.sizeHint().height() + down.length() + 2 * self.frameWidth()
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
         if event is None:
