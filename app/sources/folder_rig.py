@@ -61,7 +61,7 @@ class FolderRigDialog(QDialog):
         self.buttons.accepted.connect(self.accept)
         self.buttons.rejected.connect(self.reject)
         self.finished.connect(lambda _: self._job.stop())
-        self.resize(720, 480)
+        self.resize(720, 360)
         self._look()
 
     def accept(self) -> None:

@@ -45,6 +45,9 @@ LOST_PRINTS: Final = "prints gone from the mask"
 _FEWER_PRINTS: Final = 0.5
 #: Contact of less area is as likely an error beside a larger one, m^2.
 _SMALL_M2: Final = 15e-6
+#: A contact with a boundary error of more than this share of its radius may be none: odds fall by the second, natural
+#: logarithm, for each radius that the error is larger. Beyond the third share it is said.
+_ERROR_SHARE, _PER_RADIUS, _TOO_SMALL = 0.5, 4.0, 0.9
 #: There is too little depth, or more noise than measured, beyond these values of `Boundary`.
 _MANY_UNSEEN, _NOISIER = 0.2, 1.35
 #: A dent is missing, and said to be, from this evidence on.
@@ -77,6 +80,11 @@ class Judge:
                 evidence = self._dent_evidence(contact, area_m2, frame, facts, noise_m4, moved.get())
             if evidence < _MISSING:
                 reasons = (*reasons, "no dent")
+            radii = 1e-3 * boundary_mm / math.sqrt(area_m2 / math.pi)
+            if radii > _ERROR_SHARE:
+                odds -= min(_PER_RADIUS * (radii - _ERROR_SHARE), _MAX_EVIDENCE)
+            if radii > _TOO_SMALL:
+                reasons = (*reasons, "smaller than the error of its boundary")
             return Doubt(1 / (1 + math.exp(-odds - evidence)), boundary_mm, reasons)
 
         return doubt_of

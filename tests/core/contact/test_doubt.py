@@ -112,8 +112,22 @@ def test_an_unknown_bias_is_a_reason_for_doubt(rig):
     preset, _, touch, _ = rig
     bare = preset.with_value("mask.enabled", False).model_copy(update={"noise": None})
     doubt = ContactPipeline(bare, touch.rig).process(touch.read(0)).doubt
-    assert doubt.reasons == ("bias unknown",)
+    assert "bias unknown" in doubt.reasons
     assert doubt.touch_probability < SURE
+
+
+def test_a_hover_within_the_noise_is_claimed_only_with_doubt():
+    source = SimulatorSource("cube", 1, cells=CELLS, variant=Variant(gap_mm=1.5), sensor="worn")
+    away = source.with_object_away()
+    frames = list(islice(away, 20))
+    preset = load_preset("simulator").with_value("mask.value", (110, 255))
+    preset = preset.model_copy(update={"noise": measure_noise(frames, away.rig, preset)})
+    pipeline = ContactPipeline(preset, source.rig, average_untouched(frames[:15]).frame)
+    claimed = [patch.doubt for patch in map(pipeline.process, islice(source, 6)) if len(patch.points)]
+    assert claimed
+    for doubt in claimed:
+        assert doubt.touch_probability < SURE
+        assert "smaller than the error of its boundary" in doubt.reasons
 
 
 def test_the_table_of_faults_counts_what_is_wrong_without_a_word(monkeypatch):
