@@ -55,7 +55,7 @@ TASKS: Final = (
     Task("Cameras or recording", _source, ("open_source", "cameras", "camera_settings")),
     Task("Untouched frame", _untouched, ("capture_untouched",)),
     Task("Alignment", _alignment, ("calibrate", "recheck")),
-    Task("Noise and bias", _noise, ("measure_noise", "check_cameras")),
+    Task("Noise and bias", _noise, ("measure_noise",)),
 )
 
 

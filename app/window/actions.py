@@ -119,8 +119,7 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
         Row("calibrate", "&Calibrate…", "Ctrl+K", "Align both cameras by clicked points", "crosshairs-gps"),
         Row("check_drift", "Check for &drift…", "Ctrl+Shift+K", "Check alignment and membrane on this frame"),
         Row("watch_drift", "&Watch for drift", tip="Warn when a camera moved or the pressure changed", checked=True),
-        Row("check_cameras", "C&heck cameras…", "F6", "Depth quality, noise, skew and bias of both cameras"),
-        Row("measure_noise", "&Measure noise and bias…", tip="Measure both cameras' noise and bias, for the preset"),
+        Row("measure_noise", "&Measure noise and bias…", "F6", "Measure both cameras' noise and bias, for the preset"),
     ),
     "&Analysis": (
         Submenu("tabs", ""),  # the analysis tabs stand here, without a menu of their own

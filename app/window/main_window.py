@@ -30,7 +30,7 @@ from ..calibration.wizard import CalibrationLauncher
 from ..context import SOURCE, TASK, Context
 from ..document.document import Document
 from ..document.keeping import Autosave
-from ..rig.check_window import CameraChecks
+from ..rig.noise_window import NoiseControl
 from ..rig.untouched_window import UntouchedControls
 from ..rig.watch_control import WatchControl
 from ..settings import Settings
@@ -116,7 +116,7 @@ class MainWindow(QMainWindow):
         self.cameras = CameraControl(self.context)
         self.sources = OpenControl(self.context)
         self.topics = TopicsControl(self, self.dialogs, self.open_named, self._open_failed)
-        self.checks = CameraChecks(self.context)
+        self.noise = NoiseControl(self.context)
         self.untouched = UntouchedControls(self.context)
         self.watch = WatchControl(
             self.context,
@@ -240,8 +240,7 @@ class MainWindow(QMainWindow):
         actions.export.triggered.connect(lambda _: self.export.ask())
         actions.calibrate.triggered.connect(self.calibration.open_wizard)
         actions.check_drift.triggered.connect(self.watch.open)
-        actions.check_cameras.triggered.connect(self.checks.open)
-        actions.measure_noise.triggered.connect(self.checks.open_noise)
+        actions.measure_noise.triggered.connect(self.noise.open)
         actions.findings.triggered.connect(self.findings.open)
         actions.open_source.triggered.connect(self.sources.open)
         actions.cameras.triggered.connect(self.sources.open_cameras)
@@ -490,7 +489,7 @@ class MainWindow(QMainWindow):
         event.accept()
 
     def shut_down(self) -> None:
-        showing = (self.watch, self.publishing, self.suggest, self.timeline, self.export, self.checks)
+        showing = (self.watch, self.publishing, self.suggest, self.timeline, self.export, self.noise)
         for part in (
             *showing,
             self.cameras,

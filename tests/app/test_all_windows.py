@@ -37,7 +37,7 @@ SMALL = QSize(1008, 660)
 ACTIONS = (
     "calibrate",
     "check_drift",
-    "check_cameras",
+    "measure_noise",
     "findings",
     "open_source",
     "camera_settings",

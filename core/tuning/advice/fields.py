@@ -56,7 +56,7 @@ def suggest_fields(section: str, evidence: Evidence, progress: Progress) -> Prop
         return _from_examples(section, evidence, progress)
     noise = evidence.preset.noise
     if section != "tolerance" or noise is None:
-        remedy = " or measure the rig's noise (Check cameras)" if section == "tolerance" else ""
+        remedy = " or measure the rig's noise (F6)" if section == "tolerance" else ""
         raise AdviceError(f"{section}: marked contact tells these values; mark it in a frame (Examples…){remedy}")
     sigma_m = math.hypot(noise.proximity.total_m, noise.tactile.total_m)
     distance_m = noise.tactile.distance_m
@@ -74,7 +74,7 @@ def suggest_dent(evidence: Evidence, progress: Progress) -> Proposal:
     """Propose the smallest dent that the measured noise allows, rounded up to 0.1 mm."""
     noise = evidence.preset.noise
     if noise is None:
-        raise AdviceError("dent: the noise of the camera tells the smallest dent; measure it (Check cameras)")
+        raise AdviceError("dent: the noise of the camera tells the smallest dent; measure it (F6)")
     limit_m = noise_limit_m(noise)
     return _proposal(
         evidence,

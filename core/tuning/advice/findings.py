@@ -108,7 +108,7 @@ def depth_missing(frame: SensorFrame, rig: Rig) -> Finding | None:
         share = float(np.mean(valid_depth(counts[::_STRIDE, ::_STRIDE])))
         if share < _MIN_SEEN:
             sentence = f"The {role} camera measures no depth in {100 * (1 - share):.0f} % of its image: {remedy}."
-            return Finding("no_depth", "cameras", sentence, action="check_cameras", explains_empty=True)
+            return Finding("no_depth", "cameras", sentence, action="camera_settings", explains_empty=True)
     return wrong_unit(frame, rig)
 
 
@@ -126,7 +126,7 @@ def wrong_unit(frame: SensorFrame, rig: Rig) -> Finding | None:
         f"The tactile camera sees the membrane at {distance_m:.2g} m in the median: check its depth_unit_m "
         f"{unit_m:g} in rig.json."
     )
-    return Finding("depth_unit", "cameras", sentence, action="check_cameras", explains_empty=True)
+    return Finding("depth_unit", "cameras", sentence, action="camera_settings", explains_empty=True)
 
 
 def covering_mask(it: Situation) -> Finding | None:

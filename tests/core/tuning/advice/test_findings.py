@@ -117,7 +117,7 @@ def test_a_camera_without_depth(camera, preset):
     found = findings(preset, rig, blind)
     assert list(found) == ["no_depth"]
     assert f"The {camera} camera measures no depth in 100 %" in found["no_depth"].sentence
-    assert found["no_depth"].action == "check_cameras"
+    assert found["no_depth"].action == "camera_settings"
 
 
 @pytest.mark.parametrize(("unit_m", "distance"), [(0.01, "29 m"), (0.001, "2.9 m"), (0.000001, "0.0029 m")])

@@ -1,4 +1,4 @@
-"""The window that checks the cameras, opened from the main window, on sources with known errors."""
+"""The window that measures noise and bias, opened from the main window, on sources with known errors."""
 
 import numpy as np
 import pytest
@@ -9,10 +9,9 @@ from fakes import FakeSource
 from hands import LEFT, show_source
 from side_by_side import HEIGHT, PRINT_MASK, WIDTH, WallCameras, counts, wall_source
 from tactune.app.rig import gather
+from tactune.app.rig.noise_window import NoisePanel
 from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
-
-DELAY_S = 0.120
 
 
 def frame(index, rig, proximity_m, tactile_m):
@@ -32,70 +31,28 @@ def stairs(index, rig):
     return frame(index, rig, steps, np.full((HEIGHT, WIDTH), 0.3))
 
 
-def press(index, rig):
-    """A board that presses irregularly; the tactile camera's stamps are late."""
-
-    def board(t):
-        return 0.30 - 0.02 * (np.sin(2.4 * t) + 0.55 * np.sin(5.3 * t + 1.0) + 0.3 * np.sin(9.1 * t))
-
-    membrane = min(0.30, board(index / 30 - DELAY_S))
-    noise = np.random.default_rng(index).normal(0, 0.0003, (2, HEIGHT, WIDTH))
-    return frame(index, rig, board(index / 30) + noise[0], membrane + noise[1])
-
-
 @pytest.fixture
 def open_checks(qtbot, make_window):
-    """A main window on a source, with the check window open."""
+    """A main window on a source, with that window open."""
 
     def make(source):
         values = {"contact_test": "tolerance", "outliers.enabled": False, **PRINT_MASK}
         main = make_window(Preset().with_values(values))
         show_source(qtbot, main, source)
         QTest.keyClick(main, Qt.Key.Key_F6)
-        qtbot.waitUntil(lambda: main.checks.window is not None and main.checks.window.isActiveWindow())
+        qtbot.waitUntil(lambda: main.noise.window is not None and main.noise.window.isActiveWindow())
         return main
 
     return make
-
-
-def bring(qtbot, main, name):
-    tab = getattr(main.checks.window, name)
-    main.checks.window.tabs.setCurrentWidget(tab)
-    qtbot.waitUntil(tab.isVisible)
-    return tab
 
 
 def wait(qtbot, condition):
     qtbot.waitUntil(condition, timeout=60_000)
 
 
-# Quality
-
-
-def test_the_quality_of_a_wall_is_what_was_put_in(open_checks, rig, qtbot):
-    main = open_checks(wall_source(rig, 60))
-    tab = main.checks.window.quality
-    wait(qtbot, lambda: tab.quality is not None)
-    near, _ = tab.quality
-    assert near.fill_rate == 1.0
-    assert near.plane_rms_m == pytest.approx(0.0006, rel=0.1)
-    assert "<b>100.0 %</b>" in tab.lines["proximity"].text()
-    assert tab.region == (48, 36, 64, 48)
-
-    tab.region_item.edited.emit((60, 36, WIDTH - 60, 48), 1)
-    wait(qtbot, lambda: tab.quality[0].region == (60, 36, WIDTH - 60, 48))
-
-    show_source(qtbot, main, FakeSource(1, rig, make=stairs, name="stairs"))  # a single frame is enough
-    wait(qtbot, lambda: tab.quality is not None and tab.quality[0].plane_rms_m > 0.01)
-    assert "No flat surface" in tab.lines["proximity"].text()
-
-
-# Noise and bias
-
-
 def test_noise_and_bias_are_measured_used_and_undone(open_checks, rig, qtbot):
     main = open_checks(wall_source(rig))
-    tab = bring(qtbot, main, "noise")
+    tab = main.noise.window.panel
     assert "not measured" in tab.stored.text()
     tab.wanted = 20
     QTest.mouseClick(tab.start, LEFT)
@@ -113,7 +70,7 @@ def test_noise_and_bias_are_measured_used_and_undone(open_checks, rig, qtbot):
 
 def test_what_cannot_be_measured_is_said(open_checks, rig, qtbot):
     main = open_checks(wall_source(rig, length=2000, step_m=0.001))  # it does not come back to its first place
-    tab = bring(qtbot, main, "noise")
+    tab = main.noise.window.panel
     tab.wanted = 20
     QTest.mouseClick(tab.start, LEFT)
     wait(qtbot, lambda: not tab.busy)
@@ -125,27 +82,14 @@ def test_what_cannot_be_measured_is_said(open_checks, rig, qtbot):
 
 def test_one_measurement_at_a_time_and_none_of_another_source(open_checks, rig, qtbot):
     main = open_checks(WallCameras(rig))
-    noise, skew = (bring(qtbot, main, name) for name in ("noise", "skew"))
+    noise, other = main.noise.window.panel, NoisePanel(main.context)
+    qtbot.addWidget(other)
     noise.wanted = 200
     noise.start.click()
-    skew.start.click()
-    assert noise.busy and not skew.busy
-    assert skew.sentence.text() == gather.OTHER_TASK
+    other.start.click()
+    assert noise.busy and not other.busy
+    assert other.sentence.text() == gather.OTHER_TASK
     show_source(qtbot, main, FakeSource(60, rig, make=stairs, name="other"))
     wait(qtbot, lambda: not noise.busy)
     assert noise.sentence.text() == gather.OTHER_SOURCE
-    main.checks.window.close()
-
-
-# Skew
-
-
-def test_the_delay_is_measured_shown_and_compensated(open_checks, rig, qtbot):
-    main = open_checks(FakeSource(150, rig, make=press, name="press"))
-    tab = bring(qtbot, main, "skew")
-    QTest.mouseClick(tab.start, LEFT)
-    wait(qtbot, lambda: not tab.busy)
-    assert tab.found is not None, tab.sentence.text()
-    assert main.document.preset.cameras.tactile_delay_s == pytest.approx(DELAY_S, abs=0.006)
-    QTest.mouseClick(tab.undo, LEFT)
-    assert main.document.preset.cameras.tactile_delay_s == 0.0
+    main.noise.window.close()
