@@ -14,13 +14,16 @@ from PyQt6.QtWidgets import QApplication
 
 from ..core.errors import ExportError, TactuneError
 from ..core.model.files import atomic_path
-from ..core.sources.presets import load_preset
+from ..core.sources.presets import default_preset, load_preset
 from ..widgets.basics.icons import app_icon
+from ..widgets.basics.messages import Severity
 from ..widgets.basics.style import use_style
 from .settings import Settings, default_data_folder, default_settings_file
 from .window.main_window import MainWindow
 from .worker.threads import wait_for_abandoned
 
+#: What the first window shows.
+_SOURCE = "sim"
 #: Longest wait for the frames of a screenshot, in ms; opening the source does not count.
 MAX_WAIT_MS = 60_000
 #: Longest wait for abandoned threads after the windows are closed, in seconds.
@@ -29,22 +32,16 @@ MAX_WAIT_S = 5.0
 WAKE_MS = 200
 
 
-def run_gui(source: str, preset: str, screenshot: Path | None, after: int = 30) -> int:
+def run_gui(source: str | None, preset: str | None, screenshot: Path | None, after: int = 30) -> int:
     """Open the window, run it until it is closed, or until a ``screenshot`` is saved; return the exit status."""
-    path = Path(preset)
-    start_preset, own = load_preset(preset), path.is_file() and path.suffix != ".mcap"
     application = make_application()
     with TemporaryDirectory(prefix="tactune-") as folder:
         # A screenshot neither depends on remembered settings nor changes them.
-        settings_file = default_settings_file() if screenshot is None else Path(folder) / "window.json"
+        settings = Settings(default_settings_file() if screenshot is None else Path(folder) / "window.json")
         data_folder = default_data_folder() if screenshot is None else Path(folder)
-        window = MainWindow(start_preset, Settings(settings_file), data_folder)
-        if own:
-            window.document.open(path)
-        window.error_hook.install()
-        window.show()
+        window, name = show_window(source, preset, settings, data_folder)
         picture = None if screenshot is None else _Screenshot(window, screenshot, after)
-        window.open_source(source) if picture is None else window.open_named(source)
+        window.open_source(name) if picture is None else window.open_named(name)
         if picture is None:
             window.file_flows.offer_unsaved_work()
             _stop_on_interrupt(window, application)
@@ -52,6 +49,33 @@ def run_gui(source: str, preset: str, screenshot: Path | None, after: int = 30) 
     if picture is not None and picture.problem:
         raise ExportError(picture.problem)
     return _ended(status)
+
+
+def show_window(
+    source: str | None, preset: str | None, settings: Settings, data_folder: Path
+) -> tuple[MainWindow, str]:
+    """Show the main window with a preset, and return it with the name of the source to open.
+
+    What is not named is that of the last window, or else the simulator and the source's default preset.
+    """
+    last_source, last_preset = settings.last_opened()
+    name = source or last_source or _SOURCE
+    chosen, problem = preset or default_preset(name), ""
+    if preset is None and last_preset and name == last_source:
+        try:
+            load_preset(last_preset)
+            chosen = last_preset
+        except TactuneError as error:
+            problem = f"The preset of the last time was not opened: {error}."
+    window = MainWindow(load_preset(chosen), settings, data_folder)
+    path = Path(chosen)
+    if path.is_file() and path.suffix != ".mcap":
+        window.document.open(path)
+    window.error_hook.install()
+    window.show()
+    if problem:
+        window.messages.show_message("file", Severity.WARNING, problem)
+    return window, name
 
 
 def _ended(status: int) -> int:

@@ -83,6 +83,10 @@ class Settings:
     def remove_recent(self, kind: str, item: str) -> None:
         self.set(f"recent/{kind}", "\n".join(other for other in self.recent(kind) if other != item))
 
+    def last_opened(self) -> tuple[str, str]:
+        """Return the source and the preset file of the last window; empty if there was none, or if that is off."""
+        return (self.text("last/source"), self.text("last/preset")) if self.text("reopen", "on") == "on" else ("", "")
+
     def sync(self) -> None:
         """Write to disk now; a disk that refuses loses only what is remembered."""
         self._timer.stop()

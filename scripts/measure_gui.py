@@ -20,11 +20,10 @@ from typing import cast
 import numpy as np
 from PyQt6.QtCore import QObject, Qt, QTimer
 
-from tactune.app.cli.common import default_preset
 from tactune.app.gui import make_application
 from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
-from tactune.core.sources.presets import load_preset
+from tactune.core.sources.presets import default_preset, load_preset
 from tactune.widgets.basics.theme import ThemeChoice
 
 HEARTBEAT_MS = 5

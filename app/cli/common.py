@@ -9,7 +9,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,8 +17,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from ...core.errors import ExportError, PresetError, SourceError, TactuneError, counted, printable
-from ...core.model.files import user_path
+from ...core.errors import ExportError, PresetError, SourceError, counted, printable
 
 if TYPE_CHECKING:
     from ...core.contact.pipeline import ContactPipeline
@@ -84,22 +83,9 @@ FrameCount = Annotated[
 ]
 
 
-def default_preset(source: str) -> str:
-    """Return the origin of a source's default preset: the recording's own, ``simulator``, else ``default``."""
-    plain = source.removeprefix("live:")
-    path = user_path(plain.removeprefix("mcap:"))
-    if path.suffix == ".mcap" and path.is_file():
-        from ...core.sources.presets import load_preset
-
-        with suppress(TactuneError):  # opening the source reports what is wrong with it
-            load_preset(path)
-            return str(path)
-    return "simulator" if plain.partition(":")[0] == "sim" else "default"
-
-
 def chosen_preset(preset: str | None, source: str) -> tuple[Preset, str]:
     """Return the preset that ``--preset`` names, else the source's default, and its origin."""
-    from ...core.sources.presets import load_preset
+    from ...core.sources.presets import default_preset, load_preset
 
     origin = preset or default_preset(source)
     return load_preset(origin), origin

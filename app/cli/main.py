@@ -18,7 +18,7 @@ from typer.core import TyperGroup
 
 from ...core.errors import MissingExtraError, TactuneError, foreign
 from .calibrate import calibrate, check, create_rig
-from .common import SOURCE, PresetOption, SourceOption, default_preset, say, warn
+from .common import PresetOption, SourceOption, say, warn
 from .doctor import devices, doctor, warmup
 from .lab import lab_commands
 from .preset import preset_commands
@@ -115,20 +115,20 @@ def _start(
     if show_version:
         say(f"tactune {version('tactune')}")
     elif context.invoked_subcommand is None:
-        raise typer.Exit(_open_window(SOURCE, None, None))
+        raise typer.Exit(_open_window(None, None, None))
 
 
 @commands.command(short_help="Open the window, as without a command.")
 def gui(
     *,
-    source: SourceOption = SOURCE,
+    source: SourceOption | None = None,
     preset: PresetOption = None,
     screenshot: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Save a picture of the window to a .png or .jpg file and close it."),
     ] = None,
 ) -> None:
-    """Open the window."""
+    """Open the window, with the last source and preset unless others are named."""
     if screenshot is not None and screenshot.suffix.lower() not in (".png", ".jpg"):
         raise typer.BadParameter(f"--screenshot is {screenshot}; give a file that ends in .png or .jpg")
     raise typer.Exit(_open_window(source, preset, screenshot))
@@ -155,7 +155,7 @@ def _check_x_display() -> None:
         )
 
 
-def _open_window(source: str, preset: str | None, screenshot: Path | None) -> int:
+def _open_window(source: str | None, preset: str | None, screenshot: Path | None) -> int:
     if sys.platform == "linux" and not any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"))):
         raise TactuneError(
             "there is no display to open a window on; use tactune run, or QT_QPA_PLATFORM=offscreen for a picture"
@@ -168,7 +168,7 @@ def _open_window(source: str, preset: str | None, screenshot: Path | None) -> in
             f'the window cannot be opened ({error}): pip install "tactune[gui]", or let tactune doctor say what is '
             "missing; tactune run works without it"
         ) from error
-    return run_gui(source, preset or default_preset(source), screenshot)
+    return run_gui(source, preset, screenshot)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ from .common import (
     CliProgress,
     FrameCount,
     TopicsOption,
-    default_preset,
     find_rig,
     live_frames,
     number_of_frames,
@@ -125,7 +124,7 @@ def _convert_calibration(source: str, target: Path, kind: str, preset: str | Non
     """Write the calibration of a rig: as a preset states it, or the rig of a recording by itself."""
     from ...core.output.calibration_files import export_calibration
     from ...core.preset.file import shipped_presets
-    from ...core.sources.presets import load_preset
+    from ...core.sources.presets import default_preset, load_preset
 
     origin = preset or default_preset(source)
     path = Path(source)

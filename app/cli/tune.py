@@ -14,7 +14,6 @@ from ...core.errors import ExportError, TactuneError, counted
 from .common import (
     INTERRUPTED_STATUS,
     CliProgress,
-    default_preset,
     say,
     stop_on_signals,
     table_text,
@@ -84,7 +83,7 @@ def tune(
     from ...core.contact.kernels.threads import available_threads
     from ...core.preset.file import save_preset
     from ...core.rig.untouched import copy_untouched
-    from ...core.sources.presets import load_preset
+    from ...core.sources.presets import default_preset, load_preset
     from ...core.sources.registry import open_source
     from ...core.tuning.measure import cluster_workers, local_workers
     from ...core.tuning.plan import make_plan, parse_axis

@@ -54,7 +54,7 @@ def _noise(_: SourceInfo | None, preset: Preset) -> str:
 TASKS: Final = (
     Task("Cameras or recording", _source, ("open_source", "cameras", "camera_settings")),
     Task("Untouched frame", _untouched, ("capture_untouched",)),
-    Task("Alignment", _alignment, ("calibrate", "recheck")),
+    Task("Alignment", _alignment, ("calibrate", "check_drift")),
     Task("Noise and bias", _noise, ("measure_noise",)),
 )
 

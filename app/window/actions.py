@@ -56,6 +56,7 @@ TABLE: Final[dict[str, tuple[_Entry, ...]]] = {
         Row("save", "&Save preset", "Ctrl+S", icon="content-save-outline"),
         Row("save_as", "Save preset &as…", "Ctrl+Shift+S"),
         Submenu("recent_presets", "&Recent presets"),
+        Row("reopen", "Open again at s&tart", tip="The next start opens this source and preset", checked=True),
         _LINE,
         Row(
             "export",

@@ -15,6 +15,7 @@ from ...widgets.basics.messages import Severity
 from ..context import SOURCE, TASK, Context
 from ..document.keeping import Autosave, UnsavedWork, unsaved_work
 from ..sources.pages import recording_name
+from ..worker.results import SourceInfo
 from .actions import Actions
 
 PRESET_FILTER = "Presets (*.json)"
@@ -29,12 +30,16 @@ class FileFlows(QObject):
         context.saveRequested.connect(self.save)
         self._document, self._dialogs = context.document, context.dialogs
         self._settings, self._messages = context.settings, context.messages
+        context.worker.opened.connect(self._note_opened)
+        context.document.fileChanged.connect(self._note_preset)
 
     def connect_actions(self, actions: Actions) -> None:
         actions.new_preset.triggered.connect(lambda _: self.new())
         actions.open_preset.triggered.connect(self.open_preset_dialog)
         actions.save.triggered.connect(lambda _: self.save())
         actions.save_as.triggered.connect(lambda _: self.save_as())
+        actions.reopen.setChecked(self._settings.text("reopen", "on") == "on")
+        actions.reopen.toggled.connect(lambda on: self._settings.set("reopen", "on" if on else "off"))
 
     def guarded(self, then: Callable[[], object]) -> None:
         """Call ``then``, which replaces the preset, after asking about unsaved changes."""
@@ -109,6 +114,14 @@ class FileFlows(QObject):
             f"Tactune ended without saving “{newest.preset.name}”{where}. Its unsaved changes were kept.",
             offers=[("Restore", lambda: self.guarded(lambda: self._restore(newest))), ("Discard", discard)],
         )
+
+    def _note_opened(self, info: SourceInfo) -> None:
+        """Remember source and preset for the next start."""
+        self._settings.set("last/source", info.name)
+        self._note_preset()
+
+    def _note_preset(self) -> None:
+        self._settings.set("last/preset", str(self._document.path.absolute() if self._document.path else ""))
 
     def _restore(self, work: UnsavedWork) -> None:
         self._document.restore(work.preset, work.path)

@@ -18,7 +18,7 @@ from ...core.tuning.advice.suggest import SECTIONS
 from ...widgets.basics.controls import ProgressCard
 from ...widgets.basics.dialogs import Dialogs, local_files, room_on
 from ...widgets.basics.layouts import vbox
-from ...widgets.basics.messages import Messages, Severity
+from ...widgets.basics.messages import Messages, Offer, Severity
 from ...widgets.basics.style import apply_theme
 from ...widgets.basics.theme import ThemeChoice, theme_name
 from ...widgets.images.image_strip import ImageStrip
@@ -346,7 +346,8 @@ class MainWindow(QMainWindow):
     def _open_failed(self, name: str, sentence: str) -> None:
         self.opening.hide()
         if sentence and not self.sources.take_failure(name, sentence):
-            self.messages.show_message("source", Severity.ERROR, sentence, [("Open…", self.sources.open)], subject=TASK)
+            offers: list[Offer] = [("Try again", partial(self.open_source, name)), ("Open…", self.sources.open)]
+            self.messages.show_message("source", Severity.ERROR, sentence, offers, subject=TASK)
         if self.result is None:
             self.views.show_message(_NO_SOURCE)
 

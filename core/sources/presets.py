@@ -3,11 +3,24 @@
 from __future__ import annotations
 
 import logging
+from contextlib import suppress
 from pathlib import Path
 
-from ..errors import PresetError
+from ..errors import PresetError, TactuneError
+from ..model.files import user_path
 from ..preset import Preset
 from ..preset.file import preset_and_note, preset_text
+
+
+def default_preset(source: str) -> str:
+    """Return the origin of a source's default preset: the recording's own, ``simulator``, else ``default``."""
+    plain = source.removeprefix("live:")
+    path = user_path(plain.removeprefix("mcap:"))
+    if path.suffix == ".mcap" and path.is_file():
+        with suppress(TactuneError):  # opening the source reports what is wrong with it
+            load_preset(path)
+            return str(path)
+    return "simulator" if plain.partition(":")[0] == "sim" else "default"
 
 
 def load_preset(path_or_name: Path | str) -> Preset:

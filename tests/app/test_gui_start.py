@@ -10,10 +10,14 @@ import pytest
 from PyQt6.QtGui import QImage
 
 from fakes import FakeSource
-from tactune.app.gui import run_gui
+from hands import press
+from tactune.app.gui import run_gui, show_window
+from tactune.app.settings import Settings
 from tactune.app.worker import beside
 from tactune.app.worker.results import CloudName
 from tactune.core.errors import ExportError
+from tactune.core.preset import Preset
+from tactune.core.preset.file import save_preset
 from tactune.core.sources.folder import export_folder
 
 
@@ -34,6 +38,54 @@ def test_no_picture_without_a_source(qapp, tmp_path):
     with pytest.raises(ExportError, match="nowhere"):
         run_gui(f"folder:{tmp_path / 'nowhere'}", "default", tmp_path / "window.png", after=1)
     assert not (tmp_path / "window.png").exists()
+
+
+@pytest.fixture
+def start(qapp, qtbot, tmp_path):
+    """Start a window as ``tactune gui`` does; what it remembers is in one place."""
+
+    def make(source=None, preset=None):
+        window, name = show_window(source, preset, Settings(tmp_path / "window.json"), tmp_path / "data")
+        window.open_source(name)
+        qtbot.addWidget(window, before_close_func=lambda window: window.close_without_asking())
+        return window
+
+    return make
+
+
+def test_the_last_source_and_preset_open_again_unless_others_are_named(start, recording, tmp_path, qtbot):
+    own = tmp_path / "own.json"
+    save_preset(Preset(name="own"), own)
+    first = start(recording, str(own))
+    qtbot.waitUntil(lambda: first.result is not None)
+    first.close()
+    again = start()
+    qtbot.waitUntil(lambda: again.result is not None)
+    assert (again.result.source.name, again.document.path) == (recording, own)
+    again.close()
+    other = start(preset="default")
+    qtbot.waitUntil(lambda: other.result is not None)
+    assert (other.result.source.name, other.document.path) == (recording, None)
+    other.actions_.reopen.trigger()
+    other.close()
+    assert Settings(tmp_path / "window.json").last_opened() == ("", "")
+    assert not start("folder:nowhere").actions_.reopen.isChecked()
+
+
+def test_what_is_not_there_any_more_is_said_with_a_way_on(start, recording, tmp_path, qtbot):
+    own = tmp_path / "own.json"
+    save_preset(Preset(name="own"), own)
+    first = start(recording, str(own))
+    qtbot.waitUntil(lambda: first.result is not None)
+    first.close()
+    own.unlink()
+    (tmp_path / "recording").rename(tmp_path / "elsewhere")
+    again = start()
+    qtbot.waitUntil(lambda: again.messages.message("source") is not None)
+    assert again.messages.message("file") is not None
+    (tmp_path / "elsewhere").rename(tmp_path / "recording")
+    press(again.messages.message("source"), "Try again")
+    qtbot.waitUntil(lambda: again.result is not None)
 
 
 INTERRUPT = """

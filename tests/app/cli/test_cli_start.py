@@ -10,7 +10,7 @@ import pytest
 import typer
 
 from tactune.app.cli import main
-from tactune.app.cli.common import default_preset
+from tactune.core.sources.presets import default_preset
 
 HEAVY = ("numpy", "scipy", "cv2", "numba", "pydantic", "open3d", "PyQt6", "pyqtgraph")
 
@@ -64,7 +64,7 @@ def opened(monkeypatch):
 def test_the_window_opens_on_the_simulator_or_what_it_is_told(tactune, opened):
     assert tactune().status == 0
     assert tactune("gui", "--source", "sim:cup", "--preset", "default", "--screenshot", "window.png").status == 0
-    assert opened == [("sim", "simulator", None), ("sim:cup", "default", Path("window.png"))]
+    assert opened == [(None, None, None), ("sim:cup", "default", Path("window.png"))]
 
 
 @pytest.mark.parametrize(
